@@ -130,7 +130,7 @@ def test_peaks_of_both_sides_point_outwards(monkeypatch, side, outwards):
     bump = 3.0 * np.exp(-((x - 300) ** 2 + (y - 300) ** 2) / 900)
     frame = SimpleNamespace(faces={side: outwards * (40.0 + bump)}, pitch_um=(5.0, 5.0))
     params = SimpleNamespace(s_filter_um=20.0, l_filter_um=200.0)
-    monkeypatch.setattr(lengths, "errors", lambda *_: np.ones(x.shape))
+    monkeypatch.setattr(lengths, "thickness_se", lambda *_: np.ones(x.shape))
     sheet = SimpleNamespace(frame=frame, params=params, valid=np.ones(x.shape, dtype=bool))
     values = registry.find_property(f"roughness_{side}").function(sheet).values
     assert values[60, 60] > 1.0

@@ -112,18 +112,24 @@ class ThicknessOptions(Params):
     )
 
 
-def errors(sheet: Sheet, name: str) -> Floats:
+def thickness_se(sheet: Sheet, name: str) -> Floats:
     """Standard errors of a thickness along the sheet's rays."""
-    from planish.measure.uncertainty import Shared, thickness_errors
+    from planish.measure.uncertainty import SharedNoise, thickness_errors
 
     f = sheet.frame
-    shared = Shared.of(f.greys, voxel_um=f.voxel_um, pitch_um=f.pitch_um, wide=f.wide, noise_um=f.noise_um)
+    shared_noise = SharedNoise.of(
+        f.greys,
+        voxel_um=f.voxel_um,
+        pitch_um=f.pitch_um,
+        column_px=f.column_px,
+        noise_um=f.noise_um,
+    )
     slope = f.slopes()
     # A vertical distance is longer than a normal one, and so is its error.
     oblique = f.oblique(slope)
     layers: dict[Side, Floats] = {k: np.abs(f.faces[k] - f.faces[f"interface_{k}"]) / oblique for k in SIDES}
     cosine = 1 / np.sqrt(1 + np.sum(slope**2, axis=-1))
-    return thickness_errors(layers, f.greys, shared, cosine=cosine)[name] * oblique
+    return thickness_errors(layers, f.greys, shared_noise, cosine=cosine)[name] * oblique
 
 
 def _has_coating(_params: MeasureParams, greys: Greys, side: Side) -> None:
@@ -134,12 +140,12 @@ def _has_coating(_params: MeasureParams, greys: Greys, side: Side) -> None:
 def coating(sheet: Sheet, side: Side) -> Measured:
     """P-01: face to interface; 0 is possible. SE from the Fisher matrix of the fitted staircase (thickness_errors)."""
     if sheet.frame.greys.coated(side):
-        return _of_faces(sheet, f"coating_{side}")
+        return _between_faces(sheet, f"coating_{side}")
     return Measured(values=np.full(sheet.frame.status.shape, np.nan))
 
 
-def _of_faces(sheet: Sheet, name: str) -> Measured:
-    return Measured(values=face_length(sheet.frame.faces, name), se=errors(sheet, name))
+def _between_faces(sheet: Sheet, name: str) -> Measured:
+    return Measured(values=face_length(sheet.frame.faces, name), se=thickness_se(sheet, name))
 
 
 def _needs_both_coatings(_params: MeasureParams, greys: Greys) -> None:
@@ -163,13 +169,13 @@ def coating_difference(sheet: Sheet) -> Measured:
 @sheet_property("base_thickness", units="um", long_name=PROPERTIES["base_thickness"])
 def base_thickness(sheet: Sheet) -> Measured:
     """P-04: s_TI - s_BI; SE: the root of the summed squares of both interfaces'."""
-    return _of_faces(sheet, "base_thickness")
+    return _between_faces(sheet, "base_thickness")
 
 
 @sheet_property("thickness", units="um", long_name=PROPERTIES["thickness"])
 def thickness(sheet: Sheet) -> Measured:
     """P-05: s_T - s_B; SE: the root of the summed squares of both faces'."""
-    return _of_faces(sheet, "thickness")
+    return _between_faces(sheet, "thickness")
 
 
 @sheet_property(
@@ -197,16 +203,16 @@ def _layer(rays: Rays, side: Side) -> tuple[Floats, Floats, Floats]:
     from planish.measure.uncertainty import layer_errors
 
     greys = rays.greys
-    coat = greys.coating(side)
+    coating_level = greys.coating(side)
     face, other = (rays.top, rays.interface_bottom) if side == "top" else (rays.bottom, rays.interface_top)
-    summed, outer, ends = _ray_kernels.layers(
+    summed, envelope, ends = _ray_kernels.layers(
         rays.grey, float(rays.s_um[0]), rays.step_um, face, -1.0 if side == "top" else 1.0,
-        0.5 * (coat + greys.base), greys.polarity, rays.oblique * (2.5 * greys.blur_um + rays.voxel_um),
+        0.5 * (coating_level + greys.base), greys.polarity, rays.oblique * (2.5 * greys.blur_um + rays.voxel_um),
         rays.params.gap_um, other,
     )  # fmt: skip
-    of_face = rays.oblique * layer_errors(outer / rays.oblique, greys, rays.noise_um, side)[0]
-    se = np.hypot(of_face, np.sqrt(np.maximum(ends, 1)) * rays.crossing_se(coat - greys.base))
-    return summed, outer, se
+    face_se = rays.oblique * layer_errors(envelope / rays.oblique, greys, rays.noise_um, side)[0]
+    se = np.hypot(face_se, np.sqrt(np.maximum(ends, 1)) * rays.crossing_se(coating_level - greys.base))
+    return summed, envelope, se
 
 
 @ray_property("coating_{side}_sum", units="um", long_name="Coating on the ray, {side} side", check=_has_coating)
@@ -225,8 +231,8 @@ def coating_sum(rays: Rays, side: Side) -> Measured:
 @ray_property("coating_{side}_envelope", units="um", long_name="Coating with its gaps, {side} side", check=_has_coating)
 def coating_envelope(rays: Rays, side: Side) -> Measured:
     """t_env of A-16: from the face to the inner end of the same layer, gaps included; SE as :func:`coating_sum`."""
-    _, outer, se = _layer(rays, side)
-    return Measured(values=outer, se=se)
+    _, envelope, se = _layer(rays, side)
+    return Measured(values=envelope, se=se)
 
 
 _ALPHA = 0.4697  # sqrt(ln 2 / pi): the Gaussian exp(-pi (x / (alpha cutoff))^2) passes its cut-off by half
@@ -243,7 +249,7 @@ class RoughnessOptions(Params):
 @sheet_property("topography_{side}", units="um", long_name=PROPERTIES["topography_top"].replace("top", "{side}"))
 def topography(sheet: Sheet, side: Side) -> Measured:
     """P-06: from the centre surface outwards to the face; SE: that of the fitted face."""
-    return _of_faces(sheet, f"topography_{side}")
+    return _between_faces(sheet, f"topography_{side}")
 
 
 @sheet_property("roughness_{side}", units="um", long_name="Roughness, {side} side",
@@ -254,12 +260,12 @@ def roughness(sheet: Sheet, side: Side) -> Measured:
     SE: the face's, times what the S-filter leaves of white noise, pitch / (2 sqrt(pi) sigma) where it is below 1.
     """
     f, p = sheet.frame, sheet.params
-    sign = 1.0 if side == "top" else -1.0
-    height = np.where(sheet.valid, sign * f.faces[side], np.nan)
+    outward_sign = 1.0 if side == "top" else -1.0
+    height = np.where(sheet.valid, outward_sign * f.faces[side], np.nan)
     limited = scale_limited(height, f.pitch_um, s_filter_um=p.s_filter_um, l_filter_um=p.l_filter_um)
-    wide = 2 * np.sqrt(np.pi) * _sigma(p.s_filter_um)
-    noise_share = np.prod([min(1.0, np.sqrt(q / wide)) for q in f.pitch_um])
-    return Measured(values=limited, se=errors(sheet, f"topography_{side}") * float(noise_share))
+    filter_width_um = 2 * np.sqrt(np.pi) * _sigma(p.s_filter_um)
+    noise_share = np.prod([min(1.0, np.sqrt(p_um / filter_width_um)) for p_um in f.pitch_um])
+    return Measured(values=limited, se=thickness_se(sheet, f"topography_{side}") * float(noise_share))
 
 
 def _sigma(cutoff_um: float) -> float:
@@ -276,10 +282,10 @@ def smoothed(values: Floats, pitch_um: Pair, sigma_um: float) -> Floats:
     sigma = [sigma_um / p for p in pitch_um]
     is_finite = np.isfinite(values)
     total, weight = masked_gaussian(values, is_finite, sigma, truncate=3.5)
-    full = ndimage.gaussian_filter(np.ones(values.shape), sigma, mode="constant", truncate=3.5)
+    full_weight = ndimage.gaussian_filter(np.ones(values.shape), sigma, mode="constant", truncate=3.5)
     with np.errstate(divide="ignore", invalid="ignore"):
         # So much of the filter's weight must lie on known values.
-        return np.where(weight > 0.3 * full, total / weight, np.nan)
+        return np.where(weight > 0.3 * full_weight, total / weight, np.nan)
 
 
 def scale_limited(height: Floats, pitch_um: Pair, *, s_filter_um: float, l_filter_um: float) -> Floats:
@@ -349,8 +355,8 @@ def warp(sheet: Sheet) -> Floats:
     yy, xx = np.meshgrid(y - y.mean(), x - x.mean(), indexing="ij")
     is_finite = np.isfinite(height) & sheet.valid
     terms = np.stack([np.ones(int(is_finite.sum())), yy[is_finite], xx[is_finite]], axis=1)
-    level, by_y, by_x = np.linalg.lstsq(terms, height[is_finite], rcond=None)[0]
-    return height - (level + by_y * yy + by_x * xx)
+    offset, by_y, by_x = np.linalg.lstsq(terms, height[is_finite], rcond=None)[0]
+    return height - (offset + by_y * yy + by_x * xx)
 
 
 @sheet_property("tilt", units="deg", long_name="Tilt of the sheet", support_um=400.0, when=lambda _params, _greys: True)
@@ -382,9 +388,9 @@ def _derivatives(sheet: Sheet) -> list[Floats]:
     """Slopes p, q and second derivatives r, s, t along columns, mixed and along rows; NaN on the border."""
     c = sheet.frame.heights["centre"]
     dy, dx = sheet.frame.pitch_um
-    up, down, left, right, here = c[:-2, 1:-1], c[2:, 1:-1], c[1:-1, :-2], c[1:-1, 2:], c[1:-1, 1:-1]
-    inner = (
-        (right - left) / (2 * dx), (down - up) / (2 * dy), (right - 2 * here + left) / dx**2,
-        (c[2:, 2:] - c[2:, :-2] - c[:-2, 2:] + c[:-2, :-2]) / (4 * dx * dy), (down - 2 * here + up) / dy**2,
+    up, down, left, right, centre = c[:-2, 1:-1], c[2:, 1:-1], c[1:-1, :-2], c[1:-1, 2:], c[1:-1, 1:-1]
+    derivatives = (
+        (right - left) / (2 * dx), (down - up) / (2 * dy), (right - 2 * centre + left) / dx**2,
+        (c[2:, 2:] - c[2:, :-2] - c[:-2, 2:] + c[:-2, :-2]) / (4 * dx * dy), (down - 2 * centre + up) / dy**2,
     )  # fmt: skip
-    return [np.pad(derivative, 1, constant_values=np.nan) for derivative in inner]
+    return [np.pad(derivative, 1, constant_values=np.nan) for derivative in derivatives]

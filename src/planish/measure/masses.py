@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from planish.measure.rays import Rays
 
 
-def _beyond(rays: Rays) -> Floats:
+def _blur_margin_um(rays: Rays) -> Floats:
     """Three blurs along the rays, outside a face and inside an interface: 99.9 % of the light of a step."""
     return 3.0 * rays.greys.blur_um * rays.oblique
 
@@ -65,10 +65,10 @@ class Densities(Params):
         for name in names:
             if (number := getattr(self, name)) is not None:
                 return number
-        lacking = "neither is" if len(names) > 1 else "that is not"
+        lacking_text = "neither is" if len(names) > 1 else "that is not"
         raise CannotMeasure(
-            f"{quantity} in grams needs {option_names(Densities, *names)}, and {lacking} given. Give it, or leave "
-            f"{quantity.lower()} out."
+            f"{quantity} in grams needs {option_names(Densities, *names)}, and {lacking_text} given. Give it, or "
+            f"leave {quantity.lower()} out."
         )
 
     def known(self) -> dict[str, float]:
@@ -89,17 +89,17 @@ class Options(Params):
     )  # fmt: skip
 
 
-def _in_grams(part: Measured, sheet: Sheet, quantity: str, weighed: float | None, density: str) -> Measured:
+def _in_grams(layer: Measured, sheet: Sheet, quantity_text: str, weighed_g_m2: float | None, density: str) -> Measured:
     """Scale a map of lengths to the mean that was weighed, or by a density."""
-    if weighed is None:
-        return part.times(sheet.params.need(quantity, density))
-    mean = sheet.mean(part.values)
-    if not mean > 0:
+    if weighed_g_m2 is None:
+        return layer.times(sheet.params.need(quantity_text, density))
+    mean_um = sheet.mean(layer.values)
+    if not mean_um > 0:
         raise CannotMeasure(
-            f"{quantity} is {mean:.3g} um in the mean; {weighed:g} g/m2 cannot be spread over it. Check the side, and "
-            "the surfaces and grey levels in the report."
+            f"{quantity_text} is {mean_um:.3g} um in the mean; {weighed_g_m2:g} g/m2 cannot be spread over it. "
+            "Check the side, and the surfaces and grey levels in the report."
         )
-    return part.times(weighed / mean)
+    return layer.times(weighed_g_m2 / mean_um)
 
 
 def _coating_absorbs(_params: MeasureParams, greys: Greys, side: Side) -> None:
@@ -119,18 +119,18 @@ def coating_absorption(rays: Rays, side: Side) -> Measured:
     from planish.measure.uncertainty import layer_errors
 
     greys = rays.greys
-    out = _beyond(rays)
-    coat, base = greys.coating(side) - greys.air, greys.base - greys.air
+    margin_um = _blur_margin_um(rays)
+    coating_contrast, base_contrast = greys.coating(side) - greys.air, greys.base - greys.air
     if side == "top":
-        lower, upper = rays.interface_top - out, rays.top + out
-        under = rays.top - lower
+        lower, upper = rays.interface_top - margin_um, rays.top + margin_um
+        length_from_face = rays.top - lower
     else:
-        lower, upper = rays.bottom - out, rays.interface_bottom + out
-        under = upper - rays.bottom
-    integral = rays.integral(lower, upper) - base * under
-    face = rays.oblique * layer_errors((under - out) / rays.oblique, greys, rays.noise_um, side)[0]
-    se = np.hypot(rays.integral_se(upper - lower), base * face) / abs(coat - base)
-    return Measured(values=integral / (coat - base), se=se)
+        lower, upper = rays.bottom - margin_um, rays.interface_bottom + margin_um
+        length_from_face = upper - rays.bottom
+    excess = rays.integral(lower, upper) - base_contrast * length_from_face
+    face_se = rays.oblique * layer_errors((length_from_face - margin_um) / rays.oblique, greys, rays.noise_um, side)[0]
+    se = np.hypot(rays.integral_se(upper - lower), base_contrast * face_se) / abs(coating_contrast - base_contrast)
+    return Measured(values=excess / (coating_contrast - base_contrast), se=se)
 
 
 ray_property(
@@ -175,8 +175,8 @@ def _absorption(rays: Rays) -> Measured:
 
     From three blurs outside the one face to three outside the other. SE: sqrt(noise L) / (base - air).
     """
-    out, contrast = _beyond(rays), rays.greys.base - rays.greys.air
-    lower, upper = rays.bottom - out, rays.top + out
+    margin_um, contrast = _blur_margin_um(rays), rays.greys.base - rays.greys.air
+    lower, upper = rays.bottom - margin_um, rays.top + margin_um
     return Measured(values=rays.integral(lower, upper) / contrast, se=rays.integral_se(upper - lower) / abs(contrast))
 
 
@@ -191,39 +191,40 @@ def absorption_base(rays: Rays) -> Measured:
     base. SE: sqrt(noise L) / (base - air) and those of the layers, as independent.
     """
     greys = rays.greys
-    whole = _absorption(rays)
-    lengths, variance = whole.values, whole.se**2
-    thick: dict[Side, Floats] = {
+    sheet_absorption = _absorption(rays)
+    base_um, variance = sheet_absorption.values, sheet_absorption.se**2
+    thickness_um: dict[Side, Floats] = {
         "top": rays.top - rays.interface_top, "bottom": rays.interface_bottom - rays.bottom
     }  # fmt: skip
     for side in filter(greys.coated, SIDES):
         layer = coating_absorption(rays, side)
         share = (greys.coating(side) - greys.air) / (greys.base - greys.air) - 1
-        lengths = lengths - layer.values * share - thick[side]
+        base_um = base_um - layer.values * share - thickness_um[side]
         variance = variance + (layer.se * share) ** 2
-    return Measured(values=lengths, se=np.sqrt(variance))
+    return Measured(values=base_um, se=np.sqrt(variance))
 
 
-def _check(d: MeasureParams, greys: Greys) -> None:
+def _check(params: MeasureParams, greys: Greys) -> None:
     greys.need_absorption("Grammage")
-    if d.grammage_g_m2 is not None:
+    if params.grammage_g_m2 is not None:
         return
-    d.need("Grammage", "grammage_g_m2", "base_g_cm3")
+    params.need("Grammage", "grammage_g_m2", "base_g_cm3")
     for side in filter(greys.coated, SIDES):
-        d.need(f"Grammage with a coating on the {side} side", f"coat_weight_{side}_g_m2", "coating_g_cm3")
+        params.need(f"Grammage with a coating on the {side} side", f"coat_weight_{side}_g_m2", "coating_g_cm3")
 
 
-def _has_masses(d: MeasureParams, greys: Greys) -> bool:
+def _has_masses(params: MeasureParams, greys: Greys) -> bool:
     is_bare = not any(map(greys.coated, SIDES))
-    return d.grammage_g_m2 is not None or (d.base_g_cm3 is not None and (is_bare or d.coating_g_cm3 is not None))
+    has_densities = params.base_g_cm3 is not None and (is_bare or params.coating_g_cm3 is not None)
+    return params.grammage_g_m2 is not None or has_densities
 
 
-def _sources(d: MeasureParams, greys: Greys) -> tuple[str, ...]:
-    sides: list[Side] = [side for side in SIDES if greys.coated(side)]
-    is_separable = all(d.coating_g_cm3 is not None or d.coat_weight(side) is not None for side in sides)
-    if not sides or (d.grammage_g_m2 is not None and not is_separable):
+def _sources(params: MeasureParams, greys: Greys) -> tuple[str, ...]:
+    coated_sides: list[Side] = [side for side in SIDES if greys.coated(side)]
+    is_separable = params.coating_g_cm3 is not None or None not in map(params.coat_weight, coated_sides)
+    if not coated_sides or (params.grammage_g_m2 is not None and not is_separable):
         return ("absorption",)
-    return ("absorption_base", *(f"coating_absorption_{side}" for side in sides))
+    return ("absorption_base", *(f"coating_absorption_{side}" for side in coated_sides))
 
 
 @sheet_property("grammage", units="g/m2", long_name="Grammage", check=_check, after=_sources, when=_has_masses)
@@ -235,26 +236,26 @@ def grammage(sheet: Sheet) -> Measured:
     although a coating absorbs more per gram than fibres do: local grammage then follows the coating too strongly.
     SE: each part's times its factor, as independent.
     """
-    d, greys, maps = sheet.params, sheet.frame.greys, sheet.maps
-    base_g_m2 = d.grammage_g_m2
-    if "absorption" in _sources(d, greys):
+    params, greys, maps = sheet.params, sheet.frame.greys, sheet.maps
+    base_g_m2 = params.grammage_g_m2
+    if "absorption" in _sources(params, greys):
         return _in_grams(maps["absorption"], sheet, "Grammage", base_g_m2, "base_g_cm3")
-    parts = [
+    layers = [
         _in_grams(maps[f"coating_absorption_{side}"], sheet, f"Grammage with a coating on the {side} side",
-                  d.coat_weight(side), "coating_g_cm3")
+                  params.coat_weight(side), "coating_g_cm3")
         for side in SIDES if greys.coated(side)
     ]  # fmt: skip
     if base_g_m2 is not None:
-        coats = sum(sheet.mean(p.values) for p in parts)
-        if not base_g_m2 > coats:
+        coats_g_m2 = sum(sheet.mean(p.values) for p in layers)
+        if not base_g_m2 > coats_g_m2:
             raise CannotMeasure(
-                f"The coatings weigh {coats:.4g} g/m2 and the whole sheet {base_g_m2:g} g/m2: nothing is left "
+                f"The coatings weigh {coats_g_m2:.4g} g/m2 and the whole sheet {base_g_m2:g} g/m2: nothing is left "
                 "for the base. Check --grammage and the coat weights."
             )
-        base_g_m2 -= coats
-    parts.append(_in_grams(maps["absorption_base"], sheet, "Grammage", base_g_m2, "base_g_cm3"))
-    total = np.sum([p.values for p in parts], axis=0)
-    return Measured(values=total, se=np.sqrt(np.sum([np.asarray(p.se) ** 2 for p in parts], axis=0)))
+        base_g_m2 -= coats_g_m2
+    layers.append(_in_grams(maps["absorption_base"], sheet, "Grammage", base_g_m2, "base_g_cm3"))
+    total_g_m2 = np.sum([p.values for p in layers], axis=0)
+    return Measured(values=total_g_m2, se=np.sqrt(np.sum([np.asarray(p.se) ** 2 for p in layers], axis=0)))
 
 
 @sheet_property(
@@ -270,9 +271,9 @@ def apparent_density(sheet: Sheet) -> Measured:
     f = sheet.frame
     sigma = f.params.density_support_um / FWHM
     noise_share = min(1.0, float(np.sqrt(np.prod(f.pitch_um))) / (2 * np.sqrt(np.pi) * sigma))
-    mass, thick = sheet.maps["grammage"], sheet.maps["thickness"]
+    grammage_map, thickness_map = sheet.maps["grammage"], sheet.maps["thickness"]
     # Both means are of the same rays.
-    is_measured = sheet.valid & np.isfinite(mass.values) & np.isfinite(thick.values)
-    w, t = (smoothed(np.where(is_measured, m.values, np.nan), f.pitch_um, sigma) for m in (mass, thick))
-    relative = np.sqrt((mass.se / w) ** 2 + (thick.se / t) ** 2) * noise_share
+    is_measured = sheet.valid & np.isfinite(grammage_map.values) & np.isfinite(thickness_map.values)
+    w, t = (smoothed(np.where(is_measured, m.values, np.nan), f.pitch_um, sigma) for m in (grammage_map, thickness_map))
+    relative = np.sqrt((grammage_map.se / w) ** 2 + (thickness_map.se / t) ** 2) * noise_share
     return Measured(values=np.where(is_measured, w / t, np.nan), se=np.abs(w / t) * relative)

@@ -49,37 +49,38 @@ def thin_fraction(
         If no value is known.
     """
     is_finite = np.isfinite(thickness.values)
-    ascending = np.sort(thickness.values[is_finite].astype(np.float64))
-    if ascending.size == 0:
+    sorted_um = np.sort(thickness.values[is_finite].astype(np.float64))
+    if sorted_um.size == 0:
         raise CannotMeasure("There is no coating thickness to count: all values are missing. Look at 'status'.")
-    x = np.arange(0.0, float(ascending[-1]) + 0.25, 0.25)
+    x = np.arange(0.0, float(sorted_um[-1]) + 0.25, 0.25)
     marks = np.array(marked_um, dtype=np.float64)
     # At 0 the values that are 0 count: nothing is thinner than no coating.
-    counts = [np.searchsorted(ascending, mark, side="left" if mark > 0 else "right") for mark in marks]
-    shares = np.array(counts) / ascending.size
-    errors = np.zeros(marks.size)
+    counts = [np.searchsorted(sorted_um, mark, side="left" if mark > 0 else "right") for mark in marks]
+    shares = np.array(counts) / sorted_um.size
+    value_se_um = np.zeros(marks.size)
     if se is not None:
-        every = np.where(is_finite, se, np.nan).astype(np.float64)
+        se_um = np.where(is_finite, se, np.nan).astype(np.float64)
         for k, mark in enumerate(marks):
-            near = every[np.isfinite(every) & (np.abs(thickness.values - mark) <= max(2.0, 0.5 * mark))]
-            errors[k] = np.median(near) if near.size else 0.0
-    biased = (marks < 2 * errors).astype(np.uint8)
-    attrs: dict[str, object] = {"n": int(ascending.size), "mean_um": float(ascending.mean())}
+            near_se_um = se_um[np.isfinite(se_um) & (np.abs(thickness.values - mark) <= max(2.0, 0.5 * mark))]
+            value_se_um[k] = np.median(near_se_um) if near_se_um.size else 0.0
+    is_biased = (marks < 2 * value_se_um).astype(np.uint8)
+    attrs: dict[str, object] = {"n": int(sorted_um.size), "mean_um": float(sorted_um.mean())}
     if "support_um" in thickness.attrs:
         attrs["support_um"] = float(thickness.attrs["support_um"])
-    if biased.any():
-        listed = ", ".join(f"{m:g}" for m in marks[biased > 0])
+    if is_biased.any():
+        biased_text = ", ".join(f"{m:g}" for m in marks[is_biased > 0])
         attrs["warning"] = (
-            f"The standard error of one value is {errors[biased > 0].max():.2g} um: the shares below {listed} um are "
-            "too large by what noise puts there. Average the map first, or compare larger thicknesses."
+            f"The standard error of one value is {value_se_um[is_biased > 0].max():.2g} um: the shares below "
+            f"{biased_text} um are too large by what noise puts there. Average the map first, or "
+            "compare larger thicknesses."
         )
-    thinner = {"units": "1", "long_name": "Share of the area with a thinner coating"}
+    share_attrs = {"units": "1", "long_name": "Share of the area with a thinner coating"}
     variables = {
-        "share": ("thickness", np.searchsorted(ascending, x, side="left") / ascending.size, thinner),
-        "marked_share": ("marked", shares, thinner),
-        "marked_se": ("marked", np.sqrt(shares * (1 - shares) / ascending.size), {"units": "1"}),
-        "value_se": ("marked", errors, {"units": "um", "long_name": "Standard error of one value"}),
-        "biased": ("marked", biased, {"long_name": "Thickness below two standard errors of one value"}),
+        "share": ("thickness", np.searchsorted(sorted_um, x, side="left") / sorted_um.size, share_attrs),
+        "marked_share": ("marked", shares, share_attrs),
+        "marked_se": ("marked", np.sqrt(shares * (1 - shares) / sorted_um.size), {"units": "1"}),
+        "value_se": ("marked", value_se_um, {"units": "um", "long_name": "Standard error of one value"}),
+        "biased": ("marked", is_biased, {"long_name": "Thickness below two standard errors of one value"}),
     }
     coords = {name: (name, um, {"units": "um"}) for name, um in (("thickness", x), ("marked", marks))}
     return xr.Dataset(variables, coords=coords, attrs=attrs)
@@ -95,22 +96,22 @@ def roughness_numbers(limited: Floats, pitch_um: Pair, *, s_filter_um: float, l_
     """
     is_finite = np.isfinite(limited)
     if np.count_nonzero(is_finite) < 2:
-        raise CannotMeasure("No height is known between the filters. Look at 'status', and at l_filter_um.")
+        raise CannotMeasure("No limited is known between the filters. Look at 'status', and at l_filter_um.")
     h = limited[is_finite] - limited[is_finite].mean()
     sq = float(np.sqrt(np.mean(h**2)))
     if sq == 0:
         raise CannotMeasure("The surface is exactly flat: it has no skewness. Check that it was measured.")
     slopes = [np.gradient(limited, p, axis=k) for k, p in enumerate(pitch_um)]
-    steep = slopes[0] ** 2 + slopes[1] ** 2
-    steep = steep[np.isfinite(steep)]
-    if not steep.size:
+    squared_slope = slopes[0] ** 2 + slopes[1] ** 2
+    squared_slope = squared_slope[np.isfinite(squared_slope)]
+    if not squared_slope.size:
         raise CannotMeasure(
             f"Between the filters {h.size} heights are known, none with neighbours on all sides: the field is too "
             "small. Give a shorter l_filter_um, and say so beside every number."
         )
     return RoughnessFacts(
         sa=float(np.mean(np.abs(h))), sq=sq, ssk=float(np.mean(h**3)) / sq**3, sku=float(np.mean(h**4)) / sq**4,
-        sz=float(h.max() - h.min()), sdq=float(np.sqrt(np.mean(steep))), n=int(h.size), s_filter_um=s_filter_um,
+        sz=float(h.max() - h.min()), sdq=float(np.sqrt(np.mean(squared_slope))), n=int(h.size), s_filter_um=s_filter_um,
         l_filter_um=l_filter_um,
     )  # fmt: skip
 
@@ -135,7 +136,7 @@ def two_sidedness(maps: xr.Dataset) -> dict[str, float]:
     CannotMeasure
         If there is no pair.
     """
-    out: dict[str, float] = {}
+    numbers: dict[str, float] = {}
     for pair in ("coating", "topography"):
         names = [f"{pair}_{side}" for side in SIDES]
         if any(name not in maps for name in names):
@@ -146,16 +147,16 @@ def two_sidedness(maps: xr.Dataset) -> dict[str, float]:
             continue
         a, b = top[is_finite], bottom[is_finite]
         sd = float(a.std()), float(b.std())
-        out[f"{pair}_difference_um"] = float(a.mean() - b.mean())
-        out[f"{pair}_sd_ratio"] = sd[0] / sd[1] if sd[1] > 0 else np.nan
-        out[f"{pair}_correlation"] = float(np.corrcoef(a, b)[0, 1]) if min(sd) > 0 else np.nan
-        out[f"{pair}_n"] = int(a.size)
-    if not out:
+        numbers[f"{pair}_difference_um"] = float(a.mean() - b.mean())
+        numbers[f"{pair}_sd_ratio"] = sd[0] / sd[1] if sd[1] > 0 else np.nan
+        numbers[f"{pair}_correlation"] = float(np.corrcoef(a, b)[0, 1]) if min(sd) > 0 else np.nan
+        numbers[f"{pair}_n"] = int(a.size)
+    if not numbers:
         raise CannotMeasure(
             "Two-sidedness needs coating_top and coating_bottom, or topography_top and topography_bottom, known on the "
             "same rays. Measure them."
         )
-    return out
+    return numbers
 
 
 def sheet_numbers(
@@ -173,26 +174,28 @@ def sheet_numbers(
     params, engine
     """
     params = params or MeasureParams()
-    profiled = [name for name in ("porosity", "filler") if name in measured]
+    profile_names = [name for name in ("porosity", "filler") if name in measured]
     profiles = None
-    if profiled and volume is not None:
-        layers = depth_profiles(volume, measured, names=profiled, params=params, engine=engine)
-        shares: dict[str, tuple[float | None, ...]] = {name: tuple(layers[name].values.tolist()) for name in profiled}
-        profiles = ProfileFacts(depth=tuple(layers["depth"].values.tolist()), values=shares)
-    steps, filters = pitch(measured), {"s_filter_um": params.s_filter_um, "l_filter_um": params.l_filter_um}
-    support = float(np.sqrt(np.prod(steps)))
+    if profile_names and volume is not None:
+        layers = depth_profiles(volume, measured, names=profile_names, params=params, engine=engine)
+        depth, *shares = (tuple(layers[name].values.tolist()) for name in ("depth", *profile_names))
+        profiles = ProfileFacts(depth=depth, values=dict(zip(profile_names, shares, strict=True)))
+    pitch_um, filters_um = pitch(measured), {"s_filter_um": params.s_filter_um, "l_filter_um": params.l_filter_um}
+    support_um = float(np.sqrt(np.prod(pitch_um)))
     thin: dict[Side, ThinFacts] = {}
     roughness: dict[Side, RoughnessFacts] = {}
     for side in SIDES:
         coating = measured[f"coating_{side}"]
         if np.isfinite(coating.values).any():
-            fractions = thin_fraction(coating.assign_attrs(support_um=support))
-            marked, share = (tuple(fractions[name].values.tolist()) for name in ("marked", "marked_share"))
-            warning = fractions.attrs.get("warning")
-            thin[side] = ThinFacts(thinner_than_um=marked, share=share, support_um=support, warning=warning)
+            thin_shares = thin_fraction(coating.assign_attrs(support_um=support_um))
+            marked_um, marked_shares = (tuple(thin_shares[name].values.tolist()) for name in ("marked", "marked_share"))
+            warning = thin_shares.attrs.get("warning")
+            thin[side] = ThinFacts(
+                thinner_than_um=marked_um, share=marked_shares, support_um=support_um, warning=warning
+            )
         try:
-            limited = scale_limited(measured[f"topography_{side}"].values, steps, **filters)
-            roughness[side] = roughness_numbers(limited, steps, **filters)
+            roughness_map = scale_limited(measured[f"topography_{side}"].values, pitch_um, **filters_um)
+            roughness[side] = roughness_numbers(roughness_map, pitch_um, **filters_um)
         except CannotMeasure as reason:  # a field smaller than the filters has none, which is no fault of the run
             roughness[side] = RoughnessFacts(reason=reason.text)
     two_sides = TwoSidesFacts.model_validate(two_sidedness(measured))

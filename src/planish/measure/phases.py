@@ -66,26 +66,26 @@ def porosity(rays: Rays) -> Measured:
 
 
 def _share_of_void(rays: Rays, lower: Floats, upper: Floats) -> Measured:
-    greys, solid = rays.greys, rays.params.solid_grey
-    if solid is None:
+    greys, solid_grey = rays.greys, rays.params.solid_grey
+    if solid_grey is None:
         matter = _share_beyond(rays, lower, upper, void_level(greys, rays.params), greys.base - greys.air)
         return Measured(values=1 - matter.values, se=matter.se)
-    length, contrast = upper - lower, solid - greys.air
-    long = length >= rays.step_um
+    length, contrast = upper - lower, solid_grey - greys.air
+    is_long = length >= rays.step_um
     with np.errstate(divide="ignore", invalid="ignore"):
-        void = 1 - rays.integral(lower, upper) / length / contrast
+        void_share = 1 - rays.integral(lower, upper) / length / contrast
         se = rays.integral_se(length) / length / abs(contrast)
-    return Measured(values=np.where(long, void, np.nan), se=np.where(long, se, np.nan))
+    return Measured(values=np.where(is_long, void_share, np.nan), se=np.where(is_long, se, np.nan))
 
 
 def _share_beyond(rays: Rays, lower: Floats, upper: Floats, level: float, contrast: float) -> Measured:
     """Share of what lies beyond a level between two places of each ray; NaN where they are less than a step apart."""
     beyond, ends = rays.beyond(lower, upper, level)
     length = upper - lower
-    long = length >= rays.step_um
+    is_long = length >= rays.step_um
     with np.errstate(divide="ignore", invalid="ignore"):
         se = np.sqrt(np.maximum(ends, 1)) * rays.crossing_se(contrast) / length
-        return Measured(values=np.where(long, beyond / length, np.nan), se=np.where(long, se, np.nan))
+        return Measured(values=np.where(is_long, beyond / length, np.nan), se=np.where(is_long, se, np.nan))
 
 
 def _filler_level(params: MeasureParams, greys: Greys) -> float:
@@ -113,12 +113,12 @@ def filler(rays: Rays) -> Measured:
     from planish.core.grid import first_and_last
 
     lower, upper = rays.core
-    beyond = rays.greys.polarity * (rays.grey - np.float32(_filler_level(rays.params, rays.greys))) > 0
-    within = rays.between(lower, upper)
-    dark = within & ~beyond
-    (first, last), ends = (first_and_last(mask) for mask in (dark, within))
+    is_beyond = rays.greys.polarity * (rays.grey - np.float32(_filler_level(rays.params, rays.greys))) > 0
+    is_within = rays.between(lower, upper)
+    is_dark = is_within & ~is_beyond
+    (first, last), ends = (first_and_last(mask) for mask in (is_dark, is_within))
     # An end that is dark already, or a ray that is bright throughout, stays as it is, between two samples.
-    has_dark = dark.any(axis=-1)
+    has_dark = is_dark.any(axis=-1)
     start = np.where(has_dark & (ends[0] != first), rays.s_um[first], lower)
     stop = np.where(has_dark & (ends[1] != last), rays.s_um[last], upper)
     return _share_of_filler(rays, start, stop)
@@ -148,19 +148,19 @@ _SHARES: dict[str, tuple[Callable[[Rays, Floats, Floats], Measured], str]] = {
 }
 
 
-def _layer_sums(names: Sequence[str], edges: Floats, tile: Rays, inner: slice, _rows: slice) -> Floats:
+def _layer_sums(names: Sequence[str], layer_edges: Floats, halo_rays: Rays, tile_rows: slice, _rows: slice) -> Floats:
     """Give number, sum and sum of squares of each share in each layer by row, (names, layers, 3, rows)."""
     # Rows are summed by themselves, then added in the same order however they were cut.
-    rays = tile.rows(inner)
-    thick = rays.interface_top - rays.interface_bottom
-    places = [rays.interface_bottom + edge * thick for edge in edges]
-    sums = np.zeros((len(names), edges.size - 1, 3, len(thick)))
-    for a, name in enumerate(names):
-        for b in range(edges.size - 1):
-            share = _SHARES[name][0](rays, places[b], places[b + 1]).values
+    rays = halo_rays.rows(tile_rows)
+    base_um = rays.interface_top - rays.interface_bottom
+    edge_um = [rays.interface_bottom + edge * base_um for edge in layer_edges]
+    sums = np.zeros((len(names), layer_edges.size - 1, 3, len(base_um)))
+    for name_index, name in enumerate(names):
+        for layer in range(layer_edges.size - 1):
+            share = _SHARES[name][0](rays, edge_um[layer], edge_um[layer + 1]).values
             is_valid = np.isfinite(share) & (rays.status == 0)
             share = np.where(is_valid, share, 0.0)
-            sums[a, b] = [is_valid.sum(axis=1), share.sum(axis=1), (share**2).sum(axis=1)]
+            sums[name_index, layer] = [is_valid.sum(axis=1), share.sum(axis=1), (share**2).sum(axis=1)]
     return sums
 
 
@@ -194,19 +194,19 @@ def depth_profiles(
 
     from planish.measure.properties import each_tile, ray_frame
 
-    unknown = [name for name in names if name not in _SHARES]
-    if unknown or bins < 1:
+    unknown_names = [name for name in names if name not in _SHARES]
+    if unknown_names or bins < 1:
         raise CannotMeasure(
-            f"There is no profile of {', '.join(unknown) or 'no layers'}. Choose from {', '.join(_SHARES)}, and at "
-            "least one layer."
+            f"There is no profile of {', '.join(unknown_names) or 'no layers'}. Choose from {', '.join(_SHARES)}, and "
+            "at least one layer."
         )
     frame = ray_frame(volume, surfaces, params)
     if "filler" in names:
         _filler_level(frame.params, frame.greys)
-    edges = np.linspace(0.0, 1.0, bins + 1)
-    work = partial(_layer_sums, names, edges)
-    parts = each_tile(volume, frame, work, rows=rows_per_tile, engine=engine)
-    count, total, squares = np.moveaxis(np.concatenate(parts, axis=-1).sum(axis=-1), -1, 0)
+    layer_edges = np.linspace(0.0, 1.0, bins + 1)
+    sum_layers = partial(_layer_sums, names, layer_edges)
+    tile_sums = each_tile(volume, frame, sum_layers, rows=rows_per_tile, engine=engine)
+    count, total, squares = np.moveaxis(np.concatenate(tile_sums, axis=-1).sum(axis=-1), -1, 0)
     if not (count > 0).any():
         raise CannotMeasure(
             f"The base is too thin for {bins} layers of a step of the rays ({frame.step_um:g} um). Ask for fewer bins."
@@ -214,17 +214,17 @@ def depth_profiles(
     with np.errstate(divide="ignore", invalid="ignore"):
         mean = np.where(count > 0, total / count, np.nan)
         sd = np.sqrt(np.maximum(squares / count - mean**2, 0.0))
-    layer = frame.faces["interface_top"] - frame.faces["interface_bottom"]
-    base_um = float(np.nanmedian(np.where(frame.status == 0, layer, np.nan)))
-    middle = 0.5 * (edges[1:] + edges[:-1])
-    blurred = np.minimum(middle, 1 - middle) < 2 * frame.greys.blur_um / base_um
+    base_map_um = frame.faces["interface_top"] - frame.faces["interface_bottom"]
+    base_um = float(np.nanmedian(np.where(frame.status == 0, base_map_um, np.nan)))
+    middle_depth = 0.5 * (layer_edges[1:] + layer_edges[:-1])
+    is_blurred = np.minimum(middle_depth, 1 - middle_depth) < 2 * frame.greys.blur_um / base_um
     profiles = xr.Dataset(attrs={"base_um": base_um, "rays": frame.params.rays}).assign_coords(
-        depth=("depth", middle, {"units": "1", "long_name": "Relative depth in the base, 0 at its bottom"})
+        depth=("depth", middle_depth, {"units": "1", "long_name": "Relative depth in the base, 0 at its bottom"})
     )
     for a, name in enumerate(names):
         title = _SHARES[name][1]
         profiles[name] = "depth", mean[a], {"units": "1", "long_name": title}
         profiles[f"{name}_sd"] = "depth", sd[a], {"units": "1", "long_name": f"{title}, standard deviation of rays"}
         profiles[f"{name}_n"] = "depth", count[a], {"long_name": "Rays"}
-    profiles["blurred"] = "depth", blurred.astype(np.float64), {"long_name": "Within two blurs of an interface"}
+    profiles["blurred"] = "depth", is_blurred.astype(np.float64), {"long_name": "Within two blurs of an interface"}
     return profiles

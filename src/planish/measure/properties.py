@@ -38,7 +38,7 @@ from planish.measure.registry import (
     in_order,
     length_of,
 )
-from planish.measure.uncertainty import Shared, common_errors, ray_noise, thickness_errors
+from planish.measure.uncertainty import SharedNoise, common_errors, ray_noise, thickness_errors
 
 
 def measure_properties(
@@ -126,66 +126,69 @@ def further_maps(measured: xr.Dataset) -> list[str]:
 
 def _with_errors(measured: xr.Dataset, noise_um: float) -> xr.Dataset:
     """Add the standard error of each thickness where it is known how the faces were found; NaN for white noise."""
-    attrs, frame, steps = measured.attrs, Frame.of(measured), pitch(measured)
+    attrs, frame, pitch_um = measured.attrs, Frame.of(measured), pitch(measured)
     if "voxel_um" not in attrs or not ("from_labels" in attrs or "grey_noise" in attrs):
         return measured
-    voxel = dict(zip("zyx", map(float, attrs["voxel_um"]), strict=True))
-    through, column_um2 = voxel[frame.through], steps[0] * steps[1]
+    voxel_um = dict(zip("zyx", map(float, attrs["voxel_um"]), strict=True))
+    through_um, column_um2 = voxel_um[frame.through], pitch_um[0] * pitch_um[1]
     if "from_labels" in attrs:
         # A face lies anywhere within a voxel: the difference of two has the variance of two uniform distributions.
-        common, patch = common_errors(through), column_um2
-        errors = {name: np.hypot(through / np.sqrt(6), um) for name, um in common.items()}
+        common, patch_um2 = common_errors(through_um), column_um2
+        errors = {name: np.hypot(through_um / np.sqrt(6), se_um) for name, se_um in common.items()}
     else:
         greys = Greys.of(measured)
-        wide = float(np.sqrt(column_um2 / (voxel[frame.rows] * voxel[frame.cols])))
-        shared = Shared.of(greys, voxel_um=through, pitch_um=steps, wide=wide, noise_um=noise_um)
-        common, patch = shared.common_um, shared.patch_um2
-        slopes = np.gradient(measured["centre"].values, *steps)
+        column_px = float(np.sqrt(column_um2 / (voxel_um[frame.rows] * voxel_um[frame.cols])))
+        shared_noise = SharedNoise.of(
+            greys, voxel_um=through_um, pitch_um=pitch_um, column_px=column_px, noise_um=noise_um
+        )
+        common, patch_um2 = shared_noise.common_um, shared_noise.patch_um2
+        slopes = np.gradient(measured["centre"].values, *pitch_um)
         layers: dict[Side, Floats] = {side: measured[f"coating_{side}"].values for side in SIDES}
-        errors = thickness_errors(layers, greys, shared, cosine=1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2))
+        errors = thickness_errors(layers, greys, shared_noise, cosine=1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2))
         if attrs.get("method") == "paper":
             # A crossing of half the step uses one place of the edge, a fit all of it.
-            crossing = np.sqrt(max(1.0, np.sqrt(np.pi) * greys.blur_um / through))
-            errors = {name: se * crossing for name, se in errors.items()}
+            crossing_factor = np.sqrt(max(1.0, np.sqrt(np.pi) * greys.blur_um / through_um))
+            errors = {name: se * crossing_factor for name, se in errors.items()}
     for side in SIDES:
-        if (drawn := measured.get(f"correction_{side}_error")) is not None:
-            drawn_um = np.nan_to_num(drawn.values.astype(np.float64))
-            errors |= {k: np.hypot(errors[k], drawn_um) for k in (f"coating_{side}", "base_thickness", "thickness")}
+        if (correction_se := measured.get(f"correction_{side}_error")) is not None:
+            correction_se_um = np.nan_to_num(correction_se.values.astype(np.float64))
+            affected = (f"coating_{side}", "base_thickness", "thickness")
+            errors |= {name: np.hypot(errors[name], correction_se_um) for name in affected}
     variables: dict[str, xr.Variable] = {}
     for name in ("coating_top", "coating_bottom", "base_thickness", "thickness"):
         se = np.where(np.isfinite(measured[name].values), errors[name], np.nan).astype(np.float32)
         if np.isfinite(se).any():
-            about = {"units": "um", "long_name": _of_error(PROPERTIES[name]), "common_um": common[name]}
-            variables[f"{name}_se"] = xr.Variable(("y", "x"), se, about | {"patch_um2": patch})
+            attrs_of_se = {"units": "um", "long_name": _se_name(PROPERTIES[name]), "common_um": common[name]}
+            variables[f"{name}_se"] = xr.Variable(("y", "x"), se, attrs_of_se | {"patch_um2": patch_um2})
     return measured.assign(variables)
 
 
-def _of_error(long_name: str) -> str:
+def _se_name(long_name: str) -> str:
     return f"Standard error of {long_name[0].lower()}{long_name[1:]}"
 
 
 def _measure_faces(surfaces: xr.Dataset) -> xr.Dataset:
     """Thicknesses and topographies along the true 3D normals of the centre surface."""
     _, faces = meet(surfaces, "normal")
-    lengths = {name: face_length(faces, name) for name in PROPERTIES}
+    lengths_um = {name: face_length(faces, name) for name in PROPERTIES}
     status = surfaces["status"].values.copy()
     # A column counts as measured when everything that the sheet has was measured there.
-    whole = np.isfinite(lengths["thickness"])
+    is_whole = np.isfinite(lengths_um["thickness"])
     for side in SIDES:
         if faces[f"interface_{side}"] is faces[side]:
-            lengths[f"coating_{side}"] = np.full(whole.shape, np.nan)
-        elif np.isfinite(lengths[f"coating_{side}"]).any():
-            whole &= np.isfinite(lengths[f"coating_{side}"])
-    status[(status == 0) & ~whole] = Status.NORMAL_LEAVES_SHEET
-    valid = status == 0
-    if not valid.any():
+            lengths_um[f"coating_{side}"] = np.full(is_whole.shape, np.nan)
+        elif np.isfinite(lengths_um[f"coating_{side}"]).any():
+            is_whole &= np.isfinite(lengths_um[f"coating_{side}"])
+    status[(status == 0) & ~is_whole] = Status.NORMAL_LEAVES_SHEET
+    is_valid = status == 0
+    if not is_valid.any():
         raise CannotMeasure(
             "No normal of the centre surface meets both faces. Look at the surfaces with 'planish surface'."
         )
     variables: dict[str, xr.Variable] = {}
-    for name, um in lengths.items():
+    for name, length_um in lengths_um.items():
         attrs = {"units": "um", "long_name": PROPERTIES[name], "role": "property"}
-        variables[name] = xr.Variable(("y", "x"), np.where(valid, um, np.nan), attrs)
+        variables[name] = xr.Variable(("y", "x"), np.where(is_valid, length_um, np.nan), attrs)
     variables["status"] = xr.Variable(("y", "x"), status, status_flags())
     return xr.Dataset(variables, coords=surfaces.coords, attrs=surfaces.attrs)
 
@@ -228,11 +231,11 @@ def measure_along_rays(
     SurfaceError, SizeError, ResourceError
     """
     params = params or MeasureParams()
-    wanted = in_order(names, params, Greys.of(surfaces))
-    if not wanted:
+    properties = in_order(names, params, Greys.of(surfaces))
+    if not properties:
         raise CannotMeasure("No property was named. Name one or more.")
     frame = ray_frame(volume, surfaces, params)
-    halos = {prop.name: _halo(prop, frame) for prop in wanted if prop.kind == "rays"}
+    halo_rows = {prop.name: _halo(prop, frame) for prop in properties if prop.kind == "rays"}
     status = frame.status.copy()
     maps = {
         name: Measured(
@@ -240,39 +243,39 @@ def measure_along_rays(
             se=np.full(status.shape, np.nan, np.float32),  # type: ignore[arg-type]
             reason=np.zeros(status.shape, np.uint8),
         )
-        for name in halos
+        for name in halo_rows
     }
 
-    def work(tile: Rays, inner: slice, rows: slice) -> None:
+    def measure_tile(tile: Rays, inner: slice, rows: slice) -> None:
         status[rows] = tile.status[inner]
-        parts: dict[int, tuple[Rays, slice]] = {}
-        for prop in wanted:
+        rays_of_halo: dict[int, tuple[Rays, slice]] = {}
+        for prop in properties:
             if prop.kind != "rays":
                 continue
-            halo = halos[prop.name]
-            if halo not in parts:
-                lo, hi = max(inner.start - halo, 0), min(inner.stop + halo, tile.status.shape[0])
-                part = tile if (lo, hi) == (0, tile.status.shape[0]) else tile.rows(slice(lo, hi))
-                parts[halo] = part, slice(inner.start - lo, inner.stop - lo)
-            part, tile_rows = parts[halo]
-            answer = _measured(prop, part)
+            halo = halo_rows[prop.name]
+            if halo not in rays_of_halo:
+                start, stop = max(inner.start - halo, 0), min(inner.stop + halo, tile.status.shape[0])
+                halo_rays = tile if (start, stop) == (0, tile.status.shape[0]) else tile.rows(slice(start, stop))
+                rays_of_halo[halo] = halo_rays, slice(inner.start - start, inner.stop - start)
+            halo_rays, tile_rows = rays_of_halo[halo]
+            answer = _measured(prop, halo_rays)
             for name in ("values", "se", "reason"):
                 getattr(maps[prop.name], name)[rows] = getattr(answer, name)[tile_rows]
 
-    if halos:
-        each_tile(volume, frame, work, halo=max(halos.values()), rows=rows_per_tile, engine=engine)
+    if halo_rows:
+        each_tile(volume, frame, measure_tile, halo=max(halo_rows.values()), rows=rows_per_tile, engine=engine)
     sheet = Sheet(frame=replace(frame, status=status), maps=maps)
-    for prop in wanted:
+    for prop in properties:
         if prop.kind == "sheet":
             maps[prop.name] = _measured(prop, sheet)
-    asked = {name if isinstance(name, str) else name.name for name in names}
+    requested_names = {name if isinstance(name, str) else name.name for name in names}
     variables: dict[str, xr.Variable] = {}
-    for prop in wanted:
-        if prop.name in asked:
+    for prop in properties:
+        if prop.name in requested_names:
             variables |= _variables(prop, maps[prop.name], status, frame)
     variables["status"] = xr.Variable(("y", "x"), status, status_flags(last=Status.RAY_LEAVES_VOLUME))
-    used = {"rays": params.rays, "ray_step_um": frame.step_um, "ray_noise_um": frame.noise_um}
-    return xr.Dataset(variables, coords=surfaces.coords, attrs=surfaces.attrs | used | params.known())
+    ray_attrs = {"rays": params.rays, "ray_step_um": frame.step_um, "ray_noise_um": frame.noise_um}
+    return xr.Dataset(variables, coords=surfaces.coords, attrs=surfaces.attrs | ray_attrs | params.known())
 
 
 def ray_frame(volume: xr.DataArray, surfaces: xr.Dataset, params: MeasureParams | None) -> RayFrame:
@@ -291,61 +294,61 @@ def each_tile(
     rows in the sheet. ResourceError if a single row with its halo does not fit into the memory.
     """
     engine = engine or Engine()
-    count = frame.status.shape[0]
+    row_count = frame.status.shape[0]
     threads = count_threads(engine.threads)
-    per_row = frame.status.shape[1] * frame.samples * 24  # bytes that a sample costs at most while a tile is worked on
+    row_bytes = frame.status.shape[1] * frame.samples * 24  # a sample costs so many at most while a tile is worked on
     if rows is None:
-        rows = int(engine.memory_bytes / 2 / threads / per_row) - 2 * halo
+        rows = int(engine.memory_bytes / 2 / threads / row_bytes) - 2 * halo
         if rows < 1:
             raise ResourceError(
-                f"A row of rays with its neighbourhood takes {(2 * halo + 1) * per_row * threads / 2**20:.0f} MiB on "
+                f"A row of rays with its neighbourhood takes {(2 * halo + 1) * row_bytes * threads / 2**20:.0f} MiB on "
                 f"{threads} threads, {engine.memory_bytes / 2**21:.0f} MiB were allowed. Allow more, or fewer threads."
             )
         # Tiles of even size, several for each thread; a halo costs less the larger they are.
-        rows = max(min(rows, max(-(-count // (4 * threads)), 2 * halo)), 1)
-    tiles = [slice(start, min(start + rows, count)) for start in range(0, count, rows)]
+        rows = max(min(rows, max(-(-row_count // (4 * threads)), 2 * halo)), 1)
+    tiles = [slice(start, min(start + rows, row_count)) for start in range(0, row_count, rows)]
 
-    def run_tile(part: slice) -> T:
-        lo, hi = max(part.start - halo, 0), min(part.stop + halo, count)
-        return work(frame.tile(volume, slice(lo, hi)), slice(part.start - lo, part.stop - lo), part)
+    def run_tile(tile: slice) -> T:
+        start, stop = max(tile.start - halo, 0), min(tile.stop + halo, row_count)
+        return work(frame.tile(volume, slice(start, stop)), slice(tile.start - start, tile.stop - start), tile)
 
     return map_threads(run_tile, tiles, number=threads)
 
 
 def _halo(prop: Property, frame: RayFrame) -> int:
-    length = length_of(prop.halo_um, frame.params)
-    return int(np.ceil(length / frame.pitch_um[0])) + 1 if length > 0 else 0
+    halo_um = length_of(prop.halo_um, frame.params)
+    return int(np.ceil(halo_um / frame.pitch_um[0])) + 1 if halo_um > 0 else 0
 
 
-def _measured(prop: Property, subject: Rays | Sheet) -> Measured:
+def _measured(prop: Property, rays_or_sheet: Rays | Sheet) -> Measured:
     """Answer of a property with all three arrays."""
-    answer = prop.function(subject)
+    answer = prop.function(rays_or_sheet)
     if not isinstance(answer, Measured):
         answer = Measured(values=np.asarray(answer))
-    shape = subject.status.shape if isinstance(subject, Rays) else subject.frame.status.shape
+    shape = rays_or_sheet.status.shape if isinstance(rays_or_sheet, Rays) else rays_or_sheet.frame.status.shape
     if answer.values.shape != shape:
         raise CannotMeasure(
             f"The property '{prop.name}' returned the shape {answer.values.shape} for {shape[0]} x {shape[1]} rays. "
             "Return one value for each ray: (rows, cols)."
         )
-    se, reason = (np.broadcast_to(part, shape) for part in (answer.se, answer.reason))
+    se, reason = (np.broadcast_to(field, shape) for field in (answer.se, answer.reason))
     return Measured(values=answer.values, se=se, reason=reason)
 
 
 def _variables(prop: Property, answer: Measured, status: NDArray[np.uint8], frame: RayFrame) -> dict[str, xr.Variable]:
     """Give a property, its standard error, and its status where it has reasons of its own, as they are stored."""
-    valid, dims, title = status == 0, ("y", "x"), prop.long_name
-    ray = max(*frame.pitch_um, FWHM * frame.greys.blur_um)
-    support = ray if prop.support_um is None else max(length_of(prop.support_um, frame.params), ray)
-    values = np.where(valid, answer.values, np.nan).astype(np.float32)
+    is_valid, dims, title = status == 0, ("y", "x"), prop.long_name
+    ray_width_um = max(*frame.pitch_um, FWHM * frame.greys.blur_um)
+    support_um = max(0.0 if prop.support_um is None else length_of(prop.support_um, frame.params), ray_width_um)
+    values = np.where(is_valid, answer.values, np.nan).astype(np.float32)
     se = np.where(np.isfinite(values), answer.se, np.nan).astype(np.float32)
-    attrs = {"units": prop.units, "long_name": title, "support_um": round(support, 3)}
+    attrs = {"units": prop.units, "long_name": title, "support_um": round(support_um, 3)}
     variables = {
         prop.name: xr.Variable(dims, values, attrs),
-        f"{prop.name}_se": xr.Variable(dims, se, {"units": prop.units, "long_name": _of_error(title)}),
+        f"{prop.name}_se": xr.Variable(dims, se, {"units": prop.units, "long_name": _se_name(title)}),
     }
     if prop.reasons:
-        reasons = np.where(valid & (answer.reason > 0), answer.reason + np.uint8(FIRST_OWN - 1), status)
+        status_or_reason = np.where(is_valid & (answer.reason > 0), answer.reason + np.uint8(FIRST_OWN - 1), status)
         flags = status_flags(f"Status of {title}", last=Status.RAY_LEAVES_VOLUME, reasons=prop.reasons)
-        variables[f"{prop.name}_status"] = xr.Variable(dims, reasons, flags)
+        variables[f"{prop.name}_status"] = xr.Variable(dims, status_or_reason, flags)
     return variables

@@ -112,8 +112,8 @@ class Rays:
 
     def integral(self, lower: Floats, upper: Floats) -> Floats:
         """Integral of the grey above the air from ``lower`` to ``upper`` (rows, cols); grey times um."""
-        total = _ray_kernels.pieces(self.grey, float(self.s_um[0]), self.step_um, lower, upper, 0.0, 0.0)[0]
-        return total - self.greys.air * np.maximum(upper - lower, 0.0)
+        grey_integral = _ray_kernels.pieces(self.grey, float(self.s_um[0]), self.step_um, lower, upper, 0.0, 0.0)[0]
+        return grey_integral - self.greys.air * np.maximum(upper - lower, 0.0)
 
     def mean(self, lower: Floats, upper: Floats) -> Floats:
         """Mean grey above the air between two places; NaN where they are not a step apart."""
@@ -123,8 +123,8 @@ class Rays:
 
     def length(self, lower: Floats, upper: Floats, *, least: float, most: float) -> tuple[Floats, NDArray[np.int32]]:
         """Length in um with ``least <= grey <= most`` between two places, and how many ends it has there."""
-        levels = float(least), float(most)
-        return _ray_kernels.pieces(self.grey, float(self.s_um[0]), self.step_um, lower, upper, *levels)[1:]
+        grey_range = float(least), float(most)
+        return _ray_kernels.pieces(self.grey, float(self.s_um[0]), self.step_um, lower, upper, *grey_range)[1:]
 
     def beyond(self, lower: Floats, upper: Floats, level: float) -> tuple[Floats, NDArray[np.int32]]:
         """Length in um on which the grey is farther from the air than ``level``, and how many ends it has."""
@@ -174,13 +174,13 @@ def meet(surfaces: xr.Dataset, rays: Direction) -> tuple[dict[str, Floats], dict
     """
     if lacking := [name for name in (*FACES, "centre", "status") if name not in surfaces]:
         raise SurfaceError(f"The surfaces lack {', '.join(lacking)}. Make them with 'planish surface'.")
-    up = Frame.of(surfaces).sign
-    heights = {name: up * surfaces[name].values.astype(np.float64) for name in (*FACES, "centre")}
-    if below := int(np.count_nonzero(heights["top"] < heights["bottom"])):
-        raise SurfaceError(f"The top lies below the bottom at {below} points. Check --top.")
-    step = pitch(surfaces)
-    normals = directions(slopes_of(heights["centre"], step), rays)
-    unit = [np.ascontiguousarray(part) for part in np.moveaxis(normals, -1, 0)]
+    up_sign = Frame.of(surfaces).sign
+    heights = {name: up_sign * surfaces[name].values.astype(np.float64) for name in (*FACES, "centre")}
+    if inverted_count := int(np.count_nonzero(heights["top"] < heights["bottom"])):
+        raise SurfaceError(f"The top lies below the bottom at {inverted_count} points. Check --top.")
+    pitch_um = pitch(surfaces)
+    normals = directions(slopes_of(heights["centre"], pitch_um), rays)
+    unit_vector = [np.ascontiguousarray(component) for component in np.moveaxis(normals, -1, 0)]
     faces: dict[str, Floats] = {}
     for name in FACES:
         if name.startswith("interface") and not np.isfinite(heights[name]).any():
@@ -188,7 +188,7 @@ def meet(surfaces: xr.Dataset, rays: Direction) -> tuple[dict[str, Floats], dict
         elif rays == "vertical":
             faces[name] = heights[name] - heights["centre"]
         else:
-            faces[name] = _ray_kernels.along_normals(heights[name], heights["centre"], *unit, *step)
+            faces[name] = _ray_kernels.along_normals(heights[name], heights["centre"], *unit_vector, *pitch_um)
     return heights, faces
 
 
@@ -212,42 +212,42 @@ class RayFrame:
     greys: Greys
     params: MeasureParams
     mean_stretch: Pair
-    wide: int
+    column_px: int
     noise_um: float = float("nan")
 
     @classmethod
     def of(cls, volume: xr.DataArray, surfaces: xr.Dataset, params: MeasureParams) -> RayFrame:
         """Find where every ray meets the faces; of the volume only size and coordinates are looked at."""
         (heights, faces), frame = meet(surfaces, params.rays), Frame.of(surfaces)
-        columns, shape = (volume.sizes[frame.rows], volume.sizes[frame.cols]), surfaces["centre"].shape
-        wide = max(columns[0] // max(shape[0], 1), 1)  # voxels along the edge of a column of the surfaces
-        if (columns[0] // wide, columns[1] // wide) != shape:
+        volume_shape, shape = (volume.sizes[frame.rows], volume.sizes[frame.cols]), surfaces["centre"].shape
+        column_px = max(volume_shape[0] // max(shape[0], 1), 1)  # voxels along the edge of a column of the surfaces
+        if (volume_shape[0] // column_px, volume_shape[1] // column_px) != shape:
             raise SurfaceError(
-                f"The volume has {columns[0]} x {columns[1]} columns and the surfaces have {shape[0]} x {shape[1]}: "
-                "they do not belong together. Find the surfaces in this volume."
+                f"The volume has {volume_shape[0]} x {volume_shape[1]} columns and the surfaces have {shape[0]} x "
+                f"{shape[1]}: they do not belong together. Find the surfaces in this volume."
             )
-        through = volume.coords[frame.through].values
-        voxel_um = abs(float(through[1] - through[0]))
-        step = 0.5 * voxel_um  # a longer step loses what the voxels show
+        through_um = volume.coords[frame.through].values
+        voxel_um = abs(float(through_um[1] - through_um[0]))
+        step_um = 0.5 * voxel_um  # a longer step loses what the voxels show
         greys = Greys.of(surfaces)
-        margin = 3 * greys.blur_um + 6 * voxel_um  # beyond the faces
+        margin_um = 3 * greys.blur_um + 6 * voxel_um  # beyond the faces
         status = surfaces["status"].values.astype(np.uint8)
         top, bottom = faces["top"], faces["bottom"]
-        whole = np.isfinite(top) & np.isfinite(bottom) & (status == 0)
-        thick = float(np.median((top - bottom)[whole])) if whole.any() else float("nan")
+        is_whole = np.isfinite(top) & np.isfinite(bottom) & (status == 0)
+        thickness_um = float(np.median((top - bottom)[is_whole])) if is_whole.any() else float("nan")
         # A face so many thicknesses from the centre surface is not this ray's.
-        whole &= (np.abs(top) < 1.5 * thick) & (np.abs(bottom) < 1.5 * thick)
-        whole &= np.isfinite(faces["interface_top"]) & np.isfinite(faces["interface_bottom"])
-        if not whole.any():
+        is_whole &= (np.abs(top) < 1.5 * thickness_um) & (np.abs(bottom) < 1.5 * thickness_um)
+        is_whole &= np.isfinite(faces["interface_top"]) & np.isfinite(faces["interface_bottom"])
+        if not is_whole.any():
             raise CannotMeasure("No ray of the centre surface meets both faces. Look at the surfaces in the report.")
-        status[(status == 0) & ~whole] = Status.NORMAL_LEAVES_SHEET
-        low = int(np.floor((float(bottom[whole].min()) - margin) / step))
-        high = int(np.ceil((float(top[whole].max()) + margin) / step))
+        status[(status == 0) & ~is_whole] = Status.NORMAL_LEAVES_SHEET
+        low = int(np.floor((float(bottom[is_whole].min()) - margin_um) / step_um))
+        high = int(np.ceil((float(top[is_whole].max()) + margin_um) / step_um))
         slope = slopes_of(heights["centre"], pitch(surfaces))
         stretch = np.sqrt(1 + slope[np.isfinite(slope).all(axis=-1)] ** 2).mean(axis=0)
         return cls(
             frame=frame, heights=heights, faces=faces, status=status, pitch_um=pitch(surfaces), voxel_um=voxel_um,
-            step_um=step, low=low, high=high, greys=greys, params=params, wide=wide,
+            step_um=step_um, low=low, high=high, greys=greys, params=params, column_px=column_px,
             mean_stretch=(float(stretch[0]), float(stretch[1])),
         )  # fmt: skip
 
@@ -282,46 +282,52 @@ class RayFrame:
             greys=self.greys, params=self.params, noise_um=self.noise_um, mirrored=self.frame.mirrored,
             mean_stretch=self.mean_stretch,
         )  # fmt: skip
-        whole = tile.integral(tile.bottom, tile.top)
-        status[(status == 0) & ~np.isfinite(whole)] = Status.RAY_LEAVES_VOLUME
+        grey_integral = tile.integral(tile.bottom, tile.top)
+        status[(status == 0) & ~np.isfinite(grey_integral)] = Status.RAY_LEAVES_VOLUME
         with np.errstate(invalid="ignore"):
-            faint = whole / np.maximum(tile.top - tile.bottom, 1e-9) / contrast < 0.25
-        status[(status == 0) & faint] = Status.LOW_CONTRAST
+            is_faint = grey_integral / np.maximum(tile.top - tile.bottom, 1e-9) / contrast < 0.25
+        status[(status == 0) & is_faint] = Status.LOW_CONTRAST
         return tile
 
-    def _grey(self, volume: xr.DataArray, rows: slice, normals: Floats, wanted: Bools) -> Grey:
-        out = np.full((*wanted.shape, self.samples), np.nan, dtype=np.float32)
-        if not wanted.any():
-            return out
-        f, k = self.frame, self.wide
-        through = volume.coords[f.through].values
-        size = float(through[1] - through[0])
-        depth = (f.sign * self.heights["centre"][rows] - float(through[0])) / size
-        steps = [*(normals[..., axis] * k / self.pitch_um[axis] for axis in (0, 1)), f.sign * normals[..., 2] / size]
+    def _grey(self, volume: xr.DataArray, rows: slice, normals: Floats, is_wanted: Bools) -> Grey:
+        grey = np.full((*is_wanted.shape, self.samples), np.nan, dtype=np.float32)
+        if not is_wanted.any():
+            return grey
+        frame, column_px, half = self.frame, self.column_px, 0.5 * (self.column_px - 1)
+        through = volume.coords[frame.through].values
+        voxel_um = float(through[1] - through[0])
+        depth = (frame.sign * self.heights["centre"][rows] - float(through[0])) / voxel_um
+        steps = [normals[..., axis] * column_px / self.pitch_um[axis] for axis in (0, 1)]
+        steps.append(frame.sign * normals[..., 2] / voxel_um)
         # The box around both ends of all rays, in voxels.
-        down, across = np.arange(rows.start, rows.stop)[:, None], np.arange(wanted.shape[1])
-        starts = {f.rows: k * down + 0.5 * (k - 1), f.cols: k * across + 0.5 * (k - 1), f.through: depth}
+        row_index, col_index = np.arange(rows.start, rows.stop)[:, None], np.arange(is_wanted.shape[1])
+        starts = {
+            frame.rows: column_px * row_index + half,
+            frame.cols: column_px * col_index + half,
+            frame.through: depth,
+        }
         box: dict[str, slice] = {}
         for (axis, start), step in zip(starts.items(), steps, strict=True):
-            ends, n = [(start + end * self.step_um * step)[wanted] for end in (self.low, self.high)], volume.sizes[axis]
+            ends = [(start + end * self.step_um * step)[is_wanted] for end in (self.low, self.high)]
+            n = volume.sizes[axis]
             first, last = int(np.floor(np.min(ends))), int(np.ceil(np.max(ends))) + 2
             box[axis] = slice(min(max(first, 0), n - 1), max(min(last, n), 1))
         block, padding = np.ascontiguousarray(read_box(volume, box)), self.greys.padding
         _ray_kernels.resample_rays(
-            block, np.array([part.start for part in box.values()]), rows.start, k, depth, *steps, wanted, self.low,
-            self.step_um, padding, bool(np.isfinite(padding)), out,
+            block, np.array([part.start for part in box.values()]), rows.start, column_px, depth, *steps, is_wanted,
+            self.low, self.step_um, padding, bool(np.isfinite(padding)), grey,
         )  # fmt: skip
-        return out
+        return grey
 
 
 def slopes_of(heights: Floats, pitch: Pair, rows: slice = slice(None)) -> Floats:
     """Slope of a surface along rows and columns (rows, cols, 2); of some rows the same as of the whole surface."""
     start, stop, _ = rows.indices(heights.shape[0])
-    lo, hi = max(start - 1, 0), min(stop + 1, heights.shape[0])
-    while hi - lo < 2:
-        lo, hi = max(lo - 1, 0), min(hi + 1, heights.shape[0])
-    along = [np.gradient(heights[lo:hi], p, axis=i) for i, p in enumerate(pitch)]
-    return np.stack(along, axis=-1)[start - lo : stop - lo]
+    first_row, last_row = max(start - 1, 0), min(stop + 1, heights.shape[0])
+    while last_row - first_row < 2:
+        first_row, last_row = max(first_row - 1, 0), min(last_row + 1, heights.shape[0])
+    slopes = [np.gradient(heights[first_row:last_row], p, axis=i) for i, p in enumerate(pitch)]
+    return np.stack(slopes, axis=-1)[start - first_row : stop - first_row]
 
 
 def directions(slope: Floats, rays: Direction) -> Floats:

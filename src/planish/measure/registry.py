@@ -113,8 +113,8 @@ _LENGTHS = {
 def face_length(faces: Mapping[str, Floats], name: str) -> Floats:
     """One of the six, um, from the signed distances of the faces and interfaces along the rays."""
     if name in _LENGTHS:
-        upper, lower = _LENGTHS[name]
-        return faces[upper] - faces[lower]
+        upper_face, lower_face = _LENGTHS[name]
+        return faces[upper_face] - faces[lower_face]
     return faces["top"] if name == "topography_top" else -faces["bottom"]
 
 
@@ -253,28 +253,28 @@ def _registers(kind: Literal["rays", "sheet"]):
 ray_property, sheet_property = _registers("rays"), _registers("sheet")
 
 
-def _add(new: Property) -> Property:
-    if "{side}" in new.name:
-        return [_add(_of_side(new, side)) for side in SIDES][-1]
-    if not new.name.isidentifier():
-        raise CannotMeasure(f"'{new.name}' is no name of a property: use letters, digits and underscores.")
-    old = _REGISTERED.get(new.name)
+def _add(added: Property) -> Property:
+    if "{side}" in added.name:
+        return [_add(_of_side(added, side)) for side in SIDES][-1]
+    if not added.name.isidentifier():
+        raise CannotMeasure(f"'{added.name}' is no name of a property: use letters, digits and underscores.")
+    old = _REGISTERED.get(added.name)
     # The same function again is a module that was loaded twice, as in a notebook.
     if old is not None and (old.function.__module__, old.function.__qualname__) != (
-        new.function.__module__, new.function.__qualname__,
+        added.function.__module__, added.function.__qualname__,
     ):  # fmt: skip
-        raise CannotMeasure(f"There is a property '{new.name}' already ({old.long_name}). Choose another name.")
-    _REGISTERED[new.name] = new
-    return new
+        raise CannotMeasure(f"There is a property '{added.name}' already ({old.long_name}). Choose another name.")
+    _REGISTERED[added.name] = added
+    return added
 
 
 def _of_side(template: Property, side: Side) -> Property:
-    names = {key: getattr(template, key).format(side=side) for key in ("name", "long_name")}
-    functions: dict[str, Any] = {
+    formatted = {key: getattr(template, key).format(side=side) for key in ("name", "long_name")}
+    bound_functions: dict[str, Any] = {
         key: update_wrapper(partial(function, side=side), function)
         for key in ("function", "after", "check", "when") if callable(function := getattr(template, key))
     }  # fmt: skip
-    return replace(template, **names, **functions)
+    return replace(template, **formatted, **bound_functions)
 
 
 def registered() -> dict[str, Property]:
@@ -319,8 +319,8 @@ def check_maps(params: MeasureParams) -> None:
 
 def possible_maps(params: MeasureParams) -> list[str]:
     """Names of the maps that a sheet may have with these parameters: which sides are coated is not known yet."""
-    further = [name for greys in _coated_and_bare() for name in chosen(params, greys)]
-    return list(dict.fromkeys([*PROPERTIES, *further]))
+    further_names = [name for greys in _coated_and_bare() for name in chosen(params, greys)]
+    return list(dict.fromkeys([*PROPERTIES, *further_names]))
 
 
 def _coated_and_bare() -> tuple[Greys, Greys]:
@@ -346,21 +346,23 @@ def in_order(names: Sequence[str | Property], params: MeasureParams, greys: Grey
     CannotMeasure
         If one is unknown, made from itself, or needs a number that is not given.
     """
-    done: dict[str, Property] = {}
+    ordered: dict[str, Property] = {}
 
-    def visit(prop: Property, under: tuple[str, ...]) -> None:
-        if prop.name in under:
-            raise CannotMeasure(f"The property '{prop.name}' is made from itself: {' > '.join((*under, prop.name))}.")
-        for needed in prop.after(params, greys) if callable(prop.after) else prop.after:
-            visit(find_property(needed), (*under, prop.name))
-        done.setdefault(prop.name, prop)
+    def visit(prop: Property, ancestors: tuple[str, ...]) -> None:
+        if prop.name in ancestors:
+            raise CannotMeasure(
+                f"The property '{prop.name}' is made from itself: {' > '.join((*ancestors, prop.name))}."
+            )
+        for needed_name in prop.after(params, greys) if callable(prop.after) else prop.after:
+            visit(find_property(needed_name), (*ancestors, prop.name))
+        ordered.setdefault(prop.name, prop)
 
     for name in names:
         visit(find_property(name), ())
-    for prop in done.values():
+    for prop in ordered.values():
         if prop.check is not None:
             prop.check(params, greys)
-    return list(done.values())
+    return list(ordered.values())
 
 
 def length_of(length: Length, params: MeasureParams) -> float:

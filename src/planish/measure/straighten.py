@@ -60,87 +60,93 @@ def straightened(
     frame = RayFrame.of(volume, surfaces, params or MeasureParams())
     low, high = depth_um or (frame.low * frame.step_um, frame.high * frame.step_um)
     # Beyond that the normals have long left the sheet, and cross each other.
-    most = 20.0 * float(surfaces.attrs["thickness_um"])
-    if not low < high or max(abs(low), abs(high)) > most:
+    max_depth_um = 20.0 * float(surfaces.attrs["thickness_um"])
+    if not low < high or max(abs(low), abs(high)) > max_depth_um:
         raise StudyError(
             f"--depth-um {low:g},{high:g}: give two heights in um from the centre surface, the lower one first, within "
-            f"{most:.0f} um."
+            f"{max_depth_um:.0f} um."
         )
-    voxel = frame.voxel_um
-    depths: Floats = np.arange(int(np.floor(low / voxel)), int(np.ceil(high / voxel)) + 1).astype(np.float64) * voxel
+    voxel_um = frame.voxel_um
+    depths_um: Floats = (
+        np.arange(int(np.floor(low / voxel_um)), int(np.ceil(high / voxel_um)) + 1).astype(np.float64) * voxel_um
+    )
     grid = Grid.of(maps)
-    straight = _Straightened(volume, surfaces, maps, depths, frame)
-    coords = {k: (k, um, {"units": "um"}) for k, um in (("z", depths), ("y", grid.y_um), ("x", grid.x_um))}
-    volume_along = xr.DataArray(xr.Variable(("z", "y", "x"), held(straight)), coords=coords, name="grey")
-    return volume_along.assign_attrs(voxel_um=(voxel, *(round(float(p), 9) for p in grid.pixel_um)))
+    lazy_volume = _Straightened(volume, surfaces, maps, depths_um, frame)
+    coords = {
+        k: (k, coords_um, {"units": "um"}) for k, coords_um in (("z", depths_um), ("y", grid.y_um), ("x", grid.x_um))
+    }
+    straight_volume = xr.DataArray(xr.Variable(("z", "y", "x"), held(lazy_volume)), coords=coords, name="grey")
+    return straight_volume.assign_attrs(voxel_um=(voxel_um, *(round(float(p), 9) for p in grid.pixel_um)))
 
 
 def voxels_around(volume: xr.DataArray, places_um: Mapping[str, Floats]) -> tuple[NDArray[Any], list[Floats]]:
     """Read the part of a volume in which places lie, and give the places in it, in voxels."""
-    places: list[Floats] = []
+    indices: list[Floats] = []
     box: dict[str, slice] = {}
     for axis in map(str, volume.dims):
-        coords = volume[axis].values
-        index = (places_um[axis] - float(coords[0])) / float(coords[1] - coords[0])
-        start = int(np.clip(np.floor(index.min()), 0, coords.size - 1))
-        box[axis] = slice(start, int(np.clip(np.ceil(index.max()) + 1, start + 1, coords.size)))
-        places.append(index - start)
-    return volume.isel(box).values, places
+        coords_um = volume[axis].values
+        index = (places_um[axis] - float(coords_um[0])) / float(coords_um[1] - coords_um[0])
+        start = int(np.clip(np.floor(index.min()), 0, coords_um.size - 1))
+        box[axis] = slice(start, int(np.clip(np.ceil(index.max()) + 1, start + 1, coords_um.size)))
+        indices.append(index - start)
+    return volume.isel(box).values, indices
 
 
 class _Straightened(LazyArray):
     """The straightened volume, of which parts are worked out."""
 
     def __init__(
-        self, volume: xr.DataArray, surfaces: xr.Dataset, maps: xr.Dataset, depths: Floats, frame: RayFrame
+        self, volume: xr.DataArray, surfaces: xr.Dataset, maps: xr.Dataset, depths_um: Floats, frame: RayFrame
     ) -> None:
-        self._volume, self._depths = volume, depths
+        self._volume, self._depths = volume, depths_um
         self._places = {axis: maps[f"volume_{axis}"] for axis in ("z", "y", "x")}
         self._frame, self._pitch = Frame.of(surfaces), pitch(surfaces)
         self._first = float(surfaces["y"].values[0]), float(surfaces["x"].values[0])
         slope = slopes_of(frame.heights["centre"], self._pitch)
-        self._slopes = [np.ascontiguousarray(part) for part in np.moveaxis(slope, -1, 0)]
+        self._slopes = [np.ascontiguousarray(component) for component in np.moveaxis(slope, -1, 0)]
         self._padding = frame.greys.padding
-        self.shape = (depths.size, *Grid.of(maps).shape)
+        self.shape = (depths_um.size, *Grid.of(maps).shape)
         self.dtype = np.dtype(np.float32)
 
     def read(self, where: Where) -> NDArray[Any]:
         """Work out a part, in pieces on threads."""
         depth, rows, cols = where
-        down, across = (range(n)[s] for n, s in zip(self.shape[1:], (rows, cols), strict=True))
-        depths = self._depths[depth]
-        out = np.empty((depths.size, len(down), len(across)), np.float32)
-        high = max(1, 1_000_000 // (_WIDE * max(depths.size, 1)))  # samples that a thread works on
-        tiles = tiles_of((len(down), len(across)), (high, _WIDE))
-        map_threads(partial(self._fill, out, depths, (rows, cols)), tiles)
-        return out
+        row_range, col_range = (range(n)[s] for n, s in zip(self.shape[1:], (rows, cols), strict=True))
+        depths_um = self._depths[depth]
+        grey = np.empty((depths_um.size, len(row_range), len(col_range)), np.float32)
+        rows_per_tile = max(1, 1_000_000 // (_WIDE * max(depths_um.size, 1)))  # samples that a thread works on
+        tiles = tiles_of((len(row_range), len(col_range)), (rows_per_tile, _WIDE))
+        map_threads(partial(self._fill, grey, depths_um, (rows, cols)), tiles)
+        return grey
 
-    def _fill(self, out: NDArray[np.float32], depths: Floats, where: tuple[slice, slice], tile: Tile) -> None:
+    def _fill(self, grey: NDArray[np.float32], depths_um: Floats, requested: tuple[slice, slice], tile: Tile) -> None:
         from scipy import ndimage
 
-        part = out[:, tile.rows, tile.cols]
-        part[:] = np.nan
+        tile_grey = grey[:, tile.rows, tile.cols]
+        tile_grey[:] = np.nan
         rows, cols = (
             slice(w.start + w.step * a, w.start + w.step * b, w.step)
-            for w, a, b in zip(where, (tile.r0, tile.c0), (tile.r1, tile.c1), strict=True)
+            for w, a, b in zip(requested, (tile.r0, tile.c0), (tile.r1, tile.c1), strict=True)
         )
-        place = {axis: np.asarray(self._places[axis][rows, cols].values) for axis in ("z", "y", "x")}
-        f = self._frame
+        place_um = {axis: np.asarray(self._places[axis][rows, cols].values) for axis in ("z", "y", "x")}
+        frame = self._frame
         row, col = (
-            (place[axis] - first) / p for axis, first, p in zip((f.rows, f.cols), self._first, self._pitch, strict=True)
+            (place_um[axis] - first) / p
+            for axis, first, p in zip((frame.rows, frame.cols), self._first, self._pitch, strict=True)
         )
         slope = np.stack([bilinear(field, row, col) for field in self._slopes], axis=-1)
-        along_r, along_c, up = np.moveaxis(directions(slope, "normal"), -1, 0)
-        normal = {f.rows: along_r, f.cols: along_c, f.through: f.sign * up}
-        is_inside = np.all([np.isfinite(place[axis]) & np.isfinite(normal[axis]) for axis in place], axis=0)
+        normal_r, normal_c, normal_h = np.moveaxis(directions(slope, "normal"), -1, 0)
+        normal = {frame.rows: normal_r, frame.cols: normal_c, frame.through: frame.sign * normal_h}
+        is_inside = np.all([np.isfinite(place_um[axis]) & np.isfinite(normal[axis]) for axis in place_um], axis=0)
         if not is_inside.any():
             return
-        along = {axis: place[axis][is_inside] + depths[:, None] * normal[axis][is_inside] for axis in place}
-        block, places = voxels_around(self._volume, along)
-        if block.dtype.kind != "f" or np.isfinite(self._padding):
-            block = block.astype(np.float32)
+        heights = depths_um[:, None]
+        points_um = {axis: um[is_inside] + heights * normal[axis][is_inside] for axis, um in place_um.items()}
+        voxels, voxel_indices = voxels_around(self._volume, points_um)
+        if voxels.dtype.kind != "f" or np.isfinite(self._padding):
+            voxels = voxels.astype(np.float32)
         if np.isfinite(self._padding):
-            block[block == np.float32(self._padding)] = np.nan
-        part[:, is_inside] = ndimage.map_coordinates(
-            block, places, output=np.float32, order=1, mode="constant", cval=np.nan, prefilter=False
+            voxels[voxels == np.float32(self._padding)] = np.nan
+        tile_grey[:, is_inside] = ndimage.map_coordinates(
+            voxels, voxel_indices, output=np.float32, order=1, mode="constant", cval=np.nan, prefilter=False
         )

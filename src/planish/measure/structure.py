@@ -65,18 +65,18 @@ def _gradients(rays: Rays) -> tuple[Grey3, Grey3, slice]:
     samples = rays.samples_within(*rays.core)
     grey = rays.grey[..., samples]
     grey = np.where(np.isfinite(grey), grey, np.float32(rays.greys.base))
-    bells: list[Floats] = []
-    slopes: list[Floats] = []
+    gaussians: list[Floats] = []
+    derivatives: list[Floats] = []
     for pitch in rays.pitch_um:
         sigma = max((rays.params.orientation_sigma_um or pitch) / pitch, 0.5)
         x = np.arange(-int(np.ceil(_CUT * sigma)), int(np.ceil(_CUT * sigma)) + 1)
-        bell = np.exp(-0.5 * (x / sigma) ** 2)
-        bells.append(bell / bell.sum())
-        slopes.append(x * bell / np.sum(x * x * bell) / pitch)  # 1 on a ramp
+        gaussian = np.exp(-0.5 * (x / sigma) ** 2)
+        gaussians.append(gaussian / gaussian.sum())
+        derivatives.append(x * gaussian / np.sum(x * x * gaussian) / pitch)  # 1 on a ramp
 
     def along(axis: int) -> Grey3:
-        calm = ndimage.correlate1d(grey, bells[1 - axis], 1 - axis, mode="nearest")
-        return ndimage.correlate1d(calm, slopes[axis], axis, mode="nearest")
+        smoothed = ndimage.correlate1d(grey, gaussians[1 - axis], 1 - axis, mode="nearest")
+        return ndimage.correlate1d(smoothed, derivatives[axis], axis, mode="nearest")
 
     return along(0), along(1), samples
 
@@ -89,23 +89,23 @@ def _tensor(rays: Rays, lowest: float, highest: float) -> tuple[Floats, Floats, 
     from scipy import ndimage
 
     by_row, by_col, samples = _gradients(rays)
-    bottom, thick = rays.interface_bottom, rays.interface_top - rays.interface_bottom
+    bottom, base_um = rays.interface_bottom, rays.interface_top - rays.interface_bottom
     lower, upper = rays.core
-    inside = rays.s_um[samples] >= np.maximum(lower, bottom + lowest * thick)[..., None]
-    inside &= rays.s_um[samples] < np.minimum(upper, bottom + highest * thick)[..., None]
-    inside &= rays.greys.polarity * (rays.grey[..., samples] - void_level(rays.greys, rays.params)) > 0
-    across, down, mixed = (
-        np.einsum("ijk,ijk,ijk->ij", a, b, inside, dtype=np.float64)
+    is_inside = rays.s_um[samples] >= np.maximum(lower, bottom + lowest * base_um)[..., None]
+    is_inside &= rays.s_um[samples] < np.minimum(upper, bottom + highest * base_um)[..., None]
+    is_inside &= rays.greys.polarity * (rays.grey[..., samples] - void_level(rays.greys, rays.params)) > 0
+    xx_sum, yy_sum, xy_sum = (
+        np.einsum("ijk,ijk,ijk->ij", a, b, is_inside, dtype=np.float64)
         for a, b in ((by_col, by_col), (by_row, by_row), (by_row, by_col))
     )
-    xx, yy, xy = _in_tangent_plane(across, down, mixed, rays.slope)
+    xx, yy, xy = _in_tangent_plane(xx_sum, yy_sum, xy_sum, rays.slope)
     is_valid = (rays.status == 0) & np.isfinite(xx)
     sigma = [rays.params.orientation_rho_um / p for p in rays.pitch_um]
-    gathered = [
+    averaged = [
         ndimage.gaussian_filter(np.where(is_valid, v, 0.0), sigma, mode="constant", truncate=_CUT)
         for v in (xx + yy, xx - yy, 2 * xy)
     ]
-    return gathered[0], gathered[1], gathered[2]
+    return averaged[0], averaged[1], averaged[2]
 
 
 def _in_tangent_plane(xx: Floats, yy: Floats, xy: Floats, slope: Floats) -> tuple[Floats, Floats, Floats]:
@@ -113,10 +113,10 @@ def _in_tangent_plane(xx: Floats, yy: Floats, xy: Floats, slope: Floats) -> tupl
     # G = I + grad z grad z^T is the metric of the centre surface. With a unit vector e up the slope,
     # G^(-1/2) = I - (1 - cos a) e e^T, a the tilt.
     q, p = slope[..., 0], slope[..., 1]
-    steep = p * p + q * q
+    squared_slope = p * p + q * q
     with np.errstate(divide="ignore", invalid="ignore"):
-        loss = np.where(steep > 0, (1 - 1 / np.sqrt(1 + steep)) / steep, 0.5)
-    a, b, d = 1 - loss * p * p, -loss * p * q, 1 - loss * q * q
+        shrinkage = np.where(squared_slope > 0, (1 - 1 / np.sqrt(1 + squared_slope)) / squared_slope, 0.5)
+    a, b, d = 1 - shrinkage * p * p, -shrinkage * p * q, 1 - shrinkage * q * q
     return (
         a * a * xx + 2 * a * b * xy + b * b * yy,
         b * b * xx + 2 * b * d * xy + d * d * yy,
@@ -173,14 +173,14 @@ def orientation_layers(count: int) -> tuple[Property, ...]:
         ``fibre_angle_layer_k`` and ``fibre_anisotropy_layer_k``, k = 1 to count; to be given to
         :func:`~planish.measure.measure_along_rays` among its names.
     """
-    layers: list[Property] = []
+    properties: list[Property] = []
     for k in range(count):
-        depth, place = {"lowest": k / count, "highest": (k + 1) / count}, f"layer {k + 1} of {count}"
+        depth_range, layer_text = {"lowest": k / count, "highest": (k + 1) / count}, f"layer {k + 1} of {count}"
         for prop in (fibre_angle, fibre_anisotropy):
-            name, function = f"{prop.name}_layer_{k + 1}", partial(prop.function, **depth)
-            layer = replace(prop, name=name, long_name=f"{prop.long_name}, {place}", function=function, together=())
-            layers.append(layer)
-    return tuple(layers)
+            name, function = f"{prop.name}_layer_{k + 1}", partial(prop.function, **depth_range)
+            long_name = f"{prop.long_name}, {layer_text}"
+            properties.append(replace(prop, name=name, long_name=long_name, function=function, together=()))
+    return tuple(properties)
 
 
 @cached
@@ -188,12 +188,12 @@ def _voids(rays: Rays) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
     """Samples that are void (rows, cols, s), and how many there are on each ray."""
     # Beyond what any base reaches there is no void; one sample more on either side is the wall there.
     samples = rays.samples_within(*rays.core, more=1)
-    beyond = rays.greys.polarity * (rays.grey[..., samples] - np.float32(void_level(rays.greys, rays.params)))
-    void = ((beyond < 0) & rays.between(*rays.core)[..., samples]).astype(np.uint8)
-    return void, void.sum(axis=-1, dtype=np.int64)
+    above_void_level = rays.greys.polarity * (rays.grey[..., samples] - np.float32(void_level(rays.greys, rays.params)))
+    is_void = ((above_void_level < 0) & rays.between(*rays.core)[..., samples]).astype(np.uint8)
+    return is_void, is_void.sum(axis=-1, dtype=np.int64)
 
 
-def _reach(params: MeasureParams) -> float:
+def _limit(params: MeasureParams) -> float:
     return params.pore_limit_um
 
 
@@ -203,16 +203,16 @@ def chords(void: NDArray[np.uint8], axis: int, most: int) -> NDArray[np.int64]:
     A run ends ``most`` steps to each side.
     """
     total = np.zeros(void.shape, dtype=np.int16)
-    for turned in (slice(None), slice(None, None, -1)):
-        lines, sums = (np.moveaxis(a, axis, 0)[turned] for a in (void, total))
-        run = np.zeros(lines.shape[1:], dtype=np.int16)
-        for line, to in zip(lines, sums, strict=True):
+    for direction in (slice(None), slice(None, None, -1)):
+        void_lines, sums = (np.moveaxis(a, axis, 0)[direction] for a in (void, total))
+        run = np.zeros(void_lines.shape[1:], dtype=np.int16)
+        for line, run_sum in zip(void_lines, sums, strict=True):
             run = np.minimum(run + 1, most) * line
-            to += run
+            run_sum += run
     return (total - (void > 0)).sum(axis=-1)
 
 
-@ray_property("pore_chord", units="um", long_name="Pore chord in the plane", halo_um=_reach, support_um=_reach)
+@ray_property("pore_chord", units="um", long_name="Pore chord in the plane", halo_um=_limit, support_um=_limit)
 def pore_chord(rays: Rays) -> Floats:
     """Mean in-plane length of the voids on the ray: of the runs through each void sample, along rows and columns.
 
@@ -222,8 +222,8 @@ def pore_chord(rays: Rays) -> Floats:
     void, count = _voids(rays)
     total = np.zeros(count.shape)
     for k, pitch in enumerate(rays.pitch_um):
-        along = chords(void, k, max(int(rays.params.pore_limit_um / pitch), 1))
-        total += 0.5 * along * pitch * rays.stretch[..., k]
+        chord_steps = chords(void, k, max(int(rays.params.pore_limit_um / pitch), 1))
+        total += 0.5 * chord_steps * pitch * rays.stretch[..., k]
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(count > 0, total / count, np.nan)
 
@@ -237,7 +237,7 @@ def distances(void: NDArray[np.uint8], step: tuple[float, float, float], most: f
     return np.minimum(ndimage.distance_transform_edt(void, sampling=step), most).astype(np.float32)
 
 
-@ray_property("pore_diameter", units="um", long_name="Pore diameter", support_um=_reach,
+@ray_property("pore_diameter", units="um", long_name="Pore diameter", support_um=_limit,
               halo_um=lambda params: 1.5 * params.pore_limit_um)  # fmt: skip
 def pore_diameter(rays: Rays) -> Floats:
     """Diameter of the largest sphere inside the voids, at most ``pore_limit_um``, mean over the void on the ray.
@@ -250,9 +250,9 @@ def pore_diameter(rays: Rays) -> Floats:
 
     void, count = _voids(rays)
     step = rays.pitch_um[0] * rays.mean_stretch[0], rays.pitch_um[1] * rays.mean_stretch[1], rays.step_um
-    half = 0.5 * float(np.mean(step))
-    distance = distances(void, step, 0.5 * rays.params.pore_limit_um + half)
+    half_step_um = 0.5 * float(np.mean(step))
+    distance = distances(void, step, 0.5 * rays.params.pore_limit_um + half_step_um)
     radius = _pore_kernels.inscribed(distance, step)
-    size = np.where(void > 0, 2 * np.maximum(radius - half, 0.5 * half), 0.0).sum(axis=-1, dtype=np.float64)
+    diameter_um = np.where(void > 0, 2 * np.maximum(radius - half_step_um, 0.5 * half_step_um), 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(count > 0, size / count, np.nan)
+        return np.where(count > 0, diameter_um.sum(axis=-1, dtype=np.float64) / count, np.nan)

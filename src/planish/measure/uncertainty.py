@@ -32,30 +32,30 @@ def ray_noise(volume: xr.DataArray, frame: RayFrame) -> float:
     scatter of means over a stretch of air of length L, beside the faces of some rows, is read as well, var(mean) L,
     and the larger of the two is taken.
     """
-    white = frame.greys.noise**2 * frame.voxel_um
+    white_noise = frame.greys.noise**2 * frame.voxel_um
     rows = np.flatnonzero((frame.status == 0).any(axis=1))
-    picked = rows[np.unique(np.linspace(0, rows.size - 1, min(6, rows.size)).astype(int))]
-    margin, length = 3 * frame.greys.blur_um + frame.voxel_um, 3.0 * frame.voxel_um
-    samples: list[Floats] = []
-    for row in picked:
+    sampled_rows = rows[np.unique(np.linspace(0, rows.size - 1, min(6, rows.size)).astype(int))]
+    margin_um, length_um = 3 * frame.greys.blur_um + frame.voxel_um, 3.0 * frame.voxel_um
+    air_means: list[Floats] = []
+    for row in sampled_rows:
         rays = frame.tile(volume, slice(int(row), int(row) + 1))
         if not (rays.status == 0).any():
             continue
-        room = min(float(rays.s_um[-1] - np.nanmax(rays.top)), float(np.nanmin(rays.bottom) - rays.s_um[0]))
-        if room - margin < length:
+        room_um = min(float(rays.s_um[-1] - np.nanmax(rays.top)), float(np.nanmin(rays.bottom) - rays.s_um[0]))
+        if room_um - margin_um < length_um:
             continue
-        for lower in (rays.top + margin, rays.bottom - margin - length):
-            means = rays.mean(lower, lower + length)
-            samples.append(means[np.isfinite(means)])
-    if not samples or sum(f.size for f in samples) < 200:
-        return white
+        for lower in (rays.top + margin_um, rays.bottom - margin_um - length_um):
+            means = rays.mean(lower, lower + length_um)
+            air_means.append(means[np.isfinite(means)])
+    if not air_means or sum(means.size for means in air_means) < 200:
+        return white_noise
     # Each side and row about its own median: shading of the air is no noise.
-    steps = np.concatenate([np.abs(f - np.median(f)) for f in samples if f.size])
-    return max(white, mad_sd(steps, 0.0) ** 2 * length)
+    deviations = np.concatenate([np.abs(means - np.median(means)) for means in air_means if means.size])
+    return max(white_noise, mad_sd(deviations, 0.0) ** 2 * length_um)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shared:
+class SharedNoise:
     """Noise and error that a sheet's columns have in common."""
 
     noise_um: float  # variance of the grey's integral over one um of a column as the fit saw it; grey^2 um
@@ -67,61 +67,61 @@ class Shared:
 
     @classmethod
     def of(
-        cls, greys: Greys, *, voxel_um: float, pitch_um: Pair, wide: float,
+        cls, greys: Greys, *, voxel_um: float, pitch_um: Pair, column_px: float,
         noise_um: float = float("nan"),
-    ) -> Shared:  # fmt: skip
+    ) -> SharedNoise:  # fmt: skip
         """Work it out.
 
-        ``voxel_um``: of a voxel along the column; ``pitch_um``: of the columns, ``wide`` voxels broad; ``noise_um``: of
-        single rays, as from :func:`ray_noise`; NaN for white noise.
+        ``voxel_um``: of a voxel along the column; ``pitch_um``: of the columns, ``column_px`` voxels broad;
+        ``noise_um``: of single rays, as from :func:`ray_noise`; NaN for white noise.
         """
-        white = (greys.single_noise * wide) ** 2 * voxel_um
+        white_noise = (greys.single_noise * column_px) ** 2 * voxel_um
         # The integral of the noise's autocorrelation along one axis, in voxels; the same is taken for all axes. Beside
         # noise that moves no face, what scatters in the air says nothing of it.
-        least = (0.003 * (greys.base - greys.air)) ** 2 * voxel_um
-        length = max(1.0, noise_um / max(white, least)) if np.isfinite(noise_um) else 1.0
-        averaged = 4 * np.pi * (greys.averaged * wide) ** 2  # voxels under the Gaussian of the averaging
-        patch = _SHARED + length**2 - 1 + averaged
-        column = pitch_um[0] * pitch_um[1]
+        min_noise = (0.003 * (greys.base - greys.air)) ** 2 * voxel_um
+        correlation_length = max(1.0, noise_um / max(white_noise, min_noise)) if np.isfinite(noise_um) else 1.0
+        averaged_voxels = 4 * np.pi * (greys.averaged * column_px) ** 2  # voxels under the Gaussian of the averaging
+        columns_per_value = _SHARED + correlation_length**2 - 1 + averaged_voxels
+        column_um2 = pitch_um[0] * pitch_um[1]
         # Averaging divides the variance of white noise by 1 + averaged, but mixes the sheet's own detail in: some two
         # thirds of the gain, as a power, are left. Noise that neighbours share is averaged farther, and the detail lost
         # costs as much as is gained.
-        gain = (1 + averaged) ** 0.7 if length < 1.2 else 1.0
-        noise = greys.single_noise**2 * voxel_um * length / gain
-        longest, shared = max(voxel_um, max(pitch_um) / wide), float(np.sqrt(length))
+        gain = (1 + averaged_voxels) ** 0.7 if correlation_length < 1.2 else 1.0
+        noise = greys.single_noise**2 * voxel_um * correlation_length / gain
+        longest_um, widening = max(voxel_um, max(pitch_um) / column_px), float(np.sqrt(correlation_length))
         return cls(
-            noise_um=float(noise), common_um=common_errors(shared * voxel_um), place_um=common_errors(shared * longest),
-            patch_um2=column * max(patch / wide**2, 1.0),
+            noise_um=float(noise), common_um=common_errors(widening * voxel_um),
+            place_um=common_errors(widening * longest_um), patch_um2=column_um2 * max(columns_per_value / column_px**2, 1.0),
         )  # fmt: skip
 
 
 def thickness_errors(
-    coatings: Mapping[Side, Floats], greys: Greys, shared: Shared, *, cosine: Floats | float = 1.0
+    coatings: Mapping[Side, Floats], greys: Greys, shared_noise: SharedNoise, *, cosine: Floats | float = 1.0
 ) -> dict[str, Floats]:
     """Standard errors of coatings, base, sheet and topography along the normals, um (rows, cols).
 
     ``coatings``: their thicknesses; those of a side without one are ignored. ``cosine``: of the sheet's tilt against
     the columns; a tilted column holds 1 / cosine times as many voxels of the same blurred edge.
     """
-    root = np.sqrt(cosine)
-    sides = {k: [root * e for e in layer_errors(t, greys, shared.noise_um, k)] for k, t in coatings.items()}
+    root, noise_um = np.sqrt(cosine), shared_noise.noise_um
+    sides = {k: [root * e for e in layer_errors(t, greys, noise_um, k)] for k, t in coatings.items()}
     top, bottom = sides["top"], sides["bottom"]
     errors = {
         "coating_top": top[1], "coating_bottom": bottom[1], "base_thickness": np.hypot(top[2], bottom[2]),
         "thickness": np.hypot(top[0], bottom[0]),
     }  # fmt: skip
-    errors |= {f"topography_{k}": of[0] for k, of in sides.items()}
-    return {name: np.hypot(se, shared.place_um[name]) for name, se in errors.items()}
+    errors |= {f"topography_{k}": layer_se[0] for k, layer_se in sides.items()}
+    return {name: np.hypot(se, shared_noise.place_um[name]) for name, se in errors.items()}
 
 
 def common_errors(unit_um: float) -> dict[str, float]:
     """Give the error of each thickness and topography that averaging does not lessen, um; ``unit_um``: of a voxel."""
     # What pores at a boundary and the levels leave, besides noise, in voxels.
-    face, inner = unit_um * 0.025, unit_um * 0.07
-    coating, base, sheet = float(np.hypot(face, inner)), float(np.sqrt(2)) * inner, float(np.sqrt(2)) * face
+    face_um, interface_um = unit_um * 0.025, unit_um * 0.07
+    coating_um, root2 = float(np.hypot(face_um, interface_um)), float(np.sqrt(2))
     return {
-        "coating_top": coating, "coating_bottom": coating, "base_thickness": base, "thickness": sheet,
-        "topography_top": face, "topography_bottom": face,
+        "coating_top": coating_um, "coating_bottom": coating_um, "base_thickness": root2 * interface_um,
+        "thickness": root2 * face_um, "topography_top": face_um, "topography_bottom": face_um,
     }  # fmt: skip
 
 
@@ -146,27 +146,28 @@ def layer_errors(thickness: Floats, greys: Greys, noise_um: float, side: Side) -
         As from :func:`ray_noise`.
     side : {"top", "bottom"}
     """
-    blur = max(greys.blur_um, 1e-3)
-    coat, base = greys.coating(side), greys.base
+    blur_um = max(greys.blur_um, 1e-3)
+    coating_level, base_level = greys.coating(side), greys.base
     # Without any noise the matrix has no inverse; a hundred-thousandth of the contrast is nothing.
-    noise_um = max(noise_um, 1e-10 * (base - greys.air) ** 2 * blur)
-    if not np.isfinite(coat):
-        face = float(np.sqrt(noise_um * 2 * np.sqrt(np.pi) * blur)) / abs(base - greys.air)
-        flat = np.full(thickness.shape, face)
-        return flat, np.full(thickness.shape, np.nan), flat
+    noise_um = max(noise_um, 1e-10 * (base_level - greys.air) ** 2 * blur_um)
+    if not np.isfinite(coating_level):
+        face_se = float(np.sqrt(noise_um * 2 * np.sqrt(np.pi) * blur_um)) / abs(base_level - greys.air)
+        face_map = np.full(thickness.shape, face_se)
+        return face_map, np.full(thickness.shape, np.nan), face_map
     # Layers thicker than 12 blurs have two edges that know nothing of each other.
-    nodes = np.linspace(0.02, 12.0, _NODES) * blur
-    table = np.array([_one_layer(t, blur, coat - greys.air, base - greys.air, noise_um) for t in nodes])
-    table[:] = table[np.maximum(np.arange(_NODES), int(np.argmax(table[:, 1] <= nodes)))]
-    layer = np.clip(thickness, 0.0, nodes[-1])
-    face, thickness_se, inner = (np.interp(layer, nodes, table[:, k]) for k in range(3))
-    missing = ~np.isfinite(thickness)
-    return tuple(np.where(missing, np.nan, v) for v in (face, thickness_se, inner))  # type: ignore[return-value]
+    nodes_um = np.linspace(0.02, 12.0, _NODES) * blur_um
+    levels = coating_level - greys.air, base_level - greys.air
+    se_table = np.array([_layer_errors_at(t, blur_um, *levels, noise_um) for t in nodes_um])
+    se_table[:] = se_table[np.maximum(np.arange(_NODES), int(np.argmax(se_table[:, 1] <= nodes_um)))]
+    layer_um = np.clip(thickness, 0.0, nodes_um[-1])
+    face_se, thickness_se, interface_se = (np.interp(layer_um, nodes_um, se_table[:, k]) for k in range(3))
+    is_missing = ~np.isfinite(thickness)
+    return tuple(np.where(is_missing, np.nan, v) for v in (face_se, thickness_se, interface_se))  # type: ignore[return-value]
 
 
-def _one_layer(t: float, w: float, c: float, b: float, noise_um: float) -> tuple[float, float, float]:
-    step = 0.05 * w
-    s: Floats = np.arange(-6 * w, t + 20 * w, step)
+def _layer_errors_at(t: float, w: float, c: float, b: float, noise_um: float) -> tuple[float, float, float]:
+    step_um = 0.05 * w
+    s: Floats = np.arange(-6 * w, t + 20 * w, step_um)
 
     def bell(x: Floats) -> Floats:
         return np.exp(-0.5 * (x / w) ** 2) / (w * np.sqrt(2 * np.pi))
@@ -175,9 +176,9 @@ def _one_layer(t: float, w: float, c: float, b: float, noise_um: float) -> tuple
     by_h = -c * bell(s) - (b - c) * bell(s - t)
     by_t = -(b - c) * bell(s - t)
     gradient = np.stack([by_h, by_t, outer - inner, inner])
-    fisher = gradient @ gradient.T * step / noise_um
+    fisher = gradient @ gradient.T * step_um / noise_um
     fisher[2, 2] += 1 / (_LEVELS[0] * c) ** 2
     fisher[3, 3] += 1 / (_LEVELS[1] * b) ** 2
     covariance = np.linalg.inv(fisher)
-    of_inner = covariance[0, 0] + covariance[1, 1] + 2 * covariance[0, 1]
-    return tuple(float(np.sqrt(max(v, 0.0))) for v in (covariance[0, 0], covariance[1, 1], of_inner))  # type: ignore[return-value]
+    interface_variance = covariance[0, 0] + covariance[1, 1] + 2 * covariance[0, 1]
+    return tuple(float(np.sqrt(max(v, 0.0))) for v in (covariance[0, 0], covariance[1, 1], interface_variance))  # type: ignore[return-value]

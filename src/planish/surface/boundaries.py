@@ -32,37 +32,41 @@ def find_faces_by_slice(columns: Columns, guide: Guide, priors: Priors, engine: 
     """Find the faces and interfaces of every column with its slice's own thresholds; ``particles`` float in the air."""
     rows, cols, depth = columns.shape
     # Whole rows: a threshold belongs to a slice. A voxel of a slab takes 16 bytes.
-    high = max(int(engine.memory_bytes / (engine.at_once + 1) / (cols * columns.step**2 * depth * 16)), 1)
+    rows_per_tile = max(int(engine.memory_bytes / (engine.at_once + 1) / (cols * columns.step**2 * depth * 16)), 1)
 
     def job(tile: Tile) -> FitJob:
         return columns, guide.part(priors.scale.grown(tile, (rows, cols))), priors, None
 
-    parts = engine.map("slices", _fit_slices, job, tiles_of((rows, cols), (high, cols)))
-    return faces_from_depths(join_tiles(parts, np.empty((4, rows, cols))), columns, priors.coated, particles=particles)
+    depths_by_tile = engine.map("slices", _fit_slices, job, tiles_of((rows, cols), (rows_per_tile, cols)))
+    return faces_from_depths(
+        join_tiles(depths_by_tile, np.empty((4, rows, cols))), columns, priors.coated, particles=particles
+    )
 
 
 def _fit_slices(job: FitJob, tile: Tile) -> Floats:
     """Depth of the face and thickness of the coating from the high end, then from the low end, (4, rows, cols)."""
     columns, guide, priors, _ = job
     grey, guide = oriented(columns, tile, guide, priors.scale)
-    margin = 20.0 / columns.pitch[2]  # of air beside the sheet that counts in the histogram
-    out = np.full((4, *tile.shape), np.nan)
-    reach = priors.reach / guide.tilt
-    depth = np.arange(grey.shape[2])
-    for i, row in enumerate(grey):
-        low, high = guide.low[i][:, None], guide.high[i][:, None]
+    margin_px = 20.0 / columns.pitch[2]  # of air beside the sheet that counts in the histogram
+    depths = np.full((4, *tile.shape), np.nan)
+    search_px = priors.search_px / guide.cos_tilt
+    depth_index = np.arange(grey.shape[2])
+    for i, row_grey in enumerate(grey):
+        low_face, high_face = guide.low[i][:, None], guide.high[i][:, None]
         with np.errstate(invalid="ignore"):
-            near = (depth >= low - margin) & (depth <= high + margin)
-        grey_near = row[near & np.isfinite(row)]
-        if grey_near.size < 100:
+            is_near = (depth_index >= low_face - margin_px) & (depth_index <= high_face + margin_px)
+        near_grey = row_grey[is_near & np.isfinite(row_grey)]
+        if near_grey.size < 100:
             continue
-        paper, coating = otsu(grey_near.astype(np.float64), 3 if any(priors.coated) else 2)
-        for k, end in enumerate((True, False)):
-            column = (row[:, ::-1] if end else row).astype(np.float64)
-            outer, other = (a[i] for a in guide.faces(grey.shape[2], high=end))
-            level = coating if priors.sides[end].coated else np.inf
-            out[2 * k : 2 * k + 2, i] = _outer_boundaries(column, outer, other, outer - reach[i], paper, level)
-    return out
+        paper_level, coating_level = otsu(near_grey.astype(np.float64), 3 if any(priors.coated) else 2)
+        for k, from_high in enumerate((True, False)):
+            profiles = (row_grey[:, ::-1] if from_high else row_grey).astype(np.float64)
+            outer, opposite = (a[i] for a in guide.faces(grey.shape[2], from_high=from_high))
+            coating_threshold = coating_level if priors.sides[from_high].coated else np.inf
+            depths[2 * k : 2 * k + 2, i] = _outer_boundaries(
+                profiles, outer, opposite, outer - search_px[i], paper_level, coating_threshold
+            )
+    return depths
 
 
 def first_where(mask: Bools, start: NDArray[Any]) -> NDArray[np.intp]:
@@ -72,36 +76,36 @@ def first_where(mask: Bools, start: NDArray[Any]) -> NDArray[np.intp]:
 
 
 def _outer_boundaries(
-    grey: Floats, expected: Floats, other: Floats, start: Floats, paper: float, coating: float
+    grey: Floats, expected: Floats, opposite: Floats, start: Floats, paper: float, coating: float
 ) -> tuple[Floats, Floats]:
     """Outermost boundary of the sheet, and thickness of the outermost run of coating, (cols,); NaN for none."""
     # The grey (cols, depth) is read from outside to inside; this face and the opposite one should lie where expected
     # and other say. Paper and coating are thresholds; that of a side without a coating is infinite.
     cols, depth = grey.shape
-    is_expected = np.isfinite(expected) & np.isfinite(other)
-    middle = np.where(is_expected, 0.5 * (expected + other), -1.0).astype(int)
-    above, bright = grey > paper, grey > coating
-    clear = 0.25 * grey[:, :-2] + 0.5 * grey[:, 1:-1] + 0.25 * grey[:, 2:] > paper
-    entered = np.zeros(grey.shape, dtype=bool)
-    entered[:, 1:-2] = clear[:, :-1] & clear[:, 1:]
-    d = first_where(entered & (np.arange(depth) <= middle[:, None]), np.maximum(np.floor(start), 1))
+    is_expected = np.isfinite(expected) & np.isfinite(opposite)
+    middle = np.where(is_expected, 0.5 * (expected + opposite), -1.0).astype(int)
+    is_above, is_bright = grey > paper, grey > coating
+    is_clear = 0.25 * grey[:, :-2] + 0.5 * grey[:, 1:-1] + 0.25 * grey[:, 2:] > paper
+    is_entered = np.zeros(grey.shape, dtype=bool)
+    is_entered[:, 1:-2] = is_clear[:, :-1] & is_clear[:, 1:]
+    d = first_where(is_entered & (np.arange(depth) <= middle[:, None]), np.maximum(np.floor(start), 1))
     has_face = d < depth
     # The smoothed grey passes up to a voxel beside the grey itself.
-    outside = ~above & (np.arange(depth) < d[:, None])
-    d = np.where(outside.any(axis=1), depth - outside[:, ::-1].argmax(axis=1), 1)
-    d = np.minimum(first_where(above, d), depth - 2)
+    is_outside = ~is_above & (np.arange(depth) < d[:, None])
+    d = np.where(is_outside.any(axis=1), depth - is_outside[:, ::-1].argmax(axis=1), 1)
+    d = np.minimum(first_where(is_above, d), depth - 2)
     face = d - 1 + _crossing(grey, d - 1, paper)
-    first = np.minimum(first_where(bright, d), np.maximum(np.minimum(middle, d + 4), d))
-    last = np.minimum(first_where(~bright, first) - 1, np.maximum(np.minimum(middle, depth - 2), first))
-    coated = bright[np.arange(cols), first]
-    thickness = np.where(coated, np.maximum(last + _crossing(grey, last, coating) - face, 0.0), 0.0)
+    first = np.minimum(first_where(is_bright, d), np.maximum(np.minimum(middle, d + 4), d))
+    last = np.minimum(first_where(~is_bright, first) - 1, np.maximum(np.minimum(middle, depth - 2), first))
+    is_coated = is_bright[np.arange(cols), first]
+    thickness = np.where(is_coated, np.maximum(last + _crossing(grey, last, coating) - face, 0.0), 0.0)
     return np.where(has_face, face, np.nan), np.where(has_face, thickness, np.nan)
 
 
-def _crossing(grey: Floats, start: NDArray[np.intp], level: float) -> Floats:
+def _crossing(grey: Floats, first_sample: NDArray[np.intp], level: float) -> Floats:
     """Share of the way from one sample to the next at which level is passed."""
-    index = np.arange(start.size)
-    a, b = grey[index, start], grey[index, np.minimum(start + 1, grey.shape[1] - 1)]
+    column = np.arange(first_sample.size)
+    a, b = grey[column, first_sample], grey[column, np.minimum(first_sample + 1, grey.shape[1] - 1)]
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(b != a, np.clip((level - a) / (b - a), 0.0, 1.0), 0.5)
 
@@ -116,10 +120,10 @@ def otsu(grey: Floats, classes: int) -> Pair:
         return float(low), float("inf")
     counts, edges = np.histogram(np.clip(grey, low, high), bins=_BINS, range=(float(low), float(high)))
     middle = 0.5 * (edges[1:] + edges[:-1])
-    weight = np.concatenate([[0.0], np.cumsum(counts / counts.sum())])
-    total = np.concatenate([[0.0], np.cumsum(middle * counts / counts.sum())])
-    borders = [float(edges[k]) for k in otsu_borders(weight, total, classes)]
-    return borders[0], borders[1] if classes == 3 else float("inf")
+    cumulative_share = np.concatenate([[0.0], np.cumsum(counts / counts.sum())])
+    cumulative_mean = np.concatenate([[0.0], np.cumsum(middle * counts / counts.sum())])
+    thresholds = [float(edges[k]) for k in otsu_borders(cumulative_share, cumulative_mean, classes)]
+    return thresholds[0], thresholds[1] if classes == 3 else float("inf")
 
 
 _CODES = {"air": 0, "base": 1, "void": 2, "coating": 3}
@@ -156,45 +160,49 @@ def surfaces_from_labels(
         raise VolumeError(
             f"Labels are integers; this volume holds {labels.dtype}. Give the label volume, not the grey."
         )
-    codes: dict[int, int] = {}
-    for name, code in _CODES.items():
-        for label in getattr(meaning, name):
-            if codes.setdefault(int(label), code) != code:
+    code_of_label: dict[int, int] = {}
+    for material, code in _CODES.items():
+        for label in getattr(meaning, material):
+            if code_of_label.setdefault(int(label), code) != code:
                 raise VolumeError(
-                    f"The label {label} was given two meanings, one of them {name}. Give each label once."
+                    f"The label {label} was given two meanings, one of them {material}. Give each label once."
                 )
-    columns = LabelColumns(volume=labels, frame=frame, codes=dict(sorted(codes.items())))
+    columns = LabelColumns(volume=labels, frame=frame, codes=dict(sorted(code_of_label.items())))
     coarse, empty_share = survey_labels(columns, params, engine)
-    guide, coded = make_guide(coarse, columns), replace(columns, sheet=False)
-    reach = 2.0 + 1.5 * coarse.block * max(columns.pitch[:2]) / columns.pitch[2]
-    parts = engine.map("labels", _boundaries, lambda tile: (coded, guide.part(tile), reach), columns.tiles(engine))
-    depths = join_tiles(parts, np.empty((4, *columns.shape[:2])))
+    guide, coded_columns = make_guide(coarse, columns), replace(columns, sheet=False)
+    search_px = 2.0 + 1.5 * coarse.block * max(columns.pitch[:2]) / columns.pitch[2]
+    depths_by_tile = engine.map(
+        "labels", _boundaries, lambda tile: (coded_columns, guide.part(tile), search_px), columns.tiles(engine)
+    )
+    depths = join_tiles(depths_by_tile, np.empty((4, *columns.shape[:2])))
     # A side with a coating in fewer than 2 % of its columns has none.
-    seen = [thickness[np.isfinite(thickness)] > 0 for thickness in depths[1::2]]
-    high, low = (bool(part.size and part.mean() > 0.02) for part in seen)
+    is_coated = [thickness[np.isfinite(thickness)] > 0 for thickness in depths[1::2]]
+    high_coated, low_coated = (bool(columns.size and columns.mean() > 0.02) for columns in is_coated)
     surfaces = assemble(
-        columns, params, faces_from_depths(depths, columns, (high, low), particles=coarse.specks),
+        columns, params, faces_from_depths(depths, columns, (high_coated, low_coated), particles=coarse.specks),
         doubtful(guide, coarse, 0.0, columns.shape[2]), (0.0, 1.0), engine,
     )  # fmt: skip
-    from_labels = " ".join(f"{label}:{code}" for label, code in columns.codes.items())
-    return surfaces.assign_attrs(empty_share=empty_share, from_labels=from_labels)
+    codes_text = " ".join(f"{label}:{code}" for label, code in columns.codes.items())
+    return surfaces.assign_attrs(empty_share=empty_share, from_labels=codes_text)
 
 
 def _boundaries(job: tuple[LabelColumns, Guide, float], tile: Tile) -> Floats:
     """Depth of the face and thickness of the coating from the high end, then from the low end, (4, rows, cols)."""
-    columns, guide, reach = job
+    columns, guide, search_px = job
     codes = columns.voxels(tile)
-    out = np.full((4, *tile.shape), np.nan)
-    last = codes.shape[2] - 1
-    for k, high in enumerate((True, False)):
-        outer, other = guide.faces(last + 1, high=high)
-        is_seen = np.isfinite(outer) & np.isfinite(other)
-        middle, start = (np.where(is_seen, a, -1.0) for a in (0.5 * (outer + other), outer - reach / guide.tilt))
-        part = codes[:, :, ::-1] if high else codes
+    depths = np.full((4, *tile.shape), np.nan)
+    last_index = codes.shape[2] - 1
+    for k, from_high in enumerate((True, False)):
+        outer, opposite = guide.faces(last_index + 1, from_high=from_high)
+        has_sheet = np.isfinite(outer) & np.isfinite(opposite)
+        middle, start = (
+            np.where(has_sheet, a, -1.0) for a in (0.5 * (outer + opposite), outer - search_px / guide.cos_tilt)
+        )
+        codes_inward = codes[:, :, ::-1] if from_high else codes
         # The outermost boundary of base or coating, and the outermost run of coating.
-        is_coating = part == _CODES["coating"]
-        face = first_where(is_coating | (part == _CODES["base"]), np.floor(start))
-        end = first_where(~is_coating, face)
-        is_boundary = is_seen & (face > 0) & (face <= np.minimum(middle.astype(int), last - 1))
-        out[2 * k : 2 * k + 2] = np.where(is_boundary, [face - 0.5, end - face], np.nan)
-    return out
+        is_coating = codes_inward == _CODES["coating"]
+        face = first_where(is_coating | (codes_inward == _CODES["base"]), np.floor(start))
+        coating_end = first_where(~is_coating, face)
+        is_boundary = has_sheet & (face > 0) & (face <= np.minimum(middle.astype(int), last_index - 1))
+        depths[2 * k : 2 * k + 2] = np.where(is_boundary, [face - 0.5, coating_end - face], np.nan)
+    return depths

@@ -24,38 +24,38 @@ def gaussian_regression(height: Floats, pitch_um: Pair, *, cutoff_um: float) -> 
     """
     # The result has no wavelengths below the cut-off, so blocks of a 25th of it lose nothing.
     # A field that is hardly wider than that is cut into four all the same.
-    rows, cols = (max(1, min(int(cutoff_um / 25 / p), n // 4)) for p, n in zip(pitch_um, height.shape, strict=True))
+    block = [max(1, min(int(cutoff_um / 25 / p), n // 4)) for p, n in zip(pitch_um, height.shape, strict=True)]
     is_finite = np.isfinite(height)
-    down, across = (np.arange(0, n, b) for n, b in zip(height.shape, (rows, cols), strict=True))
-    total, count = (
-        np.add.reduceat(np.add.reduceat(part, down, 0), across, 1)
-        for part in (np.where(is_finite, height, 0.0), is_finite.astype(float))
+    row_starts, col_starts = (np.arange(0, n, b) for n, b in zip(height.shape, block, strict=True))
+    block_sum, finite_count = (
+        np.add.reduceat(np.add.reduceat(addend, row_starts, 0), col_starts, 1)
+        for addend in (np.where(is_finite, height, 0.0), is_finite.astype(float))
     )
     # A partial block's mean does not lie at its nominal centre; it is left out unless it is (nearly) whole.
-    is_whole = count >= 0.5 * rows * cols
-    pad = 8  # the spline forgets its end condition by a factor of four a node
-    mean = np.pad(np.where(is_whole, total / np.maximum(count, 1.0), 0.0), pad)
-    weight = np.pad(np.where(is_whole, count / (rows * cols), 0.0), pad)
-    regression = _Regression(weight, (pitch_um[0] * rows, pitch_um[1] * cols), cutoff_um)
+    is_block_whole = finite_count >= 0.5 * block[0] * block[1]
+    pad_nodes = 8  # the spline forgets its end condition by a factor of four a node
+    mean = np.pad(np.where(is_block_whole, block_sum / np.maximum(finite_count, 1.0), 0.0), pad_nodes)
+    weight = np.pad(np.where(is_block_whole, finite_count / (block[0] * block[1]), 0.0), pad_nodes)
+    regression = _Regression(weight, (pitch_um[0] * block[0], pitch_um[1] * block[1]), cutoff_um)
     coarse = regression(mean)
     # A second pass over what the first left behind: a wave of 1500 um then loses 0.02 % of its height and not 0.6 %.
     coarse += regression(np.where(weight > 0, mean - coarse, 0.0))
-    grid_lines = [
-        np.clip((np.arange(n) - 0.5 * (b - 1)) / b + pad, 0, m - 1)
-        for n, b, m in zip(height.shape, (rows, cols), coarse.shape, strict=True)
+    node_positions = [
+        np.clip((np.arange(n) - 0.5 * (b - 1)) / b + pad_nodes, 0, m - 1)
+        for n, b, m in zip(height.shape, block, coarse.shape, strict=True)
     ]
-    return interpolate(coarse, grid_lines, order=3)
+    return interpolate(coarse, node_positions, order=3)
 
 
-def interpolate(field: Floats, lines: Sequence[Floats], *, order: Literal[1, 3]) -> Floats:
+def interpolate(field: Floats, axis_positions: Sequence[Floats], *, order: Literal[1, 3]) -> Floats:
     """Interpolate a field where lines, row and column numbers, cross; NaN where the nearest node is NaN."""
     is_finite = np.isfinite(field)
-    positions = np.meshgrid(*lines, indexing="ij")
+    positions = np.meshgrid(*axis_positions, indexing="ij")
     if not is_finite.any():
         return np.full(positions[0].shape, np.nan)
-    smooth = ndimage.map_coordinates(filled(field), positions, order=order, mode="nearest")
+    interpolated = ndimage.map_coordinates(filled(field), positions, order=order, mode="nearest")
     is_near_finite = ndimage.map_coordinates(is_finite.astype(np.uint8), positions, order=0, mode="nearest")
-    return np.where(is_near_finite > 0, smooth, np.nan)
+    return np.where(is_near_finite > 0, interpolated, np.nan)
 
 
 def slice_smoothed(height: Floats, pitch_um: float, *, cutoff_um: float) -> Floats:
@@ -65,16 +65,15 @@ def slice_smoothed(height: Floats, pitch_um: float, *, cutoff_um: float) -> Floa
     """
     sigma = cutoff_um * float(np.sqrt(2 * np.log(2))) / (2 * np.pi) / pitch_um
     is_finite = np.isfinite(height)
-    out = np.full(height.shape, np.nan)
+    smoothed = np.full(height.shape, np.nan)
     x = np.arange(height.shape[1], dtype=np.float64)
     for i in np.flatnonzero(is_finite.sum(axis=1) > 1):
-        filled = np.interp(x, x[is_finite[i]], height[i, is_finite[i]])
+        filled_row = np.interp(x, x[is_finite[i]], height[i, is_finite[i]])
         # Mirrored through its ends, so that a slope goes on beyond them.
-        reach = min(int(np.ceil(3 * sigma)), filled.size - 1)
-        before, after = 2 * filled[0] - filled[reach:0:-1], 2 * filled[-1] - filled[-2 : -reach - 2 : -1]
-        smooth = ndimage.gaussian_filter1d(np.concatenate([before, filled, after]), sigma, truncate=3.0)
-        out[i] = smooth[reach : reach + filled.size]
-    return out
+        reach_px = min(int(np.ceil(3 * sigma)), filled_row.size - 1)
+        mirrored = np.pad(filled_row, reach_px, mode="reflect", reflect_type="odd")
+        smoothed[i] = ndimage.gaussian_filter1d(mirrored, sigma, truncate=3.0)[reach_px : reach_px + filled_row.size]
+    return smoothed
 
 
 class _Regression:
@@ -87,17 +86,17 @@ class _Regression:
         self.weight = weight
         self.axes: list[tuple[Floats, Floats]] = []
         for p in pitch:
-            half = max(2, int(np.ceil(1.5 * scale / p)))  # in units of GAMMA lambda; the weight there is 0.0009
-            x: Floats = np.asarray(np.arange(-half, half + 1) * p / scale, dtype=np.float64)
+            half_width = max(2, int(np.ceil(1.5 * scale / p)))  # in units of GAMMA lambda; the weight there is 0.0009
+            x: Floats = np.asarray(np.arange(-half_width, half_width + 1) * p / scale, dtype=np.float64)
             self.axes.append((x, np.exp(-np.pi * x * x)))
         moments = self._moments(weight, [(i, j) for i in range(5) for j in range(5 - i)])
-        full = float(self.axes[0][1].sum() * self.axes[1][1].sum())
+        full_weight = float(self.axes[0][1].sum() * self.axes[1][1].sum())
         # A field of view much smaller than the cut-off has no full neighbourhood anywhere; its own fullest counts then.
         # Below so much of it the surface would be extrapolated. Where there is data nothing is, however few the
         # neighbours are.
-        self.good = (weight > 0) | (moments[0, 0] > 0.04 * min(full, 4.0 * float(moments[0, 0].max())))
+        self.good = (weight > 0) | (moments[0, 0] > 0.04 * min(full_weight, 4.0 * float(moments[0, 0].max())))
         rows = [np.stack([moments[i + k, j + m][self.good] for k, m in _TERMS], axis=-1) for i, j in _TERMS]
-        self.system = np.stack(rows, axis=1) + 1e-9 * full * np.eye(6)
+        self.system = np.stack(rows, axis=1) + 1e-9 * full_weight * np.eye(6)
 
     def _moments(self, field: Floats, powers: list[tuple[int, int]]) -> dict[tuple[int, int], Floats]:
         (y, wy), (x, wx) = self.axes
@@ -109,8 +108,8 @@ class _Regression:
         has_data = self.weight > 0
         # Heights about their mean keep the sums well conditioned.
         offset = float(mean[has_data].mean()) if has_data.any() else 0.0
-        right = self._moments(self.weight * (mean - offset), _TERMS)
-        smooth = np.full(self.weight.shape, np.nan)
-        sums = np.stack([right[term][self.good] for term in _TERMS], axis=-1)
-        smooth[self.good] = np.linalg.solve(self.system, sums[..., None])[..., 0, 0] + offset
-        return smooth
+        weighted_moments = self._moments(self.weight * (mean - offset), _TERMS)
+        smoothed = np.full(self.weight.shape, np.nan)
+        sums = np.stack([weighted_moments[term][self.good] for term in _TERMS], axis=-1)
+        smoothed[self.good] = np.linalg.solve(self.system, sums[..., None])[..., 0, 0] + offset
+        return smoothed

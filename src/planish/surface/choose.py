@@ -27,38 +27,38 @@ def make_choice(columns: Columns, block: int, shape: tuple[int, ...], params: Su
     scale = dict(zip(columns.axes, (wide, wide, 1), strict=True))
 
     def describe(block_index: tuple[int, int, int]) -> str:
-        place: dict[str, float] = {}
-        for (axis, size), i in zip(scale.items(), block_index, strict=True):
-            place[axis] = float(volume[axis].values[min(int((i + 0.5) * size), volume.sizes[axis] - 1)])
-        return ",".join(f"{place[axis]:.4g}" for axis in ("z", "y", "x"))
+        place_um: dict[str, float] = {}
+        for (axis, block_px), i in zip(scale.items(), block_index, strict=True):
+            place_um[axis] = float(volume[axis].values[min(int((i + 0.5) * block_px), volume.sizes[axis] - 1)])
+        return ",".join(f"{place_um[axis]:.4g}" for axis in ("z", "y", "x"))
 
     choice = Choice(block=block, describe=describe)
     if params.seed_um is None:
         return choice
     seed: list[int] = []
-    for (axis, size), most in zip(scale.items(), shape, strict=True):
-        um, seed_um = volume.coords[axis].values, params.seed_um["zyx".index(axis)]
-        index = (seed_um - float(um[0])) / voxel_pitch(volume, axis)
-        if not -0.5 <= index < um.size - 0.5:
+    for (axis, block_px), most in zip(scale.items(), shape, strict=True):
+        coords_um, seed_um = volume.coords[axis].values, params.seed_um["zyx".index(axis)]
+        index = (seed_um - float(coords_um[0])) / voxel_pitch(volume, axis)
+        if not -0.5 <= index < coords_um.size - 0.5:
             raise VolumeError(
                 f"The seed point lies outside the volume: its {axis} is {seed_um:g} um, the volume goes from "
-                f"{float(um[0]):g} to {float(um[-1]):g} um. Check --seed-um and --voxel-um."
+                f"{float(coords_um[0]):g} to {float(coords_um[-1]):g} um. Check --seed-um and --voxel-um."
             )
-        seed.append(min(int((index + 0.5) / size), most - 1))
+        seed.append(min(int((index + 0.5) / block_px), most - 1))
     return replace(choice, seed=(seed[0], seed[1], seed[2]))
 
 
 def choose_sheet(
-    blocks: Blocks, sharp: Blocks, air: float, params: SurfaceParams, choice: Choice, scatter: float | None
+    blocks: Blocks, sharp_blocks: Blocks, air: float, params: SurfaceParams, choice: Choice, scatter: float | None
 ) -> tuple[CoarseSheet, Surroundings, float]:
     """Find the sheet in the block means; return it, what lies beside it, and its polarity."""
     if params.sheet_grey is not None:
         low, high = params.sheet_grey
-        grey = blocks if choice.seed is None else sharp
+        grey = blocks if choice.seed is None else sharp_blocks
         polarity, edge = (1.0, low) if 0.5 * (low + high) >= air else (-1.0, high)
         sheet = search_sheet(polarity * (grey - air), (grey >= low) & (grey <= high), abs(edge - air), choice)
         return sheet, "air" if choice.seed is None else "material", polarity
-    polarity, threshold, least = material(blocks, air, scatter)
+    polarity, threshold, min_threshold = material(blocks, air, scatter)
     oriented = _above_air(blocks, air, polarity)
     if choice.seed is None:
         try:
@@ -66,38 +66,40 @@ def choose_sheet(
         except VolumeError:
             # Two bright coatings on a dim base look like two sheets. With a lower threshold they are one, if they are
             # one.
-            if least < 0.7 * threshold:
+            if min_threshold < 0.7 * threshold:
                 with suppress(VolumeError):
-                    return _refined(oriented, least, choice), "air", polarity
+                    return _refined(oriented, min_threshold, choice), "air", polarity
             raise
-    alone: CoarseSheet | None = None
+    unseeded: CoarseSheet | None = None
     with suppress(VolumeError):
-        alone = _refined(oriented, threshold, replace(choice, seed=None))
+        unseeded = _refined(oriented, threshold, replace(choice, seed=None))
         *column, depth = choice.seed
-        if not alone.low[*column] - 0.5 <= depth <= alone.high[*column] + 0.5:
-            alone = None
+        if not unseeded.low[*column] - 0.5 <= depth <= unseeded.high[*column] + 0.5:
+            unseeded = None
     try:
         # Layers may be thinner than what the blocks are smoothed over.
-        sheet, is_embedded = _chosen(oriented, _above_air(sharp, air, polarity), threshold, choice)
+        sheet, is_embedded = _sheet_at_seed(oriented, _above_air(sharp_blocks, air, polarity), threshold, choice)
     except VolumeError:
-        if alone is None:
+        if unseeded is None:
             raise
-        return alone, "air", polarity
-    if alone is not None:
+        return unseeded, "air", polarity
+    if unseeded is not None:
         # A sheet that was found without the seed is the one at the seed, in as many columns: then nothing lies beside
         # it, and its faces need not be told from those of others, which takes sheets of few voxels for their own blur.
-        thick = [float(np.median((s.high - s.low)[s.is_whole])) for s in (alone, sheet) if s.is_whole.any()]
-        if (len(thick) < 2 or abs(thick[0] - thick[1]) <= 2.0) and alone.is_whole.sum() >= sheet.is_whole.sum():
-            return alone, "air", polarity
+        thicknesses_px = [float(np.median((s.high - s.low)[s.is_whole])) for s in (unseeded, sheet) if s.is_whole.any()]
+        is_alike = len(thicknesses_px) < 2 or abs(thicknesses_px[0] - thicknesses_px[1]) <= 2.0
+        if is_alike and unseeded.is_whole.sum() >= sheet.is_whole.sum():
+            return unseeded, "air", polarity
     if is_embedded:
         return sheet, "material", polarity
     # With so much air beside it no search for its faces meets another object.
-    least_gap = max(12, 4 + 3 * sheet.block)
-    index, near = np.arange(oriented.shape[2]), 0
-    for row, low, high in zip(oriented, sheet.low, sheet.high, strict=True):  # one by one: it takes less memory
-        away = np.fmax(low[:, None] - index, index - high[:, None])
-        near += np.count_nonzero(((row > sheet.threshold) & (away > 2) & (away < least_gap)).any(axis=1))
-    return sheet, "air" if near < 0.001 * sheet.low.size else "others", polarity
+    min_gap_px = max(12, 4 + 3 * sheet.block)
+    depth_index, near_count = np.arange(oriented.shape[2]), 0
+    for block_row, low, high in zip(oriented, sheet.low, sheet.high, strict=True):  # one by one: it takes less memory
+        distance_px = np.fmax(low[:, None] - depth_index, depth_index - high[:, None])
+        is_object = (block_row > sheet.threshold) & (distance_px > 2) & (distance_px < min_gap_px)
+        near_count += np.count_nonzero(is_object.any(axis=1))
+    return sheet, "air" if near_count < 0.001 * sheet.low.size else "others", polarity
 
 
 def material(blocks: Blocks, air: float, air_scatter: float | None = None) -> tuple[float, float, float]:
@@ -106,22 +108,22 @@ def material(blocks: Blocks, air: float, air_scatter: float | None = None) -> tu
     ``blocks`` are block means; a sheet is what stands out from the air's own scatter, which is that of the half nearest
     to the air where ``air_scatter`` is not given.
     """
-    subset = blocks.ravel()[:: 1 + blocks.size // 2**21]  # enough to tell the levels from
-    deviation = subset[np.isfinite(subset)].astype(np.float64) - air
-    size = np.abs(deviation)
-    scatter = mad_sd(deviation[size <= np.percentile(size, 50)]) if air_scatter is None else air_scatter
+    sampled_grey = blocks.ravel()[:: 1 + blocks.size // 2**21]  # enough to tell the levels from
+    deviation = sampled_grey[np.isfinite(sampled_grey)].astype(np.float64) - air
+    contrast = np.abs(deviation)
+    scatter = mad_sd(deviation[contrast <= np.percentile(contrast, 50)]) if air_scatter is None else air_scatter
     scatter = max(scatter, 1e-3 * float(np.ptp(deviation)), 1e-9)
-    bright, dark = deviation > _SIGMAS * scatter, deviation < -_SIGMAS * scatter
-    if max(np.count_nonzero(bright), np.count_nonzero(dark)) < 1e-4 * deviation.size:
+    is_bright, is_dark = deviation > _SIGMAS * scatter, deviation < -_SIGMAS * scatter
+    if max(np.count_nonzero(is_bright), np.count_nonzero(is_dark)) < 1e-4 * deviation.size:
         raise VolumeError(
             f"There is no sheet in the volume: all of it lies within {_SIGMAS:g} standard deviations of the air's grey "
             f"({air:.4g}). Check that this is the reconstructed volume, and --through."
         )
-    polarity = 1.0 if size[bright].sum() >= size[dark].sum() else -1.0
-    typical = float(np.median(size[bright if polarity > 0 else dark]))
-    ends = np.concatenate([blocks[..., :3].ravel(), blocks[..., -3:].ravel()]).astype(np.float64)
-    least = max(4.5 * mad_sd(ends), 0.08 * typical)
-    return polarity, max(_SIGMAS * scatter, 0.35 * typical), least
+    polarity = 1.0 if contrast[is_bright].sum() >= contrast[is_dark].sum() else -1.0
+    typical_contrast = float(np.median(contrast[is_bright if polarity > 0 else is_dark]))
+    end_grey = np.concatenate([blocks[..., :3].ravel(), blocks[..., -3:].ravel()]).astype(np.float64)
+    min_threshold = max(4.5 * mad_sd(end_grey), 0.08 * typical_contrast)
+    return polarity, max(_SIGMAS * scatter, 0.35 * typical_contrast), min_threshold
 
 
 def _above_air(blocks: Blocks, air: float, polarity: float) -> Blocks:
@@ -149,48 +151,50 @@ def _refined(oriented: Blocks, threshold: float, choice: Choice) -> CoarseSheet:
     return search_sheet(oriented, oriented > threshold, threshold, choice)
 
 
-def _chosen(oriented: Blocks, sharp: Blocks, threshold: float, choice: Choice) -> tuple[CoarseSheet, bool]:
+def _sheet_at_seed(
+    oriented: Blocks, sharp_blocks: Blocks, threshold: float, choice: Choice
+) -> tuple[CoarseSheet, bool]:
     """Find the sheet at the seed, and tell whether what lies beside it is other material and not air."""
     assert choice.seed is not None
-    failure: VolumeError | None = None
+    last_error: VolumeError | None = None
     # In air the usual threshold will do. Amid other material it is raised until the sheet stands alone.
     try:
         sheet = _refined(oriented, threshold, choice)
-        if _merged(sheet) < 0.15:  # of the sheet that may touch others; with a higher threshold it may be less
+        if touching_share(sheet) < 0.15:  # of the sheet that may touch others; with a higher threshold it may be less
             return sheet, False
     except VolumeError as error:
-        failure = error
-    seed_level = float(seed_grey(sharp, choice.seed).max())
+        last_error = error
+    grey_at_seed = float(seed_grey(sharp_blocks, choice.seed).max())
     # There is nothing at the seed where that is so far below the brightest.
-    if failure is not None and seed_level < 0.1 * float(np.percentile(sharp, 99)):
-        raise failure
+    if last_error is not None and grey_at_seed < 0.1 * float(np.percentile(sharp_blocks, 99)):
+        raise last_error
     # The best of them shows both faces, without a neighbour, in the most columns.
-    most, best = 0, None
+    max_columns, best_sheet = 0, None
     for share in np.linspace(0.5, 0.95, 19):  # what is brighter than 1.6 times that grey is not the same object
-        inside = (sharp > share * seed_level) & (sharp < 1.6 * seed_level)
+        is_inside = (sharp_blocks > share * grey_at_seed) & (sharp_blocks < 1.6 * grey_at_seed)
         try:
-            sheet = followed_sheet(sharp, inside, float(share * seed_level), choice)
+            sheet = followed_sheet(sharp_blocks, is_inside, float(share * grey_at_seed), choice)
         except VolumeError as error:
-            failure = error
+            last_error = error
             continue
-        shown = int(np.count_nonzero(sheet.is_whole))
-        if shown > most and _merged(sheet) < 0.6:  # above it the sheet cannot be followed
-            most, best = shown, sheet
-    if best is not None:
-        return best, True
+        whole_columns = int(np.count_nonzero(sheet.is_whole))
+        if whole_columns > max_columns and touching_share(sheet) < 0.6:  # above it the sheet cannot be followed
+            max_columns, best_sheet = whole_columns, sheet
+    if best_sheet is not None:
+        return best_sheet, True
     raise VolumeError(
         f"The object at the seed point {choice.describe(choice.seed)} um (z, y, x) touches others at every grey. "
         "Crop the volume to a part where it stands alone, or choose another point with --seed-um."
-    ) from failure
+    ) from last_error
 
 
-def _merged(sheet: CoarseSheet) -> float:
+def touching_share(sheet: CoarseSheet) -> float:
     """Share of the sheet that touches others."""
-    measured, touching = np.isfinite(sheet.low) | np.isfinite(sheet.high), np.count_nonzero(sheet.touching)
-    return touching / max(np.count_nonzero(measured) + touching, 1)
+    is_measured, touching_count = np.isfinite(sheet.low) | np.isfinite(sheet.high), np.count_nonzero(sheet.is_touching)
+    return touching_count / max(np.count_nonzero(is_measured) + touching_count, 1)
 
 
-def seed_grey(sharp: Blocks, seed: tuple[int, int, int]) -> Floats:
+def seed_grey(sharp_blocks: Blocks, seed: tuple[int, int, int]) -> Floats:
     """Grey around the seed point, at the depth before it, at its own, and after it."""
-    near = tuple(slice(max(k - 1, 0), k + 2) for k in seed)
-    return np.asarray(np.median(sharp[near], axis=(0, 1)), dtype=np.float64)
+    neighbourhood = tuple(slice(max(k - 1, 0), k + 2) for k in seed)
+    return np.asarray(np.median(sharp_blocks[neighbourhood], axis=(0, 1)), dtype=np.float64)

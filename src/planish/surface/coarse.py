@@ -35,10 +35,10 @@ class CoarseSheet:
     low: Floats  # (block rows, block cols): first and last depth index, interpolated to the threshold
     high: Floats
     block: int  # edge of a block in voxels
-    leaves: Bools  # (block rows, block cols): where the sheet runs out of the volume
+    is_leaving: Bools  # (block rows, block cols): where the sheet runs out of the volume
     threshold: float  # grey above the air at which the extent was measured
     # (block rows, block cols): where it touches another sheet or folds back on itself, as far as that is known.
-    touching: Bools
+    is_touching: Bools
     specks: int = 0  # other objects in the air beside the sheet
 
     @property
@@ -64,53 +64,53 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
     """
     if choice.seed is not None:
         return followed_sheet(blocks, inside, threshold, choice)
-    labels, count = ndimage.label(inside)
-    if count == 0:
+    labels, n_objects = ndimage.label(inside)
+    if n_objects == 0:
         raise VolumeError(
             "There is no sheet in the volume: nothing has the grey that was asked for. Check --sheet-grey."
         )
     # Columns in which each object appears.
-    cover, sizes = np.zeros(count + 1, dtype=np.int64), np.zeros(count + 1, dtype=np.int64)
-    for row in labels:
-        ordered = np.sort(row, axis=-1)
-        cover += np.bincount(ordered[np.diff(ordered, axis=-1, prepend=-1) > 0], minlength=count + 1)
-        sizes += np.bincount(ordered.ravel(), minlength=count + 1)
-    order, columns = np.argsort(cover[1:])[::-1] + 1, labels[..., 0].size
-    largest = int(order[0])
-    area = cover[largest] / columns
-    if area < _LEAST_COVER:
+    cover, sizes = np.zeros((2, n_objects + 1), dtype=np.int64)
+    for label_row in labels:
+        sorted_labels = np.sort(label_row, axis=-1)
+        cover += np.bincount(sorted_labels[np.diff(sorted_labels, axis=-1, prepend=-1) > 0], minlength=n_objects + 1)
+        sizes += np.bincount(sorted_labels.ravel(), minlength=n_objects + 1)
+    by_cover, n_columns = np.argsort(cover[1:])[::-1] + 1, labels[..., 0].size
+    largest = int(by_cover[0])
+    covered = cover[largest] / n_columns
+    if covered < _LEAST_COVER:
         raise VolumeError(
-            f"There is no sheet in the volume: the largest connected object covers {100 * area:.2g} % of the columns. "
-            "Check --through (the axis that runs through the sheet) and --sheet-grey."
+            f"There is no sheet in the volume: the largest connected object covers {100 * covered:.2g} % of the "
+            "columns. Check --through (the axis that runs through the sheet) and --sheet-grey."
         )
-    sheets = [int(k) for k in order[:6] if cover[k] > 0.25 * cover[largest]]
-    if len(sheets) > 1:
-        shares = ", ".join(f"{100 * cover[k] / columns:.0f} %" for k in sheets)
-        points = "; ".join(choice.describe(_inner_point(labels == k)) for k in sheets)
+    sheet_labels = [int(k) for k in by_cover[:6] if cover[k] > 0.25 * cover[largest]]
+    if len(sheet_labels) > 1:
+        shares_text = ", ".join(f"{100 * cover[k] / n_columns:.0f} %" for k in sheet_labels)
+        points_text = "; ".join(choice.describe(_inner_point(labels == k)) for k in sheet_labels)
         raise VolumeError(
-            f"The volume shows {len(sheets)} separate sheets (they cover {shares} of the columns). {_CHOOSE} Points in "
-            f"them: {points}."
+            f"The volume shows {len(sheet_labels)} separate sheets (they cover {shares_text} of the columns). {_CHOOSE}"
+            f" Points in them: {points_text}."
         )
-    mask = labels == largest
-    leaves, end = max((mask[..., k].mean() / area, end) for end, k in (("low", 0), ("high", -1)))
-    if leaves > _LEAVES:
+    in_sheet = labels == largest
+    leaving_share, end = max((in_sheet[..., k].mean() / covered, end) for end, k in (("low", 0), ("high", -1)))
+    if leaving_share > _LEAVES:
         raise VolumeError(
-            f"Material reaches the {end} end of the axis through the sheet in {100 * leaves:.0f} % of the columns: the "
-            f"sheet leaves the volume there, or several sheets lie behind each other. {_CHOOSE}"
+            f"Material reaches the {end} end of the axis through the sheet in {100 * leaving_share:.0f} % of the "
+            f"columns: the sheet leaves the volume there, or several sheets lie behind each other. {_CHOOSE}"
         )
-    filled = mask.sum(axis=-1)
-    low, high = first_and_last(mask)
-    is_sheet = filled > 0
-    gappy = np.median(filled[is_sheet] / (high - low + 1)[is_sheet])
-    if gappy < 0.4:
+    n_filled = in_sheet.sum(axis=-1)
+    low, high = first_and_last(in_sheet)
+    has_sheet = n_filled > 0
+    filled_share = np.median(n_filled[has_sheet] / (high - low + 1)[has_sheet])
+    if filled_share < 0.4:
         raise VolumeError(
             f"Along the axis through the sheet the material has gaps: half of the columns are filled by less than "
-            f"{100 * gappy:.0f} %, so several sheets lie behind each other. {_CHOOSE}"
+            f"{100 * filled_share:.0f} %, so several sheets lie behind each other. {_CHOOSE}"
         )
-    low, high = _extent(blocks, np.where(is_sheet, low, -1), np.where(is_sheet, high, -1), threshold)
+    low, high = _extent(blocks, np.where(has_sheet, low, -1), np.where(has_sheet, high, -1), threshold)
     return CoarseSheet(
-        low=low, high=high, block=choice.block, leaves=mask[..., 0] | mask[..., -1], threshold=threshold,
-        touching=np.zeros(is_sheet.shape, bool),
+        low=low, high=high, block=choice.block, is_leaving=in_sheet[..., 0] | in_sheet[..., -1], threshold=threshold,
+        is_touching=np.zeros(has_sheet.shape, bool),
         specks=int(np.count_nonzero(sizes[1:] >= 8)) - 1,  # fewer blocks are noise
     )  # fmt: skip
 
@@ -119,42 +119,50 @@ def followed_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choi
     """Follow the sheet at the seed point from column to column; VolumeError if there is none."""
     assert choice.seed is not None
     seed = np.asarray(choice.seed)
-    corner = np.maximum(seed - 3, 0)  # a seed point may lie so many voxels beside its object
-    places = np.argwhere(inside[tuple(slice(int(a), int(k) + 4) for a, k in zip(corner, seed, strict=True))])
-    if places.size == 0:
+    window_start = np.maximum(seed - 3, 0)  # a seed point may lie so many voxels beside its object
+    material = np.argwhere(inside[tuple(slice(int(a), int(k) + 4) for a, k in zip(window_start, seed, strict=True))])
+    if material.size == 0:
         raise VolumeError(
             f"There is only air at the seed point {choice.describe(choice.seed)} um (z, y, x). Give a point inside the "
             "sheet with --seed-um."
         )
     # The nearest block of material to the seed point.
-    row, col, depth = (int(k) for k in places[int(np.argmin(np.sum((places + corner - seed) ** 2, axis=1)))] + corner)
+    material += window_start
+    row, col, depth = material[int(np.argmin(np.sum((material - seed) ** 2, axis=1)))].tolist()
     run = inside[row, col]
     outside = np.flatnonzero(~run)
     start = int(outside[outside < depth].max(initial=-1)) + 1
     stop = int(outside[outside > depth].min(initial=run.size)) - 1
     # The seed's own run says roughly how thick the sheet is, the median of what was found then says it well.
     shape = inside.shape[:2]
-    low, high, merged = np.empty(shape, np.int64), np.empty(shape, np.int64), np.empty(shape, np.bool_)
-    most = 2.0 * (stop - start + 1) + 2.0
+    low, high, is_merged = np.empty(shape, np.int64), np.empty(shape, np.int64), np.empty(shape, np.bool_)
+    max_run = 2.0 * (stop - start + 1) + 2.0
     for _ in range(2):
-        low[:], high[:], merged[:] = -1, -1, False
-        _kernels.follow(inside, row, col, start, stop, most, low, high, merged)
-        most = MERGED * float(np.median((high - low + 1)[low >= 0])) + 1.0
-    is_sheet = low >= 0
-    place = choice.describe((row, col, depth))
-    if is_sheet.mean() < _LEAST_COVER:
+        low[:], high[:], is_merged[:] = -1, -1, False
+        _kernels.follow(inside, row, col, start, stop, max_run, low, high, is_merged)
+        max_run = MERGED * float(np.median((high - low + 1)[low >= 0])) + 1.0
+    has_sheet = low >= 0
+    place_text = choice.describe((row, col, depth))
+    if has_sheet.mean() < _LEAST_COVER:
         raise VolumeError(
-            f"The object at the seed point {place} um (z, y, x) covers {100 * is_sheet.mean():.2g} % of the columns "
-            "only. Check --through (the axis that runs through the sheet) and --seed-um."
+            f"The object at the seed point {place_text} um (z, y, x) covers {100 * has_sheet.mean():.2g} % of the "
+            "columns only. Check --through (the axis that runs through the sheet) and --seed-um."
         )
-    leaves = is_sheet & ((low == 0) | (high == inside.shape[2] - 1))
-    if np.mean(leaves[is_sheet]) > _LEAVES:
+    is_leaving = has_sheet & ((low == 0) | (high == inside.shape[2] - 1))
+    if np.mean(is_leaving[has_sheet]) > _LEAVES:
         raise VolumeError(
-            f"The object at the seed point {place} um (z, y, x) reaches an end of the axis through the sheet in "
-            f"{100 * np.mean(leaves[is_sheet]):.0f} % of its columns. Check --through and --seed-um."
+            f"The object at the seed point {place_text} um (z, y, x) reaches an end of the axis through the sheet in "
+            f"{100 * np.mean(is_leaving[has_sheet]):.0f} % of its columns. Check --through and --seed-um."
         )
-    first, last = _extent(blocks, low, high, threshold)
-    return CoarseSheet(low=first, high=last, block=choice.block, leaves=leaves, threshold=threshold, touching=merged)
+    low_face, high_face = _extent(blocks, low, high, threshold)
+    return CoarseSheet(
+        low=low_face,
+        high=high_face,
+        block=choice.block,
+        is_leaving=is_leaving,
+        threshold=threshold,
+        is_touching=is_merged,
+    )
 
 
 def flags_to_columns(field: Bools, block: int, shape: tuple[int, int]) -> Bools:
@@ -165,24 +173,24 @@ def flags_to_columns(field: Bools, block: int, shape: tuple[int, int]) -> Bools:
 
 def to_columns(field: Floats, block: int, shape: tuple[int, int]) -> Floats:
     """Interpolate a block map to single columns; NaN where the nearest block is NaN."""
-    lines = [
+    axis_positions = [
         np.clip((np.arange(n) - 0.5 * (block - 1)) / block, 0, m - 1) for n, m in zip(shape, field.shape, strict=True)
     ]
-    return interpolate(field, lines, order=1)
+    return interpolate(field, axis_positions, order=1)
 
 
-def _inner_point(mask: Bools) -> tuple[int, int, int]:
+def _inner_point(in_object: Bools) -> tuple[int, int, int]:
     """Return a point in the middle of an object."""
-    rows, cols = np.nonzero(mask.any(axis=-1))
+    rows, cols = np.nonzero(in_object.any(axis=-1))
     k = int(np.argmin((rows - np.median(rows)) ** 2 + (cols - np.median(cols)) ** 2))
-    depth = np.flatnonzero(mask[rows[k], cols[k]])
+    depth = np.flatnonzero(in_object[rows[k], cols[k]])
     return int(rows[k]), int(cols[k]), int(depth[depth.size // 2])
 
 
 def _extent(blocks: Blocks, low: NDArray[np.int64], high: NDArray[np.int64], threshold: float) -> tuple[Floats, Floats]:
     """Move first and last index (-1: none) outwards to where the grey crosses the threshold."""
     # A sheet that touches the end of its column is cut there: its face is not in the volume, and that end is NaN.
-    ends: list[Floats] = []
+    extents: list[Floats] = []
     last = blocks.shape[-1] - 1
     for index, outward, end in ((low, -1, 0), (high, 1, last)):
         a, b = (
@@ -190,5 +198,5 @@ def _extent(blocks: Blocks, low: NDArray[np.int64], high: NDArray[np.int64], thr
             for step in (0, outward)
         )
         share = np.clip((a - threshold) / np.where(np.abs(a - b) > 1e-12, a - b, 1.0), 0.0, 1.0)
-        ends.append(np.where((index >= 0) & (index != end), index + outward * share, np.nan))
-    return ends[0], ends[1]
+        extents.append(np.where((index >= 0) & (index != end), index + outward * share, np.nan))
+    return extents[0], extents[1]

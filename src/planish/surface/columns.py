@@ -84,40 +84,40 @@ class Columns:
         depth : slice, optional
             Part of the depth; not together with ``slope``.
         """
-        raw = self.voxels(tile, depth)
+        stored = self.voxels(tile, depth)
         if self.step > 1:
             missing = np.nan if self.padding is None else self.padding
-            along_r, along_c = (np.ascontiguousarray(a) for a in slope or (np.zeros(tile.shape), np.zeros(tile.shape)))
-            out = np.empty((*tile.shape, raw.shape[2]), dtype=np.float32)
-            _kernels.mean_columns(raw, self.step, along_r, along_c, missing, out)
-            return out
-        out = np.ascontiguousarray(raw, dtype=np.float32)
-        if out is raw:
-            out = out.copy()
+            slope_r, slope_c = (np.ascontiguousarray(a) for a in slope or (np.zeros(tile.shape), np.zeros(tile.shape)))
+            grey = np.empty((*tile.shape, stored.shape[2]), dtype=np.float32)
+            _kernels.mean_columns(stored, self.step, slope_r, slope_c, missing, grey)
+            return grey
+        grey = np.ascontiguousarray(stored, dtype=np.float32)
+        if grey is stored:
+            grey = grey.copy()
         if self.padding is not None:
-            out[out == self.padding] = np.nan
-        return out
+            grey[grey == self.padding] = np.nan
+        return grey
 
     def tiles(self, engine: Engine, *, multiple: int = 1) -> list[Tile]:
         """Cover all columns with tiles that fit into the engine's memory; their edges are multiples of ``multiple``."""
         rows, cols, depth = self.shape
         # A voxel of a tile takes 12 bytes while it is worked on, beside its own.
-        column = depth * self.step**2 * (self.volume.dtype.itemsize + 12 / self.step**2)
-        budget = engine.memory_bytes / (engine.at_once + 1) / 2
+        column_bytes = depth * self.step**2 * (self.volume.dtype.itemsize + 12 / self.step**2)
+        budget_bytes = engine.memory_bytes / (engine.at_once + 1) / 2
         # Columns in a chunk of the file where they fit into it evenly.
-        sizes = [chunks_of(self.volume)["zyx".index(axis)] for axis in self.axes[:2]]
-        edges = [n // self.step for n in sizes if n % self.step == 0 and n // self.step <= _TILE]
-        multiple = math.lcm(multiple, *edges)
-        edge = max(int(np.clip(np.sqrt(budget / column), 8, _TILE)) // multiple, 1) * multiple
+        chunk_sizes = [chunks_of(self.volume)["zyx".index(axis)] for axis in self.axes[:2]]
+        chunk_columns = [n // self.step for n in chunk_sizes if n % self.step == 0 and n // self.step <= _TILE]
+        multiple = math.lcm(multiple, *chunk_columns)
+        rows_per_tile = max(int(np.clip(np.sqrt(budget_bytes / column_bytes), 8, _TILE)) // multiple, 1) * multiple
         # Along the rows of the file as far as memory allows, so that neighbours in the file are read together.
-        wide = max(int(budget / column / edge) // multiple, 1) * multiple
-        return tiles_of((rows, cols), (edge, max(min(wide, 4 * edge), edge)))
+        cols_per_tile = max(int(budget_bytes / column_bytes / rows_per_tile) // multiple, 1) * multiple
+        return tiles_of((rows, cols), (rows_per_tile, max(min(cols_per_tile, 4 * rows_per_tile), rows_per_tile)))
 
 
-def join_tiles(parts: Iterable[tuple[Tile, Floats]], out: Floats) -> Floats:
+def join_tiles(tile_fields: Iterable[tuple[Tile, Floats]], out: Floats) -> Floats:
     """Put the parts of tiles where they belong in ``out``, (..., rows, cols), and return it."""
-    for tile, part in parts:
-        out[..., tile.rows, tile.cols] = part
+    for tile, field in tile_fields:
+        out[..., tile.rows, tile.cols] = field
     return out
 
 
@@ -135,47 +135,47 @@ class Guide(NamedTuple):
     # (rows, cols): rise of the sheet, in voxels of depth from one voxel row, or voxel column, to the next.
     slope_r: Floats
     slope_c: Floats
-    tilt: Floats  # (rows, cols): cosine of the sheet's tilt
+    cos_tilt: Floats  # (rows, cols): cosine of the sheet's tilt
 
     def part(self, tile: Tile) -> Guide:
         """Return the guide of a tile."""
-        return Guide(*(part[tile.rows, tile.cols] for part in self))
+        return Guide(*(field[tile.rows, tile.cols] for field in self))
 
-    def faces(self, depth: int, *, high: bool) -> tuple[Floats, Floats]:
+    def faces(self, depth: int, *, from_high: bool) -> tuple[Floats, Floats]:
         """Depth of the outer and of the opposite face, counted from the end that is read from."""
-        outer, other = (self.high, self.low) if high else (self.low, self.high)
-        return (depth - 1 - outer, depth - 1 - other) if high else (outer, other)
+        outer, opposite = (self.high, self.low) if from_high else (self.low, self.high)
+        return (depth - 1 - outer, depth - 1 - opposite) if from_high else (outer, opposite)
 
 
-def make_guide(coarse: CoarseSheet, columns: Columns) -> Guide:
+def make_guide(coarse_sheet: CoarseSheet, columns: Columns) -> Guide:
     """Bring the coarse sheet to single columns."""
     shape, pitch = columns.shape[:2], columns.pitch
-    low, high = (to_columns(field, coarse.block, shape) for field in (coarse.low, coarse.high))
-    smooth = gaussian_regression(
+    low, high = (to_columns(field, coarse_sheet.block, shape) for field in (coarse_sheet.low, coarse_sheet.high))
+    smoothed_um = gaussian_regression(
         0.5 * (low + high) * pitch[2], pitch[:2],
-        cutoff_um=max(8 * coarse.block * max(pitch[:2]), 2 * float(np.nanmedian(high - low)) * pitch[2]),
+        cutoff_um=max(8 * coarse_sheet.block * max(pitch[:2]), 2 * float(np.nanmedian(high - low)) * pitch[2]),
     )  # fmt: skip
-    slopes = np.gradient(smooth, *pitch[:2])
+    slopes = np.gradient(smoothed_um, *pitch[:2])
     cosine = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
-    rise = [s * p / columns.step / pitch[2] for s, p in zip(slopes, pitch[:2], strict=True)]
-    slope_r, slope_c, tilt = (
-        np.where(np.isfinite(a), a, b) for a, b in ((rise[0], 0.0), (rise[1], 0.0), (cosine, 1.0))
+    rise_px = [s * p / columns.step / pitch[2] for s, p in zip(slopes, pitch[:2], strict=True)]
+    slope_r, slope_c, cos_tilt = (
+        np.where(np.isfinite(a), a, b) for a, b in ((rise_px[0], 0.0), (rise_px[1], 0.0), (cosine, 1.0))
     )
-    return Guide(low=low, high=high, slope_r=slope_r, slope_c=slope_c, tilt=tilt)
+    return Guide(low=low, high=high, slope_r=slope_r, slope_c=slope_c, cos_tilt=cos_tilt)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GreyScale:
     """Scale of the grey that the fit sees."""
 
-    air: float  # its level becomes 0
+    air_grey: float  # its level becomes 0
     polarity: float  # -1 where the sheet is darker than the air
-    blend: float = 0.0  # standard deviation of the Gaussian over neighbouring columns, in columns
+    blend_sd: float = 0.0  # standard deviation of the Gaussian over neighbouring columns, in columns
 
     @property
     def halo(self) -> int:
         """Columns around a tile that are read with it."""
-        return int(np.ceil(3 * self.blend)) if self.blend else 0
+        return int(np.ceil(3 * self.blend_sd)) if self.blend_sd else 0
 
     def grown(self, tile: Tile, shape: tuple[int, int]) -> Tile:
         """Return the tile with its halo, as far as the grid reaches."""
@@ -184,20 +184,20 @@ class GreyScale:
 
 def oriented(columns: Columns, tile: Tile, guide: Guide, scale: GreyScale) -> tuple[NDArray[np.float32], Guide]:
     """Grey above the air of the columns of a tile, (rows, cols, depth), and its guide from that of the grown tile."""
-    outside = scale.grown(tile, columns.shape[:2])
-    inner = tile.within(outside)
-    part = columns.grey(outside, (guide.slope_r, guide.slope_c))
-    part -= np.float32(scale.air)
+    tile_with_halo = scale.grown(tile, columns.shape[:2])
+    tile_within = tile.within(tile_with_halo)
+    grey = columns.grey(tile_with_halo, (guide.slope_r, guide.slope_c))
+    grey -= np.float32(scale.air_grey)
     if scale.polarity < 0:
-        part *= np.float32(-1)
+        grey *= np.float32(-1)
     if not scale.halo:
-        return part, guide
-    weights = np.exp(-0.5 * (np.arange(scale.halo + 1) / scale.blend) ** 2)
+        return grey, guide
+    weights = np.exp(-0.5 * (np.arange(scale.halo + 1) / scale.blend_sd) ** 2)
     weights = (weights / (2 * weights.sum() - 1)).astype(np.float32)
-    other, rise_r, rise_c = np.empty_like(part), guide.slope_r * columns.step, guide.slope_c * columns.step
-    _kernels.blend(part, rise_r, weights, 1, 0, other)
-    _kernels.blend(other, rise_c, weights, 0, 1, part)
-    return np.ascontiguousarray(part[inner.rows, inner.cols]), guide.part(inner)
+    blended, rise_r, rise_c = np.empty_like(grey), guide.slope_r * columns.step, guide.slope_c * columns.step
+    _kernels.blend(grey, rise_r, weights, 1, 0, blended)
+    _kernels.blend(blended, rise_c, weights, 0, 1, grey)
+    return np.ascontiguousarray(grey[tile_within.rows, tile_within.cols]), guide.part(tile_within)
 
 
 FRINGE_PX = 1.5  # width of a fringe where it is not known better, in voxels
@@ -240,9 +240,9 @@ class Priors:
     noise: float  # standard deviation of what the fit sees in the air
     single_noise: float  # that of a column that is not averaged with its neighbours
     scatter: float  # standard deviation by which the fit takes a sample to differ from its model: the noise or more
-    base: float  # level of the base above the air
+    base_level: float  # level of the base above the air
     edge: Edge  # blur and fringe
-    reach: float  # how far outside the expected face the search starts, in voxels
+    search_px: float  # how far outside the expected face the search starts, in voxels
     embedded_level: float  # grey that separates a sheet from other material; 0 where air lies beside the sheet
     sides: Sides
 
@@ -253,15 +253,15 @@ class Priors:
 
     def attrs(self, pitch_um: float, frame: Frame) -> dict[str, float]:
         """Return grey levels (NaN for a coating that is not there), noise, blur and fringe as surfaces carry them."""
-        air, polarity, edge = self.scale.air, self.scale.polarity, self.edge
+        air_grey, polarity, edge = self.scale.air_grey, self.scale.polarity, self.edge
         top, bottom = (
-            float(polarity * side.level[2] + air) if side.coated else float("nan")
+            float(polarity * side.level[2] + air_grey) if side.coated else float("nan")
             for side in (self.sides[frame.top == "high"], self.sides[frame.top == "low"])
         )
         return {
-            "grey_air": air, "grey_base": polarity * self.base + air, "grey_coating_top": top,
+            "grey_air": air_grey, "grey_base": polarity * self.base_level + air_grey, "grey_coating_top": top,
             "grey_coating_bottom": bottom, "grey_noise": self.noise, "grey_noise_single": self.single_noise,
-            "averaged_columns": self.scale.blend, "polarity": polarity,
+            "averaged_columns": self.scale.blend_sd, "polarity": polarity,
             "blur_um": edge.width * pitch_um, "fringe": edge.fringe,
             "fringe_um": edge.fringe_width * pitch_um if edge.fringe else 0.0,
         }  # fmt: skip

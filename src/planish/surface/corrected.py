@@ -59,16 +59,16 @@ def correct_surfaces(
     A correction makes no sheet where a hole was seen, and takes no rim off.
     """
     params, engine = params or SurfaceParams(), engine or Engine()
-    before = uncorrected(surfaces)
+    original = uncorrected(surfaces)
     if not corrections.stretches:
-        return before
-    if "from_labels" in before.attrs or "grey_noise" not in before.attrs or params.method != "profile":
+        return original
+    if "from_labels" in original.attrs or "grey_noise" not in original.attrs or params.method != "profile":
         raise InputError(
             "Faces are corrected in grey values, with --surface-method profile. Correct labels in the program that "
             "made them, or leave --corrections out."
         )
-    drawn = Drawing(before, volume, corrections, engine)
-    corrected = _with_drawn(before, drawn, params)
+    drawn = Drawing(original, volume, corrections, engine)
+    corrected = _with_drawn(original, drawn, params)
     return corrected.assign_attrs(corrections=corrections.to_json(), corrected_tiles=len(drawn.tiles))
 
 
@@ -77,15 +77,17 @@ def uncorrected(surfaces: xr.Dataset) -> xr.Dataset:
     if "corrections" not in surfaces.attrs:
         return surfaces
     names = [str(name) for name in surfaces.data_vars if str(name).startswith(("found_", "correction_"))]
-    before = surfaces.drop_vars(names)
-    changed = surfaces["found_status"].values != _UNCHANGED
-    moved = np.isfinite(surfaces["found_centre"].values)
+    original = surfaces.drop_vars(names)
+    is_changed = surfaces["found_status"].values != _UNCHANGED
+    is_centre_moved = np.isfinite(surfaces["found_centre"].values)
     for name in (*_HEIGHTS, "status", "centre"):
-        where = moved if name == "centre" else changed
-        before[name] = before[name].copy(data=np.where(where, surfaces[f"found_{name}"].values, before[name].values))
+        is_restored = is_centre_moved if name == "centre" else is_changed
+        original[name] = original[name].copy(
+            data=np.where(is_restored, surfaces[f"found_{name}"].values, original[name].values)
+        )
     for name in ("corrections", "corrected_tiles"):
-        before.attrs.pop(name, None)
-    return before
+        original.attrs.pop(name, None)
+    return original
 
 
 def preview_faces(
@@ -108,93 +110,97 @@ def preview_faces(
         Window of the columns that was drawn, which holds all that changes in ``part``; None where nothing does.
     """
     boxes = [(stretch, _box(stretch, surfaces)) for stretch in corrections.stretches]
-    near_part = [
+    near_boxes = [
         (stretch, box) for stretch, box in boxes
-        if all(side.start < asked.stop and side.stop > asked.start for side, asked in zip(box, part, strict=True))
+        if all(a.start < b.stop and a.stop > b.start for a, b in zip(box, part, strict=True))
     ]  # fmt: skip
-    if not near_part:
+    if not near_boxes:
         return None
     rows, cols = (
-        slice(min(box[k].start for _, box in near_part), max(box[k].stop for _, box in near_part)) for k in (0, 1)
+        slice(min(box[k].start for _, box in near_boxes), max(box[k].stop for _, box in near_boxes)) for k in (0, 1)
     )
     frame, step = Frame.of(surfaces), columns_of(surfaces, volume).step
-    near = uncorrected(surfaces.isel(y=rows, x=cols).load())
-    voxels = {axis: slice(k.start * step, k.stop * step) for axis, k in ((frame.rows, rows), (frame.cols, cols))}
-    chosen = corrections.model_copy(update={"stretches": tuple(stretch for stretch, _ in near_part)})
-    heights = Drawing(near, volume.isel(voxels), chosen, Engine(threads=1)).heights
-    crossed = frame.sign * (heights["top"] - heights["bottom"]) <= 0
-    return (rows, cols), {face: np.where(crossed, near[face].values, heights[face]) for face in SIDES}
+    near_surfaces = uncorrected(surfaces.isel(y=rows, x=cols).load())
+    voxel_slices = {axis: slice(k.start * step, k.stop * step) for axis, k in ((frame.rows, rows), (frame.cols, cols))}
+    near_corrections = corrections.model_copy(update={"stretches": tuple(stretch for stretch, _ in near_boxes)})
+    heights = Drawing(near_surfaces, volume.isel(voxel_slices), near_corrections, Engine(threads=1)).heights
+    is_crossed = frame.sign * (heights["top"] - heights["bottom"]) <= 0
+    return (rows, cols), {face: np.where(is_crossed, near_surfaces[face].values, heights[face]) for face in SIDES}
 
 
 def _box(stretch: Stretch, surfaces: xr.Dataset) -> list[slice]:
     """Columns that the drawing of a stretch may look at."""
     frame, margin = Frame.of(surfaces), 1.5 * stretch.reach_um + 2 * RING_UM
-    sides: list[slice] = []
+    box_slices: list[slice] = []
     for dim, axis, step in zip("yx", (frame.rows, frame.cols), pitch(surfaces), strict=True):
-        points_um = [float(getattr(point, axis)) for point in stretch.points]
-        places = surfaces[dim].values
-        first = max(int((min(points_um) - margin - float(places[0])) // step), 0)
-        last = int((max(points_um) + margin - float(places[0])) // step) + 2
-        sides.append(slice(first, max(min(last, places.size), first + 1)))
-    return sides
+        point_coords_um = [float(getattr(point, axis)) for point in stretch.points]
+        column_coords_um = surfaces[dim].values
+        first = max(int((min(point_coords_um) - margin - float(column_coords_um[0])) // step), 0)
+        last = int((max(point_coords_um) + margin - float(column_coords_um[0])) // step) + 2
+        box_slices.append(slice(first, max(min(last, column_coords_um.size), first + 1)))
+    return box_slices
 
 
 def _with_drawn(surfaces: xr.Dataset, drawn: Drawing, params: SurfaceParams) -> xr.Dataset:
     """Put the faces of corrections in, the status and centre surface that follow from them, and what was before."""
     top, bottom = (drawn.heights[face] for face in SIDES)
-    changed = np.any([drawn.how[face] > 0 for face in SIDES], axis=0)
+    is_changed = np.any([drawn.how[face] > 0 for face in SIDES], axis=0)
     # Where the two faces would change places nothing is drawn.
-    changed &= ~(Frame.of(surfaces).sign * (top - bottom) <= 0)
-    new: dict[str, NDArray[Any]] = {
-        name: np.where(changed, drawn.heights[name], surfaces[name].values) for name in _HEIGHTS
+    is_changed &= ~(Frame.of(surfaces).sign * (top - bottom) <= 0)
+    corrected: dict[str, NDArray[Any]] = {
+        name: np.where(is_changed, drawn.heights[name], surfaces[name].values) for name in _HEIGHTS
     }
     status = surfaces["status"].values
-    repaired = np.isin(status, (Status.FACE_NOT_FOUND, Status.PARTICLE, Status.TOUCHING))
-    repaired &= changed & np.isfinite(new["top"]) & np.isfinite(new["bottom"])
-    new["status"] = np.where(repaired, np.uint8(Status.MEASURED), status)
-    new["centre"] = _moved_centre(surfaces, new, params)
+    is_repaired = np.isin(status, (Status.FACE_NOT_FOUND, Status.PARTICLE, Status.TOUCHING))
+    is_repaired &= is_changed & np.isfinite(corrected["top"]) & np.isfinite(corrected["bottom"])
+    corrected["status"] = np.where(is_repaired, np.uint8(Status.MEASURED), status)
+    corrected["centre"] = _moved_centre(surfaces, corrected, params)
     variables: dict[str, Any] = {}
-    for name, field in new.items():
+    for name, field in corrected.items():
         variables[name] = surfaces[name].copy(data=field)
-        old = surfaces[name].values
+        original = surfaces[name].values
         attrs = {"long_name": f"{surfaces[name].attrs['long_name']}, before corrections"}
         if name == "status":
-            before = np.where(changed, old, _UNCHANGED).astype(np.uint8)
+            found_field = np.where(is_changed, original, _UNCHANGED).astype(np.uint8)
         else:
             attrs["units"] = "um"
-            before = np.where(field != old if name == "centre" else changed, old, np.nan)
-        variables[f"found_{name}"] = (("y", "x"), before, attrs)
+            found_field = np.where(field != original if name == "centre" else is_changed, original, np.nan)
+        variables[f"found_{name}"] = (("y", "x"), found_field, attrs)
     for face in SIDES:
-        how = np.where(changed, drawn.how[face], 0).astype(np.uint8)
+        correction_flags = np.where(is_changed, drawn.how[face], 0).astype(np.uint8)
         flags = {"flag_values": [0, 1, 2], "flag_meanings": "found image interpolated"}
         attrs = {"long_name": f"How the {face} face was corrected", **flags}
-        variables[f"correction_{face}"] = (("y", "x"), how, attrs)
-        error = np.where(how > 0, drawn.error_um[face], np.nan).astype(np.float32)
+        variables[f"correction_{face}"] = (("y", "x"), correction_flags, attrs)
+        error = np.where(correction_flags > 0, drawn.error_um[face], np.nan).astype(np.float32)
         attrs = {"units": "um", "long_name": f"Standard error that the correction adds to the {face} face"}
         variables[f"correction_{face}_error"] = (("y", "x"), error, attrs)
     return surfaces.assign(variables)
 
 
-def _moved_centre(surfaces: xr.Dataset, new: dict[str, NDArray[Any]], params: SurfaceParams) -> Floats:
+def _moved_centre(surfaces: xr.Dataset, corrected: dict[str, NDArray[Any]], params: SurfaceParams) -> Floats:
     """The centre surface, moved by what the smoothing of the new faces differs from that of the old ones."""
-    old = {name: surfaces[name].values for name in (*SIDES, "status")}
-    middles = [
+    original = {name: surfaces[name].values for name in (*SIDES, "status")}
+    face_means = [
         np.where(faces["status"] == Status.MEASURED, 0.5 * (faces["top"] + faces["bottom"]), np.nan)
-        for faces in (old, new)
+        for faces in (original, corrected)
     ]
     centre, steps = surfaces["centre"].values, pitch(surfaces)
-    differs = ~((middles[0] == middles[1]) | (np.isnan(middles[0]) & np.isnan(middles[1])))
-    if not differs.any():
+    is_different = ~((face_means[0] == face_means[1]) | (np.isnan(face_means[0]) & np.isnan(face_means[1])))
+    if not is_different.any():
         return centre
     window: list[slice] = []
     for axis, step in enumerate(steps):
         # The smoothing reaches three cut-offs.
-        lines, reach = np.flatnonzero(differs.any(axis=1 - axis)), int(np.ceil(3.0 * params.cutoff_um / step))
-        window.append(slice(max(int(lines[0]) - reach, 0), int(lines[-1]) + reach + 1))
-    part = window[0], window[1]
-    outline = np.isfinite(centre[part])
-    before, after = (centre_surface(middle[part], outline, steps, params)[0] for middle in middles)
-    moved = centre.copy()
+        changed_lines = np.flatnonzero(is_different.any(axis=1 - axis))
+        reach = int(np.ceil(3.0 * params.cutoff_um / step))
+        window.append(slice(max(int(changed_lines[0]) - reach, 0), int(changed_lines[-1]) + reach + 1))
+    window_slices = window[0], window[1]
+    outline = np.isfinite(centre[window_slices])
+    centre_before, centre_after = (
+        centre_surface(face_mean[window_slices], outline, steps, params)[0] for face_mean in face_means
+    )
+    moved_centre = centre.copy()
     # Where a correction moves it by less than a nanometre it stays.
-    moved[part] += np.where(np.abs(after - before) >= 0.001, after - before, 0.0)
-    return moved
+    shift_um = centre_after - centre_before
+    moved_centre[window_slices] += np.where(np.abs(shift_um) >= 0.001, shift_um, 0.0)
+    return moved_centre

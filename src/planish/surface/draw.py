@@ -24,7 +24,7 @@ from planish.core.typing import Bools, Floats, Pair
 from planish.surface import _draw_kernels
 from planish.surface.columns import FRINGE_PX, Columns, GreyScale, Guide, oriented
 from planish.surface.params import Corrections, Stretch
-from planish.surface.sample import spread
+from planish.surface.sample import subsample
 
 IMAGE, INTERPOLATED = 1, 2
 """A column's face was found again in the image, or interpolated."""
@@ -42,9 +42,9 @@ Window = tuple[slice, slice]
 
 def columns_of(surfaces: xr.Dataset, volume: xr.DataArray) -> Columns:
     """The columns of a volume in which surfaces were found."""
-    frame, steps = Frame.of(surfaces), pitch(surfaces)
-    voxel = dict(zip("zyx", map(float, surfaces.attrs["voxel_um"]), strict=True))
-    step = max(1, round(float(np.sqrt(steps[0] * steps[1] / (voxel[frame.rows] * voxel[frame.cols])))))
+    frame, pitch_um = Frame.of(surfaces), pitch(surfaces)
+    voxel_um = dict(zip("zyx", map(float, surfaces.attrs["voxel_um"]), strict=True))
+    step = max(1, round(float(np.sqrt(pitch_um[0] * pitch_um[1] / (voxel_um[frame.rows] * voxel_um[frame.cols])))))
     return Columns(volume=volume, frame=frame, step=step, padding=surfaces.attrs.get("padding"))
 
 
@@ -63,19 +63,19 @@ class Patch:
         self.reach_um = reach_um
 
     def expect(
-        self, field: Floats, trusted: Bools, wanted: Bools, pitch: Pair, *, with_points: bool = False
+        self, field: Floats, is_trusted: Bools, is_wanted: Bools, pitch: Pair, *, uses_points: bool = False
     ) -> tuple[Floats, Floats] | None:
         """Krige a field, and its error, where it is wanted from where it is trusted, and from the points."""
-        places = spread(np.argwhere(trusted), 160)
-        rows, cols = places.T
-        points = self.points if with_points else self.points[:0]
-        if not (len(points) + len(places) and wanted.any()):
+        sample_indices = subsample(np.argwhere(is_trusted), 160)
+        rows, cols = sample_indices.T
+        points = self.points if uses_points else self.points[:0]
+        if not (len(points) + len(sample_indices) and is_wanted.any()):
             return None
         lag_um = max(0.25 * self.reach_um, 2 * max(pitch))
-        slope = variogram_slope(np.where(trusted, field, np.nan), pitch, lag_um, least=(0.25 * self.voxel_um) ** 2)
+        slope = variogram_slope(np.where(is_trusted, field, np.nan), pitch, lag_um, least=(0.25 * self.voxel_um) ** 2)
         heights = np.concatenate([points[:, 2], field[rows, cols]])
         return krige(
-            self.grid[wanted], places=np.concatenate([points[:, :2], self.grid[rows, cols]]), heights=heights,
+            self.grid[is_wanted], places=np.concatenate([points[:, :2], self.grid[rows, cols]]), heights=heights,
             variances=np.full(heights.size, (_CLICK * self.voxel_um) ** 2), slope=slope,
         )  # fmt: skip
 
@@ -87,8 +87,8 @@ class Drawing:
         self.columns, self.engine = columns_of(surfaces, volume), engine
         self.attrs, self.pitch = surfaces.attrs, pitch(surfaces)
         self.contrast = abs(self.attrs["grey_base"] - self.attrs["grey_air"])
-        blend = float(self.attrs.get("averaged_columns", 0.0))
-        self.scale = GreyScale(air=self.attrs["grey_air"], polarity=self.attrs["polarity"], blend=blend)
+        blend_sd = float(self.attrs.get("averaged_columns", 0.0))
+        self.scale = GreyScale(air_grey=self.attrs["grey_air"], polarity=self.attrs["polarity"], blend_sd=blend_sd)
         self.lateral_um, self.voxel_um = self.columns.lateral_um(), self.columns.pitch[2]
         names = [name for face in SIDES for name in (face, f"interface_{face}")]
         self.heights = {name: surfaces[name].values.astype(np.float64) for name in names}
@@ -98,10 +98,10 @@ class Drawing:
         self.tiles: set[Tile] = set()
         # Slopes and tilt of the sheet, from its centre surface.
         centre = surfaces["centre"].values.astype(np.float64)
-        down, across = (np.where(np.isfinite(s), s, 0.0) for s in np.gradient(centre, *self.pitch))
-        rise = [s * p / self.columns.step / self.voxel_um for s, p in zip((down, across), self.pitch, strict=True)]
-        unknown, tilt = np.full(centre.shape, np.nan), 1 / np.sqrt(1 + down**2 + across**2)
-        self.guide = Guide(low=unknown, high=unknown, slope_r=rise[0], slope_c=rise[1], tilt=tilt)
+        slopes = [np.where(np.isfinite(s), s, 0.0) for s in np.gradient(centre, *self.pitch)]
+        rise_px = [s * p / self.columns.step / self.voxel_um for s, p in zip(slopes, self.pitch, strict=True)]
+        no_depth, cos_tilt = np.full(centre.shape, np.nan), 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
+        self.guide = Guide(low=no_depth, high=no_depth, slope_r=rise_px[0], slope_c=rise_px[1], cos_tilt=cos_tilt)
         for stretch in corrections.stretches:
             for face in SIDES:
                 if stretch.of(face):
@@ -110,41 +110,43 @@ class Drawing:
     def _draw(self, stretch: Stretch, face: Side) -> None:
         """Draw a face to the points of a stretch."""
         patch = Patch(self.lateral_um, self._points(stretch, face), stretch.reach_um, self.voxel_um)
-        measured, is_near = self._measured(face, patch.window), patch.away <= patch.reach_um
-        inside = is_near & ~np.isin(self.status[patch.window], (Status.NO_SHEET, Status.LEAVES_VOLUME))
-        around = np.isfinite(measured) & ~is_near & (patch.away <= patch.far_um)
-        expected = patch.expect(measured, around, inside, self.pitch, with_points=True)
+        measured_um, is_near = self._measured(face, patch.window), patch.away <= patch.reach_um
+        is_inside = is_near & ~np.isin(self.status[patch.window], (Status.NO_SHEET, Status.LEAVES_VOLUME))
+        is_around = np.isfinite(measured_um) & ~is_near & (patch.away <= patch.far_um)
+        expected = patch.expect(measured_um, is_around, is_inside, self.pitch, uses_points=True)
         if expected is None:
             return
-        wrong = np.zeros_like(inside)
-        wrong[inside] = ~(np.abs(measured[inside] - expected[0]) <= _WRONG * expected[1] + _CLICK * self.voxel_um)
-        if not wrong.any():
+        is_wrong = np.zeros_like(is_inside)
+        deviation_um = np.abs(measured_um[is_inside] - expected[0])
+        is_wrong[is_inside] = ~(deviation_um <= _WRONG * expected[1] + _CLICK * self.voxel_um)
+        if not is_wrong.any():
             return
         # Beside what is wrong a face turns towards it.
-        blurred = int(np.ceil(2 * self.attrs["blur_um"] / min(self.pitch))) + 1
-        wrong = ndimage.binary_dilation(wrong, iterations=blurred) & inside
-        near = ndimage.binary_dilation(wrong, iterations=max(2, int(np.ceil(RING_UM / min(self.pitch)))))
-        right = near & ~wrong & np.isfinite(measured) & (inside | around)
-        right = right if np.count_nonzero(right) >= 10 else around
-        expected = patch.expect(measured, right, wrong, self.pitch, with_points=True)
+        blur_columns = int(np.ceil(2 * self.attrs["blur_um"] / min(self.pitch))) + 1
+        is_wrong = ndimage.binary_dilation(is_wrong, iterations=blur_columns) & is_inside
+        is_near_wrong = ndimage.binary_dilation(is_wrong, iterations=max(2, int(np.ceil(RING_UM / min(self.pitch)))))
+        is_right = is_near_wrong & ~is_wrong & np.isfinite(measured_um) & (is_inside | is_around)
+        is_right = is_right if np.count_nonzero(is_right) >= 10 else is_around
+        expected = patch.expect(measured_um, is_right, is_wrong, self.pitch, uses_points=True)
         assert expected is not None
-        self._redraw(face, patch.window, wrong, expected)
-        other: Side = "bottom" if face == "top" else "top"
-        missing = wrong & ~np.isfinite(self.heights[other][patch.window])
-        opposite = self._measured(other, patch.window)
-        if (expected := patch.expect(opposite, np.isfinite(opposite) & near, missing, self.pitch)) is not None:
-            self._redraw(other, patch.window, missing, expected)
-        self._redraw_interface(face, patch, wrong, near)
-        self._redraw_interface(other, patch, missing, near)
+        self._redraw(face, patch.window, is_wrong, expected)
+        other_face: Side = "bottom" if face == "top" else "top"
+        is_missing = is_wrong & ~np.isfinite(self.heights[other_face][patch.window])
+        opposite_um = self._measured(other_face, patch.window)
+        is_trusted = np.isfinite(opposite_um) & is_near_wrong
+        if (expected := patch.expect(opposite_um, is_trusted, is_missing, self.pitch)) is not None:
+            self._redraw(other_face, patch.window, is_missing, expected)
+        self._redraw_interface(face, patch, is_wrong, is_near_wrong)
+        self._redraw_interface(other_face, patch, is_missing, is_near_wrong)
 
     def _points(self, stretch: Stretch, face: Side) -> Floats:
         """Points of a face as (row, col, height) in um; InputError if one lies outside the columns."""
         axes = self.columns.axes
         points = np.array([[getattr(point, axis) for axis in axes] for point in stretch.of(face)], dtype=np.float64)
-        for axis, um, places in zip(axes, (*self.lateral_um, self.columns.depth_um), points.T, strict=True):
-            outside = np.flatnonzero((places < um[0] - 1e-6) | (places > um[-1] + 1e-6))
-            if outside.size:
-                point = stretch.of(face)[outside[0]]
+        for axis, um, points_um in zip(axes, (*self.lateral_um, self.columns.depth_um), points.T, strict=True):
+            is_outside = (points_um < um[0] - 1e-6) | (points_um > um[-1] + 1e-6)
+            if is_outside.any():
+                point = stretch.of(face)[is_outside.argmax()]
                 raise InputError(
                     f"A point of correction {stretch.id}, z, y, x = {point.z:g}, {point.y:g}, {point.x:g} um, lies "
                     f"outside the volume: its {axis} goes from {um[0]:g} to {um[-1]:g} um. Move the point or take the "
@@ -156,42 +158,44 @@ class Drawing:
         """Heights of a face where it was measured."""
         return np.where(self.status[window] == Status.MEASURED, self.heights[face][window], np.nan)
 
-    def _redraw(self, face: Side, window: Window, where: Bools, expected: tuple[Floats, Floats]) -> None:
+    def _redraw(self, face: Side, window: Window, is_redrawn: Bools, expected: tuple[Floats, Floats]) -> None:
         """Set a face to the edge near where it is expected, or to that place."""
         height, error = expected
         interface, heights = self.heights[f"interface_{face}"], self.heights[face]
-        offset = np.full(height.size, np.nan)
+        offset_px = np.full(height.size, np.nan)
         if np.isfinite(interface).any():
-            offset[:] = np.nanmedian(np.abs(interface - heights)[window]) / self.voxel_um
-        least = _LEAST * self.contrast
-        edges = self._edges(face, window, where, expected, offset, rides=True, sign=1.0, least=least)
-        has_edge = np.isfinite(edges)
+            offset_px[:] = np.nanmedian(np.abs(interface - heights)[window]) / self.voxel_um
+        edge_heights = self._edges(
+            face, window, is_redrawn, expected, offset_px, is_relative=True, sign=1.0, min_step=_LEAST * self.contrast
+        )
+        has_edge = np.isfinite(edge_heights)
         # Both say where the face is, each as sure as it is.
-        share = error**2 / (error**2 + (_EDGE * self.voxel_um) ** 2)
-        heights[window][where] = np.where(has_edge, height + share * (edges - height), height)
-        self.how[face][window][where] = np.where(has_edge, IMAGE, INTERPOLATED)
-        self.error_um[face][window][where] = np.where(has_edge, np.sqrt(1 - share) * error, error)
+        edge_weight = error**2 / (error**2 + (_EDGE * self.voxel_um) ** 2)
+        heights[window][is_redrawn] = np.where(has_edge, height + edge_weight * (edge_heights - height), height)
+        self.how[face][window][is_redrawn] = np.where(has_edge, IMAGE, INTERPOLATED)
+        self.error_um[face][window][is_redrawn] = np.where(has_edge, np.sqrt(1 - edge_weight) * error, error)
 
-    def _redraw_interface(self, face: Side, patch: Patch, where: Bools, near: Bools) -> None:
+    def _redraw_interface(self, face: Side, patch: Patch, is_redrawn: Bools, is_near: Bools) -> None:
         """Move an interface with its face that was redrawn: to edges in the image, or by the coating around."""
         interface, window = self.heights[f"interface_{face}"], patch.window
-        if not np.isfinite(interface).any() or not where.any():
+        if not np.isfinite(interface).any() or not is_redrawn.any():
             return
-        coating = np.abs(interface - self.heights[face])[window]
-        if (thickness := patch.expect(coating, near & ~where & np.isfinite(coating), where, self.pitch)) is None:
+        coating_um = np.abs(interface - self.heights[face])[window]
+        is_trusted = is_near & ~is_redrawn & np.isfinite(coating_um)
+        if (thickness := patch.expect(coating_um, is_trusted, is_redrawn, self.pitch)) is None:
             return
-        outer, sign = self.heights[face][window][where], self.columns.frame.sign
+        face_height, sign = self.heights[face][window][is_redrawn], self.columns.frame.sign
         inward = -sign if face == "top" else sign
-        height, error = outer + inward * np.maximum(thickness[0], 0.0), thickness[1]
-        step = self.attrs["grey_base"] - self.attrs[f"grey_coating_{face}"]
-        edges = self._edges(
-            face, window, where, (height, error), self._depth(outer, face), rides=False,
-            sign=1.0 if self.attrs["polarity"] * step > 0 else -1.0, least=_LEAST_INNER * abs(step),
+        height, error = face_height + inward * np.maximum(thickness[0], 0.0), thickness[1]
+        grey_step = self.attrs["grey_base"] - self.attrs[f"grey_coating_{face}"]
+        edge_heights = self._edges(
+            face, window, is_redrawn, (height, error), self._depth(face_height, face), is_relative=False,
+            sign=1.0 if self.attrs["polarity"] * grey_step > 0 else -1.0, min_step=_LEAST_INNER * abs(grey_step),
         )  # fmt: skip
-        has_edge = np.isfinite(edges) & (inward * (edges - outer) > 0)
-        interface[window][where] = np.where(has_edge, edges, height)
-        before = self.error_um[face][window][where]
-        self.error_um[face][window][where] = np.where(has_edge, before, np.hypot(before, error))
+        has_edge = np.isfinite(edge_heights) & (inward * (edge_heights - face_height) > 0)
+        interface[window][is_redrawn] = np.where(has_edge, edge_heights, height)
+        face_error_um = self.error_um[face][window][is_redrawn]
+        self.error_um[face][window][is_redrawn] = np.where(has_edge, face_error_um, np.hypot(face_error_um, error))
 
     def _depth(self, height: Floats, face: Side) -> Floats:
         """Depth in voxels from the outer end of a face."""
@@ -202,34 +206,36 @@ class Drawing:
         return (face == "top") == (self.columns.frame.top == "high")
 
     def _edges(
-        self, face: Side, window: Window, where: Bools, expected: tuple[Floats, Floats], other: Floats, *, rides: bool,
-        sign: float, least: float,
+        self, face: Side, window: Window, is_searched: Bools, expected: tuple[Floats, Floats], second_edge: Floats, *,
+        is_relative: bool, sign: float, min_step: float,
     ) -> Floats:  # fmt: skip
         """Heights of edges near those that are expected, (n,); NaN where the image shows none."""
         columns, is_high, noise = self.columns, self._is_high(face), self.attrs["grey_noise"]
-        places = np.stack(np.nonzero(where)) + np.array([[window[0].start], [window[1].start]])
-        blur = self.attrs["blur_um"] / self.voxel_um
+        column_indices = np.stack(np.nonzero(is_searched)) + np.array([[window[0].start], [window[1].start]])
+        blur_px = self.attrs["blur_um"] / self.voxel_um
         fringe_px = self.attrs.get("fringe_um", 0.0) / self.voxel_um or FRINGE_PX
-        error = np.maximum(expected[1] / self.voxel_um, 0.25)
-        band = np.clip(2.0 * error + 1, 2.0, 8.0)  # how far from the expected place an edge is sought, in voxels
-        edges = np.stack([self._depth(expected[0], face), error, band, other])
+        error_px = np.maximum(expected[1] / self.voxel_um, 0.25)
+        band_px = np.clip(2.0 * error_px + 1, 2.0, 8.0)  # how far from the expected place an edge is sought, in voxels
+        edge_searches = np.stack([self._depth(expected[0], face), error_px, band_px, second_edge])
         # The noise; the least step, and how much it gains: an edge of five standard errors; the fringe.
-        options = (
-            max(noise, _MISFIT * self.contrast), max(least, 4 * noise), 25.0, self.attrs.get("fringe", 0.0),
-            blur / fringe_px,
+        search_options = (
+            max(noise, _MISFIT * self.contrast), max(min_step, 4 * noise), 25.0, self.attrs.get("fringe", 0.0),
+            blur_px / fringe_px,
         )  # fmt: skip
 
         def job(tile: Tile) -> EdgeJob:
-            part, guide = _in_tile(places, tile), self.guide.part(self.scale.grown(tile, columns.shape[:2]))
-            return (columns, guide, self.scale, is_high, blur), places[:, part], edges[:, part], (rides, sign), options
+            in_tile, guide = _in_tile(column_indices, tile), self.guide.part(self.scale.grown(tile, columns.shape[:2]))
+            reading = columns, guide, self.scale, is_high, blur_px
+            return reading, column_indices[:, in_tile], edge_searches[:, in_tile], (is_relative, sign), search_options
 
-        tiles = [t for t in columns.tiles(self.engine) if _in_tile(places, t).any()]
+        tiles = [t for t in columns.tiles(self.engine) if _in_tile(column_indices, t).any()]
         self.tiles.update(tiles)
-        depths = np.full(places.shape[1], np.nan)
+        depths = np.full(column_indices.shape[1], np.nan)
         # Named by what is asked for: a run that goes on with other corrections finds nothing of these.
-        asked = hashlib.sha256(b"".join(a.tobytes() for a in (*places, *expected, other))).hexdigest()[:16]
-        for tile, part in self.engine.map(f"drawn-{asked}", _search_edges, job, tiles):
-            depths[_in_tile(places, tile)] = part
+        request = b"".join(a.tobytes() for a in (*column_indices, *expected, second_edge))
+        request_hash = hashlib.sha256(request).hexdigest()[:16]
+        for tile, tile_depths in self.engine.map(f"drawn-{request_hash}", _search_edges, job, tiles):
+            depths[_in_tile(column_indices, tile)] = tile_depths
         if is_high:
             depths = columns.shape[2] - 1 - depths
         return float(columns.depth_um[0]) + self.voxel_um * depths
@@ -248,25 +254,25 @@ def _in_tile(places: NDArray[np.intp], tile: Tile) -> Bools:
 
 
 def _search_edges(job: EdgeJob, tile: Tile) -> Floats:
-    (columns, guide, scale, is_high, blur), (rows, cols), edges, before, after = job
+    (columns, guide, scale, is_high, blur_px), (rows, cols), edges, edge_kind, search_options = job
     grey, guide = oriented(columns, tile, guide, scale)
     places = rows - tile.r0, cols - tile.c0
     profiles = np.ascontiguousarray(grey[places][:, ::-1] if is_high else grey[places])
-    width = blur / guide.tilt[places]
+    width = blur_px / guide.cos_tilt[places]
     depths = np.empty(len(profiles))
-    _draw_kernels.draw_edges(profiles, *edges, *before, width, *after, depths)
+    _draw_kernels.draw_edges(profiles, *edges, *edge_kind, width, *search_options, depths)
     return depths
 
 
 def distance_to_line(grid: Floats, places: Floats) -> Floats:
     """Distance of places (..., 2) from the line through points (n, 2), in their order."""
-    away = np.hypot(*np.moveaxis(grid - places[0], -1, 0))
+    distance = np.hypot(*np.moveaxis(grid - places[0], -1, 0))
     for start, end in pairwise(places):
-        along = end - start
-        length = float(along @ along)
-        share = np.clip(((grid - start) @ along) / length, 0, 1) if length > 0 else np.zeros(grid.shape[:-1])
-        away = np.minimum(away, np.hypot(*np.moveaxis(grid - start - share[..., None] * along, -1, 0)))
-    return away
+        segment = end - start
+        length = float(segment @ segment)
+        share = np.clip(((grid - start) @ segment) / length, 0, 1) if length > 0 else np.zeros(grid.shape[:-1])
+        distance = np.minimum(distance, np.hypot(*np.moveaxis(grid - start - share[..., None] * segment, -1, 0)))
+    return distance
 
 
 def krige(
@@ -278,27 +284,27 @@ def krige(
     (Matheron 1963, doi:10.2113/gsecongeo.58.8.1246). Each known height has the variance of its own error. Slow trends
     are taken off as a plane.
     """
-    middle, n = places.mean(axis=0), len(heights)
+    centroid, n = places.mean(axis=0), len(heights)
     plane = np.zeros(3)
     if n >= 6:
-        plane = np.linalg.lstsq(np.column_stack([np.ones(n), places - middle]), heights, rcond=1e-6)[0]
-    residuals = heights - plane[0] - (places - middle) @ plane[1:]
+        plane = np.linalg.lstsq(np.column_stack([np.ones(n), places - centroid]), heights, rcond=1e-6)[0]
+    residuals = heights - plane[0] - (places - centroid) @ plane[1:]
 
-    def between(ends: Floats) -> Floats:
-        return slope * np.hypot(*(ends[:, None, k] - places[None, :, k] for k in (0, 1)))
+    def semivariance(points: Floats) -> Floats:
+        return slope * np.hypot(*(points[:, None, k] - places[None, :, k] for k in (0, 1)))
 
     system = np.ones((n + 1, n + 1))
-    system[:n, :n] = -between(places) + np.diag(variances)
+    system[:n, :n] = -semivariance(places) + np.diag(variances)
     system[n, n] = 0.0
     inverse = np.linalg.inv(system)
     height, error = np.empty(len(targets)), np.empty(len(targets))
     for start in range(0, len(targets), 20_000):
-        part = slice(start, start + 20_000)
-        semivariances = np.ones((len(targets[part]), n + 1))
-        semivariances[:, :n] = -between(targets[part])
+        chunk = slice(start, start + 20_000)
+        semivariances = np.ones((len(targets[chunk]), n + 1))
+        semivariances[:, :n] = -semivariance(targets[chunk])
         weights = semivariances @ inverse
-        height[part] = weights[:, :n] @ residuals + plane[0] + (targets[part] - middle) @ plane[1:]
-        error[part] = np.sqrt(np.maximum(-np.sum(weights * semivariances, axis=1), 0.0))
+        height[chunk] = weights[:, :n] @ residuals + plane[0] + (targets[chunk] - centroid) @ plane[1:]
+        error[chunk] = np.sqrt(np.maximum(-np.sum(weights * semivariances, axis=1), 0.0))
     return height, error
 
 
@@ -307,14 +313,14 @@ def variogram_slope(heights: Floats, pitch: Pair, lag_um: float, *, least: float
 
     ``least``: variance at that lag where no more is seen.
     """
-    squares: list[Floats] = []
+    squared_differences: list[Floats] = []
     for axis, step in enumerate(pitch):
         k = max(1, round(lag_um / step))
         if heights.shape[axis] > k:
             first, second = (np.take(heights, range(a, heights.shape[axis] - k + a), axis) for a in (0, k))
-            pairs = (second - first)[np.isfinite(second - first)] ** 2
-            squares.append(pairs * lag_um / (k * step))
-    pairs = np.concatenate(squares) if squares else np.empty(0)
+            squares_at_lag = (second - first)[np.isfinite(second - first)] ** 2
+            squared_differences.append(squares_at_lag * lag_um / (k * step))
+    squares_at_lag = np.concatenate(squared_differences) if squared_differences else np.empty(0)
     # The median of the square of a normal deviate is 0.4549 of its variance.
-    usual = float(np.median(pairs)) / (2 * 0.4549) if pairs.size else 0.0
-    return max(usual, least) / lag_um
+    typical_variance = float(np.median(squares_at_lag)) / (2 * 0.4549) if squares_at_lag.size else 0.0
+    return max(typical_variance, least) / lag_um

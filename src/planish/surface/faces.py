@@ -32,7 +32,7 @@ class Faces:
     """
 
     heights: dict[str, Floats]
-    stuck: Bools
+    below_particle: Bools
     particles: int
 
 
@@ -49,30 +49,30 @@ def find_faces(columns: Columns, guide: Guide, priors: Priors, engine: Engine, p
         # The coarse sheet is one connected object: what is seen far outside it hangs on nothing, and the face is looked
         # for again below it. Where the gap is so narrow that the coarse search saw one object, a plate with a step all
         # around is tried too. Such plates are counted here; what floats farther away was counted by the coarse search.
-        floating, expected = np.zeros((2, *shape), dtype=bool), np.empty((2, *shape))
-        plates: list[NDArray[np.int32]] = []
-        for k, high in enumerate((True, False)):
-            plate, opened = _plates(-depths[2 * k], columns.pitch)
-            plates.append(plate)
-            expected[k] = np.where(plate > 0, -opened, guide.faces(depth, high=high)[0])
+        is_floating, expected_depths = np.zeros((2, *shape), dtype=bool), np.empty((2, *shape))
+        plates_by_end: list[NDArray[np.int32]] = []
+        for k, from_high in enumerate((True, False)):
+            plate_labels, opened = _plates(-depths[2 * k], columns.pitch)
+            plates_by_end.append(plate_labels)
+            expected_depths[k] = np.where(plate_labels > 0, -opened, guide.faces(depth, from_high=from_high)[0])
             with np.errstate(invalid="ignore"):
-                floating[k] = (expected[k] - depths[2 * k] > _FLOATS / guide.tilt) | (plate > 0)
-        again = np.where(floating, expected, np.nan)
+                is_floating[k] = (expected_depths[k] - depths[2 * k] > _FLOATS / guide.cos_tilt) | (plate_labels > 0)
+        search_depths = np.where(is_floating, expected_depths, np.nan)
 
         def job_below(tile: Tile) -> FitJob:
-            return *job(tile)[:3], again[:, tile.rows, tile.cols]
+            return *job(tile)[:3], search_depths[:, tile.rows, tile.cols]
 
-        tiles = [t for t in tiles if floating[:, t.rows, t.cols].any()]
-        parts = engine.map("faces_below", _fit_tile, job_below, tiles)
-        below = join_tiles(parts, np.full((4, *shape), np.nan))
-        for k, plate in enumerate(plates):
-            better = floating[k] & np.isfinite(below[2 * k])
+        tiles = [t for t in tiles if is_floating[:, t.rows, t.cols].any()]
+        depths_by_tile = engine.map("faces_below", _fit_tile, job_below, tiles)
+        depths_below = join_tiles(depths_by_tile, np.full((4, *shape), np.nan))
+        for k, plate_labels in enumerate(plates_by_end):
+            is_better = is_floating[k] & np.isfinite(depths_below[2 * k])
             # A plate floats when there is a face below most of it.
-            is_floating = np.append(False, _share(better, plate, int(plate.max())) > _MOST_OF)
-            particles += int(np.count_nonzero(is_floating))
-            better &= (plate == 0) | is_floating[plate]
-            depths[2 * k][is_floating[plate] & ~better] = np.nan
-            depths[2 * k : 2 * k + 2, better] = below[2 * k : 2 * k + 2, better]
+            is_floating_plate = np.append(False, _share(is_better, plate_labels, int(plate_labels.max())) > _MOST_OF)
+            particles += int(np.count_nonzero(is_floating_plate))
+            is_better &= (plate_labels == 0) | is_floating_plate[plate_labels]
+            depths[2 * k][is_floating_plate[plate_labels] & ~is_better] = np.nan
+            depths[2 * k : 2 * k + 2, is_better] = depths_below[2 * k : 2 * k + 2, is_better]
     return faces_from_depths(depths, columns, priors.coated, cleaned=True, particles=particles)
 
 
@@ -85,30 +85,30 @@ def faces_from_depths(
     low end, in voxels; ``coated`` in the same order. ``cleaned``: take off spikes and attached particles;
     ``particles`` were removed before.
     """
-    first, step, last = float(columns.depth_um[0]), columns.pitch[2], columns.shape[2] - 1
-    stuck = np.zeros(depths.shape[1:], dtype=bool)
+    first_um, step_um, last_index = float(columns.depth_um[0]), columns.pitch[2], columns.shape[2] - 1
+    below_particle = np.zeros(depths.shape[1:], dtype=bool)
     heights: dict[str, Floats] = {}
     for k, side in enumerate(("top", "bottom") if columns.frame.top == "high" else ("bottom", "top")):
         outer, thickness = depths[2 * k : 2 * k + 2]
         is_finite = np.isfinite(outer)
         if cleaned and is_finite.any():
             # Columns whose face stands far off its neighbours' are dust, or fits that went astray.
-            off = np.abs(outer - ndimage.median_filter(filled(outer), size=5, mode="nearest"))
-            limit = max(8.0 * mad_sd(off[is_finite]) + 1.0, 3.0 / step, 3.0)  # 3 um or voxels
-            outer = np.where(is_finite & (off <= limit), outer, np.nan)
+            deviation_px = np.abs(outer - ndimage.median_filter(filled(outer), size=5, mode="nearest"))
+            limit_px = max(8.0 * mad_sd(deviation_px[is_finite]) + 1.0, 3.0 / step_um, 3.0)  # 3 um or voxels
+            outer = np.where(is_finite & (deviation_px <= limit_px), outer, np.nan)
             # What stands 6 um or 3 voxels out of the face, and by more than its roughness, in a narrow place.
-            is_finite, whole = np.isfinite(outer), filled(-outer)
+            is_finite, filled_face = np.isfinite(outer), filled(-outer)
             rows, cols = (max(int(15.0 / p), 1) + 1 for p in columns.pitch[:2])  # an attached particle is narrower
-            hat = whole - _opened(whole, (rows, cols))
-            limit = max(8.0 * mad_sd(hat[is_finite]) + 1.0, 6.0 / step, 3.0)
-            narrow = is_finite & (hat > limit)
-            particles += int(ndimage.label(narrow, np.ones((3, 3)))[1])
-            stuck |= narrow
-            outer = np.where(narrow, np.nan, outer)
-        inner = np.where(np.isfinite(outer), outer + thickness, np.nan) if coated[k] else np.full(outer.shape, np.nan)
-        for name, d in ((side, outer), (f"interface_{side}", inner)):
-            heights[name] = first + step * (last - d if k == 0 else d)
-    return Faces(heights=heights, stuck=stuck, particles=particles)
+            top_hat = filled_face - _opened(filled_face, (rows, cols))
+            limit_px = max(8.0 * mad_sd(top_hat[is_finite]) + 1.0, 6.0 / step_um, 3.0)
+            is_particle = is_finite & (top_hat > limit_px)
+            particles += int(ndimage.label(is_particle, np.ones((3, 3)))[1])
+            below_particle |= is_particle
+            outer = np.where(is_particle, np.nan, outer)
+        interface = np.where(np.isfinite(outer) & coated[k], outer + thickness, np.nan)
+        for name, depth in ((side, outer), (f"interface_{side}", interface)):
+            heights[name] = first_um + step_um * (last_index - depth if k == 0 else depth)
+    return Faces(heights=heights, below_particle=below_particle, particles=particles)
 
 
 def _plates(outward: Floats, pitch: tuple[float, float, float]) -> tuple[NDArray[np.int32], Floats]:
@@ -116,48 +116,48 @@ def _plates(outward: Floats, pitch: tuple[float, float, float]) -> tuple[NDArray
     is_finite = np.isfinite(outward)
     if not is_finite.any():
         return np.zeros(outward.shape, np.int32), outward
-    whole = filled(outward)
-    opened = _opened(whole, (int(100.0 / pitch[0]) + 2, int(100.0 / pitch[1]) + 2))  # as wide as it may be, in um
-    hat = whole - opened
-    labels, count = ndimage.label(is_finite & (hat > max(_FLOATS - 0.5, 8.0 * mad_sd(hat[is_finite]))))
+    filled_face = filled(outward)
+    opened = _opened(filled_face, (int(100.0 / pitch[0]) + 2, int(100.0 / pitch[1]) + 2))  # as wide as it may be, in um
+    top_hat = filled_face - opened
+    labels, count = ndimage.label(is_finite & (top_hat > max(_FLOATS - 0.5, 8.0 * mad_sd(top_hat[is_finite]))))
     if not count:
         return np.asarray(labels, np.int32), opened
     # A bump, or a fibre that lies on others with its ends, has no step all around.
-    ring = np.where((labels == 0) & is_finite, ndimage.grey_dilation(labels, size=(9, 9)), 0)
-    is_plate = np.append(False, _share(hat < 1.5, ring, count) > _MOST_OF)
+    ring_labels = np.where((labels == 0) & is_finite, ndimage.grey_dilation(labels, size=(9, 9)), 0)
+    is_plate = np.append(False, _share(top_hat < 1.5, ring_labels, count) > _MOST_OF)
     return np.where(is_plate[labels], labels, 0).astype(np.int32), opened
 
 
 def _opened(height: Floats, size: tuple[int, int]) -> Floats:
     """Opening of a face that goes on beyond its border with the slope it has there."""
-    pad = [(min(n, m - 1),) * 2 for n, m in zip(size, height.shape, strict=True)]
-    wide = np.pad(height, pad, mode="reflect", reflect_type="odd")
-    inner = tuple(slice(a, n - a) for (a, _), n in zip(pad, wide.shape, strict=True))
-    return ndimage.grey_opening(wide, size=size)[inner]
+    pad_widths = [(min(n, m - 1),) * 2 for n, m in zip(size, height.shape, strict=True)]
+    padded = np.pad(height, pad_widths, mode="reflect", reflect_type="odd")
+    inner_window = tuple(slice(a, n - a) for (a, _), n in zip(pad_widths, padded.shape, strict=True))
+    return ndimage.grey_opening(padded, size=size)[inner_window]
 
 
 def _share(mask: Bools, labels: NDArray[np.integer], count: int) -> Floats:
     """Share of the columns of each of ``count`` labels in which ``mask`` is set."""
-    flat = labels.ravel()
-    number = np.bincount(flat, minlength=count + 1)[1:]
-    return np.bincount(flat, weights=mask.ravel(), minlength=count + 1)[1:] / np.maximum(number, 1)
+    flat_labels = labels.ravel()
+    column_count = np.bincount(flat_labels, minlength=count + 1)[1:]
+    return np.bincount(flat_labels, weights=mask.ravel(), minlength=count + 1)[1:] / np.maximum(column_count, 1)
 
 
 def _fit_tile(job: FitJob, tile: Tile) -> Floats:
     """Face and coating thickness seen from the high end, then from the low end, in voxels, (4, rows, cols)."""
-    columns, guide, priors, again = job
+    columns, guide, priors, search_depths = job
     edge = priors.edge
     grey, guide = oriented(columns, tile, guide, priors.scale)
-    tilt = np.ascontiguousarray(guide.tilt)
-    out, fit = np.empty((4, *tile.shape)), np.empty((5, *tile.shape))
-    for k, high in enumerate((True, False)):
-        outer, other = (np.ascontiguousarray(a) for a in guide.faces(grey.shape[2], high=high))
-        side, embedded_level = priors.sides[high], priors.embedded_level
-        if again is not None:
-            outer, embedded_level = np.ascontiguousarray(again[k]), 0.5 * priors.base
+    cos_tilt = np.ascontiguousarray(guide.cos_tilt)
+    depths, fit = np.empty((4, *tile.shape)), np.empty((5, *tile.shape))
+    for k, from_high in enumerate((True, False)):
+        outer, opposite = (np.ascontiguousarray(a) for a in guide.faces(grey.shape[2], from_high=from_high))
+        side, embedded_level = priors.sides[from_high], priors.embedded_level
+        if search_depths is not None:
+            outer, embedded_level = np.ascontiguousarray(search_depths[k]), 0.5 * priors.base_level
         _fit_kernels.fit_faces(
-            grey, outer, other, tilt, 0.0, edge.width, priors.scatter, side.level, side.spread, side.coated,
-            priors.reach, fit, 0.0, embedded_level, edge.fringe or None, edge.ratio, high,
+            grey, outer, opposite, cos_tilt, 0.0, edge.width, priors.scatter, side.level, side.spread, side.coated,
+            priors.search_px, fit, 0.0, embedded_level, edge.fringe or None, edge.ratio, from_high,
         )  # fmt: skip
-        out[2 * k : 2 * k + 2] = fit[:2]
-    return out
+        depths[2 * k : 2 * k + 2] = fit[:2]
+    return depths

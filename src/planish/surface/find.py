@@ -87,8 +87,8 @@ def find_surfaces(
         surfaces = _search(volume, frame, params, step, engine or Engine())
         check_sheet(surfaces, unusual_size=unusual_size)
     except VolumeError as error:
-        if hint := other_axis(volume, frame.through):
-            raise VolumeError(f"{error.text} {hint}") from error
+        if axis_hint := other_axis(volume, frame.through):
+            raise VolumeError(f"{error.text} {axis_hint}") from error
         raise
     return surfaces
 
@@ -108,15 +108,15 @@ def _search(volume: xr.DataArray, frame: Frame, params: SurfaceParams, step: int
     columns = replace(columns, padding=survey.padding)
     guide = make_guide(survey.coarse, columns)
     priors = learn_priors(columns, guide, survey, params)
-    air = priors.scale.air
-    search = find_faces if params.method == "profile" else find_faces_by_slice
+    air_grey = priors.scale.air_grey
+    find_by_method = find_faces if params.method == "profile" else find_faces_by_slice
     surfaces = assemble(
-        columns, params, search(columns, guide, priors, engine, survey.coarse.specks),
+        columns, params, find_by_method(columns, guide, priors, engine, survey.coarse.specks),
         doubtful(guide, survey.coarse, priors.edge.width, columns.shape[2]),
-        (air, priors.scale.polarity * priors.base + air), engine,
+        (air_grey, priors.scale.polarity * priors.base_level + air_grey), engine,
     )  # fmt: skip
-    shares = {"missing_share": survey.missing_share, "empty_share": survey.empty_share}
-    surfaces.attrs |= priors.attrs(columns.pitch[2], frame) | shares
+    share_attrs = {"missing_share": survey.missing_share, "empty_share": survey.empty_share}
+    surfaces.attrs |= priors.attrs(columns.pitch[2], frame) | share_attrs
     if survey.padding is not None:
         surfaces.attrs["padding"] = survey.padding
     if params.corrections is None:
@@ -131,21 +131,21 @@ _LEAVES = 0.2  # of the columns: where the sheet leaves the volume in fewer, its
 
 def check_sheet(surfaces: xr.Dataset, *, unusual_size: bool) -> None:
     """Raise VolumeError where a sheet is not as thick as sheets are, or too few of its columns are measured."""
-    thickness = float(surfaces.attrs["thickness_um"])
+    thickness_um = float(surfaces.attrs["thickness_um"])
     # From a thin tissue to a thick board, with room on both sides.
-    low, high = (0.05, 50_000.0) if unusual_size else (2.0, 5000.0)
-    if not low <= thickness <= high:
-        voxel = ", ".join(f"{v:g}" for v in surfaces.attrs["voxel_um"])
+    min_um, max_um = (0.05, 50_000.0) if unusual_size else (2.0, 5000.0)
+    if not min_um <= thickness_um <= max_um:
+        voxel_text = ", ".join(f"{v:g}" for v in surfaces.attrs["voxel_um"])
         raise VolumeError(
-            f"The sheet would be {thickness:.3g} um thick; sheets of {low:g} to {high:g} um are mapped. The voxel size "
-            f"of {voxel} um (z, y, x) is probably in another unit. Give the right one with --voxel-um and "
-            "--override-size, or add --unusual-size if it is no paper."
+            f"The sheet would be {thickness_um:.3g} um thick; sheets of {min_um:g} to {max_um:g} um are mapped. The "
+            f"voxel size of {voxel_text} um (z, y, x) is probably in another unit. Give the right one with --voxel-um "
+            "and --override-size, or add --unusual-size if it is no paper."
         )
-    measured = float((surfaces["status"].values == 0).mean())
-    measured /= max(1.0 - float(surfaces.attrs.get("empty_share", 0.0)), measured)
-    if measured < _LEAST_SHARE:
+    measured_share = float((surfaces["status"].values == 0).mean())
+    measured_share /= max(1.0 - float(surfaces.attrs.get("empty_share", 0.0)), measured_share)
+    if measured_share < _LEAST_SHARE:
         raise VolumeError(
-            f"Both faces of the sheet were found in {100 * measured:.1f} % of the columns that are not all air; "
+            f"Both faces of the sheet were found in {100 * measured_share:.1f} % of the columns that are not all air; "
             f"{100 * _LEAST_SHARE:.0f} % are needed. Check --through and --sheet-grey, and that the sheet stays in the "
             "volume."
         )
@@ -157,21 +157,23 @@ def check_axis(columns: Columns, survey: Survey, params: SurfaceParams, engine: 
     Only a sheet that leaves the volume in many columns is looked at along the axis of its likely normal, too. There it
     has to stay inside, and to be a sixth as thick or less: its normal is more than 80 degrees off the axis given.
     """
-    coarse = survey.coarse
-    if coarse.leaves.mean() < _LEAVES:
+    coarse_sheet = survey.coarse
+    if coarse_sheet.is_leaving.mean() < _LEAVES:
         return
-    axis = likely_through(columns.volume.variable)
-    if axis is None or axis == columns.frame.through:
+    likely_axis = likely_through(columns.volume.variable)
+    if likely_axis is None or likely_axis == columns.frame.through:
         return
-    turned = replace(columns, frame=Frame(through=axis), padding=None)
+    turned_columns = replace(columns, frame=Frame(through=likely_axis), padding=None)
     try:
-        other = take_survey(turned, params, engine).coarse
+        turned_sheet = take_survey(turned_columns, params, engine).coarse
     except VolumeError:
         return
-    runs = [float(np.nanmedian((s.high - s.low) * c.pitch[2])) for s, c in ((coarse, columns), (other, turned))]
+    pairs = (coarse_sheet, columns), (turned_sheet, turned_columns)
+    thicknesses_um = [float(np.nanmedian((s.high - s.low) * c.pitch[2])) for s, c in pairs]
     # A sheet that is seen edge on measures a sixth of its run, or less, along its normal.
-    if other.leaves.mean() < _LEAVES and runs[1] < 1 / 6 * runs[0]:
+    if turned_sheet.is_leaving.mean() < _LEAVES and thicknesses_um[1] < 1 / 6 * thicknesses_um[0]:
         raise VolumeError(
             f"The sheet is seen edge on: along {columns.frame.through} it leaves the volume in "
-            f"{100 * coarse.leaves.mean():.0f} % of the columns, and is {runs[0]:.0f} um thick in the others."
+            f"{100 * coarse_sheet.is_leaving.mean():.0f} % of the columns, and is {thicknesses_um[0]:.0f} um thick in "
+            "the others."
         )

@@ -124,9 +124,9 @@ class Corrections(Params):
 
     @model_validator(mode="after")
     def _ids_are_unique(self) -> Corrections:
-        names = [stretch.id for stretch in self.stretches]
-        if twice := sorted({name for name in names if names.count(name) > 1}):
-            raise ValueError(f"more than one stretch has the id {', '.join(twice)}")
+        ids = [stretch.id for stretch in self.stretches]
+        if duplicate_ids := sorted({stretch_id for stretch_id in ids if ids.count(stretch_id) > 1}):
+            raise ValueError(f"more than one stretch has the id {', '.join(duplicate_ids)}")
         return self
 
     def to_json(self) -> str:

@@ -18,42 +18,44 @@ def regions(is_sheet: Bools, runs_out: Bools, pitch: Pair, rim_um: float) -> tup
     A hole is a gap no wider than 600 um; ``rim_um`` around it is burnt. Other gaps are the end of the sheet or of the
     field of view. A gap of columns that run out of the volume (``runs_out``) is neither: the sheet goes on there.
     """
-    step = float(np.sqrt(pitch[0] * pitch[1]))
+    pitch_um = float(np.sqrt(pitch[0] * pitch[1]))
     # Single columns without a face are gaps of the measurement; only larger ones are gaps of the sheet.
-    reach = max(1, round(12.0 / step)) if min(is_sheet.shape) * step > 100 else 1
-    padded = np.pad(is_sheet, 2 * reach, mode="edge")
-    inner = (slice(2 * reach, -2 * reach),) * 2
-    sheet = ndimage.binary_closing(padded, _disc(reach))
-    sheet = ndimage.binary_opening(sheet, _disc(reach))[inner] | ndimage.binary_erosion(sheet, _disc(1))[inner]
-    labels, count = ndimage.label(~sheet)
-    border = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
-    size = np.bincount(labels.ravel(), minlength=count + 1)
+    radius_px = max(1, round(12.0 / pitch_um)) if min(is_sheet.shape) * pitch_um > 100 else 1
+    padded = np.pad(is_sheet, 2 * radius_px, mode="edge")
+    unpadded = (slice(2 * radius_px, -2 * radius_px),) * 2
+    closed = ndimage.binary_closing(padded, _disc(radius_px))
+    in_sheet = (ndimage.binary_opening(closed, _disc(radius_px)) | ndimage.binary_erosion(closed, _disc(1)))[unpadded]
+    labels, gap_count = ndimage.label(~in_sheet)
+    border_labels = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
+    column_count = np.bincount(labels.ravel(), minlength=gap_count + 1)
     # Half of a hole at the border lies beyond it.
-    widest = np.full(count + 1, np.pi / 4 * _HOLE_UM**2)
-    widest[border] /= 2
-    goes_on = np.bincount(labels.ravel(), weights=runs_out.ravel(), minlength=count + 1) > 0.5 * np.maximum(size, 1)
-    goes_on[0] = False
-    hole = (size * pitch[0] * pitch[1] <= widest) & ~goes_on
-    hole[0] = False
-    holes = hole[labels]
+    max_area_um2 = np.full(gap_count + 1, np.pi / 4 * _HOLE_UM**2)
+    max_area_um2[border_labels] /= 2
+    out_count = np.bincount(labels.ravel(), weights=runs_out.ravel(), minlength=gap_count + 1)
+    is_continued = out_count > 0.5 * np.maximum(column_count, 1)
+    is_continued[0] = False
+    is_hole = (column_count * pitch[0] * pitch[1] <= max_area_um2) & ~is_continued
+    is_hole[0] = False
+    in_hole = is_hole[labels]
     # The sheet's edge, which nothing has burnt, is kept clear of 20 um.
-    rim = _near(holes, pitch, rim_um) | _near(~sheet & ~holes & ~goes_on[labels], pitch, min(rim_um, 20.0))
-    return sheet, rim & sheet, sheet | holes
+    is_beside = ~in_sheet & ~in_hole & ~is_continued[labels]
+    in_rim = _near(in_hole, pitch, rim_um) | _near(is_beside, pitch, min(rim_um, 20.0))
+    return in_sheet, in_rim & in_sheet, in_sheet | in_hole
 
 
-def doubtful(guide: Guide, coarse: CoarseSheet, width: float, depth: int) -> tuple[Bools, Bools]:
+def doubtful(guide: Guide, coarse_sheet: CoarseSheet, width: float, depth: int) -> tuple[Bools, Bools]:
     """Columns in which the sheet touches another or itself, and those in which it may run out of the volume."""
-    extent = (guide.high - guide.low) * guide.tilt
+    extent = (guide.high - guide.low) * guide.cos_tilt
     is_finite = np.isfinite(extent)
-    usual = float(np.median(extent[is_finite])) if is_finite.any() else np.inf
-    touching = is_finite & (np.where(is_finite, extent, 0.0) > MERGED * usual + 2.0 * width)
-    touching |= flags_to_columns(coarse.touching, coarse.block, extent.shape)
-    if touching.any():
-        touching = ndimage.binary_dilation(touching, _disc(2))  # the columns beside whose faces it disturbs
+    typical_extent = float(np.median(extent[is_finite])) if is_finite.any() else np.inf
+    is_touching = is_finite & (np.where(is_finite, extent, 0.0) > MERGED * typical_extent + 2.0 * width)
+    is_touching |= flags_to_columns(coarse_sheet.is_touching, coarse_sheet.block, extent.shape)
+    if is_touching.any():
+        is_touching = ndimage.binary_dilation(is_touching, _disc(2))  # the columns beside whose faces it disturbs
     # Two widths of the blur and the block's own inaccuracy are needed outside a face.
-    margin = 2.0 * width / guide.tilt + 2.0
-    near = (guide.low < margin) | (guide.high > depth - 1 - margin)
-    return touching, flags_to_columns(coarse.leaves, coarse.block, extent.shape) | near
+    margin_px = 2.0 * width / guide.cos_tilt + 2.0
+    is_near_end = (guide.low < margin_px) | (guide.high > depth - 1 - margin_px)
+    return is_touching, flags_to_columns(coarse_sheet.is_leaving, coarse_sheet.block, extent.shape) | is_near_end
 
 
 def _near(region: Bools, pitch: Pair, distance_um: float) -> Bools:
@@ -75,32 +77,32 @@ def half_closed(is_sheet: Bools, runs_out: Bools, pitch: Pair) -> Floats:
     half closed with a straight edge is a smaller ellipse of its own. ``is_sheet``: columns with a sheet; ``runs_out``:
     columns in which it goes on beyond the volume.
     """
-    middles, open_um2, ellipse_um2 = np.split(all_holes(is_sheet | runs_out, pitch), (2, 3), axis=1)
-    usual = float(np.median(ellipse_um2)) if len(ellipse_um2) >= 3 else 0.0
-    return middles[(open_um2 < 0.7 * np.maximum(ellipse_um2, usual))[:, 0]]
+    hole_centres, open_um2, ellipse_um2 = np.split(all_holes(is_sheet | runs_out, pitch), (2, 3), axis=1)
+    typical_um2 = float(np.median(ellipse_um2)) if len(ellipse_um2) >= 3 else 0.0
+    return hole_centres[(open_um2 < 0.7 * np.maximum(ellipse_um2, typical_um2))[:, 0]]
 
 
-def all_holes(sheet: Bools, pitch: Pair) -> Floats:
+def all_holes(in_sheet: Bools, pitch: Pair) -> Floats:
     """Gaps of the sheet between 40 and 600 um wide that do not reach the border of the map, (n, 4).
 
     Row and column of the middle; area without sheet, and of the ellipse with the second moments of the convex outline.
     """
-    reach = max(1, round(3.0 / float(np.sqrt(pitch[0] * pitch[1]))))
+    radius_px = max(1, round(3.0 / float(np.sqrt(pitch[0] * pitch[1]))))
     # Fibres and flaps across a hole belong to its outline, single columns without a face do not.
-    gaps = ndimage.binary_opening(~sheet, np.ones((2, 2), dtype=bool))
-    around, count = ndimage.label(ndimage.binary_dilation(gaps, iterations=reach))
+    in_gap = ndimage.binary_opening(~in_sheet, np.ones((2, 2), dtype=bool))
+    gap_labels, gap_count = ndimage.label(ndimage.binary_dilation(in_gap, iterations=radius_px))
     holes: list[tuple[float, ...]] = []
-    for k, place in enumerate(ndimage.find_objects(around)[:count], start=1):
-        if any(s.start == 0 or s.stop == n for s, n in zip(place, sheet.shape, strict=True)):
+    for k, bounds in enumerate(ndimage.find_objects(gap_labels)[:gap_count], start=1):
+        if any(s.start == 0 or s.stop == n for s, n in zip(bounds, in_sheet.shape, strict=True)):
             continue
-        where: Floats = np.argwhere(gaps[place] & (around[place] == k)).astype(np.float64) * np.asarray(pitch)
-        if where.shape[0] < 8 or np.ptp(where, axis=0).min() <= 0:
+        points_um = np.argwhere(in_gap[bounds] & (gap_labels[bounds] == k)).astype(np.float64) * np.array(pitch)
+        if points_um.shape[0] < 8 or np.ptp(points_um, axis=0).min() <= 0:
             continue
-        ellipse = _ellipse(where)
-        if np.pi / 4 * 40.0**2 <= ellipse <= np.pi / 4 * _HOLE_UM**2:
-            row, col = where.mean(axis=0) / pitch
-            area = where.shape[0] * pitch[0] * pitch[1]
-            holes.append((place[0].start + row, place[1].start + col, area, ellipse))
+        ellipse_um2 = _ellipse(points_um)
+        if np.pi / 4 * 40.0**2 <= ellipse_um2 <= np.pi / 4 * _HOLE_UM**2:
+            row, col = points_um.mean(axis=0) / pitch
+            open_um2 = points_um.shape[0] * pitch[0] * pitch[1]
+            holes.append((bounds[0].start + row, bounds[1].start + col, open_um2, ellipse_um2))
     return np.array(holes).reshape(-1, 4)
 
 

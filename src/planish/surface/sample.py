@@ -25,8 +25,8 @@ class Sample(NamedTuple):
 
     grey: NDArray[np.float32]
     outer: Floats
-    other: Floats
-    tilt: Floats
+    opposite: Floats
+    cos_tilt: Floats
     row: Ints
 
     def thinned(self, every: int) -> Sample:
@@ -37,9 +37,9 @@ class Sample(NamedTuple):
 Samples = dict[bool, Sample]  # by whether they are read from the high end
 
 
-def spread(index: Ints, most: int) -> Ints:
+def subsample(index: Ints, max_count: int) -> Ints:
     """Take so many of an index (n, ...) at most, spread over all of it."""
-    return index[np.unique(np.linspace(0, len(index) - 1, min(len(index), most)).astype(int))]
+    return index[np.unique(np.linspace(0, len(index) - 1, min(len(index), max_count)).astype(int))]
 
 
 class Sampler:
@@ -48,33 +48,34 @@ class Sampler:
     def __init__(self, columns: Columns, guide: Guide, survey: Survey) -> None:
         self.columns, self.guide = columns, guide
         self.embedded_level = survey.coarse.threshold if survey.surroundings != "air" else 0.0
-        self.scale = GreyScale(air=survey.air, polarity=survey.polarity)
+        self.scale = GreyScale(air_grey=survey.air_grey, polarity=survey.polarity)
         pitch = columns.pitch
         # How far the block's face may lie from a column's own: a block's slope and the roughness.
-        self.reach = 2.0 + 1.5 * survey.coarse.block * max(pitch[:2]) / pitch[2]
-        self.noise = max(survey.noise / columns.step, 1e-6 * abs(survey.air) + 1e-9)
+        self.search_px = 2.0 + 1.5 * survey.coarse.block * max(pitch[:2]) / pitch[2]
+        self.noise = max(survey.noise / columns.step, 1e-6 * abs(survey.air_grey) + 1e-9)
         self.scatter = self.single_noise = self.noise
         has_sheet = np.isfinite(guide.low) & np.isfinite(guide.high)
-        rows = spread(np.flatnonzero(has_sheet.any(axis=1)), 24)
-        wide = min(columns.shape[1], 1024)  # columns of each of them
+        row_indices = subsample(np.flatnonzero(has_sheet.any(axis=1)), 24)
+        col_count = min(columns.shape[1], 1024)  # columns of each of them
         # Pieces of rows, spread over the sheet: starts that are far apart from one row to the next, multiples of the
         # golden section.
-        starts = ((np.arange(rows.size) * 0.6180339887498949) % 1.0 * (columns.shape[1] - wide + 1)).astype(int)
-        self.rows = [Tile(int(r), int(r) + 1, int(c), int(c) + wide) for r, c in zip(rows, starts, strict=True)]
+        fractions = (np.arange(row_indices.size) * 0.6180339887498949) % 1.0
+        corners = zip(row_indices.tolist(), (fractions * (columns.shape[1] - col_count + 1)).astype(int), strict=True)
+        self.rows = [Tile(r, r + 1, int(c), int(c) + col_count) for r, c in corners]
         self.cache: dict[Tile, NDArray[np.float32]] = {}
 
-    def _blend(self, blend: float) -> None:
-        self.scale, self.cache = replace(self.scale, blend=blend), {}
+    def _blend(self, blend_sd: float) -> None:
+        self.scale, self.cache = replace(self.scale, blend_sd=blend_sd), {}
 
-    def _read(self, tile: Tile, *, high: bool) -> NDArray[np.float32]:
+    def _read(self, tile: Tile, *, from_high: bool) -> NDArray[np.float32]:
         # The same columns are looked at several times.
         if tile not in self.cache:
             guide = self.guide.part(self.scale.grown(tile, self.columns.shape[:2]))
             self.cache[tile] = oriented(self.columns, tile, guide, self.scale)[0][0]
-        part = self.cache[tile]
-        return np.ascontiguousarray(part[:, ::-1]) if high else part
+        grey = self.cache[tile]
+        return np.ascontiguousarray(grey[:, ::-1]) if from_high else grey
 
-    def sample(self, *, high: bool) -> Sample:
+    def sample(self, *, from_high: bool) -> Sample:
         """Columns read from one end.
 
         Raises
@@ -82,82 +83,82 @@ class Sampler:
         VolumeError
             If no column shows both faces.
         """
-        per_row = max(1, 3000 // len(self.rows))  # columns that are fitted
-        parts: list[Sample] = []
-        for number, tile in enumerate(self.rows):
+        columns_per_row = max(1, 3000 // len(self.rows))  # columns that are fitted
+        row_samples: list[Sample] = []
+        for row_number, tile in enumerate(self.rows):
             guide = self.guide.part(tile)
-            outer, other = (a[0] for a in guide.faces(self.columns.shape[2], high=high))
-            good = spread(np.flatnonzero(np.isfinite(outer) & np.isfinite(other)), per_row)
-            if good.size:
-                row = np.full(good.size, number)
-                grey = self._read(tile, high=high)[good]
-                parts.append(Sample(grey, outer[good], other[good], guide.tilt[0, good], row))
-        if not parts:
+            outer, opposite = (a[0] for a in guide.faces(self.columns.shape[2], from_high=from_high))
+            columns = subsample(np.flatnonzero(np.isfinite(outer) & np.isfinite(opposite)), columns_per_row)
+            if columns.size:
+                row = np.full(columns.size, row_number)
+                grey = self._read(tile, from_high=from_high)[columns]
+                row_samples.append(Sample(grey, outer[columns], opposite[columns], guide.cos_tilt[0, columns], row))
+        if not row_samples:
             raise VolumeError("No column of the volume shows both faces of the sheet. Check --through.")
-        return Sample(*(np.concatenate(part)[None] for part in zip(*parts, strict=True)))
+        return Sample(*(np.concatenate(arrays)[None] for arrays in zip(*row_samples, strict=True)))
 
-    def calm(self, base: float) -> None:
+    def calm(self, base_level: float) -> None:
         """Choose how far columns are averaged with their neighbours, and what noise and scatter that leaves."""
-        whole = self._air_noise()
-        if whole > 1.15 * self.noise:
+        air_noise = self._air_noise()
+        if air_noise > 1.15 * self.noise:
             # Neighbouring voxels share their noise, or streaks lie in the air: averaging helps less, so it is tried.
-            self.noise = self.single_noise = whole
-            for blend in (0.5, 0.75, 1.0, 1.5, 2.0):  # voxels
-                if base / self.noise >= _QUIET:
+            self.noise = self.single_noise = air_noise
+            for blend_sd in (0.5, 0.75, 1.0, 1.5, 2.0):  # voxels
+                if base_level / self.noise >= _QUIET:
                     break
-                self._blend(blend)
+                self._blend(blend_sd)
                 self.noise = self._air_noise()
-        elif (cnr := base / self.noise) < _QUIET:
+        elif (cnr := base_level / self.noise) < _QUIET:
             # Averaging over a Gaussian of s voxels divides white noise by 2 sqrt(pi) s.
-            blend = min(_QUIET / cnr / (2 * np.sqrt(np.pi)), 1.5)
-            self._blend(blend)
-            self.noise /= max(1.0, 2 * np.sqrt(np.pi) * blend)
+            blend_sd = min(_QUIET / cnr / (2 * np.sqrt(np.pi)), 1.5)
+            self._blend(blend_sd)
+            self.noise /= max(1.0, 2 * np.sqrt(np.pi) * blend_sd)
         # What rounding to whole numbers takes off, and no column is a staircase to within a hundredth of its contrast.
-        rounded = 12.0**-0.5 if np.issubdtype(self.columns.volume.dtype, np.integer) else 0.0
-        self.scatter = max(self.noise, rounded, 0.01 * base)
+        rounding_sd = 12.0**-0.5 if np.issubdtype(self.columns.volume.dtype, np.integer) else 0.0
+        self.scatter = max(self.noise, rounding_sd, 0.01 * base_level)
 
     def _air_noise(self) -> float:
         """Standard deviation of the air just outside the faces, as the fit will see it; NaN where there is none."""
         if self.embedded_level:
             return float("nan")  # what lies beside is no air
-        width = int(np.ceil(15.0 / self.columns.pitch[2]))  # from the face into the air
-        samples: list[NDArray[np.float32]] = []
+        width_px = int(np.ceil(15.0 / self.columns.pitch[2]))  # from the face into the air
+        air_samples: list[NDArray[np.float32]] = []
         for tile in self.rows:
-            for high in (True, False):
-                grey = self._read(tile, high=high)
-                outer = self.guide.part(tile).faces(grey.shape[1], high=high)[0][0]
-                first = np.where(np.isfinite(outer), outer - self.reach, -1.0).astype(int) - width
-                for start in (first, first - width):
-                    is_inside = np.flatnonzero(start >= 0)
-                    samples.append(grey[is_inside, start[is_inside]])
-        return mad_sd(np.concatenate(samples).astype(np.float64))
+            for from_high in (True, False):
+                grey = self._read(tile, from_high=from_high)
+                outer = self.guide.part(tile).faces(grey.shape[1], from_high=from_high)[0][0]
+                first_index = np.where(np.isfinite(outer), outer - self.search_px, -1.0).astype(int) - width_px
+                for start_index in (first_index, first_index - width_px):
+                    columns = np.flatnonzero(start_index >= 0)
+                    air_samples.append(grey[columns, start_index[columns]])
+        return mad_sd(np.concatenate(air_samples).astype(np.float64))
 
     def quiet(self, samples: Samples, width: float) -> Samples:
         """Sample columns that are means over their neighbours, as far as the sheet's slope does not widen the blur."""
-        steep = float(np.nanpercentile(np.hypot(self.guide.slope_r, self.guide.slope_c), 90)) * self.columns.step
-        blend, usual = min(2.0, 0.3 * width / max(steep, 1e-3)), self.scale.blend  # columns
-        if blend <= max(usual, 0.3):
+        steep_slope = float(np.nanpercentile(np.hypot(self.guide.slope_r, self.guide.slope_c), 90)) * self.columns.step
+        blend_sd, previous_sd = min(2.0, 0.3 * width / max(steep_slope, 1e-3)), self.scale.blend_sd  # columns
+        if blend_sd <= max(previous_sd, 0.3):
             return samples
-        self._blend(blend)
-        quiet = {high: self.sample(high=high) for high in samples}
-        self._blend(usual)
-        return quiet
+        self._blend(blend_sd)
+        quiet_samples = {from_high: self.sample(from_high=from_high) for from_high in samples}
+        self._blend(previous_sd)
+        return quiet_samples
 
     def fit(self, sample: Sample, side: Side, edge: Edge, window: float = 0.0) -> Floats:
         """Fit every column: (5, 1, n) face, thickness, both greys and cost."""
-        fit = np.empty((5, *sample.outer.shape))
-        grey, outer, other, tilt = map(np.ascontiguousarray, sample[:4])
+        fits = np.empty((5, *sample.outer.shape))
+        grey, outer, opposite, cos_tilt = map(np.ascontiguousarray, sample[:4])
         _fit_kernels.fit_faces(
-            grey, outer, other, tilt, 0.0, edge.width, self.scatter, side.level, side.spread, side.coated, self.reach,
-            fit, window, self.embedded_level, edge.fringe or None, edge.ratio, False,
+            grey, outer, opposite, cos_tilt, 0.0, edge.width, self.scatter, side.level, side.spread, side.coated,
+            self.search_px, fits, window, self.embedded_level, edge.fringe or None, edge.ratio, False,
         )  # fmt: skip
-        return fit
+        return fits
 
 
-def most_cost(cost: Floats) -> float:
+def cost_limit(cost: Floats) -> float:
     """Cost above which a column counts no more: its fit went astray.
 
     Where most columns cost more than that, the staircase is what does not fit, and what fits it worse must still show.
     """
-    finite = cost[np.isfinite(cost)]
-    return max(_ASTRAY, 4.0 * float(np.median(finite))) if finite.size else _ASTRAY
+    finite_costs = cost[np.isfinite(cost)]
+    return max(_ASTRAY, 4.0 * float(np.median(finite_costs))) if finite_costs.size else _ASTRAY

@@ -29,7 +29,7 @@ class Survey:
     """Coarse sheet, grey levels and gaps of a volume, from the first look."""
 
     coarse: CoarseSheet
-    air: float  # its grey
+    air_grey: float  # its grey
     noise: float  # standard deviation of one voxel of the air
     polarity: float  # +1 where the sheet is brighter than the air, -1 where it is darker
     padding: float | None  # value of the voxels outside the field of view
@@ -48,28 +48,28 @@ def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Surv
     """
     depth = columns.shape[2]
     block, stride = _block(columns)
-    flat = _sampled(columns, stride, engine).reshape(-1, depth)
-    padding = padding_value(flat)
-    blocks, sharp, missing = _blocks(replace(columns, padding=padding), block, engine)
+    profiles = _sampled(columns, stride, engine).reshape(-1, depth)
+    padding = padding_value(profiles)
+    blocks, sharp_blocks, missing_share = _blocks(replace(columns, padding=padding), block, engine)
     if params.seed_um is None:
-        sharp = blocks  # only a seed needs both
-    if missing > 0.9:
+        sharp_blocks = blocks  # only a seed needs both
+    if missing_share > 0.9:
         raise VolumeError("More than 90 % of the volume's voxels are NaN or infinite. Check how it was exported.")
     choice = make_choice(columns, block, blocks.shape, params)
     # The level comes from means over blocks: where the export has cut the air's noise at 0, single voxels crowd there.
-    ends = _ends(blocks.reshape(-1, depth), np.isfinite(blocks).reshape(-1, depth))
-    voxels = _ends(flat, np.ones(flat.shape, bool) if padding is None else flat != padding)
+    end_grey = _ends(blocks.reshape(-1, depth), np.isfinite(blocks).reshape(-1, depth))
+    end_voxels = _ends(profiles, np.ones(profiles.shape, bool) if padding is None else profiles != padding)
     scatter = None
     if choice.seed is not None:
-        ends, voxels = _airy(ends, voxels, seed_grey(sharp, choice.seed))
-        scatter = mad_sd(ends)
-    air = mode(ends)
-    coarse, surroundings, polarity = choose_sheet(blocks, sharp, air, params, choice, scatter)
-    limit = 6.0 * mad_sd(ends)  # what is nowhere above that is air from end to end
-    empty = np.mean([~(polarity * (row - air) > limit).any(axis=1) for row in blocks])
+        end_grey, end_voxels = _airy(end_grey, end_voxels, seed_grey(sharp_blocks, choice.seed))
+        scatter = mad_sd(end_grey)
+    air_grey = mode(end_grey)
+    coarse_sheet, surroundings, polarity = choose_sheet(blocks, sharp_blocks, air_grey, params, choice, scatter)
+    min_contrast = 6.0 * mad_sd(end_grey)  # what is nowhere above that is air from end to end
+    empty_share = np.mean([~(polarity * (row - air_grey) > min_contrast).any(axis=1) for row in blocks])
     return Survey(
-        coarse=coarse, air=air, noise=voxel_noise(voxels, air), polarity=polarity, padding=padding,
-        missing_share=missing, empty_share=float(empty), surroundings=surroundings,
+        coarse=coarse_sheet, air_grey=air_grey, noise=voxel_noise(end_voxels, air_grey), polarity=polarity,
+        padding=padding, missing_share=missing_share, empty_share=float(empty_share), surroundings=surroundings,
     )  # fmt: skip
 
 
@@ -83,8 +83,8 @@ def survey_labels(columns: Columns, params: SurfaceParams, engine: Engine) -> tu
     """
     block = _block(columns)[0]
     shares = _blocks(columns, block, engine)[1]
-    sheet = search_sheet(shares, shares > 0.5, 0.5, make_choice(columns, block, shares.shape, params))
-    return sheet, float(1.0 - (shares > 0).any(axis=2).mean())
+    coarse_sheet = search_sheet(shares, shares > 0.5, 0.5, make_choice(columns, block, shares.shape, params))
+    return coarse_sheet, float(1.0 - (shares > 0).any(axis=2).mean())
 
 
 def _block(columns: Columns) -> tuple[int, tuple[int, int]]:
@@ -120,47 +120,48 @@ def _sampled(columns: Columns, stride: tuple[int, int], engine: Engine) -> NDArr
 def _blocks(columns: Columns, block: int, engine: Engine) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
     """Block means (block rows, block cols, depth), smoothed and as they are, NaN for gaps; share of missing voxels."""
     rows, cols, depth = columns.shape
-    out, bad = np.empty((max(rows // block, 1), max(cols // block, 1), depth), dtype=np.float32), 0.0
+    block_means, missing_count = np.empty((max(rows // block, 1), max(cols // block, 1), depth), dtype=np.float32), 0.0
     tiles = [
         # What remains belongs to the last block of the axis, and so to the last tile.
         Tile(t.r0, rows if t.r1 > rows - block else t.r1, t.c0, cols if t.c1 > cols - block else t.c1)
         for t in columns.tiles(engine, multiple=block)
         if t.r0 <= max(rows - block, 0) and t.c0 <= max(cols - block, 0)
     ]
-    for tile, sums in engine.map("survey", _tile_blocks, lambda _tile: (columns, block), tiles):
+    for tile, tile_blocks in engine.map("survey", _tile_blocks, lambda _tile: (columns, block), tiles):
         r, c = tile.r0 // block, tile.c0 // block
-        part = sums[..., :-1]
-        out[r : r + part.shape[0], c : c + part.shape[1]] = part
-        bad += float(sums[..., -1].sum(dtype=np.float64))
-    missing, smooth = ~np.isfinite(out), out
-    if missing.any():
-        out[missing] = np.nan
+        tile_means = tile_blocks[..., :-1]
+        block_means[r : r + tile_means.shape[0], c : c + tile_means.shape[1]] = tile_means
+        missing_count += float(tile_blocks[..., -1].sum(dtype=np.float64))
+    is_missing, smoothed = ~np.isfinite(block_means), block_means
+    if is_missing.any():
+        block_means[is_missing] = np.nan
     else:
-        smooth = ndimage.uniform_filter(out, (3, 3, 3) if block < 3 else (1, 1, 3), mode="nearest")
-    return smooth, out, bad / (rows * cols * depth * columns.step**2)
+        smoothed = ndimage.uniform_filter(block_means, (3, 3, 3) if block < 3 else (1, 1, 3), mode="nearest")
+    return smoothed, block_means, missing_count / (rows * cols * depth * columns.step**2)
 
 
 def _tile_blocks(job: tuple[Columns, int], tile: Tile) -> NDArray[np.float32]:
     """Block means of a tile, (block rows, block cols, depth + 1); the last number counts the missing voxels."""
     columns, block = job
     voxels = columns.voxels(tile)
-    wide = block * columns.step
-    counts = [max(n // wide, 1) for n in voxels.shape[:2]]
+    block_px = block * columns.step
+    block_counts = [max(n // block_px, 1) for n in voxels.shape[:2]]
     # As it lies in memory: the depth may be the first, the second or the last axis.
-    order = np.argsort(voxels.strides, kind="stable")[::-1]
-    shape, sides = np.array([*counts, voxels.shape[2]]), np.array([wide, wide, 1])
-    sums, bad = np.zeros(shape[order]), np.zeros(shape[order])
-    missing = np.nan if columns.padding is None else columns.padding
-    block_sums(np.ascontiguousarray(voxels.transpose(order)), tuple(sides[order].tolist()), missing, sums, bad)
-    sums, bad = (part.transpose(np.argsort(order)) for part in (sums, bad))
-    edges = [np.diff([*(wide * np.arange(k)), n]) for k, n in zip(counts, voxels.shape, strict=False)]
-    out = np.empty((*counts, voxels.shape[2] + 1), dtype=np.float32)
-    out[..., :-1] = sums / np.multiply.outer(*edges)[..., None]
-    out[..., -1] = bad.sum(axis=2)
-    return out
+    axis_order = np.argsort(voxels.strides, kind="stable")[::-1]
+    sums_shape, block_sides = np.array([*block_counts, voxels.shape[2]]), np.array([block_px, block_px, 1])
+    sums, missing_counts = np.zeros(sums_shape[axis_order]), np.zeros(sums_shape[axis_order])
+    missing_value = np.nan if columns.padding is None else columns.padding
+    stored = np.ascontiguousarray(voxels.transpose(axis_order))
+    block_sums(stored, tuple(block_sides[axis_order].tolist()), missing_value, sums, missing_counts)
+    sums, missing_counts = (field.transpose(np.argsort(axis_order)) for field in (sums, missing_counts))
+    block_widths = [np.diff([*(block_px * np.arange(k)), n]) for k, n in zip(block_counts, voxels.shape, strict=False)]
+    blocks = np.empty((*block_counts, voxels.shape[2] + 1), dtype=np.float32)
+    blocks[..., :-1] = sums / np.multiply.outer(*block_widths)[..., None]
+    blocks[..., -1] = missing_counts.sum(axis=2)
+    return blocks
 
 
-def _ends(columns: NDArray[Any], inside: Bools) -> Floats:
+def _ends(profiles: NDArray[Any], inside: Bools) -> Floats:
     """First and last three voxels of each column (n, depth) that lie inside the field of view; (2 n, 3)."""
     is_long = inside.sum(axis=1) > 12
     if not is_long.any():
@@ -168,20 +169,20 @@ def _ends(columns: NDArray[Any], inside: Bools) -> Floats:
     rows, inside = np.flatnonzero(is_long)[:, None], inside[is_long]
     # One voxel is skipped where the field of view begins within the column: it may be cut.
     first, last = first_and_last(inside)
-    first, last = first + (first > 0), last - (last < columns.shape[1] - 1)
+    first, last = first + (first > 0), last - (last < profiles.shape[1] - 1)
     starts, stops = first[:, None] + np.arange(3), last[:, None] - np.arange(3)
-    return np.concatenate([columns[rows, k].astype(np.float64) for k in (starts, stops)])
+    return np.concatenate([profiles[rows, k].astype(np.float64) for k in (starts, stops)])
 
 
 def _airy(ends: Floats, voxels: Floats, seed: Floats) -> tuple[Floats, Floats]:
     """Where the two ends of the columns differ, keep the one that looks less like the object at the seed."""
-    halves = [(part[: len(part) // 2], part[len(part) // 2 :]) for part in (ends, voxels)]
-    levels = [mode(half) for half in halves[0]]
+    values_by_end = [(part[: len(part) // 2], part[len(part) // 2 :]) for part in (ends, voxels)]
+    levels = [mode(half) for half in values_by_end[0]]
     contrasts = [abs(level - float(np.median(seed))) for level in levels]
     if abs(levels[0] - levels[1]) < 0.1 * max(contrasts):
         return ends, voxels
-    k = int(np.argmax(contrasts))
-    return halves[0][k], halves[1][k]
+    clearest_end = int(np.argmax(contrasts))
+    return values_by_end[0][clearest_end], values_by_end[1][clearest_end]
 
 
 def mode(values: Floats) -> float:
@@ -210,31 +211,33 @@ def padding_value(columns: NDArray[np.generic]) -> float | None:
     that in turn. Clipped air passes into the sheet through the blur, and nothing stands out from the sheet.
     """
     corner = columns[0, 0]
-    same = columns == corner
-    if not np.isfinite(corner) or columns[-1, -1] != corner or same.mean() < 1e-3:
+    is_padding = columns == corner
+    if not np.isfinite(corner) or columns[-1, -1] != corner or is_padding.mean() < 1e-3:
         return None
-    has_inside, end = (~same).sum(axis=1) > 12, columns.shape[1] - 1
+    has_inside, last_index = (~is_padding).sum(axis=1) > 12, columns.shape[1] - 1
     if np.count_nonzero(has_inside) < 10:
         return None
     profiles, padding = columns[has_inside].astype(np.float64), float(corner)
-    first, last = first_and_last(~same[has_inside])
-    cut = (first > 0) | (last < end)
-    if np.count_nonzero(cut) < 0.05 * cut.size:
+    first, last = first_and_last(~is_padding[has_inside])
+    is_cut = (first > 0) | (last < last_index)
+    if np.count_nonzero(is_cut) < 0.05 * is_cut.size:
         # Few columns end in the padding. If others hold nothing else, the circle lies across the columns.
-        empty = same.all(axis=1)
-        is_across = np.count_nonzero(empty) > 0.01 * empty.size and not (~same[~empty][:, 0]).mean() < 0.5
+        is_empty = is_padding.all(axis=1)
+        is_across = (
+            np.count_nonzero(is_empty) > 0.01 * is_empty.size and not (~is_padding[~is_empty][:, 0]).mean() < 0.5
+        )
         return padding if is_across else None
-    rows = np.flatnonzero(cut & (first > 0))
+    rows = np.flatnonzero(is_cut & (first > 0))
     if rows.size < 10:
-        rows, first, profiles = np.flatnonzero(cut), end - last, profiles[:, ::-1]
-    deeper = profiles[rows[:, None], np.minimum(first[rows][:, None] + np.arange(2, 6), end)]
-    level = float(np.median(deeper))
-    scatter = max(mad_sd(deeper - level), 1e-9)
-    run = (profiles[rows, :-2] + profiles[rows, 1:-1] + profiles[rows, 2:]) / 3
-    run = np.where(same[has_inside][rows][:, 1:-1], level, run)
-    stands_out = float(np.median(np.max(np.abs(run - level), axis=1))) > 4 * scatter
-    contrast = abs(level - padding)
-    is_sharp = abs(float(np.median(profiles[rows, first[rows]])) - level) < 0.2 * contrast
+        rows, first, profiles = np.flatnonzero(is_cut), last_index - last, profiles[:, ::-1]
+    inner_grey = profiles[rows[:, None], np.minimum(first[rows][:, None] + np.arange(2, 6), last_index)]
+    inner_level = float(np.median(inner_grey))
+    scatter = max(mad_sd(inner_grey - inner_level), 1e-9)
+    running_mean = (profiles[rows, :-2] + profiles[rows, 1:-1] + profiles[rows, 2:]) / 3
+    running_mean = np.where(is_padding[has_inside][rows][:, 1:-1], inner_level, running_mean)
+    stands_out = float(np.median(np.max(np.abs(running_mean - inner_level), axis=1))) > 4 * scatter
+    contrast = abs(inner_level - padding)
+    is_sharp = abs(float(np.median(profiles[rows, first[rows]])) - inner_level) < 0.2 * contrast
     return padding if is_sharp and contrast > 3 * scatter and stands_out else None
 
 
@@ -244,5 +247,5 @@ def voxel_noise(ends: Floats, air: float) -> float:
     steps = np.diff(ends, axis=1)[distance[:, :-1] <= max(float(np.nanpercentile(distance, 60)), 1e-12)]
     if not steps.size:
         return 0.0
-    robust = mad_sd(steps) / np.sqrt(2.0)
-    return float(robust if robust > 0 else np.sqrt(np.mean(steps**2) / 2))
+    robust_sd = mad_sd(steps) / np.sqrt(2.0)
+    return float(robust_sd if robust_sd > 0 else np.sqrt(np.mean(steps**2) / 2))
