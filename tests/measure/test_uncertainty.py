@@ -91,17 +91,16 @@ def test_standard_error_of_a_pixel_beside_drawn_fields():
 def test_averaging_and_shared_noise_leave_fewer_independent_values():
     plain = {"air": 40.0, "base": 90.0, "coating_top": 200.0, "coating_bottom": 200.0, "polarity": 1.0,
              "blur_um": 2.5, "padding": np.nan}  # fmt: skip
+    shared_noise = uncertainty.SharedNoise.of
     layout = {"voxel_um": 3.0, "pitch_um": (3.0, 3.0), "column_px": 1.0}
-    white = uncertainty.SharedNoise.of(Greys(noise=8.0, single_noise=8.0, **plain), **layout)
+    white = shared_noise(Greys(noise=8.0, single_noise=8.0, **plain), **layout)
     assert (white.patch_um2, white.noise_um) == (pytest.approx(14 * 9.0), pytest.approx(8.0**2 * 3.0))
-    averaged = uncertainty.SharedNoise.of(Greys(noise=2.0, single_noise=8.0, averaged=1.0, **plain), **layout)
+    averaged = shared_noise(Greys(noise=2.0, single_noise=8.0, averaged=1.0, **plain), **layout)
     assert averaged.patch_um2 == pytest.approx((14 + 4 * np.pi) * 9.0)
     assert averaged.noise_um < white.noise_um
-    shared = uncertainty.SharedNoise.of(
-        Greys(noise=8.0, single_noise=8.0, **plain), noise_um=3 * white.noise_um, **layout
-    )
+    shared = shared_noise(Greys(noise=8.0, single_noise=8.0, **plain), noise_um=3 * white.noise_um, **layout)
     assert shared.noise_um == pytest.approx(3 * white.noise_um)
     assert shared.patch_um2 == pytest.approx((14 + 8) * 9.0)
     # Without noise, what little scatters in the air is no measure of anything: it made 2.5 mm of a coating's error.
-    clean = uncertainty.SharedNoise.of(Greys(noise=4e-5, single_noise=4e-5, **plain), noise_um=0.05, **layout)
+    clean = shared_noise(Greys(noise=4e-5, single_noise=4e-5, **plain), noise_um=0.05, **layout)
     assert (clean.patch_um2, clean.common_um) == (pytest.approx(14 * 9.0), uncertainty.common_errors(3.0))

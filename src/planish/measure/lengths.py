@@ -127,9 +127,9 @@ def thickness_se(sheet: Sheet, name: str) -> Floats:
     slope = f.slopes()
     # A vertical distance is longer than a normal one, and so is its error.
     oblique = f.oblique(slope)
-    layers: dict[Side, Floats] = {k: np.abs(f.faces[k] - f.faces[f"interface_{k}"]) / oblique for k in SIDES}
+    coatings_um: dict[Side, Floats] = {k: np.abs(f.faces[k] - f.faces[f"interface_{k}"]) / oblique for k in SIDES}
     cosine = 1 / np.sqrt(1 + np.sum(slope**2, axis=-1))
-    return thickness_errors(layers, f.greys, shared_noise, cosine=cosine)[name] * oblique
+    return thickness_errors(coatings_um, f.greys, shared_noise, cosine=cosine)[name] * oblique
 
 
 def _has_coating(_params: MeasureParams, greys: Greys, side: Side) -> None:

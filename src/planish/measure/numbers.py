@@ -177,8 +177,8 @@ def sheet_numbers(
     profile_names = [name for name in ("porosity", "filler") if name in measured]
     profiles = None
     if profile_names and volume is not None:
-        layers = depth_profiles(volume, measured, names=profile_names, params=params, engine=engine)
-        depth, *shares = (tuple(layers[name].values.tolist()) for name in ("depth", *profile_names))
+        depth_profile = depth_profiles(volume, measured, names=profile_names, params=params, engine=engine)
+        depth, *shares = (tuple(depth_profile[name].values.tolist()) for name in ("depth", *profile_names))
         profiles = ProfileFacts(depth=depth, values=dict(zip(profile_names, shares, strict=True)))
     pitch_um, filters_um = pitch(measured), {"s_filter_um": params.s_filter_um, "l_filter_um": params.l_filter_um}
     support_um = float(np.sqrt(np.prod(pitch_um)))

@@ -1,7 +1,7 @@
 """Options of the measurement, and the table of the modules with properties: an import, and a base.
 
-Every module declares its own options as a ``Params`` model; :class:`MeasureParams` inherits all of them, so that they
-appear in the study file, on the command line and in the documents. Nothing here imports numba or scipy.
+Every module declares properties, as :mod:`~planish.measure.registry` says, and its own options as a ``Params`` model;
+:class:`MeasureParams` inherits these, for the study file, the command line and the documents. No numba or scipy here.
 """
 
 from __future__ import annotations

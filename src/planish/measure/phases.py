@@ -148,20 +148,22 @@ _SHARES: dict[str, tuple[Callable[[Rays, Floats, Floats], Measured], str]] = {
 }
 
 
-def _layer_sums(names: Sequence[str], layer_edges: Floats, halo_rays: Rays, tile_rows: slice, _rows: slice) -> Floats:
+def _layer_sums(
+    names: Sequence[str], layer_edges: Floats, halo_rays: Rays, tile_rows: slice, _sheet_rows: slice
+) -> Floats:
     """Give number, sum and sum of squares of each share in each layer by row, (names, layers, 3, rows)."""
     # Rows are summed by themselves, then added in the same order however they were cut.
     rays = halo_rays.rows(tile_rows)
     base_um = rays.interface_top - rays.interface_bottom
     edge_um = [rays.interface_bottom + edge * base_um for edge in layer_edges]
-    sums = np.zeros((len(names), layer_edges.size - 1, 3, len(base_um)))
+    layer_sums = np.zeros((len(names), layer_edges.size - 1, 3, len(base_um)))
     for name_index, name in enumerate(names):
         for layer in range(layer_edges.size - 1):
             share = _SHARES[name][0](rays, edge_um[layer], edge_um[layer + 1]).values
             is_valid = np.isfinite(share) & (rays.status == 0)
             share = np.where(is_valid, share, 0.0)
-            sums[name_index, layer] = [is_valid.sum(axis=1), share.sum(axis=1), (share**2).sum(axis=1)]
-    return sums
+            layer_sums[name_index, layer] = [is_valid.sum(axis=1), share.sum(axis=1), (share**2).sum(axis=1)]
+    return layer_sums
 
 
 def depth_profiles(

@@ -143,8 +143,10 @@ def _with_errors(measured: xr.Dataset, noise_um: float) -> xr.Dataset:
         )
         common, patch_um2 = shared_noise.common_um, shared_noise.patch_um2
         slopes = np.gradient(measured["centre"].values, *pitch_um)
-        layers: dict[Side, Floats] = {side: measured[f"coating_{side}"].values for side in SIDES}
-        errors = thickness_errors(layers, greys, shared_noise, cosine=1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2))
+        coatings_um: dict[Side, Floats] = {side: measured[f"coating_{side}"].values for side in SIDES}
+        errors = thickness_errors(
+            coatings_um, greys, shared_noise, cosine=1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
+        )
         if attrs.get("method") == "paper":
             # A crossing of half the step uses one place of the edge, a fit all of it.
             crossing_factor = np.sqrt(max(1.0, np.sqrt(np.pi) * greys.blur_um / through_um))
@@ -152,8 +154,8 @@ def _with_errors(measured: xr.Dataset, noise_um: float) -> xr.Dataset:
     for side in SIDES:
         if (correction_se := measured.get(f"correction_{side}_error")) is not None:
             correction_se_um = np.nan_to_num(correction_se.values.astype(np.float64))
-            affected = (f"coating_{side}", "base_thickness", "thickness")
-            errors |= {name: np.hypot(errors[name], correction_se_um) for name in affected}
+            affected_names = (f"coating_{side}", "base_thickness", "thickness")
+            errors |= {name: np.hypot(errors[name], correction_se_um) for name in affected_names}
     variables: dict[str, xr.Variable] = {}
     for name in ("coating_top", "coating_bottom", "base_thickness", "thickness"):
         se = np.where(np.isfinite(measured[name].values), errors[name], np.nan).astype(np.float32)
@@ -246,21 +248,21 @@ def measure_along_rays(
         for name in halo_rows
     }
 
-    def measure_tile(tile: Rays, inner: slice, rows: slice) -> None:
-        status[rows] = tile.status[inner]
+    def measure_tile(tile: Rays, inner_rows: slice, sheet_rows: slice) -> None:
+        status[sheet_rows] = tile.status[inner_rows]
         rays_of_halo: dict[int, tuple[Rays, slice]] = {}
         for prop in properties:
             if prop.kind != "rays":
                 continue
             halo = halo_rows[prop.name]
             if halo not in rays_of_halo:
-                start, stop = max(inner.start - halo, 0), min(inner.stop + halo, tile.status.shape[0])
+                start, stop = max(inner_rows.start - halo, 0), min(inner_rows.stop + halo, tile.status.shape[0])
                 halo_rays = tile if (start, stop) == (0, tile.status.shape[0]) else tile.rows(slice(start, stop))
-                rays_of_halo[halo] = halo_rays, slice(inner.start - start, inner.stop - start)
+                rays_of_halo[halo] = halo_rays, slice(inner_rows.start - start, inner_rows.stop - start)
             halo_rays, tile_rows = rays_of_halo[halo]
             answer = _measured(prop, halo_rays)
             for name in ("values", "se", "reason"):
-                getattr(maps[prop.name], name)[rows] = getattr(answer, name)[tile_rows]
+                getattr(maps[prop.name], name)[sheet_rows] = getattr(answer, name)[tile_rows]
 
     if halo_rows:
         each_tile(volume, frame, measure_tile, halo=max(halo_rows.values()), rows=rows_per_tile, engine=engine)

@@ -293,7 +293,7 @@ class RayFrame:
         grey = np.full((*is_wanted.shape, self.samples), np.nan, dtype=np.float32)
         if not is_wanted.any():
             return grey
-        frame, column_px, half = self.frame, self.column_px, 0.5 * (self.column_px - 1)
+        frame, column_px, centre_px = self.frame, self.column_px, 0.5 * (self.column_px - 1)
         through = volume.coords[frame.through].values
         voxel_um = float(through[1] - through[0])
         depth = (frame.sign * self.heights["centre"][rows] - float(through[0])) / voxel_um
@@ -302,8 +302,8 @@ class RayFrame:
         # The box around both ends of all rays, in voxels.
         row_index, col_index = np.arange(rows.start, rows.stop)[:, None], np.arange(is_wanted.shape[1])
         starts = {
-            frame.rows: column_px * row_index + half,
-            frame.cols: column_px * col_index + half,
+            frame.rows: column_px * row_index + centre_px,
+            frame.cols: column_px * col_index + centre_px,
             frame.through: depth,
         }
         box: dict[str, slice] = {}

@@ -9,7 +9,7 @@
 
 A function returns an array (rows, cols), NaN where it has no answer, or a :class:`Measured` that carries a standard
 error and reasons beside it. A name with ``{side}`` in it makes two properties, top and bottom, and every function of
-theirs is also given ``side``. Modules of properties that belong to planish are listed in
+theirs is also given ``side``. A module with properties of planish's own becomes known by its entry in the table in
 :mod:`planish.measure.params`.
 """
 

@@ -119,14 +119,16 @@ class _Straightened(LazyArray):
         map_threads(partial(self._fill, grey, depths_um, (rows, cols)), tiles)
         return grey
 
-    def _fill(self, grey: NDArray[np.float32], depths_um: Floats, requested: tuple[slice, slice], tile: Tile) -> None:
+    def _fill(
+        self, grey: NDArray[np.float32], depths_um: Floats, requested_slices: tuple[slice, slice], tile: Tile
+    ) -> None:
         from scipy import ndimage
 
         tile_grey = grey[:, tile.rows, tile.cols]
         tile_grey[:] = np.nan
         rows, cols = (
             slice(w.start + w.step * a, w.start + w.step * b, w.step)
-            for w, a, b in zip(requested, (tile.r0, tile.c0), (tile.r1, tile.c1), strict=True)
+            for w, a, b in zip(requested_slices, (tile.r0, tile.c0), (tile.r1, tile.c1), strict=True)
         )
         place_um = {axis: np.asarray(self._places[axis][rows, cols].values) for axis in ("z", "y", "x")}
         frame = self._frame
@@ -140,8 +142,8 @@ class _Straightened(LazyArray):
         is_inside = np.all([np.isfinite(place_um[axis]) & np.isfinite(normal[axis]) for axis in place_um], axis=0)
         if not is_inside.any():
             return
-        heights = depths_um[:, None]
-        points_um = {axis: um[is_inside] + heights * normal[axis][is_inside] for axis, um in place_um.items()}
+        depth_column = depths_um[:, None]
+        points_um = {axis: um[is_inside] + depth_column * normal[axis][is_inside] for axis, um in place_um.items()}
         voxels, voxel_indices = voxels_around(self._volume, points_um)
         if voxels.dtype.kind != "f" or np.isfinite(self._padding):
             voxels = voxels.astype(np.float32)

@@ -88,10 +88,11 @@ class SharedNoise:
         # costs as much as is gained.
         gain = (1 + averaged_voxels) ** 0.7 if correlation_length < 1.2 else 1.0
         noise = greys.single_noise**2 * voxel_um * correlation_length / gain
-        longest_um, widening = max(voxel_um, max(pitch_um) / column_px), float(np.sqrt(correlation_length))
+        longest_um, correlation_factor = max(voxel_um, max(pitch_um) / column_px), float(np.sqrt(correlation_length))
         return cls(
-            noise_um=float(noise), common_um=common_errors(widening * voxel_um),
-            place_um=common_errors(widening * longest_um), patch_um2=column_um2 * max(columns_per_value / column_px**2, 1.0),
+            noise_um=float(noise), common_um=common_errors(correlation_factor * voxel_um),
+            place_um=common_errors(correlation_factor * longest_um),
+            patch_um2=column_um2 * max(columns_per_value / column_px**2, 1.0),
         )  # fmt: skip
 
 

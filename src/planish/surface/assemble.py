@@ -121,8 +121,8 @@ def assemble(
         "particles_removed": faces.particles,
         "half_closed_holes": len(hole_centres),
         "half_closed_at_um": [
-            float(np.interp(place, np.arange(um.size), um))
-            for hole_centre in hole_centres for place, um in zip(hole_centre, lateral_um, strict=True)
+            float(np.interp(index, np.arange(um.size), um))
+            for hole_centre in hole_centres for index, um in zip(hole_centre, lateral_um, strict=True)
         ],
     } | ({} if params.method == "profile" else {"method": params.method})  # fmt: skip
     return xr.Dataset(
@@ -216,7 +216,7 @@ def find_presence(
 
 def _tile_presence(job: tuple[Columns, list[Floats], float, Pair], tile: Tile) -> Floats:
     """Give the presence in a tile, (layers, rows, cols)."""
-    columns, fields, thickness, levels = job
+    columns, fields, thickness, grey_levels = job
     depth_count, shares = columns.shape[2], np.full((len(LAYERS), *tile.shape), np.nan)
     centre_depth, *normal = (np.ascontiguousarray(a) for a in fields)
     is_sheet = np.isfinite(centre_depth) & np.isfinite(normal[2])
@@ -240,6 +240,6 @@ def _tile_presence(job: tuple[Columns, list[Floats], float, Pair], tile: Tile) -
     grey = columns.grey(tile_with_halo, depth=slice(first_px, min(int(np.ceil(max_depth)) + 2, depth_count)))
     _kernels.presence(
         grey, first_px, depth_count, *tile.within(tile_with_halo)[::2], centre_depth, *normal, offsets, layer_indices,
-        *levels, shares,
+        *grey_levels, shares,
     )  # fmt: skip
     return shares

@@ -177,7 +177,7 @@ def surfaces_from_labels(
     depths = join_tiles(depths_by_tile, np.empty((4, *columns.shape[:2])))
     # A side with a coating in fewer than 2 % of its columns has none.
     is_coated = [thickness[np.isfinite(thickness)] > 0 for thickness in depths[1::2]]
-    high_coated, low_coated = (bool(columns.size and columns.mean() > 0.02) for columns in is_coated)
+    high_coated, low_coated = (bool(mask.size and mask.mean() > 0.02) for mask in is_coated)
     surfaces = assemble(
         columns, params, faces_from_depths(depths, columns, (high_coated, low_coated), particles=coarse.specks),
         doubtful(guide, coarse, 0.0, columns.shape[2]), (0.0, 1.0), engine,

@@ -70,32 +70,36 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
             "There is no sheet in the volume: nothing has the grey that was asked for. Check --sheet-grey."
         )
     # Columns in which each object appears.
-    cover, sizes = np.zeros((2, n_objects + 1), dtype=np.int64)
+    n_covered, n_blocks = np.zeros((2, n_objects + 1), dtype=np.int64)
     for label_row in labels:
         sorted_labels = np.sort(label_row, axis=-1)
-        cover += np.bincount(sorted_labels[np.diff(sorted_labels, axis=-1, prepend=-1) > 0], minlength=n_objects + 1)
-        sizes += np.bincount(sorted_labels.ravel(), minlength=n_objects + 1)
-    by_cover, n_columns = np.argsort(cover[1:])[::-1] + 1, labels[..., 0].size
-    largest = int(by_cover[0])
-    covered = cover[largest] / n_columns
-    if covered < _LEAST_COVER:
+        n_covered += np.bincount(
+            sorted_labels[np.diff(sorted_labels, axis=-1, prepend=-1) > 0], minlength=n_objects + 1
+        )
+        n_blocks += np.bincount(sorted_labels.ravel(), minlength=n_objects + 1)
+    by_cover, n_columns = np.argsort(n_covered[1:])[::-1] + 1, labels[..., 0].size
+    largest_label = int(by_cover[0])
+    covered_share = n_covered[largest_label] / n_columns
+    if covered_share < _LEAST_COVER:
         raise VolumeError(
-            f"There is no sheet in the volume: the largest connected object covers {100 * covered:.2g} % of the "
+            f"There is no sheet in the volume: the largest connected object covers {100 * covered_share:.2g} % of the "
             "columns. Check --through (the axis that runs through the sheet) and --sheet-grey."
         )
-    sheet_labels = [int(k) for k in by_cover[:6] if cover[k] > 0.25 * cover[largest]]
+    sheet_labels = [int(k) for k in by_cover[:6] if n_covered[k] > 0.25 * n_covered[largest_label]]
     if len(sheet_labels) > 1:
-        shares_text = ", ".join(f"{100 * cover[k] / n_columns:.0f} %" for k in sheet_labels)
+        shares_text = ", ".join(f"{100 * n_covered[k] / n_columns:.0f} %" for k in sheet_labels)
         points_text = "; ".join(choice.describe(_inner_point(labels == k)) for k in sheet_labels)
         raise VolumeError(
             f"The volume shows {len(sheet_labels)} separate sheets (they cover {shares_text} of the columns). {_CHOOSE}"
             f" Points in them: {points_text}."
         )
-    in_sheet = labels == largest
-    leaving_share, end = max((in_sheet[..., k].mean() / covered, end) for end, k in (("low", 0), ("high", -1)))
+    in_sheet = labels == largest_label
+    leaving_share, end_text = max(
+        (in_sheet[..., k].mean() / covered_share, end_text) for end_text, k in (("low", 0), ("high", -1))
+    )
     if leaving_share > _LEAVES:
         raise VolumeError(
-            f"Material reaches the {end} end of the axis through the sheet in {100 * leaving_share:.0f} % of the "
+            f"Material reaches the {end_text} end of the axis through the sheet in {100 * leaving_share:.0f} % of the "
             f"columns: the sheet leaves the volume there, or several sheets lie behind each other. {_CHOOSE}"
         )
     n_filled = in_sheet.sum(axis=-1)
@@ -111,7 +115,7 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
     return CoarseSheet(
         low=low, high=high, block=choice.block, is_leaving=in_sheet[..., 0] | in_sheet[..., -1], threshold=threshold,
         is_touching=np.zeros(has_sheet.shape, bool),
-        specks=int(np.count_nonzero(sizes[1:] >= 8)) - 1,  # fewer blocks are noise
+        specks=int(np.count_nonzero(n_blocks[1:] >= 8)) - 1,  # fewer blocks are noise
     )  # fmt: skip
 
 
@@ -120,15 +124,17 @@ def followed_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choi
     assert choice.seed is not None
     seed = np.asarray(choice.seed)
     window_start = np.maximum(seed - 3, 0)  # a seed point may lie so many voxels beside its object
-    material = np.argwhere(inside[tuple(slice(int(a), int(k) + 4) for a, k in zip(window_start, seed, strict=True))])
-    if material.size == 0:
+    material_indices = np.argwhere(
+        inside[tuple(slice(int(a), int(k) + 4) for a, k in zip(window_start, seed, strict=True))]
+    )
+    if material_indices.size == 0:
         raise VolumeError(
             f"There is only air at the seed point {choice.describe(choice.seed)} um (z, y, x). Give a point inside the "
             "sheet with --seed-um."
         )
     # The nearest block of material to the seed point.
-    material += window_start
-    row, col, depth = material[int(np.argmin(np.sum((material - seed) ** 2, axis=1)))].tolist()
+    material_indices += window_start
+    row, col, depth = material_indices[int(np.argmin(np.sum((material_indices - seed) ** 2, axis=1)))].tolist()
     run = inside[row, col]
     outside = np.flatnonzero(~run)
     start = int(outside[outside < depth].max(initial=-1)) + 1

@@ -91,9 +91,7 @@ class Columns:
             grey = np.empty((*tile.shape, stored.shape[2]), dtype=np.float32)
             _kernels.mean_columns(stored, self.step, slope_r, slope_c, missing, grey)
             return grey
-        grey = np.ascontiguousarray(stored, dtype=np.float32)
-        if grey is stored:
-            grey = grey.copy()
+        grey = np.array(stored, dtype=np.float32, order="C")
         if self.padding is not None:
             grey[grey == self.padding] = np.nan
         return grey

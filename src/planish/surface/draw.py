@@ -110,9 +110,9 @@ class Drawing:
     def _draw(self, stretch: Stretch, face: Side) -> None:
         """Draw a face to the points of a stretch."""
         patch = Patch(self.lateral_um, self._points(stretch, face), stretch.reach_um, self.voxel_um)
-        measured_um, is_near = self._measured(face, patch.window), patch.away <= patch.reach_um
-        is_inside = is_near & ~np.isin(self.status[patch.window], (Status.NO_SHEET, Status.LEAVES_VOLUME))
-        is_around = np.isfinite(measured_um) & ~is_near & (patch.away <= patch.far_um)
+        measured_um, in_reach = self._measured(face, patch.window), patch.away <= patch.reach_um
+        is_inside = in_reach & ~np.isin(self.status[patch.window], (Status.NO_SHEET, Status.LEAVES_VOLUME))
+        is_around = np.isfinite(measured_um) & ~in_reach & (patch.away <= patch.far_um)
         expected = patch.expect(measured_um, is_around, is_inside, self.pitch, uses_points=True)
         if expected is None:
             return

@@ -168,8 +168,8 @@ def check_axis(columns: Columns, survey: Survey, params: SurfaceParams, engine: 
         turned_sheet = take_survey(turned_columns, params, engine).coarse
     except VolumeError:
         return
-    pairs = (coarse_sheet, columns), (turned_sheet, turned_columns)
-    thicknesses_um = [float(np.nanmedian((s.high - s.low) * c.pitch[2])) for s, c in pairs]
+    sheets_and_columns = (coarse_sheet, columns), (turned_sheet, turned_columns)
+    thicknesses_um = [float(np.nanmedian((s.high - s.low) * c.pitch[2])) for s, c in sheets_and_columns]
     # A sheet that is seen edge on measures a sixth of its run, or less, along its normal.
     if turned_sheet.is_leaving.mean() < _LEAVES and thicknesses_um[1] < 1 / 6 * thicknesses_um[0]:
         raise VolumeError(

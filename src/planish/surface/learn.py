@@ -194,9 +194,9 @@ class _Learner(Sampler):
             return False
         mean_undershoot = np.sum(weighted_sums, axis=0) / total_weight
         near_face, beyond_fringe = mean_undershoot[:-1], mean_undershoot[-1]
-        limit = -np.maximum(_LEAST, _SIGMAS / np.sqrt(total_weight[:-1]))
+        detection_limit = -np.maximum(_LEAST, _SIGMAS / np.sqrt(total_weight[:-1]))
         # No more than this share of the undershoot may be there in between.
-        return bool(((near_face < limit) & (beyond_fringe > 0.4 * near_face)).any())
+        return bool(((near_face < detection_limit) & (beyond_fringe > 0.4 * near_face)).any())
 
     def _undershoots_by_row(self, sample: Sample, side: Side, edge: Edge) -> Floats:
         """Grey of the air near the faces above that farther away, as a share of the contrast; (distances, rows)."""
@@ -219,7 +219,7 @@ class _Learner(Sampler):
             return np.where(column_count >= _FEW_COLUMNS, grey_sum / np.maximum(column_count, 1), np.nan)
 
         far_grey, contrast = mean_grey(*_FAR), side.level[2 if side.coated else 3]
-        return np.stack([mean_grey(*distances) - far_grey for distances in (*_NEAR, _BETWEEN)]) / contrast
+        return np.stack([mean_grey(*distance_range) - far_grey for distance_range in (*_NEAR, _BETWEEN)]) / contrast
 
     def with_fringe(self, samples: Samples, sides: Sides, edge: Edge, thin_sides: list[bool]) -> tuple[Edge, Sides]:
         """Blur and fringe, and greys of coatings that are nowhere thick, with which the staircase fits the sample best.

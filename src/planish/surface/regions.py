@@ -23,23 +23,25 @@ def regions(is_sheet: Bools, runs_out: Bools, pitch: Pair, rim_um: float) -> tup
     radius_px = max(1, round(12.0 / pitch_um)) if min(is_sheet.shape) * pitch_um > 100 else 1
     padded = np.pad(is_sheet, 2 * radius_px, mode="edge")
     unpadded = (slice(2 * radius_px, -2 * radius_px),) * 2
-    closed = ndimage.binary_closing(padded, _disc(radius_px))
-    in_sheet = (ndimage.binary_opening(closed, _disc(radius_px)) | ndimage.binary_erosion(closed, _disc(1)))[unpadded]
+    closed_mask = ndimage.binary_closing(padded, _disc(radius_px))
+    in_sheet = (ndimage.binary_opening(closed_mask, _disc(radius_px)) | ndimage.binary_erosion(closed_mask, _disc(1)))[
+        unpadded
+    ]
     labels, gap_count = ndimage.label(~in_sheet)
     border_labels = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
     column_count = np.bincount(labels.ravel(), minlength=gap_count + 1)
     # Half of a hole at the border lies beyond it.
     max_area_um2 = np.full(gap_count + 1, np.pi / 4 * _HOLE_UM**2)
     max_area_um2[border_labels] /= 2
-    out_count = np.bincount(labels.ravel(), weights=runs_out.ravel(), minlength=gap_count + 1)
-    is_continued = out_count > 0.5 * np.maximum(column_count, 1)
+    leaving_count = np.bincount(labels.ravel(), weights=runs_out.ravel(), minlength=gap_count + 1)
+    is_continued = leaving_count > 0.5 * np.maximum(column_count, 1)
     is_continued[0] = False
     is_hole = (column_count * pitch[0] * pitch[1] <= max_area_um2) & ~is_continued
     is_hole[0] = False
     in_hole = is_hole[labels]
     # The sheet's edge, which nothing has burnt, is kept clear of 20 um.
-    is_beside = ~in_sheet & ~in_hole & ~is_continued[labels]
-    in_rim = _near(in_hole, pitch, rim_um) | _near(is_beside, pitch, min(rim_um, 20.0))
+    is_beyond_edge = ~in_sheet & ~in_hole & ~is_continued[labels]
+    in_rim = _near(in_hole, pitch, rim_um) | _near(is_beyond_edge, pitch, min(rim_um, 20.0))
     return in_sheet, in_rim & in_sheet, in_sheet | in_hole
 
 

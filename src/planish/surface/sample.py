@@ -37,9 +37,9 @@ class Sample(NamedTuple):
 Samples = dict[bool, Sample]  # by whether they are read from the high end
 
 
-def subsample(index: Ints, max_count: int) -> Ints:
+def subsample(indices: Ints, max_count: int) -> Ints:
     """Take so many of an index (n, ...) at most, spread over all of it."""
-    return index[np.unique(np.linspace(0, len(index) - 1, min(len(index), max_count)).astype(int))]
+    return indices[np.unique(np.linspace(0, len(indices) - 1, min(len(indices), max_count)).astype(int))]
 
 
 class Sampler:
@@ -59,9 +59,11 @@ class Sampler:
         col_count = min(columns.shape[1], 1024)  # columns of each of them
         # Pieces of rows, spread over the sheet: starts that are far apart from one row to the next, multiples of the
         # golden section.
-        fractions = (np.arange(row_indices.size) * 0.6180339887498949) % 1.0
-        corners = zip(row_indices.tolist(), (fractions * (columns.shape[1] - col_count + 1)).astype(int), strict=True)
-        self.rows = [Tile(r, r + 1, int(c), int(c) + col_count) for r, c in corners]
+        start_fractions = (np.arange(row_indices.size) * 0.6180339887498949) % 1.0
+        tile_starts = zip(
+            row_indices.tolist(), (start_fractions * (columns.shape[1] - col_count + 1)).astype(int), strict=True
+        )
+        self.rows = [Tile(r, r + 1, int(c), int(c) + col_count) for r, c in tile_starts]
         self.cache: dict[Tile, NDArray[np.float32]] = {}
 
     def _blend(self, blend_sd: float) -> None:
