@@ -1,5 +1,7 @@
 """The straightened volume: what a ray shows, what is read for it, and that tiles change nothing."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -71,14 +73,13 @@ def test_vertical_rays_give_lengths_too_large_by_the_cosine(made):
     vertical = straighten(sheet.volume, sheet.surfaces, slice(5, 10), params=MeasureParams(rays="vertical"))
     # t / cos a, with tan a = 0.5
     np.testing.assert_allclose(vertical.top - vertical.bottom, 78.0 * np.hypot(1, 0.5), rtol=1e-9)
+    names = ["thickness", "absorption"]
     normal, upright = (
-        measure_along_rays(
-            sheet.volume, sheet.surfaces, names=["thickness", "absorption"], params=MeasureParams(rays=way)
-        )
+        measure_along_rays(sheet.volume, sheet.surfaces, names=names, params=MeasureParams(rays=way))
         for way in ("normal", "vertical")
     )
     middle = {"y": slice(5, 15), "x": slice(50, 70)}
-    for name in ("thickness", "absorption"):
+    for name in names:
         longer = upright[name].isel(middle) / normal[name].isel(middle)
         # the ray's ends lie three blurs outside, so that its integral is longer by the same factor
         np.testing.assert_allclose(longer, np.hypot(1, 0.5), rtol=2e-3)
@@ -151,28 +152,14 @@ def test_tiles_and_threads_change_no_byte_of_any_property(rough):
     names = [name for name, one in registered().items() if one.function.__module__.startswith("planish.")]
     assert len(names) > 30
 
-    def measure(rows, threads):
-        return measure_along_rays(
-            rough.volume,
-            rough.surfaces,
-            names=names,
-            params=EVERYTHING,
-            rows_per_tile=rows,
-            engine=Engine(threads=threads),
-        )
-
-    whole = measure(52, 1)
+    measure = partial(measure_along_rays, rough.volume, rough.surfaces, params=EVERYTHING)
+    whole = measure(names=names, rows_per_tile=52, engine=Engine(threads=1))
     for rows, threads in ((7, 2), (1, 3)):
-        xr.testing.assert_identical(measure(rows, threads), whole)
+        tiled = measure(names=names, rows_per_tile=rows, engine=Engine(threads=threads))
+        xr.testing.assert_identical(tiled, whole)
     lacking = [name for name in names if not np.isfinite(whole[name].values).any()]
     assert lacking == []
-    by_memory = measure_along_rays(
-        rough.volume,
-        rough.surfaces,
-        names=["porosity", "fibre_angle"],
-        params=EVERYTHING,
-        engine=Engine(memory_bytes=60_000_000),
-    )
+    by_memory = measure(names=["porosity", "fibre_angle"], engine=Engine(memory_bytes=60_000_000))
     xr.testing.assert_identical(by_memory["fibre_angle"], whole["fibre_angle"])
 
 

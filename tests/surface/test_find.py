@@ -35,13 +35,12 @@ def test_flip_swaps_the_faces():
     np.testing.assert_array_equal(high["interface_bottom"], low["interface_top"])
 
 
-@pytest.mark.parametrize("through", ["z", "y", "x"])
+@pytest.mark.parametrize("through", ["y", "x"])
 def test_any_axis_gives_the_same_surfaces(through):
     grey, *_ = slab(wave=15.0)
-    reference = find_surfaces(volume(grey))
-    turned = np.moveaxis(grey, 0, "zyx".index(through))
-    found = find_surfaces(volume(turned), frame=Frame(through=through))
-    np.testing.assert_allclose(found["top"], reference["top"], atol=1e-9)
+    turned = volume(np.moveaxis(grey, 0, "zyx".index(through)))
+    found = find_surfaces(turned, frame=Frame(through=through))
+    np.testing.assert_allclose(found["top"], find_surfaces(volume(grey))["top"], atol=1e-9)
 
 
 def test_inverted_greys_and_a_sheet_of_one_material():
@@ -113,7 +112,6 @@ def test_two_sheets_are_counted_and_one_is_chosen_by_its_grey():
     other, *_ = slab(shape=(120, 60, 60), height=260.0, coat=0.0, base=40, greys=(20.0, 120.0, 120.0))
     with pytest.raises(VolumeError, match=r"2 separate sheets.*sheet_grey="):
         find_surfaces(volume(np.maximum(grey, other)))
-    grey, _middle, _ = slab(shape=(120, 60, 60), height=90.0, coat=0.0, base=40, greys=(20.0, 120.0, 120.0))
     other, *_ = slab(shape=(120, 60, 60), height=260.0, coat=0.0, base=40, greys=(20.0, 220.0, 220.0))
     both = volume(np.maximum(grey, other))
     bright = find_surfaces(both, params=SurfaceParams(sheet_grey=(170.0, 255.0)))

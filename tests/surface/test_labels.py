@@ -63,12 +63,10 @@ def test_what_cannot_be_meant():
 
 @pytest.mark.parametrize("kind", ["labels", "paper"])
 def test_tiles_change_nothing(kind):
-    def run(engine):
-        if kind == "labels":
-            return find_surfaces(SHEET.labels(), params=SurfaceParams(labels=LabelParams()), engine=engine)
-        return find_surfaces(SHEET.volume(), params=SurfaceParams(method="paper"), engine=engine)
-
-    one, other = run(Engine(threads=1)), run(Engine(threads=3, memory_bytes=2**20))
+    by_labels = SHEET.labels(), SurfaceParams(labels=LabelParams())
+    volume, params = by_labels if kind == "labels" else (SHEET.volume(), SurfaceParams(method="paper"))
+    engines = Engine(threads=1), Engine(threads=3, memory_bytes=2**20)
+    one, other = (find_surfaces(volume, params=params, engine=engine) for engine in engines)
     for name in one.data_vars:
         assert one[name].values.tobytes() == other[name].values.tobytes(), name
 

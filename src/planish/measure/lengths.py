@@ -118,11 +118,7 @@ def thickness_se(sheet: Sheet, name: str) -> Floats:
 
     f = sheet.frame
     shared_noise = SharedNoise.of(
-        f.greys,
-        voxel_um=f.voxel_um,
-        pitch_um=f.pitch_um,
-        column_px=f.column_px,
-        noise_um=f.noise_um,
+        f.greys, voxel_um=f.voxel_um, pitch_um=f.pitch_um, column_px=f.column_px, noise_um=f.noise_um
     )
     slope = f.slopes()
     # A vertical distance is longer than a normal one, and so is its error.

@@ -188,11 +188,9 @@ def sheet_numbers(
         coating = measured[f"coating_{side}"]
         if np.isfinite(coating.values).any():
             thin_shares = thin_fraction(coating.assign_attrs(support_um=support_um))
-            marked_um, marked_shares = (tuple(thin_shares[name].values.tolist()) for name in ("marked", "marked_share"))
+            marked_um, share = (tuple(thin_shares[name].values.tolist()) for name in ("marked", "marked_share"))
             warning = thin_shares.attrs.get("warning")
-            thin[side] = ThinFacts(
-                thinner_than_um=marked_um, share=marked_shares, support_um=support_um, warning=warning
-            )
+            thin[side] = ThinFacts(thinner_than_um=marked_um, share=share, support_um=support_um, warning=warning)
         try:
             roughness_map = scale_limited(measured[f"topography_{side}"].values, pitch_um, **filters_um)
             roughness[side] = roughness_numbers(roughness_map, pitch_um, **filters_um)

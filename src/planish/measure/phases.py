@@ -148,9 +148,7 @@ _SHARES: dict[str, tuple[Callable[[Rays, Floats, Floats], Measured], str]] = {
 }
 
 
-def _layer_sums(
-    names: Sequence[str], layer_edges: Floats, halo_rays: Rays, tile_rows: slice, _sheet_rows: slice
-) -> Floats:
+def _layer_sums(names: Sequence[str], layer_edges: Floats, halo_rays: Rays, tile_rows: slice, _: slice) -> Floats:
     """Give number, sum and sum of squares of each share in each layer by row, (names, layers, 3, rows)."""
     # Rows are summed by themselves, then added in the same order however they were cut.
     rays = halo_rays.rows(tile_rows)

@@ -144,9 +144,8 @@ def _with_errors(measured: xr.Dataset, noise_um: float) -> xr.Dataset:
         common, patch_um2 = shared_noise.common_um, shared_noise.patch_um2
         slopes = np.gradient(measured["centre"].values, *pitch_um)
         coatings_um: dict[Side, Floats] = {side: measured[f"coating_{side}"].values for side in SIDES}
-        errors = thickness_errors(
-            coatings_um, greys, shared_noise, cosine=1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
-        )
+        cos_tilt = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
+        errors = thickness_errors(coatings_um, greys, shared_noise, cosine=cos_tilt)
         if attrs.get("method") == "paper":
             # A crossing of half the step uses one place of the edge, a fit all of it.
             crossing_factor = np.sqrt(max(1.0, np.sqrt(np.pi) * greys.blur_um / through_um))

@@ -301,13 +301,9 @@ class RayFrame:
         steps.append(frame.sign * normals[..., 2] / voxel_um)
         # The box around both ends of all rays, in voxels.
         row_index, col_index = np.arange(rows.start, rows.stop)[:, None], np.arange(is_wanted.shape[1])
-        starts = {
-            frame.rows: column_px * row_index + centre_px,
-            frame.cols: column_px * col_index + centre_px,
-            frame.through: depth,
-        }
+        starts = column_px * row_index + centre_px, column_px * col_index + centre_px, depth
         box: dict[str, slice] = {}
-        for (axis, start), step in zip(starts.items(), steps, strict=True):
+        for axis, start, step in zip((frame.rows, frame.cols, frame.through), starts, steps, strict=True):
             ends = [(start + end * self.step_um * step)[is_wanted] for end in (self.low, self.high)]
             n = volume.sizes[axis]
             first, last = int(np.floor(np.min(ends))), int(np.ceil(np.max(ends))) + 2

@@ -350,9 +350,8 @@ def in_order(names: Sequence[str | Property], params: MeasureParams, greys: Grey
 
     def visit(prop: Property, ancestors: tuple[str, ...]) -> None:
         if prop.name in ancestors:
-            raise CannotMeasure(
-                f"The property '{prop.name}' is made from itself: {' > '.join((*ancestors, prop.name))}."
-            )
+            path_text = " > ".join((*ancestors, prop.name))
+            raise CannotMeasure(f"The property '{prop.name}' is made from itself: {path_text}.")
         for needed_name in prop.after(params, greys) if callable(prop.after) else prop.after:
             visit(find_property(needed_name), (*ancestors, prop.name))
         ordered.setdefault(prop.name, prop)

@@ -67,14 +67,11 @@ def straightened(
             f"{max_depth_um:.0f} um."
         )
     voxel_um = frame.voxel_um
-    depths_um: Floats = (
-        np.arange(int(np.floor(low / voxel_um)), int(np.ceil(high / voxel_um)) + 1).astype(np.float64) * voxel_um
-    )
+    depth_px = np.arange(int(np.floor(low / voxel_um)), int(np.ceil(high / voxel_um)) + 1)
+    depths_um: Floats = depth_px.astype(np.float64) * voxel_um
     grid = Grid.of(maps)
     lazy_volume = _Straightened(volume, surfaces, maps, depths_um, frame)
-    coords = {
-        k: (k, coords_um, {"units": "um"}) for k, coords_um in (("z", depths_um), ("y", grid.y_um), ("x", grid.x_um))
-    }
+    coords = {k: (k, um, {"units": "um"}) for k, um in (("z", depths_um), ("y", grid.y_um), ("x", grid.x_um))}
     straight_volume = xr.DataArray(xr.Variable(("z", "y", "x"), held(lazy_volume)), coords=coords, name="grey")
     return straight_volume.assign_attrs(voxel_um=(voxel_um, *(round(float(p), 9) for p in grid.pixel_um)))
 
@@ -119,16 +116,14 @@ class _Straightened(LazyArray):
         map_threads(partial(self._fill, grey, depths_um, (rows, cols)), tiles)
         return grey
 
-    def _fill(
-        self, grey: NDArray[np.float32], depths_um: Floats, requested_slices: tuple[slice, slice], tile: Tile
-    ) -> None:
+    def _fill(self, grey: NDArray[np.float32], depths_um: Floats, slices: tuple[slice, slice], tile: Tile) -> None:
         from scipy import ndimage
 
         tile_grey = grey[:, tile.rows, tile.cols]
         tile_grey[:] = np.nan
         rows, cols = (
             slice(w.start + w.step * a, w.start + w.step * b, w.step)
-            for w, a, b in zip(requested_slices, (tile.r0, tile.c0), (tile.r1, tile.c1), strict=True)
+            for w, a, b in zip(slices, (tile.r0, tile.c0), (tile.r1, tile.c1), strict=True)
         )
         place_um = {axis: np.asarray(self._places[axis][rows, cols].values) for axis in ("z", "y", "x")}
         frame = self._frame

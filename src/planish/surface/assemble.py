@@ -74,9 +74,8 @@ def assemble(
     ``levels``: grey of air and base.
     """
     pitch, up_sign = columns.pitch[:2], columns.frame.sign
-    states = ColumnStates.of(
-        up_sign * (faces.heights["top"] - faces.heights["bottom"]) > 0, faces.below_particle, *doubt
-    )
+    has_faces = up_sign * (faces.heights["top"] - faces.heights["bottom"]) > 0
+    states = ColumnStates.of(has_faces, faces.below_particle, *doubt)
     if not states.has_faces.any():
         raise VolumeError(
             "There is no sheet in the volume: no column shows two faces. Check --through and --sheet-grey."

@@ -38,9 +38,8 @@ def find_faces_by_slice(columns: Columns, guide: Guide, priors: Priors, engine: 
         return columns, guide.part(priors.scale.grown(tile, (rows, cols))), priors, None
 
     depths_by_tile = engine.map("slices", _fit_slices, job, tiles_of((rows, cols), (rows_per_tile, cols)))
-    return faces_from_depths(
-        join_tiles(depths_by_tile, np.empty((4, rows, cols))), columns, priors.coated, particles=particles
-    )
+    depths = join_tiles(depths_by_tile, np.empty((4, rows, cols)))
+    return faces_from_depths(depths, columns, priors.coated, particles=particles)
 
 
 def _fit_slices(job: FitJob, tile: Tile) -> Floats:
@@ -62,9 +61,9 @@ def _fit_slices(job: FitJob, tile: Tile) -> Floats:
         for k, from_high in enumerate((True, False)):
             profiles = (row_grey[:, ::-1] if from_high else row_grey).astype(np.float64)
             outer, opposite = (a[i] for a in guide.faces(grey.shape[2], from_high=from_high))
-            coating_threshold = coating_level if priors.sides[from_high].coated else np.inf
+            thresholds = paper_level, coating_level if priors.sides[from_high].coated else np.inf
             depths[2 * k : 2 * k + 2, i] = _outer_boundaries(
-                profiles, outer, opposite, outer - search_px[i], paper_level, coating_threshold
+                profiles, outer, opposite, outer - search_px[i], *thresholds
             )
     return depths
 
@@ -169,12 +168,10 @@ def surfaces_from_labels(
                 )
     columns = LabelColumns(volume=labels, frame=frame, codes=dict(sorted(code_of_label.items())))
     coarse, empty_share = survey_labels(columns, params, engine)
-    guide, coded_columns = make_guide(coarse, columns), replace(columns, sheet=False)
+    guide, coded = make_guide(coarse, columns), replace(columns, sheet=False)
     search_px = 2.0 + 1.5 * coarse.block * max(columns.pitch[:2]) / columns.pitch[2]
-    depths_by_tile = engine.map(
-        "labels", _boundaries, lambda tile: (coded_columns, guide.part(tile), search_px), columns.tiles(engine)
-    )
-    depths = join_tiles(depths_by_tile, np.empty((4, *columns.shape[:2])))
+    by_tile = engine.map("labels", _boundaries, lambda t: (coded, guide.part(t), search_px), columns.tiles(engine))
+    depths = join_tiles(by_tile, np.empty((4, *columns.shape[:2])))
     # A side with a coating in fewer than 2 % of its columns has none.
     is_coated = [thickness[np.isfinite(thickness)] > 0 for thickness in depths[1::2]]
     high_coated, low_coated = (bool(mask.size and mask.mean() > 0.02) for mask in is_coated)
@@ -195,9 +192,8 @@ def _boundaries(job: tuple[LabelColumns, Guide, float], tile: Tile) -> Floats:
     for k, from_high in enumerate((True, False)):
         outer, opposite = guide.faces(last_index + 1, from_high=from_high)
         has_sheet = np.isfinite(outer) & np.isfinite(opposite)
-        middle, start = (
-            np.where(has_sheet, a, -1.0) for a in (0.5 * (outer + opposite), outer - search_px / guide.cos_tilt)
-        )
+        middle = np.where(has_sheet, 0.5 * (outer + opposite), -1.0)
+        start = np.where(has_sheet, outer - search_px / guide.cos_tilt, -1.0)
         codes_inward = codes[:, :, ::-1] if from_high else codes
         # The outermost boundary of base or coating, and the outermost run of coating.
         is_coating = codes_inward == _CODES["coating"]

@@ -78,7 +78,7 @@ def choose_sheet(
             unseeded = None
     try:
         # Layers may be thinner than what the blocks are smoothed over.
-        sheet, is_embedded = _sheet_at_seed(oriented, _above_air(sharp_blocks, air, polarity), threshold, choice)
+        sheet, is_embedded = _seeded(oriented, _above_air(sharp_blocks, air, polarity), threshold, choice)
     except VolumeError:
         if unseeded is None:
             raise
@@ -151,9 +151,7 @@ def _refined(oriented: Blocks, threshold: float, choice: Choice) -> CoarseSheet:
     return search_sheet(oriented, oriented > threshold, threshold, choice)
 
 
-def _sheet_at_seed(
-    oriented: Blocks, sharp_blocks: Blocks, threshold: float, choice: Choice
-) -> tuple[CoarseSheet, bool]:
+def _seeded(oriented: Blocks, sharp_blocks: Blocks, threshold: float, choice: Choice) -> tuple[CoarseSheet, bool]:
     """Find the sheet at the seed, and tell whether what lies beside it is other material and not air."""
     assert choice.seed is not None
     last_error: VolumeError | None = None

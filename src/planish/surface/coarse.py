@@ -73,9 +73,8 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
     n_covered, n_blocks = np.zeros((2, n_objects + 1), dtype=np.int64)
     for label_row in labels:
         sorted_labels = np.sort(label_row, axis=-1)
-        n_covered += np.bincount(
-            sorted_labels[np.diff(sorted_labels, axis=-1, prepend=-1) > 0], minlength=n_objects + 1
-        )
+        is_first = np.diff(sorted_labels, axis=-1, prepend=-1) > 0
+        n_covered += np.bincount(sorted_labels[is_first], minlength=n_objects + 1)
         n_blocks += np.bincount(sorted_labels.ravel(), minlength=n_objects + 1)
     by_cover, n_columns = np.argsort(n_covered[1:])[::-1] + 1, labels[..., 0].size
     largest_label = int(by_cover[0])
@@ -94,12 +93,10 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
             f" Points in them: {points_text}."
         )
     in_sheet = labels == largest_label
-    leaving_share, end_text = max(
-        (in_sheet[..., k].mean() / covered_share, end_text) for end_text, k in (("low", 0), ("high", -1))
-    )
+    leaving_share, end = max((in_sheet[..., k].mean() / covered_share, end) for end, k in (("low", 0), ("high", -1)))
     if leaving_share > _LEAVES:
         raise VolumeError(
-            f"Material reaches the {end_text} end of the axis through the sheet in {100 * leaving_share:.0f} % of the "
+            f"Material reaches the {end} end of the axis through the sheet in {100 * leaving_share:.0f} % of the "
             f"columns: the sheet leaves the volume there, or several sheets lie behind each other. {_CHOOSE}"
         )
     n_filled = in_sheet.sum(axis=-1)
@@ -124,9 +121,8 @@ def followed_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choi
     assert choice.seed is not None
     seed = np.asarray(choice.seed)
     window_start = np.maximum(seed - 3, 0)  # a seed point may lie so many voxels beside its object
-    material_indices = np.argwhere(
-        inside[tuple(slice(int(a), int(k) + 4) for a, k in zip(window_start, seed, strict=True))]
-    )
+    window = tuple(slice(int(a), int(k) + 4) for a, k in zip(window_start, seed, strict=True))
+    material_indices = np.argwhere(inside[window])
     if material_indices.size == 0:
         raise VolumeError(
             f"There is only air at the seed point {choice.describe(choice.seed)} um (z, y, x). Give a point inside the "
@@ -160,15 +156,8 @@ def followed_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choi
             f"The object at the seed point {place_text} um (z, y, x) reaches an end of the axis through the sheet in "
             f"{100 * np.mean(is_leaving[has_sheet]):.0f} % of its columns. Check --through and --seed-um."
         )
-    low_face, high_face = _extent(blocks, low, high, threshold)
-    return CoarseSheet(
-        low=low_face,
-        high=high_face,
-        block=choice.block,
-        is_leaving=is_leaving,
-        threshold=threshold,
-        is_touching=is_merged,
-    )
+    extent = dict(zip(("low", "high"), _extent(blocks, low, high, threshold), strict=True))
+    return CoarseSheet(**extent, block=choice.block, is_leaving=is_leaving, threshold=threshold, is_touching=is_merged)
 
 
 def flags_to_columns(field: Bools, block: int, shape: tuple[int, int]) -> Bools:

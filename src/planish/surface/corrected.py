@@ -82,9 +82,8 @@ def uncorrected(surfaces: xr.Dataset) -> xr.Dataset:
     is_centre_moved = np.isfinite(surfaces["found_centre"].values)
     for name in (*_HEIGHTS, "status", "centre"):
         is_restored = is_centre_moved if name == "centre" else is_changed
-        original[name] = original[name].copy(
-            data=np.where(is_restored, surfaces[f"found_{name}"].values, original[name].values)
-        )
+        field = np.where(is_restored, surfaces[f"found_{name}"].values, surfaces[name].values)
+        original[name] = original[name].copy(data=field)
     for name in ("corrections", "corrected_tiles"):
         original.attrs.pop(name, None)
     return original
@@ -188,19 +187,16 @@ def _moved_centre(surfaces: xr.Dataset, corrected: dict[str, NDArray[Any]], para
     is_different = ~((face_means[0] == face_means[1]) | (np.isnan(face_means[0]) & np.isnan(face_means[1])))
     if not is_different.any():
         return centre
-    window: list[slice] = []
+    slices: list[slice] = []
     for axis, step in enumerate(steps):
         # The smoothing reaches three cut-offs.
         changed_lines = np.flatnonzero(is_different.any(axis=1 - axis))
         reach = int(np.ceil(3.0 * params.cutoff_um / step))
-        window.append(slice(max(int(changed_lines[0]) - reach, 0), int(changed_lines[-1]) + reach + 1))
-    window_slices = window[0], window[1]
-    outline = np.isfinite(centre[window_slices])
-    centre_before, centre_after = (
-        centre_surface(face_mean[window_slices], outline, steps, params)[0] for face_mean in face_means
-    )
-    moved_centre = centre.copy()
+        slices.append(slice(max(int(changed_lines[0]) - reach, 0), int(changed_lines[-1]) + reach + 1))
+    window = slices[0], slices[1]
+    outline = np.isfinite(centre[window])
+    centres = [centre_surface(face_mean[window], outline, steps, params)[0] for face_mean in face_means]
+    moved_centre, shift_um = centre.copy(), centres[1] - centres[0]
     # Where a correction moves it by less than a nanometre it stays.
-    shift_um = centre_after - centre_before
-    moved_centre[window_slices] += np.where(np.abs(shift_um) >= 0.001, shift_um, 0.0)
+    moved_centre[window] += np.where(np.abs(shift_um) >= 0.001, shift_um, 0.0)
     return moved_centre

@@ -22,10 +22,10 @@ def regions(is_sheet: Bools, runs_out: Bools, pitch: Pair, rim_um: float) -> tup
     # Single columns without a face are gaps of the measurement; only larger ones are gaps of the sheet.
     radius_px = max(1, round(12.0 / pitch_um)) if min(is_sheet.shape) * pitch_um > 100 else 1
     padded = np.pad(is_sheet, 2 * radius_px, mode="edge")
-    unpadded = (slice(2 * radius_px, -2 * radius_px),) * 2
-    closed_mask = ndimage.binary_closing(padded, _disc(radius_px))
-    in_sheet = (ndimage.binary_opening(closed_mask, _disc(radius_px)) | ndimage.binary_erosion(closed_mask, _disc(1)))[
-        unpadded
+    inner = (slice(2 * radius_px, -2 * radius_px),) * 2
+    is_closed = ndimage.binary_closing(padded, _disc(radius_px))
+    in_sheet = (ndimage.binary_opening(is_closed, _disc(radius_px)) | ndimage.binary_erosion(is_closed, _disc(1)))[
+        inner
     ]
     labels, gap_count = ndimage.label(~in_sheet)
     border_labels = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))

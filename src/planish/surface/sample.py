@@ -59,11 +59,9 @@ class Sampler:
         col_count = min(columns.shape[1], 1024)  # columns of each of them
         # Pieces of rows, spread over the sheet: starts that are far apart from one row to the next, multiples of the
         # golden section.
-        start_fractions = (np.arange(row_indices.size) * 0.6180339887498949) % 1.0
-        tile_starts = zip(
-            row_indices.tolist(), (start_fractions * (columns.shape[1] - col_count + 1)).astype(int), strict=True
-        )
-        self.rows = [Tile(r, r + 1, int(c), int(c) + col_count) for r, c in tile_starts]
+        start_shares = (np.arange(row_indices.size) * 0.6180339887498949) % 1.0
+        col_starts = (start_shares * (columns.shape[1] - col_count + 1)).astype(int).tolist()
+        self.rows = [Tile(r, r + 1, c, c + col_count) for r, c in zip(row_indices.tolist(), col_starts, strict=True)]
         self.cache: dict[Tile, NDArray[np.float32]] = {}
 
     def _blend(self, blend_sd: float) -> None:

@@ -223,9 +223,7 @@ def padding_value(columns: NDArray[np.generic]) -> float | None:
     if np.count_nonzero(is_cut) < 0.05 * is_cut.size:
         # Few columns end in the padding. If others hold nothing else, the circle lies across the columns.
         is_empty = is_padding.all(axis=1)
-        is_across = (
-            np.count_nonzero(is_empty) > 0.01 * is_empty.size and not (~is_padding[~is_empty][:, 0]).mean() < 0.5
-        )
+        is_across = is_empty.mean() > 0.01 and not (~is_padding[~is_empty][:, 0]).mean() < 0.5
         return padding if is_across else None
     rows = np.flatnonzero(is_cut & (first > 0))
     if rows.size < 10:
