@@ -152,9 +152,8 @@ def _with_errors(measured: xr.Dataset, noise_um: float) -> xr.Dataset:
             errors = {name: se * crossing_factor for name, se in errors.items()}
     for side in SIDES:
         if (correction_se := measured.get(f"correction_{side}_error")) is not None:
-            correction_se_um = np.nan_to_num(correction_se.values.astype(np.float64))
-            affected_names = (f"coating_{side}", "base_thickness", "thickness")
-            errors |= {name: np.hypot(errors[name], correction_se_um) for name in affected_names}
+            added_um = np.nan_to_num(correction_se.values.astype(np.float64))
+            errors |= {k: np.hypot(errors[k], added_um) for k in (f"coating_{side}", "base_thickness", "thickness")}
     variables: dict[str, xr.Variable] = {}
     for name in ("coating_top", "coating_bottom", "base_thickness", "thickness"):
         se = np.where(np.isfinite(measured[name].values), errors[name], np.nan).astype(np.float32)

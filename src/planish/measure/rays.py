@@ -293,7 +293,7 @@ class RayFrame:
         grey = np.full((*is_wanted.shape, self.samples), np.nan, dtype=np.float32)
         if not is_wanted.any():
             return grey
-        frame, column_px, centre_px = self.frame, self.column_px, 0.5 * (self.column_px - 1)
+        frame, column_px = self.frame, self.column_px
         through = volume.coords[frame.through].values
         voxel_um = float(through[1] - through[0])
         depth = (frame.sign * self.heights["centre"][rows] - float(through[0])) / voxel_um
@@ -301,7 +301,7 @@ class RayFrame:
         steps.append(frame.sign * normals[..., 2] / voxel_um)
         # The box around both ends of all rays, in voxels.
         row_index, col_index = np.arange(rows.start, rows.stop)[:, None], np.arange(is_wanted.shape[1])
-        starts = column_px * row_index + centre_px, column_px * col_index + centre_px, depth
+        starts = (*(column_px * k + 0.5 * (column_px - 1) for k in (row_index, col_index)), depth)
         box: dict[str, slice] = {}
         for axis, start, step in zip((frame.rows, frame.cols, frame.through), starts, steps, strict=True):
             ends = [(start + end * self.step_um * step)[is_wanted] for end in (self.low, self.high)]

@@ -41,12 +41,13 @@ class ColumnStates(NamedTuple):
     below_particle: Bools
 
     @classmethod
-    def of(cls, has_faces: Bools, below_particle: Bools, may_touch: Bools, may_run_out: Bools) -> ColumnStates:
+    def of(cls, faces: Faces, up_sign: float, may_touch: Bools, may_run_out: Bools) -> ColumnStates:
         """Decide between what the fit and the coarse search say."""
+        has_faces = up_sign * (faces.heights["top"] - faces.heights["bottom"]) > 0
         runs_out = may_run_out & ~has_faces
         is_touching = may_touch & ~runs_out
         has_faces = has_faces & ~is_touching
-        return cls(has_faces, is_touching, runs_out, below_particle & ~(has_faces | is_touching | runs_out))
+        return cls(has_faces, is_touching, runs_out, faces.below_particle & ~(has_faces | is_touching | runs_out))
 
     @property
     def is_sheet(self) -> Bools:
@@ -73,15 +74,14 @@ def assemble(
     ``doubt``: columns in which the sheet touches another or itself, and in which it may run out of the volume;
     ``levels``: grey of air and base.
     """
-    pitch, up_sign = columns.pitch[:2], columns.frame.sign
-    has_faces = up_sign * (faces.heights["top"] - faces.heights["bottom"]) > 0
-    states = ColumnStates.of(has_faces, faces.below_particle, *doubt)
+    pitch = columns.pitch[:2]
+    states = ColumnStates.of(faces, columns.frame.sign, *doubt)
     if not states.has_faces.any():
         raise VolumeError(
             "There is no sheet in the volume: no column shows two faces. Check --through and --sheet-grey."
         )
     heights = {name: np.where(states.has_faces, faces.heights[name], np.nan) for name in _TITLES}
-    thickness = float(np.median((up_sign * (heights["top"] - heights["bottom"]))[states.has_faces]))
+    thickness = float(np.median(np.abs(heights["top"] - heights["bottom"])[states.has_faces]))
     in_sheet, in_rim, in_outline = regions(states.is_sheet, states.runs_out, pitch, params.rim_um)
     face_mean = np.where(in_sheet & ~in_rim, 0.5 * (heights["top"] + heights["bottom"]), np.nan)
     if not np.isfinite(face_mean).any():
@@ -93,13 +93,13 @@ def assemble(
     variables = {name: _variable(height, _TITLES[name]) for name, height in heights.items()}
     variables["centre"] = _variable(centre, "Centre surface")
     if params.envelope_um is not None:
-        variables |= _envelopes(heights, up_sign, pitch, params.envelope_um)
+        variables |= _envelopes(heights, columns.frame.sign, pitch, params.envelope_um)
     base_offset = 0.5 * (heights["interface_top"] + heights["interface_bottom"]) - face_mean
     surfaces = alternative_surfaces(base_offset, face_mean, centre, in_outline, pitch, params)
     variables |= {name: _variable(height.astype(np.float32), title) for name, (height, title) in surfaces.items()}
     variables |= {
         name: _variable(share, f"Material {_PLACES[name]}", "1", layer=list(LAYERS[name]))
-        for name, share in find_presence(columns, centre, thickness, up_sign, levels, engine).items()
+        for name, share in find_presence(columns, centre, thickness, columns.frame.sign, levels, engine).items()
     }
     is_bridged = cutoff_used > params.cutoff_um
     if is_bridged.any():
@@ -236,9 +236,9 @@ def _tile_presence(job: tuple[Columns, list[Floats], float, Pair], tile: Tile) -
     first_px = min(max(int(np.floor(min_depth)), 0), depth_count - 2)
     halo = [int(np.ceil(np.abs(offsets).max() * float(np.abs(n[is_sheet]).max()))) + 1 for n in normal[:2]]
     tile_with_halo = tile.grown(halo[0], halo[1], columns.shape[:2])
+    lead = tile.within(tile_with_halo)[::2]
     grey = columns.grey(tile_with_halo, depth=slice(first_px, min(int(np.ceil(max_depth)) + 2, depth_count)))
     _kernels.presence(
-        grey, first_px, depth_count, *tile.within(tile_with_halo)[::2], centre_depth, *normal, offsets, layer_indices,
-        *grey_levels, shares,
-    )  # fmt: skip
+        grey, first_px, depth_count, *lead, centre_depth, *normal, offsets, layer_indices, *grey_levels, shares
+    )
     return shares

@@ -92,6 +92,10 @@ def choose_sheet(
             return unseeded, "air", polarity
     if is_embedded:
         return sheet, "material", polarity
+    return sheet, "others" if _has_others_beside(oriented, sheet) else "air", polarity
+
+
+def _has_others_beside(oriented: Blocks, sheet: CoarseSheet) -> bool:
     # With so much air beside it no search for its faces meets another object.
     min_gap_px = max(12, 4 + 3 * sheet.block)
     depth_index, near_count = np.arange(oriented.shape[2]), 0
@@ -99,7 +103,7 @@ def choose_sheet(
         distance_px = np.fmax(low[:, None] - depth_index, depth_index - high[:, None])
         is_object = (block_row > sheet.threshold) & (distance_px > 2) & (distance_px < min_gap_px)
         near_count += np.count_nonzero(is_object.any(axis=1))
-    return sheet, "air" if near_count < 0.001 * sheet.low.size else "others", polarity
+    return bool(near_count >= 0.001 * sheet.low.size)
 
 
 def material(blocks: Blocks, air: float, air_scatter: float | None = None) -> tuple[float, float, float]:

@@ -72,10 +72,9 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
     # Columns in which each object appears.
     n_covered, n_blocks = np.zeros((2, n_objects + 1), dtype=np.int64)
     for label_row in labels:
-        sorted_labels = np.sort(label_row, axis=-1)
-        is_first = np.diff(sorted_labels, axis=-1, prepend=-1) > 0
-        n_covered += np.bincount(sorted_labels[is_first], minlength=n_objects + 1)
-        n_blocks += np.bincount(sorted_labels.ravel(), minlength=n_objects + 1)
+        ordered = np.sort(label_row, axis=-1)
+        n_covered += np.bincount(ordered[np.diff(ordered, axis=-1, prepend=-1) > 0], minlength=n_objects + 1)
+        n_blocks += np.bincount(ordered.ravel(), minlength=n_objects + 1)
     by_cover, n_columns = np.argsort(n_covered[1:])[::-1] + 1, labels[..., 0].size
     largest_label = int(by_cover[0])
     covered_share = n_covered[largest_label] / n_columns

@@ -210,17 +210,16 @@ class Drawing:
         is_relative: bool, sign: float, min_step: float,
     ) -> Floats:  # fmt: skip
         """Heights of edges near those that are expected, (n,); NaN where the image shows none."""
-        columns, is_high, noise = self.columns, self._is_high(face), self.attrs["grey_noise"]
+        columns, is_high = self.columns, self._is_high(face)
         column_indices = np.stack(np.nonzero(is_searched)) + np.array([[window[0].start], [window[1].start]])
         blur_px = self.attrs["blur_um"] / self.voxel_um
-        fringe_px = self.attrs.get("fringe_um", 0.0) / self.voxel_um or FRINGE_PX
         error_px = np.maximum(expected[1] / self.voxel_um, 0.25)
         band_px = np.clip(2.0 * error_px + 1, 2.0, 8.0)  # how far from the expected place an edge is sought, in voxels
         edge_searches = np.stack([self._depth(expected[0], face), error_px, band_px, second_edge])
         # The noise; the least step, and how much it gains: an edge of five standard errors; the fringe.
         search_options = (
-            max(noise, _MISFIT * self.contrast), max(min_step, 4 * noise), 25.0, self.attrs.get("fringe", 0.0),
-            blur_px / fringe_px,
+            max(self.attrs["grey_noise"], _MISFIT * self.contrast), max(min_step, 4 * self.attrs["grey_noise"]), 25.0,
+            self.attrs.get("fringe", 0.0), blur_px / (self.attrs.get("fringe_um", 0.0) / self.voxel_um or FRINGE_PX),
         )  # fmt: skip
 
         def job(tile: Tile) -> EdgeJob:
@@ -232,9 +231,8 @@ class Drawing:
         self.tiles.update(tiles)
         depths = np.full(column_indices.shape[1], np.nan)
         # Named by what is asked for: a run that goes on with other corrections finds nothing of these.
-        request = b"".join(a.tobytes() for a in (*column_indices, *expected, second_edge))
-        request_hash = hashlib.sha256(request).hexdigest()[:16]
-        for tile, tile_depths in self.engine.map(f"drawn-{request_hash}", _search_edges, job, tiles):
+        request = hashlib.sha256(b"".join(a.tobytes() for a in (*column_indices, *expected, second_edge)))
+        for tile, tile_depths in self.engine.map(f"drawn-{request.hexdigest()[:16]}", _search_edges, job, tiles):
             depths[_in_tile(column_indices, tile)] = tile_depths
         if is_high:
             depths = columns.shape[2] - 1 - depths
