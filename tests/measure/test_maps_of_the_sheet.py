@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from folders import refused
 from planish.core._envelope_kernels import rolled
 from planish.core.errors import CannotMeasure
 from planish.measure import lengths, measure_along_rays, registry, roughness_numbers, scale_limited, two_sidedness
@@ -66,8 +67,7 @@ def test_filters_and_heights_that_leave_nothing_are_refused():
         scale_limited(np.zeros((60, 100)), (4.0, 4.0), s_filter_um=500.0, l_filter_um=80.0)
     limited = np.full((20, 20), np.nan)
     limited[5, 5], limited[12, 9] = 1.0, 2.0
-    with pytest.raises(CannotMeasure, match="too small"):
-        roughness_numbers(limited, (3.0, 3.0), s_filter_um=5.0, l_filter_um=800.0)
+    refused(CannotMeasure, "too small", roughness_numbers, limited, (3.0, 3.0), s_filter_um=5.0, l_filter_um=800.0)
 
 
 def bent(made, height):
@@ -119,8 +119,7 @@ def test_two_sides(made):
     # r = 0.6 by construction, 60000 points
     assert numbers["coating_correlation"] == pytest.approx(0.6, abs=0.01)
     assert numbers["coating_sd_ratio"] == pytest.approx(2.0, abs=0.02)
-    with pytest.raises(CannotMeasure, match="coating_top and coating_bottom"):
-        two_sidedness(maps.drop_vars("coating_top"))
+    refused(CannotMeasure, "coating_top and coating_bottom", two_sidedness, maps.drop_vars("coating_top"))
 
 
 @pytest.mark.parametrize(("side", "outwards"), [("top", 1.0), ("bottom", -1.0)])

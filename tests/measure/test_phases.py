@@ -77,8 +77,7 @@ def test_filler_and_coating_that_has_run_in(made):
     # of the 36 um from -20 to 16; grains are 6 or 7 voxels thick
     assert share == pytest.approx(6 / 36, abs=1.2 / 36)
     assert float(np.nanmedian(found["filler_weight"])) == pytest.approx(share * 50 * 2.7, rel=1e-4)
-    with pytest.raises(CannotMeasure, match="filler_g_cm3"):
-        measure_along_rays(sheet.volume, sheet.surfaces, names=["filler_weight"])
+    refused(CannotMeasure, "filler_g_cm3", measure_along_rays, sheet.volume, sheet.surfaces, names=["filler_weight"])
     bare = made(top=0.0, bottom=0.0)
     refused(CannotMeasure, "Give filler_grey", measure_along_rays, bare.volume, bare.surfaces, names=["filler"])
 

@@ -9,6 +9,7 @@ from scipy.interpolate import RegularGridInterpolator
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
+from folders import refused
 from planish.core.errors import SurfaceError
 from planish.core.status import Status
 from planish.core.tiles import Engine
@@ -170,9 +171,7 @@ def test_a_ray_without_matter_is_low_in_contrast_and_wrong_input_refused(made):
     status = measure_along_rays(volume, sheet.surfaces, names=["porosity"])["status"]
     assert (status.values[21:29, 31:39] == Status.LOW_CONTRAST).all()
     assert status.attrs["flag_meanings"].split()[Status.LOW_CONTRAST] == "low_contrast"
-    with pytest.raises(SurfaceError, match="do not belong together"):
-        straighten(sheet.volume[:, 1:], sheet.surfaces, slice(0, 5))
+    refused(SurfaceError, "do not belong together", straighten, sheet.volume[:, 1:], sheet.surfaces, slice(0, 5))
     bare = sheet.surfaces.copy()
     del bare.attrs["grey_base"]
-    with pytest.raises(SurfaceError, match="grey_base"):
-        straighten(sheet.volume, bare, slice(0, 5))
+    refused(SurfaceError, "grey_base", straighten, sheet.volume, bare, slice(0, 5))

@@ -7,6 +7,7 @@ import pytest
 import xarray as xr
 from scipy import ndimage, special
 
+from folders import refused
 from planish.checks import CHECKS, MeasuredSheet
 from planish.core.errors import FileError, InputError
 from planish.core.facts import SIDES
@@ -193,8 +194,7 @@ def test_a_point_on_the_right_face_changes_next_to_nothing_and_one_outside_is_re
     volume, _, _ = spoilt()
     place = {"z": 100, "y": 1e4, "x": 10, "face": "top"}
     asked = Corrections.model_validate({"stretches": [{"id": "c1", "points": [place]}]})
-    with pytest.raises(InputError, match="its y goes from 0 to 357 um"):
-        correct_surfaces(found(), volume, asked)
+    refused(InputError, "its y goes from 0 to 357 um", correct_surfaces, found(), volume, asked)
 
 
 @pytest.mark.parametrize(
@@ -211,8 +211,7 @@ def test_a_point_on_the_right_face_changes_next_to_nothing_and_one_outside_is_re
 def test_a_file_that_holds_no_corrections_is_refused(tmp_path, text, words):
     path = tmp_path / "surface.json"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(FileError, match=words):
-        read_corrections(path)
+    refused(FileError, words, read_corrections, path)
 
 
 def test_kriging_meets_its_points_and_is_as_wrong_as_it_says():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from folders import refused
 from planish.core.errors import InputError, VolumeError
 from planish.core.frame import Frame
 from planish.core.tiles import Engine
@@ -44,19 +45,15 @@ def test_labels_get_their_meanings_and_pores_are_no_face():
     labels = SHEET.labels().values.copy()
     labels[(labels == 1) & (np.random.default_rng(0).random(labels.shape) < 0.3)] = 5
     given = SHEET.labels().copy(data=labels)
-    with pytest.raises(VolumeError, match=r"label 5.*label_void="):
-        from_labels(given)
+    refused(VolumeError, r"label 5.*label_void=", from_labels, given)
     found = from_labels(given, void=(5,))
     np.testing.assert_array_equal(found["top"], from_labels(SHEET.labels())["top"])
 
 
 def test_what_cannot_be_meant():
-    with pytest.raises(VolumeError, match="two meanings"):
-        from_labels(SHEET.labels(), base=(2,))
-    with pytest.raises(VolumeError, match="integers"):
-        from_labels(SHEET.labels().astype(np.float32))
-    with pytest.raises(ValidationError, match="paper"):
-        from_labels(SHEET.labels(), paper=(1,))
+    refused(VolumeError, "two meanings", from_labels, SHEET.labels(), base=(2,))
+    refused(VolumeError, "integers", from_labels, SHEET.labels().astype(np.float32))
+    refused(ValidationError, "paper", from_labels, SHEET.labels(), paper=(1,))
     with pytest.raises(InputError, match="have no mean"):
         find_surfaces(SHEET.labels(), params=SurfaceParams(labels=LabelParams()), step=2)
 

@@ -130,7 +130,6 @@ def assemble(
 
 
 def _envelopes(heights: dict[str, Floats], up_sign: float, pitch: Pair, radius_um: float) -> dict[str, Variable]:
-    """Faces below a ball that rolls over them."""
     variables: dict[str, Variable] = {}
     for name, outward_sign in (("top", up_sign), ("bottom", -up_sign)):
         outward = outward_sign * heights[name]

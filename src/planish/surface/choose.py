@@ -162,7 +162,7 @@ def _seeded(oriented: Blocks, sharp_blocks: Blocks, threshold: float, choice: Ch
     # In air the usual threshold will do. Amid other material it is raised until the sheet stands alone.
     try:
         sheet = _refined(oriented, threshold, choice)
-        if touching_share(sheet) < 0.15:  # of the sheet that may touch others; with a higher threshold it may be less
+        if _touching_share(sheet) < 0.15:  # of the sheet that may touch others; with a higher threshold it may be less
             return sheet, False
     except VolumeError as error:
         last_error = error
@@ -180,7 +180,7 @@ def _seeded(oriented: Blocks, sharp_blocks: Blocks, threshold: float, choice: Ch
             last_error = error
             continue
         whole_columns = int(np.count_nonzero(sheet.is_whole))
-        if whole_columns > max_columns and touching_share(sheet) < 0.6:  # above it the sheet cannot be followed
+        if whole_columns > max_columns and _touching_share(sheet) < 0.6:  # above it the sheet cannot be followed
             max_columns, best_sheet = whole_columns, sheet
     if best_sheet is not None:
         return best_sheet, True
@@ -190,8 +190,7 @@ def _seeded(oriented: Blocks, sharp_blocks: Blocks, threshold: float, choice: Ch
     ) from last_error
 
 
-def touching_share(sheet: CoarseSheet) -> float:
-    """Share of the sheet that touches others."""
+def _touching_share(sheet: CoarseSheet) -> float:
     is_measured, touching_count = np.isfinite(sheet.low) | np.isfinite(sheet.high), np.count_nonzero(sheet.is_touching)
     return touching_count / max(np.count_nonzero(is_measured) + touching_count, 1)
 

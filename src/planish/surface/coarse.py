@@ -174,7 +174,6 @@ def to_columns(field: Floats, block: int, shape: tuple[int, int]) -> Floats:
 
 
 def _inner_point(in_object: Bools) -> tuple[int, int, int]:
-    """Return a point in the middle of an object."""
     rows, cols = np.nonzero(in_object.any(axis=-1))
     k = int(np.argmin((rows - np.median(rows)) ** 2 + (cols - np.median(cols)) ** 2))
     depth = np.flatnonzero(in_object[rows[k], cols[k]])

@@ -108,7 +108,6 @@ class Drawing:
                     self._draw(stretch, face)
 
     def _draw(self, stretch: Stretch, face: Side) -> None:
-        """Draw a face to the points of a stretch."""
         patch = Patch(self.lateral_um, self._points(stretch, face), stretch.reach_um, self.voxel_um)
         measured_um, in_reach = self._measured(face, patch.window), patch.away <= patch.reach_um
         is_inside = in_reach & ~np.isin(self.status[patch.window], (Status.NO_SHEET, Status.LEAVES_VOLUME))
@@ -155,7 +154,6 @@ class Drawing:
         return points
 
     def _measured(self, face: Side, window: Window) -> Floats:
-        """Heights of a face where it was measured."""
         return np.where(self.status[window] == Status.MEASURED, self.heights[face][window], np.nan)
 
     def _redraw(self, face: Side, window: Window, is_redrawn: Bools, expected: tuple[Floats, Floats]) -> None:

@@ -306,7 +306,6 @@ def _brighter(sides: Sides, thin_sides: list[bool], shares: Floats) -> Sides:
 
 
 def _simplex(cost: Callable[[Floats], float], start: Floats, steps: Floats, trials: int) -> optimize.OptimizeResult:
-    """Search the lowest cost with Nelder and Mead's method."""
     return optimize.minimize(
         cost, start, method="Nelder-Mead",
         options={"initial_simplex": np.vstack([start, start + steps]), "xatol": 2e-3, "fatol": 1e-7, "maxfev": trials},

@@ -61,7 +61,6 @@ def doubtful(guide: Guide, coarse_sheet: CoarseSheet, width: float, depth: int) 
 
 
 def _near(region: Bools, pitch: Pair, distance_um: float) -> Bools:
-    """Columns within a distance of a region."""
     if not region.any():
         return np.zeros_like(region)
     return np.asarray(ndimage.distance_transform_edt(~region, sampling=pitch)) <= distance_um
