@@ -189,8 +189,8 @@ def sheet_numbers(
         if np.isfinite(coating.values).any():
             thin_shares = thin_fraction(coating.assign_attrs(support_um=support_um))
             marked_um, share = (tuple(thin_shares[name].values.tolist()) for name in ("marked", "marked_share"))
-            warning = thin_shares.attrs.get("warning")
-            thin[side] = ThinFacts(thinner_than_um=marked_um, share=share, support_um=support_um, warning=warning)
+            warning_text = thin_shares.attrs.get("warning")
+            thin[side] = ThinFacts(thinner_than_um=marked_um, share=share, support_um=support_um, warning=warning_text)
         try:
             roughness_map = scale_limited(measured[f"topography_{side}"].values, pitch_um, **filters_um)
             roughness[side] = roughness_numbers(roughness_map, pitch_um, **filters_um)

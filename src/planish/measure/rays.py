@@ -303,11 +303,11 @@ class RayFrame:
         row_index, col_index = np.arange(rows.start, rows.stop)[:, None], np.arange(is_wanted.shape[1])
         starts = (*(column_px * k + 0.5 * (column_px - 1) for k in (row_index, col_index)), depth)
         box: dict[str, slice] = {}
-        for axis, start, step in zip((frame.rows, frame.cols, frame.through), starts, steps, strict=True):
-            ends = [(start + end * self.step_um * step)[is_wanted] for end in (self.low, self.high)]
+        for axis, start_px, step in zip((frame.rows, frame.cols, frame.through), starts, steps, strict=True):
+            ends = [(start_px + end * self.step_um * step)[is_wanted] for end in (self.low, self.high)]
             n = volume.sizes[axis]
-            first, last = int(np.floor(np.min(ends))), int(np.ceil(np.max(ends))) + 2
-            box[axis] = slice(min(max(first, 0), n - 1), max(min(last, n), 1))
+            first_px, last_px = int(np.floor(np.min(ends))), int(np.ceil(np.max(ends))) + 2
+            box[axis] = slice(min(max(first_px, 0), n - 1), max(min(last_px, n), 1))
         block, padding = np.ascontiguousarray(read_box(volume, box)), self.greys.padding
         _ray_kernels.resample_rays(
             block, np.array([part.start for part in box.values()]), rows.start, column_px, depth, *steps, is_wanted,

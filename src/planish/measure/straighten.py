@@ -82,10 +82,10 @@ def voxels_around(volume: xr.DataArray, places_um: Mapping[str, Floats]) -> tupl
     box: dict[str, slice] = {}
     for axis in map(str, volume.dims):
         coords_um = volume[axis].values
-        index = (places_um[axis] - float(coords_um[0])) / float(coords_um[1] - coords_um[0])
-        start = int(np.clip(np.floor(index.min()), 0, coords_um.size - 1))
-        box[axis] = slice(start, int(np.clip(np.ceil(index.max()) + 1, start + 1, coords_um.size)))
-        indices.append(index - start)
+        position_px = (places_um[axis] - float(coords_um[0])) / float(coords_um[1] - coords_um[0])
+        start_px = int(np.clip(np.floor(position_px.min()), 0, coords_um.size - 1))
+        box[axis] = slice(start_px, int(np.clip(np.ceil(position_px.max()) + 1, start_px + 1, coords_um.size)))
+        indices.append(position_px - start_px)
     return volume.isel(box).values, indices
 
 

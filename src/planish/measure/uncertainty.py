@@ -62,7 +62,7 @@ class SharedNoise:
     common_um: Mapping[str, float]  # error of each thickness and topography that averaging does not lessen
     # The same with what differs from place to place: a column of voxels that are longer across than along it takes in
     # more of the boundary's detail.
-    place_um: Mapping[str, float]
+    local_um: Mapping[str, float]
     patch_um2: float  # area that one independent value stands for
 
     @classmethod
@@ -91,7 +91,7 @@ class SharedNoise:
         longest_um, correlation_factor = max(voxel_um, max(pitch_um) / column_px), float(np.sqrt(correlation_length))
         return cls(
             noise_um=float(noise), common_um=common_errors(correlation_factor * voxel_um),
-            place_um=common_errors(correlation_factor * longest_um),
+            local_um=common_errors(correlation_factor * longest_um),
             patch_um2=column_um2 * max(columns_per_value / column_px**2, 1.0),
         )  # fmt: skip
 
@@ -112,7 +112,7 @@ def thickness_errors(
         "thickness": np.hypot(top[0], bottom[0]),
     }  # fmt: skip
     errors |= {f"topography_{k}": layer_se[0] for k, layer_se in sides.items()}
-    return {name: np.hypot(se, shared_noise.place_um[name]) for name, se in errors.items()}
+    return {name: np.hypot(se, shared_noise.local_um[name]) for name, se in errors.items()}
 
 
 def common_errors(unit_um: float) -> dict[str, float]:

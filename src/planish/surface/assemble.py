@@ -214,9 +214,9 @@ def find_presence(
 
 def _tile_presence(job: tuple[Columns, list[Floats], float, Pair], tile: Tile) -> Floats:
     """Give the presence in a tile, (layers, rows, cols)."""
-    columns, fields, thickness, grey_levels = job
+    columns, depth_and_normal, thickness, grey_levels = job
     depth_count, shares = columns.shape[2], np.full((len(LAYERS), *tile.shape), np.nan)
-    centre_depth, *normal = (np.ascontiguousarray(a) for a in fields)
+    centre_depth, *normal = (np.ascontiguousarray(a) for a in depth_and_normal)
     is_sheet = np.isfinite(centre_depth) & np.isfinite(normal[2])
     if not is_sheet.any():
         return shares

@@ -250,13 +250,13 @@ def _in_tile(places: NDArray[np.intp], tile: Tile) -> Bools:
 
 
 def _search_edges(job: EdgeJob, tile: Tile) -> Floats:
-    (columns, guide, scale, is_high, blur_px), (rows, cols), edges, edge_kind, search_options = job
+    (columns, guide, scale, is_high, blur_px), (rows, cols), edge_searches, edge_kind, search_options = job
     grey, guide = oriented(columns, tile, guide, scale)
-    places = rows - tile.r0, cols - tile.c0
-    profiles = np.ascontiguousarray(grey[places][:, ::-1] if is_high else grey[places])
-    width = blur_px / guide.cos_tilt[places]
+    tile_indices = rows - tile.r0, cols - tile.c0
+    profiles = np.ascontiguousarray(grey[tile_indices][:, ::-1] if is_high else grey[tile_indices])
+    width_px = blur_px / guide.cos_tilt[tile_indices]
     depths = np.empty(len(profiles))
-    _draw_kernels.draw_edges(profiles, *edges, *edge_kind, width, *search_options, depths)
+    _draw_kernels.draw_edges(profiles, *edge_searches, *edge_kind, width_px, *search_options, depths)
     return depths
 
 

@@ -85,8 +85,9 @@ class _Learner(Sampler):
         """Level of the base above the air, and how much it varies from place to place."""
         depth_shares = np.linspace(*CORE, 9)
         outer, opposite = sample.outer[0][:, None], sample.opposite[0][:, None]
-        depth = np.clip(np.rint(outer + (opposite - outer) * depth_shares).astype(int), 0, sample.grey.shape[2] - 1)
-        core_grey = np.take_along_axis(sample.grey[0], depth, axis=1).astype(np.float64)
+        depth_index = np.rint(outer + (opposite - outer) * depth_shares).astype(int)
+        depth_index = np.clip(depth_index, 0, sample.grey.shape[2] - 1)
+        core_grey = np.take_along_axis(sample.grey[0], depth_index, axis=1).astype(np.float64)
         core_grey = core_grey[np.isfinite(core_grey)]
         level = float(np.median(core_grey))
         if level <= 0:
@@ -116,8 +117,8 @@ class _Learner(Sampler):
         ])  # fmt: skip
         has_start = start_index > 0
         half_depth = int(np.median(sample.opposite[0] - outer)) // 2
-        depth = np.clip(start_index[has_start][:, None] + np.arange(max(half_depth, 2)), 0, grey.shape[1] - 1)
-        profile = np.nanmedian(np.take_along_axis(grey[has_start], depth, axis=1), axis=0)
+        depth_index = np.clip(start_index[has_start][:, None] + np.arange(max(half_depth, 2)), 0, grey.shape[1] - 1)
+        profile = np.nanmedian(np.take_along_axis(grey[has_start], depth_index, axis=1), axis=0)
         peak_level = float(profile[: max(2, int(0.8 * half_depth))].max())
         solid_level = base_level + 1.28 * min(base_sd, 0.3 * base_level)
         # A layer is a coating when it stands out from the base by more than a quarter.
@@ -133,8 +134,8 @@ class _Learner(Sampler):
         costs = np.zeros(_WIDTHS.size)
         for from_high, sample in samples.items():
             subset = sample.thinned(4)
-            edges = [Edge(width=float(width), fringe=fringe) for width in _WIDTHS]
-            fits = [self.fit(subset, sides[from_high], edge)[4] for edge in edges]
+            trial_edges = [Edge(width=float(width), fringe=fringe) for width in _WIDTHS]
+            fits = [self.fit(subset, sides[from_high], edge)[4] for edge in trial_edges]
             finite_costs = [cost[np.isfinite(cost)] for cost in fits]
             max_cost = min((cost_limit(cost) for cost in finite_costs if cost.size), default=0.0)
             # A blur so wide that it reaches the end of every column cannot be tried.
