@@ -14,10 +14,10 @@ import zarr
 
 from folders import refused
 from planish.core.errors import FileError, StudyError
-from planish.exports import ExportSource
+from planish.exports.run_contents import volume_params
 from planish.io import VolumeParams, find_place, fingerprint, read_tree, refuse_inside, write_store, write_tree
 from planish.measure import surfaces_of
-from planish.run import LayerParams, Study, read_study, silent, study_of, write_study
+from planish.run import LayerParams, Study, open_run, read_study, silent, study_of, write_study
 from planish.series import read_plan
 
 PART = "/entry/a"
@@ -72,11 +72,11 @@ def test_an_export_finds_the_part_that_was_mapped(linked_run, volume, tmp_path) 
     for path, words in ((volume, ""), (f"{volume[:-1]}b", "is another file"), (f"{tmp_path}/a:b/v.h5:/a", "a:b/v.h5")):
         first = study.layers[0].model_copy(update={"volume": VolumeParams(path=path)})
         write_study(study.model_copy(update={"layers": (first, *study.layers[1:])}), run, home=run, version="1")
-        source = ExportSource.of(run)
+        opened = open_run(run)
         if not words:
-            assert source.volume_of(source.results.layers[0], silent).path == path
+            assert volume_params(opened, opened.results.layers[0], silent).path == path
             continue
-        refused(FileError, words, source.volume_of, source.results.layers[0], silent)
+        refused(FileError, words, volume_params, opened, opened.results.layers[0], silent)
 
 
 def test_a_study_keeps_the_part_beside_a_relative_path(volume, tmp_path) -> None:

@@ -17,7 +17,6 @@ from planish.core.area import area_mean
 from planish.core.checks import CORRELATION, POSITION, concerned, trust_of
 from planish.core.files import write_whole
 from planish.core.threads import limit_threads
-from planish.exports import ExportSource
 from planish.io.run_folder import refuse_existing, refuse_inside
 from planish.report import summary
 from planish.report.colours import MISSING, colours_in_steps, image_uri
@@ -25,6 +24,7 @@ from planish.report.slices import LINES
 from planish.report.text import template
 from planish.results import Results
 from planish.run.compute import Compute, Progress, silent
+from planish.run.run import open_run
 
 _PACKAGE = "planish.app.exploring"
 _PARTS = ("unpack.js", "model.js", "mapview.js", "scatter.js", "sliceview.js", "start.js")
@@ -161,17 +161,17 @@ def explore(
     """
     compute, out = compute or Compute(), Path(out)
     refuse_existing(out)
-    source = ExportSource.of(run)
+    opened = open_run(run)
     refuse_inside(out, [run])
     with limit_threads(compute.threads):
         progress("maps", str(run))
-        maps = maps_of(source)
+        maps = maps_of(opened)
         sheets = dict.fromkeys(group.sheet for group in maps.groups if group.sheet)
-        layers, budget = map(source.results.layer, sheets), BUDGET // max(len(sheets), 1)
-        read = (stack_of(source, layer, budget, compute, progress) for layer in layers)
+        layers, budget = map(opened.results.layer, sheets), BUDGET // max(len(sheets), 1)
+        read = (stack_of(opened, layer, budget, compute, progress) for layer in layers)
         stacks = [stack for stack in read if stack is not None]
         notes = _notes(maps, stacks)
-        page = render(source.results, maps, stacks, notes).encode()
+        page = render(opened.results, maps, stacks, notes).encode()
     assert len(page) <= LARGEST
     write_whole(out, page)
     return Explored(

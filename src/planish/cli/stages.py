@@ -60,9 +60,9 @@ def _write(out: Path, groups: dict[str, xr.Dataset], summary: str) -> None:
 def _read(path: Path, group: str, needed: str) -> xr.Dataset:
     """Read one group of a store, or of the maps.zarr in a run folder."""
     from planish.core.errors import FileError
-    from planish.io.run_folder import read_tree
+    from planish.io.run_folder import open_tree
 
-    groups = read_tree(path / "maps.zarr" if (path / "maps.zarr").is_dir() else path)
+    groups = open_tree(path / "maps.zarr" if (path / "maps.zarr").is_dir() else path)
     if group not in groups:
         raise FileError(f"{path} has no {group}; it holds {', '.join(sorted(groups))}. Give what {needed} wrote.")
     return groups[group]
@@ -281,7 +281,5 @@ def report(run: Path, out: Path, figures: bool) -> None:
 
     figures_folder = out.absolute().with_name(FIGURES) if figures else None
     refuse_existing(*([figures_folder] if figures_folder else []))
-    opened = open_run(run)
-    marks = {name: registration.pairs() for name, registration in opened.registrations.items()}
-    write_report(out, results=opened.results, groups=opened.groups, marks=marks, figures=figures_folder)
+    write_report(out, open_run(run), figures=figures_folder)
     click.echo(str(out))

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any
+from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from xarray.backends import BackendArray
 from xarray.core.indexing import ExplicitIndexer, IndexingSupport, LazilyIndexedArray, explicit_indexing_adapter
+
+T = TypeVar("T")
 
 Where = tuple[slice, ...]  # one slice an axis: start, stop just behind the last place, step above 0
 
@@ -127,3 +130,35 @@ class _Backend(BackendArray):
     def __getitem__(self, key: ExplicitIndexer) -> Any:
         """Read a part."""
         return explicit_indexing_adapter(key, self.shape, IndexingSupport.BASIC, self.inner.__getitem__)
+
+
+class ReadOnDemand(Mapping[str, T]):
+    """Values by name, each read when it is first asked for, and their names as well."""
+
+    def __init__(self, names: Callable[[], Iterable[str]], read: Callable[[str], T]) -> None:
+        self._list_names, self._read = names, read
+        self._values = dict[str, T]()
+
+    @cached_property
+    def _names(self) -> tuple[str, ...]:
+        return tuple(self._list_names())
+
+    def __getitem__(self, name: str) -> T:
+        """Read a value, or give it once more; KeyError where there is none of that name."""
+        if name not in self._names:
+            raise KeyError(name)
+        if name not in self._values:
+            self._values[name] = self._read(name)
+        return self._values[name]
+
+    def __contains__(self, name: object) -> bool:
+        """Whether there is a value of that name; it is not read."""
+        return name in self._names
+
+    def __iter__(self) -> Iterator[str]:
+        """Give the names."""
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self._names)

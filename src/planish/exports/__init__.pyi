@@ -8,6 +8,5 @@ from .formats import formats_table as formats_table
 from .formats import writer_of as writer_of
 from .meshes import SURFACES as SURFACES
 from .meshes import Surface as Surface
-from .source import ExportSource as ExportSource
 from .transforms import DirectedTransform as DirectedTransform
 from .transforms import TransformPair as TransformPair

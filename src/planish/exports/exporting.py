@@ -19,19 +19,38 @@ from planish.core.threads import limit_threads
 from planish.exports.content import Maps
 from planish.exports.formats import FORMATS, ExportFormat, ExportParams, formats_with, is_file, writer_of
 from planish.exports.meshes import SURFACES, Surface, steps_of
-from planish.exports.source import IMAGE, STRAIGHTENED, ExportSource, checked_names
+from planish.exports.run_contents import (
+    IMAGE,
+    STRAIGHTENED,
+    checked_names,
+    history_of,
+    landmarks,
+    map_group,
+    map_levels,
+    map_names,
+    maps_of,
+    registered_layers,
+    scale_of,
+    sheet_facts,
+    straightened_volume,
+    transforms_of,
+)
 from planish.io.run_folder import new_folder, refuse_existing, refuse_inside
 from planish.io.store import write_store
 from planish.run.compute import Compute, Progress, silent
-from planish.run.run import Run
+from planish.run.run import MAPS, Run, open_run
 from planish.run.study import changed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportRequest:
-    """An export that was asked for; ``single``: ``out`` is one file, and not a folder of files."""
+    """An export that was asked for, of a run and its ``store`` where this is as the run is.
 
-    source: ExportSource
+    ``single``: ``out`` is one file, and not a folder of files.
+    """
+
+    run: Run
+    store: Path | None
     params: ExportParams
     compute: Compute
     progress: Progress
@@ -45,17 +64,17 @@ class ExportRequest:
 
     def write(self, content: object, path: Path) -> None:
         """Write a content of the format."""
-        source = self.source
+        history = history_of(self.run)
         if isinstance(content, xr.DataArray) and self.form.is_folder:  # the working store of a volume
-            note = source.history.json(**{str(key): fact for key, fact in content.attrs.items() if key != "voxel_um"})
+            note = history.json(**{str(key): fact for key, fact in content.attrs.items() if key != "voxel_um"})
             write_store(content.assign_attrs(history=note), path, memory_bytes=self.compute.block_bytes)
             return
         # A map of so few pixels is read once more for the limits between which it is shown first.
         if isinstance(content, Maps) and self.form.shows_limits and math.prod(content.shape) <= 2**22:
             # A map shares its limits with the other side of the sheet, and those of an image are of what is valid.
-            group = source.group(content.group).assign(content.data.data_vars)
-            content = replace(content, scales={name: source.scale_of(group, name) for name in content.names})
-        writer_of(self.params.to)(content, path, source.history, self.params)
+            group = self.run.groups[content.group].assign(content.data.data_vars)
+            content = replace(content, scales={name: scale_of(group, name) for name in content.names})
+        writer_of(self.params.to)(content, path, history, self.params)
 
 
 class OutputFile(NamedTuple):
@@ -77,7 +96,7 @@ def _output_files(request: ExportRequest) -> list[OutputFile]:
             raise InputError(f"{form.title} holds surfaces, and --group says {group}. Leave --group out.")
         return _surfaces(request)
     if ("marks" in form.holds or "registration" in form.holds) and not (
-        "maps" in form.holds and group in request.source.groups
+        "maps" in form.holds and group in request.run.groups
     ):
         return _registrations(request)
     return _straightened(request) if group == STRAIGHTENED else _maps(request)
@@ -99,19 +118,19 @@ def _check_size(request: ExportRequest, count: int, words: str, remedy: str) -> 
 
 
 def _maps(request: ExportRequest) -> list[OutputFile]:
-    source, form, out = request.source, request.form, request.out
-    group = source.map_group(request.params.group)
-    names = source.map_names(group, request.params.maps)
+    run, form, out = request.run, request.form, request.out
+    group = map_group(run, request.params.group)
+    names = map_names(run, group, request.params.maps)
     if group == "maps" and IMAGE in names:
-        height, width = Grid.of(source.group("linked", [IMAGE])).shape
+        height, width = Grid.of(run.groups["linked"]).shape
         needed, allowed = 8 * height * width, request.compute.for_work
         if needed > allowed:
             raise ResourceError(
                 f"The image on the flat sheet takes {needed / 1e9:.1f} GB of memory, {allowed / 1e9:.1f} GB are "
                 "allowed. Allow more with --memory, or choose other maps with --map."
             )
-    levels = {name: source.levels(group, name) for name in names}
-    maps = Maps(data=source.maps(group, names), group=group, levels=levels)
+    levels = {} if request.store is None else {name: map_levels(request.store, group, name) for name in names}
+    maps = Maps(data=maps_of(run, group, names), group=group, levels=levels)
     rows, cols = maps.shape
     _check_size(request, rows * cols, f"{rows} x {cols}", "Write them as tiff, txt or netcdf, which have no limit.")
     if form.apart and not request.single:
@@ -132,21 +151,21 @@ def _straightened(request: ExportRequest) -> list[OutputFile]:
         raise InputError(f"The straightened volume is written as {able}, not as {params.to}.")
     if params.maps:
         raise StudyError("The straightened volume holds grey values, and --map chooses maps. Leave --map out.")
-    volume = request.source.straightened(params.depth_um, request.compute, request.progress)
+    volume = straightened_volume(request.run, params.depth_um, request.compute, request.progress)
     voxel_um = " x ".join(f"{v:g}" for v in volume.attrs["voxel_um"])
     words = f"{' x '.join(map(str, volume.shape))} voxels of {voxel_um} um"
     return [OutputFile([f"{STRAIGHTENED}{form.suffixes[0]}"], volume, words)]
 
 
 def _surfaces(request: ExportRequest) -> list[OutputFile]:
-    source, params = request.source, request.params
-    facts = source.sheet
+    run, params = request.run, request.params
+    facts = sheet_facts(run)
     if facts is None:
         raise InputError(
             "The run holds no surfaces of one sheet. Give the run of the volume itself, in layers/NAME where several "
             "were linked."
         )
-    surfaces = source.group("surfaces")
+    surfaces = run.groups["surfaces"]
     planes = [str(k) for k, plane in surfaces.data_vars.items() if plane.ndim == 2 and plane.dtype.kind in "fiub"]
     measured = [name for name in SURFACES if name in surfaces and bool(np.isfinite(surfaces[name].values).any())]
     asked = checked_names(params.maps, planes, "surfaces")
@@ -167,7 +186,7 @@ def _surfaces(request: ExportRequest) -> list[OutputFile]:
     (rows, cols), (down, across) = (exported.sizes["y"], exported.sizes["x"]), steps_of(exported, params.mesh_um)
     count = -(-rows // down) * -(-cols // across)
     _check_size(request, count, f"{count / 1e6:.1f} million", "Give a larger --mesh-um, such as four columns.")
-    scales = {name: source.scale_of(exported, name) for name in maps[:1]}
+    scales = {name: scale_of(exported, name) for name in maps[:1]}
 
     return [
         OutputFile([f"{name}{request.form.suffixes[0]}"], Surface(exported, name, maps, scales), name)
@@ -178,7 +197,7 @@ def _surfaces(request: ExportRequest) -> list[OutputFile]:
 def _registrations(request: ExportRequest) -> list[OutputFile]:
     if request.params.maps:
         raise StudyError(f"{request.form.title} holds a registration, and --map chooses maps. Leave --map out.")
-    layers = request.source.registered(request.params.group)
+    layers = registered_layers(request.run, request.params.group)
     if request.single and len(layers) > 1:
         names = ", ".join(layer.name for layer in layers)
         raise StudyError(
@@ -187,9 +206,9 @@ def _registrations(request: ExportRequest) -> list[OutputFile]:
         )
     form, files = request.form, list[OutputFile]()
     for layer in layers:
-        pair = request.source.transforms(layer)
+        pair = transforms_of(request.run, layer)
         if "marks" in form.holds:
-            contents: dict[str, object] = {pair.forward.name: request.source.landmarks(layer)}
+            contents: dict[str, object] = {pair.forward.name: landmarks(request.run, layer)}
         elif form.apart:
             contents = {t.name: t for t in (pair.forward, *([] if request.single else [pair.back]))}
         else:
@@ -250,21 +269,22 @@ def export(
     single = is_file(params.to, out)
     refuse_existing(out)
     writer_of(params.to)
-    source = ExportSource.of(run)
-    if source.folder is not None:
-        refuse_inside(out, [source.folder])
+    # A run in memory may have been changed since it was read.
+    run, store = (run, None) if isinstance(run, Run) else (open_run(run), Path(run) / MAPS)
+    if run.folder is not None:
+        refuse_inside(out, [run.folder])
     if params.point_um is None and "point_um" in form.options:
-        params = changed(params, point_um=source.study.correlate.point_um)
+        params = changed(params, point_um=run.study.correlate.point_um)
     with limit_threads(compute.threads):
         request = ExportRequest(
-            source=source, params=params, compute=compute, progress=progress, out=out, single=single
+            run=run, store=store, params=params, compute=compute, progress=progress, out=out, single=single
         )
         if "run" in form.holds:
             if params.maps or params.group is not None:
                 raise StudyError("An RO-Crate holds the whole run. Leave --map and --group out.")
-            if source.folder is None:
+            if run.folder is None:
                 raise FileError("The run stands in no folder. Save it first: give out to link or map_sheet.")
-            files = [OutputFile([], source.folder, str(source.folder))]
+            files = [OutputFile([], run.folder, str(run.folder))]
         else:
             files = _output_files(request)
         if single or "run" in form.holds:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Iterable, Mapping
 from contextlib import contextmanager
 from itertools import count, takewhile
 from pathlib import Path
@@ -142,9 +142,9 @@ def stored_group(path: Path, name: str, cache: PartCache | None = None) -> xr.Da
         return xr.Dataset(variables, coords=coords, attrs=dict(group.attrs))
 
 
-def is_large(group: xr.Dataset) -> bool:
-    """True if the maps of a group stay in their store."""
-    return sum(data.nbytes for data in group.data_vars.values() if data.ndim == 2) >= LARGE_BYTES
+def is_large(arrays: Iterable[Any]) -> bool:
+    """True if the maps among the arrays of a group stay in their store."""
+    return sum(array.nbytes for array in arrays if array.ndim == 2) >= LARGE_BYTES
 
 
 def overviews_of(path: Path, group: str, name: str = "") -> list[str]:

@@ -10,6 +10,7 @@ import time
 import warnings
 from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from zarr.errors import ZarrUserWarning
 
 from planish.core.errors import FileError
 from planish.core.files import DiskFull, check_length, check_name, delete, disk_full, move, writing
+from planish.core.lazy import ReadOnDemand
 from planish.io.formats import find_place
 from planish.io.map_store import CHUNK, CODECS, COMPLETE, OVERVIEWS, is_large, overviews_of, readable, stored_group
 
@@ -244,40 +246,40 @@ def _link_or_copy(source: str, target: str) -> None:
     shutil.copy2(source, target)
 
 
-def read_groups(path: Path, names: Iterable[str]) -> dict[str, xr.Dataset]:
-    """Read those of some groups of a store that are there, as :func:`read_tree` does."""
-    with readable(path):
-        root = zarr.open_group(path, mode="r")
-        present = [name for name in names if name in root]
-        _check_chunks(path, present)
-    return {name: read_group(path, name) for name in present}
+def open_tree(path: Path, among: Iterable[str] | None = None) -> Mapping[str, xr.Dataset]:
+    """Groups of a store by name, each read as by :func:`read_group` when it is asked for; of names ``among`` only.
+
+    Those of half a gigabyte and more come with their smaller copies.
+    """
+    return ReadOnDemand(partial(_group_names, path, among), partial(read_group, path))
 
 
 def read_tree(path: Path) -> dict[str, xr.Dataset]:
-    """Read all groups of a store into memory, without the smaller copies of maps.
-
-    Groups of half a gigabyte and more stay in the store, with their smaller copies: of those, each part is read when it
-    is asked for.
+    """Read all groups of a store, as :func:`open_tree` gives them, into memory as far as they are not large.
 
     Raises
     ------
     FileError
         If there is no store, or it is damaged.
     """
-    groups = {name: read_group(path, name) for name in group_names(path)}
-    copies = [copy for name, group in groups.items() if is_large(group) for copy in overviews_of(path, name)]
-    return groups | {name: stored_group(path, name) for name in copies}
+    return dict(open_tree(path))
 
 
-def group_names(path: Path) -> list[str]:
-    """Names of the groups of a store that hold arrays, without the smaller copies of maps; FileError as `read_tree`."""
+def _group_names(path: Path, among: Iterable[str] | None) -> list[str]:
+    """Names of the groups of a store that hold arrays, checked to be whole; FileError as `read_tree`."""
     if not (path / _METADATA).is_file():
         raise FileError(f"{path} is no zarr store. Give the maps.zarr of a run, or what a stage's command wrote.")
     with readable(path):
+        root = zarr.open_group(path, mode="r")
+        if among is not None:
+            present = [name for name in among if name in root]
+            _check_chunks(path, present)
+            return present
         _check_chunks(path)
-        members = zarr.open_group(path, mode="r").members(max_depth=None)
-        groups = [name for name, node in members if isinstance(node, zarr.Group) and any(node.arrays())]
-        return sorted(name for name in groups if not name.startswith(f"{OVERVIEWS}/"))
+        members = sorted(root.members(max_depth=None))
+        groups = {name: [*node.array_values()] for name, node in members if isinstance(node, zarr.Group)}
+        names = [name for name, arrays in groups.items() if arrays and not name.startswith(f"{OVERVIEWS}/")]
+        return names + [copy for name in names if is_large(groups[name]) for copy in overviews_of(path, name)]
 
 
 def read_group(path: Path, name: str, variables: Iterable[str] | None = None) -> xr.Dataset:
@@ -291,7 +293,7 @@ def read_group(path: Path, name: str, variables: Iterable[str] | None = None) ->
     with readable(path):
         group = stored_group(path, name)
         part = group if variables is None else group[list(variables)]
-        return part if is_large(group) else part.load()
+        return part if is_large(group.data_vars.values()) else part.load()
 
 
 def _check_chunks(path: Path, groups: Iterable[str] = ("",)) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,7 +14,8 @@ from planish.core.arrays import check_path
 from planish.core.checks import Check
 from planish.core.errors import FileError
 from planish.core.facts import is_known
-from planish.io.run_folder import read_groups, read_tree
+from planish.core.lazy import ReadOnDemand
+from planish.io.run_folder import open_tree
 from planish.marks.regions import Regions, read_regions
 from planish.results import Results
 from planish.run.layers import Layer
@@ -39,11 +41,11 @@ class Run:
         The parameters, with the sizes and pitches that were used.
     results : Results
         Every number, as ``results.json`` has it.
-    groups : dict of Dataset
+    groups : mapping of name to Dataset
         Of one sheet: ``surfaces`` and ``flat`` (y, x), ``strain`` (row, col), ``maps`` (v, u), ``slices``, and
         ``sections`` of serial sections. Of a sheet linked to an image also ``linked`` (y, x of the image), and
         ``refined``. Of other links ``layers/NAME`` on the pixels of the reference.
-    registrations : dict of Registration
+    registrations : mapping of name to Registration
         By the name of the moving layer.
     unchanged : dict of Path
         Groups that stand in the store of another run with the same bytes, and that store.
@@ -57,8 +59,8 @@ class Run:
 
     study: Study
     results: Results
-    groups: dict[str, xr.Dataset]
-    registrations: dict[str, Registration] = field(default_factory=dict[str, Registration])
+    groups: Mapping[str, xr.Dataset]
+    registrations: Mapping[str, Registration] = field(default_factory=dict[str, Registration])
     sheets: dict[str, Layer] = field(default_factory=dict[str, Layer])
     regions: Regions | None = None
     unchanged: dict[str, Path] = field(default_factory=dict[str, Path])
@@ -173,24 +175,29 @@ def open_run(path: str | Path) -> Run:
     Returns
     -------
     Run
-        With all groups in memory.
+        Its groups and registrations are read when they are first asked for.
 
     Raises
     ------
     FileError
-        If it is no run, was made by planish 0.1.0, or a file of it is missing or damaged.
+        If it is no run, was made by planish 0.1.0, or a file of it is missing or damaged; of groups and registrations
+        where they are asked for.
     InputError
         If its study has parameters that are not known.
     """
     folder = check_path(path, "the folder of a run", "pl.open_run", 'pl.open_run("run")')
     results = open_results(folder)
-    registrations = {
-        layer.name: Registration.read(folder / marks_file(results, layer.name)) for layer in results.moving
-    }
     return Run(
-        study=read_study(folder / RUN_TOML), results=results, groups=read_tree(folder / MAPS),
-        registrations=registrations, regions=read_regions(folder / REGIONS) if results.regions else None, folder=folder,
-    )  # fmt: skip
+        study=read_study(folder / RUN_TOML),
+        results=results,
+        groups=open_tree(folder / MAPS),
+        registrations=ReadOnDemand(
+            lambda: [layer.name for layer in results.moving],
+            lambda name: Registration.read(folder / marks_file(results, name)),
+        ),
+        regions=read_regions(folder / REGIONS) if results.regions else None,
+        folder=folder,
+    )
 
 
 def open_sheet(path: str | Path) -> Layer:
@@ -203,7 +210,7 @@ def open_sheet(path: str | Path) -> Layer:
     """
     folder = Path(path)
     results, study = open_results(folder), read_study(folder / RUN_TOML)
-    sheet = Run(study=study, results=results, groups=read_groups(folder / MAPS, _SHEET_GROUPS), folder=folder).sheet()
+    sheet = Run(study=study, results=results, groups=open_tree(folder / MAPS, _SHEET_GROUPS), folder=folder).sheet()
     unchanged = dict.fromkeys(sheet.groups, folder / MAPS) if results.is_of_this_code else {}
     return replace(sheet, by_this_code=results.is_of_this_code, unchanged=unchanged)
 

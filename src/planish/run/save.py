@@ -91,7 +91,7 @@ def run_study(
             with new_folder(out, inside=work, needed=needed) as folder:
                 save_run(run, folder, home=out, store=store, figures=figures)
             moved = {name: stored_group(out / MAPS, name) for name in store.stored}
-            return replace(run, groups=run.groups | moved, unchanged={})
+            return replace(run, groups={**run.groups, **moved}, unchanged={})
 
 
 def _make(
@@ -139,11 +139,10 @@ def save_run(run: Run, folder: Path, *, home: Path, store: StoredMaps | None = N
         inner = folder / "layers" / name
         inner.mkdir(parents=True)
         save_run(gather_sheet(sheet, run.study), inner, home=home / "layers" / name)
-    pairs = {name: registration.pairs() for name, registration in run.registrations.items()}
     for name, registration in run.registrations.items():
         path = folder / marks_file(run.results, name)
         registration.save(path)
-        write_marks(pairs[name], path.with_suffix(".csv"))
+        write_marks(registration.pairs(), path.with_suffix(".csv"))
     (folder / "results.json").write_text(run.results.to_json(), encoding="utf-8", newline="\n")
     (folder / "figures.csv").write_text(figures_text(run.results), encoding="utf-8", newline="\n")
     study = run.study
@@ -151,13 +150,7 @@ def save_run(run: Run, folder: Path, *, home: Path, store: StoredMaps | None = N
         write_regions(run.regions, folder)
         study = changed(study, correlate={"regions": str(home / REGIONS)})
     write_study(_with_files_of_run(study, run, folder, home), folder, home=home, version=__version__)
-    write_report(
-        folder / "report.html",
-        results=run.results,
-        groups=run.groups,
-        marks=pairs,
-        figures=folder / FIGURES if figures else None,
-    )
+    write_report(folder / "report.html", run, figures=folder / FIGURES if figures else None)
     stored = [] if store is None else store.stored
     if store is not None and store.path is not None and stored:
         move(store.path, folder / MAPS)

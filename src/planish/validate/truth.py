@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -41,7 +41,7 @@ class Comparison:
     run: Run
 
     @property
-    def groups(self) -> dict[str, xr.Dataset]:
+    def groups(self) -> Mapping[str, xr.Dataset]:
         """Datasets of the run."""
         return self.run.groups
 

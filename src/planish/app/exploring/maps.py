@@ -18,11 +18,13 @@ from planish.core.errors import InputError
 from planish.core.facts import Trust
 from planish.core.grid import Grid
 from planish.core.typing import Floats
-from planish.exports.source import IMAGE, ExportSource
+from planish.exports.run_contents import IMAGE
 from planish.io.map_store import overviews_of
+from planish.io.run_folder import read_group
 from planish.report.colours import Scale, colours_of
 from planish.report.text import title_of, unit_of
 from planish.results import LayerFacts, Results
+from planish.run.run import MAPS, Run
 
 Codes = NDArray[np.unsignedinteger[Any]]
 
@@ -212,7 +214,7 @@ class MapsOfPage:
         return sum(len(codes.text) for codes in (*(shown.packed for shown in self.maps), *more))
 
 
-def maps_of(source: ExportSource) -> MapsOfPage:
+def maps_of(run: Run) -> MapsOfPage:
     """Read and pack the maps of a run, halved until they fit into the budget.
 
     Raises
@@ -220,26 +222,26 @@ def maps_of(source: ExportSource) -> MapsOfPage:
     InputError
         If the run holds no maps.
     """
-    wanted = _map_names(source)
-    shape = Grid.of(source.group(wanted[0][0])).shape
+    wanted = _map_names(run)
+    shape = Grid.of(run.groups[wanted[0][0]]).shape
     count = sum(len(names) for _, names in wanted)
     most = min(_MOST_PIXELS, 2 * BUDGET // max(1, count))  # two pixels a letter at best
     halvings = max(0, math.ceil(math.log(shape[0] * shape[1] / most, 4)))
-    while (maps := _packed_maps(source, wanted, halvings)).letters() > BUDGET:
+    while (maps := _packed_maps(run, wanted, halvings)).letters() > BUDGET:
         halvings += 1
     return maps
 
 
-def _map_names(source: ExportSource) -> list[tuple[str, list[str]]]:
+def _map_names(run: Run) -> list[tuple[str, list[str]]]:
     """Groups and the names of their maps: the headline of each first, then what it is compared with."""
-    results, groups = source.results, source.groups
+    results, groups = run.results, run.groups
     names = ["linked"] if "linked" in groups else [f"layers/{layer.name}" for layer in results.layers]
     names = [name for name in names if name in groups] or [name for name in ("maps",) if name in groups]
     if not names:
         raise InputError(f"The run holds no maps to show; it holds {', '.join(groups) or 'nothing'}.")
     wanted: list[tuple[str, list[str]]] = []
     for name in names:
-        data = source.group(name)
+        data = groups[name]
         float_maps = [str(k) for k, v in data.data_vars.items() if v.ndim == 2 and v.dtype.kind == "f"]
         hidden = "volume_", "projected_", "presence", "error_"  # beginnings of names
         maps = [k for k in float_maps if not k.startswith(hidden) and k not in ("u", "v") and not k.endswith("_se")]
@@ -250,17 +252,17 @@ def _map_names(source: ExportSource) -> list[tuple[str, list[str]]]:
     return wanted
 
 
-def _packed_maps(source: ExportSource, wanted: list[tuple[str, list[str]]], halvings: int) -> MapsOfPage:
-    results = source.results
+def _packed_maps(run: Run, wanted: list[tuple[str, list[str]]], halvings: int) -> MapsOfPage:
+    results = run.results
     maps: list[PageMap] = []
     groups: list[Group] = []
     grid, headline = None, None
     for group, (name, names) in enumerate(wanted):
         places = [f"volume_{axis}" for axis in "xyz"]
-        stored = source.group(name)
+        stored = run.groups[name]
         placed = all(place in stored for place in places)
         extra_names = [*(places if placed else []), *(["valid"] if "valid" in stored else [])]
-        data = _halved_maps(source, name, names + extra_names, halvings)
+        data = _halved_maps(run, name, names + extra_names, halvings)
         grid = grid or Grid.of(data)
         valid = data["valid"].values.astype(bool) if "valid" in data else np.True_
         groups.append(Group(
@@ -301,10 +303,12 @@ def _packed_map(data: xr.DataArray, counted: Floats, layer: LayerFacts, results:
     )  # fmt: skip
 
 
-def _halved_maps(source: ExportSource, name: str, names: list[str], halvings: int) -> xr.Dataset:
+def _halved_maps(run: Run, name: str, names: list[str], halvings: int) -> xr.Dataset:
     """Maps of a group, halved so often: from the store's own smaller copies as far as it has them."""
-    copies = [] if source.store is None else overviews_of(source.store, name)[:halvings]
-    data = (source.group(copies[-1], names) if copies else source.group(name)[names]).load()
+    assert run.folder is not None
+    store = run.folder / MAPS
+    copies = overviews_of(store, name)[:halvings]
+    data = read_group(store, copies[-1], names) if copies else run.groups[name][names].compute()
     for _ in range(halvings - len(copies)):
         data = halved(data)
     return data

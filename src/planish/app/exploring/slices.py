@@ -18,12 +18,13 @@ from planish.core.errors import PlanishError
 from planish.core.frame import Frame
 from planish.core.lazy import chunks_of, read_box
 from planish.core.memory import SLICES_VOXELS
-from planish.exports import ExportSource
+from planish.exports.run_contents import sheet_facts, sheet_run, volume_params
 from planish.io.sections import is_section_folder
 from planish.report.colours import GREYS, Scale, limits
 from planish.report.slices import LINES, Slice, take_slice
 from planish.results import LayerFacts
 from planish.run.compute import Compute, Progress
+from planish.run.run import Run
 from planish.run.volume import read_whole
 
 BUDGET = 5_000_000
@@ -65,18 +66,16 @@ class Stack:
         return sum(map(len, self.pictures)) + sum(len(line.text) for line in (*self.lines.values(), self.used))
 
 
-def stack_of(
-    source: ExportSource, facts: LayerFacts, budget: int, compute: Compute, progress: Progress
-) -> Stack | None:
+def stack_of(run: Run, facts: LayerFacts, budget: int, compute: Compute, progress: Progress) -> Stack | None:
     """The slices of a sheet; None where the run that holds its surfaces is not there."""
-    run = source.sheet_run(facts.name)
-    if run is None or run.sheet is None:
+    mapped = sheet_run(run, facts.name)
+    if mapped is None or (sheet := sheet_facts(mapped)) is None:
         return None
-    run_slices, surfaces = run.group("slices"), run.group("surfaces")
+    run_slices, surfaces = mapped.groups["slices"], mapped.groups["surfaces"]
     scale = limits(run_slices["grey"].values.ravel()[:: max(1, run_slices["grey"].size // 600_000)], GREYS, percent=0.3)
     file_name = facts.source.name
     try:
-        data, under, every = _from_volume(run, run.sheet, surfaces, scale, compute, progress)
+        data, under, every = _from_volume(mapped, sheet, surfaces, scale, compute, progress)
         note = f"one in {every} rows of {file_name}" if every > 1 else f"every row of {file_name}"
     except _VolumeUnavailable as reason:
         rows = run_slices["row"].values
@@ -103,11 +102,11 @@ class _VolumeUnavailable(Exception):
 
 
 def _from_volume(
-    run: ExportSource, facts: LayerFacts, surfaces: xr.Dataset, scale: Scale, compute: Compute, progress: Progress
+    run: Run, facts: LayerFacts, surfaces: xr.Dataset, scale: Scale, compute: Compute, progress: Progress
 ) -> tuple[xr.Dataset, xr.Dataset, int]:
     """Slices as the run keeps them, with the surfaces in their rows, and how many rows of voxels apart they are."""
     try:
-        params = run.volume_of(facts, progress)
+        params = volume_params(run, facts, progress)
         if is_section_folder(params.path):
             raise _VolumeUnavailable(f"{facts.source.name} holds sections, which would have to be aligned again")
         volume = read_whole(params, compute, progress)

@@ -1,0 +1,281 @@
+"""What an export takes from a run: groups of maps, the straightened volume, registrations, history."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import tomli_w
+import xarray as xr
+
+from planish import __version__
+from planish.core.bands import thinned
+from planish.core.errors import FileError, InputError
+from planish.core.grid import Grid
+from planish.core.text import likely
+from planish.core.transform import Affine, Similarity
+from planish.exports.content import ExportHistory
+from planish.exports.transforms import DirectedTransform, TransformPair
+from planish.io import VolumeParams, find_place, fingerprint
+from planish.io.map_store import overviews_of
+from planish.marks.exchange import LayerPixels
+from planish.measure import straightened
+from planish.report.colours import Scale, colours_of, partner_of
+from planish.resample import image_attrs, resample_image
+from planish.results import LayerFacts
+from planish.run.compute import Compute, Progress
+from planish.run.run import MAPS, Run, open_run
+from planish.run.study import RUN_TOML, LayerParams, read_study, to_dict
+from planish.run.volume import read_sheet_volume
+
+IMAGE = "image"
+"""Name of the image on the flat sheet among the maps, and of the image itself among linked maps."""
+
+STRAIGHTENED = "straightened"
+"""The group that is worked out: the volume along the normals."""
+
+
+def history_of(run: Run) -> ExportHistory:
+    """Versions, study and inputs of a run."""
+    if run.folder is not None:
+        text = (run.folder / RUN_TOML).read_bytes()
+    else:
+        text = tomli_w.dumps({"planish": run.results.planish} | to_dict(run.study)).encode()
+    sources = [(layer.name, layer.source) for layer in run.results.layers]
+    return ExportHistory(
+        planish=run.results.planish,
+        exported_by=__version__,
+        study_sha256=hashlib.sha256(text).hexdigest(),
+        inputs=tuple({"layer": layer, "name": s.name, "sha256": s.sha256} for layer, s in sources),
+    )
+
+
+def map_group(run: Run, name: str | None) -> str:
+    """Choose the group of maps: as named, or the linked maps, or those of the sheet.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name.
+    """
+    layers = [group for group in run.groups if group.startswith("layers/") and group.count("/") == 1]
+    groups = [k for k in ("linked", "maps", "refined", "surfaces", "flat") if k in run.groups] + layers
+    wanted = name or next((group for group in ("linked", "maps") if group in groups), None)
+    if wanted is None:
+        raise InputError(f"The run holds the maps of several layers. Choose one with --group: {', '.join(groups)}.")
+    if wanted not in groups:
+        suggestion = likely(wanted, [*groups, STRAIGHTENED])
+        raise InputError(f"The run has no group {wanted!r}; it holds {', '.join(groups)}.{suggestion}")
+    return wanted
+
+
+def map_names(run: Run, group: str, wanted: Sequence[str]) -> list[str]:
+    """Choose the maps of a group: all where none is named, and the image on the flat sheet.
+
+    Raises
+    ------
+    InputError
+        If there is no map of a name.
+    """
+    names = [str(name) for name, variable in run.groups[group].data_vars.items() if variable.ndim == 2]
+    if group == "maps" and "linked" in run.groups and len(run.results.moving) == 1:
+        names.append(IMAGE)
+    return checked_names(wanted, names, f"group {group}") or names
+
+
+def maps_of(run: Run, group: str, names: Sequence[str]) -> xr.Dataset:
+    """Maps of a group in the order of their names, the image on the flat sheet among those of the sheet."""
+    maps = run.groups[group]
+    if IMAGE in names and IMAGE not in maps:  # means over areas where it is finer, through the marks
+        image = run.groups["linked"][IMAGE].compute()
+        # Seen from its fixed layer, a fit takes an image there back to the moving one.
+        back = SimpleNamespace(inverse=run.registrations[run.results.moving[0].name].fit)
+        image = image.assign_attrs(pixel_um=Grid.of(image).pixel_um)
+        grey = resample_image(image, Grid.of(maps), back)[IMAGE].values.astype(np.float32)
+        attrs = image_attrs(image) | {"long_name": "Grey value of the image"}
+        maps = maps.assign({IMAGE: (("v", "u"), grey, attrs)})
+    return maps[list(names)]
+
+
+def map_levels(store: Path, group: str, name: str) -> list[Path]:
+    """Folders of a map and its overviews in the store of a run, the finest first; none where it is not stored."""
+    levels = [store / level / name for level in (group, *overviews_of(store, group, name))]
+    return levels if levels[0].is_dir() else []
+
+
+def scale_of(maps: xr.Dataset, name: str) -> Scale:
+    """Give limits and colours of a map, those of the page: both sides of the sheet share theirs."""
+    partner = partner_of(name, [str(key) for key in maps.data_vars])
+    pooled = [maps[name]] if partner is None else [maps[name], maps[partner]]
+    masked = name == IMAGE and "valid" in maps  # the holes of an image would take most of the colours
+    _, parts = thinned(*pooled, *([maps["valid"]] if masked else []))
+    if masked:
+        parts = [np.where(parts[1], parts[0], np.nan)]
+    measured = np.concatenate([part[np.isfinite(part)] for part in parts]).astype(np.float64)
+    return colours_of(maps[name].rename(name), measured)
+
+
+def sheet_facts(run: Run) -> LayerFacts | None:
+    """The layer whose surfaces a run holds."""
+    if "surfaces" not in run.groups:
+        return None
+    return next((layer for layer in run.results.layers if layer.sheet is not None), None)
+
+
+def straightened_volume(
+    run: Run, depth_um: tuple[float, float] | None, compute: Compute, progress: Progress
+) -> xr.DataArray:
+    """The volume along the normals, on the pixels of the flat maps; worked out where it is asked for.
+
+    Raises
+    ------
+    InputError
+        If the run holds no sheet of its own.
+    FileError
+        If the volume is gone, or another file has its place.
+    """
+    facts = sheet_facts(run)
+    if facts is None or "maps" not in run.groups:
+        raise InputError(
+            "The straightened volume needs the surfaces of one sheet, and this run holds none. Give the run of "
+            "the volume itself, in layers/NAME where several were linked."
+        )
+    volume, _ = read_sheet_volume(volume_params(run, facts, progress), compute, progress)
+    places = run.groups["maps"][[f"volume_{axis}" for axis in "xyz"]]
+    params = _mapped_layer(run, facts.name).properties
+    flat = straightened(volume, run.groups["surfaces"], places, params=params, depth_um=depth_um)
+    return flat.assign_attrs(
+        group=STRAIGHTENED, file_name=facts.source.name, normal="z, up to the top", flat="y is v, x is u"
+    )
+
+
+def volume_params(run: Run, facts: LayerFacts, progress: Progress) -> VolumeParams:
+    """Give the place of the sheet's volume, and how it is read.
+
+    Raises
+    ------
+    FileError
+        If it is gone, or another file has its place.
+    """
+    params = _mapped_layer(run, facts.name).volume
+    assert params is not None
+    path = find_place(params.path).path
+    if not path.exists():
+        raise FileError(
+            f"The volume {facts.source.name} of this run is needed, and {path} is not there. Put it back, or write "
+            "where it is now into run.toml, under [layers.volume], as path."
+        )
+    progress("read", facts.source.name)
+    if fingerprint(params.path) != facts.source.sha256:
+        raise FileError(
+            f"{path} is another file than the one that was mapped: its SHA-256 is not that in results.json. Put "
+            "the volume of this run there."
+        )
+    return params
+
+
+def sheet_run(run: Run, name: str) -> Run | None:
+    """Open the run that holds the surfaces of a sheet: this one, one in ``layers/NAME``, or a given one."""
+    facts = sheet_facts(run)
+    if facts is not None and facts.name == name:
+        return run
+    folders = [run.folder / "layers" / name] if run.folder is not None else []
+    folders += [Path(layer.run) for layer in run.study.layers if layer.name == name and layer.run is not None]
+    runs = (open_run(folder) for folder in folders if (folder / MAPS / "zarr.json").is_file())
+    return next((other for other in runs if sheet_facts(other) is not None), None)
+
+
+def _mapped_layer(run: Run, name: str) -> LayerParams:
+    """Parameters of a layer that was read from a volume, in this run or in the one that it was taken from."""
+    layer = next(layer for layer in run.study.layers if layer.name == name)
+    if layer.run is None:
+        return layer
+    path = Path(layer.run) / RUN_TOML
+    if not path.is_file():
+        raise FileError(f"The volume of this run stands in the run {layer.run}, which is not there. Put it back.")
+    return next(layer for layer in read_study(path).layers if layer.volume is not None)
+
+
+def registered_layers(run: Run, group: str | None) -> list[LayerFacts]:
+    """Choose the moving layers with a registration: all of them, or the one of a name.
+
+    Raises
+    ------
+    InputError
+        If nothing is registered, or no layer of that name is.
+    """
+    moving = list(run.results.moving)
+    if not moving:
+        raise InputError("The run is that of one sheet: nothing is registered. Give a run of 'planish link'.")
+    names = [layer.name for layer in moving]
+    wanted = None if group in (None, "linked") else str(group).removeprefix("layers/")
+    if wanted is not None and wanted not in names:
+        raise InputError(f"No layer {wanted!r} is registered; there are {', '.join(names)}.{likely(wanted, names)}")
+    return [layer for layer in moving if wanted in (None, layer.name)]
+
+
+def transforms_of(run: Run, layer: LayerFacts) -> TransformPair:
+    """Give the registration of a moving layer in both directions, with the pixels of both layers."""
+    assert layer.registration is not None
+    fit, target = run.registrations[layer.name].fit, layer.registration.to
+    transform = fit.transform
+    middle = np.zeros(2) if isinstance(transform, Similarity) else np.array(transform.source)
+    (a, b), (c, d) = transform.matrix().tolist()
+    (x, y), (x1, y1) = middle.tolist(), transform(middle).tolist()
+    affine = Affine(linear=((a, b), (c, d)), source=(x, y), target=(x1, y1))
+    exact = isinstance(transform, Similarity | Affine)
+    moving, fixed = (
+        grid_of(run, name) or _grid_around(marks) for name, marks in ((layer.name, fit.moving), (target, fit.fixed))
+    )
+    return TransformPair(
+        DirectedTransform(layer.name, target, fit, moving, affine, exact),
+        DirectedTransform(target, layer.name, fit.inverse, fixed, affine.inverse, exact),
+        fit.model,
+    )
+
+
+def landmarks(run: Run, layer: LayerFacts) -> xr.Dataset:
+    """Give the marks of a moving layer with the first pixels of both layers, from which other programs count."""
+    assert layer.registration is not None
+    marks = run.registrations[layer.name].marks
+    layers = {side: dict(about) for side, about in marks.attrs["layers"].items()}
+    for side, name in (("moving", layer.name), ("fixed", layer.registration.to)):
+        if (grid := grid_of(run, name)) is not None:
+            layers[side] |= LayerPixels(origin_um=grid.origin_um).about()
+    return marks.assign_attrs(layers=layers)
+
+
+def grid_of(run: Run, name: str) -> Grid | None:
+    """Pixels of a layer: of an image, or of the flat maps of a sheet; None where the run does not hold them."""
+    layer = run.results.layer(name)
+    if layer.kind == "image":
+        rows, cols = layer.source.shape[:2]
+        down, across = layer.source.size_um[-2:]
+        return Grid.regular((rows, cols), (down, across))
+    if f"layers/{name}" in run.groups and name == run.results.reference.name:
+        return Grid.of(run.groups[f"layers/{name}"])
+    mapped = sheet_run(run, name)
+    return None if mapped is None else Grid.of(mapped.groups["maps"])
+
+
+def checked_names(wanted: Sequence[str], names: Sequence[str], where: str) -> list[str]:
+    """Give the wanted maps, each once; InputError names the one that is not there, the likely one, and all."""
+    for name in wanted:
+        if name not in names:
+            raise InputError(
+                f"There is no map {name!r} in the {where}.{likely(name, names)} It holds {', '.join(names)}."
+            )
+    return list(dict.fromkeys(wanted))
+
+
+def _grid_around(marks: np.ndarray) -> Grid:
+    """Pixels of a layer of which only the marks are known."""
+    low, high = marks.min(axis=0), marks.max(axis=0)
+    extent = float((high - low).max())
+    around = 0.3 * extent  # of the marks' extent: what a layer whose pixels are not known is taken to reach beyond them
+    pixel = max(extent / 2000, 1e-6)
+    cols, rows = (int(n) for n in np.ceil((high - low + 2 * around) / pixel).astype(int) + 1)
+    return Grid.regular((rows, cols), pixel, (float(low[0] - around), float(low[1] - around)))
