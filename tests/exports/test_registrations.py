@@ -161,6 +161,6 @@ def test_a_field_is_as_fine_as_needed_and_missing_values_take_the_affine_map():
 
     cut = replace(both, function=lambda points: np.where(points[..., :1] > 500.0, np.nan, both.function(points)))
     field = transforms.before_affine(cut)
-    assert field.filled > 0
+    assert field.n_filled > 0
     assert np.isfinite(field.vectors).all()
     assert not field.vectors[:, -1].any()

@@ -81,7 +81,7 @@ def test_a_mesh_takes_every_kth_column_and_turns_y_as_displayed():
     assert {tuple(row) for row in coarse.points.tolist()} <= {tuple(row) for row in fine.points.tolist()}
     plain, seen = (meshes.mesh_of(surface(), PARAMS.model_copy(update={"as_seen": flag})) for flag in (False, True))
     np.testing.assert_array_equal(seen.points, plain.points * [1, -1, 1])
-    assert "sign turned" in seen.about
+    assert "sign turned" in seen.description
 
 
 @pytest.mark.parametrize(("mesh_um", "words"), [(1.0, "less than a column of 3 um"), (500.0, "no cell at these nodes")])

@@ -100,12 +100,12 @@ class Maps:
         """Pitch of rows and columns, without the rounding of their coordinates; SizeError where there is none."""
         if min(self.shape) < 2:
             raise SizeError(f"The maps have {self.shape[0]} x {self.shape[1]} pixels; 2 x 2 are needed for a size.")
-        return tuple(exact((um[-1] - um[0]) / (um.size - 1)) for um in self.at_um)  # type: ignore[return-value]
+        return tuple(exact((coords_um[-1] - coords_um[0]) / (coords_um.size - 1)) for coords_um in self.at_um)  # type: ignore[return-value]
 
     @property
     def origin_um(self) -> tuple[float, float]:
         """Middle of the first pixel: (y, x)."""
-        return tuple(exact(um[0]) for um in self.at_um)  # type: ignore[return-value]
+        return tuple(exact(coords_um[0]) for coords_um in self.at_um)  # type: ignore[return-value]
 
     def facts(self) -> dict[str, Any]:
         """Group, pixel size and place, for the history."""
@@ -138,26 +138,26 @@ class Maps:
 
         ``dtype``: type of the values; the map's own where not given, truth values as bytes.
         """
-        variable = self.data[name]
-        target = plain_type(variable.dtype) if dtype is None else np.dtype(dtype)
-        parts = list(bands(self.shape[0]))
+        pixels = self.data[name]
+        target = plain_type(pixels.dtype) if dtype is None else np.dtype(dtype)
+        row_slices = list(bands(self.shape[0]))
         with thread_pool() as pool:
 
-            def start(rows: slice) -> Future[NDArray[Any]]:
-                return pool.submit(lambda: np.ascontiguousarray(band_of(variable, rows), dtype=target))
+            def read_rows(rows: slice) -> Future[NDArray[Any]]:
+                return pool.submit(lambda: np.ascontiguousarray(band_of(pixels, rows), dtype=target))
 
-            reading = start(parts[0])
-            for rows, following in zip(parts, [*parts[1:], None], strict=True):
-                band = reading.result()
-                if following is not None:
-                    reading = start(following)
+            pending = read_rows(row_slices[0])
+            for rows, next_rows in zip(row_slices, [*row_slices[1:], None], strict=True):
+                band = pending.result()
+                if next_rows is not None:
+                    pending = read_rows(next_rows)
                 yield rows, band
 
 
 def percentile_limits(pixels: NDArray[np.float32]) -> tuple[float, float]:
     """1st and 99th percentile of a map, between which it is shown first; 0 to 1 where it has no value."""
-    measured = pixels[np.isfinite(pixels)].astype(np.float64)
-    low, high = (float(v) for v in np.percentile(measured, (1.0, 99.0))) if measured.size else (0.0, 1.0)
+    finite = pixels[np.isfinite(pixels)].astype(np.float64)
+    low, high = (float(v) for v in np.percentile(finite, (1.0, 99.0))) if finite.size else (0.0, 1.0)
     return low, high if high > low else low + 1.0
 
 

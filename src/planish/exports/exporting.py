@@ -46,7 +46,7 @@ from planish.run.study import changed
 class ExportRequest:
     """An export that was asked for, of a run and its ``store`` where this is as the run is.
 
-    ``single``: ``out`` is one file, and not a folder of files.
+    ``is_single_file``: ``out`` is one file, and not a folder of files.
     """
 
     run: Run
@@ -55,7 +55,7 @@ class ExportRequest:
     compute: Compute
     progress: Progress
     out: Path
-    single: bool
+    is_single_file: bool
 
     @property
     def form(self) -> ExportFormat:
@@ -66,7 +66,7 @@ class ExportRequest:
         """Write a content of the format."""
         history = history_of(self.run)
         if isinstance(content, xr.DataArray) and self.form.is_folder:  # the working store of a volume
-            note = history.json(**{str(key): fact for key, fact in content.attrs.items() if key != "voxel_um"})
+            note = history.json(**{str(key): value for key, value in content.attrs.items() if key != "voxel_um"})
             write_store(content.assign_attrs(history=note), path, memory_bytes=self.compute.block_bytes)
             return
         # A map of so few pixels is read once more for the limits between which it is shown first.
@@ -78,14 +78,14 @@ class ExportRequest:
 
 
 class OutputFile(NamedTuple):
-    """One call of a writer: names of its files in a folder, the first of which it is given, what it writes, in words.
+    """One call of a writer: names of its files in a folder, the first of which it is given, and what it writes.
 
     ``content`` is one of those in :mod:`planish.exports.formats`.
     """
 
     names: list[str]
     content: object
-    words: str
+    summary_text: str
 
 
 def _output_files(request: ExportRequest) -> list[OutputFile]:
@@ -102,18 +102,18 @@ def _output_files(request: ExportRequest) -> list[OutputFile]:
     return _straightened(request) if group == STRAIGHTENED else _maps(request)
 
 
-def _check_size(request: ExportRequest, count: int, words: str, remedy: str) -> None:
+def _check_size(request: ExportRequest, count: int, size_text: str, remedy_text: str) -> None:
     """Raise ResourceError for what the format, or the memory, does not hold."""
-    form, allowed = request.form, request.compute.for_work
+    form, allowed_bytes = request.form, request.compute.for_work
     if form.most is not None and count > form.most:
         raise ResourceError(
-            f"{form.title} is written of at most {form.most / 1e6:.0f} million {form.counts}; there are {words}. "
-            f"{remedy}"
+            f"{form.title} is written of at most {form.most / 1e6:.0f} million {form.counts}; there are {size_text}. "
+            f"{remedy_text}"
         )
-    if count * form.byte_cost > allowed:
+    if count * form.byte_cost > allowed_bytes:
         raise ResourceError(
-            f"{form.title} of {words} takes {count * form.byte_cost / 1e9:.1f} GB of memory, {allowed / 1e9:.1f} GB "
-            "are allowed. Allow more with --memory."
+            f"{form.title} of {size_text} takes {count * form.byte_cost / 1e9:.1f} GB of memory, "
+            f"{allowed_bytes / 1e9:.1f} GB are allowed. Allow more with --memory."
         )
 
 
@@ -123,38 +123,38 @@ def _maps(request: ExportRequest) -> list[OutputFile]:
     names = map_names(run, group, request.params.maps)
     if group == "maps" and IMAGE in names:
         height, width = Grid.of(run.groups["linked"]).shape
-        needed, allowed = 8 * height * width, request.compute.for_work
-        if needed > allowed:
+        image_bytes, memory_bytes = 8 * height * width, request.compute.for_work
+        if image_bytes > memory_bytes:
             raise ResourceError(
-                f"The image on the flat sheet takes {needed / 1e9:.1f} GB of memory, {allowed / 1e9:.1f} GB are "
-                "allowed. Allow more with --memory, or choose other maps with --map."
+                f"The image on the flat sheet takes {image_bytes / 1e9:.1f} GB of memory, "
+                f"{memory_bytes / 1e9:.1f} GB are allowed. Allow more with --memory, or choose other maps with --map."
             )
     levels = {} if request.store is None else {name: map_levels(request.store, group, name) for name in names}
     maps = Maps(data=maps_of(run, group, names), group=group, levels=levels)
     rows, cols = maps.shape
     _check_size(request, rows * cols, f"{rows} x {cols}", "Write them as tiff, txt or netcdf, which have no limit.")
-    if form.apart and not request.single:
+    if form.apart and not request.is_single_file:
         return [OutputFile([f"{name}{form.suffixes[0]}"], maps.only(name), name) for name in names]
     if not form.stack and len(names) > 1:
         raise StudyError(
             f"{out.name} holds one map, and {len(names)} are asked for. Choose one with --map, or give a folder. The "
             f"group {group} holds {', '.join(names)}."
         )
-    words = ", ".join(names) if len(names) < 5 else f"{len(names)} maps"
-    return [OutputFile([f"{group.rsplit('/', 1)[-1]}{form.suffixes[0]}"], maps, words)]
+    maps_text = ", ".join(names) if len(names) < 5 else f"{len(names)} maps"
+    return [OutputFile([f"{group.rsplit('/', 1)[-1]}{form.suffixes[0]}"], maps, maps_text)]
 
 
 def _straightened(request: ExportRequest) -> list[OutputFile]:
     params, form = request.params, request.form
     if "volume" not in form.holds:
-        able = ", ".join(name for name, other in FORMATS.items() if "volume" in other.holds)
-        raise InputError(f"The straightened volume is written as {able}, not as {params.to}.")
+        format_names = ", ".join(name for name, other_format in FORMATS.items() if "volume" in other_format.holds)
+        raise InputError(f"The straightened volume is written as {format_names}, not as {params.to}.")
     if params.maps:
         raise StudyError("The straightened volume holds grey values, and --map chooses maps. Leave --map out.")
     volume = straightened_volume(request.run, params.depth_um, request.compute, request.progress)
-    voxel_um = " x ".join(f"{v:g}" for v in volume.attrs["voxel_um"])
-    words = f"{' x '.join(map(str, volume.shape))} voxels of {voxel_um} um"
-    return [OutputFile([f"{STRAIGHTENED}{form.suffixes[0]}"], volume, words)]
+    voxel_text = " x ".join(f"{v:g}" for v in volume.attrs["voxel_um"])
+    size_text = f"{' x '.join(map(str, volume.shape))} voxels of {voxel_text} um"
+    return [OutputFile([f"{STRAIGHTENED}{form.suffixes[0]}"], volume, size_text)]
 
 
 def _surfaces(request: ExportRequest) -> list[OutputFile]:
@@ -166,31 +166,31 @@ def _surfaces(request: ExportRequest) -> list[OutputFile]:
             "were linked."
         )
     surfaces = run.groups["surfaces"]
-    planes = [str(k) for k, plane in surfaces.data_vars.items() if plane.ndim == 2 and plane.dtype.kind in "fiub"]
+    names = [str(k) for k, v in surfaces.data_vars.items() if v.ndim == 2 and v.dtype.kind in "fiub"]
     measured = [name for name in SURFACES if name in surfaces and bool(np.isfinite(surfaces[name].values).any())]
-    asked = checked_names(params.maps, planes, "surfaces")
-    chosen = [name for name in asked if name in SURFACES] or measured
+    requested = checked_names(params.maps, names, "surfaces")
+    surface_names = [name for name in requested if name in SURFACES] or measured
     # The properties where no map is named, the headline of the sheet first.
-    usual = [k for k, plane in surfaces.data_vars.items() if is_property(plane) and k not in SURFACES]
-    maps = tuple(name for name in asked if name not in SURFACES) or tuple(
-        sorted(map(str, usual), key=lambda name: (name != facts.headline, name))
+    property_names = [k for k, variable in surfaces.data_vars.items() if is_property(variable) and k not in SURFACES]
+    maps = tuple(name for name in requested if name not in SURFACES) or tuple(
+        sorted(map(str, property_names), key=lambda name: (name != facts.headline, name))
     )
-    if lacking := [name for name in chosen if name not in measured]:
-        raise InputError(f"The sheet has no {' and no '.join(lacking)}; it has {', '.join(measured)}.")
-    if request.single and len(chosen) > 1:
+    if unmeasured := [name for name in surface_names if name not in measured]:
+        raise InputError(f"The sheet has no {' and no '.join(unmeasured)}; it has {', '.join(measured)}.")
+    if request.is_single_file and len(surface_names) > 1:
         raise StudyError(
-            f"{request.out.name} holds one surface, and there are {len(chosen)}. Choose one of {', '.join(chosen)} "
-            "with --map, or give a folder."
+            f"{request.out.name} holds one surface, and there are {len(surface_names)}. Choose one of "
+            f"{', '.join(surface_names)} with --map, or give a folder."
         )
-    exported = surfaces[[*chosen, *maps]]
-    (rows, cols), (down, across) = (exported.sizes["y"], exported.sizes["x"]), steps_of(exported, params.mesh_um)
-    count = -(-rows // down) * -(-cols // across)
-    _check_size(request, count, f"{count / 1e6:.1f} million", "Give a larger --mesh-um, such as four columns.")
-    scales = {name: scale_of(exported, name) for name in maps[:1]}
+    columns = surfaces[[*surface_names, *maps]]
+    (rows, cols), (row_step, col_step) = (columns.sizes["y"], columns.sizes["x"]), steps_of(columns, params.mesh_um)
+    n_nodes = -(-rows // row_step) * -(-cols // col_step)
+    _check_size(request, n_nodes, f"{n_nodes / 1e6:.1f} million", "Give a larger --mesh-um, such as four columns.")
+    scales = {name: scale_of(columns, name) for name in maps[:1]}
 
     return [
-        OutputFile([f"{name}{request.form.suffixes[0]}"], Surface(exported, name, maps, scales), name)
-        for name in chosen
+        OutputFile([f"{name}{request.form.suffixes[0]}"], Surface(columns, name, maps, scales), name)
+        for name in surface_names
     ]
 
 
@@ -198,7 +198,7 @@ def _registrations(request: ExportRequest) -> list[OutputFile]:
     if request.params.maps:
         raise StudyError(f"{request.form.title} holds a registration, and --map chooses maps. Leave --map out.")
     layers = registered_layers(request.run, request.params.group)
-    if request.single and len(layers) > 1:
+    if request.is_single_file and len(layers) > 1:
         names = ", ".join(layer.name for layer in layers)
         raise StudyError(
             f"{request.out.name} holds one registration, and there are {len(layers)}. Choose one of {names} with "
@@ -210,11 +210,13 @@ def _registrations(request: ExportRequest) -> list[OutputFile]:
         if "marks" in form.holds:
             contents: dict[str, object] = {pair.forward.name: landmarks(request.run, layer)}
         elif form.apart:
-            contents = {t.name: t for t in (pair.forward, *([] if request.single else [pair.back]))}
+            contents = {t.name: t for t in (pair.forward, *([] if request.is_single_file else [pair.back]))}
         else:
             contents = {pair.forward.name: pair}
         endings = form.endings_of(affine=pair.forward.exact)
-        files += [OutputFile([f"{name}{end}" for end in endings], part, name) for name, part in contents.items()]
+        files += [
+            OutputFile([f"{name}{ending}" for ending in endings], content, name) for name, content in contents.items()
+        ]
     return files
 
 
@@ -266,7 +268,7 @@ def export(
     if params.depth_um is not None and params.group != STRAIGHTENED:
         raise StudyError(f"--depth-um is for --group {STRAIGHTENED}.")
     form, compute, out = FORMATS[params.to], compute or Compute(), Path(out)
-    single = is_file(params.to, out)
+    is_single_file = is_file(params.to, out)
     refuse_existing(out)
     writer_of(params.to)
     # A run in memory may have been changed since it was read.
@@ -277,7 +279,13 @@ def export(
         params = changed(params, point_um=run.study.correlate.point_um)
     with limit_threads(compute.threads):
         request = ExportRequest(
-            run=run, store=store, params=params, compute=compute, progress=progress, out=out, single=single
+            run=run,
+            store=store,
+            params=params,
+            compute=compute,
+            progress=progress,
+            out=out,
+            is_single_file=is_single_file,
         )
         if "run" in form.holds:
             if params.maps or params.group is not None:
@@ -287,9 +295,9 @@ def export(
             files = [OutputFile([], run.folder, str(run.folder))]
         else:
             files = _output_files(request)
-        if single or "run" in form.holds:
+        if is_single_file or "run" in form.holds:
             (file,) = files
-            progress("write", file.words)
+            progress("write", file.summary_text)
             if form.is_folder and isinstance(file.content, xr.DataArray):
                 request.write(file.content, out)  # a store, which goes on where it was killed
             else:
@@ -298,6 +306,6 @@ def export(
             return [out]
         with new_folder(out) as folder:
             for file in files:
-                progress("write", file.words)
+                progress("write", file.summary_text)
                 request.write(file.content, folder / file.names[0])
         return [out / name for file in files for name in file.names]

@@ -30,23 +30,23 @@ def write_netcdf(maps: Maps, path: Path, history: ExportHistory, _params: Export
     }
     with h5netcdf.File(path, "w", track_order=True) as file:
         file.dimensions = dict(zip(maps.dims, maps.shape, strict=True))
-        for axis, places in zip(maps.dims, maps.at_um, strict=True):
-            variable = file.create_variable(axis, (axis,), np.float64, data=places)
-            variable.attrs.update({"units": "um", "long_name": long_names[axis]})
+        for axis, coords_um in zip(maps.dims, maps.at_um, strict=True):
+            dataset = file.create_variable(axis, (axis,), np.float64, data=coords_um)
+            dataset.attrs.update({"units": "um", "long_name": long_names[axis]})
         for name in maps.names:
             dtype = plain_type(maps.data[name].dtype)
-            missing: Any = dtype.type(np.nan) if dtype.kind == "f" else None
+            fill_value: Any = dtype.type(np.nan) if dtype.kind == "f" else None
             # Every value is written: filling the space before would write it twice.
-            variable = file.create_variable(name, maps.dims, dtype, fillvalue=missing, fill_time="never")
+            dataset = file.create_variable(name, maps.dims, dtype, fillvalue=fill_value, fill_time="never")
             for rows, band in maps.bands(name):
-                variable[rows] = band
-            units, stored = maps.units[name], maps.data[name].attrs
-            variable.attrs.update({"long_name": maps.titles[name], "units": udunits.get(units, units)})
+                dataset[rows] = band
+            units, attrs = maps.units[name], maps.data[name].attrs
+            dataset.attrs.update({"long_name": maps.titles[name], "units": udunits.get(units, units)})
             if maps.data[name].dtype.kind == "b":
-                variable.attrs.update({"flag_values": np.array([0, 1], np.uint8), "flag_meanings": "false true"})
-            elif "flag_values" in stored:
-                codes, meanings = np.asarray(stored["flag_values"]).astype(dtype), str(stored["flag_meanings"])
-                variable.attrs.update({"flag_values": codes, "flag_meanings": meanings})
+                dataset.attrs.update({"flag_values": np.array([0, 1], np.uint8), "flag_meanings": "false true"})
+            elif "flag_values" in attrs:
+                flag_values, flag_meanings = np.asarray(attrs["flag_values"]).astype(dtype), str(attrs["flag_meanings"])
+                dataset.attrs.update({"flag_values": flag_values, "flag_meanings": flag_meanings})
         file.attrs.update(
             {
                 "Conventions": "CF-1.11",
@@ -67,7 +67,7 @@ def write_gwyddion(maps: Maps, path: Path, history: ExportHistory, _params: Expo
 
     file = GwyContainer()
     (down, across), (y0, x0), (rows, cols) = maps.pixel_um, maps.origin_um, maps.shape
-    place: dict[str, Any] = {
+    extent_m: dict[str, Any] = {
         "xreal": 1e-6 * across * cols,
         "yreal": 1e-6 * down * rows,
         "xoff": 1e-6 * (x0 - 0.5 * across),
@@ -75,21 +75,21 @@ def write_gwyddion(maps: Maps, path: Path, history: ExportHistory, _params: Expo
     }
     for k, name in enumerate(maps.names):
         # Gwyddion takes units without prefix and chooses the prefix itself.
-        units, factor = {"um": ("m", 1e-6), "1": ("", 1.0)}.get(maps.units[name], (maps.units[name], 1.0))
+        si_unit, si_factor = {"um": ("m", 1e-6), "1": ("", 1.0)}.get(maps.units[name], (maps.units[name], 1.0))
         pixels = np.concatenate([band for _, band in maps.bands(name, np.float64)])
-        missing = ~np.isfinite(pixels)
-        pixels[missing] = 0.0 if missing.all() else float(pixels[~missing].mean())
+        is_missing = ~np.isfinite(pixels)
+        pixels[is_missing] = 0.0 if is_missing.all() else float(pixels[~is_missing].mean())
         file[f"/{k}/data/title"] = maps.titles[name]
-        fields = [("data", pixels * factor, units)]
-        fields += [("mask", missing.astype(np.float64), "")] if missing.any() else []
-        for key, values, unit in fields:
-            file[f"/{k}/{key}"] = GwyDataField(
-                values, si_unit_xy=GwySIUnit(unitstr="m"), si_unit_z=GwySIUnit(unitstr=unit), **place
+        data_fields = [("data", pixels * si_factor, si_unit)]
+        data_fields += [("mask", is_missing.astype(np.float64), "")] if is_missing.any() else []
+        for field_key, values, unit in data_fields:
+            file[f"/{k}/{field_key}"] = GwyDataField(
+                values, si_unit_xy=GwySIUnit(unitstr="m"), si_unit_z=GwySIUnit(unitstr=unit), **extent_m
             )
         file[f"/{k}/meta"] = GwyContainer({"name": name, "planish": history.json(**maps.facts() | {"missing": "mask"})})
         file[f"/{k}/data/visible"] = True
-    with path.open("wb") as target:
-        file.tofile(target)
+    with path.open("wb") as stream:
+        file.tofile(stream)
 
 
 def write_crate(run: Path, path: Path, history: ExportHistory, _params: ExportParams) -> None:
@@ -113,7 +113,7 @@ def write_crate(run: Path, path: Path, history: ExportHistory, _params: ExportPa
     crate.root_dataset["datePublished"] = (
         f"{datetime.fromtimestamp((run / 'results.json').stat().st_mtime, UTC):%Y-%m-%d}"
     )
-    parts = [_add(crate, entry) for entry in sorted(run.iterdir()) if not entry.name.startswith(".")]
+    files = [_add(crate, entry) for entry in sorted(run.iterdir()) if not entry.name.startswith(".")]
     program = _entity(
         crate, "#planish", "SoftwareApplication", name="planish", softwareVersion=history.planish,
         description="Links the 3D structure of a paper sheet to a 2D image of it.",
@@ -122,7 +122,7 @@ def write_crate(run: Path, path: Path, history: ExportHistory, _params: ExportPa
         _entity(crate, f"#input-{layer['layer']}", "CreativeWork", name=layer["name"], sha256=layer["sha256"])
         for layer in history.inputs
     ]
-    action = _entity(crate, "#run", "CreateAction", name="planish run", instrument=program, object=inputs, result=parts)
+    action = _entity(crate, "#run", "CreateAction", name="planish run", instrument=program, object=inputs, result=files)
     crate.root_dataset["mentions"] = [action]
     crate.write(str(path))
 
@@ -136,7 +136,7 @@ def _entity(crate: Any, identifier: str, kind: str, **properties: Any) -> Any:
 def _add(crate: Any, entry: Path) -> Any:
     """Add a file with its size and hash, or a folder."""
     name = entry.name
-    words = {
+    description = {
         "run.toml": "Every parameter of the run; planish run repeats it",
         "results.json": "Every number of the run",
         "figures.csv": "Every figure with its error",
@@ -146,10 +146,10 @@ def _add(crate: Any, entry: Path) -> Any:
         "figures": "The figures of the report as SVG and CSV",
         "layers": "Whole runs of volumes that were mapped on the way",
     }.get(name, "Marks and registration" if name.startswith("marks") else name)
-    about = {"name": name, "description": words}
+    properties = {"name": name, "description": description}
     if entry.is_dir():
-        return crate.add_dataset(str(entry), f"{name}/", properties=about)
-    kind = {
+        return crate.add_dataset(str(entry), f"{name}/", properties=properties)
+    mime_type = {
         ".toml": "application/toml",
         ".json": "application/json",
         ".csv": "text/csv",
@@ -157,5 +157,5 @@ def _add(crate: Any, entry: Path) -> Any:
         ".geojson": "application/geo+json",
     }.get(entry.suffix, "application/octet-stream")
     sha256 = hashlib.sha256(entry.read_bytes()).hexdigest()
-    about |= {"contentSize": str(entry.stat().st_size), "sha256": sha256, "encodingFormat": kind}
-    return crate.add_file(str(entry), name, properties=about)
+    properties |= {"contentSize": str(entry.stat().st_size), "sha256": sha256, "encodingFormat": mime_type}
+    return crate.add_file(str(entry), name, properties=properties)

@@ -37,8 +37,8 @@ def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) 
     ResourceError
         Version 5 was asked for, and the maps take 2 GB or more.
     """
-    about: dict[str, Any] = {f"{axis}_um": um[None, :] for axis, um in zip(maps.dims, maps.at_um, strict=True)}
-    about |= {
+    metadata: dict[str, Any] = {f"{axis}_um": um[None, :] for axis, um in zip(maps.dims, maps.at_um, strict=True)}
+    metadata |= {
         "pixel_um": np.array([maps.pixel_um]),
         "units": maps.units,
         "titles": maps.titles,
@@ -46,31 +46,31 @@ def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) 
     }
     version = chosen_version(maps, params)
     if version == "5":
-        whole = {name: np.concatenate([band for _, band in maps.bands(name)]) for name in maps.names}
-        pixels = {n: p.astype(np.bool_) if maps.data[n].dtype.kind == "b" else p for n, p in whole.items()}
-        io.savemat(str(path), pixels | about, appendmat=False, format="5", oned_as="row", long_field_names=True)
-        version, ending = "5.0", b""
+        arrays = {name: np.concatenate([band for _, band in maps.bands(name)]) for name in maps.names}
+        pixels = {n: p.astype(np.bool_) if maps.data[n].dtype.kind == "b" else p for n, p in arrays.items()}
+        io.savemat(str(path), pixels | metadata, appendmat=False, format="5", oned_as="row", long_field_names=True)
+        version, header_end = "5.0", b""
     else:
         with h5py.File(path, "w", userblock_size=_HEAD, libver="earliest") as file:
             for name in maps.names:
                 _put_map(file, maps, name)
-            for name, variable in about.items():
+            for name, variable in metadata.items():
                 _put(file, name, variable)
-        ending = (b"\0" * 8 + b"\x00\x02IM").ljust(_HEAD - _TEXT, b"\0")
-    heading = f"MATLAB {version} MAT-file, written by {history.program}".encode("ascii").ljust(_TEXT)[:_TEXT]
+        header_end = (b"\0" * 8 + b"\x00\x02IM").ljust(_HEAD - _TEXT, b"\0")
+    header_start = f"MATLAB {version} MAT-file, written by {history.program}".encode("ascii").ljust(_TEXT)[:_TEXT]
     with path.open("rb+") as file:
-        file.write(heading + ending)
+        file.write(header_start + header_end)
 
 
 def chosen_version(maps: Maps, params: ExportParams) -> str:
     """Choose the version in which maps are written; ResourceError where the one that was asked for cannot hold them."""
-    size = sum(plain_type(maps.data[name].dtype).itemsize for name in maps.names) * maps.shape[0] * maps.shape[1]
-    if params.mat_version == "5" and size > MOST_5:
+    maps_bytes = sum(plain_type(maps.data[name].dtype).itemsize for name in maps.names) * maps.shape[0] * maps.shape[1]
+    if params.mat_version == "5" and maps_bytes > MOST_5:
         raise ResourceError(
-            f"The maps take {size / 1e9:.1f} GB, and a MATLAB file of version 5 holds 2 GB. Leave out --mat-version, "
-            "choose fewer maps with --map, or give a folder for a file each."
+            f"The maps take {maps_bytes / 1e9:.1f} GB, and a MATLAB file of version 5 holds 2 GB. Leave out "
+            "--mat-version, choose fewer maps with --map, or give a folder for a file each."
         )
-    return params.mat_version or ("5" if size <= WHOLE_BYTES else "7.3")
+    return params.mat_version or ("5" if maps_bytes <= WHOLE_BYTES else "7.3")
 
 
 def _put_map(file: h5py.File, maps: Maps, name: str) -> None:
@@ -79,37 +79,37 @@ def _put_map(file: h5py.File, maps: Maps, name: str) -> None:
     # As many columns in each chunk: what reaches beyond the map is written, too.
     chunk = (-(-cols // -(-cols // _CHUNK)), min(_CHUNK, rows))
     dataset = file.create_dataset(name, shape=(cols, rows), dtype=dtype, chunks=chunk, fill_time="never")
-    begins = range(0, cols, chunk[0])
+    first_cols = range(0, cols, chunk[0])
     with thread_pool() as pool:
         for rows_of_band, band in maps.bands(name):
-            blocks = pool.map(partial(_turned, band, chunk), begins)
-            for begin, block in zip(begins, blocks, strict=True):
-                dataset.id.write_direct_chunk((begin, rows_of_band.start), block.data)
+            blocks = pool.map(partial(_turned, band, chunk), first_cols)
+            for first_col, block in zip(first_cols, blocks, strict=True):
+                dataset.id.write_direct_chunk((first_col, rows_of_band.start), block.data)
     if maps.data[name].dtype.kind == "b":
         _set_class(dataset, "logical", decode=1)
     else:
         _set_class(dataset, {"float32": "single", "float64": "double"}.get(dtype.name, dtype.name))
 
 
-def _turned(band: NDArray[Any], chunk: tuple[int, int], begin: int) -> NDArray[Any]:
+def _turned(band: NDArray[Any], chunk: tuple[int, int], first_col: int) -> NDArray[Any]:
     """A chunk of a band (rows, cols) as (cols, rows), with zeros beyond the map."""
-    part, block = band[:, begin : begin + chunk[0]].T, np.zeros(chunk, band.dtype)
-    block[: part.shape[0], : part.shape[1]] = part
-    return block
+    columns, chunk_values = band[:, first_col : first_col + chunk[0]].T, np.zeros(chunk, band.dtype)
+    chunk_values[: columns.shape[0], : columns.shape[1]] = columns
+    return chunk_values
 
 
-def _put(place: h5py.Group, name: str, variable: Any) -> None:
+def _put(group: h5py.Group, name: str, variable: Any) -> None:
     """Write a matrix, a text or a structure of texts."""
     if isinstance(variable, dict):
-        group = place.create_group(name)
-        group.attrs["MATLAB_class"] = np.bytes_("struct")
-        for key, text in variable.items():
-            _put(group, key, text)
+        struct = group.create_group(name)
+        struct.attrs["MATLAB_class"] = np.bytes_("struct")
+        for field, text in variable.items():
+            _put(struct, field, text)
     elif isinstance(variable, str):
-        letters = np.frombuffer(variable.encode("utf-16-le"), dtype="<u2")
-        _set_class(place.create_dataset(name, data=letters[:, None]), "char", decode=2)
+        utf16 = np.frombuffer(variable.encode("utf-16-le"), dtype="<u2")
+        _set_class(group.create_dataset(name, data=utf16[:, None]), "char", decode=2)
     else:
-        _set_class(place.create_dataset(name, data=np.asarray(variable, dtype=np.float64).T), "double")
+        _set_class(group.create_dataset(name, data=np.asarray(variable, dtype=np.float64).T), "double")
 
 
 def _set_class(dataset: h5py.Dataset, name: str, *, decode: int | None = None) -> None:

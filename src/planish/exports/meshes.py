@@ -63,7 +63,7 @@ class SurfaceMesh:
         Maps, by name and unit (``coating_top_um``); NaN is missing.
     colours : (n, 3) uint8 or None
         Red, green, blue of the first map.
-    about : str
+    description : str
         What places and colours are, in one line.
     """
 
@@ -71,7 +71,7 @@ class SurfaceMesh:
     quads: NDArray[np.int32]
     maps: dict[str, NDArray[np.float32]]
     colours: NDArray[np.uint8] | None
-    about: str
+    description: str
 
 
 def write_ply(surface: Surface, path: Path, history: ExportHistory, params: ExportParams) -> None:
@@ -87,14 +87,14 @@ def write_ply(surface: Surface, path: Path, history: ExportHistory, params: Expo
     nodes = np.rec.fromarrays(columns.values(), [(k, column.dtype.newbyteorder("<")) for k, column in columns.items()])
     cells = np.empty(len(mesh.quads), dtype=[("count", "u1"), ("nodes", "<i4", (4,))])
     cells["count"], cells["nodes"] = 4, mesh.quads
-    head = [
-        "ply", "format binary_little_endian 1.0", f"comment {mesh.about}", f"comment {history.json()}",
+    header_lines = [
+        "ply", "format binary_little_endian 1.0", f"comment {mesh.description}", f"comment {history.json()}",
         f"element vertex {len(nodes)}",
         *(f"property {'uchar' if column.dtype == np.uint8 else 'float'} {k}" for k, column in columns.items()),
         f"element face {len(cells)}", "property list uchar int vertex_indices", "end_header",
     ]  # fmt: skip
     with path.open("wb") as file:
-        file.write(("\n".join(head) + "\n").encode("ascii"))
+        file.write(("\n".join(header_lines) + "\n").encode("ascii"))
         file.write(nodes.data)
         file.write(cells.data)
 
@@ -105,15 +105,15 @@ def write_obj(surface: Surface, path: Path, history: ExportHistory, params: Expo
     Colours are three numbers from 0 to 1 behind each node, as MeshLab and Blender read them.
     """
     mesh = mesh_of(surface, params)
-    columns, form = mesh.points.astype(np.float64), "v %.9g %.9g %.9g"
+    node_values, node_format = mesh.points.astype(np.float64), "v %.9g %.9g %.9g"
     if mesh.colours is not None:
-        columns, form = np.column_stack([columns, mesh.colours / 255.0]), f"{form} %.4f %.4f %.4f"
+        node_values, node_format = np.column_stack([node_values, mesh.colours / 255.0]), f"{node_format} %.4f %.4f %.4f"
     with path.open("w", encoding="utf-8", newline="\n") as file:
-        file.write(f"# {mesh.about}\n# {history.json()}\no {surface.name}\n")
-        for rows, line in ((columns, form), (mesh.quads + 1, "f %d %d %d %d")):
-            for begin in range(0, len(rows), 100_000):  # lines that are made at a time
-                part = rows[begin : begin + 100_000]
-                file.write(f"{line}\n" * len(part) % tuple(part.ravel().tolist()))
+        file.write(f"# {mesh.description}\n# {history.json()}\no {surface.name}\n")
+        for table, row_format in ((node_values, node_format), (mesh.quads + 1, "f %d %d %d %d")):
+            for start in range(0, len(table), 100_000):  # lines that are made at a time
+                chunk = table[start : start + 100_000]
+                file.write(f"{row_format}\n" * len(chunk) % tuple(chunk.ravel().tolist()))
 
 
 def write_stl(surface: Surface, path: Path, history: ExportHistory, params: ExportParams) -> None:
@@ -124,18 +124,18 @@ def write_stl(surface: Surface, path: Path, history: ExportHistory, params: Expo
     mesh = mesh_of(surface, params)
     corners = mesh.quads[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
     triangles = np.zeros(len(corners), [("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("colour", "<u2")])
-    points = mesh.points[corners]
-    normal = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]).astype(np.float64)
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    triangles["normal"] = normal / np.where(length > 0, length, 1.0)
-    triangles["corners"] = points
+    vertices = mesh.points[corners]
+    normals = np.cross(vertices[:, 1] - vertices[:, 0], vertices[:, 2] - vertices[:, 0]).astype(np.float64)
+    norms = np.linalg.norm(normals, axis=1, keepdims=True)
+    triangles["normal"] = normals / np.where(norms > 0, norms, 1.0)
+    triangles["corners"] = vertices
     if mesh.colours is not None:
         # Five bits each, blue the lowest; the sixteenth says that they hold.
         red, green, blue = np.rint(mesh.colours[corners].mean(axis=1) / 255 * 31).astype(np.uint16).T
         triangles["colour"] = 1 << 15 | red << 10 | green << 5 | blue
-    head = f"{history.program}, {surface.name}, um, study {history.study_sha256[:16]}".encode("ascii", "replace")
+    header = f"{history.program}, {surface.name}, um, study {history.study_sha256[:16]}".encode("ascii", "replace")
     with path.open("wb") as file:
-        file.write(head[:80].ljust(80))
+        file.write(header[:80].ljust(80))
         file.write(len(triangles).to_bytes(4, "little"))
         file.write(triangles.data)
 
@@ -146,33 +146,33 @@ def write_vtu(surface: Surface, path: Path, history: ExportHistory, params: Expo
     Colours are left to the program, which has all values.
     """
     mesh = mesh_of(surface, params)
-    cells = len(mesh.quads)
-    first = f" Scalars={quoteattr(next(iter(mesh.maps)))}" if mesh.maps else ""
-    note = f"{mesh.about} {history.json()}".replace("--", "- -")  # two dashes would end a comment
+    n_cells = len(mesh.quads)
+    active_scalars = f" Scalars={quoteattr(next(iter(mesh.maps)))}" if mesh.maps else ""
+    comment = f"{mesh.description} {history.json()}".replace("--", "- -")  # two dashes would end a comment
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write(
-            f'<?xml version="1.0"?>\n<!-- {escape(note)} -->\n'
+            f'<?xml version="1.0"?>\n<!-- {escape(comment)} -->\n'
             '<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" header_type="UInt64">\n'
-            f'<UnstructuredGrid><Piece NumberOfPoints="{len(mesh.points)}" NumberOfCells="{cells}">\n<Points>\n'
+            f'<UnstructuredGrid><Piece NumberOfPoints="{len(mesh.points)}" NumberOfCells="{n_cells}">\n<Points>\n'
         )
         _write_vtk_array(file, "Points", mesh.points)
         file.write("</Points>\n<Cells>\n")
         _write_vtk_array(file, "connectivity", mesh.quads)
-        _write_vtk_array(file, "offsets", 4 * np.arange(1, cells + 1, dtype=np.int64))
-        _write_vtk_array(file, "types", np.full(cells, 9, np.uint8))  # quadrilaterals
-        file.write(f"</Cells>\n<PointData{first}>\n")
-        for name, numbers in mesh.maps.items():
-            _write_vtk_array(file, name, numbers)
+        _write_vtk_array(file, "offsets", 4 * np.arange(1, n_cells + 1, dtype=np.int64))
+        _write_vtk_array(file, "types", np.full(n_cells, 9, np.uint8))  # quadrilaterals
+        file.write(f"</Cells>\n<PointData{active_scalars}>\n")
+        for name, node_values in mesh.maps.items():
+            _write_vtk_array(file, name, node_values)
         file.write("</PointData>\n</Piece></UnstructuredGrid>\n</VTKFile>\n")
 
 
-def _write_vtk_array(file: IO[str], name: str, numbers: NDArray[Any]) -> None:
+def _write_vtk_array(file: IO[str], name: str, array: NDArray[Any]) -> None:
     """Write an array: its number of bytes and its bytes, as base64."""
-    kind = {"f4": "Float32", "i4": "Int32", "i8": "Int64", "u1": "UInt8"}[numbers.dtype.str[1:]]
-    components = ' NumberOfComponents="3"' if name == "Points" else ""
-    file.write(f'<DataArray type="{kind}" Name={quoteattr(name)}{components} format="binary">\n')
-    packed = np.ascontiguousarray(numbers, numbers.dtype.newbyteorder("<")).tobytes()
-    file.write(base64.b64encode(len(packed).to_bytes(8, "little") + packed).decode("ascii"))
+    vtk_type = {"f4": "Float32", "i4": "Int32", "i8": "Int64", "u1": "UInt8"}[array.dtype.str[1:]]
+    components_attr = ' NumberOfComponents="3"' if name == "Points" else ""
+    file.write(f'<DataArray type="{vtk_type}" Name={quoteattr(name)}{components_attr} format="binary">\n')
+    data_bytes = np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes()
+    file.write(base64.b64encode(len(data_bytes).to_bytes(8, "little") + data_bytes).decode("ascii"))
     file.write("\n</DataArray>\n")
 
 
@@ -185,11 +185,11 @@ def mesh_of(surface: Surface, params: ExportParams) -> SurfaceMesh:
         ``mesh_um`` is less than the pitch of the columns, or so large that no cell is left.
     """
     frame = Frame.of(surface.data)
-    rows, cols = steps_of(surface.data, params.mesh_um)
-    nodes = surface.data.isel(y=slice(None, None, rows), x=slice(None, None, cols))
+    row_step, col_step = steps_of(surface.data, params.mesh_um)
+    nodes = surface.data.isel(y=slice(None, None, row_step), x=slice(None, None, col_step))
     heights = nodes[surface.name].values
     is_node = np.isfinite(heights)
-    number = np.cumsum(is_node.ravel()).reshape(is_node.shape) - 1
+    node_index = np.cumsum(is_node.ravel()).reshape(is_node.shape) - 1
     corners = [(slice(None, -1), slice(None, -1)), (slice(None, -1), slice(1, None)),
                (slice(1, None), slice(1, None)), (slice(1, None), slice(None, -1))]  # fmt: skip
     is_cell = np.all([is_node[corner] for corner in corners], axis=0)
@@ -198,28 +198,28 @@ def mesh_of(surface: Surface, params: ExportParams) -> SurfaceMesh:
             f"The surface {surface.name} has no cell at these nodes: {int(is_node.sum())} nodes are known. Give a "
             "smaller --mesh-um, or another surface."
         )
-    quads = np.stack([number[corner][is_cell] for corner in corners], axis=1).astype(np.int32)
-    axes = {frame.rows: nodes["y"].values[:, None], frame.cols: nodes["x"].values[None, :], frame.through: heights}
-    points = np.stack([np.broadcast_to(axes[axis], is_node.shape)[is_node] for axis in "xyz"], axis=1)
+    quads = np.stack([node_index[corner][is_cell] for corner in corners], axis=1).astype(np.int32)
+    coords_um = {frame.rows: nodes["y"].values[:, None], frame.cols: nodes["x"].values[None, :], frame.through: heights}
+    points = np.stack([np.broadcast_to(coords_um[axis], is_node.shape)[is_node] for axis in "xyz"], axis=1)
     if params.as_seen:
         points[:, 1] *= -1
     # Cells of (row, col), (row, col + 1) ... have to run anticlockwise as seen from outside of the sheet.
-    unit = dict(zip("xyz", np.eye(3), strict=True))
-    outside = unit[frame.through] * frame.sign * (-1 if surface.name.endswith("bottom") else 1)
-    if (float(np.cross(unit[frame.cols], unit[frame.rows]) @ outside) > 0) == params.as_seen:
+    unit_vectors = dict(zip("xyz", np.eye(3), strict=True))
+    outward_normal = unit_vectors[frame.through] * frame.sign * (-1 if surface.name.endswith("bottom") else 1)
+    if (float(np.cross(unit_vectors[frame.cols], unit_vectors[frame.rows]) @ outward_normal) > 0) == params.as_seen:
         quads = quads[:, ::-1]
     maps = {column_of(n, units_of(nodes[n])): nodes[n].values[is_node].astype(np.float32) for n in surface.maps}
-    places = "y of the volume with its sign turned" if params.as_seen else "x, y, z of the volume"
-    about, colours = f"surface {surface.name}; um; {places}", None
-    for first in surface.maps[:1]:
+    axes_text = "y of the volume with its sign turned" if params.as_seen else "x, y, z of the volume"
+    about, colours = f"surface {surface.name}; um; {axes_text}", None
+    for colour_map in surface.maps[:1]:
         from planish.exports.picture import colormap_of  # matplotlib is needed for colours alone
 
-        scale = surface.scales[first]
-        share = (nodes[first].values[is_node].astype(np.float64) - scale.low) / (scale.high - scale.low)
-        colours = colormap_of(scale)(np.clip(share, 0, 1), bytes=True)[:, :3]
-        colours = np.where(np.isfinite(share)[:, None], colours, (212, 214, 216)).astype(np.uint8)
-        units = units_of(nodes[first])
-        about += f"; colour: {first} from {scale.low:.6g} to {scale.high:.6g}{f' {units}' if units != '1' else ''}"
+        scale = surface.scales[colour_map]
+        colour_fraction = (nodes[colour_map].values[is_node].astype(np.float64) - scale.low) / (scale.high - scale.low)
+        colours = colormap_of(scale)(np.clip(colour_fraction, 0, 1), bytes=True)[:, :3]
+        colours = np.where(np.isfinite(colour_fraction)[:, None], colours, (212, 214, 216)).astype(np.uint8)
+        units = units_of(nodes[colour_map])
+        about += f"; colour: {colour_map} from {scale.low:.6g} to {scale.high:.6g}{f' {units}' if units != '1' else ''}"
     points, quads = np.ascontiguousarray(points, np.float32), np.ascontiguousarray(quads)
     return SurfaceMesh(points, quads, maps, colours, about)
 

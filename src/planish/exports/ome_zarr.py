@@ -26,31 +26,31 @@ def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams)
 
     An overview is the mean of the pixels that have a value. Scale and translation place the middle of each pixel in um.
     """
-    names, sizes = maps.names, [maps.shape]
-    several = len(names) > 1
+    names, shapes = maps.names, [maps.shape]
+    has_channels = len(names) > 1
     group = zarr.open_group(path, mode="w-", zarr_format=3)
     for _ in range(count_of(maps.shape)):
-        sizes.append(((sizes[-1][0] + 1) // 2, (sizes[-1][1] + 1) // 2))
-    channels = (len(names),) if several else ()
+        shapes.append(((shapes[-1][0] + 1) // 2, (shapes[-1][1] + 1) // 2))
+    channel_dims = (len(names),) if has_channels else ()
     codecs = (BloscCodec(cname="lz4", clevel=1, shuffle="shuffle"), Crc32cCodec())
     arrays: list[Any] = [
         group.create_array(
-            str(level), shape=(*channels, *size), dtype=np.float32,
-            chunks=(*(1 for _ in channels), *(min(n, BAND) for n in size)), fill_value=np.nan, compressors=codecs,
-            dimension_names=[*("c" for _ in channels), "y", "x"], config={"write_empty_chunks": True},
+            str(level), shape=(*channel_dims, *shape), dtype=np.float32,
+            chunks=(*(1 for _ in channel_dims), *(min(n, BAND) for n in shape)), fill_value=np.nan, compressors=codecs,
+            dimension_names=[*("c" for _ in channel_dims), "y", "x"], config={"write_empty_chunks": True},
         )
-        for level, size in enumerate(sizes)
+        for level, shape in enumerate(shapes)
     ]  # fmt: skip
     windows: list[dict[str, float]] = []
     for k, name in enumerate(names):
-        channel = (k,) if several else ()
+        channel = (k,) if has_channels else ()
         if not _copied(path, maps.levels.get(name, ()), len(arrays), channel):
             for rows, band in maps.bands(name, np.float32):
                 arrays[0][(*channel, rows)] = band
             for finer, coarser in pairwise(arrays):
                 for rows in bands(coarser.shape[-2]):
-                    part = finer[(*channel, slice(2 * rows.start, 2 * rows.stop))]
-                    coarser[(*channel, rows)] = halved_values(part)
+                    finer_rows = finer[(*channel, slice(2 * rows.start, 2 * rows.stop))]
+                    coarser[(*channel, rows)] = halved_values(finer_rows)
         windows.append(_window(np.asarray(arrays[-1][(*channel, ...)])))  # of the coarsest
     group.attrs.update(_attributes(maps, windows, len(arrays), history))
 
@@ -58,35 +58,35 @@ def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams)
 def _window(overview: NDArray[np.float32]) -> dict[str, float]:
     """Limits of a map, and those between which it is shown first."""
     low, high = percentile_limits(overview)
-    values = overview[np.isfinite(overview)]
-    ends = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
-    return {"min": ends[0], "max": ends[1], "start": low, "end": high}
+    finite = overview[np.isfinite(overview)]
+    extremes = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+    return {"min": extremes[0], "max": extremes[1], "start": low, "end": high}
 
 
-def _copied(path: Path, sources: Sequence[Path], levels: int, channel: tuple[int, ...]) -> bool:
+def _copied(path: Path, sources: Sequence[Path], n_levels: int, channel: tuple[int, ...]) -> bool:
     """Copy the chunks of a map and its overviews; False, and nothing is done, where they are not those of the image."""
-    targets = [path / str(k) for k in range(levels)]
-    if len(sources) != levels or not all(_alike(*pair) for pair in zip(sources, targets, strict=True)):
+    targets = [path / str(k) for k in range(n_levels)]
+    if len(sources) != n_levels or not all(_alike(*pair) for pair in zip(sources, targets, strict=True)):
         return False
     for source, target in zip(sources, targets, strict=True):
-        place = target.joinpath("c", *map(str, channel))
-        shutil.copytree(source / "c", place, copy_function=shutil.copyfile, dirs_exist_ok=True)
+        channel_folder = target.joinpath("c", *map(str, channel))
+        shutil.copytree(source / "c", channel_folder, copy_function=shutil.copyfile, dirs_exist_ok=True)
     return True
 
 
 def _alike(source: Path, target: Path) -> bool:
     """Tell whether two arrays differ in nothing but a first axis, so that their chunks have the same bytes."""
-    abouts = [json.loads((path / "zarr.json").read_text(encoding="utf-8")) for path in (source, target)]
+    metadata = [json.loads((path / "zarr.json").read_text(encoding="utf-8")) for path in (source, target)]
     keys = ("data_type", "codecs", "chunk_key_encoding", "fill_value")
-    forms = [[about.get(key) for key in keys] for about in abouts]
-    chunks = [about["chunk_grid"]["configuration"]["chunk_shape"][-2:] for about in abouts]
-    return forms[0] == forms[1] and chunks[0] == chunks[1] and abouts[0]["shape"] == abouts[1]["shape"][-2:]
+    encodings = [[array_metadata.get(key) for key in keys] for array_metadata in metadata]
+    chunks = [array_metadata["chunk_grid"]["configuration"]["chunk_shape"][-2:] for array_metadata in metadata]
+    return encodings[0] == encodings[1] and chunks[0] == chunks[1] and metadata[0]["shape"] == metadata[1]["shape"][-2:]
 
 
-def _attributes(maps: Maps, windows: list[dict[str, float]], levels: int, history: ExportHistory) -> dict[str, Any]:
+def _attributes(maps: Maps, windows: list[dict[str, float]], n_levels: int, history: ExportHistory) -> dict[str, Any]:
     names = maps.names
     name, axes = (maps.group, "cyx") if len(names) > 1 else (names[0], "yx")
-    image = multiscale(name, axes, maps.pixel_um, maps.origin_um, levels, kind="mean of 2 x 2 known pixels")
+    image = multiscale(name, axes, maps.pixel_um, maps.origin_um, n_levels, kind="mean of 2 x 2 known pixels")
     channels = [
         {"label": f"{name} ({units})", "color": "FFFFFF", "active": name == names[0], "window": window}
         for (name, units), window in zip(maps.units.items(), windows, strict=True)

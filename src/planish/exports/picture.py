@@ -41,13 +41,13 @@ def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) 
     Colours span the limits that are chosen for it, otherwise its 1st to its 99th percentile.
     """
     (name,) = maps.names
-    pixels, times = _reduced(maps, name)
+    pixels, reduction = _reduced(maps, name)
     scale = maps.scales.get(name) or Scale(*percentile_limits(pixels))
-    note = history.json(**maps.facts(), map=name, low=scale.low, high=scale.high, reduced=times)
-    program = {"Software": history.program} if params.to == "png" else {"Date": None, "Creator": history.program}
-    about = program | {"Title": maps.titles[name], "Description": note}
+    note = history.json(**maps.facts(), map=name, low=scale.low, high=scale.high, reduced=reduction)
+    software = {"Software": history.program} if params.to == "png" else {"Date": None, "Creator": history.program}
+    metadata = software | {"Title": maps.titles[name], "Description": note}
     with style.context(["default", _STYLE]), path.open("wb") as file:  # whatever the user has set
-        _figure(maps, pixels, times, scale).savefig(file, format=params.to, metadata=about)
+        _figure(maps, pixels, reduction, scale).savefig(file, format=params.to, metadata=metadata)
 
 
 def colormap_of(scale: Scale) -> Colormap:
@@ -57,53 +57,53 @@ def colormap_of(scale: Scale) -> Colormap:
 
 def _reduced(maps: Maps, name: str) -> tuple[NDArray[np.float32], float]:
     """Values of a map at most as fine as a picture shows them, and by how much they were reduced."""
-    times = max(1.0, max(maps.shape) / MOST)
-    if times > 1:
-        return area_mean(maps.data[name], (times, times)).astype(np.float32), times
-    return np.concatenate([band for _, band in maps.bands(name, np.float32)]), times
+    reduction = max(1.0, max(maps.shape) / MOST)
+    if reduction > 1:
+        return area_mean(maps.data[name], (reduction, reduction)).astype(np.float32), reduction
+    return np.concatenate([band for _, band in maps.bands(name, np.float32)]), reduction
 
 
-def _figure(maps: Maps, pixels: NDArray[np.float32], times: float, scale: Scale) -> Figure:
+def _figure(maps: Maps, pixels: NDArray[np.float32], reduction: float, scale: Scale) -> Figure:
     """Lay the picture out in pixels, so that every pixel of the map is as many whole pixels wide and high."""
     (name,) = maps.names
     (down, across), (y0, x0) = maps.pixel_um, maps.origin_um
     rows, cols = pixels.shape
-    tall = down / across
+    pixel_aspect = down / across
     # A map whose longer side has fewer pixels is drawn larger, by a whole number.
-    enlarged = max(1, math.ceil(1000 / max(rows * tall, cols)))
-    width, height = cols * enlarged, round(rows * tall * enlarged)
-    whole = (_LEFT + max(width, 420) + _RIGHT, _TOP + max(height, 300) + _BELOW)
-    figure = Figure(figsize=(whole[0] / _DPI, whole[1] / _DPI), dpi=_DPI, facecolor="white")
+    magnification = max(1, math.ceil(1000 / max(rows * pixel_aspect, cols)))
+    width_px, height_px = cols * magnification, round(rows * pixel_aspect * magnification)
+    size_px = (_LEFT + max(width_px, 420) + _RIGHT, _TOP + max(height_px, 300) + _BELOW)
+    figure = Figure(figsize=(size_px[0] / _DPI, size_px[1] / _DPI), dpi=_DPI, facecolor="white")
 
     def box(x: float, y: float, w: float, h: float) -> Any:
         """Axes at pixels from the upper left corner."""
-        return figure.add_axes((x / whole[0], 1 - (y + h) / whole[1], w / whole[0], h / whole[1]))
+        return figure.add_axes((x / size_px[0], 1 - (y + h) / size_px[1], w / size_px[0], h / size_px[1]))
 
     x0, y0 = x0 - across / 2, y0 - down / 2
-    extent = (x0, x0 + cols * across * times, y0 + rows * down * times, y0)
-    axes = box(_LEFT, _TOP, width, height)
-    drawn = axes.imshow(
+    extent = (x0, x0 + cols * across * reduction, y0 + rows * down * reduction, y0)
+    axes = box(_LEFT, _TOP, width_px, height_px)
+    map_image = axes.imshow(
         np.ma.masked_invalid(pixels), cmap=colormap_of(scale), vmin=scale.low, vmax=scale.high, extent=extent,
         interpolation="nearest", aspect="auto",
     )  # fmt: skip
-    axes.locator_params(nbins=max(3, min(9, width // 160)), axis="x")
-    axes.locator_params(nbins=max(3, min(9, height // 110)), axis="y")
+    axes.locator_params(nbins=max(3, min(9, width_px // 160)), axis="x")
+    axes.locator_params(nbins=max(3, min(9, height_px // 110)), axis="y")
     axes.set(xlabel=f"{maps.dims[1]} / µm", ylabel=f"{maps.dims[0]} / µm")
-    colours = figure.colorbar(drawn, cax=box(_LEFT + width + 40, _TOP, 36, max(height, 300)))
-    colours.outline.set_linewidth(0.6)  # pyright: ignore
-    colours.set_label(unit(maps.units[name]))
+    colour_bar = figure.colorbar(map_image, cax=box(_LEFT + width_px + 40, _TOP, 36, max(height_px, 300)))
+    colour_bar.outline.set_linewidth(0.6)  # pyright: ignore
+    colour_bar.set_label(unit(maps.units[name]))
     figure.text(
-        _LEFT / whole[0], 1 - 0.6 * _TOP / whole[1], maps.titles[name], fontsize=10, fontweight="bold", va="center"
+        _LEFT / size_px[0], 1 - 0.6 * _TOP / size_px[1], maps.titles[name], fontsize=10, fontweight="bold", va="center"
     )
-    _scale_bar(figure, whole, width, um=cols * across * times)
+    _scale_bar(figure, size_px, width_px, map_um=cols * across * reduction)
     return figure
 
 
-def _scale_bar(figure: Figure, whole: tuple[int, int], width: int, *, um: float) -> None:
+def _scale_bar(figure: Figure, size_px: tuple[int, int], width_px: int, *, map_um: float) -> None:
     """Draw a round length of at most a quarter of the map below it."""
-    length = round_step(um / 4)
-    y = 30 / whole[1]
-    ends = _LEFT / whole[0], (_LEFT + length / um * width) / whole[0]
-    figure.add_artist(Line2D(ends, (y, y), color=_INK, lw=2.4, solid_capstyle="butt"))
-    text = f"{length / 1000:g} mm" if length >= 1000 else f"{length:g} µm"
-    figure.text(ends[1] + 18 / whole[0], y, text, va="center")
+    length_um = round_step(map_um / 4)
+    y = 30 / size_px[1]
+    bar_ends = _LEFT / size_px[0], (_LEFT + length_um / map_um * width_px) / size_px[0]
+    figure.add_artist(Line2D(bar_ends, (y, y), color=_INK, lw=2.4, solid_capstyle="butt"))
+    length_text = f"{length_um / 1000:g} mm" if length_um >= 1000 else f"{length_um:g} µm"
+    figure.text(bar_ends[1] + 18 / size_px[0], y, length_text, va="center")

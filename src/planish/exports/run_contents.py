@@ -41,14 +41,14 @@ STRAIGHTENED = "straightened"
 def history_of(run: Run) -> ExportHistory:
     """Versions, study and inputs of a run."""
     if run.folder is not None:
-        text = (run.folder / RUN_TOML).read_bytes()
+        study_bytes = (run.folder / RUN_TOML).read_bytes()
     else:
-        text = tomli_w.dumps({"planish": run.results.planish} | to_dict(run.study)).encode()
+        study_bytes = tomli_w.dumps({"planish": run.results.planish} | to_dict(run.study)).encode()
     sources = [(layer.name, layer.source) for layer in run.results.layers]
     return ExportHistory(
         planish=run.results.planish,
         exported_by=__version__,
-        study_sha256=hashlib.sha256(text).hexdigest(),
+        study_sha256=hashlib.sha256(study_bytes).hexdigest(),
         inputs=tuple({"layer": layer, "name": s.name, "sha256": s.sha256} for layer, s in sources),
     )
 
@@ -61,14 +61,14 @@ def map_group(run: Run, name: str | None) -> str:
     InputError
         If there is none of that name.
     """
-    layers = [group for group in run.groups if group.startswith("layers/") and group.count("/") == 1]
-    groups = [k for k in ("linked", "maps", "refined", "surfaces", "flat") if k in run.groups] + layers
-    wanted = name or next((group for group in ("linked", "maps") if group in groups), None)
+    layer_groups = [group for group in run.groups if group.startswith("layers/") and group.count("/") == 1]
+    map_groups = [k for k in ("linked", "maps", "refined", "surfaces", "flat") if k in run.groups] + layer_groups
+    wanted = name or next((group for group in ("linked", "maps") if group in map_groups), None)
     if wanted is None:
-        raise InputError(f"The run holds the maps of several layers. Choose one with --group: {', '.join(groups)}.")
-    if wanted not in groups:
-        suggestion = likely(wanted, [*groups, STRAIGHTENED])
-        raise InputError(f"The run has no group {wanted!r}; it holds {', '.join(groups)}.{suggestion}")
+        raise InputError(f"The run holds the maps of several layers. Choose one with --group: {', '.join(map_groups)}.")
+    if wanted not in map_groups:
+        suggestion = likely(wanted, [*map_groups, STRAIGHTENED])
+        raise InputError(f"The run has no group {wanted!r}; it holds {', '.join(map_groups)}.{suggestion}")
     return wanted
 
 
@@ -92,9 +92,9 @@ def maps_of(run: Run, group: str, names: Sequence[str]) -> xr.Dataset:
     if IMAGE in names and IMAGE not in maps:  # means over areas where it is finer, through the marks
         image = run.groups["linked"][IMAGE].compute()
         # Seen from its fixed layer, a fit takes an image there back to the moving one.
-        back = SimpleNamespace(inverse=run.registrations[run.results.moving[0].name].fit)
+        reversed_fit = SimpleNamespace(inverse=run.registrations[run.results.moving[0].name].fit)
         image = image.assign_attrs(pixel_um=Grid.of(image).pixel_um)
-        grey = resample_image(image, Grid.of(maps), back)[IMAGE].values.astype(np.float32)
+        grey = resample_image(image, Grid.of(maps), reversed_fit)[IMAGE].values.astype(np.float32)
         attrs = image_attrs(image) | {"long_name": "Grey value of the image"}
         maps = maps.assign({IMAGE: (("v", "u"), grey, attrs)})
     return maps[list(names)]
@@ -108,14 +108,14 @@ def map_levels(store: Path, group: str, name: str) -> list[Path]:
 
 def scale_of(maps: xr.Dataset, name: str) -> Scale:
     """Give limits and colours of a map, those of the page: both sides of the sheet share theirs."""
-    partner = partner_of(name, [str(key) for key in maps.data_vars])
-    pooled = [maps[name]] if partner is None else [maps[name], maps[partner]]
-    masked = name == IMAGE and "valid" in maps  # the holes of an image would take most of the colours
-    _, parts = thinned(*pooled, *([maps["valid"]] if masked else []))
-    if masked:
-        parts = [np.where(parts[1], parts[0], np.nan)]
-    measured = np.concatenate([part[np.isfinite(part)] for part in parts]).astype(np.float64)
-    return colours_of(maps[name].rename(name), measured)
+    other_side = partner_of(name, [str(key) for key in maps.data_vars])
+    pooled = [maps[name]] if other_side is None else [maps[name], maps[other_side]]
+    is_masked = name == IMAGE and "valid" in maps  # the holes of an image would take most of the colours
+    _, samples = thinned(*pooled, *([maps["valid"]] if is_masked else []))
+    if is_masked:
+        samples = [np.where(samples[1], samples[0], np.nan)]
+    finite = np.concatenate([sample[np.isfinite(sample)] for sample in samples]).astype(np.float64)
+    return colours_of(maps[name].rename(name), finite)
 
 
 def sheet_facts(run: Run) -> LayerFacts | None:
@@ -144,10 +144,10 @@ def straightened_volume(
             "the volume itself, in layers/NAME where several were linked."
         )
     volume, _ = read_sheet_volume(volume_params(run, facts, progress), compute, progress)
-    places = run.groups["maps"][[f"volume_{axis}" for axis in "xyz"]]
+    volume_coords = run.groups["maps"][[f"volume_{axis}" for axis in "xyz"]]
     params = _mapped_layer(run, facts.name).properties
-    flat = straightened(volume, run.groups["surfaces"], places, params=params, depth_um=depth_um)
-    return flat.assign_attrs(
+    straightened_grey = straightened(volume, run.groups["surfaces"], volume_coords, params=params, depth_um=depth_um)
+    return straightened_grey.assign_attrs(
         group=STRAIGHTENED, file_name=facts.source.name, normal="z, up to the top", flat="y is v, x is u"
     )
 
@@ -211,10 +211,12 @@ def registered_layers(run: Run, group: str | None) -> list[LayerFacts]:
     if not moving:
         raise InputError("The run is that of one sheet: nothing is registered. Give a run of 'planish link'.")
     names = [layer.name for layer in moving]
-    wanted = None if group in (None, "linked") else str(group).removeprefix("layers/")
-    if wanted is not None and wanted not in names:
-        raise InputError(f"No layer {wanted!r} is registered; there are {', '.join(names)}.{likely(wanted, names)}")
-    return [layer for layer in moving if wanted in (None, layer.name)]
+    moving_name = None if group in (None, "linked") else str(group).removeprefix("layers/")
+    if moving_name is not None and moving_name not in names:
+        raise InputError(
+            f"No layer {moving_name!r} is registered; there are {', '.join(names)}.{likely(moving_name, names)}"
+        )
+    return [layer for layer in moving if moving_name in (None, layer.name)]
 
 
 def transforms_of(run: Run, layer: LayerFacts) -> TransformPair:
@@ -222,17 +224,17 @@ def transforms_of(run: Run, layer: LayerFacts) -> TransformPair:
     assert layer.registration is not None
     fit, target = run.registrations[layer.name].fit, layer.registration.to
     transform = fit.transform
-    middle = np.zeros(2) if isinstance(transform, Similarity) else np.array(transform.source)
+    centre = np.zeros(2) if isinstance(transform, Similarity) else np.array(transform.source)
     (a, b), (c, d) = transform.matrix().tolist()
-    (x, y), (x1, y1) = middle.tolist(), transform(middle).tolist()
-    affine = Affine(linear=((a, b), (c, d)), source=(x, y), target=(x1, y1))
-    exact = isinstance(transform, Similarity | Affine)
+    (x, y), (target_x, target_y) = centre.tolist(), transform(centre).tolist()
+    affine = Affine(linear=((a, b), (c, d)), source=(x, y), target=(target_x, target_y))
+    is_affine = isinstance(transform, Similarity | Affine)
     moving, fixed = (
         grid_of(run, name) or _grid_around(marks) for name, marks in ((layer.name, fit.moving), (target, fit.fixed))
     )
     return TransformPair(
-        DirectedTransform(layer.name, target, fit, moving, affine, exact),
-        DirectedTransform(target, layer.name, fit.inverse, fixed, affine.inverse, exact),
+        DirectedTransform(layer.name, target, fit, moving, affine, is_affine),
+        DirectedTransform(target, layer.name, fit.inverse, fixed, affine.inverse, is_affine),
         fit.model,
     )
 
@@ -241,7 +243,7 @@ def landmarks(run: Run, layer: LayerFacts) -> xr.Dataset:
     """Give the marks of a moving layer with the first pixels of both layers, from which other programs count."""
     assert layer.registration is not None
     marks = run.registrations[layer.name].marks
-    layers = {side: dict(about) for side, about in marks.attrs["layers"].items()}
+    layers = {side: dict(layer_attrs) for side, layer_attrs in marks.attrs["layers"].items()}
     for side, name in (("moving", layer.name), ("fixed", layer.registration.to)):
         if (grid := grid_of(run, name)) is not None:
             layers[side] |= LayerPixels(origin_um=grid.origin_um).about()
@@ -273,9 +275,9 @@ def checked_names(wanted: Sequence[str], names: Sequence[str], where: str) -> li
 
 def _grid_around(marks: np.ndarray) -> Grid:
     """Pixels of a layer of which only the marks are known."""
-    low, high = marks.min(axis=0), marks.max(axis=0)
-    extent = float((high - low).max())
-    around = 0.3 * extent  # of the marks' extent: what a layer whose pixels are not known is taken to reach beyond them
-    pixel = max(extent / 2000, 1e-6)
-    cols, rows = (int(n) for n in np.ceil((high - low + 2 * around) / pixel).astype(int) + 1)
-    return Grid.regular((rows, cols), pixel, (float(low[0] - around), float(low[1] - around)))
+    low_um, high_um = marks.min(axis=0), marks.max(axis=0)
+    extent_um = float((high_um - low_um).max())
+    margin_um = 0.3 * extent_um  # how far a layer whose pixels are not known may reach beyond its marks
+    pixel_um = max(extent_um / 2000, 1e-6)
+    cols, rows = (int(n) for n in np.ceil((high_um - low_um + 2 * margin_um) / pixel_um).astype(int) + 1)
+    return Grid.regular((rows, cols), pixel_um, (float(low_um[0] - margin_um), float(low_um[1] - margin_um)))

@@ -26,7 +26,7 @@ def write_matrix(maps: Maps, path: Path, history: ExportHistory, _params: Export
     """
     (name,) = maps.names
     (down, across), (y0, x0), (y, x) = maps.pixel_um, maps.origin_um, maps.dims
-    head = [
+    header_lines = [
         f"{name}: {maps.titles[name]}",
         f"unit: {maps.units[name]}",
         f"pixel: {across!r} um along {x}, {down!r} um along {y}",
@@ -35,11 +35,11 @@ def write_matrix(maps: Maps, path: Path, history: ExportHistory, _params: Export
         history.json(**maps.facts()),
     ]
     with path.open("w", encoding="utf-8", newline="\n") as file:
-        file.writelines(f"# {line}\n" for line in head)
+        file.writelines(f"# {line}\n" for line in header_lines)
         for _, band in maps.bands(name, np.float32):
-            step = max(1, TEXT_VALUES // band.shape[1])
-            for begin in range(0, len(band), step):
-                file.writelines("\t".join(row) + "\n" for row in _texts(band[begin : begin + step]))
+            rows_at_once = max(1, TEXT_VALUES // band.shape[1])
+            for start in range(0, len(band), rows_at_once):
+                file.writelines("\t".join(row) + "\n" for row in _texts(band[start : start + rows_at_once]))
 
 
 def write_points(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) -> None:
@@ -54,63 +54,65 @@ def write_points(maps: Maps, path: Path, history: ExportHistory, params: ExportP
     StudyError
         A point is smaller than a pixel.
     """
-    size = params.point_um or 0.0
-    if size and size < max(maps.pixel_um) * (1 - 1e-9):
+    point_um = params.point_um or 0.0
+    if point_um and point_um < max(maps.pixel_um) * (1 - 1e-9):
         raise StudyError(
-            f"A point of {size:g} um is smaller than a pixel of {max(maps.pixel_um):g} um. Give a larger --point-um, "
-            "or 0 for every pixel."
+            f"A point of {point_um:g} um is smaller than a pixel of {max(maps.pixel_um):g} um. Give a larger "
+            "--point-um, or 0 for every pixel."
         )
     y, x = maps.dims
-    names = [name for name in maps.names if name != "valid" or not size]
-    titles = [f"{x}_um", f"{y}_um", *(column_of(name, maps.units[name]) for name in names)]
-    kind = f"points of {size:g} um" if size else "pixels"
+    names = [name for name in maps.names if name != "valid" or not point_um]
+    column_names = [f"{x}_um", f"{y}_um", *(column_of(name, maps.units[name]) for name in names)]
+    rows_text = f"points of {point_um:g} um" if point_um else "pixels"
     with path.open("w", encoding="utf-8", newline="\n") as file:
-        file.write(f"# {history.json(**maps.facts(), rows=kind)}\n")
-        file.write(",".join([*titles, "valid_share"] if size else titles) + "\n")
-        for columns in _points(maps, names, size) if size else _pixels(maps, names):
-            file.writelines(",".join(row) + "\n" for row in _texts(columns.T))
+        file.write(f"# {history.json(**maps.facts(), rows=rows_text)}\n")
+        file.write(",".join([*column_names, "valid_share"] if point_um else column_names) + "\n")
+        for block in _points(maps, names, point_um) if point_um else _pixels(maps, names):
+            file.writelines(",".join(row) + "\n" for row in _texts(block.T))
 
 
 def _pixels(maps: Maps, names: list[str]) -> Iterator[Floats]:
     """Give the columns (x, y and every map; n) of the pixels that show anything, band by band."""
     y, x = maps.at_um
     rows, cols = maps.shape
-    step = max(1, TABLE_VALUES // (cols * len(names)))
-    every = [k for k, name in enumerate(names) if name != "valid"] or slice(None)
-    for begin in range(0, rows, step):
-        band = slice(begin, min(begin + step, rows))
-        numbers = np.stack([band_of(maps.data[name], band).astype(np.float64) for name in names])
-        shows = np.isfinite(numbers[every]).any(axis=0)
-        places = np.stack(np.broadcast_arrays(x[None, :], y[band, None]))
-        yield np.concatenate([places[:, shows], numbers[:, shows]])
+    rows_at_once = max(1, TABLE_VALUES // (cols * len(names)))
+    property_indices = [k for k, name in enumerate(names) if name != "valid"] or slice(None)
+    for start in range(0, rows, rows_at_once):
+        rows_slice = slice(start, min(start + rows_at_once, rows))
+        values = np.stack([band_of(maps.data[name], rows_slice).astype(np.float64) for name in names])
+        has_value = np.isfinite(values[property_indices]).any(axis=0)
+        coords_um = np.stack(np.broadcast_arrays(x[None, :], y[rows_slice, None]))
+        yield np.concatenate([coords_um[:, has_value], values[:, has_value]])
 
 
-def _points(maps: Maps, names: list[str], size: float) -> Iterator[Floats]:
+def _points(maps: Maps, names: list[str], point_um: float) -> Iterator[Floats]:
     """Give the columns (x, y, every map, share of valid pixels; n) of all points."""
-    pixel = maps.pixel_um
-    factor = size / pixel[0], size / pixel[1]
-    whole = AreaMeans(maps.shape, factor, least=0.0)
-    each = {name: AreaMeans(maps.shape, factor, least=_LEAST) for name in names}
+    pixel_um = maps.pixel_um
+    pixels_per_point = point_um / pixel_um[0], point_um / pixel_um[1]
+    validity = AreaMeans(maps.shape, pixels_per_point, least=0.0)
+    means = {name: AreaMeans(maps.shape, pixels_per_point, least=_LEAST) for name in names}
     for rows in bands(maps.shape[0]):
-        parts = {name: band_of(maps.data[name], rows).astype(np.float64) for name in names}
+        map_bands = {name: band_of(maps.data[name], rows).astype(np.float64) for name in names}
         if "valid" in maps.data:
             valid = band_of(maps.data["valid"], rows).astype(bool)
         else:
-            valid = np.any([np.isfinite(part) for part in parts.values()], axis=0)
-        whole.add(rows.start, np.ones(valid.shape, bool), valid.astype(np.float64))
-        for name, mean in each.items():
-            mean.add(rows.start, valid & np.isfinite(parts[name]), parts[name])
-    (share,) = whole.means()
+            valid = np.any([np.isfinite(band) for band in map_bands.values()], axis=0)
+        validity.add(rows.start, np.ones(valid.shape, bool), valid.astype(np.float64))
+        for name, area_means in means.items():
+            area_means.add(rows.start, valid & np.isfinite(map_bands[name]), map_bands[name])
+    (shares,) = validity.means()
     # A point begins at the border of the first pixel.
     y, x = (
-        first - 0.5 * pitch + size * (np.arange(count) + 0.5)
-        for first, pitch, count in zip(maps.origin_um, pixel, share.shape, strict=True)
+        origin_um - 0.5 * pitch + point_um * (np.arange(n_points) + 0.5)
+        for origin_um, pitch, n_points in zip(maps.origin_um, pixel_um, shares.shape, strict=True)
     )
-    places = np.broadcast_arrays(x[None, :], y[:, None])
-    yield np.stack([*places, *(mean.means()[0] for mean in each.values()), share])[:, share >= _LEAST - 1e-9]
+    coords_um = np.broadcast_arrays(x[None, :], y[:, None])
+    yield np.stack([*coords_um, *(area_means.means()[0] for area_means in means.values()), shares])[
+        :, shares >= _LEAST - 1e-9
+    ]
 
 
-def _texts(numbers: NDArray[np.floating]) -> list[list[str]]:
+def _texts(values: NDArray[np.floating]) -> list[list[str]]:
     """Numbers (rows, cols) as the shortest texts that read back to the same float32; whole numbers without a point."""
-    rows = numbers.astype(np.float32).astype("U").tolist()
+    rows = values.astype(np.float32).astype("U").tolist()
     return [["NaN" if text == "nan" else text.removesuffix(".0") for text in row] for row in rows]

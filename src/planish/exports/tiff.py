@@ -40,11 +40,12 @@ def write_imagej(content: Maps | xr.DataArray, path: Path, history: ExportHistor
         If the values take more than a TIFF of ImageJ holds: places in it are counted in 32 bits.
     """
     stack = _Stack.of(content)
-    size = 4 * math.prod(stack.shape)
-    if size > MOST:
-        remedy = "or a folder for a file each" if len(stack.labels) > 1 else "or --to ome-zarr"
+    stack_bytes = 4 * math.prod(stack.shape)
+    if stack_bytes > MOST:
+        remedy_text = "or a folder for a file each" if len(stack.labels) > 1 else "or --to ome-zarr"
         raise ResourceError(
-            f"These values take {size / 1e9:.1f} GB, and a TIFF for ImageJ holds 4 GB. Give --to ome-tiff, {remedy}."
+            f"These values take {stack_bytes / 1e9:.1f} GB, and a TIFF for ImageJ holds 4 GB. Give "
+            f"--to ome-tiff, {remedy_text}."
         )
     metadata: dict[str, Any] = {"axes": stack.axes, "unit": "um", "Info": history.json(**stack.facts)}
     if isinstance(content, Maps):
@@ -58,30 +59,30 @@ def write_imagej(content: Maps | xr.DataArray, path: Path, history: ExportHistor
             metadata["mode"] = "grayscale"
     else:
         metadata["spacing"] = stack.pixel_um[0]
-    pixels = [Fraction(pitch).limit_denominator(10**6) for pitch in stack.pixel_um[:-3:-1]]
-    resolution = tuple((pixel.denominator, pixel.numerator) for pixel in pixels)
+    pixel_fractions = [Fraction(pitch).limit_denominator(10**6) for pitch in stack.pixel_um[:-3:-1]]
+    resolution = tuple((fraction.denominator, fraction.numerator) for fraction in pixel_fractions)
     stack.write(path, history, imagej=True, ome=False, resolution=resolution, metadata=metadata)
 
 
 def write_ome(content: Maps | xr.DataArray, path: Path, history: ExportHistory, _params: ExportParams) -> None:
     """Write maps (channels), or a volume (z, y, x), in one OME-TIFF; its identifier is a hash of what it says."""
     stack = _Stack.of(content)
-    note = history.json(**stack.facts)
+    description = history.json(**stack.facts)
     metadata: dict[str, Any] = {
         "axes": stack.axes,
         "Creator": history.program,
-        "Description": note,
-        "UUID": f"urn:uuid:{uuid.UUID(bytes=hashlib.sha256(note.encode()).digest()[:16], version=5)}",
+        "Description": description,
+        "UUID": f"urn:uuid:{uuid.UUID(bytes=hashlib.sha256(description.encode()).digest()[:16], version=5)}",
     }
     for axis, pitch in zip("XYZ", stack.pixel_um[::-1], strict=False):
         metadata |= {f"PhysicalSize{axis}": pitch, f"PhysicalSize{axis}Unit": "µm"}
-    first, planes = stack.first_um, stack.shape[0] if len(stack.shape) > 2 else 1
-    positions = {"PositionX": [first[-1]] * planes, "PositionY": [first[-2]] * planes}
+    first_um, n_planes = stack.origin_um, stack.shape[0] if len(stack.shape) > 2 else 1
+    positions = {"PositionX": [first_um[-1]] * n_planes, "PositionY": [first_um[-2]] * n_planes}
     if isinstance(content, Maps):
         metadata["Channel"] = {"Name": stack.labels}
     else:
-        positions["PositionZ"] = [first[0] + k * stack.pixel_um[0] for k in range(planes)]
-    metadata["Plane"] = positions | {f"{key}Unit": ["µm"] * planes for key in positions}
+        positions["PositionZ"] = [first_um[0] + k * stack.pixel_um[0] for k in range(n_planes)]
+    metadata["Plane"] = positions | {f"{axis_key}Unit": ["µm"] * n_planes for axis_key in positions}
     stack.write(path, history, ome=True, metadata=metadata)
 
 
@@ -89,7 +90,7 @@ def write_ome(content: Maps | xr.DataArray, path: Path, history: ExportHistory, 
 class _Stack:
     """Planes of a file: maps or a volume, float32; one map of codes or truth values alone keeps its bytes.
 
-    ``pixel_um`` and ``first_um`` are pitch and first place of (y, x), or (z, y, x) of a volume; ``facts`` are for the
+    ``pixel_um`` and ``origin_um`` are pitch and first place of (y, x), or (z, y, x) of a volume; ``facts`` are for the
     history.
     """
 
@@ -98,7 +99,7 @@ class _Stack:
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
     pixel_um: tuple[float, ...]
-    first_um: tuple[float, ...]
+    origin_um: tuple[float, ...]
     labels: list[str]
     facts: dict[str, Any]
 
@@ -107,26 +108,26 @@ class _Stack:
         """Lay out the planes of maps or of a volume."""
         dtype = np.dtype(np.float32)
         if isinstance(content, Maps):
-            names, several = content.names, len(content.names) > 1
-            if not several and content.data[names[0]].dtype.kind in "bu":
+            names, has_channels = content.names, len(content.names) > 1
+            if not has_channels and content.data[names[0]].dtype.kind in "bu":
                 dtype = np.dtype(np.uint8)
             return cls(
                 content=content,
-                axes="CYX" if several else "YX",
+                axes="CYX" if has_channels else "YX",
                 dtype=dtype,
-                shape=(len(names), *content.shape) if several else content.shape,
+                shape=(len(names), *content.shape) if has_channels else content.shape,
                 pixel_um=content.pixel_um,
-                first_um=content.origin_um,
+                origin_um=content.origin_um,
                 labels=[f"{name} ({content.units[name]})".removesuffix(" (1)") for name in names],
                 facts=content.facts() | {"maps": content.titles},
             )
-        axes = [content[dim].values for dim in content.dims]
-        first = tuple(exact(um[0]) for um in axes)
-        pixel = tuple(exact((um[-1] - um[0]) / max(um.size - 1, 1)) for um in axes)
-        facts = {str(key): fact for key, fact in content.attrs.items() if key != "voxel_um"}
-        facts |= {"axes": "".join(map(str, content.dims)), "voxel_um": list(pixel), "first_voxel_um": list(first)}
+        coords_um = [content[dim].values for dim in content.dims]
+        first_um = tuple(exact(axis_um[0]) for axis_um in coords_um)
+        pixel_um = tuple(exact((axis_um[-1] - axis_um[0]) / max(axis_um.size - 1, 1)) for axis_um in coords_um)
+        facts = {str(key): value for key, value in content.attrs.items() if key != "voxel_um"}
+        facts |= {"axes": "".join(map(str, content.dims)), "voxel_um": list(pixel_um), "first_voxel_um": list(first_um)}
         return cls(
-            content=content, axes="ZYX", dtype=dtype, shape=tuple(content.shape), pixel_um=pixel, first_um=first,
+            content=content, axes="ZYX", dtype=dtype, shape=tuple(content.shape), pixel_um=pixel_um, origin_um=first_um,
             labels=[], facts=facts | {"missing": "NaN"},
         )  # fmt: skip
 
@@ -137,25 +138,25 @@ class _Stack:
                 for rows, band in self.content.bands(name, self.dtype):
                     yield k, rows.start, band
             return
-        deep, high, wide = self.content.shape
-        step = max(1, STACK_BYTES // (4 * deep * wide))
-        for begin in range(0, high, step):
-            block = np.asarray(self.content[:, begin : begin + step, :].values, dtype=self.dtype)
-            for k in range(deep):
-                yield k, begin, block[k]
+        n_slices, n_rows, n_cols = self.content.shape
+        rows_at_once = max(1, STACK_BYTES // (4 * n_slices * n_cols))
+        for first_row in range(0, n_rows, rows_at_once):
+            block = np.asarray(self.content[:, first_row : first_row + rows_at_once, :].values, dtype=self.dtype)
+            for k in range(n_slices):
+                yield k, first_row, block[k]
 
-    def write(self, path: Path, history: ExportHistory, **how: Any) -> None:
+    def write(self, path: Path, history: ExportHistory, **options: Any) -> None:
         """Lay out a file of uncompressed planes, one behind the other, and put the values into it."""
         tifffile.imwrite(
             path, shape=self.shape, dtype=self.dtype, byteorder="<", photometric="minisblack",
-            software=history.program, **how,
+            software=history.program, **options,
         )  # fmt: skip
         with tifffile.TiffFile(path) as file:
-            begin = file.series[0].dataoffset
-        if begin is None:
+            data_offset = file.series[0].dataoffset
+        if data_offset is None:
             raise AssertionError("the planes of the file are not contiguous")
-        width = self.shape[-1] * self.dtype.itemsize
+        row_bytes = self.shape[-1] * self.dtype.itemsize
         with path.open("rb+") as file:
-            for plane, row, part in self.parts():
-                file.seek(begin + (plane * self.shape[-2] + row) * width)
-                file.write(np.ascontiguousarray(part, self.dtype.newbyteorder("<")).data)
+            for plane, first_row, band in self.parts():
+                file.seek(data_offset + (plane * self.shape[-2] + first_row) * row_bytes)
+                file.write(np.ascontiguousarray(band, self.dtype.newbyteorder("<")).data)

@@ -76,7 +76,7 @@ class DisplacementField:
         Distance of nodes.
     error_um : float
         Largest error in the middle of a cell, over the source layer.
-    filled : int
+    n_filled : int
         Nodes at which the transformation has no value, so that the affine map stands there.
     """
 
@@ -84,7 +84,7 @@ class DisplacementField:
     origin_um: tuple[float, float]
     pitch_um: float
     error_um: float
-    filled: int
+    n_filled: int
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -93,7 +93,7 @@ class DisplacementField:
 
     def facts(self) -> dict[str, float]:
         """Errors of the field, for the history."""
-        return {"largest_error_um": float(f"{self.error_um:.3g}"), "nodes_by_affine_map": self.filled}
+        return {"largest_error_um": float(f"{self.error_um:.3g}"), "nodes_by_affine_map": self.n_filled}
 
 
 def displacement(transform: DirectedTransform) -> DisplacementField:
@@ -111,15 +111,15 @@ def before_affine(transform: DirectedTransform) -> DisplacementField:
 
 def _sampled(transform: DirectedTransform, near: Callable[[Floats], Floats], factor: Floats) -> DisplacementField:
     """Sample ``factor @ (function - near)`` as coarsely as it may be."""
-    pixel = np.array(transform.grid.pixel_um[::-1])
-    size = np.array(transform.grid.shape[::-1]) * pixel
-    around = 0.1 * float(size.max())  # of the layer's longer side: the field reaches so far beyond it
-    low = np.array(transform.grid.origin_um) - 0.5 * pixel - around
-    length = size + 2 * around
-    pitch = 64 * float(np.sqrt(pixel.prod()))  # at most so many pixels of the layer between nodes
+    pixel_um = np.array(transform.grid.pixel_um[::-1])
+    size_um = np.array(transform.grid.shape[::-1]) * pixel_um
+    margin_um = 0.1 * float(size_um.max())  # of the layer's longer side: the field reaches so far beyond it
+    low_um = np.array(transform.grid.origin_um) - 0.5 * pixel_um - margin_um
+    length_um = size_um + 2 * margin_um
+    pitch_um = 64 * float(np.sqrt(pixel_um.prod()))  # at most so many pixels of the layer between nodes
 
-    def nodes(shift: float, counts: Ints) -> Floats:
-        axes = [low[k] + pitch * (np.arange(counts[k] - (shift > 0)) + shift) for k in (0, 1)]
+    def nodes(node_shift: float, n_nodes: Ints) -> Floats:
+        axes = [low_um[k] + pitch_um * (np.arange(n_nodes[k] - (node_shift > 0)) + node_shift) for k in (0, 1)]
         return np.stack(np.meshgrid(*axes), axis=-1)
 
     def offsets(points: Floats) -> tuple[Floats, Bools]:
@@ -129,23 +129,23 @@ def _sampled(transform: DirectedTransform, near: Callable[[Floats], Floats], fac
         return images - near(points), has_image
 
     while True:
-        counts = np.ceil(length / pitch).astype(np.intp) + 1
-        middles = nodes(0.5, counts)
-        vectors, has_image = offsets(nodes(0.0, counts))
-        exact, counted = offsets(middles)
+        n_nodes = np.ceil(length_um / pitch_um).astype(np.intp) + 1
+        centres = nodes(0.5, n_nodes)
+        vectors, has_image = offsets(nodes(0.0, n_nodes))
+        exact, is_inside = offsets(centres)
         interpolated = np.zeros_like(exact)
         for corner in _CORNERS:
             interpolated += 0.25 * vectors[corner]
-            counted &= has_image[corner]
-        counted &= ((middles >= low + around) & (middles <= low + length - around)).all(axis=-1)
-        errors = np.linalg.norm(interpolated - exact, axis=-1)[counted]
-        error = float(errors.max()) if errors.size else 0.0
+            is_inside &= has_image[corner]
+        is_inside &= ((centres >= low_um + margin_um) & (centres <= low_um + length_um - margin_um)).all(axis=-1)
+        errors_um = np.linalg.norm(interpolated - exact, axis=-1)[is_inside]
+        error_um = float(errors_um.max()) if errors_um.size else 0.0
         # In the middle between nodes it may err by so much. An affine map needs no finer grid.
-        if error <= 1 / 400 * pixel.min() or 2 * vectors.size > 2_000_000:  # nodes
+        if error_um <= 1 / 400 * pixel_um.min() or 2 * vectors.size > 2_000_000:  # nodes
             break
-        pitch /= 2
-    filled = int(np.count_nonzero(~has_image))
-    return DisplacementField(vectors @ factor.T, (float(low[0]), float(low[1])), pitch, error, filled)
+        pitch_um /= 2
+    n_filled = int(np.count_nonzero(~has_image))
+    return DisplacementField(vectors @ factor.T, (float(low_um[0]), float(low_um[1])), pitch_um, error_um, n_filled)
 
 
 UNITS = {"um": 1.0, "mm": 1e-3}
@@ -159,23 +159,25 @@ def write_itk(transform: DirectedTransform, path: Path, history: ExportHistory, 
     A composite applies its last transform first. Points are those of planish, x and y in the unit asked for; images
     whose first pixel lies elsewhere than at 0 need their origin.
     """
-    scale = UNITS[params.unit]
-    linear, center = _affine_parameters(transform, scale)
-    parts: list[tuple[str, Iterable[float], Iterable[float]]] = [("AffineTransform_double_2_2", linear, center)]
-    facts: dict[str, float] = {}
+    per_um = UNITS[params.unit]
+    matrix, center = _affine_parameters(transform, per_um)
+    transforms: list[tuple[str, Iterable[float], Iterable[float]]] = [("AffineTransform_double_2_2", matrix, center)]
+    field_facts: dict[str, float] = {}
     if not transform.exact:
         field = before_affine(transform)
-        facts = field.facts()
+        field_facts = field.facts()
         rows, cols = field.shape
-        layout = [cols, rows, *(scale * v for v in (*field.origin_um, field.pitch_um, field.pitch_um)), 1, 0, 0, 1]
-        local = ("DisplacementFieldTransform_double_2_2", (field.vectors * scale).ravel(), layout)
-        parts = [("CompositeTransform_double_2_2", [], []), *parts, local]
-    lines = ["#Insight Transform File V1.0", f"#{transform.name}: {history.json(**facts)}"]
-    for k, (kind, *numbers) in enumerate(parts):
-        lines += [f"#Transform {k}", f"Transform: {kind}"]
-        if not kind.startswith("Composite"):
-            texts = (" ".join(f"{float(v):.12g}" for v in values) for values in numbers)
-            lines += [f"{name}: {text}" for name, text in zip(("Parameters", "FixedParameters"), texts, strict=True)]
+        geometry = [cols, rows, *(per_um * v for v in (*field.origin_um, field.pitch_um, field.pitch_um)), 1, 0, 0, 1]
+        field_part = ("DisplacementFieldTransform_double_2_2", (field.vectors * per_um).ravel(), geometry)
+        transforms = [("CompositeTransform_double_2_2", [], []), *transforms, field_part]
+    lines = ["#Insight Transform File V1.0", f"#{transform.name}: {history.json(**field_facts)}"]
+    for k, (class_name, *arrays) in enumerate(transforms):
+        lines += [f"#Transform {k}", f"Transform: {class_name}"]
+        if not class_name.startswith("Composite"):
+            texts = (" ".join(f"{float(v):.12g}" for v in values) for values in arrays)
+            lines += [
+                f"{keyword}: {text}" for keyword, text in zip(("Parameters", "FixedParameters"), texts, strict=True)
+            ]
     _write_lines(path, lines)
 
 
@@ -188,37 +190,37 @@ def write_elastix(transform: DirectedTransform, path: Path, history: ExportHisto
     moves points of the image into the sheet. A B-spline of first order is linear between its nodes, whose coefficients
     are the displacements there.
     """
-    scale = UNITS[params.unit]
+    per_um = UNITS[params.unit]
     # The image that transformix makes lies on the pixels of the source.
     (rows, cols), (x, y), (down, across) = transform.grid.shape, transform.grid.origin_um, transform.grid.pixel_um
     image = {
         "Size": [cols, rows],
         "Index": [0, 0],
-        "Spacing": [across * scale, down * scale],
-        "Origin": [x * scale, y * scale],
+        "Spacing": [across * per_um, down * per_um],
+        "Origin": [x * per_um, y * per_um],
         "Direction": [1, 0, 0, 1],
         "UseDirectionCosines": ["true"],
     }
     note = f"// {transform.name}: takes points of {transform.source} to {transform.target}. "
-    first = "NoInitialTransform"
+    initial_file = "NoInitialTransform"
     if not transform.exact:
         field = before_affine(transform)
-        first = f"{transform.name}_local.txt"
-        coefficients = np.moveaxis(field.vectors, -1, 0).ravel() * scale
-        local = _elastix_parameters("BSplineTransform", coefficients, "NoInitialTransform") | {
+        initial_file = f"{transform.name}_local.txt"
+        coefficients = np.moveaxis(field.vectors, -1, 0).ravel() * per_um
+        bspline = _elastix_parameters("BSplineTransform", coefficients, "NoInitialTransform") | {
             "GridSize": field.shape[::-1], "GridIndex": [0, 0],
-            "GridSpacing": [field.pitch_um * scale] * 2, "GridOrigin": [v * scale for v in field.origin_um],
+            "GridSpacing": [field.pitch_um * per_um] * 2, "GridOrigin": [v * per_um for v in field.origin_um],
             "GridDirection": [1, 0, 0, 1], "BSplineTransformSplineOrder": [1], "UseCyclicTransform": ["false"],
         }  # fmt: skip
-        _write_elastix_file(path.with_name(first), note + history.json(**field.facts()), local | image)
-    linear, center = _affine_parameters(transform, scale)
-    affine = _elastix_parameters("AffineTransform", linear, first) | {"CenterOfRotationPoint": center}
-    after = {  # beside the image stands -1e30: elastix reads no NaN, and 0 would be taken for a measurement
+        _write_elastix_file(path.with_name(initial_file), note + history.json(**field.facts()), bspline | image)
+    matrix, center = _affine_parameters(transform, per_um)
+    affine = _elastix_parameters("AffineTransform", matrix, initial_file) | {"CenterOfRotationPoint": center}
+    resampling = {  # beside the image stands -1e30: elastix reads no NaN, and 0 would be taken for a measurement
         "ResampleInterpolator": ["FinalBSplineInterpolator"], "FinalBSplineInterpolationOrder": [1],
         "Resampler": ["DefaultResampler"], "DefaultPixelValue": [-1e30], "ResultImageFormat": ["nrrd"],
         "ResultImagePixelType": ["float"], "CompressResultImage": ["false"],
     }  # fmt: skip
-    _write_elastix_file(path, note + history.json(), affine | image | after)
+    _write_elastix_file(path, note + history.json(), affine | image | resampling)
 
 
 def write_zarr(pair: TransformPair, path: Path, history: ExportHistory, _params: ExportParams) -> None:
@@ -232,15 +234,15 @@ def write_zarr(pair: TransformPair, path: Path, history: ExportHistory, _params:
         group.attrs.update({"source": source, "target": target} | field.facts())
         arrays: dict[str, tuple[Any, tuple[str, ...], str]] = {}
         for k, axis in ((1, "y"), (0, "x")):
-            um = field.origin_um[k] + field.pitch_um * np.arange(field.shape[1 - k], dtype=np.float64)
-            arrays[axis] = (um, (axis,), f"{axis} of {source}")
+            coords_um = field.origin_um[k] + field.pitch_um * np.arange(field.shape[1 - k], dtype=np.float64)
+            arrays[axis] = (coords_um, (axis,), f"{axis} of {source}")
         for k, axis in enumerate("xy"):
-            title = f"{axis} of {target} minus {axis} of {source}"
-            arrays[f"displacement_{axis}"] = (field.vectors[..., k], ("y", "x"), title)
-        for name, (numbers, dims, title) in arrays.items():
-            array = group.create_array(name, shape=numbers.shape, dtype=numbers.dtype, dimension_names=dims)
-            array[...] = numbers
-            array.attrs.update({"units": "um", "long_name": title})
+            long_name = f"{axis} of {target} minus {axis} of {source}"
+            arrays[f"displacement_{axis}"] = (field.vectors[..., k], ("y", "x"), long_name)
+        for name, (values, dims, long_name) in arrays.items():
+            array = group.create_array(name, shape=values.shape, dtype=values.dtype, dimension_names=dims)
+            array[...] = values
+            array.attrs.update({"units": "um", "long_name": long_name})
 
 
 def write_landmarks(marks: xr.Dataset, path: Path, _history: ExportHistory, _params: ExportParams) -> None:
@@ -248,27 +250,29 @@ def write_landmarks(marks: xr.Dataset, path: Path, _history: ExportHistory, _par
     write_any(marks, path, to="bigwarp")
 
 
-def _affine_parameters(transform: DirectedTransform, scale: float) -> tuple[list[float], list[float]]:
+def _affine_parameters(transform: DirectedTransform, per_um: float) -> tuple[list[float], list[float]]:
     """Matrix and shift of the affine map, and the point around which it turns; ``scale`` turns um into its unit."""
-    source, target = (np.array(point) * scale for point in (transform.affine.source, transform.affine.target))
+    source, target = (np.array(point) * per_um for point in (transform.affine.source, transform.affine.target))
     return [*transform.affine.matrix().ravel(), *(target - source)], list(source)
 
 
-def _elastix_parameters(kind: str, parameters: Sequence[float] | np.ndarray, first: str) -> dict[str, Sequence[object]]:
+def _elastix_parameters(
+    kind: str, parameters: Sequence[float] | np.ndarray, initial: str
+) -> dict[str, Sequence[object]]:
     return {
         "Transform": [kind], "NumberOfParameters": [len(parameters)],
         "TransformParameters": [float(v) for v in parameters],
-        "InitialTransformParametersFileName": [first], "HowToCombineTransforms": ["Compose"],
+        "InitialTransformParametersFileName": [initial], "HowToCombineTransforms": ["Compose"],
         "FixedImageDimension": [2], "MovingImageDimension": [2], "FixedInternalImagePixelType": ["float"],
         "MovingInternalImagePixelType": ["float"],
     }  # fmt: skip
 
 
-def _write_elastix_file(path: Path, note: str, parameters: Mapping[str, Sequence[object]]) -> None:
-    lines = [note]
-    for name, parts in parameters.items():
-        words = [f'"{v}"' if isinstance(v, str) else f"{v:.12g}" for v in parts]  # type: ignore[str-format]
-        lines.append(f"({name} {' '.join(words)})")
+def _write_elastix_file(path: Path, note_text: str, parameters: Mapping[str, Sequence[object]]) -> None:
+    lines = [note_text]
+    for name, values in parameters.items():
+        value_texts = [f'"{v}"' if isinstance(v, str) else f"{v:.12g}" for v in values]  # type: ignore[str-format]
+        lines.append(f"({name} {' '.join(value_texts)})")
     _write_lines(path, lines)
 
 
@@ -288,18 +292,18 @@ def write_nrrd(content: DirectedTransform | Maps, path: Path, history: ExportHis
         dtype, components, shape = field.vectors.dtype, ["vector"], field.shape
         (x, y), across, down = field.origin_um, field.pitch_um, field.pitch_um
         about = {"value_unit": unit, "planish": history.json(**field.facts())}
-        parts: Iterable[NDArray[Any]] = [field.vectors * UNITS[unit]]
+        blocks: Iterable[NDArray[Any]] = [field.vectors * UNITS[unit]]
     else:
         (name,) = content.names
         title, dtype, components, shape = content.titles[name], plain_type(content.data[name].dtype), [], content.shape
         (y, x), (down, across) = content.origin_um, content.pixel_um
         about = {"value_unit": content.units[name], "planish": history.json(**content.facts())}
-        parts = (band for _, band in content.bands(name))
+        blocks = (band for _, band in content.bands(name))
     x, y, across, down = (f"{v * UNITS[unit]:.12g}" for v in (x, y, across, down))
     sizes = [*("2" for _ in components), str(shape[1]), str(shape[0])]
-    kind = {"float32": "float", "float64": "double"}.get(dtype.name, dtype.name)
-    head = [
-        "NRRD0005", f"content: {title}", f"type: {kind}", f"dimension: {len(sizes)}",
+    nrrd_type = {"float32": "float", "float64": "double"}.get(dtype.name, dtype.name)
+    header_lines = [
+        "NRRD0005", f"content: {title}", f"type: {nrrd_type}", f"dimension: {len(sizes)}",
         "space dimension: 2", f"sizes: {' '.join(sizes)}",
         f"space directions: {'none ' * len(components)}({across},0) (0,{down})",
         f"kinds: {' '.join([*components, 'domain', 'domain'])}", "endian: little", "encoding: raw",
@@ -307,6 +311,6 @@ def write_nrrd(content: DirectedTransform | Maps, path: Path, history: ExportHis
         *(f"{key}:={text}" for key, text in about.items()),
     ]  # fmt: skip
     with path.open("wb") as file:
-        file.write(("\n".join(head) + "\n\n").encode())
-        for part in parts:
-            file.write(np.ascontiguousarray(part, part.dtype.newbyteorder("<")).data)
+        file.write(("\n".join(header_lines) + "\n\n").encode())
+        for block in blocks:
+            file.write(np.ascontiguousarray(block, block.dtype.newbyteorder("<")).data)

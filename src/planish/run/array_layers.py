@@ -50,9 +50,9 @@ class ArrayLayer:
             volume = self.array.assign_attrs(voxel_um=list(self.size_um))
             write_store(volume, self.path, memory_bytes=compute.block_bytes, threads=compute.threads)
             return
-        values, stored = self.array.values, np.dtype(self.array.attrs.get("stored_dtype", "f4"))
-        if stored.kind == "u" and np.array_equal(values, np.rint(values)):  # not of a luminance
-            values = values.astype(stored)
+        values, stored_dtype = self.array.values, np.dtype(self.array.attrs.get("stored_dtype", "f4"))
+        if stored_dtype.kind == "u" and np.array_equal(values, np.rint(values)):  # not of a luminance
+            values = values.astype(stored_dtype)
         with writing(self.path, needed=values.nbytes):
             tifffile.imwrite(self.path, values, photometric="minisblack", metadata=None)
 
@@ -80,8 +80,8 @@ def layer_sources(
             folder.mkdir(parents=True, exist_ok=True)
         for k, source in enumerate(sources):
             if isinstance(source, ArrayLayer):
-                name, suffix = ("sheet", ".zarr") if source.kind == "volume" else ("image", ".tif")
-                stem = name if kinds.count(source.kind) == 1 else f"{source.kind}{k + 1}"
+                default_name, suffix = ("sheet", ".zarr") if source.kind == "volume" else ("image", ".tif")
+                stem = default_name if kinds.count(source.kind) == 1 else f"{source.kind}{k + 1}"
                 sources[k] = replace(source, path=folder / f"{stem}{suffix}")
         yield sources
     except BaseException:
@@ -94,7 +94,7 @@ def layer_sources(
             remove(folder)
 
 
-def _source(layer: LayerInput, call: str) -> str | Path | ArrayLayer:
+def _source(layer: LayerInput, call_text: str) -> str | Path | ArrayLayer:
     """The path of a layer; an array as yet without one."""
     if isinstance(layer, Run):
         if layer.folder is None:
@@ -103,5 +103,5 @@ def _source(layer: LayerInput, call: str) -> str | Path | ArrayLayer:
     if isinstance(layer, str | Path):
         return layer
     if len(getattr(layer, "shape", ())) == 2:
-        return ArrayLayer(Path(), "image", layer, check_image(layer, call))
-    return ArrayLayer(Path(), "volume", layer, check_volume(layer, call))
+        return ArrayLayer(Path(), "image", layer, check_image(layer, call_text))
+    return ArrayLayer(Path(), "volume", layer, check_volume(layer, call_text))

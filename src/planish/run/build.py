@@ -107,12 +107,12 @@ def link(
 
 def _make(
     layers: Sequence[LayerInput], out: str | Path | None, options: Mapping[str, Any], sections: Sequence[str],
-    compute: Compute | None, progress: Progress, call: str, *, chain: bool = False,
+    compute: Compute | None, progress: Progress, call_text: str, *, chain: bool = False,
 ) -> Run:  # fmt: skip
     """Make a run of paths and arrays."""
-    chosen, compute = sections_of(options, sections, compute, call=call)
-    with layer_sources(layers, out, f"{call}({{}}{', ...' if len(layers) > 1 else ''})") as sources:
-        study = study_of(sources, chosen, chain=chain)
+    section_options, compute = sections_of(options, sections, compute, call=call_text)
+    with layer_sources(layers, out, f"{call_text}({{}}{', ...' if len(layers) > 1 else ''})") as sources:
+        study = study_of(sources, section_options, chain=chain)
         for source in sources:
             if isinstance(source, ArrayLayer):
                 progress("write", source.path.name)
@@ -148,9 +148,9 @@ def study_of(
             "--marks holds pairs of two layers, but more are given. Write them into a study file (docs/linking.md)."
         )
     tables = [_table(name, source, options) for name, source in zip(_all_names(sources), sources, strict=True)]
-    of_link = {k: options[k] for k in LINK_SECTIONS if k in options}
+    link_options = {k: options[k] for k in LINK_SECTIONS if k in options}
     try:
-        return Study.model_validate({"layers": tables, "chain": chain, **of_link})
+        return Study.model_validate({"layers": tables, "chain": chain, **link_options})
     except ValidationError as error:
         raise StudyError("; ".join(dict.fromkeys(mistakes(error, Study, as_flags(words_of()))))) from error
 
@@ -168,11 +168,11 @@ def _source(layer: str | Path | ArrayLayer, *, is_link: bool) -> PathLayer | Arr
     if isinstance(layer, ArrayLayer):
         return layer
     name, path = None, Path(layer)
-    prefix, sign, rest = str(layer).partition("=")
-    if sign and rest and not find_place(str(layer)).path.exists():
+    prefix, equals, path_text = str(layer).partition("=")
+    if equals and path_text and not find_place(str(layer)).path.exists():
         if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,39}", prefix):
-            name, path = prefix, Path(rest)
-        elif find_place(rest).path.exists():
+            name, path = prefix, Path(path_text)
+        elif find_place(path_text).path.exists():
             raise StudyError(
                 f"{prefix!r} is no name of a layer: letters from A to Z, digits, - and _ are possible, at most 40."
             )
@@ -186,15 +186,15 @@ def _source(layer: str | Path | ArrayLayer, *, is_link: bool) -> PathLayer | Arr
 
 def _table(name: str, source: PathLayer | ArrayLayer, options: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
     """The table of a layer in a study."""
-    place, volume = {"path": str(source.path.absolute())}, options.get("volume", {})
-    stated = source.options if isinstance(source, ArrayLayer) else {}
+    table, volume = {"path": str(source.path.absolute())}, options.get("volume", {})
+    array_options = source.options if isinstance(source, ArrayLayer) else {}
     if source.kind == "run":
-        return {"name": name, "run": place["path"], "md_deg": volume.get("md_deg")}
+        return {"name": name, "run": table["path"], "md_deg": volume.get("md_deg")}
     if source.kind == "image":
-        shared = {name: volume[name] for name in _OF_BOTH if name in volume}
-        return {"name": name, "image": shared | stated | options.get("image", {}) | place}
-    of_volume = {k: options[k] for k in MAP_SECTIONS if k in options}
-    return {"name": name, "volume": stated | volume | place, **of_volume}
+        size_options = {name: volume[name] for name in _OF_BOTH if name in volume}
+        return {"name": name, "image": size_options | array_options | options.get("image", {}) | table}
+    map_options = {k: options[k] for k in MAP_SECTIONS if k in options}
+    return {"name": name, "volume": array_options | volume | table, **map_options}
 
 
 def _all_names(sources: Sequence[PathLayer | ArrayLayer]) -> list[str]:
@@ -206,14 +206,14 @@ def _all_names(sources: Sequence[PathLayer | ArrayLayer]) -> list[str]:
     def as_name(text: str) -> str:
         return re.sub(r"[^A-Za-z0-9_-]+", "-", text).strip("-_")[:40] or "layer"
 
-    usual = ["image" if source.kind == "image" else "sheet" for source in sources]
-    if len(set(usual)) == len(usual):
-        return [source.name or word for source, word in zip(sources, usual, strict=True)]
-    places = [find_place(source.path.absolute()) for source in sources]
-    stems = [source.name or as_name(place.stem) for source, place in zip(sources, places, strict=True)]
+    default_names = ["image" if source.kind == "image" else "sheet" for source in sources]
+    if len(set(default_names)) == len(default_names):
+        return [source.name or word for source, word in zip(sources, default_names, strict=True)]
+    data_places = [find_place(source.path.absolute()) for source in sources]
+    stems = [source.name or as_name(place.stem) for source, place in zip(sources, data_places, strict=True)]
     return [
         source.name or (f"{as_name(place.path.parent.name)}-{stem}"[:40] if stems.count(stem) > 1 else stem)
-        for source, place, stem in zip(sources, places, stems, strict=True)
+        for source, place, stem in zip(sources, data_places, stems, strict=True)
     ]
 
 
@@ -221,9 +221,9 @@ def sections_of(
     options: Mapping[str, Any], sections: Iterable[str], compute: Compute | None, *, call: str
 ) -> tuple[dict[str, dict[str, Any]], Compute | None]:
     """Sort what a call was given into sections of a study, and what may be used; StudyError names all faults."""
-    places = words_of([*sections, "compute"])
+    word_places = words_of([*sections, "compute"])
     tables: dict[str, Any] = {} if compute is None else {"compute": params_of(Compute, compute, call).model_dump()}
-    words = {word: value for word, value in options.items() if value is not None and word in places}
+    given_words = {word: value for word, value in options.items() if value is not None and word in word_places}
     faults: list[str] = []
     for word, value in options.items():
         if isinstance(value, Params) and word in sections:
@@ -232,25 +232,25 @@ def sections_of(
             tables[word] = deepcopy(dict[str, Any](value))
         elif word in sections:
             faults.append(f"{word}={value!r}: needed is a dict of options, or one of them by itself.")
-        elif word not in places and value is not None:
-            faults.append(_unknown(word, [*sections, *places, "out", "progress", "chain"]))
-    twice = put_options(tables, places, words)
-    faults += [f"{word}= is given twice, by itself and in {places[word][0]}=. Leave one out." for word in twice]
+        elif word not in word_places and value is not None:
+            faults.append(_unknown(word, [*sections, *word_places, "out", "progress", "chain"]))
+    repeated = put_options(tables, word_places, given_words)
+    faults += [f"{word}= is given twice, by itself and in {word_places[word][0]}=. Leave one out." for word in repeated]
     if faults:
         raise StudyError(f"{call}: {' '.join(faults)}")
-    limits = tables.pop("compute", None)
-    return tables, None if limits is None else params_of(Compute, limits, call)
+    compute_options = tables.pop("compute", None)
+    return tables, None if compute_options is None else params_of(Compute, compute_options, call)
 
 
 def words_of(sections: Iterable[str] = SECTIONS) -> dict[str, tuple[str, ...]]:
     """Words of some sections, and where each stands in a study; of the same word in two the first one."""
     models = {**SECTIONS, "compute": Compute}
-    places = [pair for section in sections for pair in words_in(models[section], section).items()]
+    places = [item for section in sections for item in words_in(models[section], section).items()]
     return dict(reversed(places))
 
 
-def _unknown(word: str, possible: list[str]) -> str:
-    if likely := difflib.get_close_matches(word.casefold(), possible, 1, 0.7):
+def _unknown(word: str, known_words: list[str]) -> str:
+    if likely := difflib.get_close_matches(word.casefold(), known_words, 1, 0.7):
         return f"{word}= is unknown; did you mean {likely[0]}=?"
     if word in SECTIONS or word in words_of():
         return f"{word}= is for pl.link, which has an image and marks. Leave it out."

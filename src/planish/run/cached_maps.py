@@ -31,19 +31,21 @@ class CachedMaps(NamedTuple):
         Each is the folder with the maps of the volume as the link asks for them, or a name that is free.
         """
         caches = dict[str, CachedMaps]()
-        sources = zip(study.layers, hashes, strict=True)
-        volumes = [pair for pair in sources if pair[0].kind == "volume"] if len(study.layers) > 1 else []
+        hashed_layers = zip(study.layers, hashes, strict=True)
+        volumes = [
+            (layer, sha256) for layer, sha256 in hashed_layers if layer.kind == "volume" and len(study.layers) > 1
+        ]
         for layer, sha256 in volumes:
             name = out.name if len(volumes) == 1 else f"{out.name}-{layer.name}"
-            bare = changed(layer, marks=None, surface={"corrections": None})
+            mapping_params = changed(layer, marks=None, surface={"corrections": None})
             # The memory decides how wide the columns are.
-            inputs = [sha256, str(compute.memory_bytes), *filter(None, [asked_corrections(layer)])]
-            key = run_key(to_dict(Study(layers=(bare,))), inputs)
+            input_hashes = [sha256, str(compute.memory_bytes), *filter(None, [asked_corrections(layer)])]
+            request_key = run_key(to_dict(Study(layers=(mapping_params,))), input_hashes)
             path, k = out.with_name(f"{name}-map"), 1
-            while path.exists() and _request(path)[:1] != [key]:
+            while path.exists() and _request(path)[:1] != [request_key]:
                 k += 1
                 path = out.with_name(f"{name}-map-{k}")
-            caches[layer.name] = cls(path, key)
+            caches[layer.name] = cls(path, request_key)
         return caches
 
     def read(self) -> Layer | None:
@@ -66,23 +68,23 @@ def sheets_of(old: Path, study: Study, hashes: Sequence[str]) -> tuple[dict[str,
     """
     ready, similar = dict[str, Layer](), dict[str, Layer]()
     try:
-        results, asked = open_results(old), {layer.name: layer for layer in read_study(old / RUN_TOML).layers}
+        results, old_layers = open_results(old), {layer.name: layer for layer in read_study(old / RUN_TOML).layers}
     except PlanishError:
         return ready, similar
     sources = {layer.name: layer.source.sha256 for layer in results.layers}
-    whole = len(results.layers) == 1 or [layer.kind for layer in results.layers] == ["sheet", "image"]
+    is_own_map = len(results.layers) == 1 or [layer.kind for layer in results.layers] == ["sheet", "image"]
     for layer, sha256 in zip(study.layers, hashes, strict=True):
-        before = asked.get(layer.name)
-        if layer.kind != "volume" or before is None or not results.is_of_this_code:
+        old_layer = old_layers.get(layer.name)
+        if layer.kind != "volume" or old_layer is None or not results.is_of_this_code:
             continue
-        place = old if whole else old / "layers" / layer.name
-        bare, wanted = (changed(params.surface, corrections=None) for params in (before, layer))
-        is_same_file = before.volume == layer.volume and sources.get(layer.name) == sha256
-        if not (is_same_file and bare == wanted and is_run(place)):
+        sheet_folder = old if is_own_map else old / "layers" / layer.name
+        old_surface, new_surface = (changed(params.surface, corrections=None) for params in (old_layer, layer))
+        is_same_file = old_layer.volume == layer.volume and sources.get(layer.name) == sha256
+        if not (is_same_file and old_surface == new_surface and is_run(sheet_folder)):
             continue
-        is_same = changed(before, marks=layer.marks, surface=layer.surface) == layer
+        is_same = changed(old_layer, marks=layer.marks, surface=layer.surface) == layer
         with suppress(PlanishError):  # damaged: it is mapped again
-            sheet = open_sheet(place)
+            sheet = open_sheet(sheet_folder)
             is_same &= made_corrections(sheet.groups["surfaces"]) == asked_corrections(layer)
             (ready if is_same else similar)[layer.name] = sheet
     return ready, similar
@@ -91,20 +93,20 @@ def sheets_of(old: Path, study: Study, hashes: Sequence[str]) -> tuple[dict[str,
 def next_step(error: PlanishError, caches: Mapping[str, CachedMaps], study: Study) -> str:
     """Say where maps are kept of a link that was refused; where none are, how to get them without the image."""
 
-    def view(maps: str) -> str:
-        return f"planish view {quoted(maps)} {quoted(study.layers[-1].path)}"
+    def view(map_folder: str) -> str:
+        return f"planish view {quoted(map_folder)} {quoted(study.layers[-1].path)}"
 
-    if places := [str(cache.path) for cache in caches.values() if cache.path.exists()]:
-        text = f"The maps of the volume are kept in {' and '.join(places)}; the same command goes on from there."
-        by_hand = isinstance(error, CannotRegister | MarkError) and study.is_sheet_on_image
-        return f"{text} To set the marks by hand: {view(places[0])}" if by_hand else text
+    if map_folders := [str(cache.path) for cache in caches.values() if cache.path.exists()]:
+        text = f"The maps of the volume are kept in {' and '.join(map_folders)}; the same command goes on from there."
+        marks_refused = isinstance(error, CannotRegister | MarkError) and study.is_sheet_on_image
+        return f"{text} To set the marks by hand: {view(map_folders[0])}" if marks_refused else text
     volume = next((layer for layer in study.layers if layer.kind == "volume"), None)
     if volume is None or not isinstance(error, CannotRegister):
         return ""
-    place = str(caches[volume.name].path)
-    command = f"planish map {quoted(volume.path)} --out {quoted(place)}"
+    map_folder = str(caches[volume.name].path)
+    command = f"planish map {quoted(volume.path)} --out {quoted(map_folder)}"
     text = f"To map the volume without it, with the same options: {command}"
-    return f"{text}; then, to set the marks by hand: {view(place)}" if study.is_sheet_on_image else text
+    return f"{text}; then, to set the marks by hand: {view(map_folder)}" if study.is_sheet_on_image else text
 
 
 def noted_study(path: Path) -> Study | None:

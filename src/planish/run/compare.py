@@ -50,7 +50,7 @@ def correlate_maps(
                 "A screen was taken off the image before the regions were known, and what they hold has reached their "
                 "neighbours. Give --regions to 'planish link' instead."
             )
-        parts = [valid & ~regions.inside(grid.part(rows)) for rows, (valid,) in read_bands(linked["valid"])]
-        linked = linked.assign(valid=(("y", "x"), np.concatenate(parts)))
+        valid_bands = [valid & ~regions.inside(grid.part(rows)) for rows, (valid,) in read_bands(linked["valid"])]
+        linked = linked.assign(valid=(("y", "x"), np.concatenate(valid_bands)))
     layers = {names[0]: linked.drop_vars("image"), names[1]: linked[["image", "valid"]]}
     return tuple(correlate_layers(*names, layers, params.point_um))

@@ -81,7 +81,12 @@ def gather_sheet(sheet: Layer, study: Study) -> Run:
 
 
 def _results(
-    study: Study, layers: Iterable[LayerFacts], checks: Iterable[Check], *, by_this_code: bool = True, **numbers: Any
+    study: Study,
+    layers: Iterable[LayerFacts],
+    checks: Iterable[Check],
+    *,
+    by_this_code: bool = True,
+    **result_fields: Any,
 ) -> Results:
     """All numbers of a run, with what its checks leave of them."""
     libraries = ("numpy", "scipy", "numba", "xarray", "zarr", "tifffile")
@@ -89,18 +94,18 @@ def _results(
         planish=__version__, code=hash_sources() if by_this_code else "", layers=tuple(layers), checks=tuple(checks),
         versions={name: version(name) for name in libraries},
         # Paths say where files lie and not what was done.
-        parameters=to_dict(with_paths(study, lambda _: None)), **numbers,
+        parameters=to_dict(with_paths(study, lambda _: None)), **result_fields,
     )  # fmt: skip
     return apply_checks(results)
 
 
 def gather_link(linked: LinkedLayers) -> Run:
     """Correlate linked layers in pairs, and put the numbers, checks and groups of their run together."""
-    study, layers, maps, wanted = linked.study, linked.layers, linked.maps, linked.study.correlate
+    study, layers, maps, correlate = linked.study, linked.layers, linked.maps, linked.study.correlate
     pairs = [*combinations(layers, 2)]
-    numbers: dict[str, Any] = {
+    result_fields: dict[str, Any] = {
         "chain": study.chain,
-        "correlations": [row for a, b in pairs for row in correlate_layers(a.name, b.name, maps, wanted.point_um)],
+        "correlations": [row for a, b in pairs for row in correlate_layers(a.name, b.name, maps, correlate.point_um)],
     }
     textures: Textures = {
         (a.name, b.name): texture_of(
@@ -113,13 +118,13 @@ def gather_link(linked: LinkedLayers) -> Run:
     facts = tuple(
         layer_facts(
             layer, maps[layer.name], linked.links.get(layer.name), _side_of(layer, reference), lags.get(layer.name),
-            wanted.headline,
+            correlate.headline,
         ) for layer in layers
     )  # fmt: skip
     checks = [*_checks(linked, facts, textures)]
-    numbers["evidence"] = [*_evidence(linked, facts)]
-    if wanted.mottle:
-        numbers["mottle"] = [
+    result_fields["evidence"] = [*_evidence(linked, facts)]
+    if correlate.mottle:
+        result_fields["mottle"] = [
             mottle_of(layer.name, maps[layer.name], quantity=layer.image.quantity)
             for layer in facts
             if layer.image is not None
@@ -127,14 +132,14 @@ def gather_link(linked: LinkedLayers) -> Run:
     is_one_sheet = study.is_sheet_on_image
     groups = {f"layers/{name}": data for name, data in maps.items()}
     if is_one_sheet:
-        more, groups = _sheet_on_image(linked, facts[0].headline)
-        numbers |= more
-        checks += run_checks(more["linked"], layers[0].name, layers[1].name)
+        sheet_fields, groups = _sheet_on_image(linked, facts[0].headline)
+        result_fields |= sheet_fields
+        checks += run_checks(sheet_fields["linked"], layers[0].name, layers[1].name)
     regions = linked.mask.regions
     if regions is not None:
-        numbers["regions"] = region_facts(regions, reference.grid)
+        result_fields["regions"] = region_facts(regions, reference.grid)
     study = changed(study, layers=tuple(layer.params for layer in layers))
-    results = _results(study, facts, checks, by_this_code=all(layer.by_this_code for layer in layers), **numbers)
+    results = _results(study, facts, checks, by_this_code=all(layer.by_this_code for layer in layers), **result_fields)
     return Run(
         study=study,
         results=results,
@@ -153,7 +158,7 @@ def _side_of(a: Layer, b: Layer) -> Side:
 
 def _evidence(linked: LinkedLayers, facts: tuple[LayerFacts, ...]) -> Iterator[EvidenceFacts]:
     """What stands beside the correlation of each layer with the reference; not where they share too little."""
-    wanted, reference = linked.study.correlate, linked.reference
+    params, reference = linked.study.correlate, linked.reference
     columns = {
         layer.name: SheetColumns(
             measured=layer.groups["surfaces"],
@@ -165,16 +170,16 @@ def _evidence(linked: LinkedLayers, facts: tuple[LayerFacts, ...]) -> Iterator[E
         if layer.kind == "sheet"
     }
     # The machine direction on the reference: as it was given there, or as the marks carry it over.
-    directions = [reference.md_deg] + [
+    md_angles_deg = [reference.md_deg] + [
         r.orientation.md_deg_fixed_from_moving
         for layer in facts
         if (r := layer.registration) and r.to == reference.name
     ]
-    md_deg = next((angle for angle in directions if angle is not None), None)
+    md_deg = next((angle_deg for angle_deg in md_angles_deg if angle_deg is not None), None)
     for layer in facts[:-1]:
         if layer.headline in linked.maps[layer.name]:
             evidence = correlation_diagnostics(
-                linked.maps, (layer.name, layer.headline), (facts[-1].name, facts[-1].headline), params=wanted,
+                linked.maps, (layer.name, layer.headline), (facts[-1].name, facts[-1].headline), params=params,
                 columns=columns, md_deg=md_deg,
             )  # fmt: skip
             if evidence is not None:
@@ -185,34 +190,34 @@ def _sheet_on_image(linked: LinkedLayers, headline: str) -> tuple[dict[str, Any]
     """Numbers and groups of the usual case: the linked area, other registrations, the refinement by the maps."""
     sheet, grid, sink, study = linked.layers[0], linked.reference.grid, linked.sink, linked.study
     fit, maps = linked.links[sheet.name].registration.fit, sink.group(LINKED)
-    numbers: dict[str, Any] = {"linked": linked_area(maps, linked.mask)}
+    result_fields: dict[str, Any] = {"linked": linked_area(maps, linked.mask)}
     groups = sheet.groups | {LINKED: maps}
-    numbers["comparison"] = comparison_rows(
+    result_fields["comparison"] = comparison_rows(
         maps, sheet.groups, fit, name=headline, point_um=study.correlate.point_um, away=linked.mask
     )
     if study.registration.refine is not None:
-        transform, numbers["refinement"] = refine_link(maps, headline, grid, fit, study.registration.refine)
+        transform, result_fields["refinement"] = refine_link(maps, headline, grid, fit, study.registration.refine)
         # Beside the marks' own: nothing that the page correlates was fitted to what it is correlated with.
-        refined = SheetOnto(sheet.groups["surfaces"], sheet.groups["flat"], transform=transform)
+        refined_sheet = SheetOnto(sheet.groups["surfaces"], sheet.groups["flat"], transform=transform)
         for tile in map_tiles(grid.shape):
-            sink.add("refined", grid, tile, refined.on(grid.part(tile.rows, tile.cols)))
+            sink.add("refined", grid, tile, refined_sheet.on(grid.part(tile.rows, tile.cols)))
         groups["refined"] = sink.group("refined")
-    return numbers, groups
+    return result_fields, groups
 
 
 def _checks(linked: LinkedLayers, facts: tuple[LayerFacts, ...], textures: Textures) -> Iterator[Check]:
     """Checks of all layers, their registrations, and what they share."""
     layers, maps, reference = linked.layers, linked.maps, linked.reference
-    for layer, numbers in zip(layers, facts, strict=True):
-        scaled = [*_scale_checks(linked, layer)]
-        names = {check.name for check in scaled}
-        yield from for_layers((check for check in layer.checks if check.name not in names), layer.name)
-        yield from scaled
-        if numbers.registration is not None:
-            yield from _registration_checks(linked, layer, numbers)
+    for layer, described in zip(layers, facts, strict=True):
+        scale_checks = [*_scale_checks(linked, layer)]
+        scale_check_names = {check.name for check in scale_checks}
+        yield from for_layers((check for check in layer.checks if check.name not in scale_check_names), layer.name)
+        yield from scale_checks
+        if described.registration is not None:
+            yield from _registration_checks(linked, layer, described)
     for name, link in linked.links.items():
-        moving, to = link.path[:2]
-        if moving.kind == "sheet" and to is reference and link.registration.source == "found":
+        moving, fixed = link.path[:2]
+        if moving.kind == "sheet" and fixed is reference and link.registration.source == "found":
             holes = HolesOnSheet(sheet=maps[name], marks=link.registration.marks, layer=name, reference=reference.name)
             yield from run_checks(holes, name, reference.name)
     for layer in layers if any(layer.kind == "sheet" for layer in layers) else ():
@@ -228,16 +233,16 @@ def _checks(linked: LinkedLayers, facts: tuple[LayerFacts, ...], textures: Textu
 def _registration_checks(linked: LinkedLayers, layer: Layer, facts: LayerFacts) -> Iterator[Check]:
     """Checks of the registration of a layer."""
     assert facts.registration is not None
-    (_, to, *_), registration, _ = linked.links[layer.name]
-    registered = RegisteredLayer(
+    (_, fixed, *_), registration, _ = linked.links[layer.name]
+    registered_layer = RegisteredLayer(
         layer=layer.name, facts=facts.registration, fit=registration.fit, agreement=registration.agreement(),
-        hole_um=sum(linked.study.holes.hole_um) / 2, pixel_um=max(*layer.grid.pixel_um, *to.grid.pixel_um),
+        hole_um=sum(linked.study.holes.hole_um) / 2, pixel_um=max(*layer.grid.pixel_um, *fixed.grid.pixel_um),
     )  # fmt: skip
-    yield from run_checks(registered, layer.name, to.name)
+    yield from run_checks(registered_layer, layer.name, fixed.name)
     if registration.source == "found":
-        for searched in (layer, to):
-            for holes in linked.holes.searched(searched):
-                yield from run_checks(DetectedHoles(searched.name, holes), layer.name, to.name)
+        for searched_layer in (layer, fixed):
+            for holes in linked.holes.searched(searched_layer):
+                yield from run_checks(DetectedHoles(searched_layer.name, holes), layer.name, fixed.name)
     yield from run_checks(facts, layer.name, facts.registration.path[-1])
 
 
@@ -246,14 +251,14 @@ def _scale_checks(linked: LinkedLayers, layer: Layer) -> Iterator[Check]:
     if layer.kind != "sheet":
         return
     for name, link in linked.links.items():
-        moving, to = link.path[:2]
-        if layer.name == name or (layer.name == to.name and layer.name not in linked.links):
-            sheet = RegisteredSheet(
+        moving, fixed = link.path[:2]
+        if layer.name == name or (layer.name == fixed.name and layer.name not in linked.links):
+            registered_sheet = RegisteredSheet(
                 measured=layer.groups["surfaces"],
                 flat=layer.groups["flat"],
                 fit=link.registration.fit,
-                is_fixed=layer.name == to.name,
-                either=moving.kind == to.kind == "sheet",
+                is_fixed=layer.name == fixed.name,
+                either=moving.kind == fixed.kind == "sheet",
             )
-            yield from run_checks(sheet, moving.name, to.name)
+            yield from run_checks(registered_sheet, moving.name, fixed.name)
             return

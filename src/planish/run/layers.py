@@ -82,10 +82,10 @@ class LayerHoles:
     def of(self, layer: Layer, to: Layer) -> xr.Dataset:
         """Holes of an image, or of a sheet, which is seen from its top, in the face that the layer ``to`` shows."""
         shown, side = (layer.groups["maps"], to.side) if layer.image is None else (layer.image, layer.side)
-        key: tuple[str, Side] = (layer.name, side)
-        if key not in self._holes:
-            self._holes[key] = find_holes(shown, params=self.params, side=side, layer=layer.name)
-        return self._holes[key]
+        face: tuple[str, Side] = (layer.name, side)
+        if face not in self._holes:
+            self._holes[face] = find_holes(shown, params=self.params, side=side, layer=layer.name)
+        return self._holes[face]
 
     def searched(self, layer: Layer) -> list[xr.Dataset]:
         """Holes in all faces of a layer that were searched."""

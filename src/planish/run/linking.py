@@ -51,17 +51,19 @@ def link_layers(
     links = _register(layers, holes, study, progress)
     chains = {name: link.chain for name, link in links.items()}
     progress("link", f"{' x '.join(map(str, reference.grid.shape))} pixels of the {reference.name}")
-    rims = [float(layer.groups["surfaces"].attrs["rim_um"]) for layer in layers if layer.kind == "sheet"]
+    rims_um = [float(layer.groups["surfaces"].attrs["rim_um"]) for layer in layers if layer.kind == "sheet"]
     # Around holes of images by themselves 100 um.
-    rim_um = max(rims, default=100.0) + max(reach_um(layer.params.image) for layer in layers)
+    rim_um = max(rims_um, default=100.0) + max(reach_um(layer.params.image) for layer in layers)
     circles = [
-        hole_circles(link.registration.marks, side, rim_um, chain=chains.get(layer.name), image=layer.image)
+        hole_circles(link.registration.marks, plane, rim_um, chain=chains.get(layer.name), image=layer.image)
         for link in links.values()
-        for side, layer in zip(("moving", "fixed"), link.path, strict=False)
+        for plane, layer in zip(("moving", "fixed"), link.path, strict=False)
     ]
     mask = ValidMask(np.concatenate(circles), regions)
-    parts = {layer.name: (layer.shown, chains.get(layer.name)) for layer in layers}
-    maps = resample_layers(parts, mask, reference.grid, sink, together=LINKED if study.is_sheet_on_image else None)
+    layer_sources = {layer.name: (layer.shown, chains.get(layer.name)) for layer in layers}
+    maps = resample_layers(
+        layer_sources, mask, reference.grid, sink, together=LINKED if study.is_sheet_on_image else None
+    )
     progress("correlate", f"{len(maps) * (len(maps) - 1) // 2} pairs of layers")
     return gather_link(LinkedLayers(study, layers, links, holes, maps, mask, sink))
 
@@ -77,22 +79,22 @@ def read_inputs(study: Study, progress: Progress) -> LinkInputs:
             layers[params.name] = _read_run(params, study)
             continue
         image = read_image(params.path, **params.image.how)
-        used = changed(params, image={"pixel_um": tuple(float(v) for v in image.attrs["pixel_um"])})
+        sized_params = changed(params, image={"pixel_um": tuple(float(v) for v in image.attrs["pixel_um"])})
         source = input_file(image, params.path)
-        layers[params.name] = Layer(params=used, source=source, image=image, md_deg=params.image.md_deg)
+        layers[params.name] = Layer(params=sized_params, source=source, image=image, md_deg=params.image.md_deg)
     names = [params.name for params in study.layers]
     for k, params in enumerate(study.layers[:-1]):
-        to = names[k + 1] if study.chain else names[-1]
+        fixed_name = names[k + 1] if study.chain else names[-1]
         marks = params.marks or study.registration.marks
-        check_marks(layers.get(params.name, params.name), layers.get(to, to), holes, marks)
+        check_marks(layers.get(params.name, params.name), layers.get(fixed_name, fixed_name), holes, marks)
     reference = layers.get(names[-1])
     regions = None if reference is None else regions_on(study.correlate.regions, reference.grid)
     for name, layer in layers.items():
         if layer.image is not None and layer.params.image is not None:
             # Artefacts that are declared on an image do not reach their neighbours.
-            declared = regions if layer is reference and layer.params.image.screen_um is not None else None
-            mask = None if declared is None else ~declared.inside(layer.grid)
-            layers[name] = replace(layer, compared=compared_image(layer.image, layer.params.image, mask=mask))
+            image_regions = regions if layer is reference and layer.params.image.screen_um is not None else None
+            is_compared = None if image_regions is None else ~image_regions.inside(layer.grid)
+            layers[name] = replace(layer, compared=compared_image(layer.image, layer.params.image, mask=is_compared))
     return LinkInputs(layers, regions, holes)
 
 
@@ -109,9 +111,9 @@ def _register(layers: list[Layer], holes: LayerHoles, study: Study, progress: Pr
     """Register every layer but the last one, and compose the chains."""
     paths = [layers[k:] if study.chain else [layers[k], layers[-1]] for k in range(len(layers) - 1)]
     registrations = dict[str, Registration]()
-    for layer, to, *_ in paths:
-        progress("register", f"{layer.name} to {to.name}")
-        registrations[layer.name] = register_layers(layer, to, holes, study)
+    for layer, fixed, *_ in paths:
+        progress("register", f"{layer.name} to {fixed.name}")
+        registrations[layer.name] = register_layers(layer, fixed, holes, study)
     chains = [Chain(fits=tuple(registrations[layer.name].fit for layer in path[:-1])) for path in paths]
     return {
         path[0].name: Link(path, registrations[path[0].name], chain) for path, chain in zip(paths, chains, strict=True)

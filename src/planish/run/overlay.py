@@ -37,8 +37,8 @@ class ValidMask:
 
     def __call__(self, part: Grid) -> Bools:
         """Say it of some pixels."""
-        allowed = ~hole_mask(part, self.circles[:, :2], self.circles[:, 2])
-        return allowed if self.regions is None else allowed & ~self.regions.inside(part)
+        is_allowed = ~hole_mask(part, self.circles[:, :2], self.circles[:, 2])
+        return is_allowed if self.regions is None else is_allowed & ~self.regions.inside(part)
 
     @property
     def sentence(self) -> str:
@@ -57,8 +57,8 @@ def _on_tiles(shown: Shown, chain: Chain | None, grid: Grid) -> Callable[[Tile, 
             maps = xr.Dataset({"image": (("y", "x"), shown.values, image_attrs(shown))}, coords=Grid.of(shown).coords)
         else:
             maps = shown["maps"].rename({"v": "y", "u": "x"})
-            hidden = ("projected_", "presence", "valid")
-            maps = maps.drop_vars([name for name in maps.data_vars if str(name).startswith(hidden)])
+            dropped_prefixes = ("projected_", "presence", "valid")
+            maps = maps.drop_vars([name for name in maps.data_vars if str(name).startswith(dropped_prefixes)])
         return lambda tile, _: maps.isel(y=tile.rows, x=tile.cols)
     errors = PositionErrors(None if is_image else shown, chain, grid)
     sheet = None if is_image else SheetOnto(shown["surfaces"], shown["flat"], transform=chain)
@@ -84,17 +84,19 @@ def resample_layers(
     with its shares: as ``layers/NAME``, or a sheet and an image as one group ``together``. Returned are the maps of
     each layer.
     """
-    layers = {name: _on_tiles(*part, grid) for name, part in parts.items()}
-    absent = [name for name, (_, chain) in parts.items() if chain is not None]
-    meaning = {"long_name": mask.sentence}
+    tile_readers = {name: _on_tiles(*part, grid) for name, part in parts.items()}
+    absent_names = [name for name, (_, chain) in parts.items() if chain is not None]
+    valid_attrs = {"long_name": mask.sentence}
     for tile in map_tiles(grid.shape):
         part = grid.part(tile.rows, tile.cols)
-        allowed, maps = mask(part), dict[str, xr.Dataset]()
-        for name, on_tile in layers.items():
-            data = on_tile(tile, part)
+        is_allowed, maps = mask(part), dict[str, xr.Dataset]()
+        for name, read_tile in tile_readers.items():
+            data = read_tile(tile, part)
             is_measured = np.isfinite(data["thickness" if "thickness" in data else "image"].values)
-            maps[name] = data.assign(valid=(("y", "x"), is_measured & allowed, meaning))
-        absent = [k for k in absent if not np.isfinite(maps[k]["image" if "image" in maps[k] else "u"].values).any()]
+            maps[name] = data.assign(valid=(("y", "x"), is_measured & is_allowed, valid_attrs))
+        absent_names = [
+            k for k in absent_names if not np.isfinite(maps[k]["image" if "image" in maps[k] else "u"].values).any()
+        ]
         if together is None:
             for name, data in maps.items():
                 sink.add(f"layers/{name}", grid, tile, data)
@@ -102,9 +104,9 @@ def resample_layers(
             sheet, image = maps.values()
             valid = sheet["valid"] & image["valid"]
             sink.add(together, grid, tile, sheet.assign(image=image["image"], valid=valid))
-    if absent:
+    if absent_names:
         raise CannotRegister(
-            f"The layer {absent[0]} does not meet the reference: by its marks it lies beside it. Check the marks."
+            f"The layer {absent_names[0]} does not meet the reference: by its marks it lies beside it. Check the marks."
         )
     if together is None:
         return {name: sink.group(f"layers/{name}") for name in parts}
@@ -121,9 +123,9 @@ def hole_circles(
     that its border cuts are included.
     """
     holes = holes_of(marks, side)
-    every = [holes] if image is None else [holes, cut_holes(image, holes)]
+    hole_sets = [holes] if image is None else [holes, cut_holes(image, holes)]
     circles = np.concatenate(
-        [np.stack([h["x"].values, h["y"].values, 0.5 * h["diameter"].values], axis=1) for h in every]
+        [np.stack([h["x"].values, h["y"].values, 0.5 * h["diameter"].values], axis=1) for h in hole_sets]
     )
     if chain is not None:
         circles = np.column_stack([chain(circles[:, :2]), circles[:, 2] * chain.similarity.scale])
@@ -185,29 +187,29 @@ def resample_maps(
     if onto is None or registration is None:
         raise InputError("onto and registration belong together: give both, or neither for the flat maps.")
     check_image(onto, "pl.resample_maps(measured, flat, onto={}, registration=registration)")
-    sides = [about_layer(registration.marks, side).get("title") for side in ("moving", "fixed")]
-    if sides == ["image", "sheet"]:
+    plane_titles = [about_layer(registration.marks, plane).get("title") for plane in ("moving", "fixed")]
+    if plane_titles == ["image", "sheet"]:
         raise MarkError(
             "The registration goes from the image to the sheet; needed is one from the sheet to the image. Write "
             "pl.register_marks(pl.find_holes(maps), pl.find_holes(image))."
         )
     grid = Grid.of(onto)
     # Marks beside the image show that the registration belongs to another one, or its pixels have another size.
-    fixed, pixel = registration.fit.fixed, max(grid.pixel_um)
-    least, most = np.array(grid.origin_um) - pixel, np.array([grid.x_um[-1], grid.y_um[-1]]) + pixel
-    outside = int(np.count_nonzero(((fixed < least) | (fixed > most)).any(axis=1)))
-    if outside:
+    fixed_um, pixel_um = registration.fit.fixed, max(grid.pixel_um)
+    low_um, high_um = np.array(grid.origin_um) - pixel_um, np.array([grid.x_um[-1], grid.y_um[-1]]) + pixel_um
+    n_outside = int(np.count_nonzero(((fixed_um < low_um) | (fixed_um > high_um)).any(axis=1)))
+    if n_outside:
         raise MarkError(
-            f"{outside} of {len(fixed)} marks of the registration lie beside the image. It belongs to another image, "
-            "or the pixel size is another one: give the image that was registered."
+            f"{n_outside} of {len(fixed_um)} marks of the registration lie beside the image. It belongs to another "
+            "image, or the pixel size is another one: give the image that was registered."
         )
     chain = Chain(fits=(registration.fit,))
     rim_um = float(measured.attrs["rim_um"]) + float(onto.attrs.get("reach_um", 0.0))
     marks, sink = registration.marks, StoredMaps()
     circles = hole_circles(marks, "moving", rim_um, chain=chain), hole_circles(marks, "fixed", rim_um, image=onto)
-    parts: dict[str, tuple[Shown, Chain | None]] = {
+    layer_sources: dict[str, tuple[Shown, Chain | None]] = {
         "sheet": ({"surfaces": measured, "flat": flat}, chain),
         "image": (onto, None),
     }
-    resample_layers(parts, ValidMask(np.concatenate(circles)), grid, sink, together="linked")
+    resample_layers(layer_sources, ValidMask(np.concatenate(circles)), grid, sink, together="linked")
     return sink.group("linked")

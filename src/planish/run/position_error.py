@@ -64,15 +64,15 @@ class PositionErrors:
         # a section. Marks hold it at the square root of their number of places along the cut; n sections between two
         # such places leave q sqrt(n / 6), the mean over a Brownian bridge.
         sections, through = sheet["sections"], Frame.of(sheet["surfaces"]).through
-        between = sections.sizes["section"] / np.sqrt(max(chain.fits[0].moving.shape[0], 1))
-        squares = 0.0
+        n_between_marks = sections.sizes["section"] / np.sqrt(max(chain.fits[0].moving.shape[0], 1))
+        variance_um2 = 0.0
         for axis, name, jitter_um in zip("yx", ("row", "col"), sections.attrs["jitter_left_um"], strict=True):
             if axis == through:
                 continue
-            squares += (_SHARED * float(jitter_um)) ** 2
+            variance_um2 += (_SHARED * float(jitter_um)) ** 2
             if name not in sections.attrs.get("fixed", ()):
-                squares += (_WANDER * float(np.std(sections[f"shift_{name}"].values))) ** 2 * between / 6
-        self._shares["sections"] = np.full(places.shape[:2], float(np.sqrt(squares)) * chain.similarity.scale)
+                variance_um2 += (_WANDER * float(np.std(sections[f"shift_{name}"].values))) ** 2 * n_between_marks / 6
+        self._shares["sections"] = np.full(places.shape[:2], float(np.sqrt(variance_um2)) * chain.similarity.scale)
 
     def on(self, part: Grid, shown: Floats) -> dict[str, xr.DataArray]:
         """Errors of the place of some pixels of the reference (y, x), rms, um: ``expected_error``, and shares of it.
@@ -82,8 +82,8 @@ class PositionErrors:
         """
         is_shown = np.isfinite(shown)
         shares = {k: np.where(is_shown, self._lattice.between(v, part), np.nan) for k, v in self._shares.items()}
-        total = np.sqrt(np.sum([share**2 for share in shares.values()], axis=0))
-        maps = {"expected_error": (total, "Expected error of the place, rms")}
+        total_um = np.sqrt(np.sum([share**2 for share in shares.values()], axis=0))
+        maps = {"expected_error": (total_um, "Expected error of the place, rms")}
         if not self._whole:
             maps |= {f"error_{k}": (share, f"Expected error by {_SHARES[k][0]}") for k, share in shares.items()}
         return {
@@ -99,16 +99,17 @@ def error_shares(maps: xr.Dataset) -> ErrorShares | None:
     rms = {k: rms_of(maps[f"error_{k}"]) or 0.0 for k in _SHARES if f"error_{k}" in maps}
     if not rms:
         return None
-    whole, largest = float(np.sqrt(sum(v**2 for v in rms.values()))), max(rms, key=lambda name: rms[name])
-    parts = ", ".join(f"{_SHARES[name][0]} {value:.2g}" for name, value in rms.items())
-    sentence = f"Expected error {whole:.2g} um rms over the map: {parts} um. "
-    if whole > 0:
-        words, cure = _SHARES[largest]
-        sentence += f"{100 * (rms[largest] / whole) ** 2:.0f} % of its square is {words}; {cure} would lower it. "
+    total_um, largest_share = float(np.sqrt(sum(v**2 for v in rms.values()))), max(rms, key=lambda name: rms[name])
+    shares_text = ", ".join(f"{_SHARES[name][0]} {value:.2g}" for name, value in rms.items())
+    sentence = f"Expected error {total_um:.2g} um rms over the map: {shares_text} um. "
+    if total_um > 0:
+        share_name, remedy = _SHARES[largest_share]
+        percent = 100 * (rms[largest_share] / total_um) ** 2
+        sentence += f"{percent:.0f} % of its square is {share_name}; {remedy} would lower it. "
     sentence += "A shift that all marks share is not in it: no mark can show that, only the maps themselves."
     return ErrorShares.model_validate(
         {f"{name}_um": value for name, value in rms.items()}
-        | {"rms_um": whole, "largest": largest, "sentence": sentence}
+        | {"rms_um": total_um, "largest": largest_share, "sentence": sentence}
     )
 
 
@@ -117,23 +118,23 @@ def _moved(sheet: Mapping[str, xr.Dataset], chain: Chain, places: Floats) -> dic
     surfaces, attrs = sheet["surfaces"], sheet["flat"].attrs
     if "centre_shorter" not in surfaces or "neutral" not in attrs:
         return {}  # of a run that does not say what was flattened
-    main, zero = str(attrs["neutral"]), np.zeros(surfaces["centre"].shape)
-    base = surfaces["base_middle"].values.astype(np.float64) if "base_middle" in surfaces else None
-    neutral = base if main == "base" and base is not None else zero
-    other, factor = zero if main == "base" else base, NEUTRAL[main]
-    if other is None:
+    neutral_kind, centre_plane = str(attrs["neutral"]), np.zeros(surfaces["centre"].shape)
+    base_middle = surfaces["base_middle"].values.astype(np.float64) if "base_middle" in surfaces else None
+    neutral = base_middle if neutral_kind == "base" and base_middle is not None else centre_plane
+    other_neutral, error_factor = centre_plane if neutral_kind == "base" else base_middle, NEUTRAL[neutral_kind]
+    if other_neutral is None:
         # Where no coating is seen, the neutral surface lies off by so much of the thickness.
-        other, factor = zero + 0.01 * float(surfaces.attrs["thickness_um"]), 1.0
+        other_neutral, error_factor = centre_plane + 0.01 * float(surfaces.attrs["thickness_um"]), 1.0
     shorter = neutral + surfaces["centre_shorter"].values
-    moves = flat_moves(surfaces, {"neutral": other, "smoothing": shorter}, neutral=neutral, rest=attrs["rest"])
+    moves = flat_moves(surfaces, {"neutral": other_neutral, "smoothing": shorter}, neutral=neutral, rest=attrs["rest"])
     fit, uv, moves_of = chain.fits[0], chain.inverse(places), _moves_in_map(moves, sheet["flat"])
-    errors: dict[str, Floats] = {}
-    for name, by in (("neutral", factor), ("smoothing", 1.0)):
-        shifted = fit.refitted(fit.moving + moves_of(name, fit.moving))(uv + moves_of(name, uv))
+    errors_um: dict[str, Floats] = {}
+    for name, scale in (("neutral", error_factor), ("smoothing", 1.0)):
+        shifted_places = fit.refitted(fit.moving + moves_of(name, fit.moving))(uv + moves_of(name, uv))
         for link in chain.fits[1:]:
-            shifted = link(shifted)
-        errors[name] = by * filled(np.linalg.norm(shifted - chain(uv), axis=-1))
-    return errors
+            shifted_places = link(shifted_places)
+        errors_um[name] = scale * filled(np.linalg.norm(shifted_places - chain(uv), axis=-1))
+    return errors_um
 
 
 def _moves_in_map(moves: xr.Dataset, flat: xr.Dataset) -> Callable[[str, Floats], Floats]:

@@ -43,13 +43,13 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> None
             )
         check_maps(layer.properties)
         asked_corrections(layer)
-        names = sorted(PROPERTIES if layer.surface.labels is not None else possible_maps(layer.properties))
-        wanted = study.correlate
-        for flag, maps in (("--headline", (wanted.headline,)), ("--beside", wanted.beside)):
-            if absent := sorted({name for name in maps if name is not None} - {*names}):
+        map_names = sorted(PROPERTIES if layer.surface.labels is not None else possible_maps(layer.properties))
+        correlate = study.correlate
+        for flag, requested in (("--headline", (correlate.headline,)), ("--beside", correlate.beside)):
+            if absent_names := sorted({name for name in requested if name is not None} - {*map_names}):
                 raise InputError(
-                    f"{flag} {', '.join(absent)}: there will be no such map. Give some of {', '.join(names)}, or ask "
-                    "for it with --property as well."
+                    f"{flag} {', '.join(absent_names)}: there will be no such map. Give some of "
+                    f"{', '.join(map_names)}, or ask for it with --property as well."
                 )
     _check_beside(study)
     _check_light(study)
@@ -60,14 +60,16 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> None
     for layer in study.layers:
         if layer.image is not None:
             rows, cols = pixels_of(Path(layer.path))
-            each = PIXEL_BYTES if study.registration.refine is None else _REFINED_BYTES
-            each += _HELD_BYTES if held else 0
-            each += _COMPARED_BYTES if layer.image.dark_grey is not None or layer.image.screen_um is not None else 0
-            if (needed := each * rows * cols + LINK_BYTES) > compute.memory:
+            bytes_per_pixel = PIXEL_BYTES if study.registration.refine is None else _REFINED_BYTES
+            bytes_per_pixel += _HELD_BYTES if held else 0
+            bytes_per_pixel += (
+                _COMPARED_BYTES if layer.image.dark_grey is not None or layer.image.screen_um is not None else 0
+            )
+            if (needed_bytes := bytes_per_pixel * rows * cols + LINK_BYTES) > compute.memory:
                 raise ResourceError(
-                    f"The {layer.name} of {rows * cols / 1e6:.0f} million pixels takes {needed / 1e9:.1f} GB of "
+                    f"The {layer.name} of {rows * cols / 1e6:.0f} million pixels takes {needed_bytes / 1e9:.1f} GB of "
                     f"memory, {compute.memory / 1e9:.1f} GB are allowed. Give more with --memory "
-                    f"{enough_gb(needed)}GB, or crop or bin it."
+                    f"{enough_gb(needed_bytes)}GB, or crop or bin it."
                 )
 
 
@@ -75,37 +77,37 @@ def _check_beside(study: Study) -> None:
     """Raise InputError where the maps to stand beside hold one twice, or parts together with their sum."""
     names = study.correlate.beside
     is_bottom = any(layer.image is not None and layer.image.side == "bottom" for layer in study.layers)
-    leads = study.correlate.headline or f"coating_{'bottom' if is_bottom else 'top'}"
+    headline = study.correlate.headline or f"coating_{'bottom' if is_bottom else 'top'}"
     if not names:
         return
-    if twice := sorted({name for name in names if (leads, *names).count(name) > 1}):
+    if repeated := sorted({name for name in names if (headline, *names).count(name) > 1}):
         raise InputError(
-            f"--beside {', '.join(twice)}: the map leads already, or stands there twice. Leave it out of --beside."
+            f"--beside {', '.join(repeated)}: the map leads already, or stands there twice. Leave it out of --beside."
         )
-    for whole, *parts in _SUMS:
-        if {whole, *parts} <= {leads, *names}:
+    for total, *summands in _SUMS:
+        if {total, *summands} <= {headline, *names}:
             raise InputError(
-                f"--beside {', '.join(names)}: {whole} follows from {', '.join(parts)}. With {leads}, which leads, "
-                "all of them are given, and nothing is left to correlate. Leave one of them out."
+                f"--beside {', '.join(names)}: {total} follows from {', '.join(summands)}. With {headline}, which "
+                "leads, all of them are given, and nothing is left to correlate. Leave one of them out."
             )
 
 
 def _check_light(study: Study) -> None:
     """Raise InputError where an option needs an image, references or volumes that the study does not have."""
-    wanted, reference = study.correlate, study.layers[-1].image
+    correlate, reference = study.correlate, study.layers[-1].image
     sheets = [layer for layer in study.layers if layer.kind != "image"]
-    options = {"--kubelka-munk": wanted.kubelka_munk, "--light-spread-um": wanted.light_spread_um}
-    asked = " and ".join(flag for flag, number in options.items() if number is not None)
-    if asked and (reference is None or not sheets):
+    options = {"--kubelka-munk": correlate.kubelka_munk, "--light-spread-um": correlate.light_spread_um}
+    flags_text = " and ".join(flag for flag, option in options.items() if option is not None)
+    if flags_text and (reference is None or not sheets):
         raise InputError(
-            f"{asked}: no image stands last, to which the coating of a sheet is compared. Link a volume or a run to an "
-            "image, or leave it out."
+            f"{flags_text}: no image stands last, to which the coating of a sheet is compared. Link a volume or a run "
+            "to an image, or leave it out."
         )
-    if asked and wanted.headline is not None and not wanted.headline.startswith("coat"):
+    if flags_text and correlate.headline is not None and not correlate.headline.startswith("coat"):
         raise InputError(
-            f"{asked}: {wanted.headline} leads, which is no coating. Leave --headline out, or name a coating."
+            f"{flags_text}: {correlate.headline} leads, which is no coating. Leave --headline out, or name a coating."
         )
-    if wanted.kubelka_munk is not None and reference is not None and reference.dark_grey is None:
+    if correlate.kubelka_munk is not None and reference is not None and reference.dark_grey is None:
         raise InputError(
             "--kubelka-munk needs reflectance, and the image is relative grey. Give --dark-grey and --white-grey, the "
             "grey of a dark and of a white reference, or leave it out."
@@ -115,9 +117,9 @@ def _check_light(study: Study) -> None:
             "--refine aligns the fine texture of map and image, which --screen-um takes off the image. Leave one of "
             "them out."
         )
-    if wanted.mottle and not any(layer.kind == "image" for layer in study.layers):
+    if correlate.mottle and not any(layer.kind == "image" for layer in study.layers):
         raise InputError("--mottle: no layer is an image. Link one, or leave it out.")
-    if wanted.error_ratio is not None and (reference is not None or len(sheets) < 2):
+    if correlate.error_ratio is not None and (reference is not None or len(sheets) < 2):
         raise InputError(
             "--error-ratio is for two measurements of one quantity: the last layer and another one have to be volumes "
             "or runs. Leave it out."

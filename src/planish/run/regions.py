@@ -27,7 +27,7 @@ def regions_on(path: str | None, grid: Grid) -> Regions | None:
     regions = read_regions(path).on(grid)
     share = region_facts(regions, grid).share
     if share in (0, 1):
-        x, y = (f"{places[0]:g} to {places[-1]:g} um" for places in (grid.x_um, grid.y_um))
+        x, y = (f"{coords_um[0]:g} to {coords_um[-1]:g} um" for coords_um in (grid.x_um, grid.y_um))
         raise InputError(
             f"{Path(path).name}: {'every' if share else 'no'} pixel of the reference lies in a region. Its pixels lie "
             f"at x from {x} and y from {y}. Give regions of this reference: GeoJSON in um, selections of ImageJ in its "
@@ -38,22 +38,22 @@ def regions_on(path: str | None, grid: Grid) -> Regions | None:
 
 def region_facts(regions: Regions, grid: Grid) -> RegionsFacts:
     """What was declared, and the share of the reference's pixels that it takes."""
-    one_by_one, together = np.zeros(len(regions.declared), dtype=np.int64), 0
+    pixels_of_each, n_inside = np.zeros(len(regions.declared), dtype=np.int64), 0
     for rows in bands(grid.shape[0]):
-        part = grid.part(rows)
-        inside = np.zeros(part.shape, dtype=bool)
+        band_grid = grid.part(rows)
+        inside = np.zeros(band_grid.shape, dtype=bool)
         for k, region in enumerate(regions.declared):
-            window, mask = region.inside(part)
+            window, mask = region.inside(band_grid)
             inside[window] |= mask
-            one_by_one[k] += np.count_nonzero(mask)
-        together += int(np.count_nonzero(inside))
-    pixels = grid.shape[0] * grid.shape[1]
+            pixels_of_each[k] += np.count_nonzero(mask)
+        n_inside += int(np.count_nonzero(inside))
+    n_pixels = grid.shape[0] * grid.shape[1]
     return RegionsFacts(
         count=len(regions.declared),
-        share=together / pixels,
+        share=n_inside / n_pixels,
         regions=tuple(
-            RegionFacts(name=region.name, reason=region.reason, author=region.author, share=int(n) / pixels)
-            for region, n in zip(regions.declared, one_by_one, strict=True)
+            RegionFacts(name=region.name, reason=region.reason, author=region.author, share=int(n) / n_pixels)
+            for region, n in zip(regions.declared, pixels_of_each, strict=True)
         ),
     )
 

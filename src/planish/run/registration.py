@@ -84,10 +84,10 @@ class Registration:
     def pairs(self) -> xr.Dataset:
         """The marks that the fit uses: positions, residuals and weights, a row each."""
         fit, um = self.fit, {"units": "um"}
-        points = {"moving": fit.moving, "fixed": fit.fixed, "residual": fit.residuals_um}
-        values = {f"{name}_{axis}": xy[:, k] for name, xy in points.items() for k, axis in enumerate("xy")}
-        values |= {"residual": np.hypot(*fit.residuals_um.T), "leave_one_out": fit.leave_one_out_um}
-        data = xr.Dataset({k: ("mark", v, um) for k, v in values.items()})
+        vectors_um = {"moving": fit.moving, "fixed": fit.fixed, "residual": fit.residuals_um}
+        columns = {f"{name}_{axis}": xy[:, k] for name, xy in vectors_um.items() for k, axis in enumerate("xy")}
+        columns |= {"residual": np.hypot(*fit.residuals_um.T), "leave_one_out": fit.leave_one_out_um}
+        data = xr.Dataset({k: ("mark", v, um) for k, v in columns.items()})
         labels = self.marks["label"].values[paired(self.marks)]
         return data.assign(weight=("mark", fit.robust_weights, {"units": "1"}), label=("mark", labels.astype(object)))
 
@@ -160,12 +160,12 @@ def register_marks(
     """
     for holes, call in ((moving, "pl.register_marks({}, fixed)"), (fixed, "pl.register_marks(moving, {})")):
         check_dataset(holes, "x", "y", what="holes", maker="pl.find_holes(...)", call=call)
-    r = params_of(RegistrationParams, params, "pl.register_marks")
+    fit_params = params_of(RegistrationParams, params, "pl.register_marks")
     designed = None
-    if r.design is not None:
-        pattern = read_pattern(r.design)
+    if fit_params.design is not None:
+        pattern = read_pattern(fit_params.design)
         designed = DesignedHoles(name=pattern.name, places_um=pattern.imaged_um, labels=tuple(pattern.labels))
-    fit, match = match_and_fit(moving, fixed, params=r, pattern=designed, hole_um=hole_um)
+    fit, match = match_and_fit(moving, fixed, params=fit_params, pattern=designed, hole_um=hole_um)
     marks = _with_residuals(join_holes(moving, fixed, match.pairs, match.labels), fit)
     return Registration(
         fit=fit, marks=marks, sentence=match.sentence, second_best=match.second_best, design=match.design,
@@ -175,11 +175,11 @@ def register_marks(
 
 def _with_residuals(marks: xr.Dataset, fit: FittedTransform) -> xr.Dataset:
     """The marks with what the fit leaves of each."""
-    used = paired(marks)
-    for name, of_pairs in (("residual", np.hypot(*fit.residuals_um.T)), ("leave_one_out", fit.leave_one_out_um)):
-        column = np.full(used.size, np.nan)
-        column[used] = of_pairs
-        marks = marks.assign({name: ("mark", column, {"units": "um", "long_name": RESULTS[name]})})
+    is_paired = paired(marks)
+    for name, pair_values_um in (("residual", np.hypot(*fit.residuals_um.T)), ("leave_one_out", fit.leave_one_out_um)):
+        mark_values_um = np.full(is_paired.size, np.nan)
+        mark_values_um[is_paired] = pair_values_um
+        marks = marks.assign({name: ("mark", mark_values_um, {"units": "um", "long_name": RESULTS[name]})})
     return marks
 
 
@@ -191,21 +191,23 @@ class Link(NamedTuple):
     chain: Chain
 
 
-def register_layers(layer: Layer, to: Layer, holes: LayerHoles, study: Study) -> Registration:
+def register_layers(layer: Layer, fixed: Layer, holes: LayerHoles, study: Study) -> Registration:
     """Register one layer to another one by the marks that the study names, or by the holes of both."""
     params = study.registration
     path = layer.params.marks or params.marks
     if path is None:
-        return register_marks(holes.of(layer, to), holes.of(to, layer), params=params, hole_um=holes.params.hole_um)
-    marks = volume_to_map(read_given(path, layer, to), layer.name, layer.groups)
-    fit = fit_marks(marks, params=params, mirrored=None if params.mirror else layer.side != to.side)
-    for side, a, b in (("moving", layer, to), ("fixed", to, layer)):
+        return register_marks(
+            holes.of(layer, fixed), holes.of(fixed, layer), params=params, hole_um=holes.params.hole_um
+        )
+    marks = volume_to_map(read_given(path, layer, fixed), layer.name, layer.groups)
+    fit = fit_marks(marks, params=params, mirrored=None if params.mirror else layer.side != fixed.side)
+    for side, own_layer, other_layer in (("moving", layer, fixed), ("fixed", fixed, layer)):
         is_placed = np.isfinite(marks[f"{side}_x"].values)
         if f"{side}_diameter" not in marks or not np.isfinite(marks[f"{side}_diameter"].values[is_placed]).all():
-            places = marks_of_holes(holes.of(a, b)[["x", "y", "diameter"]], layer=side)
-            labels = np.array([f"{side} {k + 1}" for k in range(places.sizes["mark"])], dtype=np.str_)
-            places = places.assign(label=("mark", labels))
-            marks = with_holes(marks, places, side, usual_um=float(np.mean(holes.params.hole_um)))
+            hole_marks = marks_of_holes(holes.of(own_layer, other_layer)[["x", "y", "diameter"]], layer=side)
+            labels = np.array([f"{side} {k + 1}" for k in range(hole_marks.sizes["mark"])], dtype=np.str_)
+            hole_marks = hole_marks.assign(label=("mark", labels))
+            marks = with_holes(marks, hole_marks, side, usual_um=float(np.mean(holes.params.hole_um)))
     source = str(marks.attrs.get("read_from", {}).get("format", "file"))
     return Registration(fit=fit, marks=_with_residuals(marks, fit), source=source)
 
@@ -216,15 +218,15 @@ def fit_marks(marks: xr.Dataset, *, params: RegistrationParams, mirrored: bool |
     return fit_pairs(holes_of(pairs, "moving"), holes_of(pairs, "fixed"), params=params, mirrored=mirrored)
 
 
-def check_marks(layer: Layer | str, to: Layer | str, holes: LayerHoles, path: str | None) -> None:
+def check_marks(layer: Layer | str, fixed: Layer | str, holes: LayerHoles, path: str | None) -> None:
     """Refuse what cannot be registered, before a volume is mapped: too few holes in an image, or marks of no use.
 
     ``layer`` and ``to`` are names where they are volumes that were not read yet; ``path`` is the file of their marks.
     """
     if path is not None:
-        read_given(path, layer, to)
+        read_given(path, layer, fixed)
         return
-    for image in (layer, to):
+    for image in (layer, fixed):
         if not isinstance(image, str) and image.kind == "image":
             need_holes(holes.of(image, image), holes.params.hole_um)
 
@@ -239,9 +241,9 @@ def read_given(path: str, moving: Layer | str, fixed: Layer | str) -> xr.Dataset
     ]
     marks = read_any(path, moving=pixels[0], fixed=pixels[1])
     pair_of_layers(marks, name=Path(path).name)  # one layer alone is refused
-    if (count := int(paired(marks).sum())) < 3:
+    if (n_pairs := int(paired(marks).sum())) < 3:
         raise MarkError(
-            f"{Path(path).name} holds {count} pairs of marks in use; a registration needs 3 to say "
+            f"{Path(path).name} holds {n_pairs} pairs of marks in use; a registration needs 3 to say "
             "how good it is. Add more, far apart."
         )
     return marks
@@ -259,12 +261,14 @@ def volume_to_map(marks: xr.Dataset, name: str, groups: Mapping[str, xr.Dataset]
     frame = Frame.of(groups["surfaces"])
     points = points_of(marks, "volume")[:, ["xyz".index(axis) for axis in (frame.cols, frame.rows)]]
     uv = values_at(groups["flat"], ("u", "v"), points)
-    off_sheet = np.isfinite(points).all(axis=1) & ~np.isfinite(uv).all(axis=1)
-    if off_sheet.any():
+    is_off_sheet = np.isfinite(points).all(axis=1) & ~np.isfinite(uv).all(axis=1)
+    if is_off_sheet.any():
         raise MarkError(
-            f"The marks {', '.join(map(str, marks['label'].values[off_sheet]))} do not lie on the sheet. Check the "
+            f"The marks {', '.join(map(str, marks['label'].values[is_off_sheet]))} do not lie on the sheet. Check the "
             "axes and the unit (um) of the table."
         )
-    moved = marks.drop_vars("volume_z")
-    moved = moved.rename({n: str(n).replace("volume_", "moving_") for n in moved if str(n).startswith("volume_")})
-    return moved.assign(moving_x=("mark", uv[:, 0]), moving_y=("mark", uv[:, 1]))
+    map_marks = marks.drop_vars("volume_z")
+    map_marks = map_marks.rename(
+        {n: str(n).replace("volume_", "moving_") for n in map_marks if str(n).startswith("volume_")}
+    )
+    return map_marks.assign(moving_x=("mark", uv[:, 0]), moving_y=("mark", uv[:, 1]))

@@ -134,8 +134,8 @@ class Run:
         checks = ", ".join(f"{count} {state}" for state, count in states.items()) or "none"
         lines = ["Run" if self.folder is None else f"Run in {self.folder}"]
         lines += [f"{layer.name}: {layer.source.name}" for layer in self.results.layers[:_MOST_LAYERS]]
-        if more := self.results.layers[_MOST_LAYERS:]:
-            lines.append(f"and {len(more)} more layers")
+        if omitted_layers := self.results.layers[_MOST_LAYERS:]:
+            lines.append(f"and {len(omitted_layers)} more layers")
         lines.append(f"checks: {checks}")
         if pair := lead_pair(self.results):
             row = largest(pair)

@@ -62,12 +62,12 @@ def run_study(
     """
     compute = compute or Compute()
     # What is free changes while a run works, and the width of its columns must not.
-    settled = changed(compute, memory_bytes=compute.memory)
-    return_memory(settled)
+    fixed_compute = changed(compute, memory_bytes=compute.memory)
+    return_memory(fixed_compute)
     with limit_threads(compute.threads):
         if out is None:
             check_request(study, compute, held=True)
-            return replace(_make(study, {}, {}, settled, progress), unchanged={})
+            return replace(_make(study, {}, {}, fixed_compute, progress), unchanged={})
         out = Path(out)
         refuse_existing(out)
         refuse_inside(out, [layer.path for layer in study.layers])
@@ -76,41 +76,44 @@ def run_study(
         with work_folder(out, run_key(to_dict(study), hashes)) as work:
             caches = CachedMaps.of_link(study, hashes, out, compute)
             sheets = {name: sheet for name, cache in caches.items() if (sheet := cache.read()) is not None}
-            similar: dict[str, Layer] = {}
+            similar_sheets: dict[str, Layer] = {}
             if old is not None:
-                ready, similar = sheets_of(old, study, hashes)
-                sheets |= ready
+                ready_sheets, similar_sheets = sheets_of(old, study, hashes)
+                sheets |= ready_sheets
             for name in sheets:
                 progress("read", f"{name}, mapped before")
-            place = work / f".{secrets.token_hex(4)}.partial" if len(study.layers) > 1 else None
-            store = StoredMaps(place, keep_bytes=int(settled.memory * KEPT_SHARE))
-            run = _make(study, sheets, similar, settled, progress, caches=caches, work=work, sink=store)
+            sink_folder = work / f".{secrets.token_hex(4)}.partial" if len(study.layers) > 1 else None
+            sink = StoredMaps(sink_folder, keep_bytes=int(fixed_compute.memory * KEPT_SHARE))
+            run = _make(study, sheets, similar_sheets, fixed_compute, progress, caches=caches, work=work, sink=sink)
             progress("write", str(out))
             # About the bytes of its pages, and of its maps, which hold noise, with overviews.
-            needed = 5_000_000 + sum(data.nbytes for data in run.groups.values()) * 4 // 3
-            with new_folder(out, inside=work, needed=needed) as folder:
-                save_run(run, folder, home=out, store=store, figures=figures)
-            moved = {name: stored_group(out / MAPS, name) for name in store.stored}
-            return replace(run, groups={**run.groups, **moved}, unchanged={})
+            needed_bytes = 5_000_000 + sum(data.nbytes for data in run.groups.values()) * 4 // 3
+            with new_folder(out, inside=work, needed=needed_bytes) as folder:
+                save_run(run, folder, home=out, store=sink, figures=figures)
+            stored_groups = {name: stored_group(out / MAPS, name) for name in sink.stored}
+            return replace(run, groups={**run.groups, **stored_groups}, unchanged={})
 
 
 def _make(
-    study: Study, ready: Mapping[str, Layer], similar: Mapping[str, Layer], compute: Compute, progress: Progress, *,
-    caches: Mapping[str, CachedMaps] | None = None, work: Path | None = None, sink: StoredMaps | None = None,
+    study: Study, ready_sheets: Mapping[str, Layer], similar_sheets: Mapping[str, Layer], compute: Compute,
+    progress: Progress, *, caches: Mapping[str, CachedMaps] | None = None, work: Path | None = None,
+    sink: StoredMaps | None = None,
 ) -> Run:  # fmt: skip
     """Map the volumes that are not ready, and link the layers; maps of a refused link are kept in ``caches``."""
-    sheets, tiles, is_link = {**ready}, work and work / "tiles", len(study.layers) > 1
+    sheets, tile_dir, is_link = {**ready_sheets}, work and work / "tiles", len(study.layers) > 1
     try:
         # Volumes come last: what is wrong with images, runs, marks and regions should not cost their time.
-        inputs = read_inputs(study, progress) if is_link else None
+        link_inputs = read_inputs(study, progress) if is_link else None
         for layer in study.layers:
             if layer.kind == "volume" and layer.name not in sheets:
-                folder = tiles / layer.name if tiles is not None and is_link else tiles
-                before = similar.get(layer.name)
-                sheets[layer.name] = map_layer(layer, compute=compute, progress=progress, tiles=folder, before=before)
-        if inputs is None:
+                folder = tile_dir / layer.name if tile_dir is not None and is_link else tile_dir
+                old_sheet = similar_sheets.get(layer.name)
+                sheets[layer.name] = map_layer(
+                    layer, compute=compute, progress=progress, tile_dir=folder, old_sheet=old_sheet
+                )
+        if link_inputs is None:
             return gather_sheet(sheets[study.layers[0].name], study)
-        return link_layers(study, inputs, sheets, progress, sink or StoredMaps())
+        return link_layers(study, link_inputs, sheets, progress, sink or StoredMaps())
     except PlanishError as error:
         if not caches or work is None:
             raise
@@ -118,13 +121,13 @@ def _make(
             for name, cache in caches.items():
                 if cache.path.exists():
                     cache.note(cache.path, study)
-                elif name in sheets and name not in ready:
+                elif name in sheets and name not in ready_sheets:
                     sheet = sheets[name]
                     with new_folder(cache.path, inside=work) as folder:
                         save_run(gather_sheet(sheet, Study(layers=(sheet.params,))), folder, home=cache.path)
                         cache.note(folder, study)
-        if advice := next_step(error, caches, study):
-            raise type(error)(f"{error.text} {advice}") from error
+        if advice_text := next_step(error, caches, study):
+            raise type(error)(f"{error.text} {advice_text}") from error
         raise
 
 
@@ -136,9 +139,9 @@ def save_run(run: Run, folder: Path, *, home: Path, store: StoredMaps | None = N
     ``overviews/GROUP/1`` half as fine, ``/2`` half of that, and so on.
     """
     for name, sheet in run.sheets.items():
-        inner = folder / "layers" / name
-        inner.mkdir(parents=True)
-        save_run(gather_sheet(sheet, run.study), inner, home=home / "layers" / name)
+        sheet_folder = folder / "layers" / name
+        sheet_folder.mkdir(parents=True)
+        save_run(gather_sheet(sheet, run.study), sheet_folder, home=home / "layers" / name)
     for name, registration in run.registrations.items():
         path = folder / marks_file(run.results, name)
         registration.save(path)
@@ -174,26 +177,28 @@ def _with_files_of_run(study: Study, run: Run, folder: Path, home: Path) -> Stud
     def is_of_a_run(path: str | None) -> bool:  # such as edits/NAME/FILE of it
         return path is not None and any(is_run(folder) for folder in Path(path).parents[:3])
 
-    marks = {
+    marks_files = {
         name: str(home / marks_file(run.results, name))
         for name, registration in run.registrations.items()
         if registration.source == "json"
     }
-    files = {name: f"layers/{name}/{CORRECTIONS}" for name in run.sheets}
-    corrections = {name: str(home / file) if (folder / file).is_file() else None for name, file in files.items()}
+    correction_files = {name: f"layers/{name}/{CORRECTIONS}" for name in run.sheets}
+    corrections_files = {
+        name: str(home / file) if (folder / file).is_file() else None for name, file in correction_files.items()
+    }
     if "surfaces" in run.groups:
-        text = made_corrections(run.groups["surfaces"])
-        corrections[study.layers[0].name] = str(home / CORRECTIONS) if text else None
-        if text:
+        corrections_text = made_corrections(run.groups["surfaces"])
+        corrections_files[study.layers[0].name] = str(home / CORRECTIONS) if corrections_text else None
+        if corrections_text:
             (folder / CORRECTIONS).parent.mkdir(exist_ok=True)
-            (folder / CORRECTIONS).write_text(text, encoding="utf-8", newline="\n")
+            (folder / CORRECTIONS).write_text(corrections_text, encoding="utf-8", newline="\n")
     for layer in study.layers:
-        if layer.name in marks and is_of_a_run(layer.marks):
-            study = with_layer(study, layer.name, marks=marks[layer.name])
-        if layer.kind == "volume" and layer.name in corrections:
-            study = with_layer(study, layer.name, surface={"corrections": corrections[layer.name]})
-    if len(run.registrations) == 1 and marks and is_of_a_run(study.registration.marks):
-        study = changed(study, registration={"marks": next(iter(marks.values()))})
+        if layer.name in marks_files and is_of_a_run(layer.marks):
+            study = with_layer(study, layer.name, marks=marks_files[layer.name])
+        if layer.kind == "volume" and layer.name in corrections_files:
+            study = with_layer(study, layer.name, surface={"corrections": corrections_files[layer.name]})
+    if len(run.registrations) == 1 and marks_files and is_of_a_run(study.registration.marks):
+        study = changed(study, registration={"marks": next(iter(marks_files.values()))})
     return study
 
 

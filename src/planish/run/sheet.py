@@ -36,18 +36,23 @@ CORRECTIONS = "edits/surface.json"
 
 
 def map_layer(
-    layer: LayerParams, *, compute: Compute, progress: Progress, tiles: Path | None = None, before: Layer | None = None
+    layer: LayerParams,
+    *,
+    compute: Compute,
+    progress: Progress,
+    tile_dir: Path | None = None,
+    old_sheet: Layer | None = None,
 ) -> Layer:
     """Go from a volume to flattened maps of its properties.
 
-    ``tiles`` is the folder for the results of single tiles, where a run that was killed finds them again. ``before`` is
-    a sheet of the same volume with the same surface but for corrections: only what other parameters change is done
-    anew, and only the tiles that a correction touches are searched again.
+    ``tile_dir`` is for the results of single tiles, where a run that was killed finds them again. ``old_sheet``
+    is of the same volume with the same surface but for corrections: only what other parameters change is done anew,
+    and only the tiles that a correction touches are searched again.
     """
     v = layer.volume
     assert v is not None
     local = Engine(threads=compute.threads, memory_bytes=compute.for_work // 2)
-    volume, sections, surfaces, columns = _measure(layer, before, local, tiles, compute, progress)
+    volume, sections, surfaces, columns = _measure(layer, old_sheet, local, tile_dir, compute, progress)
     progress("flatten", "eight-spring mesh")
     # Before the properties: a column whose normal meets no face still has its place in the sheet.
     flattened = flatten_sheet(surfaces, params=layer.flatten)
@@ -72,20 +77,21 @@ def map_layer(
     )
     md_deg = v.md_deg if layer.md_deg is None else layer.md_deg
     if volume is None:
-        assert before is not None
-        return _remapped(before, Layer(params=params, source=before.source, groups=groups, facts=facts, md_deg=md_deg))
+        assert old_sheet is not None
+        sheet = Layer(params=params, source=old_sheet.source, groups=groups, facts=facts, md_deg=md_deg)
+        return _remapped(old_sheet, sheet)
     step = column_step(volume, v.frame, v.column_um, compute)
     groups["slices"] = some_slices(volume, v.frame, step)
     # Where single columns of voxels were measured without being asked for, nothing has to be repeated.
-    wider = {"column_um": column_um} if step > 1 and v.column_um is None else {}
-    sizes = {"voxel_um": tuple(float(s) for s in volume.attrs["voxel_um"])} | wider
+    column_params = {"column_um": column_um} if step > 1 and v.column_um is None else {}
+    size_params = {"voxel_um": tuple(float(s) for s in volume.attrs["voxel_um"])} | column_params
     progress("check", "slices, grey, layers")
     scan = check_scan(
         volume, columns, sections=sections is not None, labels=layer.surface.labels is not None, threads=compute.threads
     )
     numbers = sheet_numbers(columns, volume=volume, params=layer.properties, engine=local)
     return Layer(
-        params=changed(params, volume=sizes),
+        params=changed(params, volume=size_params),
         source=input_file(volume, v.path),
         groups=groups,
         facts=facts.model_copy(update={"numbers": numbers}),
@@ -95,9 +101,14 @@ def map_layer(
 
 
 def _measure(
-    layer: LayerParams, before: Layer | None, local: Engine, tiles: Path | None, compute: Compute, progress: Progress
+    layer: LayerParams,
+    old_sheet: Layer | None,
+    local: Engine,
+    tile_dir: Path | None,
+    compute: Compute,
+    progress: Progress,
 ) -> tuple[xr.DataArray | None, xr.Dataset | None, xr.Dataset, xr.Dataset]:
-    """Give volume (None where it was not read), sections, surfaces and measured columns; ``before`` may have them."""
+    """Give volume (None where not read), sections, surfaces and measured columns; a similar sheet may have them."""
     v = layer.volume
     assert v is not None
 
@@ -106,58 +117,58 @@ def _measure(
         return read_sheet_volume(v, compute, progress)
 
     corrections = asked_corrections(layer)
-    if before is None:
+    if old_sheet is None:
         volume, sections = read()
-        surfaces = search_sheet(volume, layer, compute=compute, progress=progress, tiles=tiles)
+        surfaces = search_sheet(volume, layer, compute=compute, progress=progress, tile_dir=tile_dir)
     else:
-        columns, sections = before.groups["surfaces"], before.groups.get("sections")
+        columns, sections = old_sheet.groups["surfaces"], old_sheet.groups.get("sections")
         surfaces, is_same_surface = surfaces_of(columns), made_corrections(columns) == corrections
-        if is_same_surface and before.params.properties == layer.properties:
+        if is_same_surface and old_sheet.params.properties == layer.properties:
             return None, sections, surfaces, columns
         volume, _ = read()
         if not is_same_surface:
             progress("surface", "corrections")
-            changes = Corrections.model_validate_json(corrections) if corrections else Corrections()
-            surfaces = correct_surfaces(surfaces, volume, changes, params=layer.surface, engine=local)
+            edits = Corrections.model_validate_json(corrections) if corrections else Corrections()
+            surfaces = correct_surfaces(surfaces, volume, edits, params=layer.surface, engine=local)
     progress("measure", f"{surfaces.sizes['y'] * surfaces.sizes['x']} columns")
     try:
         columns = measure_properties(surfaces, volume=volume, params=layer.properties, engine=local)
     except CannotMeasure as error:
-        if hint := other_axis(volume, v.through):
-            raise CannotMeasure(f"{error.text} {hint}") from error
+        if hint_text := other_axis(volume, v.through):
+            raise CannotMeasure(f"{error.text} {hint_text}") from error
         raise
     return volume, sections, surfaces, columns
 
 
-def _remapped(before: Layer, sheet: Layer) -> Layer:
-    """A sheet that was only flattened anew, with what ``before`` knows of its volume."""
-    assert before.facts is not None
+def _remapped(old_sheet: Layer, sheet: Layer) -> Layer:
+    """A sheet that was only flattened anew, with what a similar one knows of its volume."""
+    assert old_sheet.facts is not None
     assert sheet.facts is not None
     # A store has no order.
-    properties = {name: sheet.facts.properties[name] for name in before.facts.properties}
-    facts = sheet.facts.model_copy(update={"properties": properties, "numbers": before.facts.numbers})
+    properties = {name: sheet.facts.properties[name] for name in old_sheet.facts.properties}
+    facts = sheet.facts.model_copy(update={"properties": properties, "numbers": old_sheet.facts.numbers})
     checks = run_checks(MeasuredSheet(facts, sheet.groups["surfaces"]))
-    names = {check.name for check in checks}
+    check_names = {check.name for check in checks}
     return replace(
         sheet,
         facts=facts,
-        groups=sheet.groups | {"slices": before.groups["slices"]},
-        unchanged={k: v for k, v in before.unchanged.items() if k in ("surfaces", "slices", "sections")},
-        checks=(*checks, *(check for check in before.checks if check.name not in names)),
+        groups=sheet.groups | {"slices": old_sheet.groups["slices"]},
+        unchanged={k: v for k, v in old_sheet.unchanged.items() if k in ("surfaces", "slices", "sections")},
+        checks=(*checks, *(check for check in old_sheet.checks if check.name not in check_names)),
     )
 
 
 def search_sheet(
     volume: xr.DataArray, layer: LayerParams, *, compute: Compute, progress: Progress = silent,
-    tiles: Path | None = None,
+    tile_dir: Path | None = None,
 ) -> xr.Dataset:  # fmt: skip
     """Find the surfaces of a sheet; errors as those of :func:`planish.find_surfaces`."""
     v = layer.volume
     assert v is not None
     step = column_step(volume, v.frame, v.column_um, compute)
-    wide = f", columns of {step} x {step}" if step > 1 else ""
-    progress("surface", " x ".join(map(str, volume.shape)) + " voxels" + wide)
-    with engine(compute, tiles=tiles and tiles / str(step)) as worker:
+    columns_text = f", columns of {step} x {step}" if step > 1 else ""
+    progress("surface", " x ".join(map(str, volume.shape)) + " voxels" + columns_text)
+    with engine(compute, tiles=tile_dir and tile_dir / str(step)) as worker:
         return find_surfaces(
             volume, frame=v.frame, params=layer.surface, step=step, engine=worker, unusual_size=v.unusual_size
         )

@@ -162,12 +162,12 @@ def checked_study(path: Path, text: str, tables: dict[str, Any]) -> Study:
         def place(loc: Key) -> tuple[Key, int | None]:
             if loc[:1] == ("layers",) and "layers" not in tables:
                 loc = loc[2:]  # of the short form
-            older = (*loc[:2], "map", *loc[2:])  # of planish 0.1.0
-            return loc, lines.of(older if older[:4] in lines.lines else loc)
+            old_loc = (*loc[:2], "map", *loc[2:])  # of planish 0.1.0
+            return loc, lines.of(old_loc if old_loc[:4] in lines.lines else loc)
 
         faults = mistakes(error, Study, place)
-        number = f"{len(faults)} wrong parameter{'s' if len(faults) > 1 else ''}"
-        raise InputError("\n  ".join([f"{path} has {number}:", *faults])) from error
+        count_text = f"{len(faults)} wrong parameter{'s' if len(faults) > 1 else ''}"
+        raise InputError("\n  ".join([f"{path} has {count_text}:", *faults])) from error
 
 
 def _absolute(path: Path) -> str:
@@ -211,29 +211,29 @@ def with_values(study: Study, changes: Sequence[str]) -> Study:
     """
     data = to_dict(study)
     kinds = {layer.name: layer.kind for layer in study.layers}
-    faults, of_a_layer = list[str](), ("volume", "image", *MAP_SECTIONS)
+    faults, layer_sections = list[str](), ("volume", "image", *MAP_SECTIONS)
     for text in changes:
-        key, sign, value = (part.strip() for part in text.partition("="))
-        path = key.split(".")
-        name = path.pop(0) if len(path) > 2 and path[0] in kinds else None
-        if path[0] in of_a_layer:
-            kind = "image" if path[0] == "image" else "volume"
-            roots = [m for m in data["layers"] if name in (None, m["name"]) and kinds[m["name"]] == kind]
+        key, equals, value = (word.strip() for word in text.partition("="))
+        keys = key.split(".")
+        name = keys.pop(0) if len(keys) > 2 and keys[0] in kinds else None
+        if keys[0] in layer_sections:
+            kind = "image" if keys[0] == "image" else "volume"
+            root_tables = [m for m in data["layers"] if name in (None, m["name"]) and kinds[m["name"]] == kind]
         else:
-            roots = [data] if name is None and path[0] in Study.model_fields and path[0] != "layers" else []
-        if not (sign and roots):
-            sections = ", ".join((*of_a_layer, *LINK_SECTIONS))
-            why = "; no layer of this study has it" if sign and path[0] in of_a_layer else ""
-            faults.append(f"{text!r}: write SECTION.NAME=VALUE with a section of {sections}{why}")
+            root_tables = [data] if name is None and keys[0] in Study.model_fields and keys[0] != "layers" else []
+        if not (equals and root_tables):
+            sections = ", ".join((*layer_sections, *LINK_SECTIONS))
+            hint_text = "; no layer of this study has it" if equals and keys[0] in layer_sections else ""
+            faults.append(f"{text!r}: write SECTION.NAME=VALUE with a section of {sections}{hint_text}")
             continue
-        for root in roots:
+        for root in root_tables:
             table = root
-            for part in path[:-1]:
-                table = table.setdefault(part, {}) if isinstance(table, dict) else {}
+            for table_key in keys[:-1]:
+                table = table.setdefault(table_key, {}) if isinstance(table, dict) else {}
             if value:
-                table[path[-1]] = _value(value)
+                table[keys[-1]] = _value(value)
             else:
-                table.pop(path[-1], None)
+                table.pop(keys[-1], None)
     if faults:
         raise StudyError("; ".join(faults) + ".")
     try:

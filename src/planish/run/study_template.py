@@ -82,8 +82,8 @@ def draft_study(
         lines += ["", "", f"# {_TITLES[section]}", "", f"[{section}]"]
         for key, field, shown in _options(SECTIONS[section]):
             lines += _option(key, field, shown, section)
-    below = len(_head(name, missing))
-    missing = [gap._replace(line=gap.line + below) for gap in missing]
+    n_head_lines = len(_head(name, missing))
+    missing = [unset._replace(line=unset.line + n_head_lines) for unset in missing]
     return Draft(text="\n".join([*_head(name, missing), *lines]) + "\n", missing=tuple(missing))
 
 
@@ -102,9 +102,9 @@ def _head(name: str, missing: list[Missing]) -> list[str]:
         "# A key behind a # is an option with its default: take the # away to change it. Where an option has no",
         "# default, what is needed stands in capitals. Paths are relative to this file and stand in single quotes.",
     ]
-    for needed, title in ((True, "To fill in:"), (False, "Stated in no file; is the default right?")):
-        if listed := [f"#   line {m.line}: {m.key}: {m.why}" for m in missing if m.needed is needed]:
-            lines += ["#", f"# {title}", *listed]
+    for is_needed, title in ((True, "To fill in:"), (False, "Stated in no file; is the default right?")):
+        if item_lines := [f"#   line {m.line}: {m.key}: {m.why}" for m in missing if m.needed is is_needed]:
+            lines += ["#", f"# {title}", *item_lines]
     return lines
 
 
@@ -119,72 +119,72 @@ def _input(
         )
     facts = describe(path)
     if (facts["kind"] == "image") is not (section == "image"):
-        other = "an image" if facts["kind"] == "image" else "a volume"
+        kind_text = "an image" if facts["kind"] == "image" else "a volume"
         raise StudyError(
-            f"{path} is {other}. Give the volume first, then the image: planish new STUDY.toml VOLUME IMAGE."
+            f"{path} is {kind_text}. Give the volume first, then the image: planish new STUDY.toml VOLUME IMAGE."
         )
     # A path stands in single quotes, which Windows' paths need; as any text where it holds one.
-    place = relative_path(path.absolute(), home.absolute())
-    place = f"'{place}'" if "'" not in place and place.isprintable() else _value(place)
-    lines += ["", "", *_comment(_description(facts, section)), "", f"[{section}]", f"path = {place}"]
+    path_toml = relative_path(path.absolute(), home.absolute())
+    path_toml = f"'{path_toml}'" if "'" not in path_toml and path_toml.isprintable() else _value(path_toml)
+    lines += ["", "", *_comment(_description(facts, section)), "", f"[{section}]", f"path = {path_toml}"]
     size_key = "voxel_um" if section == "volume" else "pixel_um"
     for key, field, shown in _options(SECTIONS[section]):
-        *before, text = _option(key, field, shown, section)
-        why = _NOT_IN_FILES[section].get(key)
+        *comment_lines, option_line = _option(key, field, shown, section)
+        reason = _NOT_IN_FILES[section].get(key)
         if key == size_key and facts["size_um"]:
-            stated = _value(tuple(float(f"{um:.9g}") for um in facts["size_um"]))
-            text = f"#{key} = {stated}  # um; as stated"
+            stated_size = _value(tuple(float(f"{um:.9g}") for um in facts["size_um"]))
+            option_line = f"#{key} = {stated_size}  # um; as stated"
         elif key == size_key:
-            why = in_study_words(str(facts["size_problem"])).partition(". ")[0]
-            text += "; fill in"
+            reason = in_study_words(str(facts["size_problem"])).partition(". ")[0]
+            option_line += "; fill in"
         elif key == "through" and facts.get("through"):
-            text = f'through = "{facts["through"]}"  # along which the grey changes most'
+            option_line = f'through = "{facts["through"]}"  # along which the grey changes most'
         elif key == "through":
-            why = "the axis through the sheet, which the grey does not tell"
-        lines += [*before, text]
-        if why is not None:
-            missing.append(Missing(len(lines), f"{section}.{key}", why, key == size_key))
+            reason = "the axis through the sheet, which the grey does not tell"
+        lines += [*comment_lines, option_line]
+        if reason is not None:
+            missing.append(Missing(len(lines), f"{section}.{key}", reason, key == size_key))
 
 
 def _description(facts: dict[str, Any], section: str) -> list[str]:
     """Sentences about a file."""
     elements, axes = ("voxels", "z, y, x") if section == "volume" else ("pixels", "y, x")
-    kind, shape = facts.get("format") or facts["kind"], " x ".join(map(str, facts["shape"]))
-    text = f"{facts['file_name']}: {kind}, {shape} {elements} ({axes}), {facts['dtype']}"
-    sentences = [f"{text}, {facts['bytes'] / 1e6:.1f} MB."]
+    format_name, shape_text = facts.get("format") or facts["kind"], " x ".join(map(str, facts["shape"]))
+    file_text = f"{facts['file_name']}: {format_name}, {shape_text} {elements} ({axes}), {facts['dtype']}"
+    sentences = [f"{file_text}, {facts['bytes'] / 1e6:.1f} MB."]
     if facts["size_um"]:
-        size, extent = (" x ".join(f"{v:.6g}" for v in facts[k]) for k in ("size_um", "extent_um"))
+        size_text, extent_text = (" x ".join(f"{v:.6g}" for v in facts[k]) for k in ("size_um", "extent_um"))
         sentences.append(
-            f"{elements.capitalize()} of {size} um ({axes}), from {facts['size_source']}; extent {extent} um."
+            f"{elements.capitalize()} of {size_text} um ({axes}), from {facts['size_source']}; extent {extent_text} um."
         )
     else:
         sentences.append(f"No {elements[:-1]} size is stated in it.")
     if facts["min"] is not None:
-        levels = ", ".join(f"{level:.5g} ({k} %)" for k, level in facts["percentiles"].items())
-        sentences.append(f"Grey {facts['min']:.5g} to {facts['max']:.5g}; percentiles {levels}.")
+        percentiles_text = ", ".join(f"{level:.5g} ({k} %)" for k, level in facts["percentiles"].items())
+        sentences.append(f"Grey {facts['min']:.5g} to {facts['max']:.5g}; percentiles {percentiles_text}.")
     return sentences + [f"Look: {warning}" for warning in facts["warnings"] if warning != facts["size_problem"]]
 
 
 def _option(key: str, field: FieldInfo, shown: Shown, section: str) -> list[str]:
     """Lines of one option: what it is, and its default behind a sign."""
-    inner = models_in(field.annotation)
+    nested_models = models_in(field.annotation)
     lines = ["", *_comment([in_study_words(str(field.description))])]
-    if inner:
+    if nested_models:
         lines.append(f"#[{section}.{key}]")
-        for name, part, how in _options(inner[0]):  # pyright: ignore[reportArgumentType]
-            lines += _option(name, part, how, f"{section}.{key}")[1:]
+        for name, nested_field, nested_shown in _options(nested_models[0]):  # pyright: ignore[reportArgumentType]
+            lines += _option(name, nested_field, nested_shown, f"{section}.{key}")[1:]
         return lines
     kinds = kinds_of(field.annotation)
-    words = [str(word) for kind in kinds if get_origin(kind) is Literal for word in get_args(kind)]
+    literals = [str(word) for kind in kinds if get_origin(kind) is Literal for word in get_args(kind)]
     default = field.get_default()
-    note = "names in quotes, with commas between them" if kinds == [tuple[str, ...]] else unit_of(key) or ""
-    if default is None and words and len(kinds) == 1:
-        default = words[0]
+    note_text = "names in quotes, with commas between them" if kinds == [tuple[str, ...]] else unit_of(key) or ""
+    if default is None and literals and len(kinds) == 1:
+        default = literals[0]
     value = _placeholder(kinds, shown) if default is None else _value(default)
-    if alternatives := [word for word in words if word != str(words[0] if default is None else default)]:
-        choices = " or ".join(map(_value, alternatives)) + (" or a number" if float in kinds else "")
-        note = f"{note}; or {choices}" if note else f"or {choices}"
-    return [*lines, f"#{key} = {value}" + (f"  # {note}" if note else "")]
+    if alternatives := [word for word in literals if word != str(literals[0] if default is None else default)]:
+        choices_text = " or ".join(map(_value, alternatives)) + (" or a number" if float in kinds else "")
+        note_text = f"{note_text}; or {choices_text}" if note_text else f"or {choices_text}"
+    return [*lines, f"#{key} = {value}" + (f"  # {note_text}" if note_text else "")]
 
 
 def _placeholder(kinds: list[Any], shown: Shown) -> str:
@@ -200,8 +200,13 @@ def _placeholder(kinds: list[Any], shown: Shown) -> str:
 
 
 def _comment(sentences: list[str]) -> list[str]:
-    how: Any = {"initial_indent": "# ", "subsequent_indent": "# ", "break_long_words": False, "break_on_hyphens": False}
-    return [line for sentence in sentences for line in textwrap.wrap(sentence, 100, **how)]
+    wrap_options: Any = {
+        "initial_indent": "# ",
+        "subsequent_indent": "# ",
+        "break_long_words": False,
+        "break_on_hyphens": False,
+    }
+    return [line for sentence in sentences for line in textwrap.wrap(sentence, 100, **wrap_options)]
 
 
 def _value(value: Any) -> str:

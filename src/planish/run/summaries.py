@@ -53,11 +53,11 @@ def input_file(data: xr.DataArray, path: str) -> InputFile:
 def surface_facts(surfaces: xr.Dataset) -> SurfaceFacts:
     """What the surface search learnt and how much of the sheet it measured."""
     status = surfaces["status"]
-    names = str(status.attrs["flag_meanings"]).split()
-    shares = {name: float((status.values == k).mean()) for k, name in enumerate(names)}
-    search = {k: surfaces.attrs.get(k) for k in SurfaceFacts.model_fields}
-    counts = {k: int(search[k] or 0) for k in ("particles_removed", "half_closed_holes")}
-    return SurfaceFacts.model_validate(search | counts | {"columns": status.size, "shares": shares})
+    status_names = str(status.attrs["flag_meanings"]).split()
+    shares = {name: float((status.values == k).mean()) for k, name in enumerate(status_names)}
+    search_facts = {k: surfaces.attrs.get(k) for k in SurfaceFacts.model_fields}
+    counts = {k: int(search_facts[k] or 0) for k in ("particles_removed", "half_closed_holes")}
+    return SurfaceFacts.model_validate(search_facts | counts | {"columns": status.size, "shares": shares})
 
 
 def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
@@ -72,16 +72,21 @@ def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
         p5, p50, p95 = np.percentile(values, [5, 50, 95])
         error = surfaces.get(f"{name}_se")
         errors = np.empty(0) if error is None else error.values[np.isfinite(error.values)].astype(np.float64)
-        of_mean: dict[str, Any] = {}
+        mean_facts: dict[str, Any] = {}
         if error is not None and errors.size and "patch_um2" in error.attrs:
-            count = max(1.0, errors.size * min(1.0, math.prod(pitch(surfaces)) / float(error.attrs["patch_um2"])))
-            common = float(error.attrs["common_um"])
-            single = float(np.mean(np.maximum(errors**2 - common**2, 0.0)))
-            of_mean = {"n_independent": int(count), "mean_standard_error": float(np.sqrt(single / count + common**2))}
+            n_independent = max(
+                1.0, errors.size * min(1.0, math.prod(pitch(surfaces)) / float(error.attrs["patch_um2"]))
+            )
+            common_um = float(error.attrs["common_um"])
+            independent_variance = float(np.mean(np.maximum(errors**2 - common_um**2, 0.0)))
+            mean_facts = {
+                "n_independent": int(n_independent),
+                "mean_standard_error": float(np.sqrt(independent_variance / n_independent + common_um**2)),
+            }
         facts[str(name)] = PropertyFacts(
             units=str(data.attrs["units"]), n=int(values.size), mean=float(values.mean()), sd=float(values.std()),
             p5=float(p5), median=float(p50), p95=float(p95), support_um=data.attrs.get("support_um"),
-            standard_error=float(np.median(errors)) if errors.size else None, **of_mean,
+            standard_error=float(np.median(errors)) if errors.size else None, **mean_facts,
         )  # fmt: skip
     return facts
 
@@ -89,13 +94,13 @@ def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
 def section_facts(sections: xr.Dataset) -> SectionFacts:
     """How serial sections were joined."""
     attrs, aligned = sections.attrs, sections["aligned"].values
-    rms = [float(np.sqrt(np.mean(sections[f"shift_{axis}"].values[aligned] ** 2))) for axis in ("row", "col")]
+    shift_rms_um = [float(np.sqrt(np.mean(sections[f"shift_{axis}"].values[aligned] ** 2))) for axis in ("row", "col")]
     row, col = (float(v) for v in attrs["jitter_left_um"])
     alignment = {k: v for k, v in attrs.items() if k in SectionFacts.model_fields}
     return SectionFacts.model_validate(alignment | {
         "count": int(aligned.size), "not_aligned": int(np.count_nonzero(~aligned)),
-        "gain_sd": float(np.std(sections["gain"].values[aligned])), "shift_row_rms_um": rms[0],
-        "shift_col_rms_um": rms[1], "jitter_left_row_um": row, "jitter_left_col_um": col,
+        "gain_sd": float(np.std(sections["gain"].values[aligned])), "shift_row_rms_um": shift_rms_um[0],
+        "shift_col_rms_um": shift_rms_um[1], "jitter_left_row_um": row, "jitter_left_col_um": col,
     })  # fmt: skip
 
 
@@ -137,35 +142,35 @@ def _registration_facts(layer: Layer, link: Link, maps: xr.Dataset, lag: LagNumb
 
 def _orientation_facts(moving: Layer, fixed: Layer, fit: FittedTransform) -> OrientationFacts:
     """How two registered layers lie on each other: side, hand and machine direction, as given; nothing is guessed."""
-    numbered_back = fit.mirrored != (moving.side != fixed.side)
-    carried = None
+    is_reversed = fit.mirrored != (moving.side != fixed.side)
+    md_fixed_deg = None
     if moving.md_deg is not None:  # an axis, deg clockwise on screen from x: 0 to 180
-        angle = np.deg2rad(moving.md_deg)
-        x, y = fit.transform.matrix() @ (np.cos(angle), np.sin(angle))
-        carried = float(np.rad2deg(np.arctan2(y, x)) % 180.0)
-    words = [
+        angle_rad = np.deg2rad(moving.md_deg)
+        x, y = fit.transform.matrix() @ (np.cos(angle_rad), np.sin(angle_rad))
+        md_fixed_deg = float(np.rad2deg(np.arctan2(y, x)) % 180.0)
+    sentences = [
         f"Side of the {layer.name} not given; top side assumed (--image-side)."
         if layer.side_given is None
         else f"The {layer.name} shows the {layer.side} side of the sheet, as given."
         for layer in (moving, fixed)
         if layer.kind == "image"
     ]
-    if numbered_back:
-        words.append(f"The marks fit mirrored only: the {moving.name} is numbered against the usual sense.")
-    start = "The machine direction lies at"
-    if carried is not None:
-        stated = "." if fixed.md_deg is None else f"; {_angle(fixed.md_deg)} was given there."
-        carried_on = f"so at {_angle(carried)} in the {fixed.name}{stated}"
-        words.append(f"{start} {_angle(moving.md_deg)} in the {moving.name} and {carried_on}")
+    if is_reversed:
+        sentences.append(f"The marks fit mirrored only: the {moving.name} is numbered against the usual sense.")
+    md_text = "The machine direction lies at"
+    if md_fixed_deg is not None:
+        given_text = "." if fixed.md_deg is None else f"; {_angle(fixed.md_deg)} was given there."
+        carried_text = f"so at {_angle(md_fixed_deg)} in the {fixed.name}{given_text}"
+        sentences.append(f"{md_text} {_angle(moving.md_deg)} in the {moving.name} and {carried_text}")
     elif fixed.md_deg is not None:
-        lacking = f"none was given for the {moving.name}."
-        words.append(f"{start} {_angle(fixed.md_deg)} in the {fixed.name}, as given; {lacking}")
+        lacking_text = f"none was given for the {moving.name}."
+        sentences.append(f"{md_text} {_angle(fixed.md_deg)} in the {fixed.name}, as given; {lacking_text}")
     else:
-        words.append("Machine direction not given (--md-deg, --image-md-deg).")
+        sentences.append("Machine direction not given (--md-deg, --image-md-deg).")
     return OrientationFacts(
         image_side=fixed.side, side_given=fixed.side_given is not None or fixed.kind == "sheet",
-        mirrored_volume=numbered_back, md_deg_moving=moving.md_deg, md_deg_fixed=fixed.md_deg,
-        md_deg_fixed_from_moving=carried, sentence=" ".join(words),
+        mirrored_volume=is_reversed, md_deg_moving=moving.md_deg, md_deg_fixed=fixed.md_deg,
+        md_deg_fixed_from_moving=md_fixed_deg, sentence=" ".join(sentences),
     )  # fmt: skip
 
 
@@ -178,14 +183,14 @@ def linked_area(linked: xr.Dataset, mask: Callable[[Grid], Bools]) -> LinkedArea
     grid, counts = Grid.of(linked), np.zeros(3, dtype=np.int64)
     for rows, (u, valid) in read_bands(linked["u"], linked["valid"]):
         is_sheet = np.isfinite(u)
-        counts += [np.count_nonzero(part) for part in (is_sheet, is_sheet & mask(grid.part(rows)), valid)]
-    (on_sheet, off_holes, valid), pixels = map(int, counts), math.prod(grid.shape)
+        counts += [np.count_nonzero(mask_part) for mask_part in (is_sheet, is_sheet & mask(grid.part(rows)), valid)]
+    (n_on_sheet, n_off_holes, valid), pixels = map(int, counts), math.prod(grid.shape)
     return LinkedArea(
         pixels=pixels,
-        share_on_sheet=on_sheet / pixels,
+        share_on_sheet=n_on_sheet / pixels,
         share_valid=valid / pixels,
-        share_valid_of_sheet=valid / max(on_sheet, 1),
-        share_valid_away_from_holes=valid / max(off_holes, 1),
+        share_valid_of_sheet=valid / max(n_on_sheet, 1),
+        share_valid_away_from_holes=valid / max(n_off_holes, 1),
     )
 
 
@@ -208,20 +213,20 @@ def _figure_rows(results: Results) -> Iterator[Sequence[Any]]:
 
     for layer in results.layers:
         for name, p in ({} if layer.sheet is None else layer.sheet.properties).items():
-            end = p.units, p.n, p.trust, why((layer.name,), name)
-            yield layer.name, name, "mean", text(p.mean), text(p.mean_standard_error), *end
-            yield layer.name, name, "sd", text(p.sd), "", *end
+            tail = p.units, p.n, p.trust, why((layer.name,), name)
+            yield layer.name, name, "mean", text(p.mean), text(p.mean_standard_error), *tail
+            yield layer.name, name, "sd", text(p.sd), "", *tail
             if p.standard_error is not None:
-                yield layer.name, name, "standard error of a column", text(p.standard_error), "", *end
+                yield layer.name, name, "standard error of a column", text(p.standard_error), "", *tail
         r = layer.registration
         if r is not None and (e := r.expected_error) is not None:
-            end = "um", r.matched, e.trust, why((layer.name,), "position")
+            tail = "um", r.matched, e.trust, why((layer.name,), "position")
             for statistic, um in (("median", e.median_um), ("largest", e.largest_um)):
-                yield layer.name, "expected error of the position", statistic, text(um), "", *end
+                yield layer.name, "expected error of the position", statistic, text(um), "", *tail
     for row in results.correlations:
-        figure, size = f"r of {row.a_map} and {row.b_map}", f"points of {row.point_um:g} um"
-        start = f"{row.a} {row.b}", figure
-        trust = row.trust, why((row.a, row.b), row.a_map, row.b_map, "position", "correlation")
-        yield *start, size, text(row.r), "", "1", row.n, *trust
+        figure_name, size_text = f"r of {row.a_map} and {row.b_map}", f"points of {row.point_um:g} um"
+        head = f"{row.a} {row.b}", figure_name
+        trust_cells = row.trust, why((row.a, row.b), row.a_map, row.b_map, "position", "correlation")
+        yield *head, size_text, text(row.r), "", "1", row.n, *trust_cells
         for side, limit in zip(("lower", "upper"), row.interval if is_known(row.interval) else (), strict=False):
-            yield *start, f"{size}, {side} 95 % limit", limit, "", "1", round(row.n_eff), *trust
+            yield *head, f"{size_text}, {side} 95 % limit", limit, "", "1", round(row.n_eff), *trust_cells

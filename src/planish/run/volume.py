@@ -40,21 +40,21 @@ def read_sheet_volume(
 
 def _read(params: VolumeParams, compute: Compute) -> xr.DataArray:
     """Read a volume that is none of sections, for local threads or for the processes of a cluster."""
-    how: dict[str, Any] = params.how | {"memory_bytes": compute.volume_bytes}
-    volume = read_volume(params.path, **how)
+    read_options: dict[str, Any] = params.how | {"memory_bytes": compute.volume_bytes}
+    volume = read_volume(params.path, **read_options)
     if compute.scheduler is None:
         return volume
     # It travels to other processes as the name of its file; each of them opens it once.
-    return computed(volume, partial(_read_by_name, params.path, tuple(how.items())))
+    return computed(volume, partial(_read_by_name, params.path, tuple(read_options.items())))
 
 
-def _read_by_name(path: str, how: tuple[tuple[str, Any], ...], where: Where) -> NDArray[Any]:
-    return _opened(path, how).variable[where].values
+def _read_by_name(path: str, read_options: tuple[tuple[str, Any], ...], window: Where) -> NDArray[Any]:
+    return _opened(path, read_options).variable[window].values
 
 
 @lru_cache(maxsize=1)
-def _opened(path: str, how: tuple[tuple[str, Any], ...]) -> xr.DataArray:
-    return read_volume(path, **dict(how))
+def _opened(path: str, read_options: tuple[tuple[str, Any], ...]) -> xr.DataArray:
+    return read_volume(path, **dict(read_options))
 
 
 def read_whole(params: VolumeParams, compute: Compute, progress: Progress) -> xr.DataArray:
@@ -93,14 +93,14 @@ def _join_sections(params: VolumeParams, compute: Compute, progress: Progress) -
     stack = read_section_stack(path, **params.how, memory_bytes=compute.volume_bytes // COPIES_OF_SECTIONS)
     progress("align", f"{stack.values.shape[0]} sections")
     series = SectionSeries(stack.values, stack.positions_um, stack.pixel_um)
-    fixed = None
+    fixed_features = None
     if params.fixed_rows is not None or params.fixed_cols is not None:
-        fixed = fixed_places(stack.values, stack.pixel_um, rows=params.fixed_rows, cols=params.fixed_cols)
-    poses, gains = align_sections(series, fixed=fixed), normalise_sections(series)
+        fixed_features = fixed_places(stack.values, stack.pixel_um, rows=params.fixed_rows, cols=params.fixed_cols)
+    poses, gains = align_sections(series, fixed=fixed_features), normalise_sections(series)
     volume = regular_volume(series, alignment=poses, gains=gains, attrs=stack.attrs)
-    first = float(volume.attrs["first_position_um"])
-    columns = {
-        "position": (stack.positions_um - first, "Place along the volume", "um"),
+    first_um = float(volume.attrs["first_position_um"])
+    section_columns = {
+        "position": (stack.positions_um - first_um, "Place along the volume", "um"),
         "shift_row": (poses.shift_um[:, 0], "Shift taken off, rows", "um"),
         "shift_col": (poses.shift_um[:, 1], "Shift taken off, columns", "um"),
         "rotation": (poses.rotation_rad, "Rotation taken off", "rad"),
@@ -110,17 +110,17 @@ def _join_sections(params: VolumeParams, compute: Compute, progress: Progress) -
     sections = xr.Dataset(
         {
             name: ("section", values, ({} if units is None else {"units": units}) | {"long_name": title})
-            for name, (values, title, units) in columns.items()
+            for name, (values, title, units) in section_columns.items()
         },
         attrs={
             "kind": stack.kind,
-            "first_position_um": first,
+            "first_position_um": first_um,
             "cutoff_um": poses.cutoff_um,
             "missing": int(volume.attrs["sections_missing"]),
             "jitter_left_um": [float(v) for v in poses.jitter_left_um],
             "pairs_used": poses.pairs_used,
             "pairs_refused": poses.pairs_refused,
-            "fixed": [name for name, held in zip(("row", "col", "rotation"), poses.fixed, strict=True) if held],
+            "fixed": [name for name, is_fixed in zip(("row", "col", "rotation"), poses.fixed, strict=True) if is_fixed],
         },
     )
     return volume, sections
@@ -129,12 +129,12 @@ def _join_sections(params: VolumeParams, compute: Compute, progress: Progress) -
 def some_slices(volume: xr.DataArray, frame: Frame, step: int) -> xr.Dataset:
     """A few slices through the sheet, to draw its surfaces on; ``row`` is the row of columns that each lies in."""
     rows = volume.sizes[frame.rows] // step * step
-    shown = np.unique(np.linspace(0, rows - 1, 5).astype(int)[1:-1])
-    parts = [frame.columns(volume.isel({frame.rows: slice(k, k + 1)}).load()).values[0] for k in shown]
-    values = np.stack([np.ascontiguousarray(part.T) for part in parts])
+    row_indices = np.unique(np.linspace(0, rows - 1, 5).astype(int)[1:-1])
+    slices_2d = [frame.columns(volume.isel({frame.rows: slice(k, k + 1)}).load()).values[0] for k in row_indices]
+    values = np.stack([np.ascontiguousarray(slice_2d.T) for slice_2d in slices_2d])
     axes = {"slice": frame.rows, "height": frame.through, "x": frame.cols}
     coords = {name: volume.coords[axis].values for name, axis in axes.items()}
-    coords["slice"] = coords["slice"][shown]
+    coords["slice"] = coords["slice"][row_indices]
     grey = (tuple(axes), values, {"long_name": "Grey value", "units": "1"})
-    data = {"grey": grey, "row": ("slice", shown // step)}
+    data = {"grey": grey, "row": ("slice", row_indices // step)}
     return xr.Dataset(data, {k: ((k,), v, {"units": "um"}) for k, v in coords.items()}, frame.attrs())
