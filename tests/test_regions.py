@@ -337,7 +337,7 @@ def test_regions_off_the_reference_or_all_over_it_are_refused(tmp_path):
     for content, word in ((beside, "no pixel"), (over, "every pixel")):
         path = written(tmp_path / f"{word}.json", content)
         with pytest.raises(InputError, match=rf"{word} of the reference .* x from 0 to 58 um and y from 0 to 38 um"):
-            regions_on(str(path), grid)
+            regions_on(read_regions(path), grid, str(path))
 
 
 # --- studies and runs ------------------------------------------------------------------------------------------------

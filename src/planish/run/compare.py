@@ -12,6 +12,7 @@ from planish.core.bands import read_bands
 from planish.core.errors import InputError
 from planish.core.grid import Grid
 from planish.core.options import params_of
+from planish.marks.regions import read_regions
 from planish.run.regions import regions_on
 
 
@@ -43,8 +44,8 @@ def correlate_maps(
         maker="pl.resample_maps(measured, flat, onto=image, registration=registration)",
     )  # fmt: skip
     params = params_of(CorrelateParams, params, "pl.correlate_maps")
-    regions = regions_on(params.regions, grid := Grid.of(linked))
-    if regions is not None:
+    if params.regions is not None:
+        regions = regions_on(read_regions(params.regions), grid := Grid.of(linked), params.regions)
         if "reach_um" in linked["image"].attrs:
             raise InputError(
                 "A screen was taken off the image before the regions were known, and what they hold has reached their "

@@ -29,7 +29,10 @@ from planish.run.summaries import input_file
 
 
 class LinkInputs(NamedTuple):
-    """What a link holds before its volumes are mapped: images and runs, regions on a reference of these, and holes."""
+    """What a link holds before its volumes are mapped: images and runs, regions, and holes.
+
+    Regions are in um of the reference where this is one of the layers, otherwise as they were read.
+    """
 
     layers: dict[str, Layer]
     regions: Regions | None
@@ -46,8 +49,8 @@ def link_layers(
     by_name, regions, holes = {**sheets, **inputs.layers}, inputs.regions, inputs.holes
     layers = [by_name[params.name] for params in study.layers]
     reference = layers[-1]
-    if reference.params.kind == "volume":
-        regions = regions_on(study.correlate.regions, reference.grid)
+    if reference.params.kind == "volume" and regions is not None:
+        regions = regions_on(regions, reference.grid, study.correlate.regions)
     links = _register(layers, holes, study, progress)
     chains = {name: link.chain for name, link in links.items()}
     progress("link", f"{' x '.join(map(str, reference.grid.shape))} pixels of the {reference.name}")
@@ -68,8 +71,8 @@ def link_layers(
     return gather_link(LinkedLayers(study, layers, links, holes, maps, mask, sink))
 
 
-def read_inputs(study: Study, progress: Progress) -> LinkInputs:
-    """Read the images and runs of a link, check its marks, and lay its regions on a reference that is one of them."""
+def read_inputs(study: Study, regions: Regions | None, progress: Progress) -> LinkInputs:
+    """Read the images and runs of a link, check its marks, and lay ``regions`` on a reference that is one of them."""
     layers, holes = dict[str, Layer](), LayerHoles(study.holes)
     for params in study.layers:
         if params.kind == "volume":
@@ -88,7 +91,8 @@ def read_inputs(study: Study, progress: Progress) -> LinkInputs:
         marks = params.marks or study.registration.marks
         check_marks(layers.get(params.name, params.name), layers.get(fixed_name, fixed_name), holes, marks)
     reference = layers.get(names[-1])
-    regions = None if reference is None else regions_on(study.correlate.regions, reference.grid)
+    if reference is not None and regions is not None:
+        regions = regions_on(regions, reference.grid, study.correlate.regions)
     for name, layer in layers.items():
         if layer.image is not None and layer.params.image is not None:
             # Artefacts that are declared on an image do not reach their neighbours.

@@ -9,7 +9,7 @@ from planish.core.memory import enough_gb
 from planish.design import read_pattern
 from planish.io.info import LINK_BYTES, PIXEL_BYTES
 from planish.io.picture import pixels_of
-from planish.marks.regions import read_regions
+from planish.marks.regions import Regions, read_regions
 from planish.measure import PROPERTIES, check_maps, possible_maps
 from planish.run.compute import Compute
 from planish.run.sheet import asked_corrections
@@ -28,8 +28,8 @@ _SUMS = (
 _REFINED_BYTES, _HELD_BYTES, _COMPARED_BYTES = 120, 130, 24
 
 
-def check_request(study: Study, compute: Compute, *, held: bool = False) -> None:
-    """Raise what no volume can change; ``held``: the results stay in memory.
+def check_request(study: Study, compute: Compute, *, held: bool = False) -> Regions | None:
+    """Raise what no volume can change, and give the regions that were read; ``held``: the results stay in memory.
 
     CannotMeasure names further maps that are unknown or lack a number, InputError what needs other maps, layers or
     references, FileError a file that cannot be read, and ResourceError an image beyond the memory.
@@ -55,8 +55,7 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> None
     _check_light(study)
     if study.registration.design is not None:
         read_pattern(study.registration.design)
-    if study.correlate.regions is not None:
-        read_regions(study.correlate.regions)
+    regions = None if study.correlate.regions is None else read_regions(study.correlate.regions)
     for layer in study.layers:
         if layer.image is not None:
             rows, cols = pixels_of(Path(layer.path))
@@ -71,6 +70,7 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> None
                     f"memory, {compute.memory / 1e9:.1f} GB are allowed. Give more with --memory "
                     f"{enough_gb(needed_bytes)}GB, or crop or bin it."
                 )
+    return regions
 
 
 def _check_beside(study: Study) -> None:

@@ -9,28 +9,25 @@ import numpy as np
 from planish.core.bands import bands
 from planish.core.errors import InputError
 from planish.core.grid import Grid
-from planish.marks.regions import Regions, geojson_text, read_regions
+from planish.marks.regions import Regions, geojson_text
 from planish.results import RegionFacts, RegionsFacts
 
 REGIONS = "regions.geojson"
 """Name of the file of a run that holds them, in um of the reference."""
 
 
-def regions_on(path: str | None, grid: Grid) -> Regions | None:
-    """Read the regions of a study, in um of the reference; None where it declares none.
+def regions_on(declared: Regions, grid: Grid, path: str | None) -> Regions:
+    """Bring regions that were read from ``path`` to um of the reference.
 
-    FileError where the file holds no polygons, InputError where no pixel of the reference lies in a region, or every
-    one.
+    InputError where no pixel of the reference lies in a region, or every one.
     """
-    if path is None:
-        return None
-    regions = read_regions(path).on(grid)
+    regions = declared.on(grid)
     share = region_facts(regions, grid).share
     if share in (0, 1):
         x, y = (f"{coords_um[0]:g} to {coords_um[-1]:g} um" for coords_um in (grid.x_um, grid.y_um))
         raise InputError(
-            f"{Path(path).name}: {'every' if share else 'no'} pixel of the reference lies in a region. Its pixels lie "
-            f"at x from {x} and y from {y}. Give regions of this reference: GeoJSON in um, selections of ImageJ in its "
+            f"{Path(str(path)).name}: {'every' if share else 'no'} pixel of the reference lies in a region. Its pixels "
+            f"lie at x from {x} and y from {y}. Give regions of this reference: GeoJSON in um, selections of ImageJ in its "
             "pixels."
         )
     return regions

@@ -18,6 +18,7 @@ from planish.io import fingerprint
 from planish.io.map_store import OVERVIEWS, StoredMaps, stored_group
 from planish.io.run_folder import new_folder, refuse_existing, refuse_inside, take_group, work_folder, write_tree
 from planish.marks import write_marks
+from planish.marks.regions import Regions
 from planish.report import FIGURES, write_report
 from planish.run.cached_maps import CachedMaps, next_step, sheets_of
 from planish.run.compute import Compute, Progress, return_memory, run_key, silent
@@ -66,12 +67,12 @@ def run_study(
     return_memory(fixed_compute)
     with limit_threads(compute.threads):
         if out is None:
-            check_request(study, compute, held=True)
-            return replace(_make(study, {}, {}, fixed_compute, progress), unchanged={})
+            regions = check_request(study, compute, held=True)
+            return replace(_make(study, regions, {}, {}, fixed_compute, progress), unchanged={})
         out = Path(out)
         refuse_existing(out)
         refuse_inside(out, [layer.path for layer in study.layers])
-        check_request(study, compute)
+        regions = check_request(study, compute)
         hashes = [hash_of_input(layer.path) for layer in study.layers]
         with work_folder(out, run_key(to_dict(study), hashes)) as work:
             caches = CachedMaps.of_link(study, hashes, out, compute)
@@ -84,7 +85,9 @@ def run_study(
                 progress("read", f"{name}, mapped before")
             sink_folder = work / f".{secrets.token_hex(4)}.partial" if len(study.layers) > 1 else None
             sink = StoredMaps(sink_folder, keep_bytes=int(fixed_compute.memory * KEPT_SHARE))
-            run = _make(study, sheets, similar_sheets, fixed_compute, progress, caches=caches, work=work, sink=sink)
+            run = _make(
+                study, regions, sheets, similar_sheets, fixed_compute, progress, caches=caches, work=work, sink=sink
+            )
             progress("write", str(out))
             # About the bytes of its pages, and of its maps, which hold noise, with overviews.
             needed_bytes = 5_000_000 + sum(data.nbytes for data in run.groups.values()) * 4 // 3
@@ -95,15 +98,15 @@ def run_study(
 
 
 def _make(
-    study: Study, ready_sheets: Mapping[str, Layer], similar_sheets: Mapping[str, Layer], compute: Compute,
-    progress: Progress, *, caches: Mapping[str, CachedMaps] | None = None, work: Path | None = None,
+    study: Study, regions: Regions | None, ready_sheets: Mapping[str, Layer], similar_sheets: Mapping[str, Layer],
+    compute: Compute, progress: Progress, *, caches: Mapping[str, CachedMaps] | None = None, work: Path | None = None,
     sink: StoredMaps | None = None,
 ) -> Run:  # fmt: skip
     """Map the volumes that are not ready, and link the layers; maps of a refused link are kept in ``caches``."""
     sheets, tile_dir, is_link = {**ready_sheets}, work and work / "tiles", len(study.layers) > 1
     try:
         # Volumes come last: what is wrong with images, runs, marks and regions should not cost their time.
-        link_inputs = read_inputs(study, progress) if is_link else None
+        link_inputs = read_inputs(study, regions, progress) if is_link else None
         for layer in study.layers:
             if layer.kind == "volume" and layer.name not in sheets:
                 folder = tile_dir / layer.name if tile_dir is not None and is_link else tile_dir
