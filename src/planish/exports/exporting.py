@@ -16,25 +16,11 @@ from planish.core.files import new_file
 from planish.core.grid import Grid
 from planish.core.options import flag_of, params_of
 from planish.core.threads import limit_threads
+from planish.exports import run_contents
 from planish.exports.content import Maps
 from planish.exports.formats import FORMATS, ExportFormat, ExportParams, formats_with, is_file, writer_of
 from planish.exports.meshes import SURFACES, Surface, steps_of
-from planish.exports.run_contents import (
-    IMAGE,
-    STRAIGHTENED,
-    checked_names,
-    history_of,
-    landmarks,
-    map_group,
-    map_levels,
-    map_names,
-    maps_of,
-    registered_layers,
-    scale_of,
-    sheet_facts,
-    straightened_volume,
-    transforms_of,
-)
+from planish.exports.run_contents import IMAGE, STRAIGHTENED, checked_names
 from planish.io.run_folder import new_folder, refuse_existing, refuse_inside
 from planish.io.store import write_store
 from planish.run.compute import Compute, Progress, silent
@@ -64,7 +50,7 @@ class ExportRequest:
 
     def write(self, content: object, path: Path) -> None:
         """Write a content of the format."""
-        history = history_of(self.run)
+        history = run_contents.history_of(self.run)
         if isinstance(content, xr.DataArray) and self.form.is_folder:  # the working store of a volume
             note = history.json(**{str(key): value for key, value in content.attrs.items() if key != "voxel_um"})
             write_store(content.assign_attrs(history=note), path, memory_bytes=self.compute.block_bytes)
@@ -73,7 +59,7 @@ class ExportRequest:
         if isinstance(content, Maps) and self.form.shows_limits and math.prod(content.shape) <= 2**22:
             # A map shares its limits with the other side of the sheet, and those of an image are of what is valid.
             group = self.run.groups[content.group].assign(content.data.data_vars)
-            content = replace(content, scales={name: scale_of(group, name) for name in content.names})
+            content = replace(content, scales={name: run_contents.scale_of(group, name) for name in content.names})
         writer_of(self.params.to)(content, path, history, self.params)
 
 
@@ -119,8 +105,8 @@ def _check_size(request: ExportRequest, count: int, size_text: str, remedy_text:
 
 def _maps(request: ExportRequest) -> list[OutputFile]:
     run, form, out = request.run, request.form, request.out
-    group = map_group(run, request.params.group)
-    names = map_names(run, group, request.params.maps)
+    group = run_contents.map_group(run, request.params.group)
+    names = run_contents.map_names(run, group, request.params.maps)
     if group == "maps" and IMAGE in names:
         height, width = Grid.of(run.groups["linked"]).shape
         image_bytes, memory_bytes = 8 * height * width, request.compute.for_work
@@ -129,8 +115,10 @@ def _maps(request: ExportRequest) -> list[OutputFile]:
                 f"The image on the flat sheet takes {image_bytes / 1e9:.1f} GB of memory, "
                 f"{memory_bytes / 1e9:.1f} GB are allowed. Allow more with --memory, or choose other maps with --map."
             )
-    levels = {} if request.store is None else {name: map_levels(request.store, group, name) for name in names}
-    maps = Maps(data=maps_of(run, group, names), group=group, levels=levels)
+    levels = (
+        {} if request.store is None else {name: run_contents.map_levels(request.store, group, name) for name in names}
+    )
+    maps = Maps(data=run_contents.maps_of(run, group, names), group=group, levels=levels)
     rows, cols = maps.shape
     _check_size(request, rows * cols, f"{rows} x {cols}", "Write them as tiff, txt or netcdf, which have no limit.")
     if form.apart and not request.is_single_file:
@@ -151,7 +139,7 @@ def _straightened(request: ExportRequest) -> list[OutputFile]:
         raise InputError(f"The straightened volume is written as {format_names}, not as {params.to}.")
     if params.maps:
         raise StudyError("The straightened volume holds grey values, and --map chooses maps. Leave --map out.")
-    volume = straightened_volume(request.run, params.depth_um, request.compute, request.progress)
+    volume = run_contents.straightened_volume(request.run, params.depth_um, request.compute, request.progress)
     voxel_text = " x ".join(f"{v:g}" for v in volume.attrs["voxel_um"])
     size_text = f"{' x '.join(map(str, volume.shape))} voxels of {voxel_text} um"
     return [OutputFile([f"{STRAIGHTENED}{form.suffixes[0]}"], volume, size_text)]
@@ -159,7 +147,7 @@ def _straightened(request: ExportRequest) -> list[OutputFile]:
 
 def _surfaces(request: ExportRequest) -> list[OutputFile]:
     run, params = request.run, request.params
-    facts = sheet_facts(run)
+    facts = run_contents.sheet_facts(run)
     if facts is None:
         raise InputError(
             "The run holds no surfaces of one sheet. Give the run of the volume itself, in layers/NAME where several "
@@ -186,7 +174,7 @@ def _surfaces(request: ExportRequest) -> list[OutputFile]:
     (rows, cols), (row_step, col_step) = (columns.sizes["y"], columns.sizes["x"]), steps_of(columns, params.mesh_um)
     n_nodes = -(-rows // row_step) * -(-cols // col_step)
     _check_size(request, n_nodes, f"{n_nodes / 1e6:.1f} million", "Give a larger --mesh-um, such as four columns.")
-    scales = {name: scale_of(columns, name) for name in maps[:1]}
+    scales = {name: run_contents.scale_of(columns, name) for name in maps[:1]}
 
     return [
         OutputFile([f"{name}{request.form.suffixes[0]}"], Surface(columns, name, maps, scales), name)
@@ -197,7 +185,7 @@ def _surfaces(request: ExportRequest) -> list[OutputFile]:
 def _registrations(request: ExportRequest) -> list[OutputFile]:
     if request.params.maps:
         raise StudyError(f"{request.form.title} holds a registration, and --map chooses maps. Leave --map out.")
-    layers = registered_layers(request.run, request.params.group)
+    layers = run_contents.registered_layers(request.run, request.params.group)
     if request.is_single_file and len(layers) > 1:
         names = ", ".join(layer.name for layer in layers)
         raise StudyError(
@@ -206,9 +194,9 @@ def _registrations(request: ExportRequest) -> list[OutputFile]:
         )
     form, files = request.form, list[OutputFile]()
     for layer in layers:
-        pair = transforms_of(request.run, layer)
+        pair = run_contents.transforms_of(request.run, layer)
         if "marks" in form.holds:
-            contents: dict[str, object] = {pair.forward.name: landmarks(request.run, layer)}
+            contents: dict[str, object] = {pair.forward.name: run_contents.landmarks(request.run, layer)}
         elif form.apart:
             contents = {t.name: t for t in (pair.forward, *([] if request.is_single_file else [pair.back]))}
         else:

@@ -27,8 +27,8 @@ def regions_on(declared: Regions, grid: Grid, path: str | None) -> Regions:
         x, y = (f"{coords_um[0]:g} to {coords_um[-1]:g} um" for coords_um in (grid.x_um, grid.y_um))
         raise InputError(
             f"{Path(str(path)).name}: {'every' if share else 'no'} pixel of the reference lies in a region. Its pixels "
-            f"lie at x from {x} and y from {y}. Give regions of this reference: GeoJSON in um, selections of ImageJ in its "
-            "pixels."
+            f"lie at x from {x} and y from {y}. Give regions of this reference: GeoJSON in um, selections of ImageJ in "
+            "its pixels."
         )
     return regions
 

@@ -36,12 +36,7 @@ CORRECTIONS = "edits/surface.json"
 
 
 def map_layer(
-    layer: LayerParams,
-    *,
-    compute: Compute,
-    progress: Progress,
-    tile_dir: Path | None = None,
-    old_sheet: Layer | None = None,
+    layer: LayerParams, *, compute: Compute, progress: Progress, tile_dir: Path | None, old_sheet: Layer | None
 ) -> Layer:
     """Go from a volume to flattened maps of its properties.
 
@@ -101,12 +96,7 @@ def map_layer(
 
 
 def _measure(
-    layer: LayerParams,
-    old_sheet: Layer | None,
-    local: Engine,
-    tile_dir: Path | None,
-    compute: Compute,
-    progress: Progress,
+    layer: LayerParams, old: Layer | None, local: Engine, tile_dir: Path | None, compute: Compute, progress: Progress
 ) -> tuple[xr.DataArray | None, xr.Dataset | None, xr.Dataset, xr.Dataset]:
     """Give volume (None where not read), sections, surfaces and measured columns; a similar sheet may have them."""
     v = layer.volume
@@ -117,13 +107,13 @@ def _measure(
         return read_sheet_volume(v, compute, progress)
 
     corrections = asked_corrections(layer)
-    if old_sheet is None:
+    if old is None:
         volume, sections = read()
         surfaces = search_sheet(volume, layer, compute=compute, progress=progress, tile_dir=tile_dir)
     else:
-        columns, sections = old_sheet.groups["surfaces"], old_sheet.groups.get("sections")
+        columns, sections = old.groups["surfaces"], old.groups.get("sections")
         surfaces, is_same_surface = surfaces_of(columns), made_corrections(columns) == corrections
-        if is_same_surface and old_sheet.params.properties == layer.properties:
+        if is_same_surface and old.params.properties == layer.properties:
             return None, sections, surfaces, columns
         volume, _ = read()
         if not is_same_surface:
