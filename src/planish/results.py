@@ -313,25 +313,25 @@ class Results(ResultModel):
 _LEFT_OUT_OF_2 = ("saturated_share", "null_95", "null_99", "split_um", "lags_of_bands_um")  # by later formats
 
 
-def _from_format_2(data: Any) -> Any:
+def _from_format_2(stored_json: Any) -> Any:
     """Bring what is read of a file of format 2 (planish 0.2.0) to that of today: its gates passed or failed."""
-    if isinstance(data, list):
-        return [_from_format_2(part) for part in data]  # type: ignore[reportUnknownVariableType]
-    if not isinstance(data, dict):
-        return data
-    parts: dict[str, Any] = {
-        name: _from_format_2(part) for name, part in data.items() if name not in (*_LEFT_OUT_OF_2, "gates")
+    if isinstance(stored_json, list):
+        return [_from_format_2(part) for part in stored_json]  # type: ignore[reportUnknownVariableType]
+    if not isinstance(stored_json, dict):
+        return stored_json
+    converted: dict[str, Any] = {
+        name: _from_format_2(part) for name, part in stored_json.items() if name not in (*_LEFT_OUT_OF_2, "gates")
     }
-    if "gates" in data:
-        parts["format"] = FORMAT
-        parts["checks"] = [
+    if "gates" in stored_json:
+        converted["format"] = FORMAT
+        converted["checks"] = [
             {"name": gate["name"], "state": "pass" if gate["passed"] else "fail", "sentence": gate["sentence"],
              "value": gate["value"], "limit": gate["limit"]}
-            for gate in data["gates"]
+            for gate in stored_json["gates"]
         ]  # fmt: skip
-        parts["checks"].append({
+        converted["checks"].append({
             "name": "version", "state": "unknown", "figures": ("correlation", "position"),
-            "sentence": f"Made by planish {data['planish']}, which made fewer checks and stated no intervals.",
+            "sentence": f"Made by planish {stored_json['planish']}, which made fewer checks and stated no intervals.",
             "advice": "Repeat it with this version: planish run with the run.toml of this run.",
         })  # fmt: skip
-    return parts
+    return converted

@@ -146,11 +146,11 @@ class Maps:
             def read_rows(rows: slice) -> Future[NDArray[Any]]:
                 return pool.submit(lambda: np.ascontiguousarray(band_of(pixels, rows), dtype=target))
 
-            pending = read_rows(row_slices[0])
+            next_band = read_rows(row_slices[0])
             for rows, next_rows in zip(row_slices, [*row_slices[1:], None], strict=True):
-                band = pending.result()
+                band = next_band.result()
                 if next_rows is not None:
-                    pending = read_rows(next_rows)
+                    next_band = read_rows(next_rows)
                 yield rows, band
 
 

@@ -44,19 +44,21 @@ class ExportRequest:
     is_single_file: bool
 
     @property
-    def form(self) -> ExportFormat:
+    def file_format(self) -> ExportFormat:
         """Row of its format."""
         return FORMATS[self.params.to]
 
     def write(self, content: object, path: Path) -> None:
         """Write a content of the format."""
         history = run_contents.history_of(self.run)
-        if isinstance(content, xr.DataArray) and self.form.is_folder:  # the working store of a volume
-            note = history.json(**{str(key): value for key, value in content.attrs.items() if key != "voxel_um"})
-            write_store(content.assign_attrs(history=note), path, memory_bytes=self.compute.block_bytes)
+        if isinstance(content, xr.DataArray) and self.file_format.is_folder:  # the working store of a volume
+            history_text = history.json(
+                **{str(key): value for key, value in content.attrs.items() if key != "voxel_um"}
+            )
+            write_store(content.assign_attrs(history=history_text), path, memory_bytes=self.compute.block_bytes)
             return
         # A map of so few pixels is read once more for the limits between which it is shown first.
-        if isinstance(content, Maps) and self.form.shows_limits and math.prod(content.shape) <= 2**22:
+        if isinstance(content, Maps) and self.file_format.shows_limits and math.prod(content.shape) <= 2**22:
             # A map shares its limits with the other side of the sheet, and those of an image are of what is valid.
             group = self.run.groups[content.group].assign(content.data.data_vars)
             content = replace(content, scales={name: run_contents.scale_of(group, name) for name in content.names})
@@ -76,13 +78,13 @@ class OutputFile(NamedTuple):
 
 def _output_files(request: ExportRequest) -> list[OutputFile]:
     """Give the files of an export; a single one where ``out`` is a file."""
-    group, form = request.params.group, request.form
-    if "surface" in form.holds:
+    group, file_format = request.params.group, request.file_format
+    if "surface" in file_format.holds:
         if group not in (None, "surfaces"):
-            raise InputError(f"{form.title} holds surfaces, and --group says {group}. Leave --group out.")
+            raise InputError(f"{file_format.title} holds surfaces, and --group says {group}. Leave --group out.")
         return _surfaces(request)
-    if ("marks" in form.holds or "registration" in form.holds) and not (
-        "maps" in form.holds and group in request.run.groups
+    if ("marks" in file_format.holds or "registration" in file_format.holds) and not (
+        "maps" in file_format.holds and group in request.run.groups
     ):
         return _registrations(request)
     return _straightened(request) if group == STRAIGHTENED else _maps(request)
@@ -90,21 +92,21 @@ def _output_files(request: ExportRequest) -> list[OutputFile]:
 
 def _check_size(request: ExportRequest, count: int, size_text: str, remedy_text: str) -> None:
     """Raise ResourceError for what the format, or the memory, does not hold."""
-    form, allowed_bytes = request.form, request.compute.for_work
-    if form.most is not None and count > form.most:
+    file_format, allowed_bytes = request.file_format, request.compute.for_work
+    if file_format.most is not None and count > file_format.most:
         raise ResourceError(
-            f"{form.title} is written of at most {form.most / 1e6:.0f} million {form.counts}; there are {size_text}. "
-            f"{remedy_text}"
+            f"{file_format.title} is written of at most {file_format.most / 1e6:.0f} million {file_format.counts}; "
+            f"there are {size_text}. {remedy_text}"
         )
-    if count * form.byte_cost > allowed_bytes:
+    if count * file_format.byte_cost > allowed_bytes:
         raise ResourceError(
-            f"{form.title} of {size_text} takes {count * form.byte_cost / 1e9:.1f} GB of memory, "
+            f"{file_format.title} of {size_text} takes {count * file_format.byte_cost / 1e9:.1f} GB of memory, "
             f"{allowed_bytes / 1e9:.1f} GB are allowed. Allow more with --memory."
         )
 
 
 def _maps(request: ExportRequest) -> list[OutputFile]:
-    run, form, out = request.run, request.form, request.out
+    run, file_format, out = request.run, request.file_format, request.out
     group = run_contents.map_group(run, request.params.group)
     names = run_contents.map_names(run, group, request.params.maps)
     if group == "maps" and IMAGE in names:
@@ -121,20 +123,20 @@ def _maps(request: ExportRequest) -> list[OutputFile]:
     maps = Maps(data=run_contents.maps_of(run, group, names), group=group, levels=levels)
     rows, cols = maps.shape
     _check_size(request, rows * cols, f"{rows} x {cols}", "Write them as tiff, txt or netcdf, which have no limit.")
-    if form.apart and not request.is_single_file:
-        return [OutputFile([f"{name}{form.suffixes[0]}"], maps.only(name), name) for name in names]
-    if not form.stack and len(names) > 1:
+    if file_format.apart and not request.is_single_file:
+        return [OutputFile([f"{name}{file_format.suffixes[0]}"], maps.only(name), name) for name in names]
+    if not file_format.stack and len(names) > 1:
         raise StudyError(
             f"{out.name} holds one map, and {len(names)} are asked for. Choose one with --map, or give a folder. The "
             f"group {group} holds {', '.join(names)}."
         )
     maps_text = ", ".join(names) if len(names) < 5 else f"{len(names)} maps"
-    return [OutputFile([f"{group.rsplit('/', 1)[-1]}{form.suffixes[0]}"], maps, maps_text)]
+    return [OutputFile([f"{group.rsplit('/', 1)[-1]}{file_format.suffixes[0]}"], maps, maps_text)]
 
 
 def _straightened(request: ExportRequest) -> list[OutputFile]:
-    params, form = request.params, request.form
-    if "volume" not in form.holds:
+    params, file_format = request.params, request.file_format
+    if "volume" not in file_format.holds:
         format_names = ", ".join(name for name, other_format in FORMATS.items() if "volume" in other_format.holds)
         raise InputError(f"The straightened volume is written as {format_names}, not as {params.to}.")
     if params.maps:
@@ -142,7 +144,7 @@ def _straightened(request: ExportRequest) -> list[OutputFile]:
     volume = run_contents.straightened_volume(request.run, params.depth_um, request.compute, request.progress)
     voxel_text = " x ".join(f"{v:g}" for v in volume.attrs["voxel_um"])
     size_text = f"{' x '.join(map(str, volume.shape))} voxels of {voxel_text} um"
-    return [OutputFile([f"{STRAIGHTENED}{form.suffixes[0]}"], volume, size_text)]
+    return [OutputFile([f"{STRAIGHTENED}{file_format.suffixes[0]}"], volume, size_text)]
 
 
 def _surfaces(request: ExportRequest) -> list[OutputFile]:
@@ -177,14 +179,14 @@ def _surfaces(request: ExportRequest) -> list[OutputFile]:
     scales = {name: run_contents.scale_of(columns, name) for name in maps[:1]}
 
     return [
-        OutputFile([f"{name}{request.form.suffixes[0]}"], Surface(columns, name, maps, scales), name)
+        OutputFile([f"{name}{request.file_format.suffixes[0]}"], Surface(columns, name, maps, scales), name)
         for name in surface_names
     ]
 
 
 def _registrations(request: ExportRequest) -> list[OutputFile]:
     if request.params.maps:
-        raise StudyError(f"{request.form.title} holds a registration, and --map chooses maps. Leave --map out.")
+        raise StudyError(f"{request.file_format.title} holds a registration, and --map chooses maps. Leave --map out.")
     layers = run_contents.registered_layers(request.run, request.params.group)
     if request.is_single_file and len(layers) > 1:
         names = ", ".join(layer.name for layer in layers)
@@ -192,16 +194,16 @@ def _registrations(request: ExportRequest) -> list[OutputFile]:
             f"{request.out.name} holds one registration, and there are {len(layers)}. Choose one of {names} with "
             "--group, or give a folder."
         )
-    form, files = request.form, list[OutputFile]()
+    file_format, files = request.file_format, list[OutputFile]()
     for layer in layers:
         pair = run_contents.transforms_of(request.run, layer)
-        if "marks" in form.holds:
+        if "marks" in file_format.holds:
             contents: dict[str, object] = {pair.forward.name: run_contents.landmarks(request.run, layer)}
-        elif form.apart:
+        elif file_format.apart:
             contents = {t.name: t for t in (pair.forward, *([] if request.is_single_file else [pair.back]))}
         else:
             contents = {pair.forward.name: pair}
-        endings = form.endings_of(affine=pair.forward.exact)
+        endings = file_format.endings_of(affine=pair.forward.exact)
         files += [
             OutputFile([f"{name}{ending}" for ending in endings], content, name) for name, content in contents.items()
         ]
@@ -250,12 +252,12 @@ def export(
     ``pl.export("run", "coating.tif", to="tiff", maps=["coating_top", "image"])``
     """
     params = params_of(ExportParams, options)
-    for name in dict.fromkeys(name for form in FORMATS.values() for name in form.options):
+    for name in dict.fromkeys(name for file_format in FORMATS.values() for name in file_format.options):
         if name in params.model_fields_set and name not in FORMATS[params.to].options:
             raise StudyError(f"{flag_of(name)} is for {formats_with(name)}, and --to says {params.to}.")
     if params.depth_um is not None and params.group != STRAIGHTENED:
         raise StudyError(f"--depth-um is for --group {STRAIGHTENED}.")
-    form, compute, out = FORMATS[params.to], compute or Compute(), Path(out)
+    file_format, compute, out = FORMATS[params.to], compute or Compute(), Path(out)
     is_single_file = is_file(params.to, out)
     refuse_existing(out)
     writer_of(params.to)
@@ -263,7 +265,7 @@ def export(
     run, store = (run, None) if isinstance(run, Run) else (open_run(run), Path(run) / MAPS)
     if run.folder is not None:
         refuse_inside(out, [run.folder])
-    if params.point_um is None and "point_um" in form.options:
+    if params.point_um is None and "point_um" in file_format.options:
         params = changed(params, point_um=run.study.correlate.point_um)
     with limit_threads(compute.threads):
         request = ExportRequest(
@@ -275,7 +277,7 @@ def export(
             out=out,
             is_single_file=is_single_file,
         )
-        if "run" in form.holds:
+        if "run" in file_format.holds:
             if params.maps or params.group is not None:
                 raise StudyError("An RO-Crate holds the whole run. Leave --map and --group out.")
             if run.folder is None:
@@ -283,13 +285,13 @@ def export(
             files = [OutputFile([], run.folder, str(run.folder))]
         else:
             files = _output_files(request)
-        if is_single_file or "run" in form.holds:
+        if is_single_file or "run" in file_format.holds:
             (file,) = files
             progress("write", file.summary_text)
-            if form.is_folder and isinstance(file.content, xr.DataArray):
+            if file_format.is_folder and isinstance(file.content, xr.DataArray):
                 request.write(file.content, out)  # a store, which goes on where it was killed
             else:
-                with new_folder(out) if form.is_folder or "run" in form.holds else new_file(out) as path:
+                with new_folder(out) if file_format.is_folder or "run" in file_format.holds else new_file(out) as path:
                     request.write(file.content, path)
             return [out]
         with new_folder(out) as folder:

@@ -66,12 +66,12 @@ def write_gwyddion(maps: Maps, path: Path, history: ExportHistory, _params: Expo
     from gwyfile.objects import GwyContainer, GwyDataField, GwySIUnit
 
     file = GwyContainer()
-    (down, across), (y0, x0), (rows, cols) = maps.pixel_um, maps.origin_um, maps.shape
+    (dy_um, dx_um), (y0, x0), (rows, cols) = maps.pixel_um, maps.origin_um, maps.shape
     extent_m: dict[str, Any] = {
-        "xreal": 1e-6 * across * cols,
-        "yreal": 1e-6 * down * rows,
-        "xoff": 1e-6 * (x0 - 0.5 * across),
-        "yoff": 1e-6 * (y0 - 0.5 * down),
+        "xreal": 1e-6 * dx_um * cols,
+        "yreal": 1e-6 * dy_um * rows,
+        "xoff": 1e-6 * (x0 - 0.5 * dx_um),
+        "yoff": 1e-6 * (y0 - 0.5 * dy_um),
     }
     for k, name in enumerate(maps.names):
         # Gwyddion takes units without prefix and chooses the prefix itself.

@@ -46,8 +46,8 @@ def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) 
     }
     version = chosen_version(maps, params)
     if version == "5":
-        arrays = {name: np.concatenate([band for _, band in maps.bands(name)]) for name in maps.names}
-        pixels = {n: p.astype(np.bool_) if maps.data[n].dtype.kind == "b" else p for n, p in arrays.items()}
+        map_arrays = {name: np.concatenate([band for _, band in maps.bands(name)]) for name in maps.names}
+        pixels = {n: p.astype(np.bool_) if maps.data[n].dtype.kind == "b" else p for n, p in map_arrays.items()}
         io.savemat(str(path), pixels | metadata, appendmat=False, format="5", oned_as="row", long_field_names=True)
         version, header_end = "5.0", b""
     else:
@@ -86,7 +86,7 @@ def _put_map(file: h5py.File, maps: Maps, name: str) -> None:
             for first_col, block in zip(first_cols, blocks, strict=True):
                 dataset.id.write_direct_chunk((first_col, rows_of_band.start), block.data)
     if maps.data[name].dtype.kind == "b":
-        _set_class(dataset, "logical", decode=1)
+        _set_class(dataset, "logical", int_decode=1)
     else:
         _set_class(dataset, {"float32": "single", "float64": "double"}.get(dtype.name, dtype.name))
 
@@ -107,12 +107,12 @@ def _put(group: h5py.Group, name: str, variable: Any) -> None:
             _put(struct, field, text)
     elif isinstance(variable, str):
         utf16 = np.frombuffer(variable.encode("utf-16-le"), dtype="<u2")
-        _set_class(group.create_dataset(name, data=utf16[:, None]), "char", decode=2)
+        _set_class(group.create_dataset(name, data=utf16[:, None]), "char", int_decode=2)
     else:
         _set_class(group.create_dataset(name, data=np.asarray(variable, dtype=np.float64).T), "double")
 
 
-def _set_class(dataset: h5py.Dataset, name: str, *, decode: int | None = None) -> None:
+def _set_class(dataset: h5py.Dataset, name: str, *, int_decode: int | None = None) -> None:
     dataset.attrs["MATLAB_class"] = np.bytes_(name)
-    if decode is not None:
-        dataset.attrs["MATLAB_int_decode"] = np.int32(decode)
+    if int_decode is not None:
+        dataset.attrs["MATLAB_int_decode"] = np.int32(int_decode)

@@ -85,18 +85,18 @@ def write_ply(surface: Surface, path: Path, history: ExportHistory, params: Expo
         columns |= zip(("red", "green", "blue"), mesh.colours.T, strict=True)
     columns |= mesh.maps
     nodes = np.rec.fromarrays(columns.values(), [(k, column.dtype.newbyteorder("<")) for k, column in columns.items()])
-    cells = np.empty(len(mesh.quads), dtype=[("count", "u1"), ("nodes", "<i4", (4,))])
-    cells["count"], cells["nodes"] = 4, mesh.quads
+    faces = np.empty(len(mesh.quads), dtype=[("count", "u1"), ("nodes", "<i4", (4,))])
+    faces["count"], faces["nodes"] = 4, mesh.quads
     header_lines = [
         "ply", "format binary_little_endian 1.0", f"comment {mesh.description}", f"comment {history.json()}",
         f"element vertex {len(nodes)}",
         *(f"property {'uchar' if column.dtype == np.uint8 else 'float'} {k}" for k, column in columns.items()),
-        f"element face {len(cells)}", "property list uchar int vertex_indices", "end_header",
+        f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header",
     ]  # fmt: skip
     with path.open("wb") as file:
         file.write(("\n".join(header_lines) + "\n").encode("ascii"))
         file.write(nodes.data)
-        file.write(cells.data)
+        file.write(faces.data)
 
 
 def write_obj(surface: Surface, path: Path, history: ExportHistory, params: ExportParams) -> None:

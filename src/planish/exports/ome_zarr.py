@@ -63,14 +63,14 @@ def _window(overview: NDArray[np.float32]) -> dict[str, float]:
     return {"min": extremes[0], "max": extremes[1], "start": low, "end": high}
 
 
-def _copied(path: Path, sources: Sequence[Path], n_levels: int, channel: tuple[int, ...]) -> bool:
+def _copied(path: Path, run_folders: Sequence[Path], n_levels: int, channel: tuple[int, ...]) -> bool:
     """Copy the chunks of a map and its overviews; False, and nothing is done, where they are not those of the image."""
-    targets = [path / str(k) for k in range(n_levels)]
-    if len(sources) != n_levels or not all(_alike(*pair) for pair in zip(sources, targets, strict=True)):
+    image_folders = [path / str(k) for k in range(n_levels)]
+    if len(run_folders) != n_levels or not all(_alike(*pair) for pair in zip(run_folders, image_folders, strict=True)):
         return False
-    for source, target in zip(sources, targets, strict=True):
-        channel_folder = target.joinpath("c", *map(str, channel))
-        shutil.copytree(source / "c", channel_folder, copy_function=shutil.copyfile, dirs_exist_ok=True)
+    for run_folder, image_folder in zip(run_folders, image_folders, strict=True):
+        channel_folder = image_folder.joinpath("c", *map(str, channel))
+        shutil.copytree(run_folder / "c", channel_folder, copy_function=shutil.copyfile, dirs_exist_ok=True)
     return True
 
 

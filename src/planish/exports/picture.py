@@ -44,8 +44,8 @@ def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) 
     pixels, reduction = _reduced(maps, name)
     scale = maps.scales.get(name) or Scale(*percentile_limits(pixels))
     note = history.json(**maps.facts(), map=name, low=scale.low, high=scale.high, reduced=reduction)
-    software = {"Software": history.program} if params.to == "png" else {"Date": None, "Creator": history.program}
-    metadata = software | {"Title": maps.titles[name], "Description": note}
+    program_fields = {"Software": history.program} if params.to == "png" else {"Date": None, "Creator": history.program}
+    metadata = program_fields | {"Title": maps.titles[name], "Description": note}
     with style.context(["default", _STYLE]), path.open("wb") as file:  # whatever the user has set
         _figure(maps, pixels, reduction, scale).savefig(file, format=params.to, metadata=metadata)
 
@@ -66,9 +66,9 @@ def _reduced(maps: Maps, name: str) -> tuple[NDArray[np.float32], float]:
 def _figure(maps: Maps, pixels: NDArray[np.float32], reduction: float, scale: Scale) -> Figure:
     """Lay the picture out in pixels, so that every pixel of the map is as many whole pixels wide and high."""
     (name,) = maps.names
-    (down, across), (y0, x0) = maps.pixel_um, maps.origin_um
+    (dy_um, dx_um), (y0, x0) = maps.pixel_um, maps.origin_um
     rows, cols = pixels.shape
-    pixel_aspect = down / across
+    pixel_aspect = dy_um / dx_um
     # A map whose longer side has fewer pixels is drawn larger, by a whole number.
     magnification = max(1, math.ceil(1000 / max(rows * pixel_aspect, cols)))
     width_px, height_px = cols * magnification, round(rows * pixel_aspect * magnification)
@@ -79,23 +79,23 @@ def _figure(maps: Maps, pixels: NDArray[np.float32], reduction: float, scale: Sc
         """Axes at pixels from the upper left corner."""
         return figure.add_axes((x / size_px[0], 1 - (y + h) / size_px[1], w / size_px[0], h / size_px[1]))
 
-    x0, y0 = x0 - across / 2, y0 - down / 2
-    extent = (x0, x0 + cols * across * reduction, y0 + rows * down * reduction, y0)
-    axes = box(_LEFT, _TOP, width_px, height_px)
-    map_image = axes.imshow(
+    x0, y0 = x0 - dx_um / 2, y0 - dy_um / 2
+    extent = (x0, x0 + cols * dx_um * reduction, y0 + rows * dy_um * reduction, y0)
+    map_axes = box(_LEFT, _TOP, width_px, height_px)
+    map_image = map_axes.imshow(
         np.ma.masked_invalid(pixels), cmap=colormap_of(scale), vmin=scale.low, vmax=scale.high, extent=extent,
         interpolation="nearest", aspect="auto",
     )  # fmt: skip
-    axes.locator_params(nbins=max(3, min(9, width_px // 160)), axis="x")
-    axes.locator_params(nbins=max(3, min(9, height_px // 110)), axis="y")
-    axes.set(xlabel=f"{maps.dims[1]} / µm", ylabel=f"{maps.dims[0]} / µm")
+    map_axes.locator_params(nbins=max(3, min(9, width_px // 160)), axis="x")
+    map_axes.locator_params(nbins=max(3, min(9, height_px // 110)), axis="y")
+    map_axes.set(xlabel=f"{maps.dims[1]} / µm", ylabel=f"{maps.dims[0]} / µm")
     colour_bar = figure.colorbar(map_image, cax=box(_LEFT + width_px + 40, _TOP, 36, max(height_px, 300)))
     colour_bar.outline.set_linewidth(0.6)  # pyright: ignore
     colour_bar.set_label(unit(maps.units[name]))
     figure.text(
         _LEFT / size_px[0], 1 - 0.6 * _TOP / size_px[1], maps.titles[name], fontsize=10, fontweight="bold", va="center"
     )
-    _scale_bar(figure, size_px, width_px, map_um=cols * across * reduction)
+    _scale_bar(figure, size_px, width_px, map_um=cols * dx_um * reduction)
     return figure
 
 

@@ -63,16 +63,16 @@ def map_group(run: Run, name: str | None) -> str:
     """
     layer_groups = [group for group in run.groups if group.startswith("layers/") and group.count("/") == 1]
     map_groups = [k for k in ("linked", "maps", "refined", "surfaces", "flat") if k in run.groups] + layer_groups
-    wanted = name or next((group for group in ("linked", "maps") if group in map_groups), None)
-    if wanted is None:
+    group = name or next((group for group in ("linked", "maps") if group in map_groups), None)
+    if group is None:
         raise InputError(f"The run holds the maps of several layers. Choose one with --group: {', '.join(map_groups)}.")
-    if wanted not in map_groups:
-        suggestion = likely(wanted, [*map_groups, STRAIGHTENED])
-        raise InputError(f"The run has no group {wanted!r}; it holds {', '.join(map_groups)}.{suggestion}")
-    return wanted
+    if group not in map_groups:
+        suggestion = likely(group, [*map_groups, STRAIGHTENED])
+        raise InputError(f"The run has no group {group!r}; it holds {', '.join(map_groups)}.{suggestion}")
+    return group
 
 
-def map_names(run: Run, group: str, wanted: Sequence[str]) -> list[str]:
+def map_names(run: Run, group: str, requested: Sequence[str]) -> list[str]:
     """Choose the maps of a group: all where none is named, and the image on the flat sheet.
 
     Raises
@@ -83,7 +83,7 @@ def map_names(run: Run, group: str, wanted: Sequence[str]) -> list[str]:
     names = [str(name) for name, variable in run.groups[group].data_vars.items() if variable.ndim == 2]
     if group == "maps" and "linked" in run.groups and len(run.results.moving) == 1:
         names.append(IMAGE)
-    return checked_names(wanted, names, f"group {group}") or names
+    return checked_names(requested, names, f"group {group}") or names
 
 
 def maps_of(run: Run, group: str, names: Sequence[str]) -> xr.Dataset:
@@ -109,9 +109,9 @@ def map_levels(store: Path, group: str, name: str) -> list[Path]:
 def scale_of(maps: xr.Dataset, name: str) -> Scale:
     """Give limits and colours of a map, those of the page: both sides of the sheet share theirs."""
     other_side = partner_of(name, [str(key) for key in maps.data_vars])
-    pooled = [maps[name]] if other_side is None else [maps[name], maps[other_side]]
+    pooled_maps = [maps[name]] if other_side is None else [maps[name], maps[other_side]]
     is_masked = name == IMAGE and "valid" in maps  # the holes of an image would take most of the colours
-    _, samples = thinned(*pooled, *([maps["valid"]] if is_masked else []))
+    _, samples = thinned(*pooled_maps, *([maps["valid"]] if is_masked else []))
     if is_masked:
         samples = [np.where(samples[1], samples[0], np.nan)]
     finite = np.concatenate([sample[np.isfinite(sample)] for sample in samples]).astype(np.float64)
@@ -255,22 +255,22 @@ def grid_of(run: Run, name: str) -> Grid | None:
     layer = run.results.layer(name)
     if layer.kind == "image":
         rows, cols = layer.source.shape[:2]
-        down, across = layer.source.size_um[-2:]
-        return Grid.regular((rows, cols), (down, across))
+        dy_um, dx_um = layer.source.size_um[-2:]
+        return Grid.regular((rows, cols), (dy_um, dx_um))
     if f"layers/{name}" in run.groups and name == run.results.reference.name:
         return Grid.of(run.groups[f"layers/{name}"])
-    mapped = sheet_run(run, name)
-    return None if mapped is None else Grid.of(mapped.groups["maps"])
+    mapped_run = sheet_run(run, name)
+    return None if mapped_run is None else Grid.of(mapped_run.groups["maps"])
 
 
-def checked_names(wanted: Sequence[str], names: Sequence[str], where: str) -> list[str]:
+def checked_names(requested: Sequence[str], names: Sequence[str], place_text: str) -> list[str]:
     """Give the wanted maps, each once; InputError names the one that is not there, the likely one, and all."""
-    for name in wanted:
+    for name in requested:
         if name not in names:
             raise InputError(
-                f"There is no map {name!r} in the {where}.{likely(name, names)} It holds {', '.join(names)}."
+                f"There is no map {name!r} in the {place_text}.{likely(name, names)} It holds {', '.join(names)}."
             )
-    return list(dict.fromkeys(wanted))
+    return list(dict.fromkeys(requested))
 
 
 def _grid_around(marks: np.ndarray) -> Grid:

@@ -25,11 +25,11 @@ def write_matrix(maps: Maps, path: Path, history: ExportHistory, _params: Export
     Numbers read back to the same float32.
     """
     (name,) = maps.names
-    (down, across), (y0, x0), (y, x) = maps.pixel_um, maps.origin_um, maps.dims
+    (dy_um, dx_um), (y0, x0), (y, x) = maps.pixel_um, maps.origin_um, maps.dims
     header_lines = [
         f"{name}: {maps.titles[name]}",
         f"unit: {maps.units[name]}",
-        f"pixel: {across!r} um along {x}, {down!r} um along {y}",
+        f"pixel: {dx_um!r} um along {x}, {dy_um!r} um along {y}",
         f"middle of the first pixel: {x} = {x0!r} um, {y} = {y0!r} um",
         f"{maps.shape[0]} rows, {maps.shape[1]} columns; missing: NaN",
         history.json(**maps.facts()),

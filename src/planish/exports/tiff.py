@@ -141,9 +141,9 @@ class _Stack:
         n_slices, n_rows, n_cols = self.content.shape
         rows_at_once = max(1, STACK_BYTES // (4 * n_slices * n_cols))
         for first_row in range(0, n_rows, rows_at_once):
-            block = np.asarray(self.content[:, first_row : first_row + rows_at_once, :].values, dtype=self.dtype)
+            slab = np.asarray(self.content[:, first_row : first_row + rows_at_once, :].values, dtype=self.dtype)
             for k in range(n_slices):
-                yield k, first_row, block[k]
+                yield k, first_row, slab[k]
 
     def write(self, path: Path, history: ExportHistory, **options: Any) -> None:
         """Lay out a file of uncompressed planes, one behind the other, and put the values into it."""

@@ -132,13 +132,13 @@ def _sampled(transform: DirectedTransform, near: Callable[[Floats], Floats], fac
         n_nodes = np.ceil(length_um / pitch_um).astype(np.intp) + 1
         centres = nodes(0.5, n_nodes)
         vectors, has_image = offsets(nodes(0.0, n_nodes))
-        exact, is_inside = offsets(centres)
-        interpolated = np.zeros_like(exact)
+        sampled, is_inside = offsets(centres)
+        interpolated = np.zeros_like(sampled)
         for corner in _CORNERS:
             interpolated += 0.25 * vectors[corner]
             is_inside &= has_image[corner]
         is_inside &= ((centres >= low_um + margin_um) & (centres <= low_um + length_um - margin_um)).all(axis=-1)
-        errors_um = np.linalg.norm(interpolated - exact, axis=-1)[is_inside]
+        errors_um = np.linalg.norm(interpolated - sampled, axis=-1)[is_inside]
         error_um = float(errors_um.max()) if errors_um.size else 0.0
         # In the middle between nodes it may err by so much. An affine map needs no finer grid.
         if error_um <= 1 / 400 * pixel_um.min() or 2 * vectors.size > 2_000_000:  # nodes
@@ -160,8 +160,10 @@ def write_itk(transform: DirectedTransform, path: Path, history: ExportHistory, 
     whose first pixel lies elsewhere than at 0 need their origin.
     """
     per_um = UNITS[params.unit]
-    matrix, center = _affine_parameters(transform, per_um)
-    transforms: list[tuple[str, Iterable[float], Iterable[float]]] = [("AffineTransform_double_2_2", matrix, center)]
+    matrix_and_shift, center = _affine_parameters(transform, per_um)
+    transforms: list[tuple[str, Iterable[float], Iterable[float]]] = [
+        ("AffineTransform_double_2_2", matrix_and_shift, center)
+    ]
     field_facts: dict[str, float] = {}
     if not transform.exact:
         field = before_affine(transform)
@@ -171,10 +173,10 @@ def write_itk(transform: DirectedTransform, path: Path, history: ExportHistory, 
         field_part = ("DisplacementFieldTransform_double_2_2", (field.vectors * per_um).ravel(), geometry)
         transforms = [("CompositeTransform_double_2_2", [], []), *transforms, field_part]
     lines = ["#Insight Transform File V1.0", f"#{transform.name}: {history.json(**field_facts)}"]
-    for k, (class_name, *arrays) in enumerate(transforms):
+    for k, (class_name, *number_lists) in enumerate(transforms):
         lines += [f"#Transform {k}", f"Transform: {class_name}"]
         if not class_name.startswith("Composite"):
-            texts = (" ".join(f"{float(v):.12g}" for v in values) for values in arrays)
+            texts = (" ".join(f"{float(v):.12g}" for v in values) for values in number_lists)
             lines += [
                 f"{keyword}: {text}" for keyword, text in zip(("Parameters", "FixedParameters"), texts, strict=True)
             ]
@@ -192,11 +194,11 @@ def write_elastix(transform: DirectedTransform, path: Path, history: ExportHisto
     """
     per_um = UNITS[params.unit]
     # The image that transformix makes lies on the pixels of the source.
-    (rows, cols), (x, y), (down, across) = transform.grid.shape, transform.grid.origin_um, transform.grid.pixel_um
+    (rows, cols), (x, y), (dy_um, dx_um) = transform.grid.shape, transform.grid.origin_um, transform.grid.pixel_um
     image = {
         "Size": [cols, rows],
         "Index": [0, 0],
-        "Spacing": [across * per_um, down * per_um],
+        "Spacing": [dx_um * per_um, dy_um * per_um],
         "Origin": [x * per_um, y * per_um],
         "Direction": [1, 0, 0, 1],
         "UseDirectionCosines": ["true"],
@@ -213,8 +215,8 @@ def write_elastix(transform: DirectedTransform, path: Path, history: ExportHisto
             "GridDirection": [1, 0, 0, 1], "BSplineTransformSplineOrder": [1], "UseCyclicTransform": ["false"],
         }  # fmt: skip
         _write_elastix_file(path.with_name(initial_file), note + history.json(**field.facts()), bspline | image)
-    matrix, center = _affine_parameters(transform, per_um)
-    affine = _elastix_parameters("AffineTransform", matrix, initial_file) | {"CenterOfRotationPoint": center}
+    matrix_and_shift, center = _affine_parameters(transform, per_um)
+    affine = _elastix_parameters("AffineTransform", matrix_and_shift, initial_file) | {"CenterOfRotationPoint": center}
     resampling = {  # beside the image stands -1e30: elastix reads no NaN, and 0 would be taken for a measurement
         "ResampleInterpolator": ["FinalBSplineInterpolator"], "FinalBSplineInterpolationOrder": [1],
         "Resampler": ["DefaultResampler"], "DefaultPixelValue": [-1e30], "ResultImageFormat": ["nrrd"],
@@ -252,17 +254,19 @@ def write_landmarks(marks: xr.Dataset, path: Path, _history: ExportHistory, _par
 
 def _affine_parameters(transform: DirectedTransform, per_um: float) -> tuple[list[float], list[float]]:
     """Matrix and shift of the affine map, and the point around which it turns; ``scale`` turns um into its unit."""
-    source, target = (np.array(point) * per_um for point in (transform.affine.source, transform.affine.target))
-    return [*transform.affine.matrix().ravel(), *(target - source)], list(source)
+    source_point, target_point = (
+        np.array(point) * per_um for point in (transform.affine.source, transform.affine.target)
+    )
+    return [*transform.affine.matrix().ravel(), *(target_point - source_point)], list(source_point)
 
 
 def _elastix_parameters(
-    kind: str, parameters: Sequence[float] | np.ndarray, initial: str
+    class_name: str, parameters: Sequence[float] | np.ndarray, first_file: str
 ) -> dict[str, Sequence[object]]:
     return {
-        "Transform": [kind], "NumberOfParameters": [len(parameters)],
+        "Transform": [class_name], "NumberOfParameters": [len(parameters)],
         "TransformParameters": [float(v) for v in parameters],
-        "InitialTransformParametersFileName": [initial], "HowToCombineTransforms": ["Compose"],
+        "InitialTransformParametersFileName": [first_file], "HowToCombineTransforms": ["Compose"],
         "FixedImageDimension": [2], "MovingImageDimension": [2], "FixedInternalImagePixelType": ["float"],
         "MovingInternalImagePixelType": ["float"],
     }  # fmt: skip
@@ -290,25 +294,25 @@ def write_nrrd(content: DirectedTransform | Maps, path: Path, history: ExportHis
         field = displacement(content)
         title = f"displacement of points of {content.source} to {content.target}"
         dtype, components, shape = field.vectors.dtype, ["vector"], field.shape
-        (x, y), across, down = field.origin_um, field.pitch_um, field.pitch_um
-        about = {"value_unit": unit, "planish": history.json(**field.facts())}
+        (x, y), dx_um, dy_um = field.origin_um, field.pitch_um, field.pitch_um
+        key_values = {"value_unit": unit, "planish": history.json(**field.facts())}
         blocks: Iterable[NDArray[Any]] = [field.vectors * UNITS[unit]]
     else:
         (name,) = content.names
         title, dtype, components, shape = content.titles[name], plain_type(content.data[name].dtype), [], content.shape
-        (y, x), (down, across) = content.origin_um, content.pixel_um
-        about = {"value_unit": content.units[name], "planish": history.json(**content.facts())}
+        (y, x), (dy_um, dx_um) = content.origin_um, content.pixel_um
+        key_values = {"value_unit": content.units[name], "planish": history.json(**content.facts())}
         blocks = (band for _, band in content.bands(name))
-    x, y, across, down = (f"{v * UNITS[unit]:.12g}" for v in (x, y, across, down))
-    sizes = [*("2" for _ in components), str(shape[1]), str(shape[0])]
+    x, y, dx_um, dy_um = (f"{v * UNITS[unit]:.12g}" for v in (x, y, dx_um, dy_um))
+    axis_sizes = [*("2" for _ in components), str(shape[1]), str(shape[0])]
     nrrd_type = {"float32": "float", "float64": "double"}.get(dtype.name, dtype.name)
     header_lines = [
-        "NRRD0005", f"content: {title}", f"type: {nrrd_type}", f"dimension: {len(sizes)}",
-        "space dimension: 2", f"sizes: {' '.join(sizes)}",
-        f"space directions: {'none ' * len(components)}({across},0) (0,{down})",
+        "NRRD0005", f"content: {title}", f"type: {nrrd_type}", f"dimension: {len(axis_sizes)}",
+        "space dimension: 2", f"sizes: {' '.join(axis_sizes)}",
+        f"space directions: {'none ' * len(components)}({dx_um},0) (0,{dy_um})",
         f"kinds: {' '.join([*components, 'domain', 'domain'])}", "endian: little", "encoding: raw",
         f'space units: "{unit}" "{unit}"', f"space origin: ({x},{y})",
-        *(f"{key}:={text}" for key, text in about.items()),
+        *(f"{key}:={text}" for key, text in key_values.items()),
     ]  # fmt: skip
     with path.open("wb") as file:
         file.write(("\n".join(header_lines) + "\n\n").encode())

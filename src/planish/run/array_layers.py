@@ -59,13 +59,13 @@ class ArrayLayer:
 
 @contextmanager
 def layer_sources(
-    layers: Sequence[LayerInput], out: str | Path | None, call: str
+    layers: Sequence[LayerInput], out: str | Path | None, call_text: str
 ) -> Generator[list[str | Path | ArrayLayer]]:
     """Give each layer its path; arrays get one in ``OUT-inputs``, or in a folder that is removed at the end.
 
     InputError for what is neither a path, a run with a folder, a volume nor an image; FileError where a folder exists.
     """
-    sources = [_source(layer, call) for layer in layers]
+    sources = [_source(layer, call_text) for layer in layers]
     kinds = [source.kind for source in sources if isinstance(source, ArrayLayer)]
     if not kinds:
         yield sources

@@ -66,11 +66,11 @@ def sheets_of(old: Path, study: Study, hashes: Sequence[str]) -> tuple[dict[str,
     The first need not be mapped again: their parameters are the same. The second have the same surface, and other
     properties, flattening, or corrections.
     """
-    ready, similar = dict[str, Layer](), dict[str, Layer]()
+    ready_sheets, similar_sheets = dict[str, Layer](), dict[str, Layer]()
     try:
         results, old_layers = open_results(old), {layer.name: layer for layer in read_study(old / RUN_TOML).layers}
     except PlanishError:
-        return ready, similar
+        return ready_sheets, similar_sheets
     sources = {layer.name: layer.source.sha256 for layer in results.layers}
     is_own_map = len(results.layers) == 1 or [layer.kind for layer in results.layers] == ["sheet", "image"]
     for layer, sha256 in zip(study.layers, hashes, strict=True):
@@ -86,8 +86,8 @@ def sheets_of(old: Path, study: Study, hashes: Sequence[str]) -> tuple[dict[str,
         with suppress(PlanishError):  # damaged: it is mapped again
             sheet = open_sheet(sheet_folder)
             is_same &= made_corrections(sheet.groups["surfaces"]) == asked_corrections(layer)
-            (ready if is_same else similar)[layer.name] = sheet
-    return ready, similar
+            (ready_sheets if is_same else similar_sheets)[layer.name] = sheet
+    return ready_sheets, similar_sheets
 
 
 def next_step(error: PlanishError, caches: Mapping[str, CachedMaps], study: Study) -> str:

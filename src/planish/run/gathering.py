@@ -208,13 +208,13 @@ def _sheet_on_image(linked: LinkedLayers, headline: str) -> tuple[dict[str, Any]
 def _checks(linked: LinkedLayers, facts: tuple[LayerFacts, ...], textures: Textures) -> Iterator[Check]:
     """Checks of all layers, their registrations, and what they share."""
     layers, maps, reference = linked.layers, linked.maps, linked.reference
-    for layer, described in zip(layers, facts, strict=True):
+    for layer, layer_results in zip(layers, facts, strict=True):
         scale_checks = [*_scale_checks(linked, layer)]
         scale_check_names = {check.name for check in scale_checks}
         yield from for_layers((check for check in layer.checks if check.name not in scale_check_names), layer.name)
         yield from scale_checks
-        if described.registration is not None:
-            yield from _registration_checks(linked, layer, described)
+        if layer_results.registration is not None:
+            yield from _registration_checks(linked, layer, layer_results)
     for name, link in linked.links.items():
         moving, fixed = link.path[:2]
         if moving.kind == "sheet" and fixed is reference and link.registration.source == "found":

@@ -81,10 +81,10 @@ class LayerHoles:
 
     def of(self, layer: Layer, to: Layer) -> xr.Dataset:
         """Holes of an image, or of a sheet, which is seen from its top, in the face that the layer ``to`` shows."""
-        shown, side = (layer.groups["maps"], to.side) if layer.image is None else (layer.image, layer.side)
+        face_data, side = (layer.groups["maps"], to.side) if layer.image is None else (layer.image, layer.side)
         face: tuple[str, Side] = (layer.name, side)
         if face not in self._holes:
-            self._holes[face] = find_holes(shown, params=self.params, side=side, layer=layer.name)
+            self._holes[face] = find_holes(face_data, params=self.params, side=side, layer=layer.name)
         return self._holes[face]
 
     def searched(self, layer: Layer) -> list[xr.Dataset]:
@@ -131,8 +131,8 @@ def find_holes(
     if isinstance(shown, xr.Dataset):
         holes = find_sheet_holes(shown, params=params, side=side or "top")
         return holes.assign_attrs(layer=layer or "sheet", seen_from="top")
-    down, across = check_image(shown, "pl.find_holes({})")
-    pixel, side = (down, across), side or shown.attrs.get("side") or "top"
+    dy_um, dx_um = check_image(shown, "pl.find_holes({})")
+    pixel, side = (dy_um, dx_um), side or shown.attrs.get("side") or "top"
     grey = without_dots(shown.values, pixel, params.hole_um[0]) if params.printed else shown.values
     holes = find_image_holes(grey, pixel_um=pixel, diameter_um=params.hole_um)
     return holes.assign_attrs(layer=layer or "image", seen_from=side)

@@ -40,14 +40,14 @@ class LinkInputs(NamedTuple):
 
 
 def link_layers(
-    study: Study, inputs: LinkInputs, sheets: Mapping[str, Layer], progress: Progress, sink: StoredMaps
+    study: Study, link_inputs: LinkInputs, sheets: Mapping[str, Layer], progress: Progress, sink: StoredMaps
 ) -> Run:
     """Register layers to the last one, bring all onto its pixels, and correlate them in pairs.
 
     ``sheets`` are those of the volumes; ``sink`` takes the maps on the reference's pixels.
     """
-    by_name, regions, holes = {**sheets, **inputs.layers}, inputs.regions, inputs.holes
-    layers = [by_name[params.name] for params in study.layers]
+    layers_by_name, regions, holes = {**sheets, **link_inputs.layers}, link_inputs.regions, link_inputs.holes
+    layers = [layers_by_name[params.name] for params in study.layers]
     reference = layers[-1]
     if reference.params.kind == "volume" and regions is not None:
         regions = regions_on(regions, reference.grid, study.correlate.regions)
@@ -65,7 +65,7 @@ def link_layers(
     mask = ValidMask(np.concatenate(circles), regions)
     layer_sources = {layer.name: (layer.shown, chains.get(layer.name)) for layer in layers}
     maps = resample_layers(
-        layer_sources, mask, reference.grid, sink, together=LINKED if study.is_sheet_on_image else None
+        layer_sources, mask, reference.grid, sink, joint_group=LINKED if study.is_sheet_on_image else None
     )
     progress("correlate", f"{len(maps) * (len(maps) - 1) // 2} pairs of layers")
     return gather_link(LinkedLayers(study, layers, links, holes, maps, mask, sink))

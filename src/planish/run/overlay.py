@@ -46,72 +46,72 @@ class ValidMask:
         return f"Measured, and away from holes and their rims{', outside of declared regions' if self.regions else ''}"
 
 
-def _on_tiles(shown: Shown, chain: Chain | None, grid: Grid) -> Callable[[Tile, Grid], xr.Dataset]:
+def _on_tiles(layer_data: Shown, chain: Chain | None, grid: Grid) -> Callable[[Tile, Grid], xr.Dataset]:
     """Give the function from a tile of a reference to the maps of a layer there, with their errors where it was moved.
 
     Without a chain it is the reference itself.
     """
-    is_image = isinstance(shown, xr.DataArray)
+    is_image = isinstance(layer_data, xr.DataArray)
     if chain is None:
         if is_image:
-            maps = xr.Dataset({"image": (("y", "x"), shown.values, image_attrs(shown))}, coords=Grid.of(shown).coords)
+            maps = xr.Dataset(
+                {"image": (("y", "x"), layer_data.values, image_attrs(layer_data))}, coords=Grid.of(layer_data).coords
+            )
         else:
-            maps = shown["maps"].rename({"v": "y", "u": "x"})
+            maps = layer_data["maps"].rename({"v": "y", "u": "x"})
             dropped_prefixes = ("projected_", "presence", "valid")
             maps = maps.drop_vars([name for name in maps.data_vars if str(name).startswith(dropped_prefixes)])
         return lambda tile, _: maps.isel(y=tile.rows, x=tile.cols)
-    errors = PositionErrors(None if is_image else shown, chain, grid)
-    sheet = None if is_image else SheetOnto(shown["surfaces"], shown["flat"], transform=chain)
+    errors = PositionErrors(None if is_image else layer_data, chain, grid)
+    sheet = None if is_image else SheetOnto(layer_data["surfaces"], layer_data["flat"], transform=chain)
 
-    def moved(_: Tile, part: Grid) -> xr.Dataset:
-        if isinstance(shown, xr.DataArray):
-            maps = resample_image(shown, part, chain, must_meet=False)
-            return maps.assign(errors.on(part, maps["image"].values))
+    def moved(_: Tile, tile_grid: Grid) -> xr.Dataset:
+        if isinstance(layer_data, xr.DataArray):
+            maps = resample_image(layer_data, tile_grid, chain, must_meet=False)
+            return maps.assign(errors.on(tile_grid, maps["image"].values))
         assert sheet is not None
-        maps = sheet.on(part)
-        return maps.assign(errors.on(part, maps["u"].values))
+        maps = sheet.on(tile_grid)
+        return maps.assign(errors.on(tile_grid, maps["u"].values))
 
     return moved
 
 
 def resample_layers(
-    parts: Mapping[str, tuple[Shown, Chain | None]], mask: ValidMask, grid: Grid, sink: StoredMaps, *,
-    together: str | None = None,
+    layer_sources: Mapping[str, tuple[Shown, Chain | None]], mask: ValidMask, grid: Grid, sink: StoredMaps, *,
+    joint_group: str | None = None,
 ) -> dict[str, xr.Dataset]:  # fmt: skip
     """Bring sheets and images onto a grid, tile by tile, and mark what is valid there.
 
     Put into ``sink`` are all maps of each sheet, or ``image``, with ``valid``, and ``expected_error`` of what was moved
-    with its shares: as ``layers/NAME``, or a sheet and an image as one group ``together``. Returned are the maps of
+    with its shares: as ``layers/NAME``, or a sheet and an image as one group ``joint_group``. Returned are the maps of
     each layer.
     """
-    tile_readers = {name: _on_tiles(*part, grid) for name, part in parts.items()}
-    absent_names = [name for name, (_, chain) in parts.items() if chain is not None]
+    tile_readers = {name: _on_tiles(*source, grid) for name, source in layer_sources.items()}
+    absent = [name for name, (_, chain) in layer_sources.items() if chain is not None]
     valid_attrs = {"long_name": mask.sentence}
     for tile in map_tiles(grid.shape):
-        part = grid.part(tile.rows, tile.cols)
-        is_allowed, maps = mask(part), dict[str, xr.Dataset]()
+        tile_grid = grid.part(tile.rows, tile.cols)
+        is_allowed, maps = mask(tile_grid), dict[str, xr.Dataset]()
         for name, read_tile in tile_readers.items():
-            data = read_tile(tile, part)
+            data = read_tile(tile, tile_grid)
             is_measured = np.isfinite(data["thickness" if "thickness" in data else "image"].values)
             maps[name] = data.assign(valid=(("y", "x"), is_measured & is_allowed, valid_attrs))
-        absent_names = [
-            k for k in absent_names if not np.isfinite(maps[k]["image" if "image" in maps[k] else "u"].values).any()
-        ]
-        if together is None:
+        absent = [k for k in absent if not np.isfinite(maps[k]["image" if "image" in maps[k] else "u"].values).any()]
+        if joint_group is None:
             for name, data in maps.items():
                 sink.add(f"layers/{name}", grid, tile, data)
         else:
             sheet, image = maps.values()
             valid = sheet["valid"] & image["valid"]
-            sink.add(together, grid, tile, sheet.assign(image=image["image"], valid=valid))
-    if absent_names:
+            sink.add(joint_group, grid, tile, sheet.assign(image=image["image"], valid=valid))
+    if absent:
         raise CannotRegister(
-            f"The layer {absent_names[0]} does not meet the reference: by its marks it lies beside it. Check the marks."
+            f"The layer {absent[0]} does not meet the reference: by its marks it lies beside it. Check the marks."
         )
-    if together is None:
-        return {name: sink.group(f"layers/{name}") for name in parts}
-    linked = sink.group(together)
-    return dict(zip(parts, (linked.drop_vars("image"), linked[["image", "valid"]]), strict=True))
+    if joint_group is None:
+        return {name: sink.group(f"layers/{name}") for name in layer_sources}
+    linked = sink.group(joint_group)
+    return dict(zip(layer_sources, (linked.drop_vars("image"), linked[["image", "valid"]]), strict=True))
 
 
 def hole_circles(
@@ -211,5 +211,5 @@ def resample_maps(
         "sheet": ({"surfaces": measured, "flat": flat}, chain),
         "image": (onto, None),
     }
-    resample_layers(layer_sources, ValidMask(np.concatenate(circles)), grid, sink, together="linked")
+    resample_layers(layer_sources, ValidMask(np.concatenate(circles)), grid, sink, joint_group="linked")
     return sink.group("linked")

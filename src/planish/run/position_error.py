@@ -74,13 +74,13 @@ class PositionErrors:
                 variance_um2 += (_WANDER * float(np.std(sections[f"shift_{name}"].values))) ** 2 * n_between_marks / 6
         self._shares["sections"] = np.full(places.shape[:2], float(np.sqrt(variance_um2)) * chain.similarity.scale)
 
-    def on(self, part: Grid, shown: Floats) -> dict[str, xr.DataArray]:
+    def on(self, part: Grid, layer_values: Floats) -> dict[str, xr.DataArray]:
         """Errors of the place of some pixels of the reference (y, x), rms, um: ``expected_error``, and shares of it.
 
-        ``shown`` (y, x) is finite where a pixel shows the layer. The shares of a sheet are ``error_marks``,
+        ``layer_values`` (y, x) is finite where a pixel shows the layer. The shares of a sheet are ``error_marks``,
         ``error_neutral``, ``error_smoothing`` and ``error_sections`` where they exist.
         """
-        is_shown = np.isfinite(shown)
+        is_shown = np.isfinite(layer_values)
         shares = {k: np.where(is_shown, self._lattice.between(v, part), np.nan) for k, v in self._shares.items()}
         total_um = np.sqrt(np.sum([share**2 for share in shares.values()], axis=0))
         maps = {"expected_error": (total_um, "Expected error of the place, rms")}
@@ -137,17 +137,17 @@ def _moved(sheet: Mapping[str, xr.Dataset], chain: Chain, places: Floats) -> dic
     return errors_um
 
 
-def _moves_in_map(moves: xr.Dataset, flat: xr.Dataset) -> Callable[[str, Floats], Floats]:
+def _moves_in_map(node_moves: xr.Dataset, flat_coords: xr.Dataset) -> Callable[[str, Floats], Floats]:
     """Moves of places (u, v) of the flat map, from those of the nodes of their mesh; carried on beyond the sheet."""
-    nodes = flat[["u", "v"]].sel(y=moves["y"], x=moves["x"])
+    nodes = flat_coords[["u", "v"]].sel(y=node_moves["y"], x=node_moves["x"])
     uv = np.stack([nodes[axis].values for axis in "uv"], axis=-1)
-    grid = covering_grid(uv, min(pitch(moves)))
+    grid = covering_grid(uv, min(pitch(node_moves)))
     places = find_places(uv, grid)
-    fields = {str(name): filled(resample(moves[name].values, places)) for name in moves}
-    (x, y), (down, across), (rows, cols) = grid.origin_um, grid.pixel_um, grid.shape
+    move_fields = {str(name): filled(resample(node_moves[name].values, places)) for name in node_moves}
+    (x, y), (dy_um, dx_um), (rows, cols) = grid.origin_um, grid.pixel_um, grid.shape
 
     def moves_of(name: str, uv: Floats) -> Floats:
-        row, col = np.clip((uv[..., 1] - y) / down, 0, rows - 1), np.clip((uv[..., 0] - x) / across, 0, cols - 1)
-        return np.stack([bilinear(fields[f"{name}_{axis}"], row, col) for axis in "uv"], axis=-1)
+        row, col = np.clip((uv[..., 1] - y) / dy_um, 0, rows - 1), np.clip((uv[..., 0] - x) / dx_um, 0, cols - 1)
+        return np.stack([bilinear(move_fields[f"{name}_{axis}"], row, col) for axis in "uv"], axis=-1)
 
     return moves_of

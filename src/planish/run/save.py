@@ -74,7 +74,7 @@ def run_study(
         refuse_inside(out, [layer.path for layer in study.layers])
         regions = check_request(study, compute)
         hashes = [hash_of_input(layer.path) for layer in study.layers]
-        with work_folder(out, run_key(to_dict(study), hashes)) as work:
+        with work_folder(out, run_key(to_dict(study), hashes)) as work_dir:
             caches = CachedMaps.of_link(study, hashes, out, compute)
             sheets = {name: sheet for name, cache in caches.items() if (sheet := cache.read()) is not None}
             similar_sheets: dict[str, Layer] = {}
@@ -83,15 +83,23 @@ def run_study(
                 sheets |= ready_sheets
             for name in sheets:
                 progress("read", f"{name}, mapped before")
-            sink_folder = work / f".{secrets.token_hex(4)}.partial" if len(study.layers) > 1 else None
+            sink_folder = work_dir / f".{secrets.token_hex(4)}.partial" if len(study.layers) > 1 else None
             sink = StoredMaps(sink_folder, keep_bytes=int(fixed_compute.memory * KEPT_SHARE))
             run = _make(
-                study, regions, sheets, similar_sheets, fixed_compute, progress, caches=caches, work=work, sink=sink
+                study,
+                regions,
+                sheets,
+                similar_sheets,
+                fixed_compute,
+                progress,
+                caches=caches,
+                work_dir=work_dir,
+                sink=sink,
             )
             progress("write", str(out))
             # About the bytes of its pages, and of its maps, which hold noise, with overviews.
             needed_bytes = 5_000_000 + sum(data.nbytes for data in run.groups.values()) * 4 // 3
-            with new_folder(out, inside=work, needed=needed_bytes) as folder:
+            with new_folder(out, inside=work_dir, needed=needed_bytes) as folder:
                 save_run(run, folder, home=out, store=sink, figures=figures)
             stored_groups = {name: stored_group(out / MAPS, name) for name in sink.stored}
             return replace(run, groups={**run.groups, **stored_groups}, unchanged={})
@@ -99,11 +107,11 @@ def run_study(
 
 def _make(
     study: Study, regions: Regions | None, ready_sheets: Mapping[str, Layer], similar_sheets: Mapping[str, Layer],
-    compute: Compute, progress: Progress, *, caches: Mapping[str, CachedMaps] | None = None, work: Path | None = None,
-    sink: StoredMaps | None = None,
+    compute: Compute, progress: Progress, *, caches: Mapping[str, CachedMaps] | None = None,
+    work_dir: Path | None = None, sink: StoredMaps | None = None,
 ) -> Run:  # fmt: skip
     """Map the volumes that are not ready, and link the layers; maps of a refused link are kept in ``caches``."""
-    sheets, tile_dir, is_link = {**ready_sheets}, work and work / "tiles", len(study.layers) > 1
+    sheets, tile_dir, is_link = {**ready_sheets}, work_dir and work_dir / "tiles", len(study.layers) > 1
     try:
         # Volumes come last: what is wrong with images, runs, marks and regions should not cost their time.
         link_inputs = read_inputs(study, regions, progress) if is_link else None
@@ -118,7 +126,7 @@ def _make(
             return gather_sheet(sheets[study.layers[0].name], study)
         return link_layers(study, link_inputs, sheets, progress, sink or StoredMaps())
     except PlanishError as error:
-        if not caches or work is None:
+        if not caches or work_dir is None:
             raise
         with suppress(PlanishError, OSError):  # a disk that is full now does not hide what was wrong before
             for name, cache in caches.items():
@@ -126,7 +134,7 @@ def _make(
                     cache.note(cache.path, study)
                 elif name in sheets and name not in ready_sheets:
                     sheet = sheets[name]
-                    with new_folder(cache.path, inside=work) as folder:
+                    with new_folder(cache.path, inside=work_dir) as folder:
                         save_run(gather_sheet(sheet, Study(layers=(sheet.params,))), folder, home=cache.path)
                         cache.note(folder, study)
         if advice_text := next_step(error, caches, study):
@@ -170,7 +178,7 @@ def save_run(run: Run, folder: Path, *, home: Path, store: StoredMaps | None = N
     write_tree(folder / MAPS, {name: data for name, data in groups.items() if name not in stored})
 
 
-def _with_files_of_run(study: Study, run: Run, folder: Path, home: Path) -> Study:
+def _with_files_of_run(study: Study, run: Run, folder: Path, final_folder: Path) -> Study:
     """Name the run's own files of marks and corrections in its study, in place of those that they came from.
 
     Marks of another run are in this one too, with all that is known of them. Corrections of ``run.sheets`` stand in
@@ -181,17 +189,17 @@ def _with_files_of_run(study: Study, run: Run, folder: Path, home: Path) -> Stud
         return path is not None and any(is_run(folder) for folder in Path(path).parents[:3])
 
     marks_files = {
-        name: str(home / marks_file(run.results, name))
+        name: str(final_folder / marks_file(run.results, name))
         for name, registration in run.registrations.items()
         if registration.source == "json"
     }
     correction_files = {name: f"layers/{name}/{CORRECTIONS}" for name in run.sheets}
     corrections_files = {
-        name: str(home / file) if (folder / file).is_file() else None for name, file in correction_files.items()
+        name: str(final_folder / file) if (folder / file).is_file() else None for name, file in correction_files.items()
     }
     if "surfaces" in run.groups:
         corrections_text = made_corrections(run.groups["surfaces"])
-        corrections_files[study.layers[0].name] = str(home / CORRECTIONS) if corrections_text else None
+        corrections_files[study.layers[0].name] = str(final_folder / CORRECTIONS) if corrections_text else None
         if corrections_text:
             (folder / CORRECTIONS).parent.mkdir(exist_ok=True)
             (folder / CORRECTIONS).write_text(corrections_text, encoding="utf-8", newline="\n")

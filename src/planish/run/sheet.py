@@ -158,9 +158,9 @@ def search_sheet(
     step = column_step(volume, v.frame, v.column_um, compute)
     columns_text = f", columns of {step} x {step}" if step > 1 else ""
     progress("surface", " x ".join(map(str, volume.shape)) + " voxels" + columns_text)
-    with engine(compute, tiles=tile_dir and tile_dir / str(step)) as worker:
+    with engine(compute, tiles=tile_dir and tile_dir / str(step)) as tile_engine:
         return find_surfaces(
-            volume, frame=v.frame, params=layer.surface, step=step, engine=worker, unusual_size=v.unusual_size
+            volume, frame=v.frame, params=layer.surface, step=step, engine=tile_engine, unusual_size=v.unusual_size
         )
 
 

@@ -157,13 +157,13 @@ def checked_study(path: Path, text: str, tables: dict[str, Any]) -> Study:
     try:
         return as_study(tables)
     except ValidationError as error:
-        lines = key_lines(text)
+        key_line_index = key_lines(text)
 
         def place(loc: Key) -> tuple[Key, int | None]:
             if loc[:1] == ("layers",) and "layers" not in tables:
                 loc = loc[2:]  # of the short form
             old_loc = (*loc[:2], "map", *loc[2:])  # of planish 0.1.0
-            return loc, lines.of(old_loc if old_loc[:4] in lines.lines else loc)
+            return loc, key_line_index.of(old_loc if old_loc[:4] in key_line_index.lines else loc)
 
         faults = mistakes(error, Study, place)
         count_text = f"{len(faults)} wrong parameter{'s' if len(faults) > 1 else ''}"
@@ -268,10 +268,10 @@ def write_study(study: Study, folder: Path, *, home: Path, version: str) -> None
     (folder / RUN_TOML).write_text(tomli_w.dumps({"planish": version} | to_dict(study)), encoding="utf-8", newline="\n")
 
 
-def relative_path(path: str | Path, home: Path) -> str:
+def relative_path(path: str | Path, base_folder: Path) -> str:
     """Return a path relative to a folder, or as it is where none leads there: from one drive to another."""
     try:
-        return Path(os.path.relpath(path, home)).as_posix()
+        return Path(os.path.relpath(path, base_folder)).as_posix()
     except ValueError:
         return Path(path).as_posix()
 

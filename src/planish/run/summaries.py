@@ -160,11 +160,11 @@ def _orientation_facts(moving: Layer, fixed: Layer, fit: FittedTransform) -> Ori
     md_text = "The machine direction lies at"
     if md_fixed_deg is not None:
         given_text = "." if fixed.md_deg is None else f"; {_angle(fixed.md_deg)} was given there."
-        carried_text = f"so at {_angle(md_fixed_deg)} in the {fixed.name}{given_text}"
-        sentences.append(f"{md_text} {_angle(moving.md_deg)} in the {moving.name} and {carried_text}")
+        fixed_text = f"so at {_angle(md_fixed_deg)} in the {fixed.name}{given_text}"
+        sentences.append(f"{md_text} {_angle(moving.md_deg)} in the {moving.name} and {fixed_text}")
     elif fixed.md_deg is not None:
-        lacking_text = f"none was given for the {moving.name}."
-        sentences.append(f"{md_text} {_angle(fixed.md_deg)} in the {fixed.name}, as given; {lacking_text}")
+        missing_text = f"none was given for the {moving.name}."
+        sentences.append(f"{md_text} {_angle(fixed.md_deg)} in the {fixed.name}, as given; {missing_text}")
     else:
         sentences.append("Machine direction not given (--md-deg, --image-md-deg).")
     return OrientationFacts(
@@ -208,25 +208,25 @@ def _figure_rows(results: Results) -> Iterator[Sequence[Any]]:
         checks = concerned(results.checks, layers, figures)
         return "; ".join(check.name for check in checks if check.state in ("look", "fail"))
 
-    def text(number: float | None) -> float | str:
-        return "" if number is None or not is_known(number) else number
+    def text(figure: float | None) -> float | str:
+        return "" if figure is None or not is_known(figure) else figure
 
     for layer in results.layers:
         for name, p in ({} if layer.sheet is None else layer.sheet.properties).items():
-            tail = p.units, p.n, p.trust, why((layer.name,), name)
-            yield layer.name, name, "mean", text(p.mean), text(p.mean_standard_error), *tail
-            yield layer.name, name, "sd", text(p.sd), "", *tail
+            common_cells = p.units, p.n, p.trust, why((layer.name,), name)
+            yield layer.name, name, "mean", text(p.mean), text(p.mean_standard_error), *common_cells
+            yield layer.name, name, "sd", text(p.sd), "", *common_cells
             if p.standard_error is not None:
-                yield layer.name, name, "standard error of a column", text(p.standard_error), "", *tail
+                yield layer.name, name, "standard error of a column", text(p.standard_error), "", *common_cells
         r = layer.registration
         if r is not None and (e := r.expected_error) is not None:
-            tail = "um", r.matched, e.trust, why((layer.name,), "position")
+            common_cells = "um", r.matched, e.trust, why((layer.name,), "position")
             for statistic, um in (("median", e.median_um), ("largest", e.largest_um)):
-                yield layer.name, "expected error of the position", statistic, text(um), "", *tail
+                yield layer.name, "expected error of the position", statistic, text(um), "", *common_cells
     for row in results.correlations:
         figure_name, size_text = f"r of {row.a_map} and {row.b_map}", f"points of {row.point_um:g} um"
-        head = f"{row.a} {row.b}", figure_name
+        first_cells = f"{row.a} {row.b}", figure_name
         trust_cells = row.trust, why((row.a, row.b), row.a_map, row.b_map, "position", "correlation")
-        yield *head, size_text, text(row.r), "", "1", row.n, *trust_cells
+        yield *first_cells, size_text, text(row.r), "", "1", row.n, *trust_cells
         for side, limit in zip(("lower", "upper"), row.interval if is_known(row.interval) else (), strict=False):
-            yield *head, f"{size_text}, {side} 95 % limit", limit, "", "1", round(row.n_eff), *trust_cells
+            yield *first_cells, f"{size_text}, {side} 95 % limit", limit, "", "1", round(row.n_eff), *trust_cells
