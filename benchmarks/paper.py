@@ -26,7 +26,7 @@ import xarray as xr
 from planish.core.errors import PlanishError
 from planish.core.typing import Bools, Floats
 from planish.measure import measure_properties
-from planish.run.summaries import property_facts
+from planish.run.facts import property_facts
 from planish.surface import find_surfaces
 from planish.synthetic import BurnParams, PaperParams, ScannerParams, Specimen, SpecimenParams, Warp, make_specimen
 from planish.synthetic.params import FibreParams, FilmParams

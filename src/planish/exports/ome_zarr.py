@@ -86,12 +86,12 @@ def _alike(source: Path, target: Path) -> bool:
 def _attributes(maps: Maps, windows: list[dict[str, float]], n_levels: int, history: ExportHistory) -> dict[str, Any]:
     names = maps.names
     name, axes = (maps.group, "cyx") if len(names) > 1 else (names[0], "yx")
-    image = multiscale(name, axes, maps.pixel_um, maps.origin_um, n_levels, kind="mean of 2 x 2 known pixels")
+    multiscales = multiscale(name, axes, maps.pixel_um, maps.origin_um, n_levels, kind="mean of 2 x 2 known pixels")
     channels = [
         {"label": f"{name} ({units})", "color": "FFFFFF", "active": name == names[0], "window": window}
         for (name, units), window in zip(maps.units.items(), windows, strict=True)
     ]
     return {
-        "ome": {"version": "0.5", "multiscales": [image], "omero": {"channels": channels}},
+        "ome": {"version": "0.5", "multiscales": [multiscales], "omero": {"channels": channels}},
         "planish": {"history": history.json(**maps.facts()), "units": maps.units, "titles": maps.titles},
     }

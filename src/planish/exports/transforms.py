@@ -195,7 +195,7 @@ def write_elastix(transform: DirectedTransform, path: Path, history: ExportHisto
     per_um = UNITS[params.unit]
     # The image that transformix makes lies on the pixels of the source.
     (rows, cols), (x, y), (dy_um, dx_um) = transform.grid.shape, transform.grid.origin_um, transform.grid.pixel_um
-    image = {
+    raster = {
         "Size": [cols, rows],
         "Index": [0, 0],
         "Spacing": [dx_um * per_um, dy_um * per_um],
@@ -214,7 +214,7 @@ def write_elastix(transform: DirectedTransform, path: Path, history: ExportHisto
             "GridSpacing": [field.pitch_um * per_um] * 2, "GridOrigin": [v * per_um for v in field.origin_um],
             "GridDirection": [1, 0, 0, 1], "BSplineTransformSplineOrder": [1], "UseCyclicTransform": ["false"],
         }  # fmt: skip
-        _write_elastix_file(path.with_name(initial_file), note + history.json(**field.facts()), bspline | image)
+        _write_elastix_file(path.with_name(initial_file), note + history.json(**field.facts()), bspline | raster)
     matrix_and_shift, center = _affine_parameters(transform, per_um)
     affine = _elastix_parameters("AffineTransform", matrix_and_shift, initial_file) | {"CenterOfRotationPoint": center}
     resampling = {  # beside the image stands -1e30: elastix reads no NaN, and 0 would be taken for a measurement
@@ -222,7 +222,7 @@ def write_elastix(transform: DirectedTransform, path: Path, history: ExportHisto
         "Resampler": ["DefaultResampler"], "DefaultPixelValue": [-1e30], "ResultImageFormat": ["nrrd"],
         "ResultImagePixelType": ["float"], "CompressResultImage": ["false"],
     }  # fmt: skip
-    _write_elastix_file(path, note + history.json(), affine | image | resampling)
+    _write_elastix_file(path, note + history.json(), affine | raster | resampling)
 
 
 def write_zarr(pair: TransformPair, path: Path, history: ExportHistory, _params: ExportParams) -> None:

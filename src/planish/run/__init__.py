@@ -4,7 +4,7 @@ A study goes from top to bottom: ``study`` and ``compute`` are its parameters, `
 options, ``array_layers`` of arrays, ``study_template`` one to be filled in. ``save`` does it: ``preflight`` refuses
 what cannot work, ``volume`` and ``sheet`` map a volume, ``cached_maps`` keeps maps of a link that is refused,
 ``layers`` holds what is linked, ``linking`` is the way of a link, by ``registration`` and ``overlay`` (with
-``regions`` masked and ``position_error`` mapped); ``gathering`` and ``summaries`` put its numbers together,
+``regions`` masked and ``position_error`` mapped); ``gathering`` and ``facts`` put its numbers together,
 ``compare`` correlates on request. ``run`` opens what was saved.
 """
 

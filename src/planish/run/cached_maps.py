@@ -31,10 +31,8 @@ class CachedMaps(NamedTuple):
         Each is the folder with the maps of the volume as the link asks for them, or a name that is free.
         """
         caches = dict[str, CachedMaps]()
-        hashed_layers = zip(study.layers, hashes, strict=True)
-        volumes = [
-            (layer, sha256) for layer, sha256 in hashed_layers if layer.kind == "volume" and len(study.layers) > 1
-        ]
+        is_link = len(study.layers) > 1
+        volumes = [pair for pair in zip(study.layers, hashes, strict=True) if pair[0].kind == "volume" and is_link]
         for layer, sha256 in volumes:
             name = out.name if len(volumes) == 1 else f"{out.name}-{layer.name}"
             mapping_params = changed(layer, marks=None, surface={"corrections": None})

@@ -37,13 +37,13 @@ from planish.core.transform import Similarity
 from planish.io.map_store import StoredMaps, map_tiles
 from planish.resample import SheetOnto
 from planish.results import LayerFacts, Results
+from planish.run.facts import layer_facts, linked_area
 from planish.run.layers import Layer, LayerHoles
 from planish.run.overlay import ValidMask
 from planish.run.regions import region_facts
 from planish.run.registration import Link
 from planish.run.run import Run
 from planish.run.study import Study, changed, to_dict, with_paths
-from planish.run.summaries import layer_facts, linked_area
 
 LINKED = "linked"
 """Name of the group that holds a sheet and an image on the image's pixels."""
@@ -81,12 +81,7 @@ def gather_sheet(sheet: Layer, study: Study) -> Run:
 
 
 def _results(
-    study: Study,
-    layers: Iterable[LayerFacts],
-    checks: Iterable[Check],
-    *,
-    by_this_code: bool = True,
-    **result_fields: Any,
+    study: Study, layers: Iterable[LayerFacts], checks: Iterable[Check], *, by_this_code: bool = True, **fields: Any
 ) -> Results:
     """All numbers of a run, with what its checks leave of them."""
     libraries = ("numpy", "scipy", "numba", "xarray", "zarr", "tifffile")
@@ -94,7 +89,7 @@ def _results(
         planish=__version__, code=hash_sources() if by_this_code else "", layers=tuple(layers), checks=tuple(checks),
         versions={name: version(name) for name in libraries},
         # Paths say where files lie and not what was done.
-        parameters=to_dict(with_paths(study, lambda _: None)), **result_fields,
+        parameters=to_dict(with_paths(study, lambda _: None)), **fields,
     )  # fmt: skip
     return apply_checks(results)
 

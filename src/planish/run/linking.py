@@ -18,6 +18,7 @@ from planish.io.map_store import StoredMaps
 from planish.marks.regions import Regions
 from planish.register import Chain
 from planish.run.compute import Progress
+from planish.run.facts import input_file
 from planish.run.gathering import LINKED, LinkedLayers, gather_link
 from planish.run.layers import Layer, LayerHoles
 from planish.run.overlay import ValidMask, hole_circles, resample_layers
@@ -25,7 +26,6 @@ from planish.run.regions import regions_on
 from planish.run.registration import Link, Registration, check_marks, register_layers
 from planish.run.run import Run, open_sheet
 from planish.run.study import LayerParams, Study, changed
-from planish.run.summaries import input_file
 
 
 class LinkInputs(NamedTuple):
@@ -63,10 +63,9 @@ def link_layers(
         for plane, layer in zip(("moving", "fixed"), link.path, strict=False)
     ]
     mask = ValidMask(np.concatenate(circles), regions)
-    layer_sources = {layer.name: (layer.shown, chains.get(layer.name)) for layer in layers}
-    maps = resample_layers(
-        layer_sources, mask, reference.grid, sink, joint_group=LINKED if study.is_sheet_on_image else None
-    )
+    sources = {layer.name: (layer.shown, chains.get(layer.name)) for layer in layers}
+    joint_group = LINKED if study.is_sheet_on_image else None
+    maps = resample_layers(sources, mask, reference.grid, sink, joint_group=joint_group)
     progress("correlate", f"{len(maps) * (len(maps) - 1) // 2} pairs of layers")
     return gather_link(LinkedLayers(study, layers, links, holes, maps, mask, sink))
 

@@ -54,9 +54,8 @@ def _on_tiles(layer_data: Shown, chain: Chain | None, grid: Grid) -> Callable[[T
     is_image = isinstance(layer_data, xr.DataArray)
     if chain is None:
         if is_image:
-            maps = xr.Dataset(
-                {"image": (("y", "x"), layer_data.values, image_attrs(layer_data))}, coords=Grid.of(layer_data).coords
-            )
+            image = (("y", "x"), layer_data.values, image_attrs(layer_data))
+            maps = xr.Dataset({"image": image}, coords=Grid.of(layer_data).coords)
         else:
             maps = layer_data["maps"].rename({"v": "y", "u": "x"})
             dropped_prefixes = ("projected_", "presence", "valid")

@@ -59,11 +59,9 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> Regi
     for layer in study.layers:
         if layer.image is not None:
             rows, cols = pixels_of(Path(layer.path))
+            is_changed = layer.image.dark_grey is not None or layer.image.screen_um is not None
             bytes_per_pixel = PIXEL_BYTES if study.registration.refine is None else _REFINED_BYTES
-            bytes_per_pixel += _HELD_BYTES if held else 0
-            bytes_per_pixel += (
-                _COMPARED_BYTES if layer.image.dark_grey is not None or layer.image.screen_um is not None else 0
-            )
+            bytes_per_pixel += _HELD_BYTES * held + _COMPARED_BYTES * is_changed
             if (needed_bytes := bytes_per_pixel * rows * cols + LINK_BYTES) > compute.memory:
                 raise ResourceError(
                     f"The {layer.name} of {rows * cols / 1e6:.0f} million pixels takes {needed_bytes / 1e9:.1f} GB of "

@@ -196,9 +196,8 @@ def register_layers(layer: Layer, fixed: Layer, holes: LayerHoles, study: Study)
     params = study.registration
     path = layer.params.marks or params.marks
     if path is None:
-        return register_marks(
-            holes.of(layer, fixed), holes.of(fixed, layer), params=params, hole_um=holes.params.hole_um
-        )
+        hole_um = holes.params.hole_um
+        return register_marks(holes.of(layer, fixed), holes.of(fixed, layer), params=params, hole_um=hole_um)
     marks = volume_to_map(read_given(path, layer, fixed), layer.name, layer.groups)
     fit = fit_marks(marks, params=params, mirrored=None if params.mirror else layer.side != fixed.side)
     for side, own_layer, other_layer in (("moving", layer, fixed), ("fixed", fixed, layer)):
@@ -267,8 +266,5 @@ def volume_to_map(marks: xr.Dataset, name: str, groups: Mapping[str, xr.Dataset]
             f"The marks {', '.join(map(str, marks['label'].values[is_off_sheet]))} do not lie on the sheet. Check the "
             "axes and the unit (um) of the table."
         )
-    map_marks = marks.drop_vars("volume_z")
-    map_marks = map_marks.rename(
-        {n: str(n).replace("volume_", "moving_") for n in map_marks if str(n).startswith("volume_")}
-    )
-    return map_marks.assign(moving_x=("mark", uv[:, 0]), moving_y=("mark", uv[:, 1]))
+    names = {n: str(n).replace("volume_", "moving_") for n in marks if str(n).startswith("volume_") and n != "volume_z"}
+    return marks.drop_vars("volume_z").rename(names).assign(moving_x=("mark", uv[:, 0]), moving_y=("mark", uv[:, 1]))

@@ -22,6 +22,7 @@ from planish.marks.regions import Regions
 from planish.report import FIGURES, write_report
 from planish.run.cached_maps import CachedMaps, next_step, sheets_of
 from planish.run.compute import Compute, Progress, return_memory, run_key, silent
+from planish.run.facts import figures_text
 from planish.run.gathering import LINKED, gather_sheet
 from planish.run.layers import Layer
 from planish.run.linking import link_layers, read_inputs
@@ -30,7 +31,6 @@ from planish.run.regions import REGIONS, write_regions
 from planish.run.run import MAPS, Run, is_run, marks_file
 from planish.run.sheet import CORRECTIONS, made_corrections, map_layer
 from planish.run.study import Study, changed, to_dict, with_layer, write_study
-from planish.run.summaries import figures_text
 
 
 def run_study(

@@ -20,9 +20,9 @@ from planish.measure import measure_properties, sheet_numbers, surfaces_of
 from planish.resample import resample_maps
 from planish.results import SheetFacts
 from planish.run.compute import Compute, Progress, column_step, engine, silent
+from planish.run.facts import input_file, property_facts, section_facts, surface_facts
 from planish.run.layers import Layer
 from planish.run.study import LayerParams, changed
-from planish.run.summaries import input_file, property_facts, section_facts, surface_facts
 from planish.run.volume import read_sheet_volume, some_slices
 from planish.surface import (
     Corrections,

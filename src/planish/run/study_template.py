@@ -200,13 +200,10 @@ def _placeholder(kinds: list[Any], shown: Shown) -> str:
 
 
 def _comment(sentences: list[str]) -> list[str]:
-    wrap_options: Any = {
-        "initial_indent": "# ",
-        "subsequent_indent": "# ",
-        "break_long_words": False,
-        "break_on_hyphens": False,
-    }
-    return [line for sentence in sentences for line in textwrap.wrap(sentence, 100, **wrap_options)]
+    wrapper = textwrap.TextWrapper(
+        100, initial_indent="# ", subsequent_indent="# ", break_long_words=False, break_on_hyphens=False
+    )
+    return [line for sentence in sentences for line in wrapper.wrap(sentence)]
 
 
 def _value(value: Any) -> str:

@@ -18,7 +18,7 @@ from planish.io import find_place, read_volume
 from planish.io.params import VolumeParams
 from planish.io.sections import is_section_folder, read_section_stack
 from planish.run.compute import Compute, Progress
-from planish.run.summaries import section_facts
+from planish.run.facts import section_facts
 from planish.sections import SectionSeries, align_sections, fixed_places, normalise_sections, regular_volume
 
 

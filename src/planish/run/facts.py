@@ -74,15 +74,12 @@ def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
         errors = np.empty(0) if error is None else error.values[np.isfinite(error.values)].astype(np.float64)
         mean_facts: dict[str, Any] = {}
         if error is not None and errors.size and "patch_um2" in error.attrs:
-            n_independent = max(
-                1.0, errors.size * min(1.0, math.prod(pitch(surfaces)) / float(error.attrs["patch_um2"]))
-            )
+            patches_per_column = math.prod(pitch(surfaces)) / float(error.attrs["patch_um2"])
+            n_independent = max(1.0, errors.size * min(1.0, patches_per_column))
             common_um = float(error.attrs["common_um"])
-            independent_variance = float(np.mean(np.maximum(errors**2 - common_um**2, 0.0)))
-            mean_facts = {
-                "n_independent": int(n_independent),
-                "mean_standard_error": float(np.sqrt(independent_variance / n_independent + common_um**2)),
-            }
+            variance = float(np.mean(np.maximum(errors**2 - common_um**2, 0.0)))
+            mean_error = float(np.sqrt(variance / n_independent + common_um**2))
+            mean_facts = {"n_independent": int(n_independent), "mean_standard_error": mean_error}
         facts[str(name)] = PropertyFacts(
             units=str(data.attrs["units"]), n=int(values.size), mean=float(values.mean()), sd=float(values.std()),
             p5=float(p5), median=float(p50), p95=float(p95), support_um=data.attrs.get("support_um"),
