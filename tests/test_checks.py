@@ -17,7 +17,7 @@ from planish.cli import show
 from planish.core.checks import Check, CheckRule
 from planish.core.facts import HoleTiltFacts
 from planish.results import Results
-from planish.run.facts import figures_text
+from planish.run import facts as run_facts
 
 RULES = {rule.name: rule for rule in CHECKS}
 ALL = ("coating_top", "coating_bottom", "base_thickness", "thickness")
@@ -69,7 +69,7 @@ def test_a_failed_scan_withholds_its_properties_alone_and_other_states_change_no
 
 def test_the_table_of_figures_says_what_is_doubtful_and_why():
     found = run_with(check("look", "coating_top"), check("fail", "position"))
-    rows = list(csv.DictReader(io.StringIO(figures_text(found))))
+    rows = list(csv.DictReader(io.StringIO(run_facts.figures_text(found))))
     at = {(row["figure"], row["statistic"]): row for row in rows}
     assert (at["coating_top", "mean"]["trust"], at["coating_top", "mean"]["checks"]) == ("doubtful", "x")
     assert float(at["coating_top", "mean"]["value"]) == found.layers[0].sheet.properties["coating_top"].mean

@@ -14,7 +14,7 @@ import zarr
 
 from folders import refused
 from planish.core.errors import FileError, StudyError
-from planish.exports.run_contents import volume_params
+from planish.exports import run_contents
 from planish.io import VolumeParams, find_place, fingerprint, read_tree, refuse_inside, write_store, write_tree
 from planish.measure import surfaces_of
 from planish.run import LayerParams, Study, open_run, read_study, silent, study_of, write_study
@@ -74,9 +74,9 @@ def test_an_export_finds_the_part_that_was_mapped(linked_run, volume, tmp_path) 
         write_study(study.model_copy(update={"layers": (first, *study.layers[1:])}), run, home=run, version="1")
         opened = open_run(run)
         if not words:
-            assert volume_params(opened, opened.results.layers[0], silent).path == path
+            assert run_contents.volume_params(opened, opened.results.layers[0], silent).path == path
             continue
-        refused(FileError, words, volume_params, opened, opened.results.layers[0], silent)
+        refused(FileError, words, run_contents.volume_params, opened, opened.results.layers[0], silent)
 
 
 def test_a_study_keeps_the_part_beside_a_relative_path(volume, tmp_path) -> None:

@@ -7,7 +7,7 @@ from scipy import ndimage
 
 from planish.measure import Greys, measure_properties, uncertainty
 from planish.resample import maps
-from planish.run.facts import property_facts
+from planish.run import facts as run_facts
 from planish.surface import find_surfaces
 
 FINE = 4  # sub-slices a voxel: partial volume, as a scanner shows it
@@ -69,7 +69,7 @@ def test_the_mean_counts_what_neighbours_share():
          "thickness_se": (("y", "x"), se, about)},
         {"y": at, "x": at},
     )  # fmt: skip
-    facts = property_facts(data)["thickness"]
+    facts = run_facts.property_facts(data)["thickness"]
     assert facts.n_independent == side * side // 14
     assert facts.mean_standard_error == pytest.approx(np.hypot(0.5 / np.sqrt(side * side / 14), 0.1), rel=1e-3)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from functools import cached_property
+from functools import cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -136,29 +136,22 @@ class ReadOnDemand(Mapping[str, T]):
     """Values by name, each read when it is first asked for, and their names as well."""
 
     def __init__(self, names: Callable[[], Iterable[str]], read: Callable[[str], T]) -> None:
-        self._list_names, self._read = names, read
-        self._values = dict[str, T]()
-
-    @cached_property
-    def _names(self) -> tuple[str, ...]:
-        return tuple(self._list_names())
+        self._names, self._read = cache(lambda: tuple(names())), cache(read)
 
     def __getitem__(self, name: str) -> T:
         """Read a value, or give it once more; KeyError where there is none of that name."""
-        if name not in self._names:
+        if name not in self._names():
             raise KeyError(name)
-        if name not in self._values:
-            self._values[name] = self._read(name)
-        return self._values[name]
+        return self._read(name)
 
     def __contains__(self, name: object) -> bool:
         """Whether there is a value of that name; it is not read."""
-        return name in self._names
+        return name in self._names()
 
     def __iter__(self) -> Iterator[str]:
         """Give the names."""
-        return iter(self._names)
+        return iter(self._names())
 
     def __len__(self) -> int:
         """Return how many there are."""
-        return len(self._names)
+        return len(self._names())

@@ -28,7 +28,7 @@ from planish.run.run import MAPS, Run, open_run
 from planish.run.study import changed
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class ExportRequest:
     """An export that was asked for, of a run and its ``store`` where this is as the run is.
 
@@ -52,10 +52,9 @@ class ExportRequest:
         """Write a content of the format."""
         history = run_contents.history_of(self.run)
         if isinstance(content, xr.DataArray) and self.file_format.is_folder:  # the working store of a volume
-            history_text = history.json(
-                **{str(key): value for key, value in content.attrs.items() if key != "voxel_um"}
-            )
-            write_store(content.assign_attrs(history=history_text), path, memory_bytes=self.compute.block_bytes)
+            facts = {str(key): value for key, value in content.attrs.items() if key != "voxel_um"}
+            volume = content.assign_attrs(history=history.json(**facts))
+            write_store(volume, path, memory_bytes=self.compute.block_bytes)
             return
         # A map of so few pixels is read once more for the limits between which it is shown first.
         if isinstance(content, Maps) and self.file_format.shows_limits and math.prod(content.shape) <= 2**22:
@@ -106,7 +105,7 @@ def _check_size(request: ExportRequest, count: int, size_text: str, remedy_text:
 
 
 def _maps(request: ExportRequest) -> list[OutputFile]:
-    run, file_format, out = request.run, request.file_format, request.out
+    run, store, file_format, out = request.run, request.store, request.file_format, request.out
     group = run_contents.map_group(run, request.params.group)
     names = run_contents.map_names(run, group, request.params.maps)
     if group == "maps" and IMAGE in names:
@@ -117,9 +116,7 @@ def _maps(request: ExportRequest) -> list[OutputFile]:
                 f"The image on the flat sheet takes {image_bytes / 1e9:.1f} GB of memory, "
                 f"{memory_bytes / 1e9:.1f} GB are allowed. Allow more with --memory, or choose other maps with --map."
             )
-    levels = (
-        {} if request.store is None else {name: run_contents.map_levels(request.store, group, name) for name in names}
-    )
+    levels = {} if store is None else {name: run_contents.map_levels(store, group, name) for name in names}
     maps = Maps(data=run_contents.maps_of(run, group, names), group=group, levels=levels)
     rows, cols = maps.shape
     _check_size(request, rows * cols, f"{rows} x {cols}", "Write them as tiff, txt or netcdf, which have no limit.")
@@ -204,9 +201,7 @@ def _registrations(request: ExportRequest) -> list[OutputFile]:
         else:
             contents = {pair.forward.name: pair}
         endings = file_format.endings_of(affine=pair.forward.exact)
-        files += [
-            OutputFile([f"{name}{ending}" for ending in endings], content, name) for name, content in contents.items()
-        ]
+        files += [OutputFile([f"{name}{end}" for end in endings], content, name) for name, content in contents.items()]
     return files
 
 
@@ -268,15 +263,7 @@ def export(
     if params.point_um is None and "point_um" in file_format.options:
         params = changed(params, point_um=run.study.correlate.point_um)
     with limit_threads(compute.threads):
-        request = ExportRequest(
-            run=run,
-            store=store,
-            params=params,
-            compute=compute,
-            progress=progress,
-            out=out,
-            is_single_file=is_single_file,
-        )
+        request = ExportRequest(run, store, params, compute, progress, out, is_single_file)
         if "run" in file_format.holds:
             if params.maps or params.group is not None:
                 raise StudyError("An RO-Crate holds the whole run. Leave --map and --group out.")

@@ -254,10 +254,8 @@ def write_landmarks(marks: xr.Dataset, path: Path, _history: ExportHistory, _par
 
 def _affine_parameters(transform: DirectedTransform, per_um: float) -> tuple[list[float], list[float]]:
     """Matrix and shift of the affine map, and the point around which it turns; ``scale`` turns um into its unit."""
-    source_point, target_point = (
-        np.array(point) * per_um for point in (transform.affine.source, transform.affine.target)
-    )
-    return [*transform.affine.matrix().ravel(), *(target_point - source_point)], list(source_point)
+    source, target = (np.array(point) * per_um for point in (transform.affine.source, transform.affine.target))
+    return [*transform.affine.matrix().ravel(), *(target - source)], list(source)
 
 
 def _elastix_parameters(
