@@ -9,7 +9,7 @@ import numpy as np
 from planish.core.bands import bands
 from planish.core.errors import InputError
 from planish.core.grid import Grid
-from planish.marks.regions import Regions, geojson_text
+from planish.marks.regions import Regions
 from planish.results import RegionFacts, RegionsFacts
 
 REGIONS = "regions.geojson"
@@ -53,8 +53,3 @@ def region_facts(regions: Regions, grid: Grid) -> RegionsFacts:
             for region, n in zip(regions.declared, pixels_of_each, strict=True)
         ),
     )
-
-
-def write_regions(regions: Regions, folder: Path) -> None:
-    """Write them into a run folder."""
-    (folder / REGIONS).write_text(geojson_text(regions), encoding="utf-8", newline="\n")

@@ -18,7 +18,7 @@ from planish.io import fingerprint
 from planish.io.map_store import OVERVIEWS, StoredMaps, stored_group
 from planish.io.run_folder import new_folder, refuse_existing, refuse_inside, take_group, work_folder, write_tree
 from planish.marks import write_marks
-from planish.marks.regions import Regions
+from planish.marks.regions import Regions, geojson_text
 from planish.report import FIGURES, write_report
 from planish.run.cached_maps import CachedMaps, next_step, sheets_of
 from planish.run.compute import Compute, Progress, return_memory, run_key, silent
@@ -27,7 +27,7 @@ from planish.run.gathering import LINKED, gather_sheet
 from planish.run.layers import Layer
 from planish.run.linking import link_layers, read_inputs
 from planish.run.preflight import check_request
-from planish.run.regions import REGIONS, write_regions
+from planish.run.regions import REGIONS
 from planish.run.run import MAPS, Run, is_run, marks_file
 from planish.run.sheet import CORRECTIONS, made_corrections, map_layer
 from planish.run.study import Study, changed, to_dict, with_layer, write_study
@@ -161,7 +161,7 @@ def save_run(run: Run, folder: Path, *, home: Path, store: StoredMaps | None = N
     (folder / "figures.csv").write_text(figures_text(run.results), encoding="utf-8", newline="\n")
     study = run.study
     if run.regions is not None:
-        write_regions(run.regions, folder)
+        (folder / REGIONS).write_text(geojson_text(run.regions), encoding="utf-8", newline="\n")
         study = changed(study, correlate={"regions": str(home / REGIONS)})
     write_study(_with_files_of_run(study, run, folder, home), folder, home=home, version=__version__)
     write_report(folder / "report.html", run, figures=folder / FIGURES if figures else None)
