@@ -64,9 +64,9 @@ def measure(run: Path) -> None:
     try:
         before = _of_children()
         session.change(change_of(f'{{"do": "use", "id": "{first.id}", "used": false}}'))
-        while applying._ready is None:
+        while applying._warm_process is None:
             time.sleep(0.05)
-        loading = _settled(applying._ready.pid)
+        loading = _settled(applying._warm_process.pid)
         load, begun, clicks = os.getloadavg()[0], time.perf_counter(), list[float]()
         applying.start()
         used = True
@@ -75,7 +75,7 @@ def measure(run: Path) -> None:
             session.change(
                 change_of(f'{{"do": "use", "id": "{session.state.of(None)[1].id}", "used": {str(used).lower()}}}')
             )
-            app.state.live.shown(session.state.first)
+            app.state.live.shown(session.state.first_layer)
             clicks.append(time.perf_counter() - at)
             time.sleep(0.2)
         wall, end = time.perf_counter() - begun, applying.progress

@@ -33,13 +33,13 @@ def full_after(size: int) -> Generator[None]:
 def failed_in(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
     """Of each write that failed the functions and the name of the file, or folder."""
     found: list[list[str]] = []
-    as_planish = files.as_planish
+    write_failure = files.write_failure
 
     def noted(error: OSError, path: Path, *, needed: int | None = None) -> Exception:
         found.append([frame.name for frame in traceback.extract_tb(error.__traceback__)] + [path.name])
-        return as_planish(error, path, needed=needed)
+        return write_failure(error, path, needed=needed)
 
-    monkeypatch.setattr(files, "as_planish", noted)
+    monkeypatch.setattr(files, "write_failure", noted)
     return found
 
 

@@ -18,7 +18,7 @@ from folders import bytes_of
 from formats_written import CASES, VALUES, VOXEL
 from marks import files_by_hand as by_hand
 from planish.core.errors import FileError
-from planish.core.files import INSIDE, check_length, fault_of_name, move, refuse_name, write_whole
+from planish.core.files import DEEPEST_PATH_LENGTH, check_length, fault_of_name, move, refuse_name, write_whole
 from planish.core.tiles import Engine
 from planish.io import guard, new_folder, read_volume, refuse_existing, write_store
 from planish.marks import read_any
@@ -77,7 +77,7 @@ def test_folders_too_deep_for_windows_are_refused_and_runs_are_not(linked_run):
     check_length(deep, longest=None)  # where there is no such limit
     while_written = len(".0123456789abcdef0123456789abcdef.partial")  # what zarr appends
     longest = max(len(p.relative_to(linked_run).as_posix()) for p in linked_run.rglob("*"))
-    assert longest + while_written <= INSIDE
+    assert longest + while_written <= DEEPEST_PATH_LENGTH
 
 
 def test_a_drive_in_a_study_is_not_a_layers_name(refuses):

@@ -59,28 +59,29 @@ def check_installation() -> Iterator[Check]:
     Names of folders are not in it, but for a folder that cannot be written.
     """
     version, bits = platform.python_version(), struct.calcsize("P") * 8
-    needed = "" if bits == 64 and (3, 11) <= sys.version_info[:2] <= (3, 13) else "3.11 to 3.13"
-    advice = f"Needed is a 64-bit Python from {needed}." if needed else ""
-    yield _check("Python", f"{version}, {bits} bit.", state="fail" if needed else "pass", advice=advice)
+    is_supported = bits == 64 and (3, 11) <= sys.version_info[:2] <= (3, 13)
+    advice = "" if is_supported else "Needed is a 64-bit Python from 3.11 to 3.13."
+    yield _check("Python", f"{version}, {bits} bit.", state="pass" if is_supported else "fail", advice=advice)
     yield _command()
     yield _libraries()
     yield _compile_cache()
-    free = int(default_memory_limit() / FREE_SHARE)
-    sentence = f"{free / 1e9:.1f} GB are free; a run takes half of that where --memory is not given."
-    low = f"Close other programs; volumes of more than {free / 3e9:.1g} GB want 'planish import' first."
-    yield _check("memory", sentence, advice=low if free < 2e9 else "", value=free / 1e9, units="GB")
+    free_gb = int(default_memory_limit() / FREE_SHARE) / 1e9
+    sentence = f"{free_gb:.1f} GB are free; a run takes half of that where --memory is not given."
+    advice = f"Close other programs; volumes of more than {free_gb / 3:.1g} GB want 'planish import' first."
+    yield _check("memory", sentence, advice=advice if free_gb < 2 else "", value=free_gb, units="GB")
     yield _check("processors", f"{available()} may be used; {os.cpu_count()} are there.")
-    temporary = "Set TMPDIR (on Windows TMP) to a folder that you may write."
-    yield _disk("temporary folder", Path(tempfile.gettempdir()), temporary)
+    temporary_advice = "Set TMPDIR (on Windows TMP) to a folder that you may write."
+    yield _disk("temporary folder", Path(tempfile.gettempdir()), temporary_advice)
     yield _disk("this folder", Path.cwd(), "Go to another folder, or give one with --out.")
     yield _console()
     if os.name == "nt":
-        is_short = longest_path() is not None
-        short = "Windows takes paths of up to 259 characters; runs in deep folders are refused."
-        text = short if is_short else "Windows takes paths of more than 259 characters."
-        yield _check("long paths", text, state="unknown" if is_short else "pass")
-    for extra, gives in EXTRAS.items():
-        yield _extra(extra, gives)
+        if longest_path() is None:
+            yield _check("long paths", "Windows takes paths of more than 259 characters.")
+        else:
+            short_text = "Windows takes paths of up to 259 characters; runs in deep folders are refused."
+            yield _check("long paths", short_text, state="unknown")
+    for extra, purpose in EXTRAS.items():
+        yield _extra(extra, purpose)
 
 
 def _check(name: str, sentence: str, *, advice: str = "", state: Any = None, **more: Any) -> Check:
@@ -88,35 +89,31 @@ def _check(name: str, sentence: str, *, advice: str = "", state: Any = None, **m
 
 
 def _command() -> Check:
-    """Whether the command in the terminal is this installation."""
     program = shutil.which("planish")
     if program is None:
-        sentence = "planish is not on the search path."
         advice = "Activate its environment, or write the path of the program in front of its name."
-        return _check("command", sentence, state="unknown", advice=advice)
+        return _check("command", "planish is not on the search path.", state="unknown", advice=advice)
     # Tools that give a program an environment of its own put a link to it on the path.
     if Path(sys.executable).absolute().parent in (Path(program).absolute().parent, Path(program).resolve().parent):
         return _check("command", "planish in a terminal is this installation.")
-    sentence = "planish in a terminal may be another installation."
     advice = "Compare 'planish --version' with the first line."
-    return _check("command", sentence, state="unknown", advice=advice)
+    return _check("command", "planish in a terminal may be another installation.", state="unknown", advice=advice)
 
 
 def _libraries() -> Check:
     """Versions of all libraries against the lower bounds, and whether they can be imported."""
-    needed = _requirements(None)
-    if needed is None:
+    requirements = _requirements(None)
+    if requirements is None:
         return _check("libraries", "planish runs from a folder and is not installed.", state="unknown")
-    versions = [(requirement.name, *_fault_of(requirement)) for requirement in needed]
-    if wrong := [fault for _, _, fault in versions if fault]:
+    versions = [(requirement.name, *_version_and_fault(requirement)) for requirement in requirements]
+    if faults := [fault for _, _, fault in versions if fault]:
         how = "pip install --upgrade, and the path of its wheel or folder."
         advice = f"Install planish again, best into an environment of its own: {how}"
-        return _check("libraries", f"{'; '.join(wrong)}.", state="fail", advice=advice)
+        return _check("libraries", f"{'; '.join(faults)}.", state="fail", advice=advice)
     return _check("libraries", f"{', '.join(f'{library} {version}' for library, version, _ in versions)}.")
 
 
-def _fault_of(requirement: Requirement) -> tuple[str, str | None]:
-    """Version of a library, and what is wrong with it."""
+def _version_and_fault(requirement: Requirement) -> tuple[str, str | None]:
     try:
         version = metadata.version(requirement.name)
     except metadata.PackageNotFoundError:
@@ -135,13 +132,14 @@ def _modules(library: str) -> list[str]:
     """Names by which the packages of a library are imported, which need not be its own."""
     files = [str(file) for file in metadata.files(library) or ()]
     packages = [file.split("/")[0] for file in files if file.endswith("/__init__.py")]
-    single = [file.removesuffix(".py") for file in files if "/" not in file and file.endswith(".py")]
-    modules = dict.fromkeys([*packages, *single])
-    alike = [name for name in modules if _plain(name) in _plain(library) or _plain(library) in _plain(name)]
-    return alike or [name for name in modules if name.isidentifier() and not name.startswith("_")][:1]
+    module_files = [file.removesuffix(".py") for file in files if "/" not in file and file.endswith(".py")]
+    modules = dict.fromkeys([*packages, *module_files])
+    plain = {name: _normalised(name) for name in (*modules, library)}
+    matching = [name for name in modules if plain[name] in plain[library] or plain[library] in plain[name]]
+    return matching or [name for name in modules if name.isidentifier() and not name.startswith("_")][:1]
 
 
-def _plain(name: str) -> str:
+def _normalised(name: str) -> str:
     return name.casefold().replace("-", "").replace("_", "").replace(".", "")
 
 
@@ -151,13 +149,13 @@ def _requirements(extra: str | None) -> list[Requirement] | None:
         texts = metadata.requires("planish") or []
     except metadata.PackageNotFoundError:
         return None
-    needed: list[Requirement] = []
+    requirements: list[Requirement] = []
     for requirement in map(Requirement, texts):
         marker = requirement.marker
         is_extra = marker is not None and "extra" in str(marker)
         if is_extra == (extra is not None) and (marker is None or marker.evaluate({"extra": extra or ""})):
-            needed.append(requirement)
-    return needed
+            requirements.append(requirement)
+    return requirements
 
 
 def _compile_cache() -> Check:
@@ -171,20 +169,21 @@ def _compile_cache() -> Check:
         if not is_no_cache(error):
             raise
         return _check(name, NO_CACHE, state="fail", advice=ANOTHER_CACHE)
-    folders, compiled = set[Path](), 0
+    folders, n_compiled = set[Path](), 0
     for kernel in kernels:
         folders.add(folder := Path(kernel.stats.cache_path))
-        index = f"{kernel.py_func.__module__.rpartition('.')[2]}.{kernel.py_func.__qualname__}-*.nbi"
-        compiled += any(folder.glob(index))
+        index_pattern = f"{kernel.py_func.__module__.rpartition('.')[2]}.{kernel.py_func.__qualname__}-*.nbi"
+        n_compiled += any(folder.glob(index_pattern))
     for folder in sorted(folders):
-        if not _may_write(folder):
-            return _check(name, f"{_short(folder)} cannot be written.", state="fail", advice=ANOTHER_CACHE)
-    where = "beside the program" if all(f.name == "__pycache__" for f in folders) else "in the user's folder for caches"
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
-    if chosen and all(folder.is_relative_to(chosen) for folder in folders):
-        where = "in NUMBA_CACHE_DIR"
-    first = "" if compiled else " The first run takes about a minute longer, to compile them."
-    return _check(name, f"{compiled} of {len(kernels)} kernels are compiled and kept {where}.{first}")
+        if not _is_writable(folder):
+            return _check(name, f"{_without_user(folder)} cannot be written.", state="fail", advice=ANOTHER_CACHE)
+    is_beside = all(folder.name == "__pycache__" for folder in folders)
+    place_text = "beside the program" if is_beside else "in the user's folder for caches"
+    cache_dir = os.environ.get("NUMBA_CACHE_DIR")
+    if cache_dir and all(folder.is_relative_to(cache_dir) for folder in folders):
+        place_text = "in NUMBA_CACHE_DIR"
+    first_run_text = "" if n_compiled else " The first run takes about a minute longer, to compile them."
+    return _check(name, f"{n_compiled} of {len(kernels)} kernels are compiled and kept {place_text}.{first_run_text}")
 
 
 def _kernels() -> Iterator[Any]:
@@ -192,20 +191,18 @@ def _kernels() -> Iterator[Any]:
     for info in pkgutil.walk_packages(planish.__path__, "planish."):
         if info.name.rpartition(".")[2].startswith("_") and info.name.endswith("kernels"):
             module = importlib.import_module(info.name)
-            for value in vars(module).values():
-                if hasattr(value, "py_func") and value.py_func.__module__ == info.name and value.stats.cache_path:
-                    yield value
+            kernels = [function for function in vars(module).values() if hasattr(function, "py_func")]
+            yield from (k for k in kernels if k.py_func.__module__ == info.name and k.stats.cache_path)
 
 
-def _short(folder: Path) -> str:
-    """A folder without the name of the user."""
+def _without_user(folder: Path) -> str:
     try:
         return f"~/{folder.relative_to(Path.home()).as_posix()}"
     except ValueError:
         return str(folder)
 
 
-def _may_write(folder: Path) -> bool:
+def _is_writable(folder: Path) -> bool:
     """Whether a file can be made in a folder, which is made where it is missing."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -215,17 +212,15 @@ def _may_write(folder: Path) -> bool:
         return False
 
 
-def _disk(name: str, folder: Path, elsewhere: str) -> Check:
-    free = shutil.disk_usage(folder).free
-    if not _may_write(folder):
-        return _check(name, f"{_short(folder)} cannot be written.", state="fail", advice=elsewhere)
-    sentence = f"{free / 1e9:.1f} GB are free, and it can be written."
-    low = "Free some space: maps, working stores and tiles need it."
-    return _check(name, sentence, advice=low if free < 2e9 else "", value=free / 1e9, units="GB")
+def _disk(name: str, folder: Path, other_folder_advice: str) -> Check:
+    free_gb = shutil.disk_usage(folder).free / 1e9
+    if not _is_writable(folder):
+        return _check(name, f"{_without_user(folder)} cannot be written.", state="fail", advice=other_folder_advice)
+    advice = "Free some space: maps, working stores and tiles need it." if free_gb < 2 else ""
+    return _check(name, f"{free_gb:.1f} GB are free, and it can be written.", advice=advice, value=free_gb, units="GB")
 
 
 def _console() -> Check:
-    """Encodings and appearance of the terminal."""
     terminal = f"a terminal of {shutil.get_terminal_size().columns} columns" if sys.stdout.isatty() else "no terminal"
     streams = f"output {sys.stdout.encoding}, messages {sys.stderr.encoding}"
     files = f"names of files {sys.getfilesystemencoding()}"
@@ -234,16 +229,16 @@ def _console() -> Check:
     return _check("console", f"{streams}; {files}, {texts}; {utf8}; {terminal}.")
 
 
-def _extra(extra: str, gives: str) -> Check:
+def _extra(extra: str, purpose: str) -> Check:
     name = f"extra {extra}"
-    needed = _requirements(extra)
-    if needed is None:
-        return _check(name, f"{gives}.", state="unknown")
-    faults = [(requirement.name, *_fault_of(requirement)) for requirement in needed]
-    wrong = {library: fault for library, version, fault in faults if fault and version != "missing"}
-    if wrong:
-        again = " ".join(f'"{library.name}{library.specifier}"' for library in needed if library.name in wrong)
-        return _check(name, f"{'; '.join(wrong.values())}.", advice=f"Run: pip install --upgrade {again}")
+    requirements = _requirements(extra)
+    if requirements is None:
+        return _check(name, f"{purpose}.", state="unknown")
+    faults = [(requirement.name, *_version_and_fault(requirement)) for requirement in requirements]
+    wrong_versions = {library: fault for library, version, fault in faults if fault and version != "missing"}
+    if wrong_versions:
+        packages = " ".join(f'"{r.name}{r.specifier}"' for r in requirements if r.name in wrong_versions)
+        return _check(name, f"{'; '.join(wrong_versions.values())}.", advice=f"Run: pip install --upgrade {packages}")
     if any(version == "missing" for _, version, _ in faults):
-        return _check(name, f'not installed; pip install "planish[{extra}]" gives it: {gives}.')
-    return _check(name, f"installed ({', '.join(f'{library} {v}' for library, v, _ in faults)}): {gives}.")
+        return _check(name, f'not installed; pip install "planish[{extra}]" gives it: {purpose}.')
+    return _check(name, f"installed ({', '.join(f'{library} {v}' for library, v, _ in faults)}): {purpose}.")

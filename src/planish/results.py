@@ -20,7 +20,7 @@ from planish.analyze.refinement import RefinementFacts
 from planish.core.checks import Check, State
 from planish.core.errors import FileError
 from planish.core.facts import HoleTiltFacts, InputFile, Number, Pair, ResultModel, SheetNumbers, Side, Trust, optional
-from planish.core.sources import is_this_code
+from planish.core.source_hash import is_this_code
 from planish.core.tables import naming_faults
 from planish.flatten import FlatteningQuality
 

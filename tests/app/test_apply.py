@@ -14,8 +14,9 @@ import pytest
 
 from app.asgi import HOST, TOKEN, Client
 from folders import bytes_of
-from planish.app import Session, apply, changes, create_app
-from planish.app.applying import Applying, Busy
+from planish.app import Session, changes, create_app
+from planish.app import order as orders
+from planish.app.apply import Applying, Busy
 from planish.io.params import ImageParams
 from planish.results import Results
 from planish.run import open_run, read_study, run_study
@@ -48,14 +49,14 @@ def do(session, **change):
 
 
 def ordered(session):
-    study, files = apply.order_of(session, session.folder / apply.STAGED)
+    study, files = orders.order_of(session, session.folder / orders.STAGING)
     return SimpleNamespace(study=study, files=files)
 
 
 def made(session):
     """Apply in this process: the new run."""
-    order, staged = ordered(session), session.folder / apply.STAGED
-    out = apply.place_of(session.folder, linked=session.image_params is not None)
+    order, staged = ordered(session), session.folder / orders.STAGING
+    out = orders.new_run_folder(session.folder, linked=session.image_params is not None)
     staged.mkdir(parents=True, exist_ok=True)
     for name, text in order.files.items():
         (staged / name).write_text(text)
@@ -126,7 +127,7 @@ def test_marks_keep_what_is_known_of_them(run):
     for side in ("moving", "fixed"):  # what was burnt is still there
         alone = [one["at"] for one in marks.values() if one["at"].keys() == {side} and one["label"] != "mine"]
         assert alone == [{side: old[third.label]["at"][side]}]
-    assert order.study.registration.marks == str(run / apply.STAGED / "marks.json")
+    assert order.study.registration.marks == str(run / orders.STAGING / "marks.json")
 
 
 def test_regions_stand_in_the_order_as_they_were_drawn(run):
@@ -137,7 +138,7 @@ def test_regions_stand_in_the_order_as_they_were_drawn(run):
     (feature,) = json.loads(order.files["regions.geojson"])["features"]
     assert feature["properties"] == {"name": "spot", "author": "A", "reason": "grease"}
     assert feature["geometry"]["coordinates"] == [[*corners, corners[0]]]
-    assert order.study.correlate.regions == str(run / apply.STAGED / "regions.geojson")
+    assert order.study.correlate.regions == str(run / orders.STAGING / "regions.geojson")
     assert order.study.registration.marks is None
 
 
@@ -151,7 +152,7 @@ def test_regions_stand_in_the_order_as_they_were_drawn(run):
 def test_the_new_run_stands_beside_the_old_one(tmp_path, name, linked, there, wanted):
     for folder in (name, *there):
         (tmp_path / folder).mkdir()
-    assert apply.place_of(tmp_path / name, linked=linked) == tmp_path / wanted
+    assert orders.new_run_folder(tmp_path / name, linked=linked) == tmp_path / wanted
 
 
 # --- the run ---------------------------------------------------------------------------------------------------------
@@ -306,7 +307,7 @@ def test_a_process_makes_the_run_and_says_how_far_it_is(run):
     assert open_run(run.with_name("run-2")).results.layers[0].registration.model == "similarity"
     assert applied.reports[end.report.rpartition("/")[2]] == run.with_name("run-2") / "report.html"
     assert sorted(p.name for p in run.parent.iterdir()) == ["run", "run-2"]
-    assert not (run / apply.STAGED).exists()
+    assert not (run / orders.STAGING).exists()
 
 
 @pytest.mark.study
@@ -319,7 +320,7 @@ def test_what_cannot_be_applied_is_said_and_nothing_is_left(run):
         assert (end.state, end.run) == ("failed", None)
         assert "2 pairs of marks in use" in end.message
         assert [p.name for p in run.parent.iterdir()] == ["run"]
-        assert not (run / apply.STAGED).exists()
+        assert not (run / orders.STAGING).exists()
 
 
 @pytest.mark.study
@@ -363,7 +364,7 @@ def test_a_cancel_at_any_moment_leaves_nothing(run):
             if end.run is not None:
                 shutil.rmtree(end.run)
             assert [p.name for p in run.parent.iterdir()] == ["run"]
-            assert not (run / apply.STAGED).exists()
+            assert not (run / orders.STAGING).exists()
 
 
 @pytest.mark.study
@@ -372,7 +373,7 @@ def test_a_server_that_is_killed_in_mid_apply_leaves_nothing(run, stage):
     """SIGKILL to the server alone: the process that works for it notices, and clears up."""
     code = (
         "import sys, time; from pathlib import Path; from planish.app.session import Session\n"
-        "from planish.app.applying import Applying; from planish.app.changes import change_of\n"
+        "from planish.app.apply import Applying; from planish.app.changes import change_of\n"
         "session = Session.open(Path(sys.argv[1])); applied = Applying(session)\n"
         'session.change(change_of(\'{"do": "use", "id": "m0-1", "used": false}\')); applied.start()\n'
         "while True:\n"
@@ -385,7 +386,7 @@ def test_a_server_that_is_killed_in_mid_apply_leaves_nothing(run, stage):
         server.stdout.close()
     wait_for(lambda: not Path(f"/proc/{worker}").exists(), 20)
     assert [p.name for p in run.parent.iterdir()] == ["run"]
-    assert not (run / apply.STAGED).exists()
+    assert not (run / orders.STAGING).exists()
 
 
 @pytest.mark.study
@@ -401,11 +402,11 @@ def test_what_both_left_when_they_were_killed_goes_at_the_next_start(run):
         assert "ended without a word" in end.message
         assert [p.name for p in run.parent.iterdir()] == ["run"]
         # As if the server had gone first.
-        (run / apply.STAGED).mkdir()
-        (run / apply.STAGED / "target").write_text(str(run.with_name("run-2")))
+        (run / orders.STAGING).mkdir()
+        (run / orders.STAGING / "target").write_text(str(run.with_name("run-2")))
         work = run.with_name(".run-2.work")
         work.mkdir()
         (work / "planish-work-folder").write_text("Results of single tiles")
     with opened(run) as session, applying(session):
         assert [p.name for p in run.parent.iterdir()] == ["run"]
-        assert not (run / apply.STAGED).exists()
+        assert not (run / orders.STAGING).exists()

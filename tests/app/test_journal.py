@@ -42,50 +42,50 @@ def standing(session: Session) -> list[object]:
 
 
 def test_nothing_is_written_before_the_first_change(path):
-    with closing(Journal(path, of="a", write=True)):
+    with closing(Journal(path, subject="a", write=True)):
         assert not path.exists()
     assert not path.parent.exists()
 
 
 def test_lines_come_back(path):
-    with closing(Journal(path, of="a", write=True)) as made:
+    with closing(Journal(path, subject="a", write=True)) as made:
         made.append(b'{"do": 1}')
         made.append(b'{"do": 2}')
-    assert Journal(path, of="a", write=False).lines == [b'{"do": 1}', b'{"do": 2}']
+    assert Journal(path, subject="a", write=False).lines == [b'{"do": 1}', b'{"do": 2}']
 
 
 @pytest.mark.parametrize("half", [b'{"do": 3', b'{"do": 3}', b"\0" * 40])
 def test_half_a_last_line_is_dropped(path, half):
-    with closing(Journal(path, of="a", write=True)) as made:
+    with closing(Journal(path, subject="a", write=True)) as made:
         made.append(b'{"do": 1}')
     with path.open("ab") as file:
         file.write(half)
-    with closing(Journal(path, of="a", write=True)) as again:
+    with closing(Journal(path, subject="a", write=True)) as again:
         assert again.lines == [b'{"do": 1}']
         again.append(b'{"do": 2}')
-    assert Journal(path, of="a", write=False).lines == [b'{"do": 1}', b'{"do": 2}']
+    assert Journal(path, subject="a", write=False).lines == [b'{"do": 1}', b'{"do": 2}']
 
 
 def test_half_a_first_line_is_as_good_as_none(path):
     path.parent.mkdir()
     path.write_bytes(b'{"format": "plan')
-    with closing(Journal(path, of="a", write=True)) as made:
+    with closing(Journal(path, subject="a", write=True)) as made:
         made.append(b'{"do": 1}')
-    assert Journal(path, of="a", write=False).lines == [b'{"do": 1}']
+    assert Journal(path, subject="a", write=False).lines == [b'{"do": 1}']
 
 
 def test_a_line_is_on_the_disk_before_it_counts(path, monkeypatch):
     seen: list[bytes] = []
     real = os.fsync
     monkeypatch.setattr(module.os, "fsync", lambda at: (seen.append(path.read_bytes()), real(at)))
-    with closing(Journal(path, of="a", write=True)) as made:
+    with closing(Journal(path, subject="a", write=True)) as made:
         made.append(b'{"do": 1}')
     assert any(data.endswith(b'{"do": 1}\n') for data in seen)
 
 
 @pytest.mark.parametrize("written", [0, 4])
 def test_a_full_disk_leaves_nothing_of_a_line(path, monkeypatch, written):
-    with closing(Journal(path, of="a", write=True)) as made:
+    with closing(Journal(path, subject="a", write=True)) as made:
         made.append(b'{"do": 1}')
 
         def full(file, data):
@@ -97,14 +97,14 @@ def test_a_full_disk_leaves_nothing_of_a_line(path, monkeypatch, written):
             refused(ResourceError, r"was not made: the disk is full", made.append, b'{"do": 2}')
         assert made.lines == [b'{"do": 1}']
         made.append(b'{"do": 3}')
-    assert Journal(path, of="a", write=False).lines == [b'{"do": 1}', b'{"do": 3}']
+    assert Journal(path, subject="a", write=False).lines == [b'{"do": 1}', b'{"do": 3}']
 
 
 def test_a_line_that_did_not_reach_the_disk_is_taken_back(path, monkeypatch):
     def broken(_at):
         raise OSError(errno.EIO, "Input/output error")
 
-    with closing(Journal(path, of="a", write=True)) as made:
+    with closing(Journal(path, subject="a", write=True)) as made:
         made.append(b'{"do": 1}')
         before = path.read_bytes()
         monkeypatch.setattr(module.os, "fsync", broken)
@@ -124,20 +124,20 @@ def test_a_line_that_did_not_reach_the_disk_is_taken_back(path, monkeypatch):
 def test_a_journal_that_is_none_is_refused_and_kept(path, content, words):
     path.parent.mkdir()
     path.write_bytes(content)
-    refused(FileError, words, Journal, path, of="a", write=True)
+    refused(FileError, words, Journal, path, subject="a", write=True)
     assert path.read_bytes() == content
     with pytest.raises(FileError, match=words):  # the lock was given back
-        Journal(path, of="a", write=True)
+        Journal(path, subject="a", write=True)
 
 
 def test_one_process_writes_and_others_read(path):
-    with closing(Journal(path, of="a", write=True)) as made:
+    with closing(Journal(path, subject="a", write=True)) as made:
         made.append(b'{"do": 1}')
-        refused(InUse, "read_only=", Journal, path, of="a", write=True)
-        reader = Journal(path, of="a", write=False)
+        refused(InUse, "read_only=", Journal, path, subject="a", write=True)
+        reader = Journal(path, subject="a", write=False)
         assert reader.lines == [b'{"do": 1}']
         refused(FileError, "read only", reader.append, b'{"do": 2}')
-    with closing(Journal(path, of="a", write=True)):
+    with closing(Journal(path, subject="a", write=True)):
         pass
 
 
@@ -236,7 +236,7 @@ def test_a_hundred_sequences_of_changes_undo_and_redo(run, seed, monkeypatch):
 def restarted(session: Session) -> Session:
     """The same run in a new session, without reading its numbers again."""
     session.close()
-    journal = Journal(session.journal.path, of=session.journal.of, write=True)
+    journal = Journal(session.journal.path, subject=session.journal.subject, write=True)
     again = Session(
         folder=session.folder, study=session.study, results=session.results, registrations=session.registrations,
         image_params=None, journal=journal, reason="",
@@ -250,7 +250,7 @@ import sys
 from contextlib import closing
 from pathlib import Path
 from planish.app.journal import Journal
-with closing(Journal(Path(sys.argv[1]), of="a", write=True)) as made:
+with closing(Journal(Path(sys.argv[1]), subject="a", write=True)) as made:
     for k in range(100000):
         made.append(b'{"do": "step", "k": %d, "fill": "%s"}' % (k, b"x" * (k % 5000)))
         print(k, flush=True)
@@ -268,7 +268,7 @@ def test_a_killed_writer_loses_at_most_the_line_in_flight(path, after_s):
     answered = 1 + len(writer.stdout.read().splitlines())
     writer.wait()
     writer.stdout.close()
-    with closing(Journal(path, of="a", write=True)) as made:
+    with closing(Journal(path, subject="a", write=True)) as made:
         found = [json.loads(line)["k"] for line in made.lines]
         assert found == list(range(len(found)))
         assert answered <= len(found) <= answered + 1

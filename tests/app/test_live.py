@@ -89,7 +89,7 @@ def test_mirrored_marks_agree_when_the_planes_show_both_sides():
     found = fits.fitted(marks_of(turned, fixed), "similarity", mirrored=True, params=PARAMS)
     assert found.fit is not None
     assert found.fit.rms_um < 4
-    assert not found.outliers.any()
+    assert not found.is_outlier.any()
     other = fits.fitted(marks_of(turned, fixed), "similarity", mirrored=False, params=PARAMS)
     assert "handedness" in other.error
     assert np.isnan(other.residual_um).all()
@@ -156,7 +156,7 @@ def imported(moving, fixed) -> changes.Import:
 def followed(live: Live, layer: str) -> dict:
     """The state when its fit is ready."""
     end = time.monotonic() + 20
-    while live.fit(layer).pending and time.monotonic() < end:
+    while live.fit(layer).is_pending and time.monotonic() < end:
         time.sleep(0.005)
     return live.shown(layer)
 

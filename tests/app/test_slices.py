@@ -58,7 +58,7 @@ def test_a_slice_shows_the_voxels_of_the_file_with_the_top_up(folder):
             place = {facts.normal: facts.at_um}
             place[facts.across.name] = facts.across.first_um + col * facts.across.step_um
             place[facts.down.name] = facts.down.first_um + row * facts.down.step_um
-            at = tuple(round(place[axis] / sheet.places(axis)[1]) for axis in "zyx")
+            at = tuple(round(place[axis] / sheet.voxels_um(axis)[1]) for axis in "zyx")
             assert facts.offset + facts.scale * int(cut.pixels[row, col]) == whole[at]
         if direction != sheet.frame.through:
             assert np.sign(facts.down.step_um) == -sheet.frame.sign  # from the top downwards
@@ -102,7 +102,7 @@ def test_a_straightened_slice_is_the_volume_along_the_normals(folder):
                      frame.through: float(surfaces["centre"].values[row, col])}  # fmt: skip
             for part in ("rows", "cols", "through"):
                 place[getattr(frame, part)] += s * float(lines[f"normal_{part}"][col])
-            at = [[place[axis] / sheet.places(axis)[1]] for axis in "zyx"]
+            at = [[place[axis] / sheet.voxels_um(axis)[1]] for axis in "zyx"]
             grey = ndimage.map_coordinates(whole.astype(np.float32), at, order=1, cval=np.nan)[0]
             code = int(cut.pixels[k, col])
             if np.isnan(grey):  # beside the volume
@@ -115,7 +115,7 @@ def test_a_slice_along_the_sheet_has_the_contours_of_its_surfaces(folder):
     sheet, surfaces = opened(folder), open_run(folder).groups["surfaces"]
     through = Frame.of(surfaces).through
     height = float(np.nanmedian(surfaces["top"].values))
-    index = int(np.abs(sheet.places(through) - height).argmin())
+    index = int(np.abs(sheet.voxels_um(through) - height).argmin())
     cut = sheet.cut(through, index)
     of = dict(zip(cut.facts.segments, cut.contours, strict=True))
     assert len(of["top"]) > 20

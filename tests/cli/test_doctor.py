@@ -114,7 +114,7 @@ def test_what_is_short_is_said_and_the_exit_code_is_4(planish, monkeypatch):
 
 
 def test_a_folder_that_cannot_be_written_is_a_problem(passes, monkeypatch):
-    monkeypatch.setattr(installation, "_may_write", lambda _folder: False)
+    monkeypatch.setattr(installation, "_is_writable", lambda _folder: False)
     out, _ = passes("doctor", codes=(4,))
     assert "PROBLEM compile cache: " in out
     assert "NUMBA_CACHE_DIR" in out

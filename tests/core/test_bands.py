@@ -47,11 +47,11 @@ def test_every_kth_row_and_column_whatever_the_bands(data, monkeypatch):
 def test_area_means_of_several_maps_do_not_depend_on_the_bands(data):
     values, where = data
     known = np.isfinite(values) & where
-    found = AreaMeans((1300, 70), (7.3, 5.0), least=0.2)
+    found = AreaMeans((1300, 70), (7.3, 5.0), least_share=0.2)
     for begin in range(0, 1300, 91):
         rows = slice(begin, begin + 91)
         found.add(begin, known[rows], values[rows], 2 * values[rows])
     first, second = found.means()
-    np.testing.assert_allclose(first, area_mean(np.where(known, values, np.nan), (7.3, 5.0), least=0.2))
+    np.testing.assert_allclose(first, area_mean(np.where(known, values, np.nan), (7.3, 5.0), least_share=0.2))
     np.testing.assert_allclose(second, 2 * first)
     assert np.isfinite(first).mean() > 0.5

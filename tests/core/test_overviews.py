@@ -20,7 +20,7 @@ def maps(rows, cols):
 
 def test_overviews_are_means_of_known_pixels_and_small_maps_need_none():
     full = maps(13, 10)
-    first, second = list(overviews(full, least=4))
+    first, second = list(overviews(full, most_px=4))
     assert (dict(first.sizes), dict(second.sizes)) == ({"y": 7, "x": 5}, {"y": 4, "x": 3})
     assert "status" not in first
     for i in range(7):

@@ -45,7 +45,7 @@ def test_results_come_in_order_whatever_the_threads(threads):
 def test_what_was_kept_is_not_worked_out_again(tmp_path):
     grid = np.arange(12.0).reshape(3, 4)
     tiles = tiles_of(grid.shape, (1, 4))
-    engine = Engine(threads=1, kept=tmp_path)
+    engine = Engine(threads=1, folder=tmp_path)
     first = list(engine.map("double", double, lambda _tile: grid, tiles))
     again = list(engine.map("double", fails, lambda _tile: grid, tiles))
     for (_, a), (_, b) in zip(first, again, strict=True):

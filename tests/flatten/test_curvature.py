@@ -42,7 +42,7 @@ def test_angles_and_patches_equal_their_slow_twins():
     rng = np.random.default_rng(1)
     points = rng.normal(0, 0.2, (7, 9, 3)) + sphere(7, 9, 1.0, 20.0)
     points[3, 4] = np.nan
-    lacking, area = curvature._turn_and_area(points)
+    lacking, area = curvature._deficit_and_area(points)
     np.testing.assert_allclose(lacking, slow_turn(points), atol=1e-7)  # acos loses half the digits near 0
     assert np.array_equal(np.isnan(area), np.isnan(lacking))
     assert np.count_nonzero(np.isnan(lacking[1:-1, 1:-1])) == 7  # the node and the six whose triangles it has
@@ -50,7 +50,7 @@ def test_angles_and_patches_equal_their_slow_twins():
     x, y = plan(161, 161, 50.0)
     points = np.stack([x, y, 20 * np.sin(x / 700) * np.cos(y / 900)], axis=-1)
     found = curvature_check(points)
-    lacking, area = curvature._turn_and_area(points)
+    lacking, area = curvature._deficit_and_area(points)
     scale = np.nanmax(np.abs(found.curvature))
     for i, j in ((80, 80), (75, 90), (90, 70)):
         slow = slow_patch(lacking, area, i, j, 1000 / np.sqrt(3) / 50)

@@ -51,7 +51,7 @@ def test_every_line_of_the_table_has_its_module(tmp_path: Path) -> None:
         assert callable(formats.loader(line))
         for suffix in line.suffixes:
             path = tmp_path / f"scan{suffix}"
-            path.mkdir() if line.members else path.touch()
+            path.mkdir() if line.marker_files else path.touch()
             assert formats.format_of(find_place(path)) is line
 
 

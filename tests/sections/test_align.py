@@ -6,7 +6,7 @@ import pytest
 from planish.core.errors import VolumeError
 from planish.core.threads import limit_threads
 from planish.sections import SectionSeries, align_sections, band, network, normalise_sections
-from planish.sections._kernels import between, pair_sums, smooth, straighten
+from planish.sections._kernels import interpolate, pair_sums, smooth, straighten
 from sections.bands import PITCH_UM, PIXEL_UM, Series, make_series, rms, split
 
 MISSING = (50, 51, 52, 120)
@@ -245,8 +245,8 @@ def test_between_twin(turn: float, shift: tuple[float, float]) -> None:
     poses = np.array([[*shift, turn, turn], [-0.6, 0.2, -turn, -turn]])
     grades = np.array([[1.1, -3.0], [0.9, 4.0]])
     whole, real = np.empty((24, 31), np.uint8), np.empty((24, 31), np.float32)
-    between(first, second, 0.3, poses, grades, 0.0, 255.0, True, whole)
-    between(first, second, 0.3, poses, grades, -np.inf, np.inf, False, real)
+    interpolate(first, second, 0.3, poses, grades, 0.0, 255.0, True, whole)
+    interpolate(first, second, 0.3, poses, grades, -np.inf, np.inf, False, real)
     twin = np.zeros((24, 31))
     for r, c in np.ndindex(24, 31):
         for section, share, pose, grade in zip((first, second), (0.7, 0.3), poses, grades, strict=True):

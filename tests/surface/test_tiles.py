@@ -85,11 +85,11 @@ def test_wide_columns_find_the_same_faces(step, slope):
 def test_a_run_that_stopped_goes_on_where_it_was(tmp_path):
     grey, *_ = slab(shape=(60, 100, 110))
     data = volume(grey.astype(np.float32))
-    first = find_surfaces(data, engine=Engine(threads=1, memory_bytes=2**21, kept=tmp_path))
+    first = find_surfaces(data, engine=Engine(threads=1, memory_bytes=2**21, folder=tmp_path))
     kept = sorted(tmp_path.rglob("*.npy"))
     assert len(kept) > 6
     for path in kept[len(kept) // 2 :]:
         path.unlink()
-    again = find_surfaces(data, engine=Engine(threads=2, memory_bytes=2**21, kept=tmp_path))
+    again = find_surfaces(data, engine=Engine(threads=2, memory_bytes=2**21, folder=tmp_path))
     for name in NAMES:
         assert first[name].values.tobytes() == again[name].values.tobytes(), name

@@ -75,7 +75,7 @@ def r2_at_100_um(sheet, image, camera=CLEAN):
     coating, rim = truth(sheet, camera)
     side = (100.0 / camera.pixel_um,) * 2
     away = rim > 100.0
-    x, y = (area_mean(np.where(away, m, np.nan), side, least=1.0) for m in (coating, image.astype(float)))
+    x, y = (area_mean(np.where(away, m, np.nan), side, least_share=1.0) for m in (coating, image.astype(float)))
     known = np.isfinite(x)
     return np.corrcoef(x[known], y[known])[0, 1] ** 2
 

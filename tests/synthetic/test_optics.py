@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from planish.core.light import layer_over
+from planish.core.reflectance import layer_over
 from planish.synthetic import PRESETS, PaperParams, camera
 
 share = st.floats(0.0, 1.0)

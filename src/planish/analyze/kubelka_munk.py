@@ -21,8 +21,8 @@ from planish.analyze.curve import independent_points, known_points
 from planish.analyze.distributions import t_95
 from planish.core.errors import CannotMeasure, InputError, PlanishError
 from planish.core.facts import Interval, ResultModel, Value, is_known, optional
-from planish.core.light import layer_over
 from planish.core.numbers import number
+from planish.core.reflectance import layer_over
 from planish.core.typing import Floats, Pair
 
 if TYPE_CHECKING:

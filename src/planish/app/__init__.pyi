@@ -1,4 +1,4 @@
-from .explore import explore as explore
+from .exploring.page import explore as explore
 from .pictures import Pictures as Pictures
 from .pictures import Tiles as Tiles
 from .pictures import group_pictures as group_pictures

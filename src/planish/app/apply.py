@@ -1,99 +1,180 @@
-"""From a session to the study of a new run, with the files that it names: only what was changed is written."""
+"""Apply: a new run made by a process of its own, so that the page stays quick and a cancel is at once."""
 
 from __future__ import annotations
 
-import itertools
-import re
-from collections.abc import Mapping, Sequence
+import json
+import os
+import secrets
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Literal
 
-import numpy as np
-import xarray as xr
+from planish.app.apply_worker import TARGET
+from planish.app.order import STAGING, new_run_folder, order_of
+from planish.app.session import Session
+from planish.core.errors import InputError
+from planish.core.facts import ResultModel
+from planish.io.run_folder import sweep
 
-from planish.app.changes import Mark, changed_corrections
-from planish.app.picture import PLANES
-from planish.app.session import Session, dataset_of
-from planish.core.files import free_path
-from planish.marks.exchange import marks_bytes
-from planish.marks.exchange.model import join_holes, with_holes
-from planish.marks.regions import Region, Regions, geojson_text
-from planish.marks.regions.model import ring_of
-from planish.run.cached_maps import noted_study
-from planish.run.regions import REGIONS
-from planish.run.study import EDITS, LayerParams, Study, changed, with_layer
+Phase = Literal["idle", "working", "done", "failed", "cancelled"]
 
-STAGED = f"{EDITS}/.apply"
-"""Hidden folder of a run where files of an order stand until the new run has its own."""
-
-
-def order_of(session: Session, staged: Path) -> tuple[Study, dict[str, str]]:
-    """Give the study of the new run of a session, and texts of files by name, which the study finds in ``staged``.
-
-    Where a session stands as it began, so does the study, and there are no files.
-    """
-    study, holes = _original_run(session)
-    first, state, files = session.first, session.state, dict[str, str]()
-    usual_um, alone = float(np.mean(study.holes.hole_um)), len(state.marks) == 1
-    for name, marks in state.marks.items():
-        if marks == first.marks[name]:
-            continue
-        file = "marks.json" if alone else f"marks-{name}.json"
-        files[file] = marks_bytes(all_marks(marks, holes[name], usual_um=usual_um), "json")[""].decode()
-        path = str(staged / file)
-        if alone:
-            study = changed(study, registration={"marks": path})
-        study = with_layer(study, name, marks=None if alone else path)
-    if state.model != first.model:
-        study = changed(study, registration={"model": state.model})
-    if state.regions != first.regions:
-        regions = tuple(
-            Region(
-                name=region.name, reason=region.reason, author=region.author,
-                polygons=(tuple(ring_of(np.array(ring)) for ring in (region.polygon, *region.holes)),),
-            )
-            for region in state.regions
-        )  # fmt: skip
-        if regions:
-            files[REGIONS] = geojson_text(Regions(declared=regions))
-        study = changed(study, correlate={"regions": str(staged / REGIONS) if regions else None})
-    for name, corrections in changed_corrections(study, first.corrections, state.corrections).items():
-        file = f"surface-{name}.json"
-        if corrections.stretches:
-            files[file] = corrections.to_json()
-        path = str(staged / file) if corrections.stretches else None
-        study = with_layer(study, name, surface={"corrections": path})
-    return study, files
+# Share of the work that is behind it when a stage begins, by the time that stages take.
+_SHARE_BEFORE = {
+    "read": 0.02, "surface": 0.05, "measure": 0.25, "flatten": 0.35, "resample": 0.4, "check": 0.42, "register": 0.45,
+    "link": 0.5, "correlate": 0.65, "write": 0.88,
+}  # fmt: skip
+_LOST_MESSAGE = (
+    "The process that made the run ended without a word, most likely because the memory was used up. Close other "
+    "programs and apply it again."
+)
 
 
-def _original_run(session: Session) -> tuple[Study, Mapping[str, xr.Dataset]]:
-    """Study of a run before any change, and all holes and marks by layer; of a map, those of its link to the image."""
-    if session.image_params is None:
-        return session.study, {name: registration.marks for name, registration in session.registrations.items()}
-    sheet, study = session.study.layers[0], noted_study(session.folder) or session.study
-    name = next((layer.name for layer in study.layers if layer.image is not None), "image")
-    image = LayerParams(name=name, image=session.image_params)
-    holes = session.holes(sheet.name)
-    marks = join_holes(holes["moving"], holes["fixed"]).assign_attrs(layers={})
-    return study.model_copy(update={"layers": (sheet, image)}), {sheet.name: marks}
+class Progress(ResultModel):
+    """Progress of an Apply."""
+
+    state: Phase = "idle"
+    stage: str = ""
+    share: float = 0.0  # of the work, 0 to 1
+    message: str = ""  # what is done at this moment, or what was wrong
+    run: str | None = None  # folder of the new run, when it is done
+    report: str | None = None  # where its page is served
 
 
-def place_of(run: Path, *, linked: bool) -> Path:
-    """Choose the folder of the new run: ``RUN-2`` beside RUN, ``OUT`` of the ``OUT-map`` that is linked to an image."""
-    if linked and (suffix := re.search(r"-map(-\d+)?$", run.name)) and suffix.start():
-        return free_path(run.with_name(run.name[: suffix.start()]))
-    return free_path(run)
+class Busy(InputError):
+    """Something is being applied already."""
 
 
-def all_marks(marks: Sequence[Mark], before: xr.Dataset, *, usual_um: float) -> xr.Dataset:
-    """Marks of a session as files have them, and the holes in which none of them lies: these are masked too.
+@dataclass(eq=False)
+class Applying:
+    """Apply of one session: at most one new run at a time."""
 
-    ``before`` are all marks of the run, matched or not, as ``marks.json`` has them. An end of a mark keeps what it says
-    of itself; without a diameter it takes that of the hole in which it lies, or ``usual_um``.
-    """
-    joined = dataset_of(marks, about=before.attrs.get("layers", {}))
-    labels = [mark.label for mark in marks]
-    for side in PLANES:
-        joined, in_use = with_holes(joined, before, side, usual_um=usual_um), {*labels}
-        names = (name for k in itertools.count(1) if (name := f"{side} {k}") not in in_use)
-        labels += itertools.islice(names, joined.sizes["mark"] - len(labels))
-    return joined.assign(label=("mark", np.array(labels, dtype=np.str_)))
+    session: Session
+    reports: dict[str, Path] = field(default_factory=dict[str, Path])  # pages of runs that were made, by ticket
+    progress: Progress = field(default_factory=Progress)  # of the run that is made
+    _process: subprocess.Popen[str] | None = None
+    _warm_process: subprocess.Popen[str] | None = None
+    _progress_thread: threading.Thread | None = None
+    _is_cancelled: bool = False
+    _is_closed: bool = False
+    _stop_listening: Callable[[], None] = lambda: None
+    _lock: threading.RLock = field(default_factory=threading.RLock)
+
+    def __post_init__(self) -> None:
+        """Remove what an Apply left that was killed together with the process that worked for it."""
+        if not self.session.read_only:
+            self._clean()
+            self._stop_listening = self.session.listen(self._warm_soon)
+
+    def warm(self) -> None:
+        """Start the process that the next Apply will use, which takes a second or two."""
+        with self._lock:
+            if not self._is_closed and (self._warm_process is None or self._warm_process.poll() is not None):
+                self._warm_process = subprocess.Popen(
+                    [sys.executable, "-m", "planish.app.apply_worker"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                    encoding="utf-8", env={"OPENBLAS_NUM_THREADS": "1"} | os.environ,  # as the command line has it
+                )  # fmt: skip
+
+    def _warm_soon(self) -> None:
+        """Once something was changed, it will be applied; but not while the first clicks follow each other."""
+        if self.session.state is not self.session.first:
+            self._stop_listening()
+            timer = threading.Timer(5.0, self.warm)  # after the first change
+            timer.daemon = True
+            timer.start()
+
+    def start(self) -> Progress:
+        """Begin to make a run of what stands in the session; Busy where one is being made."""
+        with self._lock:
+            if self.progress.state == "working":
+                raise Busy("A run is being made already. Wait for it, or cancel it first.")
+            folder = self.session.folder.absolute()
+            staging = folder / STAGING
+            study, file_texts = order_of(self.session, staging)
+            out = new_run_folder(folder, linked=self.session.image_params is not None)
+            self.warm()
+            process, self._warm_process = self._warm_process, None
+            assert process is not None
+            assert process.stdin is not None
+            order = {"study": study.model_dump_json(), "files": file_texts, "out": str(out), "run": str(folder)}
+            with suppress(BrokenPipeError):  # it died: whoever reads from it says so
+                process.stdin.write(json.dumps(order | {"staging": str(staging)}) + "\n")
+                process.stdin.flush()
+            self._process, self._is_cancelled = process, False
+            self.progress = Progress(state="working", message=f"Making {out.name} ...")
+            self._progress_thread = threading.Thread(target=self._follow_progress, args=(process, out), daemon=True)
+            self._progress_thread.start()
+            return self.progress
+
+    def cancel(self) -> Progress:
+        """Stop; when this returns, nothing is left of the new run, or it was done already."""
+        with self._lock:
+            process, thread, self._is_cancelled = self._process, self._progress_thread, True
+        if process is not None and thread is not None:
+            assert process.stdin is not None
+            with suppress(OSError):
+                process.stdin.close()
+            try:
+                # Before its first stage it writes nothing, and hears nothing.
+                process.wait(5.0 if self.progress.stage else 0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+            thread.join()
+        return self.progress
+
+    def close(self) -> None:
+        """End with the server."""
+        self.cancel()
+        with self._lock:
+            process, self._warm_process, self._is_closed = self._warm_process, None, True
+        if process is not None:
+            process.kill()
+            _wait_and_close(process)
+
+    def _follow_progress(self, process: subprocess.Popen[str], out: Path) -> None:
+        """Follow the progress that a process reports until it ends."""
+        assert process.stdout is not None
+        last_message: dict[str, Any] = {}
+        for line in process.stdout:
+            last_message = json.loads(line)
+            if last_message["state"] == "working":
+                share = max(self.progress.share, _SHARE_BEFORE.get(last_message["stage"], 0.0))
+                self.progress = Progress(**last_message, share=share)
+        _wait_and_close(process)
+        state = last_message.get("state")
+        if state == "done":
+            ticket = secrets.token_urlsafe(24)
+            self.reports[ticket] = out / "report.html"
+            page, message = f"/report/{ticket}", f"{out} is made."
+            final = Progress(state="done", share=1.0, message=message, run=str(out), report=page)
+        elif state == "failed":
+            final = Progress(**last_message)
+        elif state == "cancelled" or self._is_cancelled:
+            final = Progress(state="cancelled", message="Cancelled; nothing was written.")
+        else:
+            final = Progress(state="failed", message=_LOST_MESSAGE)
+        if state != "done":
+            self._clean()
+            sweep(out)
+        with self._lock:
+            self._process = self._progress_thread = None
+            self.progress = final
+
+    def _clean(self) -> None:
+        """Remove the files of an order, and what there is of its run."""
+        staging = self.session.folder / STAGING
+        with suppress(OSError, ValueError):
+            sweep(Path((staging / TARGET).read_text(encoding="utf-8")))
+        shutil.rmtree(staging, ignore_errors=True)
+
+
+def _wait_and_close(process: subprocess.Popen[str]) -> None:
+    """Wait for the end of a process, and close what led to it."""
+    process.wait()
+    with suppress(OSError), process:
+        pass

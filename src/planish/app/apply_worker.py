@@ -1,4 +1,4 @@
-"""The process that makes a new run, ``python -m planish.app.apply_worker``; :mod:`planish.app.applying` starts it.
+"""The process that makes a new run, ``python -m planish.app.apply_worker``; :mod:`planish.app.apply` starts it.
 
 It reads one order from standard input and tells its progress on standard output, a line of JSON each. Where standard
 input is closed before it is done, by a cancel or because the server is gone, it stops and leaves nothing.
@@ -29,23 +29,21 @@ TARGET = "target"
 
 def main() -> None:
     """Make one run."""
-    stream: TextIO = os.fdopen(os.dup(1), "w", encoding="utf-8")  # to whoever started this process
+    parent_stream: TextIO = os.fdopen(os.dup(1), "w", encoding="utf-8")  # to whoever started this process
     os.dup2(2, 1)  # what others print goes to standard error
 
-    def send(line: Mapping[str, Any]) -> None:
+    def send(message: Mapping[str, Any]) -> None:
         with suppress(OSError):  # nobody listens any more
-            print(json.dumps(line), file=stream, flush=True)
+            print(json.dumps(message), file=parent_stream, flush=True)
 
     signal.signal(signal.SIGINT, signal.default_int_handler)  # it may be ignored where the server was started
     with suppress(OSError, AttributeError):
         os.nice(5)  # the page and whatever else a person does come first
     try:
         _warm_up()
-        line = sys.stdin.readline()
-        if not line:
-            return
-        _interrupt_after(sys.stdin)
-        _make_run(json.loads(line), send)
+        if order := sys.stdin.readline():
+            _interrupt_after(sys.stdin)
+            _make_run(json.loads(order), send)
     except KeyboardInterrupt:
         send({"state": "cancelled"})
 
@@ -66,8 +64,8 @@ def _warm_up() -> None:
     # Compiled code is read from the disk when it is used first.
     x, y = np.meshgrid(np.arange(16.0), np.arange(16.0))
     relax_grid(np.dstack([x, y, 0.01 * x * y]))
-    for kind in (np.float32, np.float64, np.bool_):
-        halved_values(np.zeros((2, 2), kind))
+    for dtype in (np.float32, np.float64, np.bool_):
+        halved_values(np.zeros((2, 2), dtype))
     with suppress(ImportError):  # where it is installed, xarray loads it with the first array that stays in its file
         import_module("dask.array")
     gc.freeze()
@@ -81,20 +79,20 @@ def _make_run(order: Mapping[str, Any], send: Any) -> None:
     def progress(stage: str, detail: str) -> None:
         send({"state": "working", "stage": stage, "message": f"{stage}: {detail}"})
 
-    out, staged = Path(order["out"]), Path(order["staged"])
-    answer, ignored = {"state": "done"}, () if order["files"] else (PlanishError,)
+    out, staging = Path(order["out"]), Path(order["staging"])
+    outcome, ignored_errors = {"state": "done"}, () if order["files"] else (PlanishError,)
     try:
-        with suppress(*ignored), writing(staged):
-            staged.mkdir(parents=True, exist_ok=True)
+        with suppress(*ignored_errors), writing(staging):
+            staging.mkdir(parents=True, exist_ok=True)
             for name, text in {TARGET: str(out), **order["files"]}.items():
-                (staged / name).write_text(text, encoding="utf-8", newline="\n")
+                (staging / name).write_text(text, encoding="utf-8", newline="\n")
         run_study(Study.model_validate_json(order["study"]), out, old=Path(order["run"]), progress=progress)
     except Exception as error:  # noqa: BLE001  the page gets a sentence
         remedy = "Close other programs, or apply it on a machine with more memory."
-        answer = {"state": "failed", "message": in_study_words(as_sentence(error, "the new run", remedy).text)}
+        outcome = {"state": "failed", "message": in_study_words(as_sentence(error, "the new run", remedy).text)}
     finally:
-        shutil.rmtree(staged, ignore_errors=True)
-    send(answer)
+        shutil.rmtree(staging, ignore_errors=True)
+    send(outcome)
 
 
 def _interrupt_after(stream: TextIO) -> None:

@@ -71,7 +71,7 @@ class Mark(Part):
     fixed: OneEnd | None = None
 
     @property
-    def paired(self) -> bool:
+    def is_paired(self) -> bool:
         """Whether it lies in both planes."""
         return self.moving is not None and self.fixed is not None
 
@@ -198,13 +198,13 @@ def change_of(data: bytes | str) -> Change:
         return _CHANGE.validate_json(data)
 
 
-def numbered(change: Change, line: int) -> Change:
+def numbered(change: Change, line_number: int) -> Change:
     """The change with the ids of what it makes: those of its line in the journal, so that no id ever returns."""
     if isinstance(change, Import):
-        marks = (mark.model_copy(update={"id": f"m{line}-{k}"}) for k, mark in enumerate(change.marks, 1))
+        marks = (mark.model_copy(update={"id": f"m{line_number}-{k}"}) for k, mark in enumerate(change.marks, 1))
         return change.model_copy(update={"marks": tuple(marks)})
     letter = {"add": "m", "correct": "c", "region": "r"}.get(change.do)
-    return change if letter is None else change.model_copy(update={"id": f"{letter}{line}"})
+    return change if letter is None else change.model_copy(update={"id": f"{letter}{line_number}"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -215,18 +215,18 @@ class State:
     model: str = "auto"  # transformation that is fitted
     corrections: tuple[Correct, ...] = ()
     regions: tuple[DrawnRegion, ...] = ()
-    first: str = ""  # the layer of changes that name none
+    first_layer: str = ""  # the one of changes that name none
 
     def of(self, layer: str | None) -> tuple[Mark, ...]:
         """Marks of one registration, of the first where none is named; ChangeError for another name."""
-        name = layer or self.first
+        name = layer or self.first_layer
         if name not in self.marks:
             raise ChangeError(f"There is no registration {name!r}; there is {', '.join(self.marks) or 'none'}.")
         return self.marks[name]
 
-    def mark(self, layer: str | None, part_id: str) -> Mark:
+    def mark(self, layer: str | None, mark_id: str) -> Mark:
         """The mark of an id; ChangeError where it is not there."""
-        return _part_of_id(self.of(layer), part_id)
+        return _element_of_id(self.of(layer), mark_id)
 
 
 def applied(state: State, change: Change) -> State:
@@ -251,7 +251,7 @@ def applied(state: State, change: Change) -> State:
             return replace(state, regions=_without(state.regions, change.id))
         case _:
             marks = _marks_after(state.of(change.layer), change)
-            return replace(state, marks={**state.marks, change.layer or state.first: marks})
+            return replace(state, marks={**state.marks, change.layer or state.first_layer: marks})
 
 
 def _marks_after(marks: tuple[Mark, ...], change: Add | Move | Use | Relabel | Remove | Import) -> tuple[Mark, ...]:
@@ -265,8 +265,8 @@ def _marks_after(marks: tuple[Mark, ...], change: Add | Move | Use | Relabel | R
                 raise ChangeError(f"There are {len(marks)} marks; {MOST_MARKS} are the most.")
             labels = {mark.label for mark in marks}
             label = change.label or next(name for k in range(1, len(marks) + 2) if (name := f"mark {k}") not in labels)
-            new = Mark(id=change.id, label=checked_label(label), moving=change.moving, fixed=change.fixed)
-            return (*marks, new)
+            new_mark = Mark(id=change.id, label=checked_label(label), moving=change.moving, fixed=change.fixed)
+            return (*marks, new_mark)
         case Move():
             ends = {side: end for side in ("moving", "fixed") if (end := getattr(change, side)) is not None}
             if not ends:
@@ -292,21 +292,21 @@ def checked_label(label: str) -> str:
 T = TypeVar("T", Mark, Correct, DrawnRegion)
 
 
-def _with_fields(marks: tuple[Mark, ...], part_id: str, **fields: Any) -> tuple[Mark, ...]:
-    old = _part_of_id(marks, part_id)
-    return tuple(mark.model_copy(update=fields) if mark is old else mark for mark in marks)
+def _with_fields(marks: tuple[Mark, ...], mark_id: str, **fields: Any) -> tuple[Mark, ...]:
+    changed_mark = _element_of_id(marks, mark_id)
+    return tuple(mark.model_copy(update=fields) if mark is changed_mark else mark for mark in marks)
 
 
-def _without(parts: tuple[T, ...], part_id: str) -> tuple[T, ...]:
-    old = _part_of_id(parts, part_id)
-    return tuple(part for part in parts if part is not old)
+def _without(elements: tuple[T, ...], element_id: str) -> tuple[T, ...]:
+    removed = _element_of_id(elements, element_id)
+    return tuple(element for element in elements if element is not removed)
 
 
-def _part_of_id(parts: tuple[T, ...], part_id: str) -> T:
-    part = next((part for part in parts if part.id == part_id), None)
-    if part is None:
-        raise ChangeError(f"{part_id} is not there any more. The page shows what is.")
-    return part
+def _element_of_id(elements: tuple[T, ...], element_id: str) -> T:
+    element = next((element for element in elements if element.id == element_id), None)
+    if element is None:
+        raise ChangeError(f"{element_id} is not there any more. The page shows what is.")
+    return element
 
 
 def corrections_of(study: Study) -> tuple[Correct, ...]:
@@ -316,23 +316,21 @@ def corrections_of(study: Study) -> tuple[Correct, ...]:
         if layer.volume is None or layer.surface.corrections is None:
             continue
         for stretch in read_corrections(layer.surface.corrections).stretches:
-            named = {"id": f"c0-{len(corrections) + 1}", "layer": layer.name}
-            corrections.append(Correct.model_validate(stretch.model_dump() | named))
+            identity = {"id": f"c0-{len(corrections) + 1}", "layer": layer.name}
+            corrections.append(Correct.model_validate(stretch.model_dump() | identity))
     return tuple(corrections)
 
 
-def stretches_of(corrections: Sequence[Correct], layer: str, first: str) -> Corrections:
-    """The corrections of one layer as its file has them; those that name none are of the ``first``."""
-    of_layer = [correction for correction in corrections if (correction.layer or first) == layer]
-    stretches = [correction.model_dump(exclude={"do", "layer"}, exclude_none=True) for correction in of_layer]
+def stretches_of(corrections: Sequence[Correct], layer: str, first_sheet: str) -> Corrections:
+    """The corrections of one layer as its file has them; those that name none are of the ``first_sheet``."""
+    layer_corrections = [correction for correction in corrections if (correction.layer or first_sheet) == layer]
+    stretches = [correction.model_dump(exclude={"do", "layer"}, exclude_none=True) for correction in layer_corrections]
     return Corrections.model_validate({"stretches": stretches})
 
 
-def changed_corrections(study: Study, before: Sequence[Correct], now: Sequence[Correct]) -> Mapping[str, Corrections]:
+def changed_corrections(study: Study, old: Sequence[Correct], new: Sequence[Correct]) -> Mapping[str, Corrections]:
     """The corrections of each layer that has others than before."""
-    volumes = [layer.name for layer in study.layers if layer.volume is not None]
-    return {
-        name: stretches
-        for name in volumes
-        if (stretches := stretches_of(now, name, volumes[0])) != stretches_of(before, name, volumes[0])
-    }
+    sheet_names = [layer.name for layer in study.layers if layer.volume is not None]
+    by_layer = ({name: stretches_of(state, name, sheet_names[0]) for name in sheet_names} for state in (old, new))
+    before, after = by_layer
+    return {name: corrections for name, corrections in after.items() if corrections != before[name]}

@@ -34,8 +34,8 @@ class MarkFile(Part):
     @property
     def suffix(self) -> str:
         """Suffix of its name that says the format; nothing else of the name is used."""
-        name, suffixes = self.name.lower(), [suffix for form in FORMATS.values() for suffix in form.suffixes]
-        return max(filter(name.endswith, suffixes), key=len, default=".csv")
+        suffixes = [suffix for file_format in FORMATS.values() for suffix in file_format.suffixes]
+        return max(filter(self.name.lower().endswith, suffixes), key=len, default=".csv")
 
     def content(self) -> bytes:
         """Its bytes; ChangeError where there are none."""
@@ -49,20 +49,19 @@ class MarkFile(Part):
             raise ChangeError(f"This is no base64: {error}.") from error
 
 
-def imported(session: Session, layer: str, first: MarkFile, second: MarkFile | None = None) -> Import:
+def imported(session: Session, layer: str, file: MarkFile, fixed_file: MarkFile | None = None) -> Import:
     """The marks of a file, in the planes of a registration, as a change.
 
-    ``second`` is the fixed layer, where a format has one layer a file. FileError, MarkError and SizeError say what is
-    wrong with a file.
+    ``fixed_file`` is the fixed layer, where a format has one layer a file. FileError, MarkError and SizeError say what
+    is wrong with a file.
     """
     with tempfile.TemporaryDirectory(prefix="planish-") as folder:
-        paths: list[Path] = []
-        for name, upload in (("marks", first), ("second", second)):
-            if upload is not None:
-                paths.append(Path(folder) / f"{name}{upload.suffix}")
-                paths[-1].write_bytes(upload.content())
+        uploads = {"marks": file} | ({"second": fixed_file} if fixed_file else {})
+        paths = [Path(folder) / f"{name}{upload.suffix}" for name, upload in uploads.items()]
+        for path, upload in zip(paths, uploads.values(), strict=True):
+            path.write_bytes(upload.content())
         marks = read_any(*paths, **{plane: _pixels(session, layer, plane) for plane in PLANES})
-    moving, fixed = pair_of_layers(marks, name=first.name)
+    moving, fixed = pair_of_layers(marks, name=file.name)
     if moving == "volume":
         store, is_sheet = layer_run(session.folder, layer) / MAPS, session.results.layer(layer).sheet is not None
         groups = {group: read_group(store, group) for group in ("surfaces", "flat") if is_sheet}
@@ -71,29 +70,29 @@ def imported(session: Session, layer: str, first: MarkFile, second: MarkFile | N
     return Import(layer=layer, marks=pairs)
 
 
-def exported(session: Session, layer: str, to: str, fitted: Fitted) -> tuple[str, bytes]:
+def exported(session: Session, layer: str, format_name: str, fitted: Fitted) -> tuple[str, bytes]:
     """Name and bytes of a file with the marks; a ZIP where the format has a file for each layer.
 
     ChangeError for an unknown format, MarkError where there is no mark that it can hold.
     """
-    if to not in TARGETS:
+    if format_name not in TARGETS:
         raise ChangeError(f"Marks are written as {', '.join(TARGETS)}.")
     marks, row_of = session.state.of(layer), {mark.id: k for k, mark in enumerate(fitted.pairs)}
     rows = np.array([row_of.get(mark.id, len(row_of)) for mark in marks], dtype=np.intp)
     errors_um = {"residual": fitted.residual_um, "leave_one_out": fitted.leave_one_out_um}
-    content = dataset_of(
+    dataset = dataset_of(
         marks,
         about={plane: _pixels(session, layer, plane).about() for plane in PLANES},
         results={name: np.append(um, np.nan)[rows] for name, um in errors_um.items()},  # what the shown fit leaves
     )
-    suffix, parts = next(iter(FORMATS[to].suffixes), ".csv"), marks_bytes(content, to)
-    if len(parts) == 1:
-        return f"marks{suffix}", parts[""]
-    packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w") as archive:
-        for end, part in parts.items():
-            archive.writestr(f"marks{end}{suffix}", part)
-    return "marks.zip", packed.getvalue()
+    suffix, files = next(iter(FORMATS[format_name].suffixes), ".csv"), marks_bytes(dataset, format_name)
+    if len(files) == 1:
+        return f"marks{suffix}", files[""]
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name_end, content in files.items():
+            archive.writestr(f"marks{name_end}{suffix}", content)
+    return "marks.zip", buffer.getvalue()
 
 
 def _pixels(session: Session, layer: str, plane: Plane) -> LayerPixels:

@@ -27,8 +27,8 @@ from planish.run.study import changed
 
 LEAST = 5
 """Of fewer marks none can be told from the others."""
-_CHANCE = 0.01  # of right marks alone, in one set of a hundred one is named
-_CLEAR = 4.0  # standard deviations of one coordinate
+_SIGNIFICANCE = 0.01  # of right marks alone, in one set of a hundred one is named
+_CLEAR_SDS = 4.0  # standard deviations of one coordinate
 
 
 def find_outliers(moving: Floats, fixed: Floats, mirrored: bool, *, tolerance_um: float) -> Bools:
@@ -61,44 +61,45 @@ def find_outliers(moving: Floats, fixed: Floats, mirrored: bool, *, tolerance_um
     inliers = _best_inliers(z, w, n - n // 3)
     for _ in range(n):
         # How far each mark lies off a fit to the inliers, over its own error in units of theirs; their variance.
-        off = np.abs(_residuals(z, w, inliers))
-        away = np.abs(z - z[inliers].mean()) ** 2
-        lever = 1 / inliers.size + away / max(float(np.sum(away[inliers])), 1e-300)
-        spread = float(np.sum(off[inliers] ** 2)) / max(2 * inliers.size - 4, 1)
-        off = off / np.sqrt(1 + lever)
+        residual_um = np.abs(_residuals(z, w, inliers))
+        distance2 = np.abs(z - z[inliers].mean()) ** 2
+        leverage = 1 / inliers.size + distance2 / max(float(np.sum(distance2[inliers])), 1e-300)
+        dof = 2 * inliers.size - 4
+        variance = float(np.sum(residual_um[inliers] ** 2)) / max(dof, 1)
+        residual_um = residual_um / np.sqrt(1 + leverage)
         # The inliers were chosen for being close: the chance counts how many choices there were.
-        limit = _CHANCE / comb(n, n - inliers.size) / max(n - inliers.size, 1)
-        free = 2 * inliers.size - 4
-        chance = stats.f.sf(off**2 / (2 * spread), 2, free) if spread > 0 else (off == 0).astype(np.float64)
-        outside = np.setdiff1d(np.arange(n), inliers)
-        if not outside.size:
+        p_limit = _SIGNIFICANCE / comb(n, n - inliers.size) / max(n - inliers.size, 1)
+        p_value = (residual_um == 0).astype(np.float64)
+        if variance > 0:
+            p_value = stats.f.sf(residual_um**2 / (2 * variance), 2, dof)
+        excluded = np.setdiff1d(np.arange(n), inliers)
+        if not excluded.size:
             break
-        nearest = outside[np.argmax(chance[outside])]
-        if chance[nearest] < limit or off[nearest] > max(tolerance_um, _CLEAR * np.sqrt(spread)):
-            is_outlier[outside] = True
+        candidate = excluded[np.argmax(p_value[excluded])]
+        if p_value[candidate] < p_limit or residual_um[candidate] > max(tolerance_um, _CLEAR_SDS * np.sqrt(variance)):
+            is_outlier[excluded] = True
             break
-        inliers = np.append(inliers, nearest)
+        inliers = np.append(inliers, candidate)
     return is_outlier
 
 
 def _best_inliers(z: Complexes, w: Complexes, count: int) -> NDArray[np.intp]:
-    """The marks that one similarity fits best."""
     if len(z) < 56:
         i, j = np.array(list(combinations(range(len(z)), 2))).T
     else:
-        tries = np.tile(np.arange(len(z)), (1500, 1))  # of so many pairs a similarity is tried
-        i, j = np.random.default_rng(0).permuted(tries, axis=1)[:, :2].T
+        permutations = np.tile(np.arange(len(z)), (1500, 1))  # of so many pairs a similarity is tried
+        i, j = np.random.default_rng(0).permuted(permutations, axis=1)[:, :2].T
     with np.errstate(divide="ignore", invalid="ignore"):
-        turn = (w[j] - w[i]) / (z[j] - z[i])
-    good = np.isfinite(turn)
-    turn, i = turn[good], i[good]
-    if not turn.size:
+        factor = (w[j] - w[i]) / (z[j] - z[i])
+    is_finite = np.isfinite(factor)
+    factor, i = factor[is_finite], i[is_finite]
+    if not factor.size:
         return np.arange(len(z))
-    off = np.abs(w - w[i][:, None] - turn[:, None] * (z - z[i][:, None])) ** 2
-    best = np.argsort(np.sum(np.partition(off, count - 1, axis=1)[:, :count], axis=1), kind="stable")[:10]
+    residual2 = np.abs(w - w[i][:, None] - factor[:, None] * (z - z[i][:, None])) ** 2
+    best = np.argsort(np.sum(np.partition(residual2, count - 1, axis=1)[:, :count], axis=1), kind="stable")[:10]
     candidates: list[tuple[float, NDArray[np.intp]]] = []
     for k in best:
-        inliers = np.argsort(off[k], kind="stable")[:count]
+        inliers = np.argsort(residual2[k], kind="stable")[:count]
         for _ in range(5):
             inliers = np.argsort(np.abs(_residuals(z, w, inliers)), kind="stable")[:count]
         candidates.append((float(np.sum(np.abs(_residuals(z, w, inliers)[inliers]) ** 2)), np.sort(inliers)))
@@ -107,10 +108,10 @@ def _best_inliers(z: Complexes, w: Complexes, count: int) -> NDArray[np.intp]:
 
 def _residuals(z: Complexes, w: Complexes, inliers: NDArray[np.intp]) -> Complexes:
     """Give the residuals of all marks from the similarity that fits the inliers best."""
-    source, target = z[inliers].mean(), w[inliers].mean()
-    away = z[inliers] - source
-    turn = np.sum(away.conj() * (w[inliers] - target)) / max(float(np.sum(np.abs(away) ** 2)), 1e-300)
-    return w - (target + turn * (z - source))
+    z_mean, w_mean = z[inliers].mean(), w[inliers].mean()
+    z_centred = z[inliers] - z_mean
+    factor = np.sum(z_centred.conj() * (w[inliers] - w_mean)) / max(float(np.sum(np.abs(z_centred) ** 2)), 1e-300)
+    return w - (w_mean + factor * (z - z_mean))
 
 
 QUICK = ("rigid", "similarity", "affine", "projective")
@@ -136,11 +137,11 @@ class Fitted:
         In use or not.
     residual_um, leave_one_out_um : ndarray, shape (n,)
         Of all pairs. Marks that stand out are left out of the fits to all others.
-    outliers : ndarray of bool, shape (n,)
+    is_outlier : ndarray of bool, shape (n,)
         Pairs that stand out.
     error : str
         Why there is no fit of the model; a similarity stands for it where there is one.
-    pending : bool
+    is_pending : bool
         Whether the fit of the model is still worked out.
     warnings : tuple of FitWarning
     mirrored : bool or None
@@ -148,26 +149,26 @@ class Fitted:
 
     fit: FittedTransform | None
     pairs: tuple[Mark, ...]
-    outliers: Bools
+    is_outlier: Bools
     residual_um: Floats
     leave_one_out_um: Floats
     error: str = ""
-    pending: bool = False
+    is_pending: bool = False
     warnings: tuple[FitWarning, ...] = ()
     mirrored: bool | None = False
 
     @property
     def message(self) -> str:
         """Agreement of the marks, and those that stand out, in a sentence."""
-        out = np.flatnonzero(self.outliers)
-        if out.size and np.isfinite(self.leave_one_out_um[out]).all():  # else there is no fit, and the error says why
-            far = np.argsort(-self.leave_one_out_um[out], kind="stable")
-            names = and_join_few([self.pairs[k].label for k in out[far]])
-            off = and_join_few([f"{self.leave_one_out_um[k]:.0f}" for k in out[far]])
-            stand, they_are, them = ("stand", "they are", "them") if out.size > 1 else ("stands", "it is", "it")
-            return (
-                f"{names} {stand} out: {off} um off the others. Check where {they_are} set, or take {them} out of use."
-            )
+        outliers = np.flatnonzero(self.is_outlier)
+        errors_um = self.leave_one_out_um[outliers]
+        if outliers.size and np.isfinite(errors_um).all():  # else there is no fit, and the error says why
+            order = np.argsort(-errors_um, kind="stable")
+            labels = and_join_few([self.pairs[k].label for k in outliers[order]])
+            um_text = and_join_few([f"{um:.0f}" for um in errors_um[order]])
+            stand, they_are, them = ("stand", "they are", "them") if outliers.size > 1 else ("stands", "it is", "it")
+            advice = f"Check where {they_are} set, or take {them} out of use."
+            return f"{labels} {stand} out: {um_text} um off the others. {advice}"
         if self.error:
             return self.error
         return "" if self.fit is None else self.fit.agreement([mark.label for mark in self.pairs if mark.used])
@@ -176,22 +177,23 @@ class Fitted:
         self, side: Plane, point_um: tuple[float, float]
     ) -> tuple[tuple[float, float], float | None, str] | None:
         """Place in the other plane of a point of ``side``, its expected error in um where known, and both in words."""
-        used = [mark for mark in self.pairs if mark.used]
-        if self.fit is not None and len(used) >= 3:
-            transform, error, words = self.fit, self.fit.expected_error_um, "its error is not known"
+        used_marks = [mark for mark in self.pairs if mark.used]
+        if self.fit is not None and len(used_marks) >= 3:
+            transform, expected_error, error_text = self.fit, self.fit.expected_error_um, "its error is not known"
         else:
-            error = None
-            transform, words = _from_few_pairs(_points(used, "moving"), _points(used, "fixed"), self.mirrored)
+            moving, fixed = (_points(used_marks, plane) for plane in PLANES)
+            (transform, error_text), expected_error = _from_few_pairs(moving, fixed, self.mirrored), None
         if transform is None:
             return None
         point = np.array(point_um)
         counterpart_um: Floats = transform(point) if side == "moving" else transform.inverse(point)
         if not np.isfinite(counterpart_um).all():
             return None
-        error_um = None if error is None else finite_or_none(error(point if side == "moving" else counterpart_um))
+        moving_um = point if side == "moving" else counterpart_um
+        error_um = None if expected_error is None else finite_or_none(expected_error(moving_um))
         if error_um is not None:
-            words = f"expected error {error_um:.1f} um"
-        return (float(counterpart_um[0]), float(counterpart_um[1])), error_um, words
+            error_text = f"expected error {error_um:.1f} um"
+        return (float(counterpart_um[0]), float(counterpart_um[1])), error_um, error_text
 
 
 def fitted(
@@ -213,51 +215,51 @@ def fitted(
     quick : bool
         Whether only what takes some milliseconds is done: of another model than `QUICK`, a similarity instead.
     """
-    rows = tuple(mark for mark in marks if mark.paired)
-    moving, fixed = (_points(rows, plane) for plane in PLANES)
-    used = np.array([mark.used for mark in rows], dtype=np.bool_)
+    pairs = tuple(mark for mark in marks if mark.is_paired)
+    moving, fixed = (_points(pairs, plane) for plane in PLANES)
+    is_used = np.array([mark.used for mark in pairs], dtype=np.bool_)
     is_mirrored = bool(mirrored)
     if mirrored is None:
         with suppress(PlanishError):
-            is_mirrored = _least_squares(moving[used], fixed[used], "similarity", None).mirrored
-    is_outlier = np.zeros(len(rows), dtype=np.bool_)
-    is_outlier[used] = find_outliers(moving[used], fixed[used], is_mirrored, tolerance_um=params.tolerance_um)
-    nans = np.full(len(rows), np.nan)
-    warnings, error = _at_one_place(rows), ""
-    if (count := int(used.sum())) < 3:
-        few = f"{count} pair{'s' * (count != 1)} of marks in use: a registration needs 3, far apart, and more to say"
-        warnings.append(FitWarning(text=f"{few} how good it is."))
+            is_mirrored = _least_squares(moving[is_used], fixed[is_used], "similarity", None).mirrored
+    is_outlier = np.zeros(len(pairs), dtype=np.bool_)
+    is_outlier[is_used] = find_outliers(moving[is_used], fixed[is_used], is_mirrored, tolerance_um=params.tolerance_um)
+    nans = np.full(len(pairs), np.nan)
+    warnings, error_text = _coincidence_warnings(pairs), ""
+    if (n_used := int(is_used.sum())) < 3:
+        needed_text = "a registration needs 3, far apart, and more to say how good it is."
+        warnings.append(FitWarning(text=f"{n_used} pair{'s' * (n_used != 1)} of marks in use: {needed_text}"))
     unfitted = Fitted(
-        fit=None, pairs=rows, outliers=is_outlier, residual_um=nans, leave_one_out_um=nans, warnings=tuple(warnings),
-        pending=quick and len(rows) > 1, mirrored=mirrored,
+        fit=None, pairs=pairs, is_outlier=is_outlier, residual_um=nans, leave_one_out_um=nans, warnings=tuple(warnings),
+        is_pending=quick and len(pairs) > 1, mirrored=mirrored,
     )  # fmt: skip
     try:
         if model == "auto" and not quick:
-            fit = fit_marks(dataset_of(rows), params=changed(params, model="auto"), mirrored=mirrored)
+            fit = fit_marks(dataset_of(pairs), params=changed(params, model="auto"), mirrored=mirrored)
         else:
-            kind = model if not quick or model in QUICK else "similarity"
-            fit = _least_squares(moving[used], fixed[used], kind, mirrored, inspect=not quick)
-    except PlanishError as refused:
-        error = _refusal(refused, rows, used)
+            fitted_model = model if not quick or model in QUICK else "similarity"
+            fit = _least_squares(moving[is_used], fixed[is_used], fitted_model, mirrored, inspect=not quick)
+    except PlanishError as refusal:
+        error_text = _refusal(refusal, pairs, is_used)
         try:  # there is something to look at: which marks are wrong
-            fit = _least_squares(moving[used], fixed[used], "similarity", mirrored)
+            fit = _least_squares(moving[is_used], fixed[is_used], "similarity", mirrored)
         except PlanishError:
-            return replace(unfitted, error=error)
-    residual, leave_one_out_um = np.linalg.norm(fixed - fit(moving), axis=1), nans.copy()
-    leave_one_out_um[used], leave_one_out_um[~used] = fit.leave_one_out_um, residual[~used]
+            return replace(unfitted, error=error_text)
+    residual_um, leave_one_out_um = np.linalg.norm(fixed - fit(moving), axis=1), nans.copy()
+    leave_one_out_um[is_used], leave_one_out_um[~is_used] = fit.leave_one_out_um, residual_um[~is_used]
     if is_outlier.any():
-        kind = "auto" if model == "auto" and not quick and not error else fit.model
+        fitted_model = "auto" if model == "auto" and not quick and not error_text else fit.model
         # Marks that stand out take part in no fit here: they would spoil the errors of the others.
-        weights = (used & ~is_outlier).astype(np.float64)
+        weights = (is_used & ~is_outlier).astype(np.float64)
         with suppress(PlanishError):  # too few are left for this model
-            fit_to_others = _least_squares(moving, fixed, kind, mirrored, weights=weights)
+            fit_to_others = _least_squares(moving, fixed, fitted_model, mirrored, weights=weights)
             leave_one_out_um = fit_to_others.leave_one_out_um
-    warnings += _warnings_of_marks(rows, used, is_outlier, fit, residual, leave_one_out_um)
+    warnings += _warnings_of_marks(pairs, is_used, is_outlier, fit, residual_um, leave_one_out_um)
     # Those of the fit that are about single marks stand beside them already.
-    of_marks = "(counted from 0)", "marks only"
-    warnings += [FitWarning(text=text) for text in fit.warnings if not any(part in text for part in of_marks)]
+    mark_phrases = "(counted from 0)", "marks only"
+    warnings += [FitWarning(text=text) for text in fit.warnings if not any(phrase in text for phrase in mark_phrases)]
     return replace(
-        unfitted, fit=fit, residual_um=residual, leave_one_out_um=leave_one_out_um, error=error,
+        unfitted, fit=fit, residual_um=residual_um, leave_one_out_um=leave_one_out_um, error=error_text,
         warnings=tuple(warnings),
     )  # fmt: skip
 
@@ -266,10 +268,10 @@ def _points(marks: Sequence[Mark], plane: Plane) -> Floats:
     return np.array([getattr(mark, plane).xy for mark in marks], dtype=np.float64).reshape(-1, 2)
 
 
-def _least_squares(moving: Floats, fixed: Floats, model: str, mirrored: bool | None, **how: Any) -> FittedTransform:
+def _least_squares(moving: Floats, fixed: Floats, model: str, mirrored: bool | None, **options: Any) -> FittedTransform:
     """Least squares, in which no mark is left out."""
-    how = {"robust": False, "lowest": "similarity", "inspect": False} | how
-    return fit_transform(moving, fixed, model=model, mirrored=mirrored, **how)
+    options = {"robust": False, "lowest": "similarity", "inspect": False} | options
+    return fit_transform(moving, fixed, model=model, mirrored=mirrored, **options)
 
 
 def _from_few_pairs(moving: Floats, fixed: Floats, mirrored: bool | None) -> tuple[Any, str]:
@@ -285,38 +287,37 @@ def _from_few_pairs(moving: Floats, fixed: Floats, mirrored: bool | None) -> tup
     return None, ""
 
 
-def _at_one_place(rows: Sequence[Mark]) -> list[FitWarning]:
-    """Marks in use at the place of another one."""
+def _coincidence_warnings(pairs: Sequence[Mark]) -> list[FitWarning]:
     warnings: list[FitWarning] = []
-    for plane, where in WHERE.items():
-        first: dict[tuple[float, float], Mark] = {}
-        for mark in (m for m in rows if m.used):
-            other = first.setdefault(getattr(mark, plane).xy, mark)
-            if other is not mark:
-                warnings.append(FitWarning(id=mark.id, text=f"Lies at the same place as {other.label} {where}."))
+    for plane, plane_text in WHERE.items():
+        mark_at: dict[tuple[float, float], Mark] = {}
+        for mark in (m for m in pairs if m.used):
+            earlier = mark_at.setdefault(getattr(mark, plane).xy, mark)
+            if earlier is not mark:
+                warnings.append(FitWarning(id=mark.id, text=f"Lies at the same place as {earlier.label} {plane_text}."))
     return warnings
 
 
 def _warnings_of_marks(
-    rows: Sequence[Mark], used: Bools, is_outlier: Bools, fit: FittedTransform, residual: Floats,
+    pairs: Sequence[Mark], is_used: Bools, is_outlier: Bools, fit: FittedTransform, residual_um: Floats,
     leave_one_out_um: Floats,
 ) -> list[FitWarning]:  # fmt: skip
     warnings: list[FitWarning] = []
-    is_rejected = np.zeros(len(rows), dtype=np.bool_)
-    is_rejected[used] = fit.robust_weights == 0
-    for k, mark in enumerate(rows):
+    is_rejected = np.zeros(len(pairs), dtype=np.bool_)
+    is_rejected[is_used] = fit.robust_weights == 0
+    for k, mark in enumerate(pairs):
         if is_rejected[k]:
-            text = f"{residual[k]:.0f} um off: does not agree with the others and is left out of the fit."
+            text = f"{residual_um[k]:.0f} um off: does not agree with the others and is left out of the fit."
             warnings.append(FitWarning(id=mark.id, text=text))
         elif is_outlier[k]:
             warnings.append(FitWarning(id=mark.id, text=f"Stands out: {leave_one_out_um[k]:.0f} um off the others."))
     return warnings
 
 
-def _refusal(error: PlanishError, rows: Sequence[Mark], used: Bools) -> str:
+def _refusal(error: PlanishError, pairs: Sequence[Mark], is_used: Bools) -> str:
     """An error of the fit; where it is about marks at one place, with their labels."""
-    twice = _at_one_place(rows)
-    if twice and "at one place" in error.text:
-        label = next(mark.label for mark in rows if mark.id == twice[0].id)
-        return f"{label}: {twice[0].text} Move or delete one of them."
-    return error.text if used.any() else ""
+    coincident = _coincidence_warnings(pairs)
+    if coincident and "at one place" in error.text:
+        label = next(mark.label for mark in pairs if mark.id == coincident[0].id)
+        return f"{label}: {coincident[0].text} Move or delete one of them."
+    return error.text if is_used.any() else ""

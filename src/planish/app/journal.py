@@ -12,7 +12,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from planish.core.errors import FileError, ResourceError
-from planish.core.files import as_planish, writing
+from planish.core.files import write_failure, writing
 
 FORMAT = "planish journal 1"
 LOCK = ".lock"
@@ -32,7 +32,7 @@ class Journal:
     ----------
     path : Path
         The file; it need not be there.
-    of : str
+    subject : str
         What the changes are made to, such as the hash of a run's results; a journal of something else is refused.
     write : bool
         Whether lines will be appended; at most one process can.
@@ -45,8 +45,8 @@ class Journal:
         If it cannot be read, is damaged, or is of something else; with ``write`` also where it cannot be written.
     """
 
-    def __init__(self, path: Path, *, of: str, write: bool) -> None:
-        self.path, self.of = path, of
+    def __init__(self, path: Path, *, subject: str, write: bool) -> None:
+        self.path, self.subject = path, subject
         self._lock = None
         if write:
             with writing(path):
@@ -65,11 +65,11 @@ class Journal:
                 data = path.read_bytes() if path.exists() else b""
             except OSError as error:
                 raise FileError(f"{path} cannot be read: {os.strerror(error.errno or 0)}.") from error
-            self._end = data.rfind(b"\n") + 1
-            self.lines = _lines(data[: self._end], path, of)
-            if write and self._end < len(data):
+            self._end_byte = data.rfind(b"\n") + 1
+            self.lines = _lines(data[: self._end_byte], path, subject)
+            if write and self._end_byte < len(data):
                 with writing(path), path.open("r+b") as file:
-                    file.truncate(self._end)
+                    file.truncate(self._end_byte)
         except BaseException:
             self.close()
             raise
@@ -86,19 +86,19 @@ class Journal:
         """
         if self._lock is None:
             raise FileError(f"{self.path} is read only here. Nothing was changed.")
-        is_new = self._end == 0
-        head = json.dumps({"format": FORMAT, "of": self.of}).encode() + b"\n" if is_new else b""
-        data = head + line + b"\n"
+        is_new = self._end_byte == 0
+        header = json.dumps({"format": FORMAT, "of": self.subject}).encode() + b"\n" if is_new else b""
+        data = header + line + b"\n"
         try:
             with self.path.open("ab" if is_new else "r+b", buffering=0) as file:
                 try:
-                    file.truncate(self._end)  # what an earlier failure may have left
-                    file.seek(self._end)
+                    file.truncate(self._end_byte)  # what an earlier failure may have left
+                    file.seek(self._end_byte)
                     _write_all(file, data)
                     os.fsync(file.fileno())
                 except BaseException:
                     with suppress(OSError):
-                        file.truncate(self._end)
+                        file.truncate(self._end_byte)
                     raise
             if is_new and os.name != "nt":  # Windows keeps the names of files by itself
                 descriptor = os.open(self.path.parent, os.O_RDONLY)
@@ -107,13 +107,13 @@ class Journal:
                 finally:
                     os.close(descriptor)
         except OSError as error:
-            fault = as_planish(error, self.path)
-            kind = ResourceError if isinstance(fault, ResourceError) else FileError
-            reason = "the disk is full" if kind is ResourceError else fault.text.removesuffix(".")
-            raise kind(
+            fault = write_failure(error, self.path)
+            error_type = ResourceError if isinstance(fault, ResourceError) else FileError
+            reason = "the disk is full" if error_type is ResourceError else fault.text.removesuffix(".")
+            raise error_type(
                 f"The change could not be saved and was not made: {reason}. Free some space, then do it again."
             ) from error
-        self._end += len(data)
+        self._end_byte += len(data)
         self.lines.append(line)
 
     def close(self) -> None:
@@ -127,17 +127,17 @@ class Journal:
             self._lock = None
 
 
-def _lines(data: bytes, path: Path, of: str) -> list[bytes]:
-    head, *lines = data.splitlines() or [b""]
-    if not head:
+def _lines(data: bytes, path: Path, subject: str) -> list[bytes]:
+    first_line, *lines = data.splitlines() or [b""]
+    if not first_line:
         return []
-    stated = _object(head)
-    if stated.get("format") != FORMAT:
+    header = _json_object(first_line)
+    if header.get("format") != FORMAT:
         raise FileError(f"{path} is no journal of this planish ({FORMAT!r}). Rename it to begin anew.")
-    if stated.get("of") != of:
+    if header.get("of") != subject:
         raise FileError(f"{path} holds changes of something else than what lies beside it. Rename it to begin anew.")
     for k, line in enumerate(lines, 2):
-        if not _object(line):
+        if not _json_object(line):
             raise FileError(
                 f"{path} is damaged in line {k} of {len(lines) + 1}. Cut the file before this line to keep the changes "
                 "that were made until then."
@@ -145,7 +145,7 @@ def _lines(data: bytes, path: Path, of: str) -> list[bytes]:
     return lines
 
 
-def _object(line: bytes) -> Mapping[str, Any]:
+def _json_object(line: bytes) -> Mapping[str, Any]:
     try:
         parsed: Any = json.loads(line)
     except (ValueError, RecursionError):

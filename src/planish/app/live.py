@@ -49,13 +49,13 @@ class Live:
         with self._lock:
             if self._current(layer, marks, model) is None:
                 self._fits[layer] = marks, model, quick_fit
-                if quick_fit.pending:
+                if quick_fit.is_pending:
                     self._queue[layer] = marks, model
                     if self._thread is None:
                         self._thread = threading.Thread(target=self._work, name="fits", daemon=True)
                         self._thread.start()
                     if model not in QUICK:
-                        self._lock.wait_for(lambda: not self._fits[layer][2].pending, timeout=WAIT_S)
+                        self._lock.wait_for(lambda: not self._fits[layer][2].is_pending, timeout=WAIT_S)
             return self._current(layer, marks, model) or quick_fit
 
     def _current(self, layer: str, marks: tuple[Mark, ...], model: str) -> Fitted | None:
@@ -94,23 +94,23 @@ class Live:
         """The state as the page shows it; ChangeError where there is no such registration."""
         session = self.session
         version, state = session.version, session.state
-        marks_fit = self.fit(layer)
-        row_of = {mark.id: k for k, mark in enumerate(marks_fit.pairs)}
-        fit, transform = marks_fit.fit, None
+        fitted_marks = self.fit(layer)
+        row_of = {mark.id: k for k, mark in enumerate(fitted_marks.pairs)}
+        fit, transform = fitted_marks.fit, None
         if fit is not None:  # by which the page lays one picture onto the other
             transform = asdict(fit.transform.similarity)
         return {
             "version": version, "layer": layer, "model": state.model,
-            "marks": [self._row(mark, marks_fit, row_of.get(mark.id)) for mark in state.of(layer)],
+            "marks": [self._row(mark, fitted_marks, row_of.get(mark.id)) for mark in state.of(layer)],
             "fit": {
                 "model": state.model if fit is None else fit.model,
                 "rms_um": finite_or_none(fit and fit.rms_um),
                 "loo_rms_um": finite_or_none(fit and fit.leave_one_out_rms_um),
-                "follows": marks_fit.pending and state.model not in QUICK,
+                "follows": fitted_marks.is_pending and state.model not in QUICK,
                 "transform": transform,
-            } | ({"error": marks_fit.error} if marks_fit.error else {}),
-            "message": marks_fit.message,
-            "warnings": [warning.model_dump(exclude_none=True) for warning in marks_fit.warnings],
+            } | ({"error": fitted_marks.error} if fitted_marks.error else {}),
+            "message": fitted_marks.message,
+            "warnings": [warning.model_dump(exclude_none=True) for warning in fitted_marks.warnings],
             "corrections": [c.model_dump(mode="json", exclude={"do"}) for c in state.corrections],
             "regions": [r.model_dump(mode="json") for r in state.regions],
             "can_undo": session.can_undo and not session.read_only,
@@ -126,9 +126,9 @@ class Live:
             "leave_one_out_um": None if k is None else finite_or_none(marks_fit.leave_one_out_um[k]),
         }  # fmt: skip
         if k is None:
-            side, other = PLANES if mark.fixed is None else PLANES[::-1]
+            side, opposite = PLANES if mark.fixed is None else PLANES[::-1]
             if (prediction := marks_fit.predicted(side, getattr(mark, side).xy)) is not None:
-                row |= {"predicted": {other: prediction[0]}, "note": prediction[2]}
-        elif marks_fit.pending and self.session.state.model not in QUICK:
+                row |= {"predicted": {opposite: prediction[0]}, "note": prediction[2]}
+        elif marks_fit.is_pending and self.session.state.model not in QUICK:
             row["note"] = f"{self.session.state.model} follows"
         return row

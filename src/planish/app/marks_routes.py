@@ -14,7 +14,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
 
-from planish.app.applying import Applying, Busy, Progress
+from planish.app.apply import Applying, Busy, Progress
 from planish.app.changes import FARTHEST_UM, Change, ChangeError, Id, Layer
 from planish.app.exchange import MarkFile, exported, imported
 from planish.app.live import Live
@@ -57,9 +57,9 @@ def get_session(request: Request) -> Response:
     for layer in session.layers:
         circles: dict[str, list[list[float]]] = {}
         for plane, holes in session.holes(layer).items():
-            um = holes["diameter"].values if "diameter" in holes else np.full(holes.sizes["mark"], np.nan)
-            columns = holes["x"].values, holes["y"].values, np.where(np.isfinite(um), um, USUAL_UM)
-            circles[plane] = np.stack(columns, 1).tolist()
+            diameter_um = holes["diameter"].values if "diameter" in holes else np.full(holes.sizes["mark"], np.nan)
+            shown_um = np.where(np.isfinite(diameter_um), diameter_um, USUAL_UM)
+            circles[plane] = np.stack([holes["x"].values, holes["y"].values, shown_um], 1).tolist()
         layers.append({
             "name": layer, "to": session.target(layer), "headline": session.results.layer(layer).headline,
             "holes": circles,
@@ -81,32 +81,33 @@ def get_state(request: Request) -> Response:
     return JSONResponse(_state_of(request))
 
 
-def _layer(request: Request) -> str:
+def _layer_name(request: Request) -> str:
     """The registration that is asked for; the first where none is."""
-    return request.query_params.get("layer") or session_of(request).state.first
+    return request.query_params.get("layer") or session_of(request).state.first_layer
 
 
 def _state_of(request: Request) -> dict[str, Any]:
     live: Live = request.app.state.live
-    return live.shown(_layer(request))
+    return live.shown(_layer_name(request))
 
 
 async def get_events(request: Request) -> Response:
     """One line of JSON for each new version, and one each half second, by which a lost server is noticed."""
     session = session_of(request)
-    news, loop = anyio.Event(), asyncio.get_running_loop()
+    new_version, loop = anyio.Event(), asyncio.get_running_loop()
 
     async def lines() -> AsyncIterator[bytes]:
-        nonlocal news
-        stop = session.listen(lambda: loop.call_soon_threadsafe(lambda: news.set()) and None)  # from any thread
+        nonlocal new_version
+        # From any thread.
+        stop_listening = session.listen(lambda: loop.call_soon_threadsafe(lambda: new_version.set()) and None)
         try:
             while True:
                 yield json.dumps({"version": session.version}).encode() + b"\n"
                 with anyio.move_on_after(0.5):
-                    await news.wait()
-                news = anyio.Event()
+                    await new_version.wait()
+                new_version = anyio.Event()
         finally:
-            stop()
+            stop_listening()
 
     return StreamingResponse(lines(), media_type="application/x-ndjson")
 
@@ -123,8 +124,8 @@ def _changing(model: type[_Body], action: Callable[[Request, Any], object]) -> C
                 message = action(request, body)
             except Stale as error:
                 return JSONResponse({"error": error.text} | _state_of(request), 409)
-            said = {"said": message} if isinstance(message, str) and message else {}
-            return JSONResponse(_state_of(request) | said)
+            message_field = {"said": message} if isinstance(message, str) and message else {}
+            return JSONResponse(_state_of(request) | message_field)
 
         return await run_sync(act)
 
@@ -134,7 +135,7 @@ def _changing(model: type[_Body], action: Callable[[Request, Any], object]) -> C
 def _snap(request: Request, body: _SnapBody) -> str:
     """Move both ends of a mark into the holes that they lie in."""
     session = session_of(request)
-    layer = body.layer or session.state.first
+    layer = body.layer or session.state.first_layer
     mark = session.state.mark(layer, body.id)
     move = snapped(session, layer, mark)
     session.change(move, version=body.version)
@@ -144,7 +145,7 @@ def _snap(request: Request, body: _SnapBody) -> str:
 def _import(request: Request, body: _ImportBody) -> str:
     """Take the marks of a file in place of all that are there."""
     session = session_of(request)
-    change = imported(session, body.layer or session.state.first, body, body.second)
+    change = imported(session, body.layer or session.state.first_layer, body, body.second)
     session.change(change, version=body.version)
     return f"{len(change.marks)} pairs of marks imported."
 
@@ -158,47 +159,47 @@ def get_predict(request: Request) -> Response:
     (x,), (y,) = required_numbers(request, "x", 1), required_numbers(request, "y", 1)
     if max(abs(x), abs(y)) > FARTHEST_UM:
         raise ChangeError(f"({x:g}, {y:g}) is no place in um.")
-    prediction = live.fit(_layer(request)).predicted(side, (x, y))
+    prediction = live.fit(_layer_name(request)).predicted(side, (x, y))
     if prediction is None:
         return JSONResponse(None)
-    (other_x, other_y), error_um, words = prediction
-    return JSONResponse({"x": other_x, "y": other_y, "error_um": error_um, "text": words})
+    (target_x, target_y), error_um, error_text = prediction
+    return JSONResponse({"x": target_x, "y": target_y, "error_um": error_um, "text": error_text})
 
 
 def get_export(request: Request) -> Response:
     """The marks as a file."""
-    layer, to = _layer(request), request.query_params.get("format", "json")
+    layer, format_name = _layer_name(request), request.query_params.get("format", "json")
     live: Live = request.app.state.live
-    name, data = exported(session_of(request), layer, to, live.fit(layer))
+    name, content = exported(session_of(request), layer, format_name, live.fit(layer))
     headers = {"content-disposition": f'attachment; filename="{name}"'}
-    return Response(data, headers=headers, media_type="application/octet-stream")
+    return Response(content, headers=headers, media_type="application/octet-stream")
 
 
 def _applying(request: Request) -> Applying:
     return request.app.state.applying
 
 
-def _answer(progress: Progress, status: int = 200, **more: str) -> Response:
-    return JSONResponse(more | progress.model_dump(exclude_none=True), status)
+def _progress_response(progress: Progress, status: int = 200, **fields: str) -> Response:
+    return JSONResponse(fields | progress.model_dump(exclude_none=True), status)
 
 
 def get_apply(request: Request) -> Response:
     """Give the progress of the run that is made."""
-    return _answer(_applying(request).progress)
+    return _progress_response(_applying(request).progress)
 
 
 def post_apply(request: Request) -> Response:
     """Begin to make a run."""
     applying = _applying(request)
     try:
-        return _answer(applying.start(), 202)
+        return _progress_response(applying.start(), 202)
     except Busy as error:
-        return _answer(applying.progress, 409, error=error.text)
+        return _progress_response(applying.progress, 409, error=error.text)
 
 
 def post_cancel(request: Request) -> Response:
     """Stop, and leave nothing."""
-    return _answer(_applying(request).cancel())
+    return _progress_response(_applying(request).cancel())
 
 
 def get_report(request: Request) -> Response:

@@ -23,7 +23,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from planish.core.area import count_of, halved_values
+from planish.core.area import halved_values, overview_count
 from planish.core.grid import Grid
 from planish.core.lazy import LazyArray, Where
 from planish.core.typing import Floats
@@ -56,8 +56,8 @@ def finite_or_none(number: Any) -> float | None:
 
 def layer_run(run: Path, layer: str) -> Path:
     """Give the folder of the run that holds the maps of a layer: one within a run of several, or the run itself."""
-    inner = run / "layers" / layer
-    return inner if is_run(inner) else run
+    layer_folder = run / "layers" / layer
+    return layer_folder if is_run(layer_folder) else run
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,8 +141,8 @@ class PlanePicture:
             return Codes(0.0, 1.0)
         low, high = float(values.min()), float(values.max())
         span = max(high - low, 1e-6 * max(abs(low), abs(high)), 1e-30)
-        more = 0.0 if len(self.levels) == 1 else 2.0 * span
-        return Codes.between(low - more, low + span + more)
+        margin = 0.0 if len(self.levels) == 1 else 2.0 * span
+        return Codes.between(low - margin, low + span + margin)
 
     @cached_property
     def range(self) -> tuple[float, float]:
@@ -166,8 +166,8 @@ class PlanePicture:
         """Known values of windows all over the picture, each within one chunk."""
         if len(self.levels) == 1:
             return _finite_values([])
-        each = _FEW if self._coarse.size else _MANY
-        middles = (np.linspace(0.5, n - 0.5, 2 * each + 1).astype(int)[1::2] for n in self.full.shape)
+        n_windows = _FEW if self._coarse.size else _MANY
+        middles = (np.linspace(0.5, n - 0.5, 2 * n_windows + 1).astype(int)[1::2] for n in self.full.shape)
         rows, cols = ((middle // CHUNK * CHUNK).tolist() for middle in middles)
         return _finite_values([self.full[r : r + _WINDOW, c : c + _WINDOW].values for r in rows for c in cols])
 
@@ -180,8 +180,8 @@ class PlanePicture:
         }  # fmt: skip
 
 
-def _finite_values(parts: Sequence[NDArray[Any]]) -> Floats:
-    values = np.concatenate([np.empty(0), *(part.ravel() for part in parts)]).astype(np.float64)
+def _finite_values(arrays: Sequence[NDArray[Any]]) -> Floats:
+    values = np.concatenate([np.empty(0), *(array.ravel() for array in arrays)]).astype(np.float64)
     return values[np.isfinite(values)]
 
 
@@ -207,12 +207,12 @@ def user_cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache") / "planish"
 
 
-def cache_place(file: Path, *parts: str) -> Path:
+def cache_folder(file: Path, *keys: str) -> Path:
     """Give the folder for the copies of a picture of a file: another one once the file has changed."""
     path = file.resolve()
     stat = path.stat()
-    text = "\n".join([str(path), str(stat.st_size), str(stat.st_mtime_ns), *parts])
-    return user_cache() / "levels" / hashlib.sha256(text.encode()).hexdigest()[:32]
+    key = "\n".join([str(path), str(stat.st_size), str(stat.st_mtime_ns), *keys])
+    return user_cache() / "levels" / hashlib.sha256(key.encode()).hexdigest()[:32]
 
 
 class ComputedLevels:
@@ -223,16 +223,16 @@ class ComputedLevels:
     values : array (rows, cols)
         Of floating point or truth values.
     place : Path
-        Of :func:`cache_place`.
+        Of :func:`cache_folder`.
     keep_all : bool
         Whether the values themselves are kept there as well: those of a file of which no window can be read.
     """
 
-    def __init__(self, values: NDArray[Any] | xr.DataArray | LazyArray, place: Path, *, keep_all: bool = False) -> None:
-        self._values, self._place, self.dtype = values, place, np.dtype(values.dtype)
+    def __init__(self, values: xr.DataArray | LazyArray, folder: Path, *, keep_all: bool = False) -> None:
+        self._values, self._folder, self.dtype = values, folder, np.dtype(values.dtype)
         rows, cols = values.shape
-        self._shapes = [(-(-rows >> k), -(-cols >> k)) for k in range(count_of((rows, cols)) + 1)]
-        self._cached = {k for k in range(len(self._shapes)) if k > _LAST_ON_DEMAND or (k == 0 and keep_all)}
+        self._shapes = [(-(-rows >> k), -(-cols >> k)) for k in range(overview_count((rows, cols)) + 1)]
+        self._cached_levels = {k for k in range(len(self._shapes)) if k > _LAST_ON_DEMAND or (k == 0 and keep_all)}
         self._lock = threading.Lock()
         self._arrays: dict[int, NDArray[Any]] = {}
 
@@ -242,72 +242,68 @@ class ComputedLevels:
 
     def read(self, k: int, where: Where) -> NDArray[Any]:
         """A window of a level."""
-        if k in self._cached:
-            return np.array(self._cached_arrays()[k][where])
-        window = tuple(
-            slice(part.start << k, min(part.stop << k, n)) for part, n in zip(where, self._shapes[0], strict=True)
-        )
-        pixels = np.asarray((self._cached_arrays()[0] if 0 in self._cached else self._values)[window])
+        if k in self._cached_levels:
+            return np.array(self._level_arrays()[k][where])
+        window = tuple(slice(s.start << k, min(s.stop << k, n)) for s, n in zip(where, self._shapes[0], strict=True))
+        pixels = np.asarray((self._level_arrays()[0] if 0 in self._cached_levels else self._values)[window])
         for _ in range(k):
             pixels = halved_values(pixels)
         return pixels[:: where[0].step or 1, :: where[1].step or 1]
 
-    def _cached_arrays(self) -> dict[int, NDArray[Any]]:
+    def _level_arrays(self) -> dict[int, NDArray[Any]]:
         with self._lock:
             if not self._arrays:
-                folder = self._place if self._place.is_dir() else self._make()
+                folder = self._folder if self._folder.is_dir() else self._make()
                 with suppress(OSError):
                     os.utime(folder)
-                self._arrays = {k: np.load(folder / f"{k}.npy", mmap_mode="r") for k in sorted(self._cached)}
+                self._arrays = {k: np.load(folder / f"{k}.npy", mmap_mode="r") for k in sorted(self._cached_levels)}
                 self._values = self._arrays.get(0, self._values)  # a decoded file need not stay in memory
         return self._arrays
 
     def _make(self) -> Path:
         """Make what is kept in one pass; in a folder that goes with the session where the cache takes nothing."""
-        root = self._place.parent
-        partial = root / f".{self._place.name}.{secrets.token_hex(4)}"
+        cache_root = self._folder.parent
+        temporary = cache_root / f".{self._folder.name}.{secrets.token_hex(4)}"
         is_cached = True
         try:
-            partial.mkdir(parents=True)
+            temporary.mkdir(parents=True)
         except OSError:
-            partial = Path(tempfile.mkdtemp(prefix="planish-"))
-            weakref.finalize(self, shutil.rmtree, partial, ignore_errors=True)
+            temporary = Path(tempfile.mkdtemp(prefix="planish-"))
+            weakref.finalize(self, shutil.rmtree, temporary, ignore_errors=True)
             is_cached = False
         try:
-            self._write(partial)
+            self._write(temporary)
             if is_cached:
                 with suppress(OSError):  # another process was as fast
-                    partial.rename(self._place)
+                    temporary.rename(self._folder)
         except BaseException:
-            shutil.rmtree(partial, ignore_errors=True)
+            shutil.rmtree(temporary, ignore_errors=True)
             raise
-        if is_cached and self._place.is_dir():
-            trim(root, keep=self._place)
-            return self._place
-        return partial
+        if is_cached and self._folder.is_dir():
+            trim(cache_root, keep=self._folder)
+            return self._folder
+        return temporary
 
     def _write(self, folder: Path) -> None:
-        targets = {
+        level_files = {
             k: np.lib.format.open_memmap(folder / f"{k}.npy", mode="w+", dtype=self.dtype, shape=self._shapes[k])
-            for k in self._cached
+            for k in self._cached_levels
         }
         for tile in map_tiles(self._shapes[0]):
-            part = np.asarray(self._values[tile.rows, tile.cols])
+            level_pixels = np.asarray(self._values[tile.rows, tile.cols])
             for k in range(len(self._shapes)):
-                part = halved_values(part) if k else part
-                if k in targets:
+                level_pixels = halved_values(level_pixels) if k else level_pixels
+                if k in level_files:
                     r, c = tile.r0 >> k, tile.c0 >> k
-                    targets[k][r : r + part.shape[0], c : c + part.shape[1]] = part
-        for target in targets.values():
-            target.flush()
+                    level_files[k][r : r + level_pixels.shape[0], c : c + level_pixels.shape[1]] = level_pixels
+        for level_file in level_files.values():
+            level_file.flush()
 
 
 def trim(root: Path, *, keep: Path, most_bytes: int = CACHE_BYTES) -> None:
     """Remove copies that were not used for the longest time until the others take no more than ``most_bytes``."""
     with suppress(OSError):
-        folders = sorted(
-            (folder for folder in root.iterdir() if folder != keep), key=lambda folder: folder.stat().st_mtime
-        )
+        folders = sorted({*root.iterdir()} - {keep}, key=lambda folder: folder.stat().st_mtime)
         sizes = {folder: sum(file.stat().st_size for file in folder.iterdir()) for folder in [*folders, keep]}
         for folder in folders:
             if sum(sizes.values()) <= most_bytes:

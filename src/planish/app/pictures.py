@@ -15,12 +15,12 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.analyze.compare import is_property
-from planish.app.picture import TILE, ComputedLevels, Plane, PlanePicture, Stored, cache_place, layer_run
+from planish.app.picture import TILE, ComputedLevels, Plane, PlanePicture, Stored, cache_folder, layer_run
 from planish.app.strain import strains
-from planish.core.area import count_of, middles
+from planish.core.area import middles, overview_count
 from planish.core.errors import InputError
 from planish.core.grid import Grid
-from planish.core.lazy import LazyArray, Where, held
+from planish.core.lazy import LazyArray, Where, variable_data
 from planish.core.memory import TILE_BYTES
 from planish.io import ImageParams
 from planish.io.image import across, channel_of
@@ -66,9 +66,9 @@ class Pictures:
 
     def on_same_pixels(self, picture: PlanePicture) -> list[PlanePicture]:
         """All pictures on the pixels of a picture, itself among them."""
-        shape, place = picture.grid.shape, [*picture.grid.origin_um, *picture.grid.pixel_um]
-        same_shape = [p for p in self if p.plane == picture.plane and p.grid.shape == shape]
-        return [p for p in same_shape if np.allclose([*p.grid.origin_um, *p.grid.pixel_um], place)]
+        shape, geometry = picture.grid.shape, [*picture.grid.origin_um, *picture.grid.pixel_um]
+        candidates = [p for p in self if p.plane == picture.plane and p.grid.shape == shape]
+        return [p for p in candidates if np.allclose([*p.grid.origin_um, *p.grid.pixel_um], geometry)]
 
     def on(self, plane: Plane, layer: str) -> list[PlanePicture]:
         """All pictures of a plane: of a moving one, those of its layer."""
@@ -86,15 +86,14 @@ def _of_run(run: Path) -> Iterator[PlanePicture]:
     if not results.is_link:
         yield from _sheet(run, layer=results.layers[0].name, prefix="")
         return
-    together = study.is_sheet_on_image
-    for facts in results.moving:
-        params = next(layer for layer in study.layers if layer.name == facts.name)
-        prefix = "" if together else f"{facts.name}/"
-        if params.image is None:
-            yield from _sheet(layer_run(run, facts.name), layer=facts.name, prefix=prefix)
-        elif Path(params.image.path).is_file():
-            yield image_picture(params.image, plane="moving", layer=facts.name, name=f"{prefix}image")
-    if together:
+    for name in (layer.name for layer in results.moving):
+        image = next(params.image for params in study.layers if params.name == name)
+        prefix = "" if study.is_sheet_on_image else f"{name}/"
+        if image is None:
+            yield from _sheet(layer_run(run, name), layer=name, prefix=prefix)
+        elif Path(image.path).is_file():
+            yield image_picture(image, plane="moving", layer=name, name=f"{prefix}image")
+    if study.is_sheet_on_image:
         yield from group_pictures(run, LINKED, plane="fixed", layer=results.reference.name)
         yield from group_pictures(run, "refined", plane="fixed", layer="refined", prefix="refined/")
         return
@@ -106,46 +105,46 @@ def _sheet(run: Path, *, layer: str, prefix: str) -> Iterator[PlanePicture]:
     """The maps of a sheet on its own plane, and the strains of its flattening."""
     maps = [*group_pictures(run, "maps", plane="moving", layer=layer, prefix=prefix)]
     yield from maps
-    places = {picture.name.removeprefix(prefix): picture.levels for picture in maps}
-    for name, strain, levels in strains(run, places) if (run / MAPS / "strain").is_dir() else ():
+    levels_of = {picture.name.removeprefix(prefix): picture.levels for picture in maps}
+    for name, display, levels in strains(run, levels_of) if (run / MAPS / "strain").is_dir() else ():
         yield PlanePicture(
-            plane="moving", layer=layer, name=prefix + name, title=strain.title, units=strain.units,
+            plane="moving", layer=layer, name=prefix + name, title=display.title, units=display.units,
             levels=Stored(levels), around_zero=True,
         )  # fmt: skip
 
 
 def group_pictures(run: Path, group: str, *, plane: Plane, layer: str, prefix: str = "") -> Iterator[PlanePicture]:
     """The maps of a group of a run: images and properties first, places last."""
-    path = run / MAPS
-    if not (path / group).is_dir():
+    store = run / MAPS
+    if not (store / group).is_dir():
         return
-    full, *smaller = (stored_group(path, level) for level in (group, *overviews_of(path, group)))
+    full, *overviews = (stored_group(store, level) for level in (group, *overviews_of(store, group)))
     shape = tuple(full.sizes.values())
     # Codes have no mean: no smaller copies.
-    maps = {str(n): data for n, data in full.data_vars.items() if data.ndim == 2 and data.dtype.kind in "fb"}
-    for name in sorted(maps, key=lambda name: _order(maps[name])):
+    maps = {str(name): data for name, data in full.data_vars.items() if data.ndim == 2 and data.dtype.kind in "fb"}
+    for name in sorted(maps, key=lambda name: _sort_key(maps[name])):
         data = maps[name]
-        levels: Sequence[xr.DataArray] = Stored((data, *(maps_of[name] for maps_of in smaller if name in maps_of)))
-        if len(levels) <= count_of(shape):
-            levels = _on_grids(ComputedLevels(data, cache_place(path / "zarr.json", group, name)), Grid.of(data))
+        levels: Sequence[xr.DataArray] = Stored((data, *(overview[name] for overview in overviews if name in overview)))
+        if len(levels) <= overview_count(shape):
+            levels = _on_grids(ComputedLevels(data, cache_folder(store / "zarr.json", group, name)), Grid.of(data))
         yield PlanePicture(
             plane=plane, layer=layer, name=prefix + name, title=str(data.attrs.get("long_name", name)),
             units=str(data.attrs.get("units", "")), levels=levels,
         )  # fmt: skip
 
 
-def _order(data: xr.DataArray) -> tuple[int, str]:
+def _sort_key(data: xr.DataArray) -> tuple[int, str]:
     name = str(data.name)
-    kinds = (name == "image", is_property(data), name not in _PLACES and not name.endswith("_se"), name not in _PLACES)
-    return (kinds.index(True) if True in kinds else len(kinds)), name
+    is_value = name not in _PLACES
+    is_of_rank = (name == "image", is_property(data), is_value and not name.endswith("_se"), is_value, True)
+    return is_of_rank.index(True), name
 
 
 def _on_grids(levels: ComputedLevels, grid: Grid) -> list[xr.DataArray]:
-    """Levels with the coordinates of their pixels."""
     arrays: list[xr.DataArray] = []
     coords = {"y": grid.y_um, "x": grid.x_um}
     for level in levels.levels():
-        arrays.append(xr.DataArray(xr.Variable(("y", "x"), held(level)), coords=coords))
+        arrays.append(xr.DataArray(xr.Variable(("y", "x"), variable_data(level)), coords=coords))
         coords = {axis: middles(um) for axis, um in coords.items()}
     return arrays
 
@@ -153,15 +152,15 @@ def _on_grids(levels: ComputedLevels, grid: Grid) -> list[xr.DataArray]:
 def image_picture(params: ImageParams, *, plane: Plane, layer: str, name: str) -> PlanePicture:
     """The picture of an image file that no store holds, as :func:`planish.read_image` reads it, with its errors."""
     path, channel = Path(params.path), params.channel
-    head = load_picture(path, decode=False)
+    header = load_picture(path, decode=False)
     pixel_um, _ = agreed_size(
-        across(head.stated), params.pixel_um, file_name=path.name, asked=PIXEL, override=params.override_size,
+        across(header.stated), params.pixel_um, file_name=path.name, asked=PIXEL, override=params.override_size,
         unusual=params.unusual_size,
     )  # fmt: skip
-    _, title = channel_of(head._replace(values=head.values[:1, :1]), channel, file_name=path.name)
-    rows, cols = head.values.shape[:2]
-    values = _ImageValues(path, channel, (rows, cols))
-    levels = ComputedLevels(values, cache_place(path, "image", channel), keep_all=not is_mapped(path))
+    _, title = channel_of(header._replace(values=header.values[:1, :1]), channel, file_name=path.name)
+    rows, cols = header.values.shape[:2]
+    image_values = _ImageValues(path, channel, (rows, cols))
+    levels = ComputedLevels(image_values, cache_folder(path, "image", channel), keep_all=not is_mapped(path))
     return PlanePicture(
         plane=plane, layer=layer, name=name, title=title, units="1",
         levels=_on_grids(levels, Grid.regular((rows, cols), (pixel_um[0], pixel_um[1]))),
@@ -173,16 +172,16 @@ class _ImageValues(LazyArray):
 
     def __init__(self, path: Path, channel: str, shape: tuple[int, int]) -> None:
         self._path, self._channel, self.shape, self.dtype = path, channel, shape, np.dtype(np.float32)
-        self._opening = threading.Lock()
-        self._picture: DecodedPicture | None = None
+        self._lock = threading.Lock()
+        self._decoded: DecodedPicture | None = None
 
     def read(self, where: Where) -> NDArray[np.float32]:
         """Read a window."""
-        with self._opening:
-            if self._picture is None:
-                self._picture = load_picture(self._path)
-        part = self._picture._replace(values=self._picture.values[where])
-        return channel_of(part, self._channel, file_name=self._path.name)[0]
+        with self._lock:
+            if self._decoded is None:
+                self._decoded = load_picture(self._path)
+        window = self._decoded._replace(values=self._decoded.values[where])
+        return channel_of(window, self._channel, file_name=self._path.name)[0]
 
 
 Key = tuple[str, int, int, int]
@@ -199,7 +198,7 @@ class Tiles:
 
     def __init__(self, pictures: Pictures, *, most_bytes: int = TILE_BYTES) -> None:
         self.pictures, self._most_bytes = pictures, most_bytes
-        self._lock, self._blocks, self._held = threading.Lock(), OrderedDict[Key, Future[NDArray[Any]]](), 0
+        self._lock, self._blocks, self._held_bytes = threading.Lock(), OrderedDict[Key, Future[NDArray[Any]]](), 0
         self.read_bytes = 0
 
     def tile(self, id: str, level: int, row: int, col: int) -> bytes:
@@ -220,8 +219,8 @@ class Tiles:
             raise InputError(f"Level {level} of {picture.name} has no tile {row}, {col}.")
         window = slice(row * TILE, min((row + 1) * TILE, rows)), slice(col * TILE, min((col + 1) * TILE, cols))
         codes = np.zeros((TILE, TILE), "<u2")
-        part = picture.codes.of(self.window(picture, level, *window))
-        codes[: part.shape[0], : part.shape[1]] = part
+        window_codes = picture.codes.of(self.window(picture, level, *window))
+        codes[: window_codes.shape[0], : window_codes.shape[1]] = window_codes
         return codes.tobytes()
 
     def window(self, picture: PlanePicture, level: int, rows: slice, cols: slice) -> NDArray[Any]:
@@ -230,8 +229,9 @@ class Tiles:
         for i in range(rows.start // CHUNK, -(-rows.stop // CHUNK)):
             for j in range(cols.start // CHUNK, -(-cols.stop // CHUNK)):
                 block = self.block(picture, level, i, j)
-                (of_r, in_r), (of_c, in_c) = _shared(rows, i, block.shape[0]), _shared(cols, j, block.shape[1])
-                pixels[of_r, of_c] = block[in_r, in_c]
+                to_rows, from_rows = _overlap(rows, i, block.shape[0])
+                to_cols, from_cols = _overlap(cols, j, block.shape[1])
+                pixels[to_rows, to_cols] = block[from_rows, from_cols]
         return pixels
 
     def values_at(
@@ -239,20 +239,20 @@ class Tiles:
     ) -> NDArray[Any]:
         """Values of single pixels (n,) of a level."""
         pixels = np.empty(rows.size, picture.levels[level].dtype)
-        i, j = rows // CHUNK, cols // CHUNK
-        for a, b in {*zip(i.tolist(), j.tolist(), strict=True)}:
-            here = (i == a) & (j == b)
-            pixels[here] = self.block(picture, level, a, b)[rows[here] - a * CHUNK, cols[here] - b * CHUNK]
+        block_rows, block_cols = rows // CHUNK, cols // CHUNK
+        for i, j in {*zip(block_rows.tolist(), block_cols.tolist(), strict=True)}:
+            is_in = (block_rows == i) & (block_cols == j)
+            pixels[is_in] = self.block(picture, level, i, j)[rows[is_in] - i * CHUNK, cols[is_in] - j * CHUNK]
         return pixels
 
     def block(self, picture: PlanePicture, level: int, i: int, j: int) -> NDArray[Any]:
         """The i-th block down and j-th across; whoever asks for it while it is read waits for the same one."""
         key = (picture.id, level, i, j)
         with self._lock:
-            mine = Future[NDArray[Any]]()
-            future = self._blocks.setdefault(key, mine)
+            new_future = Future[NDArray[Any]]()
+            future = self._blocks.setdefault(key, new_future)
             self._blocks.move_to_end(key)
-        if future is not mine:
+        if future is not new_future:
             return future.result()
         try:
             window = (slice(k * CHUNK, (k + 1) * CHUNK) for k in (i, j))
@@ -260,21 +260,21 @@ class Tiles:
         except BaseException as error:
             with self._lock:
                 self._blocks.pop(key, None)
-            mine.set_exception(error)
+            new_future.set_exception(error)
             raise
-        mine.set_result(block)
+        new_future.set_result(block)
         with self._lock:
             self.read_bytes += block.nbytes
-            self._held += block.nbytes
-            while self._held > self._most_bytes and (old := next(iter(self._blocks))) != key:
-                if self._blocks[old].done():
-                    self._held -= self._blocks.pop(old).result().nbytes
+            self._held_bytes += block.nbytes
+            while self._held_bytes > self._most_bytes and (oldest := next(iter(self._blocks))) != key:
+                if self._blocks[oldest].done():
+                    self._held_bytes -= self._blocks.pop(oldest).result().nbytes
                 else:
-                    self._blocks.move_to_end(old)
+                    self._blocks.move_to_end(oldest)
         return block
 
 
-def _shared(of: slice, k: int, length: int) -> tuple[slice, slice]:
+def _overlap(window: slice, k: int, length: int) -> tuple[slice, slice]:
     """Give the place of the k-th block in a window, and of the window in the block."""
-    start, stop = max(of.start, k * CHUNK), min(of.stop, k * CHUNK + length)
-    return slice(start - of.start, stop - of.start), slice(start - k * CHUNK, stop - k * CHUNK)
+    start, stop = max(window.start, k * CHUNK), min(window.stop, k * CHUNK + length)
+    return slice(start - window.start, stop - window.start), slice(start - k * CHUNK, stop - k * CHUNK)

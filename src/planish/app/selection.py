@@ -34,19 +34,19 @@ def cursor(tiles: Tiles, picture: PlanePicture, x: float, y: float) -> dict[str,
 
     A value is None where there is none, and so is the place.
     """
-    rows, cols, (inside,) = _pixels(picture, np.array([[x, y]]), 0)
+    rows, cols, (is_inside,) = _pixels(picture, np.array([[x, y]]), 0)
     pictures = tiles.pictures.on_same_pixels(picture)
-    value_of = {p.id: finite_or_none(tiles.values_at(p, 0, rows, cols)[0]) if inside else None for p in pictures}
-    volume, places = None, {(p.layer, p.variable): value_of[p.id] for p in pictures}
+    value_of = {p.id: finite_or_none(tiles.values_at(p, 0, rows, cols)[0]) if is_inside else None for p in pictures}
+    volume, value_by_variable = None, {(p.layer, p.variable): value_of[p.id] for p in pictures}
     for layer in dict.fromkeys([picture.layer, *(p.layer for p in pictures)]):  # its own, or the first that has it
-        place = {axis: places.get((layer, f"volume_{axis}")) for axis in "xyz"}
-        if None not in place.values():
-            volume = {"layer": layer} | place
+        position = {axis: value_by_variable.get((layer, f"volume_{axis}")) for axis in "xyz"}
+        if None not in position.values():
+            volume = {"layer": layer} | position
             break
-    names = ("id", "layer", "name", "title", "units")
+    fields = ("id", "layer", "name", "title", "units")
     return {
-        "x": x, "y": y, "row": int(rows[0]) if inside else None, "col": int(cols[0]) if inside else None,
-        "values": [{name: getattr(p, name) for name in names} | {"value": value_of[p.id]} for p in pictures],
+        "x": x, "y": y, "row": int(rows[0]) if is_inside else None, "col": int(cols[0]) if is_inside else None,
+        "values": [{name: getattr(p, name) for name in fields} | {"value": value_of[p.id]} for p in pictures],
         "volume": volume,
     }  # fmt: skip
 
@@ -57,35 +57,35 @@ def profile(tiles: Tiles, pictures: list[PlanePicture], line: tuple[float, float
     They lie at ``at_um`` from its beginning; the pixels are ``pixel_um`` wide.
     """
     x0, y0, x1, y1 = line
-    length = math.hypot(x1 - x0, y1 - y0)
-    if length == 0:
+    length_um = math.hypot(x1 - x0, y1 - y0)
+    if length_um == 0:
         raise InputError("The line has no length. Give two places: x0, y0, x1, y1 in um.")
-    first = pictures[0]
-    pixel = min(first.grid.pixel_um)
-    level = min(max(0, math.ceil(math.log2(length / pixel / MOST_SAMPLES))), len(first.levels) - 1)
-    step = pixel * 2**level
-    distances_um = np.linspace(0, length, min(int(length / step), 4 * MOST_SAMPLES) + 1)
-    points = np.array([x0, y0]) + (distances_um / length)[:, None] * np.array([x1 - x0, y1 - y0])
-    rows, cols, inside = _pixels(first, points, level)
+    grid_picture = pictures[0]
+    pixel_um = min(grid_picture.grid.pixel_um)
+    level = min(max(0, math.ceil(math.log2(length_um / pixel_um / MOST_SAMPLES))), len(grid_picture.levels) - 1)
+    step_um = pixel_um * 2**level
+    distances_um = np.linspace(0, length_um, min(int(length_um / step_um), 4 * MOST_SAMPLES) + 1)
+    points_um = np.array([x0, y0]) + (distances_um / length_um)[:, None] * np.array([x1 - x0, y1 - y0])
+    rows, cols, is_inside = _pixels(grid_picture, points_um, level)
     lines: list[dict[str, Any]] = []
     for picture in pictures:
         values = np.full(distances_um.size, np.nan)
-        values[inside] = tiles.values_at(picture, level, rows[inside], cols[inside])
-        about = {"id": picture.id, "name": picture.name, "units": picture.units}
-        lines.append(about | {"values": [*map(finite_or_none, values)]})
-    return {"pixel_um": step, "at_um": distances_um.tolist(), "lines": lines}
+        values[is_inside] = tiles.values_at(picture, level, rows[is_inside], cols[is_inside])
+        samples = [*map(finite_or_none, values)]
+        lines.append({"id": picture.id, "name": picture.name, "units": picture.units, "values": samples})
+    return {"pixel_um": step_um, "at_um": distances_um.tolist(), "lines": lines}
 
 
-def _pixels(picture: PlanePicture, points: Floats, level: int) -> tuple[NDArray[np.intp], NDArray[np.intp], Bools]:
+def _pixels(picture: PlanePicture, points_um: Floats, level: int) -> tuple[NDArray[np.intp], NDArray[np.intp], Bools]:
     """Rows and columns of the pixels of a level that hold points (n, 2: x, y), and which lie in the picture.
 
     Pixels of all levels share one corner.
     """
     (x0, y0), (dy, dx) = picture.grid.origin_um, picture.grid.pixel_um
-    rows = np.floor((points[:, 1] - y0) / dy + 0.5).astype(np.intp) >> level
-    cols = np.floor((points[:, 0] - x0) / dx + 0.5).astype(np.intp) >> level
-    height, width = picture.levels[level].shape
-    return rows, cols, (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
+    rows = np.floor((points_um[:, 1] - y0) / dy + 0.5).astype(np.intp) >> level
+    cols = np.floor((points_um[:, 0] - x0) / dx + 0.5).astype(np.intp) >> level
+    n_rows, n_cols = picture.levels[level].shape
+    return rows, cols, (rows >= 0) & (rows < n_rows) & (cols >= 0) & (cols < n_cols)
 
 
 BASE_PIXELS = 4_000_000
@@ -116,9 +116,9 @@ class Rectangle:
 
     def on(self, picture: PlanePicture, level: int = 0) -> Window:
         """Rows and columns of a level of a picture; InputError where it holds none of them."""
-        data = picture.levels[level]
-        (y, x), (dy, dx) = (data[dim].values for dim in data.dims), picture.grid.pixel_um
-        rows, cols = _between(y, self.y0, self.y1, dy), _between(x, self.x0, self.x1, dx)
+        pixels = picture.levels[level]
+        (y, x), (dy, dx) = (pixels[dim].values for dim in pixels.dims), picture.grid.pixel_um
+        rows, cols = _pixels_between(y, self.y0, self.y1, dy), _pixels_between(x, self.x0, self.x1, dx)
         if rows.start >= rows.stop or cols.start >= cols.stop:
             raise InputError("No pixel lies in this region. Give x0, y0, x1, y1 in um, within the map.")
         return rows, cols
@@ -128,7 +128,7 @@ class Stopped(Exception):
     """The page does not want the answer any more."""
 
 
-def density(tiles: Tiles, a: PlanePicture, b: PlanePicture, window: Rectangle | None = None) -> dict[str, Any]:
+def density(tiles: Tiles, a: PlanePicture, b: PlanePicture, region: Rectangle | None = None) -> dict[str, Any]:
     """Count the points of two pictures in the plane of their values, of pixels of the stated size.
 
     The limits are those of all points, also where only a region is counted; ``beyond`` lie outside of them. ``counts``
@@ -136,51 +136,52 @@ def density(tiles: Tiles, a: PlanePicture, b: PlanePicture, window: Rectangle | 
     """
     level, (x, y) = _overview(tiles, a, b)
     limits = [_limits(values[np.isfinite(x) & np.isfinite(y)]) for values in (x, y)]
-    if window is not None:
-        part = window.on(a, level)
-        x, y = x[part], y[part]
+    if region is not None:
+        window = region.on(a, level)
+        x, y = x[window], y[window]
     is_valid = np.isfinite(x) & np.isfinite(y)
-    places = [
+    bins = [
         np.floor((values[is_valid] - low) * (_BINS / (high - low))).astype(np.int64)
         for values, (low, high) in zip((x, y), limits, strict=True)
     ]
-    shown = np.logical_and(*((place >= 0) & (place < _BINS) for place in places))
-    counts = np.bincount((places[1] * _BINS + places[0])[shown], minlength=_BINS**2).astype("<u4")
+    is_within = np.logical_and(*((bin_index >= 0) & (bin_index < _BINS) for bin_index in bins))
+    counts = np.bincount((bins[1] * _BINS + bins[0])[is_within], minlength=_BINS**2).astype("<u4")
     n = int(np.count_nonzero(is_valid))
     (a_low, a_high), (b_low, b_high) = limits
     return {
-        "pixel_um": _pixel(a, level), "n": n, "beyond": n - int(np.count_nonzero(shown)), "bins": _BINS,
+        "pixel_um": _pixel_um(a, level), "n": n, "beyond": n - int(np.count_nonzero(is_within)), "bins": _BINS,
         "a_low": a_low, "a_high": a_high, "b_low": b_low, "b_high": b_high,
         "counts": base64.b64encode(counts.tobytes()).decode("ascii"),
     }  # fmt: skip
 
 
-def histogram(tiles: Tiles, picture: PlanePicture, window: Rectangle | None = None) -> dict[str, Any]:
+def histogram(tiles: Tiles, picture: PlanePicture, region: Rectangle | None = None) -> dict[str, Any]:
     """Count the values of a picture where they are valid, of pixels of the stated size.
 
     ``range`` is from the 2nd to the 98th percentile.
     """
     level, (values,) = _overview(tiles, picture)
-    every = values[np.isfinite(values)]
-    (low, high), usual = _limits(every), np.percentile(every, [2, 98]) if every.size else np.array([0.0, 1.0])
-    if window is not None:
-        values = values[window.on(picture, level)]
+    all_finite = values[np.isfinite(values)]
+    low, high = _limits(all_finite)
+    percentiles = np.percentile(all_finite, [2, 98]).tolist() if all_finite.size else [0.0, 1.0]
+    if region is not None:
+        values = values[region.on(picture, level)]
     finite = values[np.isfinite(values)].astype(np.float64)
     counts, _ = np.histogram(finite, bins=_BINS, range=(low, high))
     return {
-        "pixel_um": _pixel(picture, level), "n": finite.size, "beyond": finite.size - int(counts.sum()), "low": low,
-        "high": high, "range": usual.tolist(), "counts": counts.tolist(),
+        "pixel_um": _pixel_um(picture, level), "n": finite.size, "beyond": finite.size - int(counts.sum()), "low": low,
+        "high": high, "range": percentiles, "counts": counts.tolist(),
         "mean": float(finite.mean()) if finite.size else None,
         "sd": float(finite.std(ddof=1)) if finite.size > 1 else None,
         "median": float(np.median(finite)) if finite.size else None,
     }  # fmt: skip
 
 
-def _between(places: Floats, low: float, high: float, step: float) -> slice:
-    slack = 1e-6 * step  # a border through the middle of a pixel takes it in, whatever was rounded
+def _pixels_between(centres_um: Floats, low_um: float, high_um: float, pixel_um: float) -> slice:
+    slack_um = 1e-6 * pixel_um  # a border through the middle of a pixel takes it in, whatever was rounded
     return slice(
-        int(np.searchsorted(places, min(low, high) - slack, "left")),
-        int(np.searchsorted(places, max(low, high) + slack, "right")),
+        int(np.searchsorted(centres_um, min(low_um, high_um) - slack_um, "left")),
+        int(np.searchsorted(centres_um, max(low_um, high_um) + slack_um, "right")),
     )
 
 
@@ -197,37 +198,37 @@ def select(
     Stopped
         Once ``stop`` is set.
     """
-    stop, pixel = stop or threading.Event(), a.grid.pixel_um
+    stop, pixel_um = stop or threading.Event(), a.grid.pixel_um
     window: Window = (slice(None), slice(None)) if region is None else region.on(a)
     x, y = (computed(p.full[window], partial(_read_until, stop, p.full[window])) for p in (a, b))
     masks = [p.full[window] for p in tiles.pictures.valid_of(a, b)]
     if brushes:
-        brushed = [brush.picture.full[window] for brush in brushes]
+        brush_values = [brush.picture.full[window] for brush in brushes]
         n = 0
-        for _, (p, q, *parts) in read_bands(x, y, *brushed, *masks):
-            use = valid_in_all((p, q), parts[len(brushes) :])
-            for brush, values in zip(brushes, parts, strict=False):
-                use &= (values >= brush.low) & (values <= brush.high)
-            n += int(np.count_nonzero(use))
-        return {"n": n, "pixel_um": pixel, "r": None, "n_eff": None, "interval": None, "warnings": []}
-    every = computed(masks[0], partial(_read_all, masks)) if masks else None
-    row = correlate(x, y, mask=every, pixel_um=pixel, most_cells=CELLS)  # as a run does: its whole map gives its n_eff
+        for _, (a_values, b_values, *bands) in read_bands(x, y, *brush_values, *masks):
+            is_selected = valid_in_all((a_values, b_values), bands[len(brushes) :])
+            for brush, values in zip(brushes, bands, strict=False):
+                is_selected &= (values >= brush.low) & (values <= brush.high)
+            n += int(np.count_nonzero(is_selected))
+        return {"n": n, "pixel_um": pixel_um, "r": None, "n_eff": None, "interval": None, "warnings": []}
+    mask = computed(masks[0], partial(_all_true, masks)) if masks else None
+    # As a run does: its whole map gives its n_eff.
+    row = correlate(x, y, mask=mask, pixel_um=pixel_um, most_cells=CELLS)
     return {
-        "n": row.n, "pixel_um": pixel, "r": finite_or_none(row.r), "n_eff": finite_or_none(row.n_eff),
+        "n": row.n, "pixel_um": pixel_um, "r": finite_or_none(row.r), "n_eff": finite_or_none(row.n_eff),
         "interval": row.interval if is_known(row.interval) else None, "warnings": row.warnings,
     }  # fmt: skip
 
 
-def _read_all(masks: Sequence[xr.DataArray], where: Where) -> Bools:
-    """True where all masks are."""
-    return np.logical_and.reduce([mask[where].values for mask in masks])
+def _all_true(masks: Sequence[xr.DataArray], window: Where) -> Bools:
+    return np.logical_and.reduce([mask[window].values for mask in masks])
 
 
-def _read_until(stop: threading.Event, values: xr.DataArray, where: Where) -> NDArray[np.floating]:
+def _read_until(stop: threading.Event, level: xr.DataArray, window: Where) -> NDArray[np.floating]:
     """Values of a part, unless they are not wanted any more."""
     if stop.is_set():
         raise Stopped
-    return values[where].values
+    return level[window].values
 
 
 def _overview(tiles: Tiles, *pictures: PlanePicture) -> tuple[int, list[Floats]]:
@@ -236,8 +237,8 @@ def _overview(tiles: Tiles, *pictures: PlanePicture) -> tuple[int, list[Floats]]
     level = next((k for k, data in enumerate(levels) if data.size <= BASE_PIXELS), len(levels) - 1)
     rows, cols = (slice(0, n) for n in levels[level].shape)
     masks = [tiles.window(p, level, rows, cols) for p in tiles.pictures.valid_of(*pictures)]
-    use = np.logical_and.reduce(masks) if masks else True
-    return level, [np.where(use, tiles.window(p, level, rows, cols).astype(np.float64), np.nan) for p in pictures]
+    is_valid = np.logical_and.reduce(masks) if masks else True
+    return level, [np.where(is_valid, tiles.window(p, level, rows, cols).astype(np.float64), np.nan) for p in pictures]
 
 
 def _limits(values: Floats) -> tuple[float, float]:
@@ -246,10 +247,10 @@ def _limits(values: Floats) -> tuple[float, float]:
         return 0.0, 1.0
     # Percentiles between which points are drawn; those beyond are counted.
     low, high = map(float, np.percentile(values, (0.1, 99.9)))
-    room = 0.02 * (high - low) or 0.5
-    return low - room, high + room
+    margin = 0.02 * (high - low) or 0.5
+    return low - margin, high + margin
 
 
-def _pixel(picture: PlanePicture, level: int) -> tuple[float, float]:
-    down, across = picture.grid.pixel_um
-    return down * 2**level, across * 2**level
+def _pixel_um(picture: PlanePicture, level: int) -> tuple[float, float]:
+    dy, dx = picture.grid.pixel_um
+    return dy * 2**level, dx * 2**level

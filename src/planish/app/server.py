@@ -21,7 +21,7 @@ from starlette.routing import BaseRoute, Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from planish.app import marks_routes, view_routes
-from planish.app.applying import Applying
+from planish.app.apply import Applying
 from planish.app.live import Live
 from planish.app.pictures import Tiles
 from planish.app.session import Session, Stale
@@ -73,20 +73,20 @@ class Guard:
         if scope["type"] != "http":  # web sockets: there are none
             await send({"type": "websocket.close", "code": 1008})
             return
-        started, received = False, 0
+        is_started, received_bytes = False, 0
 
         async def limited() -> Message:
-            nonlocal received
+            nonlocal received_bytes
             message = await receive()
-            received += len(message.get("body", b""))
-            if received > MOST_BYTES:  # whatever its headers said
+            received_bytes += len(message.get("body", b""))
+            if received_bytes > MOST_BYTES:  # whatever its headers said
                 raise Refused(413, _TOO_LARGE)
             return message
 
         async def answer(message: Message) -> None:
-            nonlocal started
+            nonlocal is_started
             if message["type"] == "http.response.start":
-                started = True
+                is_started = True
                 headers = MutableHeaders(scope=message)
                 for name, text in HEADERS.items():
                     headers.setdefault(name, text)
@@ -102,7 +102,7 @@ class Guard:
                 _log.exception("A fault in planish")
                 status, fault = 500, f"A fault in planish: {type(error).__name__}."
                 text = f"{fault} The terminal in which it was started says more."
-            if started:
+            if is_started:
                 raise
             await JSONResponse({"error": text}, status)(scope, receive, answer)
 
@@ -118,12 +118,12 @@ class Guard:
         if host not in self.hosts:
             raise Refused(421, "This server is not called by that name.")
         # All but the files of the page, and a report, whose address is a secret itself.
-        data = f"{scope['path']}/".startswith("/api/")
-        if data and not hmac.compare_digest(single("authorization").encode(), f"Bearer {self.token}".encode()):
+        is_data = f"{scope['path']}/".startswith("/api/")
+        if is_data and not hmac.compare_digest(single("authorization").encode(), f"Bearer {self.token}".encode()):
             raise Refused(401, "The token of this start is missing. Open the address that planish printed.")
         if scope["method"] in ("GET", "HEAD"):
             return
-        if scope["method"] != "POST" or not data:
+        if scope["method"] != "POST" or not is_data:
             raise Refused(405, "There is nothing to be written so.")
         if single("origin") != f"http://{host}":
             raise Refused(403, "Another page may change nothing here.")
@@ -161,16 +161,16 @@ def create_app(session: Session, *, token: str, hosts: Sequence[str]) -> Starlet
 
 def _static() -> list[BaseRoute]:
     """A route for each file of the page, read once: no path of a request is ever looked up on the disk."""
-    kinds = {"html": "text/html", "js": "text/javascript", "css": "text/css"}
+    media_types = {"html": "text/html", "js": "text/javascript", "css": "text/css"}
     root = files("planish.app") / "static"
     routes: list[BaseRoute] = []
     for folder, prefix in ((root, "/"), (root / "vendor", "/vendor/")):
         for file in folder.iterdir():
-            kind = kinds.get(file.name.rpartition(".")[2])
-            if file.is_file() and kind is not None:
-                answer = Response(file.read_bytes(), media_type=f"{kind}; charset=utf-8")
+            media_type = media_types.get(file.name.rpartition(".")[2])
+            if file.is_file() and media_type is not None:
+                response = Response(file.read_bytes(), media_type=f"{media_type}; charset=utf-8")
                 paths = [f"{prefix}{file.name}", *(["/"] if file.name == "index.html" else [])]
-                routes += [Route(path, answer, methods=["GET"]) for path in paths]
+                routes += [Route(path, response, methods=["GET"]) for path in paths]
     return routes
 
 
@@ -181,7 +181,7 @@ async def _error_response(_request: Request, error: Exception) -> Response:
     return JSONResponse({"error": error.text}, status)
 
 
-def serve(session: Session, *, host: str, port: int, started: Callable[[str], None]) -> None:
+def serve(session: Session, *, host: str, port: int, on_open: Callable[[str], None]) -> None:
     """Serve a session until the process is interrupted.
 
     Parameters
@@ -190,7 +190,7 @@ def serve(session: Session, *, host: str, port: int, started: Callable[[str], No
         It is closed at the end.
     host, port
         Where to listen; any free port where 0.
-    started : callable
+    on_open : callable
         Called with the address, token included, when it is open.
 
     Raises
@@ -201,30 +201,30 @@ def serve(session: Session, *, host: str, port: int, started: Callable[[str], No
     token = secrets.token_urlsafe(32)
     with closing(session):
         try:
-            listening = socket.create_server((host, port))
+            listener = socket.create_server((host, port))
             # Those that are accepted inherit it. Else the kernel keeps the second part of each answer back for 40 ms.
-            listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         except OSError as error:
             reason = error.strerror or error
             raise FileError(
                 f"Nothing can listen on {host}:{port} ({reason}). Give another --port; 0 takes a free one."
             ) from error
-        with listening:
-            bound = int(listening.getsockname()[1])
-            app = create_app(session, token=token, hosts=[f"{name}:{bound}" for name in _names(host)])
+        with listener:
+            bound_port = int(listener.getsockname()[1])
+            app = create_app(session, token=token, hosts=[f"{name}:{bound_port}" for name in _host_names(host)])
             config = uvicorn.Config(
                 app, log_config=None, access_log=False, server_header=False, date_header=False, lifespan="off",
                 proxy_headers=False, timeout_graceful_shutdown=1, ws="none", http="h11", loop="asyncio",
             )  # fmt: skip
             logging.getLogger("uvicorn").setLevel(logging.ERROR)
-            shown = "127.0.0.1" if host in ("127.0.0.1", "localhost", "0.0.0.0") else host
-            started(f"http://{shown}:{bound}/#token={token}")
+            shown_host = "127.0.0.1" if host in ("127.0.0.1", "localhost", "0.0.0.0") else host
+            on_open(f"http://{shown_host}:{bound_port}/#token={token}")
             # An interrupt is how a server ends.
             with closing(app.state.applying), suppress(KeyboardInterrupt):
-                uvicorn.Server(config).run(sockets=[listening])
+                uvicorn.Server(config).run(sockets=[listener])
 
 
-def _names(host: str) -> list[str]:
+def _host_names(host: str) -> list[str]:
     """List the names of the server in requests."""
     loopback = ["127.0.0.1", "localhost"]
     if host != "0.0.0.0":

@@ -100,20 +100,20 @@ class Session:
         """
         results, study = open_results(run), read_study(run / "run.toml")
         params = _image_params(run, image, results)
-        of = fingerprint(run / "results.json")
-        name = "journal.jsonl"
+        subject, journal_name = fingerprint(run / "results.json"), "journal.jsonl"
         if params is not None:
-            shown = f"{fingerprint(Path(params.path))} {params.model_dump_json(exclude={'path'})}"
-            of, name = f"{of} {shown}", f"journal-{sha256(shown.encode()).hexdigest()[:12]}.jsonl"
+            image_key = f"{fingerprint(Path(params.path))} {params.model_dump_json(exclude={'path'})}"
+            subject += f" {image_key}"
+            journal_name = f"journal-{sha256(image_key.encode()).hexdigest()[:12]}.jsonl"
         names = [layer.name for layer in results.moving]
         registrations = {moving: Registration.read(run / marks_file(results, moving)) for moving in names}
-        path, reason = run / EDITS / name, "It was opened with --read-only." if read_only else ""
+        journal_path, reason = run / EDITS / journal_name, "It was opened with --read-only." if read_only else ""
         try:
-            journal = Journal(path, of=of, write=not read_only)
+            journal = Journal(journal_path, subject=subject, write=not read_only)
         except InUse:
             raise
         except PlanishError as error:
-            journal = Journal(path, of=of, write=False)
+            journal = Journal(journal_path, subject=subject, write=False)
             reason = f"The run cannot be written, so nothing can be changed. {error.text}"
         session = cls(
             folder=run, study=study, results=results, registrations=registrations, image_params=params,
@@ -148,8 +148,8 @@ class Session:
         """
         if plane == "moving":
             return "moving", layer
-        to = self.target(layer)
-        return ("moving" if to in self.layers else "fixed"), to
+        target_layer = self.target(layer)
+        return ("moving" if target_layer in self.layers else "fixed"), target_layer
 
     def mirrored(self, layer: str) -> bool | None:
         """Whether the fixed plane shows the other side of the sheet; None where either hand may fit."""
@@ -158,8 +158,7 @@ class Session:
     def to_face_um(self, layer: str) -> tuple[float, float]:
         """What the link added to the holes of a layer's maps, which run at an angle, to have them at the face."""
         if layer not in self.registrations:
-            right, down = self._detected_holes["moving"].attrs["to_face_um"]
-            return right, down
+            return tuple(self._detected_holes["moving"].attrs["to_face_um"])
         facts = self.results.layer(layer).registration
         return (0.0, 0.0) if facts is None or facts.tilt is None else facts.tilt.to_face_um
 
@@ -190,9 +189,9 @@ class Session:
     @cached_property
     def _detected_holes(self) -> dict[Plane, xr.Dataset]:
         assert self.image is not None
-        shown: dict[Plane, Any] = {"moving": read_group(self.folder / MAPS, "maps"), "fixed": self.image}
+        sources: dict[Plane, Any] = {"moving": read_group(self.folder / MAPS, "maps"), "fixed": self.image}
         params, side = self.study.holes, self.side_of("image")
-        return {plane: find_holes(data, params=params, side=side) for plane, data in shown.items()}
+        return {plane: find_holes(data, params=params, side=side) for plane, data in sources.items()}
 
     @property
     def state(self) -> State:
@@ -227,8 +226,8 @@ class Session:
             If it cannot be saved.
         """
         with self._lock:
-            new = numbered(change, len(self.journal.lines) + 1)
-            return self._save(new.model_dump_json(exclude_none=True).encode(), version)
+            change = numbered(change, len(self.journal.lines) + 1)
+            return self._save(change.model_dump_json(exclude_none=True).encode(), version)
 
     def undo(self, *, version: int | None = None) -> State:
         """Take the last change back; ChangeError where there is none."""
@@ -238,26 +237,26 @@ class Session:
         """Make the change that was taken back again; ChangeError where there is none."""
         return self._save(_REDO, version)
 
-    def _save(self, line: bytes, version: int | None) -> State:
+    def _save(self, journal_line: bytes, version: int | None) -> State:
         with self._lock:
             if version is not None and version < self.changed_at:
                 raise Stale("Something was changed in another window meanwhile. What stands now is shown; do it again.")
-            self._step(line, save=True)
+            self._step(journal_line, save=True)
             return self.state
 
-    def _step(self, line: bytes, *, save: bool) -> None:
+    def _step(self, journal_line: bytes, *, save: bool) -> None:
         """Take the step of a line of the journal: to the state before, to the one after it, or to a new one."""
         states, position = self._states, self._position + 1
-        if line == _UNDO:
+        if journal_line == _UNDO:
             position -= 2
             if position < 0:
                 raise ChangeError("There is nothing to undo: the run stands as it was.")
-        elif line != _REDO:
-            states = [*states[:position], applied(self.state, change_of(line))]
+        elif journal_line != _REDO:
+            states = [*states[:position], applied(self.state, change_of(journal_line))]
         elif position == len(states):
             raise ChangeError("There is nothing to redo.")
         if save:
-            self.journal.append(line)
+            self.journal.append(journal_line)
         self._states, self._position = states, position
         self.publish()
         self.changed_at = self.version
@@ -278,13 +277,13 @@ class Session:
         regions: list[DrawnRegion] = []
         for region in read_regions(self.folder / REGIONS).declared if self.results.regions else ():
             for polygon, *holes in ([*map(_ring, rings)] for rings in region.polygons):
-                about = {"name": region.name, "author": region.author, "reason": region.reason}
-                number = f"r0-{len(regions) + 1}"
-                regions.append(DrawnRegion(id=number, polygon=polygon, holes=tuple(holes), **about))
+                texts = {"name": region.name, "author": region.author, "reason": region.reason}
+                texts["id"] = f"r0-{len(regions) + 1}"
+                regions.append(DrawnRegion(polygon=polygon, holes=tuple(holes), **texts))
         marks = {layer: pairs_of(registration.marks) for layer, registration in self.registrations.items()}
         return State(
             marks=marks or {self.layers[0]: ()}, model=self.study.registration.model, regions=tuple(regions),
-            corrections=corrections_of(self.study), first=self.layers[0],
+            corrections=corrections_of(self.study), first_layer=self.layers[0],
         )  # fmt: skip
 
     def publish(self) -> None:
@@ -309,30 +308,30 @@ class Session:
 
 def _image_params(run: Path, image: ImageParams | None, results: Results) -> ImageParams | None:
     """Give the options of the image of a refused link: as it is asked for, as it was then, or by its own metadata."""
-    place = None if image is None else Path(image.path)
+    path = None if image is None else Path(image.path)
     if results.is_link:
-        if place is not None:
-            raise FileError(f"{run} is linked to an image already. Leave {place.name} out: planish view {run}")
+        if path is not None:
+            raise FileError(f"{run} is linked to an image already. Leave {path.name} out: planish view {run}")
         return None
-    if image is None or place is None:
+    if image is None or path is None:
         raise FileError(f"{run} holds the map of one sheet. Give the image as well: planish view {run} IMAGE")
-    if not place.is_file():
-        raise FileError(f"{place} is no file. Give the image of the sheet.")
-    asked = image.model_dump(exclude_unset=True) | {"path": str(place.resolve())}
-    noted = noted_study(run)
-    for layer in () if noted is None else noted.layers:
-        if layer.image is not None and layer.image.path == asked["path"]:
-            return layer.image.model_copy(update=asked)
-    return ImageParams.model_validate(asked)
+    if not path.is_file():
+        raise FileError(f"{path} is no file. Give the image of the sheet.")
+    options = image.model_dump(exclude_unset=True) | {"path": str(path.resolve())}
+    recorded = noted_study(run)
+    for layer in () if recorded is None else recorded.layers:
+        if layer.image is not None and layer.image.path == options["path"]:
+            return layer.image.model_copy(update=options)
+    return ImageParams.model_validate(options)
 
 
 def ends_of(marks: xr.Dataset, plane: str) -> list[End | None]:
     """Give the ends of a file's marks in a plane, with all that is known of them."""
     places, ends = model.places_of(marks, plane), list[End | None]()
-    for k, (place, source) in enumerate(zip(places.um.tolist(), places.source, strict=True)):
-        fields: dict[str, Any] = dict(zip("xy", place, strict=False)) | {"source": source}
-        fields |= {name: float(v) for name, column in places.extras.items() if np.isfinite(v := column[k])}
-        ends.append(End(**fields) if np.isfinite(place).all() else None)
+    for k, (position_um, source) in enumerate(zip(places.um.tolist(), places.source, strict=True)):
+        fields: dict[str, Any] = dict(zip("xy", position_um, strict=False)) | {"source": source}
+        fields |= {name: float(number) for name, column in places.extras.items() if np.isfinite(number := column[k])}
+        ends.append(End(**fields) if np.isfinite(position_um).all() else None)
     return ends
 
 
@@ -342,14 +341,14 @@ def pairs_of(
     """Give the marks of a file that lie in both planes."""
     columns = marks["label"].values, marks["used"].values, ends_of(marks, moving), ends_of(marks, fixed)
     return tuple(
-        Mark(id=f"m0-{k}", label=label(name), used=bool(used), moving=a, fixed=b)
-        for k, (name, used, a, b) in enumerate(zip(*columns, strict=True), 1)
-        if a is not None and b is not None
+        Mark(id=f"m0-{k}", label=label(text), used=bool(used), moving=moving_end, fixed=fixed_end)
+        for k, (text, used, moving_end, fixed_end) in enumerate(zip(*columns, strict=True), 1)
+        if moving_end is not None and fixed_end is not None
     )
 
 
-def dataset_of(marks: Sequence[Mark], **more: Any) -> xr.Dataset:
-    """Give marks of a session as files have them; ``more`` is for `make_marks`."""
+def dataset_of(marks: Sequence[Mark], **options: Any) -> xr.Dataset:
+    """Give marks of a session as files have them; ``options`` is for `make_marks`."""
 
     def column(plane: Plane, name: str) -> Floats:
         return np.array([getattr(getattr(mark, plane), name, None) for mark in marks], dtype=np.float64)
@@ -362,7 +361,7 @@ def dataset_of(marks: Sequence[Mark], **more: Any) -> xr.Dataset:
         )
         for plane in PLANES
     }
-    return make_marks([mark.label for mark in marks], places, used=[mark.used for mark in marks], **more)
+    return make_marks([mark.label for mark in marks], places, used=[mark.used for mark in marks], **options)
 
 
 def _ring(points: Any) -> tuple[tuple[float, float], ...]:

@@ -143,7 +143,7 @@ class SlicedSheet:
         """Voxels along the edge of a column of the surfaces."""
         return max(1, self.volume.sizes[self.frame.rows] // max(self.surfaces.sizes["y"], 1))
 
-    def places(self, axis: str) -> Floats:
+    def voxels_um(self, axis: str) -> Floats:
         """Places of the voxels along an axis, um."""
         return np.asarray(self.volume.coords[axis].values, dtype=np.float64)
 
@@ -156,21 +156,20 @@ class SlicedSheet:
         lines: Mapping[str, Floats] | None = None, contours: Mapping[str, Floats] | None = None,
         **axes: AxisFacts,
     ) -> SheetSlice:  # fmt: skip
-        """Put a slice together, its values in 16 bits."""
         lines, contours = lines or {}, contours or {}
         if codes is None:
             pixels, scale, offset = values.astype(np.uint16), 1.0, 0.0
         else:
             pixels, scale, offset = codes.of(values), codes.scale, codes.offset - codes.scale
         normal = self.frame.rows if direction == "straight" else direction
-        places = self._column_places(normal) if direction == "straight" else self.places(normal)
+        slices_um = self._columns_um(normal) if direction == "straight" else self.voxels_um(normal)
         facts = SliceFacts(
-            layer=self.name, direction=direction, normal=normal, index=index, at_um=float(places[index]), scale=scale,
-            offset=offset, missing=-1 if codes is None else 0, lines=tuple(lines),
-            segments={name: len(part) for name, part in contours.items()}, **axes,
+            layer=self.name, direction=direction, normal=normal, index=index, at_um=float(slices_um[index]),
+            scale=scale, offset=offset, missing=-1 if codes is None else 0, lines=tuple(lines),
+            segments={name: len(array) for name, array in contours.items()}, **axes,
         )  # fmt: skip
-        floats, segments = ([part.astype(np.float32) for part in parts.values()] for parts in (lines, contours))
-        return SheetSlice(facts=facts, pixels=pixels, lines=floats, contours=segments)
+        curves, segments = ([array.astype(np.float32) for array in group.values()] for group in (lines, contours))
+        return SheetSlice(facts=facts, pixels=pixels, lines=curves, contours=segments)
 
     def cut(
         self, direction: Direction, index: int, *, near_um: Near = (None, None),
@@ -204,134 +203,140 @@ class SlicedSheet:
 
     def _across(self, direction: Axis, index: int, near_um: Near, corrections: Corrections | None) -> SheetSlice:
         """A slice through the sheet, with its top up."""
-        f = self.frame
-        other: Axis = f.cols if direction == f.rows else f.rows
-        along, down = _window(self.places(other), near_um[0]), _window(self.places(f.through), near_um[1])
-        values = read_box(self.volume, {f.through: down, other: along, direction: slice(index, index + 1)})[..., 0]
-        depth = self.places(f.through)[down]
-        if f.top == "high":
-            values, depth = values[::-1], depth[::-1]
-        line = min(index // self.step, self._column_places(direction).size - 1)
-        columns = self._columns(other, along)
-        lines = self._lines(other, line, columns, corrections)
+        frame = self.frame
+        axis: Axis = frame.cols if direction == frame.rows else frame.rows
+        depth_um = self.voxels_um(frame.through)
+        cols, planes = _window(self.voxels_um(axis), near_um[0]), _window(depth_um, near_um[1])
+        box = {frame.through: planes, axis: cols, direction: slice(index, index + 1)}
+        values, depth_um = read_box(self.volume, box)[..., 0], depth_um[planes]
+        if frame.top == "high":
+            values, depth_um = values[::-1], depth_um[::-1]
+        profile_index = min(index // self.step, self._columns_um(direction).size - 1)
+        columns = self._columns(axis, cols)
+        lines = self._lines(axis, profile_index, columns, corrections)
         return self._slice(
-            direction, index, values, self.codes, lines, across=self._edge(other, along),
-            down=edge_of(f.through, depth), columns=edge_of(other, self._column_places(other)[columns]),
+            direction, index, values, self.codes, lines, across=self._edge(axis, cols),
+            down=edge_of(frame.through, depth_um), columns=edge_of(axis, self._columns_um(axis)[columns]),
         )  # fmt: skip
 
     def _along(self, index: int, near_um: Near) -> SheetSlice:
         """A slice along the sheet, with the contours of its surfaces."""
-        f = self.frame
-        cols, rows = _window(self.places(f.cols), near_um[0]), _window(self.places(f.rows), near_um[1])
-        values = read_box(self.volume, {f.rows: rows, f.cols: cols, f.through: slice(index, index + 1)})[..., 0]
-        height = float(self.places(f.through)[index])
-        surfaces = self.surfaces.isel(y=self._columns(f.rows, rows), x=self._columns(f.cols, cols))
+        frame = self.frame
+        axes = frame.cols, frame.rows
+        cols, rows = (_window(self.voxels_um(axis), um) for axis, um in zip(axes, near_um, strict=True))
+        box = {frame.rows: rows, frame.cols: cols, frame.through: slice(index, index + 1)}
+        values = read_box(self.volume, box)[..., 0]
+        height_um = float(self.voxels_um(frame.through)[index])
+        surfaces = self.surfaces.isel(y=self._columns(frame.rows, rows), x=self._columns(frame.cols, cols))
         x, y = surfaces["x"].values, surfaces["y"].values
-        contours = {name: contour(surfaces[name].values - height, x, y) for name in HEIGHTS}
+        contours = {name: contour(surfaces[name].values - height_um, x, y) for name in HEIGHTS}
         return self._slice(
-            f.through, index, values, self.codes, contours=contours, across=self._edge(f.cols, cols),
-            down=self._edge(f.rows, rows),
+            frame.through, index, values, self.codes, contours=contours, across=self._edge(frame.cols, cols),
+            down=self._edge(frame.rows, rows),
         )  # fmt: skip
 
     def _straight(self, index: int, near_um: Near, corrections: Corrections | None) -> SheetSlice:
         """One row of columns, straightened along the normals."""
-        f = self.frame
-        places = self._column_places(f.cols)
-        window = _window(places, near_um[0])
-        lines = self._lines(f.cols, index, window, corrections)
-        thickness = float(self.surfaces.attrs["thickness_um"])
-        size = abs(float(np.diff(self.places(f.through)[:2])[0]))
-        half = int(np.ceil(1.5 * thickness / size))  # it reaches so far to both sides of the centre surface
-        s = size * np.arange(half, -half - 1, -1).astype(np.float64)
-        values = self._sampled(index, window, lines, s)
-        halo = int(np.ceil(1.5 * thickness / min(pitch(self.surfaces)))) + 2
-        first = max(index - halo, 0)
-        _, faces = meet(self._read(slice(first, index + halo + 1), window, (*HEIGHTS, "status")), "normal")
+        frame = self.frame
+        columns_um = self._columns_um(frame.cols)
+        window = _window(columns_um, near_um[0])
+        lines = self._lines(frame.cols, index, window, corrections)
+        thickness_um = float(self.surfaces.attrs["thickness_um"])
+        voxel_um = abs(float(np.diff(self.voxels_um(frame.through)[:2])[0]))
+        reach = int(np.ceil(1.5 * thickness_um / voxel_um))  # voxels to either side of the centre surface
+        s_um = voxel_um * np.arange(reach, -reach - 1, -1).astype(np.float64)
+        values = self._sampled(index, window, lines, s_um)
+        halo_rows = int(np.ceil(1.5 * thickness_um / min(pitch(self.surfaces)))) + 2
+        first_row = max(index - halo_rows, 0)
+        surfaces = self._surfaces_in(slice(first_row, index + halo_rows + 1), window, (*HEIGHTS, "status"))
+        _, faces = meet(surfaces, "normal")
         for name in HEIGHTS:
-            lines[name] = np.zeros(places[window].size) if name == "centre" else faces[name][index - first]
+            lines[name] = np.zeros(columns_um[window].size) if name == "centre" else faces[name][index - first_row]
         lines = {name: line for name, line in lines.items() if not name.startswith(("preview", "found"))}
         finite = values[np.isfinite(values)]
         codes = self.codes or Codes(-1.0, 1.0)
         if self.codes is None and finite.size:
             codes = Codes.between(float(finite.min()), float(finite.max()))
-        columns = edge_of(f.cols, places[window])
+        columns = edge_of(frame.cols, columns_um[window])
         return self._slice(
-            "straight", index, values, codes, lines, across=columns, down=edge_of("height", s), columns=columns
+            "straight", index, values, codes, lines, across=columns, down=edge_of("height", s_um), columns=columns
         )
 
-    def _sampled(self, index: int, window: slice, lines: dict[str, Floats], s: Floats) -> Floats:
+    def _sampled(self, index: int, window: slice, lines: dict[str, Floats], s_um: Floats) -> Floats:
         """Grey along the normals of one row, (s, columns)."""
         from scipy import ndimage
 
-        f = self.frame
+        frame = self.frame
         centre = lines["place"]
-        normal = {getattr(f, part): lines[f"normal_{part}"] for part in ("rows", "cols", "through")}
-        row_um, cols_um = self._column_places(f.rows)[index], self._column_places(f.cols)[window]
-        places = {f.rows: np.full(centre.shape, row_um), f.cols: cols_um, f.through: centre}
-        is_sheet = np.isfinite(centre) & np.isfinite(normal[f.through])
-        values = np.full((s.size, centre.size), np.nan)
+        normal = {getattr(frame, direction): lines[f"normal_{direction}"] for direction in ("rows", "cols", "through")}
+        row_um, cols_um = self._columns_um(frame.rows)[index], self._columns_um(frame.cols)[window]
+        centre_um = {frame.rows: np.full(centre.shape, row_um), frame.cols: cols_um, frame.through: centre}
+        is_sheet = np.isfinite(centre) & np.isfinite(normal[frame.through])
+        values = np.full((s_um.size, centre.size), np.nan)
         if not is_sheet.any():
             return values
-        along = {axis: places[axis][is_sheet] + s[:, None] * normal[axis][is_sheet] for axis in places}
-        block, where = voxels_around(self.volume, along)
+        samples_um = {axis: um[is_sheet] + s_um[:, None] * normal[axis][is_sheet] for axis, um in centre_um.items()}
+        block, positions = voxels_around(self.volume, samples_um)
         block = block.astype(np.float32)
-        values[:, is_sheet] = ndimage.map_coordinates(block, where, order=1, cval=np.nan, prefilter=False)
+        values[:, is_sheet] = ndimage.map_coordinates(block, positions, order=1, cval=np.nan, prefilter=False)
         return values
 
-    def _column_places(self, axis: str) -> Floats:
+    def _columns_um(self, axis: str) -> Floats:
         return np.asarray(self.surfaces["y" if axis == self.frame.rows else "x"].values, dtype=np.float64)
 
     def _edge(self, axis: Axis, window: slice) -> AxisFacts:
-        return edge_of(axis, self.places(axis)[window])
+        return edge_of(axis, self.voxels_um(axis)[window])
 
     def _columns(self, axis: str, voxels: slice) -> slice:
         """The columns of the surfaces in which voxels lie."""
-        return slice(voxels.start // self.step, min(-(-voxels.stop // self.step), self._column_places(axis).size))
+        return slice(voxels.start // self.step, min(-(-voxels.stop // self.step), self._columns_um(axis).size))
 
-    def _read(self, rows: slice, cols: slice, names: Sequence[str] | None = None) -> xr.Dataset:
+    def _surfaces_in(self, rows: slice, cols: slice, names: Sequence[str] | None = None) -> xr.Dataset:
         """A window of the surfaces, in memory."""
-        names = names or [str(n) for n in self.surfaces.data_vars if n in _READ or str(n).startswith(_READ_PREFIXES)]
+        all_names = [str(name) for name in self.surfaces.data_vars]
+        names = names or [name for name in all_names if name in _READ_NAMES or name.startswith(_READ_PREFIXES)]
         return self.surfaces[list(names)].isel(y=rows, x=cols).load()
 
     def _lines(self, along: str, index: int, columns: slice, corrections: Corrections | None) -> dict[str, Floats]:
         """Read one row, or column, of the surfaces, with its normals."""
-        of_rows = along == self.frame.cols
+        is_row = along == self.frame.cols
         neighbours = slice(max(index - 1, 0), index + 2)
-        near = self._read(*((neighbours, columns) if of_rows else (columns, neighbours)))
-        profile = near.isel({"y" if of_rows else "x": index - neighbours.start})
+        neighbourhood = self._surfaces_in(*((neighbours, columns) if is_row else (columns, neighbours)))
+        profile = neighbourhood.isel({"y" if is_row else "x": index - neighbours.start})
         lines = {name: profile[name].values.astype(np.float64) for name in HEIGHTS}
-        centre = self.frame.sign * near["centre"].values.astype(np.float64)
-        normal = directions(slopes_of(centre, pitch(self.surfaces)), "normal")
-        normals = normal[index - neighbours.start] if of_rows else normal[:, index - neighbours.start]
+        centre = self.frame.sign * neighbourhood["centre"].values.astype(np.float64)
+        all_normals = directions(slopes_of(centre, pitch(self.surfaces)), "normal")
+        normals = all_normals[index - neighbours.start] if is_row else all_normals[:, index - neighbours.start]
         lines |= {"place": lines["centre"], "normal_rows": normals[:, 0], "normal_cols": normals[:, 1]}
         lines["normal_through"] = self.frame.sign * normals[:, 2]
-        for name in ("thickness_se", "status", *(n for n in profile.data_vars if str(n).startswith(_READ_PREFIXES))):
+        names = [str(name) for name in profile.data_vars if str(name).startswith(_READ_PREFIXES)]
+        for name in ("thickness_se", "status", *names):
             if name in profile:
                 values = profile[name].values.astype(np.float64)
-                lines[str(name)] = np.where(values == 255, np.nan, values) if name == "found_status" else values
+                lines[name] = np.where(values == 255, np.nan, values) if name == "found_status" else values
         if corrections is not None and corrections.stretches:
-            row, col = (slice(index, index + 1), columns) if of_rows else (columns, slice(index, index + 1))
-            lines |= self._preview(row, col, corrections)
+            rows, cols = (slice(index, index + 1), columns) if is_row else (columns, slice(index, index + 1))
+            lines |= self._preview(rows, cols, corrections)
         return lines
 
     def _preview(self, rows: slice, cols: slice, corrections: Corrections) -> dict[str, Floats]:
         """The faces in some columns as corrections would leave them."""
         if (preview := preview_faces(self.surfaces, self.volume, corrections, (rows, cols))) is None:
             return {}
-        window, drawn = preview
-        whole = uncorrected(self._read(rows, cols))
-        shared = [slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip((rows, cols), window, strict=True)]
-        target, source = (tuple(map(_within, shared, part)) for part in ((rows, cols), window))
+        window, corrected = preview
+        measured = uncorrected(self._surfaces_in(rows, cols))
+        overlap = [slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip((rows, cols), window, strict=True)]
+        target, source = (tuple(map(_relative, overlap, s)) for s in ((rows, cols), window))
         faces: dict[str, Floats] = {}
         for face in ("top", "bottom"):
-            values = whole[face].values.astype(np.float64)
-            if all(part.stop > part.start for part in shared):
-                values[target] = drawn[face][source]
+            values = measured[face].values.astype(np.float64)
+            if all(s.stop > s.start for s in overlap):
+                values[target] = corrected[face][source]
             faces[f"preview_{face}"] = values.ravel()
         return faces
 
 
-_READ = (*HEIGHTS, "status", "thickness_se")
+_READ_NAMES = (*HEIGHTS, "status", "thickness_se")
 _READ_PREFIXES = ("found_", "correction_")
 
 
@@ -347,22 +352,22 @@ def sheets_of(folder: Path, study: Study) -> dict[str, tuple[VolumeParams, Path]
 
 def contour(height: Floats, x: Floats, y: Floats) -> Floats:
     """Segments (n, 4: x0, y0, x1, y1) along which a field (y, x) crosses 0, linear between its nodes."""
-    value = np.asarray(height, dtype=np.float64)
-    corners = np.stack([value[:-1, :-1], value[:-1, 1:], value[1:, 1:], value[1:, :-1]])
-    above = corners >= 0
-    cells = np.flatnonzero((np.isfinite(corners).all(axis=0) & above.any(axis=0) & ~above.all(axis=0)).ravel())
+    values = np.asarray(height, dtype=np.float64)
+    corners = np.stack([values[:-1, :-1], values[:-1, 1:], values[1:, 1:], values[1:, :-1]])
+    is_above = corners >= 0
+    cells = np.flatnonzero((np.isfinite(corners).all(axis=0) & is_above.any(axis=0) & ~is_above.all(axis=0)).ravel())
     rows, cols = np.unravel_index(cells, corners.shape[1:]) if cells.size else (cells, cells)
-    picked = corners[:, rows, cols]
-    at_x = np.stack([x[cols], x[cols + 1], x[cols + 1], x[cols]])
-    at_y = np.stack([y[rows], y[rows], y[rows + 1], y[rows + 1]])
+    corner_values = corners[:, rows, cols]
+    corner_x = np.stack([x[cols], x[cols + 1], x[cols + 1], x[cols]])
+    corner_y = np.stack([y[rows], y[rows], y[rows + 1], y[rows + 1]])
     ends: list[Floats] = []
     for k in range(4):
-        n = (k + 1) % 4
-        crosses = (picked[k] >= 0) != (picked[n] >= 0)
-        share = np.zeros(crosses.shape)
-        np.divide(picked[k], picked[k] - picked[n], out=share, where=crosses)
-        place = np.stack([at_x[k] + share * (at_x[n] - at_x[k]), at_y[k] + share * (at_y[n] - at_y[k])], axis=-1)
-        ends.append(np.where(crosses[:, None], place, np.nan))
+        start, end = corner_values[k], corner_values[k - 3]
+        is_crossed = (start >= 0) != (end >= 0)
+        fraction = np.zeros(is_crossed.shape)
+        np.divide(start, start - end, out=fraction, where=is_crossed)
+        point = np.stack([place[k] + fraction * (place[k - 3] - place[k]) for place in (corner_x, corner_y)], axis=-1)
+        ends.append(np.where(is_crossed[:, None], point, np.nan))
     # Two edges of a cell are crossed, or at a saddle all four: its crossings then belong together in pairs.
     crossings = np.stack(ends, axis=1)
     order = np.argsort(np.isnan(crossings[..., 0]), axis=1, kind="stable")
@@ -371,20 +376,20 @@ def contour(height: Floats, x: Floats, y: Floats) -> Floats:
     return np.concatenate([first, second[np.isfinite(second).all(axis=1)]])
 
 
-def _within(part: slice, whole: slice) -> slice:
-    return slice(part.start - whole.start, part.stop - whole.start)
+def _relative(inner: slice, outer: slice) -> slice:
+    return slice(inner.start - outer.start, inner.stop - outer.start)
 
 
-def _window(places: Floats, near_um: float | None) -> slice:
+def _window(coordinates: Floats, near_um: float | None) -> slice:
     """At most ``WIDEST`` places, around one of them."""
-    if places.size <= WIDEST:
-        return slice(0, places.size)
-    middle = places.size // 2 if near_um is None else int(np.abs(places - near_um).argmin())
-    first = int(np.clip(middle - WIDEST // 2, 0, places.size - WIDEST))
+    if coordinates.size <= WIDEST:
+        return slice(0, coordinates.size)
+    middle = coordinates.size // 2 if near_um is None else int(np.abs(coordinates - near_um).argmin())
+    first = int(np.clip(middle - WIDEST // 2, 0, coordinates.size - WIDEST))
     return slice(first, first + WIDEST)
 
 
-def edge_of(name: Literal["z", "y", "x", "height"], places: Floats) -> AxisFacts:
+def edge_of(name: Literal["z", "y", "x", "height"], coordinates: Floats) -> AxisFacts:
     """Give the edge of a slice along which its pixels have these places."""
-    step = float(places[1] - places[0]) if places.size > 1 else 1.0
-    return AxisFacts(name=name, first_um=float(places[0]), step_um=step, count=places.size)
+    step_um = float(coordinates[1] - coordinates[0]) if coordinates.size > 1 else 1.0
+    return AxisFacts(name=name, first_um=float(coordinates[0]), step_um=step_um, count=coordinates.size)

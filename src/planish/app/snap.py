@@ -24,22 +24,22 @@ def snapped(session: Session, layer: str, mark: Mark) -> Move:
     ChangeError
         If neither end lies in a hole.
     """
-    marked: dict[Plane, End] = {plane: end for plane in PLANES if (end := getattr(mark, plane))}
-    ends = {plane: hole for plane, end in marked.items() if (hole := hole_at(session, layer, plane, end.xy))}
-    if not ends:
-        where = " or ".join(WHERE[plane] for plane in marked)
-        low, high = session.study.holes.hole_um
+    ends: dict[Plane, End] = {plane: end for plane in PLANES if (end := getattr(mark, plane))}
+    holes = {plane: hole for plane, end in ends.items() if (hole := hole_at(session, layer, plane, end.xy))}
+    if not holes:
+        planes_text = " or ".join(WHERE[plane] for plane in ends)
+        low_um, high_um = session.study.holes.hole_um
         raise ChangeError(
-            f"No hole of {low:g} to {high:g} um was found around {mark.label} {where}. Move the mark closer to the "
-            "middle of the hole, or leave it where it is."
+            f"No hole of {low_um:g} to {high_um:g} um was found around {mark.label} {planes_text}. Move the mark "
+            "closer to the middle of the hole, or leave it where it is."
         )
-    return Move(layer=layer, id=mark.id, moving=ends.get("moving"), fixed=ends.get("fixed"))
+    return Move(layer=layer, id=mark.id, moving=holes.get("moving"), fixed=holes.get("fixed"))
 
 
 def not_snapped(mark: Mark, move: Move) -> str:
     """Name the end that lies in no hole, where the other one does."""
-    missing = [WHERE[p] for p in PLANES if getattr(mark, p) is not None and getattr(move, p) is None]
-    return f"{mark.label} was not snapped {missing[0]}: no hole was found there." if missing else ""
+    missing_planes = [WHERE[p] for p in PLANES if getattr(mark, p) is not None and getattr(move, p) is None]
+    return f"{mark.label} was not snapped {missing_planes[0]}: no hole was found there." if missing_planes else ""
 
 
 def hole_at(session: Session, layer: str, plane: Plane, point_um: tuple[float, float]) -> End | None:
@@ -52,9 +52,9 @@ def hole_at(session: Session, layer: str, plane: Plane, point_um: tuple[float, f
 def _nearest_hole(holes: xr.Dataset | None, plane: Plane, point_um: tuple[float, float]) -> End | None:
     if holes is None or not holes.sizes["mark"] or "diameter" not in holes:
         return None
-    away = np.hypot(holes["x"].values - point_um[0], holes["y"].values - point_um[1])
-    k = int(np.nanargmin(away))
-    if not away[k] <= REACH * float(holes["diameter"].values[k]):
+    distance_um = np.hypot(holes["x"].values - point_um[0], holes["y"].values - point_um[1])
+    k = int(np.nanargmin(distance_um))
+    if not distance_um[k] <= REACH * float(holes["diameter"].values[k]):
         return None
     return ends_of(marks_of_holes(holes.isel(mark=[k]), layer=plane), plane)[0]
 
@@ -62,45 +62,46 @@ def _nearest_hole(holes: xr.Dataset | None, plane: Plane, point_um: tuple[float,
 def _search_holes(session: Session, layer: str, plane: Plane, point_um: tuple[float, float]) -> xr.Dataset | None:
     """Holes in a window around a point, in um of the plane; None where nothing shows holes."""
     params = session.study.holes
-    reach = 2.0 * params.hole_um[1]  # half a window, over the largest diameter: holes at its border are left out
-    shown = _hole_layers(session, layer, plane)
-    windows = {name: window for name, data in shown.items() if (window := _window(data, point_um, reach)) is not None}
-    if not windows or len(windows) < len(shown):
+    reach_um = 2.0 * params.hole_um[1]  # half a window, over the largest diameter: holes at its border are left out
+    hole_layers = _hole_layers(session, layer, plane)
+    cut = ((name, _window(data, point_um, reach_um)) for name, data in hole_layers.items())
+    windows = {name: window for name, window in cut if window is not None}
+    if not windows or len(windows) < len(hole_layers):
         return None
     if "image" in windows:
         image = windows["image"]
         grid = Grid.of(image)
         holes = find_holes(image.assign_attrs(pixel_um=list(grid.pixel_um)), params=params)
-        right, down = grid.origin_um
+        x0_um, y0_um = grid.origin_um
     else:
         holes = find_holes(xr.Dataset(windows), params=params, side=session.side_of(session.target(layer)))
-        right, down = session.to_face_um(layer) if plane == "moving" else (0.0, 0.0)
-    return holes.assign(x=holes["x"] + right, y=holes["y"] + down)
+        x0_um, y0_um = session.to_face_um(layer) if plane == "moving" else (0.0, 0.0)
+    return holes.assign(x=holes["x"] + x0_um, y=holes["y"] + y0_um)
 
 
 def _hole_layers(session: Session, layer: str, plane: Plane) -> dict[str, xr.DataArray]:
     """Give what shows the holes of a plane: an image, or the layers of material of a sheet."""
     if plane == "fixed" and session.image is not None:
         return {"image": session.image}
-    shown, owner = session.shown_by(layer, plane)
-    on_plane = session.pictures.on(shown, owner)
-    layer_maps = {p.variable: p.full for p in on_plane if p.layer == owner}
+    shown_plane, shown_layer = session.shown_by(layer, plane)
+    pictures = session.pictures.on(shown_plane, shown_layer)
+    layer_maps = {p.variable: p.full for p in pictures if p.layer == shown_layer}
     if "image" in layer_maps:
         return {"image": layer_maps["image"]}
-    material = {name: data for name, data in layer_maps.items() if name.startswith("presence")}
-    if material or shown == "moving":
-        return material
-    images = [p.full for p in on_plane if p.variable == "image"]
+    material_maps = {name: data for name, data in layer_maps.items() if name.startswith("presence")}
+    if material_maps or shown_plane == "moving":
+        return material_maps
+    images = [p.full for p in pictures if p.variable == "image"]
     return {"image": images[0]} if images else {}
 
 
 def _window(data: xr.DataArray, point_um: tuple[float, float], reach_um: float) -> xr.DataArray | None:
     """The part of a map or image around a point, read; None where that is less than a hole needs."""
     grid = Grid.of(data)
-    ranges = [
+    indices = [
         np.flatnonzero(np.abs(v - c) <= reach_um) for v, c in ((grid.y_um, point_um[1]), (grid.x_um, point_um[0]))
     ]
-    if min(r.size for r in ranges) < 8:
+    if min(r.size for r in indices) < 8:
         return None
-    rows, cols = (slice(int(r[0]), int(r[-1]) + 1) for r in ranges)
+    rows, cols = (slice(int(r[0]), int(r[-1]) + 1) for r in indices)
     return data[rows, cols].compute()

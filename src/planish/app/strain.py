@@ -48,9 +48,9 @@ MOST_POINTS = 40_000
 
 def sheet_run(run: Path, layer: str) -> Path | None:
     """Folder of the run that a layer was flattened in: this one, or one within it; None where it is no sheet."""
-    sheet = next((params for params in read_study(run / RUN_TOML).layers if params.name == layer), None)
+    layer_params = next((params for params in read_study(run / RUN_TOML).layers if params.name == layer), None)
     folder = layer_run(run, layer)
-    is_flattened = sheet is not None and sheet.kind != "image" and (folder / MAPS / "strain").is_dir()
+    is_flattened = layer_params is not None and layer_params.kind != "image" and (folder / MAPS / "strain").is_dir()
     return folder if is_flattened else None
 
 
@@ -58,19 +58,19 @@ def _on_pixels(cells: xr.DataArray, coordinates: tuple[xr.DataArray, xr.DataArra
     """Values of the mesh's cells in which the pixels of a part of a flat map lie; ``coordinates`` are the places."""
     indices: list[NDArray[np.intp]] = []
     is_on_mesh = True
-    for axis, pixels in zip(("y", "x"), coordinates, strict=True):
-        places = np.asarray(cells[axis].values, dtype=np.float64)
-        um = np.asarray(pixels[where].values, dtype=np.float64)
-        step = (places[-1] - places[0]) / (places.size - 1)
-        index = (um - places[0]) / step
-        inside = (index > -0.5) & (index < places.size - 0.5)  # False where it is NaN
-        indices.append(np.where(inside, np.rint(index), 0).astype(np.intp))
-        is_on_mesh = is_on_mesh & inside
+    for axis, coordinate in zip(("y", "x"), coordinates, strict=True):
+        centres_um = np.asarray(cells[axis].values, dtype=np.float64)
+        pixels_um = np.asarray(coordinate[where].values, dtype=np.float64)
+        pitch_um = (centres_um[-1] - centres_um[0]) / (centres_um.size - 1)
+        position = (pixels_um - centres_um[0]) / pitch_um
+        is_inside = (position > -0.5) & (position < centres_um.size - 0.5)  # False where it is NaN
+        indices.append(np.where(is_inside, np.rint(position), 0).astype(np.intp))
+        is_on_mesh = is_on_mesh & is_inside
     return np.where(is_on_mesh, cells.values[indices[0], indices[1]], np.float32(np.nan))
 
 
 def strains(
-    run: Path, places: Mapping[str, Sequence[xr.DataArray]]
+    run: Path, coordinates: Mapping[str, Sequence[xr.DataArray]]
 ) -> Iterator[tuple[str, StrainDisplay, list[xr.DataArray]]]:
     """Each strain of a run that is known on its flat map: name, title and units, and values at every level.
 
@@ -78,18 +78,18 @@ def strains(
     ----------
     run : Path
         A run of one sheet.
-    places : mapping
+    coordinates : mapping
         ``volume_x``, ``volume_y``, ``volume_z`` of the flat map at every level, um.
     """
     strain = read_group(run / MAPS, "strain")
     frame = Frame.of(stored_group(run / MAPS, "surfaces"))
-    rows, cols = (places[f"volume_{axis}"] for axis in (frame.rows, frame.cols))
-    for name, shown in STRAINS.items():
+    rows, cols = (coordinates[f"volume_{axis}"] for axis in (frame.rows, frame.cols))
+    for name, display in STRAINS.items():
         if name not in strain or min(strain[name].shape) < 2 or not np.isfinite(strain[name].values).any():
             continue
-        cells = (shown.factor * (strain[name] - shown.unstrained)).astype(np.float32)
-        levels = zip(rows, cols, strict=True)
-        yield name, shown, [computed(pair[0], partial(_on_pixels, cells, pair), np.float32) for pair in levels]
+        cells = (display.factor * (strain[name] - display.unstrained)).astype(np.float32)
+        pairs = zip(rows, cols, strict=True)
+        yield name, display, [computed(pair[0], partial(_on_pixels, cells, pair), np.float32) for pair in pairs]
 
 
 def mesh_lines(run: Path) -> tuple[list[list[tuple[float, float]]], int]:
@@ -98,27 +98,28 @@ def mesh_lines(run: Path) -> tuple[list[list[tuple[float, float]]], int]:
     Lines end where there is no sheet.
     """
     flat, strain = stored_group(run / MAPS, "flat"), read_group(run / MAPS, "strain")
-    rows, cols = strain.sizes["row"], strain.sizes["col"]
-    every = 1
-    while 2 * (rows // every + 1) * (cols // every + 1) > MOST_POINTS:
-        every += 1
+    n_rows, n_cols = strain.sizes["row"], strain.sizes["col"]
+    line_step = 1
+    while 2 * (n_rows // line_step + 1) * (n_cols // line_step + 1) > MOST_POINTS:
+        line_step += 1
     # Columns of the sheet that are nodes of the mesh, or nearest to them; a cell's place is its middle.
     nodes: list[NDArray[np.intp]] = []
     for axis in ("y", "x"):
-        columns, middle = np.asarray(flat[axis].values), np.asarray(strain[axis].values)
-        step = (middle[-1] - middle[0]) / max(middle.size - 1, 1)
-        places = middle[0] - 0.5 * step + step * np.arange(0, middle.size + 1, every)
-        pitch = (columns[-1] - columns[0]) / max(columns.size - 1, 1)
-        nodes.append(np.clip(np.rint((places - columns[0]) / pitch), 0, columns.size - 1).astype(np.intp))
+        columns_um, cells_um = np.asarray(flat[axis].values), np.asarray(strain[axis].values)
+        cell_pitch_um = (cells_um[-1] - cells_um[0]) / max(cells_um.size - 1, 1)
+        nodes_um = cells_um[0] - 0.5 * cell_pitch_um + cell_pitch_um * np.arange(0, cells_um.size + 1, line_step)
+        column_pitch_um = (columns_um[-1] - columns_um[0]) / max(columns_um.size - 1, 1)
+        indices = np.rint((nodes_um - columns_um[0]) / column_pitch_um)
+        nodes.append(np.clip(indices, 0, columns_um.size - 1).astype(np.intp))
     uv = np.empty((nodes[0].size, nodes[1].size, 2))
     for band in bands(flat.sizes["y"]):
-        inside = (nodes[0] >= band.start) & (nodes[0] < band.stop)
+        is_in_band = (nodes[0] >= band.start) & (nodes[0] < band.stop)
         for j, name in enumerate(("u", "v")):
-            uv[inside, :, j] = flat[name][band].values[np.ix_(nodes[0][inside] - band.start, nodes[1])]
+            uv[is_in_band, :, j] = flat[name][band].values[np.ix_(nodes[0][is_in_band] - band.start, nodes[1])]
     lines: list[list[tuple[float, float]]] = []
     for line in (*uv, *uv.transpose(1, 0, 2)):
         is_sheet = np.isfinite(line).all(axis=1)
-        ends = np.flatnonzero(np.diff(np.concatenate([[0], is_sheet.astype(np.int8), [0]])))
-        pieces = (line[first:last] for first, last in ends.reshape(-1, 2).tolist() if last - first > 1)
-        lines += [[(round(float(x), 1), round(float(y), 1)) for x, y in piece] for piece in pieces]
-    return lines, every
+        run_ends = np.flatnonzero(np.diff(np.concatenate([[0], is_sheet.astype(np.int8), [0]])))
+        segments = (line[first:last] for first, last in run_ends.reshape(-1, 2).tolist() if last - first > 1)
+        lines += [[(round(float(x), 1), round(float(y), 1)) for x, y in segment] for segment in segments]
+    return lines, line_step

@@ -27,14 +27,14 @@ from planish.core.status import Status
 from planish.surface import Corrections, Stretch
 from planish.surface.params import REACH_UM
 
-_FULL = anyio.CapacityLimiter(1)  # passes over whole maps, one at a time: the other core is for the screen
+_ONE_PASS = anyio.CapacityLimiter(1)  # passes over whole maps, one at a time: the other core is for the screen
 
 
 def get_tile(request: Request) -> Response:
     """One tile of a picture."""
-    place, tiles = request.path_params, _tiles(request)
-    data = tiles.tile(place["id"], place["level"], place["row"], place["col"])
-    return Response(data, media_type="application/octet-stream")
+    address, tiles = request.path_params, _tiles(request)
+    codes = tiles.tile(address["id"], address["level"], address["row"], address["col"])
+    return Response(codes, media_type="application/octet-stream")
 
 
 def get_cursor(request: Request) -> Response:
@@ -52,7 +52,7 @@ def get_profile(request: Request) -> Response:
 
 def get_density(request: Request) -> Response:
     """Density of two pictures, or of a region of them."""
-    return JSONResponse(density(_tiles(request), *_pair(request), _region(request)))
+    return JSONResponse(density(_tiles(request), *_picture_pair(request), _region(request)))
 
 
 def get_histogram(request: Request) -> Response:
@@ -62,7 +62,7 @@ def get_histogram(request: Request) -> Response:
 
 async def get_selection(request: Request) -> Response:
     """Pixels of a region or of brushes at full resolution; given up where the page goes away."""
-    (a, b), region, tiles = _pair(request), _region(request), _tiles(request)
+    (a, b), region, tiles = _picture_pair(request), _region(request), _tiles(request)
     brushes: list[Brush] = []
     for key, picture in (("brush_a", a), ("brush_b", b)):
         if limits := _numbers(request, key, 2):
@@ -84,7 +84,7 @@ async def get_selection(request: Request) -> Response:
     answer: dict[str, Any] | Exception = Stopped()
     async with anyio.create_task_group() as group:
         group.start_soon(watch)
-        answer = await run_sync(selected, limiter=_FULL)
+        answer = await run_sync(selected, limiter=_ONE_PASS)
         group.cancel_scope.cancel()
     if isinstance(answer, dict):
         return JSONResponse(answer)
@@ -101,7 +101,7 @@ def _picture(request: Request, key: str) -> PlanePicture:
     return _tiles(request).pictures[request.query_params.get(key, "")]
 
 
-def _pair(request: Request) -> tuple[PlanePicture, PlanePicture]:
+def _picture_pair(request: Request) -> tuple[PlanePicture, PlanePicture]:
     """Two pictures on the same pixels."""
     a, b = _picture(request, "a"), _picture(request, "b")
     if b not in _tiles(request).pictures.on_same_pixels(a):
@@ -141,24 +141,24 @@ _OPENING = threading.Lock()
 
 def get_sheets(request: Request) -> Response:
     """The sheets whose slices can be seen; what is wrong with the others."""
-    described: list[dict[str, Any]] = []
+    sheets: list[dict[str, Any]] = []
     session = session_of(request)
     for name in sheets_of(session.folder, session.study):
         try:
             sheet = _open_sheet(request, name)
         except PlanishError as error:
-            described.append({"layer": name, "error": error.text})
+            sheets.append({"layer": name, "error": error.text})
             continue
         frame, attrs = sheet.frame, sheet.surfaces.attrs
-        places = {axis: sheet.places(axis) for axis in "zyx"} | {"straight": sheet.surfaces["y"].values}
-        axes = {name: edge_of("height", um).model_dump(exclude={"name"}) for name, um in places.items()}
-        described.append({
+        voxels_um = {axis: sheet.voxels_um(axis) for axis in "zyx"} | {"straight": sheet.surfaces["y"].values}
+        axes = {name: edge_of("height", um).model_dump(exclude={"name"}) for name, um in voxels_um.items()}
+        sheets.append({
             "layer": name, "through": frame.through, "top": frame.top, "rows": frame.rows, "cols": frame.cols,
             "axes": axes, "thickness_um": float(attrs["thickness_um"]), "reach_um": REACH_UM,
             "correctable": "from_labels" not in attrs and attrs.get("method", "profile") == "profile",
         })  # fmt: skip
-    reasons = {int(status): status.sentence for status in Status}
-    return JSONResponse({"sheets": described, "status": reasons})
+    status_texts = {int(status): status.sentence for status in Status}
+    return JSONResponse({"sheets": sheets, "status": status_texts})
 
 
 def get_slice(request: Request) -> Response:
@@ -166,10 +166,10 @@ def get_slice(request: Request) -> Response:
     sheet, direction = _open_sheet(request, request.path_params["layer"]), request.path_params["direction"]
     if direction not in ("z", "y", "x", "straight"):
         raise InputError("Slices run across z, y or x, or are straight.")
-    across, down = (next(iter(_numbers(request, key, 1)), None) for key in ("across", "down"))
+    across_um, down_um = (next(iter(_numbers(request, key, 1)), None) for key in ("across", "down"))
     corrections = _shown_corrections(request, sheet.name)
     message = slice_message(
-        sheet.cut(direction, request.path_params["index"], near_um=(across, down), corrections=corrections)
+        sheet.cut(direction, request.path_params["index"], near_um=(across_um, down_um), corrections=corrections)
     )
     return Response(message, media_type="application/octet-stream")
 
@@ -196,32 +196,32 @@ def session_of(request: Request) -> Session:
 def _shown_corrections(request: Request, layer: str) -> Corrections | None:
     """The corrections of a layer that are saved, and one more that is only tried; None where the run has just these."""
     session = session_of(request)
-    first = next(params.name for params in session.study.layers if params.volume is not None)
-    now = stretches_of(session.state.corrections, layer, first)
-    tried = request.query_params.get("points", "")
-    if not tried:
-        return None if now == stretches_of(session.first.corrections, layer, first) else now
-    if len(tried) > 4000:
+    first_sheet = next(params.name for params in session.study.layers if params.volume is not None)
+    saved = stretches_of(session.state.corrections, layer, first_sheet)
+    points_text = request.query_params.get("points", "")
+    if not points_text:
+        return None if saved == stretches_of(session.first.corrections, layer, first_sheet) else saved
+    if len(points_text) > 4000:
         raise InputError("There are too many points for one stretch. Save it, and go on with another.")
     # What is missing in a point is empty, and refused with it.
-    texts = ([*text.split(","), "", "", "", ""] for text in tried.split(";"))
-    points = [dict(zip(("z", "y", "x", "face"), parts, strict=False)) for parts in texts]
-    (reach,) = _numbers(request, "reach", 1) or [0.0]
+    coordinates = ([*text.split(","), "", "", "", ""] for text in points_text.split(";"))
+    points = [dict(zip(("z", "y", "x", "face"), point, strict=False)) for point in coordinates]
+    (reach_um,) = _numbers(request, "reach", 1) or [0.0]
     try:
-        more = Stretch.model_validate({"id": "tried", "points": points, "reach_um": reach or REACH_UM})
+        trial = Stretch.model_validate({"id": "tried", "points": points, "reach_um": reach_um or REACH_UM})
     except ValueError as error:
         raise InputError("These are no points of a face: z, y, x in um and top or bottom.") from error
-    return now.model_copy(update={"stretches": (*now.stretches, more)})
+    return saved.model_copy(update={"stretches": (*saved.stretches, trial)})
 
 
-def slice_message(slice_: SheetSlice) -> bytes:
+def slice_message(sheet_slice: SheetSlice) -> bytes:
     """A slice as one message: length of the facts, facts, pixels, lines, contours; little-endian."""
-    facts = json.dumps(slice_.facts.model_dump(mode="json")).encode()
-    facts += b" " * (-len(facts) % 4)
-    pixels = np.ascontiguousarray(slice_.pixels, dtype="<u2").tobytes()
-    parts = [struct.pack("<I", len(facts)), facts, pixels, b"\0" * (-len(pixels) % 4)]
-    parts += [np.ascontiguousarray(part, dtype="<f4").tobytes() for part in (*slice_.lines, *slice_.contours)]
-    return b"".join(parts)
+    header = json.dumps(sheet_slice.facts.model_dump(mode="json")).encode()
+    header += b" " * (-len(header) % 4)
+    pixels = np.ascontiguousarray(sheet_slice.pixels, dtype="<u2").tobytes()
+    blocks = [struct.pack("<I", len(header)), header, pixels, b"\0" * (-len(pixels) % 4)]
+    curves = (*sheet_slice.lines, *sheet_slice.contours)
+    return b"".join([*blocks, *(np.ascontiguousarray(curve, dtype="<f4").tobytes() for curve in curves)])
 
 
 def flattening(request: Request) -> Response:
@@ -230,21 +230,21 @@ def flattening(request: Request) -> Response:
     if sheet_run(session.folder, layer) is None:
         return JSONResponse(None)
     ids = {p.variable: p.id for p in session.pictures.on("moving", layer)}
-    no_colours = {*SPACE, *STRAINS, "valid"}
-    names = [n for n in ids if n not in no_colours and not n.startswith(("volume_", "presence"))]
-    first = [name for name in (session.results.layer(layer).headline, "thickness", "warp") if name in names]
+    excluded = {*SPACE, *STRAINS, "valid"}
+    colour_names = [name for name in ids if name not in excluded and not name.startswith(("volume_", "presence"))]
+    preferred = [name for name in (session.results.layer(layer).headline, "thickness", "warp") if name in colour_names]
     return JSONResponse({
         "strain": [ids[name] for name in STRAINS if name in ids],
         "space": [ids[name] for name in SPACE],
-        "colours": [ids[name] for name in dict.fromkeys([*first, *names])],
+        "colours": [ids[name] for name in dict.fromkeys([*preferred, *colour_names])],
     })  # fmt: skip
 
 
 def mesh(request: Request) -> Response:
     """Lines of the mesh, each a list of (u, v) in um, and that they are every n-th."""
     run = sheet_run(session_of(request).folder, request.query_params.get("layer", ""))
-    lines, every = ([], 1) if run is None else mesh_lines(run)
-    return JSONResponse({"lines": lines, "every": every})
+    lines, line_step = ([], 1) if run is None else mesh_lines(run)
+    return JSONResponse({"lines": lines, "every": line_step})
 
 
 ROUTES = [

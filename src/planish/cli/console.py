@@ -22,9 +22,9 @@ _UNITS = ("um", "um2", "mm", "mm2", "deg", "%", "s", "min", "h", "MB", "GB", "vo
 _WITH_UNIT = re.compile(rf"(?<=\d) (?=(?:{'|'.join(_UNITS)})(?![\w/]))")
 _NUMBER = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
 _GLUE = "\N{NO-BREAK SPACE}"
-_APART = 2  # blanks between columns
-_COUNTS = ("n", "n_eff", "columns", "r", "r2", "95 %")  # columns without the unit of their row
-_NARROW = 20  # a terminal that says it has fewer columns does not mean it
+_GAP = 2  # blanks between columns
+_UNITLESS = ("n", "n_eff", "columns", "r", "r2", "95 %")  # columns without the unit of their row
+_LEAST_WIDTH = 20  # a terminal that says it has fewer columns does not mean it
 
 
 def prepare_streams() -> None:
@@ -66,13 +66,13 @@ def letters() -> bool:
 def width(*, err: bool = False) -> int | None:
     """Columns of the terminal; None where standard output, or standard error, is none."""
     stream = sys.stderr if err else sys.stdout
-    return max(console(err=err).width, _NARROW) if stream.isatty() else None
+    return max(console(err=err).width, _LEAST_WIDTH) if stream.isatty() else None
 
 
 def sentence(text: str, *, err: bool = False) -> None:
     """Print a sentence; on a terminal no line ends between a number and its unit."""
-    across = width(err=err)
-    click.echo(printable(text) if across is None else wrapped(printable(text), across), err=err)
+    columns = width(err=err)
+    click.echo(printable(text) if columns is None else wrapped(printable(text), columns), err=err)
 
 
 def warn(text: str) -> None:
@@ -89,9 +89,9 @@ def wrapped(text: str, width: int) -> str:
     """Break lines at blanks, but not between a number and its unit; further lines of a paragraph are set in."""
     lines: list[str] = []
     for line in text.split("\n"):
-        start = line[: len(line) - len(line.lstrip())]
+        indent = line[: len(line) - len(line.lstrip())]
         lines += textwrap.wrap(
-            _WITH_UNIT.sub(_GLUE, line), max(width, _NARROW), initial_indent="", subsequent_indent=f"{start}  ",
+            _WITH_UNIT.sub(_GLUE, line), max(width, _LEAST_WIDTH), initial_indent="", subsequent_indent=f"{indent}  ",
             break_long_words=False, break_on_hyphens=False, replace_whitespace=False, drop_whitespace=True,
         ) or [""]  # fmt: skip
     return "\n".join(lines).replace(_GLUE, " ")
@@ -108,35 +108,35 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> 
     rows : sequence of sequence of str
     """
     rows = [[printable(cell) for cell in row] for row in rows]
-    widest = [max(len(cell) for cell in cells) for cells in zip(columns, *rows, strict=True)]
-    needed = max(sum(widest) + _APART * (len(widest) - 1), len(title))
-    across = width()
-    if across is not None and needed > across:
-        click.echo(stacked(title, columns, rows, across))
+    widths = [max(len(cell) for cell in cells) for cells in zip(columns, *rows, strict=True)]
+    full_width = max(sum(widths) + _GAP * (len(widths) - 1), len(title))
+    terminal_width = width()
+    if terminal_width is not None and full_width > terminal_width:
+        click.echo(stacked(title, columns, rows, terminal_width))
         return
     from rich.table import Table
 
-    grid = Table(title=title, title_justify="left", box=None, pad_edge=False, padding=(0, _APART, 0, 0))
+    grid = Table(title=title, title_justify="left", box=None, pad_edge=False, padding=(0, _GAP, 0, 0))
     for k, name in enumerate(columns):
         grid.add_column(name, justify="left" if k == 0 else "right", no_wrap=True)
     for row in rows:
         grid.add_row(*row)
-    console(width=across or needed + _APART).print(grid)
+    console(width=terminal_width or full_width + _GAP).print(grid)
 
 
 def stacked(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> str:
     """Text of a table for a narrow terminal: the name of a row, and below it a line for each of its values."""
     lines = wrapped(title, width).split("\n") if title else []
-    unit_at = columns.index("unit") if "unit" in columns else None
+    unit_column = columns.index("unit") if "unit" in columns else None
     for row in rows:
         lines += wrapped(row[0], width).split("\n")
-        values = [k for k, heading in enumerate(columns) if _NUMBER.fullmatch(row[k]) and heading not in _COUNTS]
+        numeric = [k for k, heading in enumerate(columns) if _NUMBER.fullmatch(row[k]) and heading not in _UNITLESS]
         for k, (heading, cell) in enumerate(zip(columns, row, strict=True)):
-            if k == 0 or not cell or (k == unit_at and values):
+            if k == 0 or not cell or (k == unit_column and numeric):
                 continue
             name, _, heading_unit = heading.rpartition(" ")
-            of_heading = bool(name) and heading_unit in _UNITS and heading not in _COUNTS
-            unit = heading_unit if of_heading else row[unit_at] if unit_at is not None and k in values else ""
+            has_unit = bool(name) and heading_unit in _UNITS and heading not in _UNITLESS
+            unit = heading_unit if has_unit else row[unit_column] if unit_column is not None and k in numeric else ""
             text = f"{cell} {unit}" if unit not in ("", "1") and cell != "-" else cell
-            lines += wrapped(f"  {name if of_heading else heading}  {text}", width).split("\n")
+            lines += wrapped(f"  {name if has_unit else heading}  {text}", width).split("\n")
     return "\n".join(lines)

@@ -17,16 +17,18 @@ from planish.series_results import SeriesResults
 
 def page() -> str:
     """Return the text of docs/cli.md."""
-    head = "# Commands\n\nThis page is written by `python3 run.py docs` from the program's own help.\n"
-    parts = [head, _section("planish", planish)]
+    intro = "# Commands\n\nThis page is written by `python3 run.py docs` from the program's own help.\n"
+    sections = [intro, _section("planish", planish)]
     context = click.Context(planish)
     for name in planish.list_commands(context):
         command = planish.get_command(context, name)
         assert command is not None
-        parts.append(_section(f"planish {name}", command))
+        sections.append(_section(f"planish {name}", command))
         if isinstance(command, click.Group):
-            parts += [_section(f"planish {name} {sub}", inner) for sub, inner in command.commands.items()]
-    return "\n".join(parts)
+            sections += [
+                _section(f"planish {name} {subverb}", subcommand) for subverb, subcommand in command.commands.items()
+            ]
+    return "\n".join(sections)
 
 
 def _section(name: str, command: click.Command) -> str:
@@ -48,8 +50,8 @@ def with_options(text: str) -> str:
 
 def _with_section(text: str, title: str, content: str) -> str:
     """Put a section of a page in the place of the old one."""
-    head, rest = text.split(f"## {title}\n", 1)
-    return f"{head}## {title}\n\n{content}\n## " + rest.split("\n## ", 1)[1]
+    before, after = text.split(f"## {title}\n", 1)
+    return f"{before}## {title}\n\n{content}\n## " + after.split("\n## ", 1)[1]
 
 
 def schema(results: type[BaseModel]) -> str:

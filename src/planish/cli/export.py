@@ -43,12 +43,11 @@ def export(run: Path, out: Path, as_json: bool, **values: Any) -> None:
     if as_json:
         print_json({"out": str(out), "format": params.to, "files": [str(path) for path in files]})
         return
-    form = FORMATS[params.to]
-    count = "1 file" if len(files) == 1 else f"{len(files)} files"
-    missing = "" if form.missing == "–" else f"; missing values: {form.missing.replace('`', '')}"
-    click.echo(f"{out}: {form.title}, {count}{missing}")
-    if form.note:
-        click.echo(form.note, err=True)
+    file_format = FORMATS[params.to]
+    missing_text = "" if file_format.missing == "–" else f"; missing values: {file_format.missing.replace('`', '')}"
+    click.echo(f"{out}: {file_format.title}, {len(files)} file{'s' * (len(files) > 1)}{missing_text}")
+    if file_format.note:
+        click.echo(file_format.note, err=True)
 
 
 @verb("planish explore run --out sheet.html")
@@ -111,18 +110,20 @@ def view(
             f"--host {host} lets other machines on the network see and change this run, over a connection that is not "
             "encrypted. Give --expose as well if you mean it; for one other machine, an ssh tunnel is safer."
         )
-    shown = None if image is None else build_params(ImageParams, values, path=str(image))
-    session = Session.open(run, shown, read_only=read_only)
+    image_params = None if image is None else build_params(ImageParams, values, path=str(image))
+    session = Session.open(run, image_params, read_only=read_only)
 
     def started(url: str) -> None:
-        about = {"url": url, "run": str(run), "read_only": session.read_only}
-        click.echo(json.dumps(about) if as_json else url)
+        facts = {"url": url, "run": str(run), "read_only": session.read_only}
+        click.echo(json.dumps(facts) if as_json else url)
         if session.reason:
             warn(f"read only. {session.reason}")
         if not is_local:
-            who = "whoever gets this address, token included, sees this run's maps and marks and can change them"
-            warn(f"exposed on {host}: {who}; nothing is encrypted.")
+            warn(
+                f"exposed on {host}: whoever gets this address, token included, sees this run's maps and marks and can "
+                "change them; nothing is encrypted."
+            )
         if not no_browser:
             click.launch(url)
 
-    serve(session, host=host, port=port, started=started)
+    serve(session, host=host, port=port, on_open=started)

@@ -32,21 +32,21 @@ def info(path: Path, picture: Path | None, as_json: bool) -> None:
     from planish.io import describe, find_place
     from planish.io.inspection import Section, as_text, best_section, middle_sections, write_picture
 
-    run = run_facts(path)
-    if run is None and (path / "run.toml").is_file():
+    facts_of_run = run_facts(path)
+    if facts_of_run is None and (path / "run.toml").is_file():
         from planish.run.run import open_results
 
         open_results(path)  # says what is wrong with it
     sections: list[Section] = []
-    drawn = not as_json and sys.stdout.isatty() and (sys.stdout.encoding or "").lower().startswith("utf")
-    if run is None:
-        wanted = picture is not None or drawn
-        facts = describe(path, look=(lambda values: sections.extend(middle_sections(values))) if wanted else None)
+    has_drawing = not as_json and sys.stdout.isatty() and (sys.stdout.encoding or "").lower().startswith("utf")
+    if facts_of_run is None:
+        needs_look = picture is not None or has_drawing
+        facts = describe(path, look=(lambda values: sections.extend(middle_sections(values))) if needs_look else None)
         lines = fact_lines(facts)
-        if drawn and len(sections) > 1:
+        if has_drawing and len(sections) > 1:
             lines += as_text(best_section(sections, facts["through"]))
     else:
-        facts, lines = run, run_lines(run)
+        facts, lines = facts_of_run, run_lines(facts_of_run)
     if picture is not None:
         if not sections:
             raise FileError(
@@ -90,39 +90,40 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
     correct = build_params(CorrectParams, values)
     if correct != CorrectParams() and not correct.asked:
         raise click.UsageError("--rotation-axis and -centre-um belong to --correct-rings and --correct-cupping.")
-    record, picture = (out.with_name(f"{out.stem}.corrections.{kind}") for kind in ("json", "png"))
+    record_path, picture_path = (out.with_name(f"{out.stem}.corrections.{suffix}") for suffix in ("json", "png"))
     correction = None
     with stages(2) as progress:
-        data = read_whole(params, compute, progress)
+        scan = read_whole(params, compute, progress)
         if correct.asked:
             from planish.correct import correct_volume
 
-            refuse_existing(record, picture)
+            refuse_existing(record_path, picture_path)
             correction = correct_volume(
-                data, params=correct, memory_bytes=compute.volume_bytes,
-                progress=lambda what, how_far: progress("correct", f"{what}, {how_far}"),
+                scan, params=correct, memory_bytes=compute.volume_bytes,
+                progress=lambda step, share_text: progress("correct", f"{step}, {share_text}"),
             )  # fmt: skip
             for sentence in correction.record.sentences:
                 click.echo(sentence)
-            if share := correction.record.clipped:
-                click.echo(f"{100 * share:.2g} % of the voxels left the range of {data.dtype} and were clipped.")
-        with engine(compute) as on:
+            if clipped_share := correction.record.clipped:
+                percent = f"{100 * clipped_share:.2g} %"
+                click.echo(f"{percent} of the voxels left the range of {scan.dtype} and were clipped.")
+        with engine(compute) as workers:
             write_store(
-                data if correction is None else correction.volume, out, memory_bytes=compute.block_bytes, ome=ome,
-                executor=on.executor, workers=on.at_once,
-                progress=lambda what, done, count: progress(what, f"block {done} of {count}"),
+                scan if correction is None else correction.volume, out, memory_bytes=compute.block_bytes, ome=ome,
+                executor=workers.executor, workers=workers.at_once,
+                progress=lambda step, n_done, n_blocks: progress(step, f"block {n_done} of {n_blocks}"),
             )  # fmt: skip
     if correction is not None:
         from planish.correct import write_picture
 
         try:
             text = json.dumps(correction.record.to_json(), indent=2)
-            record.write_text(f"{text}\n", encoding="utf-8", newline="\n")
+            record_path.write_text(f"{text}\n", encoding="utf-8", newline="\n")
         except OSError as error:
-            raise FileError(f"{record} cannot be written: {error.strerror}. The store itself is whole.") from error
+            raise FileError(f"{record_path} cannot be written: {error.strerror}. The store itself is whole.") from error
         if correction.before is not None:
-            write_picture(correction, data, picture)
-    click.echo(f"{out}: {' x '.join(map(str, data.shape))} voxels")
+            write_picture(correction, scan, picture_path)
+    click.echo(f"{out}: {' x '.join(map(str, scan.shape))} voxels")
 
 
 @verb("planish properties", "planish map volume.tif --out run --property porosity --solid-grey 180")

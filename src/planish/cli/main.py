@@ -49,7 +49,7 @@ class LazyGroup(click.Group):
         return cast("click.Command", getattr(module, f"{cmd_name}_", None) or getattr(module, cmd_name))
 
 
-_START = """\
+_START_TEXT = """\
 planish {version} links 3D scans of paper sheets to 2D images of them.
 
 See it work:       planish demo
@@ -79,7 +79,7 @@ def planish(context: click.Context) -> None:
     (--strict: or asks for a look), 5 memory or disk used up, 130 interrupted.
     """
     if context.invoked_subcommand is None:
-        click.echo(_START.format(version=__version__), nl=False, err=True)
+        click.echo(_START_TEXT.format(version=__version__), nl=False, err=True)
         context.exit(2)  # wrong usage: a script whose arguments got lost must not take it for a success
 
 

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 _POSITIVE = click.FloatRange(min=0, min_open=True)
 _UNITS = click.Choice(["um", "mm", "pixel"])
-_TWO = tuple[float, float]
+_PAIR = tuple[float, float]
 _SIZES = Value(Annotated[tuple[float, ...], Field(min_length=1, max_length=3)], "SIZE|Y,X|Z,Y,X")
-_ORIGIN = Value(_TWO, "X,Y")
+_ORIGIN = Value(_PAIR, "X,Y")
 _BY_NAME = ", ".join(
     f"{' or '.join(FORMATS[name].suffixes)} {FORMATS[name].title}" for name in TARGETS if FORMATS[name].suffixes
 )
@@ -60,24 +60,24 @@ def design(out: Path, as_json: bool, holes_per_cm2: float | None, **values: Any)
     imaging = build_params(ImagingParams, values)
     pattern, rules = design_pattern(params)
     with new_folder(out) as folder:
-        files, run, predicted = write_design(pattern, rules, folder, stage=stage, imaging=imaging)
+        files, program, error = write_design(pattern, rules, folder, stage=stage, imaging=imaging)
     if as_json:
-        data = {
-            "out": str(out), "files": list(files), "holes": len(pattern.holes), **_rules_data(rules),
-            "fle_um": predicted.fle_um, "error_centre_um": predicted.centre_um, "error_corner_um": predicted.corner_um,
-            "time_s": run.time_s, "path_um": run.length_um,
+        facts = {
+            "out": str(out), "files": list(files), "holes": len(pattern.holes), **_rule_facts(rules),
+            "fle_um": error.fle_um, "error_centre_um": error.centre_um, "error_corner_um": error.corner_um,
+            "time_s": program.time_s, "path_um": program.length_um,
         }  # fmt: skip
-        print_json(data)
+        print_json(facts)
         return
     _show(pattern, rules)
-    click.echo(predicted.sentence())
-    click.echo(f"stage: {run.sentence()}")
+    click.echo(error.sentence())
+    click.echo(f"stage: {program.sentence()}")
     click.echo(f"{out}: {len(pattern.holes)} holes, {', '.join(files)}")
 
 
 @marks.command()
 @existing("pattern")
-@click.option("--field-um", type=Value(_TWO, "W,H"), help="Field in the middle of a table's holes.")
+@click.option("--field-um", type=Value(_PAIR, "W,H"), help="Field in the middle of a table's holes.")
 @click.option("--diameter-um", type=_POSITIVE, help="Diameter of a table's holes.")
 @json_option
 def check(pattern: Path, field_um: tuple[float, float] | None, diameter_um: float | None, as_json: bool) -> int:
@@ -89,14 +89,14 @@ def check(pattern: Path, field_um: tuple[float, float] | None, diameter_um: floa
 
     if field_um is not None and min(field_um) <= 0:
         raise click.UsageError("--field-um: width and height have to be positive.")
-    read = read_pattern(pattern, field_um=field_um, diameter_um=diameter_um)
-    rules, predicted = check_pattern(read), predict(read)
+    hole_pattern = read_pattern(pattern, field_um=field_um, diameter_um=diameter_um)
+    rules, error = check_pattern(hole_pattern), predict(hole_pattern)
     if as_json:
-        data = {"holes": len(read.holes), **_rules_data(rules), "error_corner_um": predicted.corner_um}
-        print_json(data)
+        facts = {"holes": len(hole_pattern.holes), **_rule_facts(rules), "error_corner_um": error.corner_um}
+        print_json(facts)
     else:
-        _show(read, rules)
-        click.echo(predicted.sentence())
+        _show(hole_pattern, rules)
+        click.echo(error.sentence())
     for rule in rules:
         if not rule.passed:
             warn(f"{rule.sentence()}: {rule.remedy}.")
@@ -128,28 +128,30 @@ def simulate(
             raise click.UsageError(f"--out: {out.name} is no .png, .svg or .pdf.")
         refuse_existing(out)
     run = dry_run(read_text(program, what="stage program"), stage, pulse_s=pulse_most_s)
-    difference = None
+    difference, shots_um = None, run.fired_um
     if pattern is not None:
         import numpy as np
 
-        points = read_pattern(pattern).points_um
-        if len(points) != len(run.fired_um):
-            difference = f"the program fires {len(run.fired_um)} shots, the pattern has {len(points)} holes."
+        holes_um = read_pattern(pattern).points_um
+        if len(holes_um) != len(shots_um):
+            difference = f"the program fires {len(shots_um)} shots, the pattern has {len(holes_um)} holes."
         else:
-            distance_um = np.hypot(*(run.fired_um[:, None] - points[None]).transpose(2, 0, 1))
-            worst = max(float(distance_um.min(axis=0).max()), float(distance_um.min(axis=1).max()))
-            if worst > 0.001:  # um: a program states positions to 0.0005
-                far = f"a hole of the pattern is {worst:.3f} um from the nearest shot"
-                difference = f"{far}; write the program again."
+            distance_um = np.hypot(*(shots_um[:, None] - holes_um[None]).transpose(2, 0, 1))
+            worst_um = max(float(distance_um.min(axis=0).max()), float(distance_um.min(axis=1).max()))
+            if worst_um > 0.001:  # um: a program states positions to 0.0005
+                difference = (
+                    f"a hole of the pattern is {worst_um:.3f} um from the nearest shot; write the program again."
+                )
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(out, path_picture(run, out.suffix.lower().lstrip("."), title=f"Path of the stage: {program.name}"))
+        picture = path_picture(run, out.suffix.lower().lstrip("."), title=f"Path of the stage: {program.name}")
+        write_whole(out, picture)
     if as_json:
-        data = {
-            "shots": len(run.fired_um), "pulse_s": sorted(set(run.pulse_s.tolist())), "time_s": run.time_s,
-            "path_um": run.length_um, "fired_um": run.fired_um.tolist(), "difference": difference,
+        facts = {
+            "shots": len(shots_um), "pulse_s": sorted(set(run.pulse_s.tolist())), "time_s": run.time_s,
+            "path_um": run.length_um, "fired_um": shots_um.tolist(), "difference": difference,
         }  # fmt: skip
-        print_json(data)
+        print_json(facts)
     else:
         click.echo(f"{program}: {run.sentence()}" + ("" if out is None else f"; {out}"))
         if pattern is not None and difference is None:
@@ -162,14 +164,14 @@ def simulate(
 
 def _show(pattern: Pattern, rules: tuple[Rule, ...]) -> None:
     rows: list[tuple[str, ...]] = []
-    for r in rules:
-        measured = f"{r.value:.4g} {r.unit}".strip()
-        rows.append((r.name, measured, f"{r.sense} {r.limit:g}", "kept" if r.passed else "BROKEN"))
+    for rule in rules:
+        measured = f"{rule.value:.4g} {rule.unit}".strip()
+        rows.append((rule.name, measured, f"{rule.sense} {rule.limit:g}", "kept" if rule.passed else "BROKEN"))
     title = f"{pattern.name}: {len(pattern.holes)} holes of {pattern.diameter_um:g} um"
     table(title, ("rule", "measured", "limit", ""), rows)
 
 
-def _rules_data(rules: tuple[Rule, ...]) -> dict[str, list[dict[str, Any]]]:
+def _rule_facts(rules: tuple[Rule, ...]) -> dict[str, list[dict[str, Any]]]:
     names = ("name", "value", "sense", "limit", "unit", "passed", "meaning")
     return {"rules": [{name: getattr(rule, name) for name in names} for rule in rules]}
 
@@ -206,26 +208,24 @@ def convert(
     if not 2 <= len(files) <= 3:
         raise click.UsageError("Give IN and OUT, or IN, IN2 and OUT.")
     *sources, out = files
-    kind = to or target_of(out)
-    facts = {k: LayerPixels(options[f"{k}_pixel_um"], options[f"{k}_origin_um"]) for k in ("moving", "fixed")}
-    marks = read_any(*sources, **facts, unit=unit, swap=swap)
-    written = write_any(marks, out, to=kind, **facts, unit=out_unit, swap=swap_out)
-    layers, read = layer_names(marks), marks.attrs["read_from"]
-    used, paths = int(marks["used"].values.sum()), [str(path) for path in written]
+    out_format = to or target_of(out)
+    layer_pixels = {k: LayerPixels(options[f"{k}_pixel_um"], options[f"{k}_origin_um"]) for k in ("moving", "fixed")}
+    marks = read_any(*sources, **layer_pixels, unit=unit, swap=swap)
+    out_files = write_any(marks, out, to=out_format, **layer_pixels, unit=out_unit, swap=swap_out)
+    layers, source = layer_names(marks), marks.attrs["read_from"]
+    n_used, out_names = int(marks["used"].values.sum()), [str(path) for path in out_files]
     if as_json:
-        data = {
-            "read": read, "marks": marks.sizes["mark"], "used": used, "layers": layers, "format": kind, "files": paths,
-        }  # fmt: skip
-        print_json(data)
+        counts = {"marks": marks.sizes["mark"], "used": n_used}
+        print_json({"read": source, **counts, "layers": layers, "format": out_format, "files": out_names})
         return
-    click.echo(f"{', '.join(paths)}: {marks.sizes['mark']} marks ({used} used) in {', '.join(layers)}")
-    if not read["stated"] and unit is None:
-        title = FORMATS[read["format"]].title
-        click.echo(f"{title} states no unit; the positions were taken as {read['unit']} (--unit).", err=True)
-    for layer in layers if FORMATS[kind].unit is not None else ():
+    click.echo(f"{', '.join(out_names)}: {marks.sizes['mark']} marks ({n_used} used) in {', '.join(layers)}")
+    if not source["stated"] and unit is None:
+        title = FORMATS[source["format"]].title
+        click.echo(f"{title} states no unit; the positions were taken as {source['unit']} (--unit).", err=True)
+    for layer in layers if FORMATS[out_format].unit is not None else ():
         origin = about_layer(marks, layer).get("origin_um", {"x": 0.0, "y": 0.0})
         if any(origin.values()):
-            place = f"{origin['x']:g},{origin['y']:g} um; give that as its origin when they are read again."
-            click.echo(f"{layer}: positions count from its first pixel, at {place}", err=True)
-    if kind == "elastix":
+            origin_text = f"{origin['x']:g},{origin['y']:g} um; give that as its origin when they are read again."
+            click.echo(f"{layer}: positions count from its first pixel, at {origin_text}", err=True)
+    if out_format == "elastix":
         click.echo("elastix: -mp the moving, -fp the fixed points; its transforms take fixed to moving.", err=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import reduce
+from functools import partial, reduce
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
@@ -35,9 +35,9 @@ PATH = click.Path(path_type=Path)
 class Verb(click.Command):
     """A command whose help shows its options in groups and ends with examples."""
 
-    def __init__(self, *args: Any, examples: Sequence[str] = (), goes_on: bool = False, **kwargs: Any) -> None:
+    def __init__(self, *args: Any, examples: Sequence[str] = (), can_resume: bool = False, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self.examples, self.goes_on = tuple(examples), goes_on
+        self.examples, self.can_resume = tuple(examples), can_resume
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options under the names of their groups."""
@@ -61,7 +61,7 @@ class Verb(click.Command):
         if isinstance(out := ctx.params.get("out"), Path):
             inputs = [value for name, value in ctx.params.items() if name != "out" and isinstance(value, Path)]
             refuse_inside(out, inputs)
-            if not self.goes_on:
+            if not self.can_resume:
                 refuse_existing(out)
         return super().invoke(ctx)
 
@@ -83,14 +83,15 @@ class Value(click.ParamType[Any]):
 
     name = "value"
 
-    def __init__(self, kind: Any, metavar: str | None = None, *, repeat: bool = False) -> None:
-        self.adapter, self.repeat = TypeAdapter[Any](kind), repeat
-        parts = kinds_of(kind)
-        tuples = [get_args(part) for part in parts if get_origin(part) is tuple]
-        self.count, self.any_count = len(tuples[0]) if tuples else 0, any(kinds[1:] == (...,) for kinds in tuples)
-        self.words = [str(word) for part in parts if get_origin(part) is Literal for word in get_args(part)]
-        number = ["N,..."] if tuples else ["NUMBER"] if float in parts else ["INTEGER"] if int in parts else []
-        self.metavar = metavar or "|".join([*self.words, *number]) or "TEXT"
+    def __init__(self, field_type: Any, metavar: str | None = None, *, repeat: bool = False) -> None:
+        self.adapter, self.can_repeat = TypeAdapter[Any](field_type), repeat
+        types = kinds_of(field_type)
+        tuples = [get_args(t) for t in types if get_origin(t) is tuple]
+        self.n_values = len(tuples[0]) if tuples else 0
+        self.is_any_count = any(arguments[1:] == (...,) for arguments in tuples)
+        self.words = [str(word) for t in types if get_origin(t) is Literal for word in get_args(t)]
+        number_word = ["N,..."] if tuples else ["NUMBER"] if float in types else ["INTEGER"] if int in types else []
+        self.metavar = metavar or "|".join([*self.words, *number_word]) or "TEXT"
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:  # noqa: ARG002
         """Show what is expected in the help."""
@@ -104,13 +105,13 @@ class Value(click.ParamType[Any]):
         """Parse ``"3"`` or ``"3,1.5,1.5"``."""
         if not isinstance(value, str):
             return value
-        parts: Any = [part.strip() for part in value.split(",")] if self.count else value
-        if self.any_count and value.strip().casefold() == "none":
-            parts = []
-        if self.repeat and len(parts) == 1:
-            parts = parts * self.count
+        texts: Any = [part.strip() for part in value.split(",")] if self.n_values else value
+        if self.is_any_count and value.strip().casefold() == "none":
+            texts = []
+        if self.can_repeat and len(texts) == 1:
+            texts = texts * self.n_values
         try:
-            return self.adapter.validate_python(parts)
+            return self.adapter.validate_python(texts)
         except ValidationError as error:
             reasons = "; ".join(dict.fromkeys(e["msg"].removeprefix("Value error, ") for e in error.errors()))
             self.fail(f"{value!r} is not {self.metavar}: {reasons}.", param, ctx)
@@ -122,76 +123,76 @@ def options(model: type[Params], group: str, *, only: Sequence[str] = (), withou
     ``group`` is the heading in the help; ``only`` and ``without`` are names of fields.
     """
     decorators: list[Command] = []
-    for name, field, shown in options_of(model):
+    for name, field, option_display in options_of(model):
         if name not in without and (not only or name in only):
-            decorators.append(_option(name, field, shown, group))
-            if _is_model(inner := kinds_of(field.annotation)[0]):
-                decorators.append(options(inner, group))
+            decorators.append(_option(name, field, option_display, group))
+            if _is_params(inner_model := kinds_of(field.annotation)[0]):
+                decorators.append(options(inner_model, group))
     return stack(*decorators)
 
 
-def _is_model(kind: Any) -> bool:
+def _is_params(field_type: Any) -> bool:
     """Tell whether a field is a model inside a model, which its own flag switches on."""
-    return isinstance(kind, type) and issubclass(kind, Params)
+    return isinstance(field_type, type) and issubclass(field_type, Params)
 
 
-def _or_none(_context: Any, _option: Any, values: tuple[str, ...]) -> tuple[str, ...] | None:
+def _none_if_empty(_context: Any, _option: Any, values: tuple[str, ...]) -> tuple[str, ...] | None:
     return values or None  # not given is other than an empty choice
 
 
-def _option(name: str, field: FieldInfo, shown: Shown, group: str) -> Command:
-    kinds = kinds_of(field.annotation)
-    how: dict[str, Any] = {"help": field.description, "cls": Option, "group": group, "required": field.is_required()}
-    if kinds == [bool] or _is_model(kinds[0]):
-        return click.option(*shown.flags, is_flag=True, default=None, **how)
+def _option(name: str, field: FieldInfo, option_display: Shown, group: str) -> Command:
+    types = kinds_of(field.annotation)
+    settings: dict[str, Any] = {"help": field.description, "group": group, "required": field.is_required()}
+    option = partial(click.option, *option_display.flags, cls=Option)
+    if types == [bool] or _is_params(types[0]):
+        return option(is_flag=True, default=None, **settings)
     default = field.get_default()
     if default not in (None, (), ...) and default is not PydanticUndefined:
         values: tuple[Any, ...] = default if isinstance(default, tuple) else (default,)
         texts = (f"{value:.7g}" if isinstance(value, float) else str(value) for value in values)
-        how["help"] += f"  [default: {','.join(texts)}]"
-    if kinds == [tuple[str, ...]]:
-        how["callback"] = _or_none
-        return click.option(*shown.flags, multiple=True, metavar=shown.metavar, **how)
-    if len(kinds) == 1 and get_origin(kinds[0]) is Literal:
-        return click.option(*shown.flags, type=click.Choice([str(v) for v in get_args(kinds[0])]), **how)
-    unit = (unit_of(name) or "").upper() or None if kinds == [float] else None
-    kind = Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation  # pyright: ignore
-    return click.option(*shown.flags, type=Value(kind, shown.metavar or unit, repeat=shown.repeat), **how)
+        settings["help"] += f"  [default: {','.join(texts)}]"
+    if types == [tuple[str, ...]]:
+        return option(multiple=True, metavar=option_display.metavar, callback=_none_if_empty, **settings)
+    if len(types) == 1 and get_origin(types[0]) is Literal:
+        return option(type=click.Choice([str(word) for word in get_args(types[0])]), **settings)
+    metavar = (unit_of(name) or "").upper() or None if types == [float] else None
+    value_type = Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation  # pyright: ignore
+    return option(type=Value(value_type, option_display.metavar or metavar, repeat=option_display.repeat), **settings)
 
 
-def given_options(values: Mapping[str, Any], places: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
+def given_options(values: Mapping[str, Any], tables_of: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
     """Collect the options that the command line gives, of those with a place, in the tables where they stand."""
-    words = {word: value for word in places if (value := values.get(word)) is not None and value is not False}
-    for word in words:
-        switch = next((outer for outer, place in places.items() if place == places[word][:-1]), word)
-        if switch not in words:
-            option, needed = flag_of(word), flag_of(switch)
-            raise click.UsageError(f"{option} is an option of {needed}: give {needed} as well.")
+    given_values = {name: value for name in tables_of if (value := values.get(name)) is not None and value is not False}
+    for name in given_values:
+        switch = next((other for other, table in tables_of.items() if table == tables_of[name][:-1]), name)
+        if switch not in given_values:
+            flag, switch_flag = flag_of(name), flag_of(switch)
+            raise click.UsageError(f"{flag} is an option of {switch_flag}: give {switch_flag} as well.")
     tables: dict[str, Any] = {}
-    put_options(tables, places, words)
+    put_options(tables, tables_of, given_values)
     return tables
 
 
-def build_params(model: type[P], values: Mapping[str, Any], **more: Any) -> P:
-    """Build a model of ``more`` and what the command line gives; a fault is wrong usage."""
+def build_params(model: type[P], values: Mapping[str, Any], **fields: Any) -> P:
+    """Build a model of ``fields`` and what the command line gives; a fault is wrong usage."""
     with wrong_usage():
-        return params_of(model, more | given_options(values, words_in(model)))
+        return params_of(model, fields | given_options(values, words_in(model)))
 
 
 @contextmanager
-def wrong_usage(start: str = "") -> Generator[None]:
-    """Take options that mean nothing for wrong usage of the command; ``start`` begins the message."""
+def wrong_usage(prefix: str = "") -> Generator[None]:
+    """Take options that mean nothing for wrong usage of the command; ``prefix`` begins the message."""
     try:
         yield
     except StudyError as error:
-        raise click.UsageError(f"{start}{error.text}") from error
+        raise click.UsageError(f"{prefix}{error.text}") from error
 
 
-def stack(*parts: Command) -> Command:
+def stack(*decorators: Command) -> Command:
     """Make one decorator of several."""
 
     def decorate(function: Command) -> Command:
-        return reduce(lambda command, part: part(command), reversed(parts), function)
+        return reduce(lambda command, decorator: decorator(command), reversed(decorators), function)
 
     return decorate
 
@@ -213,9 +214,9 @@ def existing(name: str) -> Command:
     return click.argument(name, type=PATH)
 
 
-def verb(*examples: str, name: str | None = None, goes_on: bool = False) -> Command:
+def verb(*examples: str, name: str | None = None, can_resume: bool = False) -> Command:
     """Make a command of a function, by whose name it is called, with examples at the end of its help.
 
-    ``goes_on``: where there are results of it already, it goes on with these; otherwise ``--out`` must not exist.
+    ``can_resume``: where there are results of it already, it goes on with these; otherwise ``--out`` must not exist.
     """
-    return click.command(name, cls=Verb, examples=examples, goes_on=goes_on)
+    return click.command(name, cls=Verb, examples=examples, can_resume=can_resume)

@@ -29,7 +29,7 @@ from planish.cli.options import (
 from planish.cli.show import finish, run_facts, stages
 from planish.core.errors import PlanishError
 from planish.core.files import free_path
-from planish.core.sources import is_this_code
+from planish.core.source_hash import is_this_code
 from planish.flatten.params import FlattenParams
 from planish.io.params import ImageParams, VolumeParams
 from planish.marks.params import HoleParams
@@ -69,7 +69,7 @@ def study_from(layers: tuple[str | Path, ...], values: dict[str, Any], *, chain:
 
 
 def _run_and_show(
-    study: Study, out: Path, values: dict[str, Any], *, changes: tuple[str, ...] = (), old: Path | None = None
+    study: Study, out: Path, values: dict[str, Any], *, changes: tuple[str, ...] = (), old_run: Path | None = None
 ) -> int:
     """Do what a study says after some changes, show it, and return the exit code."""
     from planish.run import run_study
@@ -79,7 +79,7 @@ def _run_and_show(
         study = with_values(study, changes) if changes else study
     with stages(8 + 3 * len(study.layers)) as progress:
         compute, figures = build_params(Compute, values), values.get("figures", False)
-        run = run_study(study, out, progress=progress, compute=compute, old=old, figures=figures)
+        run = run_study(study, out, progress=progress, compute=compute, old=old_run, figures=figures)
     return finish(run, out, as_json=values["as_json"], strict=values["strict"])
 
 
@@ -155,51 +155,51 @@ def run(study: Path, out: Path | None, changes: tuple[str, ...], **values: Any) 
 
     if study.is_dir():
         study = study / RUN_TOML
-    written = read_study(study)
-    old, usual = None, study.with_suffix("")
+    parsed = read_study(study)
+    old_run, default_out = None, study.with_suffix("")
     if study.name == RUN_TOML:
-        old = study.absolute().parent  # the run that STUDY is of
-        usual = old.with_name(f"{old.name}-{'2' if changes else 'again'}")
-        values["figures"] = (old / FIGURES).is_dir()
-    target = out or free_path(usual)
+        old_run = study.absolute().parent  # the run that STUDY is of
+        default_out = old_run.with_name(f"{old_run.name}-{'2' if changes else 'again'}")
+        values["figures"] = (old_run / FIGURES).is_dir()
+    out_folder = out or free_path(default_out)
     try:
-        code = _run_and_show(written, target, values, changes=changes, old=old if changes else None)
+        code = _run_and_show(parsed, out_folder, values, changes=changes, old_run=old_run if changes else None)
     except PlanishError as error:
         raise type(error)(in_study_words(error.text)) from error
-    if old is not None and not changes:
-        _compare(old, target)
+    if old_run is not None and not changes:
+        _compare(old_run, out_folder)
     return code
 
 
-def _compare(old: Path, target: Path) -> None:
+def _compare(old_run: Path, new_run: Path) -> None:
     """Say whether a run that was repeated has the same bytes."""
     from planish.run.run import MAPS
 
-    before = run_facts(old)
-    if before is not None and before["warning"]:
-        click.echo(f"{old.name} was {before['warning']}", err=True)
+    old_facts = run_facts(old_run)
+    if old_facts is not None and old_facts["warning"]:
+        click.echo(f"{old_run.name} was {old_facts['warning']}", err=True)
         return
-    if not (old / "results.json").is_file():
+    if not (old_run / "results.json").is_file():
         return
     # Not the hidden note of maps that outlived a refused link: it says what was asked, not what came out. Nor what was
     # changed since in the browser.
-    paths = [p.relative_to(root) for root in (old, target) for p in root.rglob("*") if p.is_file()]
-    compared = [p for p in paths if not p.name.startswith(".") and (p.parts[0] != EDITS or p.name in EDITS_APPLIED)]
-    _, other, missing = filecmp.cmpfiles(old, target, {p.as_posix() for p in compared}, shallow=False)
-    different = sorted([*other, *missing])
+    paths = [p.relative_to(root) for root in (old_run, new_run) for p in root.rglob("*") if p.is_file()]
+    paths = [p for p in paths if not p.name.startswith(".") and (p.parts[0] != EDITS or p.name in EDITS_APPLIED)]
+    _, differing, unmatched = filecmp.cmpfiles(old_run, new_run, {p.as_posix() for p in paths}, shallow=False)
+    differing_names = sorted([*differing, *unmatched])
     # Files of the store, of which a map has many, as a count and their groups.
-    stored = [Path(name).parts for name in different if name.startswith(f"{MAPS}/")]
-    phrases = [name for name in different if not name.startswith(f"{MAPS}/")]
-    if stored:
-        groups = ", ".join(sorted({parts[1] for parts in stored if len(parts) > 2}))
-        where = f"{MAPS} ({groups})" if groups else MAPS
-        phrases.insert(0, f"{len(stored)} file{'s' * (len(stored) > 1)} of {where}")
-    verb = "differs" if len(different) == 1 else "differ"
-    text = f"{', '.join(phrases)} {verb} from" if different else "same bytes as"
-    origin = ""
-    if before is not None and not is_this_code(before["planish"], before["code"]):
-        origin = f", which was made by other code (planish {before['planish']})"
-    click.echo(f"{target}: {text} {old}{origin}", err=True)
+    store_paths = [Path(name).parts for name in differing_names if name.startswith(f"{MAPS}/")]
+    phrases = [name for name in differing_names if not name.startswith(f"{MAPS}/")]
+    if store_paths:
+        groups = ", ".join(sorted({parts[1] for parts in store_paths if len(parts) > 2}))
+        store_text = f"{MAPS} ({groups})" if groups else MAPS
+        phrases.insert(0, f"{len(store_paths)} file{'s' * (len(store_paths) > 1)} of {store_text}")
+    verb = "differs" if len(differing_names) == 1 else "differ"
+    text = f"{', '.join(phrases)} {verb} from" if differing_names else "same bytes as"
+    origin_text = ""
+    if old_facts is not None and not is_this_code(old_facts["planish"], old_facts["code"]):
+        origin_text = f", which was made by other code (planish {old_facts['planish']})"
+    click.echo(f"{new_run}: {text} {old_run}{origin_text}", err=True)
 
 
 @verb("planish demo", "planish demo --out try --seed 2")
@@ -244,8 +244,8 @@ def new(study: Path, volume: Path, image: Path | None) -> None:
         raise FileError(f"The folder of {study} does not exist. Make it, or choose another one.")
     write_whole(study, draft.text.encode())
     click.echo(f"{study}: written")
-    for needed, words in ((True, "fill in"), (False, "look at")):
+    for is_needed, advice in ((True, "fill in"), (False, "look at")):
         for gap in draft.missing:
-            if gap.needed is needed:
-                sentence(f"{words} line {gap.line}, {gap.key}: {gap.why}")
+            if gap.needed is is_needed:
+                sentence(f"{advice} line {gap.line}, {gap.key}: {gap.why}")
     click.echo(f"then: planish run {study}")

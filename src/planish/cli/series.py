@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from planish.series import PlannedSpecimen, SeriesState
     from planish.series_results import Member, SeriesResults
 
-_WORDS = {"whole": "linked", "withheld": "a check failed", "refused": "refused", "damaged": "not done"}
+_STATE_TEXTS = {"whole": "linked", "withheld": "a check failed", "refused": "refused", "damaged": "not done"}
 
 
 @verb(
@@ -29,7 +29,7 @@ _WORDS = {"whole": "linked", "withheld": "a check failed", "refused": "refused",
     "planish study series.toml --out series --jobs 2",
     "planish study specimens.csv --out series --dry-run",
     "planish study series.toml --out series --watch scans/",
-    goes_on=True,
+    can_resume=True,
 )
 @existing("specimens")
 @out_option("Folder of the series; one that 'planish study' made goes on where it stood.")
@@ -82,26 +82,24 @@ def study(
     if dry_run:
         return _dry_run(SeriesState(out, plan), plan.specimens, compute, jobs)
     members: dict[str, Member] = {}
-    report, begin, interrupted = _ProgressLines(len(plan.specimens)), time.monotonic(), False
+    progress_lines, start_s, is_interrupted = _ProgressLines(len(plan.specimens)), time.monotonic(), False
     with series_folder(out):
-        coming = None
-        if watch is not None:
-            coming = watched(plan, watch, settle_s=settle, idle_s=idle, tell=warn)
+        new_scans = watched(plan, watch, settle_s=settle, idle_s=idle, tell=warn) if watch else None
         try:
-            run_series(plan, out, compute=compute, jobs=jobs, tell=report, members=members, coming=coming)
+            run_series(plan, out, compute=compute, jobs=jobs, tell=progress_lines, members=members, coming=new_scans)
         except KeyboardInterrupt:
-            interrupted = watch is None  # a watch has no other end
+            is_interrupted = not watch  # a watch has no other end
         finished = list(members.values())
         results = write_series(finished, out, plan.declared, out)
     if as_json:
         click.echo(results.to_json(), nl=False)
     counts = Counter(member.state for member in finished)
-    states = ", ".join(f"{counts[state]} {words}" for state, words in _WORDS.items() if counts[state])
-    click.echo(f"{len(finished)} specimens: {states}; {time.monotonic() - begin:.0f} s", err=True)
+    states_text = ", ".join(f"{counts[state]} {text}" for state, text in _STATE_TEXTS.items() if counts[state])
+    click.echo(f"{len(finished)} specimens: {states_text}; {time.monotonic() - start_s:.0f} s", err=True)
     for member in finished:
         if member.state not in ("whole", "open"):
-            warn(f"{member.name}: {_WORDS[member.state]}: {member.message}")
-    if interrupted:
+            warn(f"{member.name}: {_STATE_TEXTS[member.state]}: {member.message}")
+    if is_interrupted:
         warn("interrupted; what is done is kept, and the same command goes on from there.")
         return 130
     click.echo(f"report: {out / 'report.html'}", err=as_json)
@@ -110,64 +108,64 @@ def study(
 
 def code_of(members: Sequence[Member]) -> int:
     """0 where all are whole, 3 where none is, else 4."""
-    whole = sum(member.state == "whole" for member in members)
-    if whole == len(members) and members:
+    n_whole = sum(member.state == "whole" for member in members)
+    if n_whole == len(members) and members:
         return 0
-    return 4 if whole or any(member.state == "withheld" for member in members) else 3
+    return 4 if n_whole or any(member.state == "withheld" for member in members) else 3
 
 
 class _ProgressLines:
     """Lines as specimens are done, with the time that is left."""
 
-    def __init__(self, total: int) -> None:
-        self.total, self.count, self.worked, self.begin = total, 0, 0, time.monotonic()
+    def __init__(self, n_specimens: int) -> None:
+        self.n_specimens, self.n_done, self.n_run, self.start_s = n_specimens, 0, 0, time.monotonic()
 
     def __call__(self, member: Member, seconds: float | None) -> None:
         """Say what became of a specimen; one that was done before took no time."""
-        self.count += 1
-        words, remaining = _WORDS[member.state], ""
+        self.n_done += 1
+        state_text, remaining_text = _STATE_TEXTS[member.state], ""
         if seconds is None and member.state in ("whole", "withheld"):
-            words = f"{words}, kept"
+            state_text = f"{state_text}, kept"
         elif seconds is not None:
-            self.worked += 1
-            words = f"{words} in {seconds:.0f} s"
-            if self.total > self.count:
-                rate = (time.monotonic() - self.begin) / self.worked
-                remaining = f", about {_time((self.total - self.count) * rate)} left"
-        of = f"/{self.total}" if self.total else ""
-        sentence(f"[{self.count}{of}] {member.name}: {words}{remaining}", err=True)
+            self.n_run += 1
+            state_text = f"{state_text} in {seconds:.0f} s"
+            if self.n_specimens > self.n_done:
+                seconds_each = (time.monotonic() - self.start_s) / self.n_run
+                remaining_text = f", about {_duration((self.n_specimens - self.n_done) * seconds_each)} left"
+        total_text = f"/{self.n_specimens}" if self.n_specimens else ""
+        sentence(f"[{self.n_done}{total_text}] {member.name}: {state_text}{remaining_text}", err=True)
 
 
 def _dry_run(state: SeriesState, specimens: Sequence[PlannedSpecimen], compute: Compute, jobs: int) -> int:
     """A table of what would be done; nothing is written."""
     estimates = [(specimen, state.estimate(specimen, compute)) for specimen in specimens]
     rows: list[tuple[str, ...]] = []
-    for specimen, need in estimates:
-        figures = "-", "-", "-"
-        if need.seconds is not None:
-            figures = _time(need.seconds), f"{need.memory_bytes / 1e9:.1f} GB", f"{need.disk_bytes / 1e9:.2f} GB"
-        rows.append((specimen.name, need.words, *figures))
+    for specimen, estimate in estimates:
+        cells = "-", "-", "-"
+        if estimate.seconds is not None:
+            memory_gb, disk_gb = estimate.memory_bytes / 1e9, estimate.disk_bytes / 1e9
+            cells = _duration(estimate.seconds), f"{memory_gb:.1f} GB", f"{disk_gb:.2f} GB"
+        rows.append((specimen.name, estimate.words, *cells))
     table("What would be done", ("specimen", "", "time", "memory", "disk"), rows)
-    needs = [need for _, need in estimates if need.seconds is not None]
-    time_ = _time(sum(need.seconds or 0.0 for need in needs) / jobs)
-    memory = jobs * max((need.memory_bytes for need in needs), default=0.0)
-    disk = sum(need.disk_bytes for need in needs)
-    figures = f"about {time_}, {memory / 1e9:.1f} GB of memory, {disk / 1e9:.2f} GB of disk"
-    click.echo(f"{len(needs)} of {len(estimates)} to do: {figures}. Nothing was written.")
-    return 0 if needs or any(need.words.startswith("kept") for _, need in estimates) else 3
+    to_do = [estimate for _, estimate in estimates if estimate.seconds is not None]
+    time_text = _duration(sum(estimate.seconds or 0.0 for estimate in to_do) / jobs)
+    memory_gb = jobs * max((estimate.memory_bytes for estimate in to_do), default=0.0) / 1e9
+    disk_gb = sum(estimate.disk_bytes for estimate in to_do) / 1e9
+    needs_text = f"about {time_text}, {memory_gb:.1f} GB of memory, {disk_gb:.2f} GB of disk"
+    click.echo(f"{len(to_do)} of {len(estimates)} to do: {needs_text}. Nothing was written.")
+    return 0 if to_do or any(estimate.words.startswith("kept") for _, estimate in estimates) else 3
 
 
-def _time(seconds: float) -> str:
+def _duration(seconds: float) -> str:
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
-_CLOSE = 0.995  # r of two measurements of one quantity, of which more decimals are written
+_CLOSE_R = 0.995  # r of two measurements of one quantity, of which more decimals are written
 
 
 def _margin(_context: click.Context, _parameter: click.Parameter, assignments: tuple[str, ...]) -> dict[str, float]:
-    """Margins of ``MAP=UM``."""
     margins: dict[str, float] = {}
     for assignment in assignments:
         name, _, number = assignment.partition("=")
@@ -248,39 +246,38 @@ def _show(results: SeriesResults) -> None:
     from planish.report import series_words as words
 
     quantities = results.quantities
-    names: list[str] = []
+    quantity_names: list[str] = []
     for q in quantities:
-        what = "thin" if q.what == "thin_share" else q.what
-        names.append(" ".join(filter(None, (q.layer, q.map, what, q.other_layer))))
-    columns = ["", *results.factors, "checks", *names]
+        statistic = "thin" if q.what == "thin_share" else q.what
+        quantity_names.append(" ".join(filter(None, (q.layer, q.map, statistic, q.other_layer))))
+    columns = ["", *results.factors, "checks", *quantity_names]
     rows: list[list[str]] = []
-    for row in results.specimens:
+    for specimen in results.specimens:
         cells = ["-"] * len(quantities)
-        if row.cells:
-            cells = [_cell(row.cells[k], q.what) for k, q in enumerate(quantities)]
-        factors = [row.member.factors.get(factor, "") for factor in results.factors]
-        rows.append([row.member.name, *factors, row.light or row.member.state, *cells])
+        if specimen.cells:
+            cells = [_cell_text(specimen.cells[k], q.what) for k, q in enumerate(quantities)]
+        factors = [specimen.member.factors.get(factor, "") for factor in results.factors]
+        rows.append([specimen.member.name, *factors, specimen.light or specimen.member.state, *cells])
     table("Specimens (sd: standard deviation; *: takes part in no mean)", columns, rows)
     means: list[list[str]] = []
-    for g in sorted(results.groups, key=lambda g: g.quantity):
-        q = quantities[g.quantity]
-        interval = g.reason or _ends(g.interval, q.what)
-        counts = str(g.sheets), str(g.fields)
-        means.append([in_ascii(q.title), words.label(g.group), *counts, _number(g.mean, q.what), interval])
+    for group in sorted(results.groups, key=lambda group: group.quantity):
+        q = quantities[group.quantity]
+        numbers = _number_text(group.mean, q.what), group.reason or _interval_text(group.interval, q.what)
+        means.append([in_ascii(q.title), words.label(group.group), str(group.sheets), str(group.fields), *numbers])
     if means:
         table("Means over sheets", ("", "group", "sheets", "fields", "mean", "95 %"), means)
     if results.differences:
-        lines: list[list[str]] = []
+        differences: list[list[str]] = []
         for d in results.differences:
             q = quantities[d.quantity]
             within = f"{words.label(d.within)}: " if d.within else ""
-            interval = _ends(d.interval, q.what)
             p = f"{d.p_of_table:.2g}" if is_known(d.p_of_table) else "-"
-            levels, difference = f"{within}{d.levels[1]} - {d.levels[0]}", _number(d.difference, q.what)
-            lines.append([in_ascii(q.title), levels, difference, interval, p, words.verdict(d)])
-        table("Differences (p after Holm)", ("", "levels", "difference", "95 %", "p", ""), lines)
+            numbers = _number_text(d.difference, q.what), _interval_text(d.interval, q.what), p
+            levels = f"{within}{d.levels[1]} - {d.levels[0]}"
+            differences.append([in_ascii(q.title), levels, *numbers, words.verdict(d)])
+        table("Differences (p after Holm)", ("", "levels", "difference", "95 %", "p", ""), differences)
     for pair in results.instruments:
-        bias, limits = _number(pair.bias, "mean"), _ends(pair.limits, "mean")
+        bias, limits = _number_text(pair.bias, "mean"), _interval_text(pair.limits, "mean")
         sentence(
             f"{pair.specimen}: {pair.b} less {pair.a}, {pair.map}: bias {bias} {pair.unit}, limits {limits} "
             f"{pair.unit}. {pair.sentence}".rstrip()
@@ -288,18 +285,18 @@ def _show(results: SeriesResults) -> None:
     sentence(in_ascii(words.lead(results)))
 
 
-def _number(value: float | None, statistic: str) -> str:
-    digits = 4 if statistic == "thin_share" else 5 if statistic == "r" and abs(value or 0.0) > _CLOSE else 3
+def _number_text(value: float | None, statistic: str) -> str:
+    digits = 4 if statistic == "thin_share" else 5 if statistic == "r" and abs(value or 0.0) > _CLOSE_R else 3
     return "-" if value is None or not is_known(value) else f"{value:.{digits}f}"
 
 
-def _ends(limits: tuple[float, float], statistic: str) -> str:
-    return " to ".join(_number(v, statistic) for v in limits) if is_known(limits) else "-"
+def _interval_text(limits: tuple[float, float], statistic: str) -> str:
+    return " to ".join(_number_text(v, statistic) for v in limits) if is_known(limits) else "-"
 
 
-def _cell(cell: Any, statistic: str) -> str:
-    text = _number(cell.value, statistic)
+def _cell_text(cell: Any, statistic: str) -> str:
+    text = _number_text(cell.value, statistic)
     if statistic == "r" and cell.low is not None:
-        digits = 5 if cell.low > _CLOSE else 2
+        digits = 5 if cell.low > _CLOSE_R else 2
         text += f" ({cell.low:.{digits}f} to {cell.high:.{digits}f})"
     return text if cell.counts or cell.value is None else f"{text} *"

@@ -20,7 +20,7 @@ from planish.cli.console import print_json, sentence
 from planish.cli.options import verb
 from planish.core.errors import FileError
 
-_WORDS = {"pass": "ok", "unknown": "note", "look": "look", "fail": "PROBLEM"}
+_STATE_TEXTS = {"pass": "ok", "unknown": "note", "look": "look", "fail": "PROBLEM"}
 
 
 @verb("planish doctor", "planish doctor --json > doctor.json")
@@ -33,20 +33,20 @@ def doctor(as_json: bool) -> int:
     """
     from planish.installation import check_installation, describe_installation
 
-    about = describe_installation()
+    versions = describe_installation()
     if not as_json:
-        click.echo(f"planish {about['planish']}, Python {about['python']}, {about['system']}")
+        click.echo(f"planish {versions['planish']}, Python {versions['python']}, {versions['system']}")
     checks = list(check_installation())
-    wrong = [check for check in checks if check.state in ("look", "fail")]
+    faulty = [check for check in checks if check.state in ("look", "fail")]
     if as_json:
         records = [check.model_dump(include={"name", "state", "sentence", "advice"}) for check in checks]
-        print_json({**about, "well": not wrong, "checks": records})
+        print_json({**versions, "well": not faulty, "checks": records})
     else:
         for check in checks:
-            sentence(f"{_WORDS[check.state]:<8}{check.name}: {check.sentence} {check.advice}".rstrip())
-        names = ", ".join(check.name for check in wrong)
-        click.echo(f"Not well: {names}." if wrong else "All is well.")
-    return 4 if wrong else 0
+            sentence(f"{_STATE_TEXTS[check.state]:<8}{check.name}: {check.sentence} {check.advice}".rstrip())
+        names = ", ".join(check.name for check in faulty)
+        click.echo(f"Not well: {names}." if faulty else "All is well.")
+    return 4 if faulty else 0
 
 
 SHELLS = ("bash", "zsh", "fish", "powershell")
@@ -98,10 +98,10 @@ def script_of(shell: str) -> str:
     """Text that a shell reads to complete commands of planish."""
     from planish.cli.main import planish
 
-    kind = get_completion_class(shell)
-    assert kind is not None
+    completer = get_completion_class(shell)
+    assert completer is not None
     # Not the method of the class for bash, which starts bash to look at its version.
-    return ShellComplete.source(kind(planish, {}, "planish", "_PLANISH_COMPLETE"))  # the name is click's rule
+    return ShellComplete.source(completer(planish, {}, "planish", "_PLANISH_COMPLETE"))  # the name is click's rule
 
 
 @verb("planish completion bash --install", "planish completion powershell >> $PROFILE")
@@ -129,54 +129,51 @@ def install_script(shell: str) -> list[str]:
         If a file cannot be written, or PowerShell is not there to say which file it reads at its start.
     """
     home = Path.home()
-    shared = Path(os.environ.get("XDG_DATA_HOME") or home / ".local" / "share") / "planish"
-    config = Path(os.environ.get("XDG_CONFIG_HOME") or home / ".config")
+    data_folder = Path(os.environ.get("XDG_DATA_HOME") or home / ".local" / "share") / "planish"
+    config_folder = Path(os.environ.get("XDG_CONFIG_HOME") or home / ".config")
     if shell == "fish":  # reads what lies there
-        place, start, line = config / "fish" / "completions" / "planish.fish", None, ""
+        script, profile, line = config_folder / "fish" / "completions" / "planish.fish", None, ""
     elif shell == "powershell":
-        start = _profile()
-        place = start.with_name("planish.completion.ps1")
-        line = f'. "$PSScriptRoot/{place.name}"'  # beside the profile: no letters that an old code page lacks
+        profile = _profile()
+        script = profile.with_name("planish.completion.ps1")
+        line = f'. "$PSScriptRoot/{script.name}"'  # beside the profile: no letters that an old code page lacks
     else:
-        place = shared / f"completion.{shell}"
-        start = Path(os.environ.get("ZDOTDIR") or home) / ".zshrc" if shell == "zsh" else home / ".bashrc"
-        line = f'source "{place}"'
+        script = data_folder / f"completion.{shell}"
+        profile = Path(os.environ.get("ZDOTDIR") or home) / ".zshrc" if shell == "zsh" else home / ".bashrc"
+        line = f'source "{script}"'
         if shell == "zsh":  # compdef is known after compinit only
             line = f"autoload -Uz compinit && compinit && {line}"
-    done: list[str] = []
+    report_lines: list[str] = []
     try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        place.write_text(script_of(shell), encoding="utf-8", newline="\n")
-        done.append(f"{place}: written")
-        if start is not None:
-            data = start.read_bytes() if start.is_file() else b""
-            coding = "utf-16-le" if data.startswith(b"\xff\xfe") else "utf-8"  # as PowerShell 5 writes its files
-            text = data.decode(coding, errors="replace")
+        script.parent.mkdir(parents=True, exist_ok=True)
+        script.write_text(script_of(shell), encoding="utf-8", newline="\n")
+        report_lines.append(f"{script}: written")
+        if profile is not None:
+            content = profile.read_bytes() if profile.is_file() else b""
+            encoding = "utf-16-le" if content.startswith(b"\xff\xfe") else "utf-8"  # as PowerShell 5 writes its files
+            text = content.decode(encoding, errors="replace")
             if line in text.splitlines():
-                done.append(f"{start}: has the line already")
+                report_lines.append(f"{profile}: has the line already")
             else:
-                gap = "" if text.endswith("\n") or not text else "\n"
-                with start.open("ab") as file:
-                    file.write(f"{gap}{line}\n".encode(coding))
-                done.append(f"{start}: one line added: {line}")
+                separator = "" if text.endswith("\n") or not text else "\n"
+                with profile.open("ab") as file:
+                    file.write(f"{separator}{line}\n".encode(encoding))
+                report_lines.append(f"{profile}: one line added: {line}")
     except OSError as error:
         raise FileError(
-            f"{error.filename or place} cannot be written: {error.strerror}. Print the script with 'planish completion "
-            f"{shell}' and put it where {shell} reads it."
+            f"{error.filename or script} cannot be written: {error.strerror}. Print the script with 'planish "
+            f"completion {shell}' and put it where {shell} reads it."
         ) from error
-    return [*done, "Open a new terminal; the Tab key then completes commands and options."]
+    return [*report_lines, "Open a new terminal; the Tab key then completes commands and options."]
 
 
 def _profile() -> Path:
     """The file that PowerShell reads at its start, as it says itself: documents may lie on a server."""
-    for program in ("pwsh", "powershell"):
-        executable = shutil.which(program)
-        if executable is None:
-            continue
-        asked = [executable, "-NoProfile", "-NonInteractive", "-Command", "$PROFILE.CurrentUserCurrentHost"]
-        answer = subprocess.run(asked, capture_output=True, check=False, timeout=60)
-        text = answer.stdout.decode("utf-8", errors="replace").strip()
-        if answer.returncode == 0 and text:
+    for executable in filter(None, map(shutil.which, ("pwsh", "powershell"))):
+        command = [executable, "-NoProfile", "-NonInteractive", "-Command", "$PROFILE.CurrentUserCurrentHost"]
+        reply = subprocess.run(command, capture_output=True, check=False, timeout=60)
+        text = reply.stdout.decode("utf-8", errors="replace").strip()
+        if reply.returncode == 0 and text:
             return Path(text)
     raise FileError(
         "PowerShell is not on the search path, so its profile is not known. Write the script there yourself: planish "

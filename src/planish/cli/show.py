@@ -68,11 +68,11 @@ def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:
         click.echo(f"report: {out / 'report.html'}")
         if results.is_link:
             click.echo(f"check and correct it: planish view {quoted(str(out))}")
-    several = len(results.layers) > 2
+    has_several_layers = len(results.layers) > 2
     states: tuple[State, ...] = ("fail", "look", "unknown")
     for state in states:
         for check in results.checks_in(state):
-            name = f"{check.name} ({' and '.join(check.layers)})" if several and check.layers else check.name
+            name = f"{check.name} ({' and '.join(check.layers)})" if has_several_layers and check.layers else check.name
             warn(f"{state}: {name}: {check.sentence} {check.advice}".rstrip())
     return exit_code(results, strict=strict)
 
@@ -99,35 +99,35 @@ def _registration(layer: LayerFacts) -> None:
     r = layer.registration
     if r is None:
         return
-    shares, error, e = [], "", r.expected_error
-    if e is not None:
-        trust = "" if e.trust == "ok" else f", {e.trust}"
-        error = f", expected error {number(e.median_um, 2)} um (median{trust})"
-        shares = [] if e.shares is None else [e.shares.sentence]
+    error_text, notes = "", [*r.warnings]
+    if (expected := r.expected_error) is not None:
+        trust = "" if expected.trust == "ok" else f", {expected.trust}"
+        error_text = f", expected error {number(expected.median_um, 2)} um (median{trust})"
+        notes += [] if expected.shares is None else [expected.shares.sentence]
     sentence(
         f"{layer.name} to {r.to}: {r.matched} marks used, residual {r.rms_um:.2f} um rms, leave-one-out "
-        f"{number(r.leave_one_out_rms_um, 2)} um{error}; {r.model}, scale {r.scale:.4f}, rotation {r.rotation_deg:.2f} "
-        f"deg{', mirrored' if r.mirrored else ''}"
+        f"{number(r.leave_one_out_rms_um, 2)} um{error_text}; {r.model}, scale {r.scale:.4f}, rotation "
+        f"{r.rotation_deg:.2f} deg{', mirrored' if r.mirrored else ''}"
     )
-    for text in (*r.warnings, *shares, r.orientation.sentence):
-        sentence(f"  {text}")
+    for note in (*notes, r.orientation.sentence):
+        sentence(f"  {note}")
 
 
 def correlations(title: str, rows: Sequence[tuple[str, CorrelationRow | ComparisonRow]]) -> None:
     """Print correlations, each under its name."""
     cells: list[tuple[str, ...]] = []
-    for name, r in rows:
-        rms_um = getattr(r, "marks_rms_um", None)
-        label = name if getattr(r, "trust", "ok") == "ok" else f"{name} ({r.trust})"
-        low, high = r.interval
+    for name, row in rows:
+        rms_um = getattr(row, "marks_rms_um", None)
+        label = name if getattr(row, "trust", "ok") == "ok" else f"{name} ({row.trust})"
+        low, high = row.interval
         digits = 2 if high - low >= 0.02 else 4  # of a narrow one more: two decimals hide it
-        interval = f"{low:.{digits}f} to {high:.{digits}f}" if is_known(r.interval) else "-"
-        slope = f"{r.slope:.4g}" if is_known(r.slope) else "-"
-        figures = number(r.n_eff, 0), number(r.r), interval, number(r.r2), slope, number(rms_um, 1)
-        cells.append((label, f"{r.point_um:g}", str(r.n), *figures))
+        interval = f"{low:.{digits}f} to {high:.{digits}f}" if is_known(row.interval) else "-"
+        slope = f"{row.slope:.4g}" if is_known(row.slope) else "-"
+        figures = number(row.n_eff, 0), number(row.r), interval, number(row.r2), slope, number(rms_um, 1)
+        cells.append((label, f"{row.point_um:g}", str(row.n), *figures))
     names = ("", "point um", "n", "n_eff", "r", "95 %", "r2", "slope", "marks um")
-    shown = len(names) if any(getattr(r, "marks_rms_um", None) for _, r in rows) else len(names) - 1
-    table(title, names[:shown], [row[:shown] for row in cells])
+    n_columns = len(names) if any(getattr(row, "marks_rms_um", None) for _, row in rows) else len(names) - 1
+    table(title, names[:n_columns], [row[:n_columns] for row in cells])
 
 
 def run_facts(path: Path) -> dict[str, Any] | None:
@@ -137,20 +137,20 @@ def run_facts(path: Path) -> dict[str, Any] | None:
     try:
         results: dict[str, Any] = json.loads((path / "results.json").read_text(encoding="utf-8"))
         version = str(results["planish"])
-        old, again = version.startswith("0.1."), "'planish run' repeats it with this version."
-        name = next(key for key in ("checks", "gates", "quality") if key in results)
-        checks: list[dict[str, Any]] = results[name]
+        is_old, repeat_text = version.startswith("0.1."), "'planish run' repeats it with this version."
+        checks_key = next(key for key in ("checks", "gates", "quality") if key in results)
+        checks: list[dict[str, Any]] = results[checks_key]
         states = {state: [str(c["name"]) for c in checks if c.get("state") == state] for state in ("fail", "look")}
         states["fail"] += [str(c["name"]) for c in checks if c.get("passed") is False]
-        if not old or "layers" in results:
+        if not is_old or "layers" in results:
             inputs = {str(layer["name"]): str(layer["source"]["name"]) for layer in results["layers"]}
         else:
             inputs = {str(k): str(v["name"]) for k, v in results["inputs"].items()}
         warning = None
-        if old:
-            warning = f"made by planish 0.1.0: the errors stated in it are about 1.5 times too small; {again}"
-        elif name == "gates":
-            warning = f"made by planish {version}: its results have an older format; {again}"
+        if is_old:
+            warning = f"made by planish 0.1.0: the errors stated in it are about 1.5 times too small; {repeat_text}"
+        elif checks_key == "gates":
+            warning = f"made by planish {version}: its results have an older format; {repeat_text}"
         return {
             "kind": "run of " + ("one volume" if len(inputs) == 1 else f"{len(inputs)} layers"),
             "file_name": path.absolute().name, "inputs": inputs, "checks": len(checks), **states,
@@ -185,8 +185,8 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:
     else:
         lines.append(f"{element} size: not stated")
     if facts["min"] is not None:
-        middle = ", ".join(f"{level:.5g} ({k} %)" for k, level in facts["percentiles"].items())
-        lines.append(f"grey: {facts['min']:.5g} to {facts['max']:.5g}; percentiles {middle}")
+        percentiles = ", ".join(f"{level:.5g} ({k} %)" for k, level in facts["percentiles"].items())
+        lines.append(f"grey: {facts['min']:.5g} to {facts['max']:.5g}; percentiles {percentiles}")
     if facts["nan_share"]:
         lines.append(f"missing: {100 * facts['nan_share']:.2f} % of the values are NaN or infinite")
     if facts["saturated_share"]:

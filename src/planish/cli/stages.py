@@ -57,28 +57,27 @@ def _write(out: Path, groups: dict[str, xr.Dataset], summary: str) -> None:
     click.echo(f"{out}: {summary}")
 
 
-def _read(path: Path, group: str, needed: str) -> xr.Dataset:
+def _read(path: Path, group: str, command: str) -> xr.Dataset:
     """Read one group of a store, or of the maps.zarr in a run folder."""
     from planish.core.errors import FileError
     from planish.io.run_folder import open_tree
 
     groups = open_tree(path / "maps.zarr" if (path / "maps.zarr").is_dir() else path)
     if group not in groups:
-        raise FileError(f"{path} has no {group}; it holds {', '.join(sorted(groups))}. Give what {needed} wrote.")
+        raise FileError(f"{path} has no {group}; it holds {', '.join(sorted(groups))}. Give what {command} wrote.")
     return groups[group]
 
 
-def _volume(path: Path, values: dict[str, Any], **noted: Any) -> tuple[xr.DataArray, VolumeParams, Compute]:
-    """A volume of any kind, how it lies, and what may be used; ``noted`` is what a store says of it."""
+def _volume(path: Path, values: dict[str, Any], **store_params: Any) -> tuple[xr.DataArray, VolumeParams, Compute]:
+    """A volume of any kind, how it lies, and what may be used; ``store_params`` is what a store says of it."""
     from planish.run.volume import read_sheet_volume
 
-    params = build_params(VolumeParams, values, **noted | {"path": str(path.absolute())})
+    params = build_params(VolumeParams, values, **store_params | {"path": str(path.absolute())})
     compute = build_params(Compute, values)
     return read_sheet_volume(params, compute, silent)[0], params, compute
 
 
 def _image(path: Path, values: dict[str, Any]) -> tuple[xr.DataArray, ImageParams]:
-    """An image as it is stored, and what it shows."""
     from planish.io import read_image
 
     params = build_params(ImageParams, values, path=str(path))
@@ -123,12 +122,12 @@ def measure(surfaces: Path, out: Path, path: Path | None, **values: Any) -> None
     from planish.measure import measure_properties
 
     data = _read(surfaces, "surfaces", "'planish surface'")
-    noted = json.loads(data.attrs.pop(_VOLUME, "{}"))
-    if path is None and noted:
-        path = Path(noted.pop("path"))
+    store_params = json.loads(data.attrs.pop(_VOLUME, "{}"))
+    if path is None and store_params:
+        path = Path(store_params.pop("path"))
         if not find_place(path).path.exists():
             raise FileError(f"The volume of {surfaces}, {path}, is not there any more. Give its place with --volume.")
-    volume = None if path is None else _volume(path, values, **noted)[0]
+    volume = None if path is None else _volume(path, values, **store_params)[0]
     measured = measure_properties(data, volume=volume, params=build_params(MeasureParams, values))
     mean = float(measured["thickness"].mean())
     _write(out, {"surfaces": measured}, f"mean thickness {mean:.2f} um along the normals")
@@ -201,8 +200,8 @@ def holes(image: Path, out: Path, **values: Any) -> None:
     files = (out,) if out.suffix.lower() == ".csv" else (out, out.with_suffix(".csv"))
     refuse_existing(*files)
     side = build_params(ImageParams, values, path=str(image)).side or "top"
-    shown = _read(image, "maps", "'planish resample'") if image.is_dir() else _image(image, values)[0]
-    detected = find_holes(shown, params=build_params(HoleParams, values), side=side)
+    picture = _read(image, "maps", "'planish resample'") if image.is_dir() else _image(image, values)[0]
+    detected = find_holes(picture, params=build_params(HoleParams, values), side=side)
     for path in files:
         write_holes(detected, path)
     click.echo(f"{out}: {check_holes(detected).sentence}")

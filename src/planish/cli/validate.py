@@ -41,14 +41,14 @@ def specimen(out: Path | None, listed: bool, **values: Any) -> int:
         return 0
     if out is None:
         raise click.UsageError("Missing option '--out' / '-o': the folder to make.")
-    ordered = build_params(SpecimenOptions, values)
+    specimen_options = build_params(SpecimenOptions, values)
     from planish.io.run_folder import new_folder
     from planish.synthetic import write_specimen
 
     with new_folder(out) as folder:
-        write_specimen(ordered, folder, progress=lambda name: click.echo(f"write: {name}", err=True))
+        write_specimen(specimen_options, folder, progress=lambda name: click.echo(f"write: {name}", err=True))
     click.echo(f"specimen: {out}", err=True)
-    if ordered.size == "T0":
+    if specimen_options.size == "T0":
         click.echo("Its 3 holes are too few for 'planish link': take --size T1 or larger for that.", err=True)
     return 0
 
@@ -95,56 +95,56 @@ def validate(
             table("Scenarios", ("name", "title", "seeds"), [tuple(map(str, row.values())) for row in rows])
         return 0
     # All of them are read before the first is run: a wrong name should not cost the time of the others.
-    chosen, notes = [read_scenario(name) for name in scenarios or (_DEFAULT,)], ()
-    if len({scenario.name for scenario in chosen}) < len(chosen):
+    selected, notes = [read_scenario(name) for name in scenarios or (_DEFAULT,)], ()
+    if len({scenario.name for scenario in selected}) < len(selected):
         raise click.UsageError("--scenario: the same scenario is given twice.")
     if out is not None:
         refuse_existing(out)
     if like is not None:  # the paper and the instruments of a run in each scenario
         from planish.validate.specimen_template import like_run
 
-        if any(scenario.kind != "line" for scenario in chosen):
+        if any(scenario.kind != "line" for scenario in selected):
             raise click.UsageError("--like is for scenarios that run the whole line, not for a mesh or a pair.")
         template = like_run(like)
         for note in template.notes:
             click.echo(note, err=True)
-        chosen, notes = [template.scenario(scenario) for scenario in chosen], template.notes
+        selected, notes = [template.scenario(scenario) for scenario in selected], template.notes
 
     def report(stage: str, detail: str) -> None:
         click.echo(f"{stage}: {detail}", err=True)
 
-    how: dict[str, Any] = {"progress": report, "compute": build_params(Compute, values)}
+    settings: dict[str, Any] = {"progress": report, "compute": build_params(Compute, values)}
     results: list[tuple[Certificate, Sensitivity | None]] = []
-    for scenario in chosen:
-        certificate = replace(run_scenario(scenario, seeds, **how), notes=notes)
-        grown = sensitivity(scenario, 1, **how) if alone and scenario.kind == "line" else None
-        results.append((certificate, grown))
+    for scenario in selected:
+        certificate = replace(run_scenario(scenario, seeds, **settings), notes=notes)
+        nuisances = sensitivity(scenario, 1, **settings) if alone and scenario.kind == "line" else None
+        results.append((certificate, nuisances))
         if not as_json:
-            _show(certificate, grown)
+            _show(certificate, nuisances)
     if as_json:
-        certificates = [tables.as_json(certificate, grown) for certificate, grown in results]
+        certificates = [tables.as_json(certificate, nuisances) for certificate, nuisances in results]
         print_json(certificates[0] if len(certificates) == 1 else certificates)
     if out is not None:
         with new_folder(out) as folder:
-            for certificate, grown in results:
+            for certificate, nuisances in results:
                 place = folder if len(results) == 1 else folder / certificate.scenario.name
                 place.mkdir(exist_ok=True)
-                write_json(place / "certificate.json", tables.as_json(certificate, grown))
-                text = tables.markdown(certificate, grown)
+                write_json(place / "certificate.json", tables.as_json(certificate, nuisances))
+                text = tables.markdown(certificate, nuisances)
                 (place / "certificate.md").write_text(text, encoding="utf-8", newline="\n")
-                write_page(place / "certificate.html", certificate, grown)
+                write_page(place / "certificate.html", certificate, nuisances)
         click.echo(f"certificate: {out}", err=True)
     return 0 if all(certificate.passed for certificate, _ in results) else 4
 
 
-def _show(certificate: Certificate, grown: Sensitivity | None) -> None:
+def _show(certificate: Certificate, nuisances: Sensitivity | None) -> None:
     from planish.validate import table as tables
 
     table(certificate.scenario.title, tables.COLUMNS, tables.terminal_rows(certificate))
-    if grown is not None:
-        head, rows = tables.sensitivity_rows(grown)
-        table("What each nuisance alone adds, in squares", head, rows)
-        for sentence in tables.sensitivity_sentences(grown):
+    if nuisances is not None:
+        headings, rows = tables.sensitivity_rows(nuisances)
+        table("What each nuisance alone adds, in squares", headings, rows)
+        for sentence in tables.sensitivity_sentences(nuisances):
             click.echo(in_ascii(sentence))
     click.echo(in_ascii(f"{tables.verdict(certificate)} {tables.summary(certificate)}"))
     faults = [f"seed {e.seed}: {fault}" for e in certificate.entries for fault in (e.refusal, *e.failed) if fault]

@@ -19,38 +19,38 @@ class AreaMeans:
     """Means of maps on one grid over cells of ``factor`` pixels, of which some rows are added at a time.
 
     Every pixel counts with the share of its area that lies in the cell. Cells start at the border of the first pixel;
-    an incomplete last one is dropped. A cell is NaN unless at least ``least`` of its area is known.
+    an incomplete last one is dropped. A cell is NaN unless at least ``least_share`` of its area is known.
     """
 
-    def __init__(self, shape: tuple[int, int], factor: Pair, *, least: float = 0.5) -> None:
-        self._down, self._across = (_overlap(n, f) for n, f in zip(shape, factor, strict=True))
-        self._as_it_is = factor == (1, 1)  # a cell is a pixel
-        self._enough = least * factor[0] * factor[1] - 1e-9
-        self._weight = np.zeros((self._down.shape[0], self._across.shape[0]))
+    def __init__(self, shape: tuple[int, int], factor: Pair, *, least_share: float = 0.5) -> None:
+        self._row_overlap, self._col_overlap = (_overlap(n, f) for n, f in zip(shape, factor, strict=True))
+        self._is_identity = factor == (1, 1)  # a cell is a pixel
+        self._least_weight = least_share * factor[0] * factor[1] - 1e-9
+        self._weight = np.zeros((self._row_overlap.shape[0], self._col_overlap.shape[0]))
         self._totals: list[Floats] = []
 
-    def add(self, begin: int, is_known: Bools, *maps: NDArray[Any]) -> None:
-        """Add the rows from ``begin`` on of maps, which count where ``is_known``."""
+    def add(self, first_row: int, is_known: Bools, *maps: NDArray[Any]) -> None:
+        """Add the rows from ``first_row`` on of maps, which count where ``is_known``."""
         self._totals = self._totals or [np.zeros(self._weight.shape) for _ in maps]
-        down = self._down[:, begin : begin + is_known.shape[0]]
-        touched = np.flatnonzero(np.diff(down.indptr))
-        if not touched.size:
+        row_overlap = self._row_overlap[:, first_row : first_row + is_known.shape[0]]
+        touched_cells = np.flatnonzero(np.diff(row_overlap.indptr))
+        if not touched_cells.size:
             return
-        cells = slice(touched[0], touched[-1] + 1)
-        self._weight[cells] += self._summed(down[cells], is_known.astype(np.float64))
+        cells = slice(touched_cells[0], touched_cells[-1] + 1)
+        self._weight[cells] += self._summed(row_overlap[cells], is_known.astype(np.float64))
         for total, values in zip(self._totals, maps, strict=True):
-            total[cells] += self._summed(down[cells], np.where(is_known, values, 0.0))
+            total[cells] += self._summed(row_overlap[cells], np.where(is_known, values, 0.0))
 
     def means(self) -> list[Floats]:
         """The means of each map."""
-        enough, weight = self._weight >= self._enough, np.maximum(self._weight, 1e-12)
-        return [np.where(enough, total / weight, np.nan) for total in self._totals]
+        is_covered, weight = self._weight >= self._least_weight, np.maximum(self._weight, 1e-12)
+        return [np.where(is_covered, total / weight, np.nan) for total in self._totals]
 
-    def _summed(self, down: sparse.csr_array, values: Floats) -> Floats:
-        return values if self._as_it_is else (self._across @ (down @ values).T).T
+    def _summed(self, row_overlap: sparse.csr_array, values: Floats) -> Floats:
+        return values if self._is_identity else (self._col_overlap @ (row_overlap @ values).T).T
 
 
-def area_mean(values: Rows, factor: Pair, *, least: float = 0.5) -> Floats:
+def area_mean(values: Rows, factor: Pair, *, least_share: float = 0.5) -> Floats:
     """Mean of ``values`` (rows, cols) over cells of ``factor`` pixels, which need not be whole numbers.
 
     Parameters
@@ -59,7 +59,7 @@ def area_mean(values: Rows, factor: Pair, *, least: float = 0.5) -> Floats:
         NaN is missing.
     factor : (float, float)
         Height and width of a cell in pixels, at least 1.
-    least : float
+    least_share : float
         A cell is NaN unless so much of its area is known.
 
     Returns
@@ -69,17 +69,17 @@ def area_mean(values: Rows, factor: Pair, *, least: float = 0.5) -> Floats:
     """
     if not values.shape[0]:
         return np.empty((0, int(values.shape[1] / factor[1] + 1e-9)))
-    return common_means([values], factor, least=least)[0]
+    return common_means([values], factor, least_share=least_share)[0]
 
 
 def common_means(
-    maps: Sequence[Rows], factor: Pair, *, masks: Sequence[Rows] = (), least: float = 0.5
+    maps: Sequence[Rows], factor: Pair, *, masks: Sequence[Rows] = (), least_share: float = 0.5
 ) -> list[Floats]:  # fmt: skip
     """Means of maps on one grid over the pixels that have a value in all of them and where all masks are true."""
-    area_means = AreaMeans((maps[0].shape[0], maps[0].shape[1]), factor, least=least)
-    for rows, parts in read_bands(*maps, *masks):
-        values = parts[: len(maps)]
-        area_means.add(rows.start, valid_in_all(values, parts[len(maps) :]), *values)
+    area_means = AreaMeans((maps[0].shape[0], maps[0].shape[1]), factor, least_share=least_share)
+    for rows, bands in read_bands(*maps, *masks):
+        map_bands = bands[: len(maps)]
+        area_means.add(rows.start, valid_in_all(map_bands, bands[len(maps) :]), *map_bands)
     return area_means.means()
 
 
@@ -93,30 +93,30 @@ def _overlap(count: int, factor: float) -> sparse.csr_array:
     cells = int(count / factor + 1e-9)
     edges = np.arange(cells + 1) * factor
     first = np.floor(edges[:-1] + 1e-9).astype(np.intp)
-    many = np.minimum(np.ceil(edges[1:] - 1e-9), count).astype(np.intp) - first
-    rows = np.repeat(np.arange(cells), many)
-    cols = np.arange(rows.size) + (first - np.cumsum(many) + many)[rows]
+    pixel_counts = np.minimum(np.ceil(edges[1:] - 1e-9), count).astype(np.intp) - first
+    rows = np.repeat(np.arange(cells), pixel_counts)
+    cols = np.arange(rows.size) + (first - np.cumsum(pixel_counts) + pixel_counts)[rows]
     shares = np.minimum(cols + 1, edges[rows + 1]) - np.maximum(cols, edges[rows])
     return sparse.csr_array((shares, (rows, cols)), shape=(cells, count))
 
 
-LEAST = 512  # pixels a side: what is no larger needs no overview
+OVERVIEW_PX = 512  # pixels a side: what is no larger needs no overview
 
 
-def overviews(maps: xr.Dataset, *, least: int = LEAST) -> Iterator[xr.Dataset]:
-    """Halve maps (rows, cols) on a regular grid until no side has more than ``least`` pixels; yield each copy.
+def overviews(maps: xr.Dataset, *, most_px: int = OVERVIEW_PX) -> Iterator[xr.Dataset]:
+    """Halve maps (rows, cols) on a regular grid until no side has more than ``most_px`` pixels; yield each copy.
 
     Means over the pixels that have a value, NaN where none of the four has one; of truth values, whether half of the
     four are true. Labels have no mean and are left out. Coordinates are the middles of the larger pixels.
     """
-    for _ in range(count_of(tuple(maps.sizes.values()), least=least)):
+    for _ in range(overview_count(tuple(maps.sizes.values()), most_px=most_px)):
         maps = halved(maps)
         yield maps
 
 
-def count_of(shape: tuple[int, ...], *, least: int = LEAST) -> int:
+def overview_count(shape: tuple[int, ...], *, most_px: int = OVERVIEW_PX) -> int:
     """Count the overviews that maps of a shape need."""
-    return max(math.ceil(math.log2(max(shape, default=1) / least)), 0)
+    return max(math.ceil(math.log2(max(shape, default=1) / most_px)), 0)
 
 
 def halved(maps: xr.Dataset) -> xr.Dataset:

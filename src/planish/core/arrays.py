@@ -1,6 +1,6 @@
 """What a function is given: one check for each kind of object, called once where a public function begins.
 
-``call`` is the call to write instead, with ``{}`` where the object stands: ``pl.find_surfaces({})``.
+``call_format`` is the call to write instead, with ``{}`` where the object stands: ``pl.find_surfaces({})``.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ _UM = ("um", "µm", "μm", "micrometer", "micrometre", "micron")
 _CURES = {"b": "Give the grey values that it was made from.", "c": "Give their magnitude: abs(array)."}
 
 
-class Kind(NamedTuple):
+class ArrayKind(NamedTuple):
     """A volume or an image: its name, its axes, and the attribute that holds its size."""
 
     name: str
     axes: tuple[str, ...]
-    size: str
+    size_attribute: str
 
     @property
-    def words(self) -> str:
+    def with_article(self) -> str:
         """Its name with an article."""
         return f"{'an' if self.name[0] in 'aeiou' else 'a'} {self.name}"
 
 
-VOLUME = Kind("volume", ("z", "y", "x"), "voxel_um")
-IMAGE = Kind("image", ("y", "x"), "pixel_um")
+VOLUME = ArrayKind("volume", ("z", "y", "x"), "voxel_um")
+IMAGE = ArrayKind("image", ("y", "x"), "pixel_um")
 
 
-def check_volume(volume: object, call: str) -> tuple[float, ...]:
+def check_volume(volume: object, call_format: str) -> tuple[float, ...]:
     """Return the voxel size (z, y, x) in um of a volume with coordinates.
 
     Raises
@@ -45,41 +45,43 @@ def check_volume(volume: object, call: str) -> tuple[float, ...]:
         If it is something else; a VolumeError where it has other axes or values, a SizeError where it has no size,
         contradicts itself, or its coordinates are not in um, not regular, or descend.
     """
-    return _checked(volume, VOLUME, call)
+    return _checked_size(volume, VOLUME, call_format)
 
 
-def check_image(image: object, call: str) -> tuple[float, ...]:
+def check_image(image: object, call_format: str) -> tuple[float, ...]:
     """Return the pixel size (y, x) in um of an image; errors as those of :func:`check_volume`."""
-    return _checked(image, IMAGE, call)
+    return _checked_size(image, IMAGE, call_format)
 
 
-def check_dataset(data: object, *needed: str, what: str, maker: str, call: str) -> None:
-    """Refuse what is no Dataset with the variables that are needed; ``maker`` is the call that gives one."""
-    if not isinstance(data, xr.Dataset) or any(name not in data for name in needed):
-        raise not_taken(data, what, call.format(maker), call)
+def check_dataset(data: object, *variables: str, expected: str, source: str, call_format: str) -> None:
+    """Refuse what is no Dataset with the variables that are needed; ``source`` is the call that gives one."""
+    if not isinstance(data, xr.Dataset) or any(name not in data for name in variables):
+        raise not_taken(data, expected, call_format.format(source), call_format)
 
 
-def check_path(path: object, needed: str, call: str, instead: str) -> Path:
-    """Return a path; ``instead`` is what to write for an object in memory."""
+def check_path(path: object, expected: str, call_format: str, fix: str) -> Path:
+    """Return a path; ``fix`` is what to write for an object in memory."""
     if not isinstance(path, str | Path):
-        raise not_taken(path, needed, instead, call)
+        raise not_taken(path, expected, fix, call_format)
     return Path(path)
 
 
-def check_values(array: Any, kind: Kind, dims: Sequence[str]) -> None:
+def check_values(array: Any, kind: ArrayKind, dims: Sequence[str]) -> None:
     """Refuse axes and values that are none of a volume or an image."""
     if tuple(dims) != kind.axes:
-        other = {2: IMAGE, 3: VOLUME}.get(len(dims), kind)
-        cure = f"array.rename({dims[0]}={kind.axes[0]!r}, ...)" if other is kind else instead_of(array, other)
+        dims_kind = {2: IMAGE, 3: VOLUME}.get(len(dims), kind)
+        fix = conversion_call(array, dims_kind)
+        if dims_kind is kind:
+            fix = f"array.rename({dims[0]}={kind.axes[0]!r}, ...)"
         if sorted(dims) == sorted(kind.axes):
-            cure = f"array.transpose({', '.join(map(repr, kind.axes))})"
+            fix = f"array.transpose({', '.join(map(repr, kind.axes))})"
         raise VolumeError(
-            f"{kind.words.capitalize()} has the axes ({', '.join(kind.axes)}), and an array of "
-            f"{' x '.join(map(str, array.shape))} with ({', '.join(dims)}) was given. Write {cure}."
+            f"{kind.with_article.capitalize()} has the axes ({', '.join(kind.axes)}), and an array of "
+            f"{' x '.join(map(str, array.shape))} with ({', '.join(dims)}) was given. Write {fix}."
         )
     if array.dtype.kind not in "uif" or array.dtype.itemsize > 8:
-        cure = _CURES.get(array.dtype.kind, 'Convert them: astype("float32").')
-        raise VolumeError(f"The {kind.name} has {array.dtype} values; needed are integers or real numbers. {cure}")
+        fix = _CURES.get(array.dtype.kind, 'Convert them: astype("float32").')
+        raise VolumeError(f"The {kind.name} has {array.dtype} values; needed are integers or real numbers. {fix}")
 
 
 def step_um(array: xr.DataArray, axis: str) -> float | None:
@@ -87,17 +89,21 @@ def step_um(array: xr.DataArray, axis: str) -> float | None:
     if axis not in array.coords or array.sizes[axis] < 2:
         return None
     unit, values = array[axis].attrs.get("units", "um"), array[axis].values
-    fault, cure = "", f"array.assign_coords({axis}=...)"
+    fault_text, fix = "", f"array.assign_coords({axis}=...)"
     if unit not in _UM or values.dtype.kind not in "uif":
-        fault = f"are {f'in {unit}' if unit not in _UM else f'{values.dtype} values'}; needed are lengths in um"
+        fault_text = f"are {f'in {unit}' if unit not in _UM else f'{values.dtype} values'}; needed are lengths in um"
     else:
         steps = np.diff(values.astype(np.float64))
         if steps.max() < 0:
-            fault, cure = "descend; needed are ascending ones", f"array.isel({axis}=slice(None, None, -1))"
+            fault_text, fix = "descend; needed are ascending ones", f"array.isel({axis}=slice(None, None, -1))"
         elif not np.abs(steps - steps.mean()).max() <= TOLERANCE * steps.mean():
-            fault = f"are not regular: their steps are {steps.min():.4g} to {steps.max():.4g} um; needed is one size"
-    if fault:
-        raise SizeError(f"The coordinates along {axis} {fault}. Write {cure}, or drop them: array.drop_vars({axis!r}).")
+            fault_text = (
+                f"are not regular: their steps are {steps.min():.4g} to {steps.max():.4g} um; needed is one size"
+            )
+    if fault_text:
+        raise SizeError(
+            f"The coordinates along {axis} {fault_text}. Write {fix}, or drop them: array.drop_vars({axis!r})."
+        )
     return float(np.diff(values.astype(np.float64)).mean())
 
 
@@ -106,17 +112,17 @@ def agree(first: float, second: float) -> bool:
     return abs(first - second) <= TOLERANCE * min(first, second)
 
 
-def instead_of(value: object, kind: Kind) -> str:
+def conversion_call(value: object, kind: ArrayKind) -> str:
     """Give the call to write for an object that is no volume, or no image."""
     if isinstance(value, str | Path):
         return f"pl.read_{kind.name}({str(value)!r})"
-    array = 'dataset["NAME"]' if isinstance(value, xr.Dataset) else "array"
-    return f"pl.{kind.name}({array}, {kind.size}=...)"
+    array_code = 'dataset["NAME"]' if isinstance(value, xr.Dataset) else "array"
+    return f"pl.{kind.name}({array_code}, {kind.size_attribute}=...)"
 
 
 def described(value: object) -> str:
     """Name an object as a message does: ``a path ('v.tif')``, ``an array (ndarray) of 40 x 50 values``."""
-    kind = type(value).__name__
+    type_name = type(value).__name__
     if isinstance(value, str | Path):
         return f"a path ({str(value)!r})"
     if isinstance(value, xr.Dataset):
@@ -124,31 +130,38 @@ def described(value: object) -> str:
     if isinstance(value, xr.DataArray):
         return f"a DataArray with the dims ({', '.join(map(str, value.dims))})"
     if isinstance(shape := getattr(value, "shape", None), tuple):
-        return f"an array ({kind}) of {' x '.join(map(str, shape)) or 'no'} values"
-    return "None" if value is None else f"{'an' if kind[0] in 'AEIOUaeiou' else 'a'} {kind}"
+        return f"an array ({type_name}) of {' x '.join(map(str, shape)) or 'no'} values"
+    return "None" if value is None else f"{'an' if type_name[0] in 'AEIOUaeiou' else 'a'} {type_name}"
 
 
-def not_taken(value: object, needed: str, instead: str, call: str) -> InputError:
+def not_taken(value: object, expected: str, fix: str, call_format: str) -> InputError:
     """The error for an object that a function does not take."""
-    return InputError(f"{call.partition('(')[0]} takes {needed}, and {described(value)} was given. Write {instead}.")
+    name = call_format.partition("(")[0]
+    return InputError(f"{name} takes {expected}, and {described(value)} was given. Write {fix}.")
 
 
-def _checked(array: object, kind: Kind, call: str) -> tuple[float, ...]:
+def _checked_size(array: object, kind: ArrayKind, call_format: str) -> tuple[float, ...]:
     """Size along each axis, by the coordinates or the attribute."""
+    fix = call_format.format(conversion_call(array, kind))
     if not isinstance(array, xr.DataArray):
-        raise not_taken(array, kind.words, call.format(instead_of(array, kind)), call)
+        raise not_taken(array, kind.with_article, fix, call_format)
     check_values(array, kind, [str(name) for name in array.dims])
-    stated: Sequence[float] | None = array.attrs.get(kind.size)
+    stated_um: Sequence[float] | None = array.attrs.get(kind.size_attribute)
     steps = [step_um(array, axis) for axis in kind.axes]
     # An image may be known by its size alone; faces are heights along the coordinates of a volume.
-    if (stated is None and None in steps) or (kind is VOLUME and any(axis not in array.coords for axis in kind.axes)):
-        raise SizeError(f"The {kind.name} has no size along its axes. Write {call.format(instead_of(array, kind))}.")
-    size = tuple(float(step or at_axis) for step, at_axis in zip(steps, stated or (1.0,) * len(steps), strict=True))
-    if stated is not None and not all(map(agree, size, stated)):
-        spacing, attribute = (", ".join(f"{value:.6g}" for value in values) for values in (size, stated))
+    is_sized = (
+        None not in steps if stated_um is None else kind is IMAGE or all(axis in array.coords for axis in kind.axes)
+    )
+    if not is_sized:
+        raise SizeError(f"The {kind.name} has no size along its axes. Write {fix}.")
+    if stated_um is None:
+        return tuple(step or 1.0 for step in steps)
+    size_um = tuple(float(step or stated) for step, stated in zip(steps, stated_um, strict=True))
+    if not all(map(agree, size_um, stated_um)):
+        step_text, stated_text = (", ".join(f"{size:.6g}" for size in sizes) for sizes in (size_um, stated_um))
         raise SizeError(
-            f"The {kind.name} contradicts itself: its coordinates have steps of {spacing} um ({', '.join(kind.axes)}), "
-            f"its attribute {kind.size} says {attribute}. If the coordinates are right, write "
-            f"pl.{kind.name}({kind.name}, {kind.size}=({spacing}))."
+            f"The {kind.name} contradicts itself: its coordinates have steps of {step_text} um "
+            f"({', '.join(kind.axes)}), its attribute {kind.size_attribute} says {stated_text}. If the coordinates are "
+            f"right, write pl.{kind.name}({kind.name}, {kind.size_attribute}=({step_text}))."
         )
-    return size if stated is None else tuple(map(float, stated))
+    return tuple(map(float, stated_um))

@@ -24,34 +24,34 @@ def bands(rows: int) -> Iterator[slice]:
         yield slice(begin, min(begin + BAND, rows))
 
 
-def band_of(data: Rows, rows: slice) -> NDArray[Any]:
+def band_of(pixels: Rows, rows: slice) -> NDArray[Any]:
     """Some rows of a map."""
-    return np.asarray(data[rows])
+    return np.asarray(pixels[rows])
 
 
 def read_bands(*maps: Rows) -> Iterator[tuple[slice, list[NDArray[Any]]]]:
     """Rows of maps on one grid, and the maps there, band by band."""
     for rows in bands(maps[0].shape[0]):
-        yield rows, [band_of(data, rows) for data in maps]
+        yield rows, [band_of(pixels, rows) for pixels in maps]
 
 
-def any_finite(data: Rows, where: Rows | None = None) -> bool:
+def any_finite(pixels: Rows, where: Rows | None = None) -> bool:
     """Return True if a map has a value where ``where`` is true."""
-    for rows in bands(data.shape[0]):
-        is_finite = np.isfinite(band_of(data, rows))
+    for rows in bands(pixels.shape[0]):
+        is_finite = np.isfinite(band_of(pixels, rows))
         if (is_finite if where is None else is_finite & band_of(where, rows)).any():
             return True
     return False
 
 
-def rms_of(data: Rows, where: Rows | None = None) -> float | None:
+def rms_of(pixels: Rows, where: Rows | None = None) -> float | None:
     """Root mean square of a map, where ``where`` is true; None where it has no value."""
-    count, squares = 0, 0.0
-    for rows in bands(data.shape[0]):
-        values = band_of(data, rows)
+    count, square_sum = 0, 0.0
+    for rows in bands(pixels.shape[0]):
+        values = band_of(pixels, rows)
         values = values[np.isfinite(values) if where is None else np.isfinite(values) & band_of(where, rows)]
-        count, squares = count + values.size, squares + float(np.sum(values.astype(np.float64) ** 2))
-    return float(np.sqrt(squares / count)) if count else None
+        count, square_sum = count + values.size, square_sum + float(np.sum(values.astype(np.float64) ** 2))
+    return float(np.sqrt(square_sum / count)) if count else None
 
 
 def thinned(*maps: Rows) -> tuple[int, list[NDArray[Any]]]:
@@ -62,6 +62,6 @@ def thinned(*maps: Rows) -> tuple[int, list[NDArray[Any]]]:
     rows, cols = maps[0].shape
     k = max(1, math.ceil(math.sqrt(rows * cols / SAMPLE_PIXELS)))
     if k == 1:
-        return 1, [np.asarray(data) for data in maps]
+        return 1, [np.asarray(pixels) for pixels in maps]
     # The band's own rows, so that a stored map is read chunk by chunk and once.
-    return k, [np.concatenate([band_of(data, b)[-b.start % k :: k, ::k] for b in bands(rows)]) for data in maps]
+    return k, [np.concatenate([band_of(pixels, b)[-b.start % k :: k, ::k] for b in bands(rows)]) for pixels in maps]

@@ -52,26 +52,26 @@ class CheckRule:
         return self.judge(self, subject)
 
     def check(
-        self, state: State, sentence: str, *, advice: str = "", figures: tuple[str, ...] | None = None, **numbers: Any
+        self, state: State, sentence: str, *, advice: str = "", figures: tuple[str, ...] | None = None, **fields: Any
     ) -> Check:
         """Make a check of this name; ``figures`` are those of the rule where not given."""
         figures = self.figures if figures is None else figures
-        return Check(name=self.name, state=state, sentence=sentence, advice=advice, figures=figures, **numbers)
+        return Check(name=self.name, state=state, sentence=sentence, advice=advice, figures=figures, **fields)
 
     def at_most(
         self, value: float, *, look: float | None = None, fail: float | None = None, sentence: str, advice: str = "",
-        **more: Any,
+        **fields: Any,
     ) -> Check:  # fmt: skip
         """Judge a value that should be small; advice is dropped where it passes. NaN passes nothing and is a look."""
-        least = fail if look is None else look
+        look_limit = fail if look is None else look
         state: State = "pass"
         if fail is not None and value > fail:
             state = "fail"
-        elif least is not None and not value <= least:
+        elif look_limit is not None and not value <= look_limit:
             state = "look"
-        limit = fail if state == "fail" else least
+        limit = fail if state == "fail" else look_limit
         advice = "" if state == "pass" else advice
-        return self.check(state, sentence, value=float(value), limit=limit, advice=advice, **more)
+        return self.check(state, sentence, value=float(value), limit=limit, advice=advice, **fields)
 
     def at_least(self, value: float, *, look: float, sentence: str, advice: str, units: str) -> Check:
         """Judge a value that should be large."""
@@ -82,10 +82,10 @@ class CheckRule:
 
 def concerned(checks: Iterable[Check], layers: Iterable[str], figures: Iterable[str]) -> list[Check]:
     """The checks about one of ``layers`` that concern one of ``figures``; ``properties`` are all maps of a sheet."""
-    wanted, names = {*figures}, {*layers}
-    if wanted - {POSITION, CORRELATION}:
-        wanted.add(PROPERTIES)
-    return [c for c in checks if wanted & {*c.figures} and (not c.layers or names & {*c.layers})]
+    wanted_figures, layer_names = {*figures}, {*layers}
+    if wanted_figures - {POSITION, CORRELATION}:
+        wanted_figures.add(PROPERTIES)
+    return [c for c in checks if wanted_figures & {*c.figures} and (not c.layers or layer_names & {*c.layers})]
 
 
 def trust_of(checks: Iterable[Check], layers: Iterable[str], figures: Iterable[str]) -> Trust:

@@ -54,9 +54,9 @@ def _keyword(match: re.Match[str]) -> str:
     name, value = match[1].replace("-", "_"), match[2]
     if value is None:  # of a faulty value the name alone is said
         return f"{name}:" if match[3] else f"{name}={'True' if match[1] in SWITCHES else ''}"
-    parts = [part.strip() for part in value.split(",")]
-    words = [part if _BARE.fullmatch(part) else f'"{part}"' for part in parts]
-    return f"{name}=({', '.join(words)}){match[3]}" if len(words) > 1 else f"{name}={words[0]}{match[3]}"
+    values = [value_text.strip() for value_text in value.split(",")]
+    literals = [value_text if _BARE.fullmatch(value_text) else f'"{value_text}"' for value_text in values]
+    return f"{name}=({', '.join(literals)}){match[3]}" if len(literals) > 1 else f"{name}={literals[0]}{match[3]}"
 
 
 class PlanishError(Exception):
@@ -132,5 +132,5 @@ def check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
     """Raise InputError where a keyword has none of the words that are possible."""
     if isinstance(value, str) and value in choices:
         return
-    listed = " or ".join(", ".join(map(repr, part)) for part in (choices[:-1], choices[-1:]) if part)
-    raise InputError(f"{name}={value!r} is not possible; needed is {listed}.")
+    choices_text = " or ".join(", ".join(map(repr, group)) for group in (choices[:-1], choices[-1:]) if group)
+    raise InputError(f"{name}={value!r} is not possible; needed is {choices_text}.")

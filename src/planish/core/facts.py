@@ -80,10 +80,10 @@ class ResultModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, protected_namespaces=(), validate_default=True)
 
     @classmethod
-    def holding(cls, *parts: ResultModel, **more: Any) -> Self:
+    def holding(cls, *models: ResultModel, **fields: Any) -> Self:
         """Make a model of those that it extends, without what they do not save, and of what they lack."""
-        saved = {k: v for part in parts for k, v in part if not type(part).model_fields[k].exclude}
-        return cls(**saved | more)
+        saved_fields = {k: v for model in models for k, v in model if not type(model).model_fields[k].exclude}
+        return cls(**saved_fields | fields)
 
 
 class InputFile(ResultModel):

@@ -22,7 +22,7 @@ _DEVICES = {
 }
 _NOT_ON_WINDOWS = '<>:"|?*'
 # Characters that the longest path inside of a run folder takes while it is written, of a layer with a short name.
-INSIDE = 120
+DEEPEST_PATH_LENGTH = 120
 
 
 def fault_of_name(name: str, *, windows: bool = os.name == "nt") -> str | None:
@@ -34,7 +34,7 @@ def fault_of_name(name: str, *, windows: bool = os.name == "nt") -> str | None:
         return "Windows keeps that name for a device"
     if name != name.rstrip(". "):
         return "Windows drops a dot or a blank at the end of a name"
-    if windows and (forbidden := [sign for sign in name if sign in _NOT_ON_WINDOWS or ord(sign) < 32]):
+    if windows and (forbidden := [c for c in name if c in _NOT_ON_WINDOWS or ord(c) < 32]):
         return f"Windows takes no {' '.join(map(repr, forbidden))} in a name"
     return None
 
@@ -46,7 +46,7 @@ def check_name(path: Path) -> None:
         if parent.is_dir():
             break
         missing.append(parent)
-    refuse_name(path, [place.name for place in missing])
+    refuse_name(path, [absent.name for absent in missing])
 
 
 def refuse_name(path: PurePath, names: list[str], *, windows: bool = os.name == "nt") -> None:
@@ -60,7 +60,7 @@ def check_length(folder: PurePath, *, longest: int | None = None) -> None:
     """Raise FileError if files in a run folder (absolute) had longer paths than the system takes, or ``longest``."""
     longest = longest_path() if longest is None else longest
     # While it is written it stands in a hidden folder of twice its name.
-    needed = len(str(folder.parent)) + 2 * len(folder.name) + len("/..work/..01234567.partial/") + INSIDE
+    needed = len(str(folder.parent)) + 2 * len(folder.name) + len("/..work/..01234567.partial/") + DEEPEST_PATH_LENGTH
     if longest is not None and needed > longest:
         raise FileError(
             f"{folder} is too deep: its files would have paths of up to {needed} characters, and Windows takes "
@@ -120,28 +120,28 @@ def writing(path: Path, *, needed: int | None = None) -> Generator[None]:
     try:
         yield
     except OSError as error:
-        raise as_planish(error, path, needed=needed) from error
+        raise write_failure(error, path, needed=needed) from error
     except ValueError as error:  # of a name that no system allows
         if "null" not in str(error):
             raise
         raise FileError(f"{path!r} cannot be written: {error}. Choose another name.") from error
 
 
-def as_planish(error: OSError, path: Path, *, needed: int | None = None) -> FileError | DiskFull:
+def write_failure(error: OSError, path: Path, *, needed: int | None = None) -> FileError | DiskFull:
     """The error that says what to do about a failed write."""
     if error.errno in _FULL or (error.errno is None and _CUT_SHORT.search(str(error))):
         return disk_full(path, needed)
     return FileError(f"{path} cannot be written: {os.strerror(error.errno) if error.errno else error}.")
 
 
-def as_sentence(error: Exception, place: str, remedy: str) -> PlanishError:
-    """Any error as one with a sentence; ``place`` was written, ``remedy`` says what to do where memory is used up."""
+def as_sentence(error: Exception, written_path: str, remedy: str) -> PlanishError:
+    """Any error as one with a sentence; ``remedy`` says what to do where the memory is used up."""
     if isinstance(error, PlanishError):
         return error
     if isinstance(error, MemoryError):
         return ResourceError(f"The memory is used up. {remedy}")
     if isinstance(error, OSError):
-        return as_planish(error, Path(error.filename or place))
+        return write_failure(error, Path(error.filename or written_path))
     return PlanishError(f"A fault in planish: {type(error).__name__}: {error}. Nothing was written. Please report it.")
 
 
@@ -158,15 +158,15 @@ def move(source: Path, target: Path, *, over: bool = False) -> None:
     OSError
         Whatever else keeps it from being renamed.
     """
-    _insist(lambda: (source.replace if over else source.rename)(target), target)
+    _retry(lambda: (source.replace if over else source.rename)(target), target)
 
 
 def delete(path: Path) -> None:
     """Remove a file, which need not be there; as :func:`move` where another program has it open."""
-    _insist(lambda: path.unlink(missing_ok=True), path)
+    _retry(lambda: path.unlink(missing_ok=True), path)
 
 
-def _insist(action: Callable[[], object], path: Path) -> None:
+def _retry(action: Callable[[], object], path: Path) -> None:
     """Do something with a file, again for some seconds while it is refused."""
     for wait in (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, None):  # seconds, for what another program holds open
         try:
@@ -189,12 +189,12 @@ class DiskFull(ResourceError):
 
 def disk_full(path: Path, needed: int | None = None) -> DiskFull:
     """The error that says how much is free, and needed."""
-    place = next((one for one in path.absolute().parents if one.is_dir()), Path.cwd())
-    free = f"{shutil.disk_usage(place).free / 1e6:.0f} MB are free in {place}"
-    need = "" if needed is None else f"; it takes about {max(needed / 1e6, 1):.0f} MB"
+    folder = next((parent for parent in path.absolute().parents if parent.is_dir()), Path.cwd())
+    free_text = f"{shutil.disk_usage(folder).free / 1e6:.0f} MB are free in {folder}"
+    needed_text = "" if needed is None else f"; it takes about {max(needed / 1e6, 1):.0f} MB"
     return DiskFull(
-        f"The disk is full while writing {path}: {free}{need}. Nothing was kept of it. Free some space, or give "
-        "--out on another disk."
+        f"The disk is full while writing {path}: {free_text}{needed_text}. Nothing was kept of it. Free some space, or "
+        "give --out on another disk."
     )
 
 

@@ -95,13 +95,13 @@ class Frame:
         InputError
             If it is given twice, or as something else.
         """
-        words = {name: word for name, word in (("through", through), ("top", top)) if word is not None}
+        keywords = {name: value for name, value in (("through", through), ("top", top)) if value is not None}
         if frame is None:
-            return replace(cls.of(volume), **words)
+            return replace(cls.of(volume), **keywords)
         if not isinstance(frame, cls):  # pyright: ignore[reportUnnecessaryIsInstance]
             raise InputError(f'frame={frame!r} is no frame. Write through="y", or frame=pl.Frame(through="y").')
-        if words:
-            raise InputError(f"frame= and {' and '.join(f'{name}=' for name in words)} say the same. Leave one out.")
+        if keywords:
+            raise InputError(f"frame= and {' and '.join(f'{name}=' for name in keywords)} say the same. Leave one out.")
         return frame
 
 
@@ -118,15 +118,15 @@ def likely_through(values: NDArray[Any] | LazyArray | xr.Variable) -> Axis | Non
     import numpy as np
 
     # 24 of the slices, which are read whole, and 200 places along either other axis.
-    numbers = np.unique(np.linspace(0, values.shape[0] - 1, 24).astype(int))
+    slice_indices = np.unique(np.linspace(0, values.shape[0] - 1, 24).astype(int))
     steps = [max(1, n // 200) for n in values.shape[1:]]
-    planes = [np.asarray(values[int(k)])[:: steps[0], :: steps[1]] for k in numbers]
+    planes = [np.asarray(values[int(k)])[:: steps[0], :: steps[1]] for k in slice_indices]
     sample: NDArray[np.float64] = np.stack(planes).astype(np.float64)
     sample[~np.isfinite(sample)] = np.nanmean(sample[np.isfinite(sample)]) if np.isfinite(sample).any() else 0.0
-    spread = [float(sample.mean(axis=tuple({0, 1, 2} - {k})).var()) for k in range(3)]
-    order = np.argsort(spread)[::-1]
+    variances = [float(sample.mean(axis=tuple({0, 1, 2} - {k})).var()) for k in range(3)]
+    order = np.argsort(variances)[::-1]
     # The second axis may have this share of the variance along the first.
-    if not spread[order[0]] > 0 or spread[order[1]] > 0.3 * spread[order[0]]:
+    if not variances[order[0]] > 0 or variances[order[1]] > 0.3 * variances[order[0]]:
         return None
     return AXES[order[0]]
 

@@ -33,10 +33,10 @@ class Grid:
     @classmethod
     def regular(cls, shape: tuple[int, int], pixel_um: float | Pair, origin_um: Pair = (0.0, 0.0)) -> Grid:
         """Return a grid of ``shape`` whose first pixel has its middle at ``origin_um``, (x, y)."""
-        rows, cols = (pixel_um, pixel_um) if isinstance(pixel_um, int | float) else pixel_um
+        row_um, col_um = (pixel_um, pixel_um) if isinstance(pixel_um, int | float) else pixel_um
         down, across = (np.arange(n, dtype=np.float64) for n in shape)
-        y, x = origin_um[1] + rows * down, origin_um[0] + cols * across
-        return cls(y_um=y, x_um=x, step_um=(float(rows), float(cols)))
+        y, x = origin_um[1] + row_um * down, origin_um[0] + col_um * across
+        return cls(y_um=y, x_um=x, step_um=(float(row_um), float(col_um)))
 
     @classmethod
     def of(cls, data: xr.Dataset | xr.DataArray) -> Grid:
@@ -110,13 +110,13 @@ def first_and_last(mask: Bools) -> tuple[Ints, Ints]:
 def bilinear(field: NDArray[Any], row: Floats, col: Floats) -> Floats:
     """Values of a field (rows, cols) at fractional rows and columns; NaN outside the middles of its outer pixels."""
     rows, cols = field.shape
-    inside = (row >= 0) & (row <= rows - 1) & (col >= 0) & (col <= cols - 1)
-    i = np.clip(np.where(inside, row, 0).astype(np.intp), 0, rows - 2)
-    j = np.clip(np.where(inside, col, 0).astype(np.intp), 0, cols - 2)
+    is_inside = (row >= 0) & (row <= rows - 1) & (col >= 0) & (col <= cols - 1)
+    i = np.clip(np.where(is_inside, row, 0).astype(np.intp), 0, rows - 2)
+    j = np.clip(np.where(is_inside, col, 0).astype(np.intp), 0, cols - 2)
     down, right = row - i, col - j
-    top = field[i, j] * (1 - right) + field[i, j + 1] * right
-    low = field[i + 1, j] * (1 - right) + field[i + 1, j + 1] * right
-    return np.where(inside, top * (1 - down) + low * down, np.nan)
+    upper = field[i, j] * (1 - right) + field[i, j + 1] * right
+    lower = field[i + 1, j] * (1 - right) + field[i + 1, j + 1] * right
+    return np.where(is_inside, upper * (1 - down) + lower * down, np.nan)
 
 
 def values_at(maps: xr.Dataset, names: Sequence[str], points: Floats) -> Floats:

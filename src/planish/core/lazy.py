@@ -56,22 +56,22 @@ class LazyArray:
             ellipsis_axis = keys.index(Ellipsis)
             keys = keys[:ellipsis_axis] + (slice(None),) * (len(self.shape) - len(keys) + 1) + keys[ellipsis_axis + 1 :]
         keys += (slice(None),) * (len(self.shape) - len(keys))
-        where: list[slice] = []
-        after: list[Any] = []
-        for index, n in zip(keys, self.shape, strict=True):
-            if isinstance(index, slice):
-                places = range(n)[index]
-                ordered = places if places.step > 0 else places[::-1]
-                where.append(slice(ordered.start, ordered[-1] + 1 if ordered else ordered.start, ordered.step))
-                after.append(slice(None, None, 1 if places.step > 0 else -1))
+        slices: list[slice] = []
+        part_keys: list[Any] = []
+        for axis_key, length in zip(keys, self.shape, strict=True):
+            if isinstance(axis_key, slice):
+                indices = range(length)[axis_key]
+                ordered = indices if indices.step > 0 else indices[::-1]
+                slices.append(slice(ordered.start, ordered[-1] + 1 if ordered else ordered.start, ordered.step))
+                part_keys.append(slice(None, None, 1 if indices.step > 0 else -1))
             else:
-                place = range(n)[int(index)]
-                where.append(slice(place, place + 1, 1))
-                after.append(0)
-        shape = tuple(len(range(s.start, s.stop, s.step)) for s in where)
+                index = range(length)[int(axis_key)]
+                slices.append(slice(index, index + 1, 1))
+                part_keys.append(0)
+        shape = tuple(len(range(s.start, s.stop, s.step)) for s in slices)
         with self.guarded():
-            part = self.read(tuple(where)) if all(shape) else np.empty(shape, self.dtype)
-            chosen = part[tuple(after)]
+            part = self.read(tuple(slices)) if all(shape) else np.empty(shape, self.dtype)
+            chosen = part[tuple(part_keys)]
             # A view would keep the whole file mapped, or the slice that it was cut from.
             is_copy = chosen.base is None or (chosen.base is part and part.base is None and chosen.size == part.size)
             return np.ascontiguousarray(chosen, self.dtype) if is_copy else np.array(chosen, dtype=self.dtype)
@@ -90,7 +90,7 @@ def labelled(
         axis: (axis, np.arange(n) * um, {"units": "um"})
         for axis, n, um in zip(dims, values.shape, size_um, strict=True)
     }
-    array = xr.DataArray(xr.Variable(tuple(dims), held(values)), coords=coords, name=name, attrs=attrs)
+    array = xr.DataArray(xr.Variable(tuple(dims), variable_data(values)), coords=coords, name=name, attrs=attrs)
     if isinstance(values, LazyArray):
         array.encoding.update(chunks=values.chunks, whole_slices=values.whole_slices)
     return array
@@ -104,32 +104,32 @@ def chunks_of(volume: xr.DataArray) -> tuple[int, ...]:
 def computed(like: xr.DataArray, read: Callable[[Where], NDArray[Any]], dtype: Any = None) -> xr.DataArray:
     """Give the same array with other values, of which ``read`` gives the part that is asked for."""
     values = LazyArray(like.shape, np.dtype(dtype or like.dtype), read)
-    array = xr.DataArray(xr.Variable(like.dims, held(values), like.attrs), coords=like.coords, name=like.name)
+    array = xr.DataArray(xr.Variable(like.dims, variable_data(values), like.attrs), coords=like.coords, name=like.name)
     array.encoding.update(like.encoding)
     return array
 
 
 def read_box(volume: xr.DataArray, box: Mapping[str, slice]) -> NDArray[Any]:
     """Read a part of a volume, with its axes in the order of ``box``."""
-    part = volume.isel(box)
+    box_array = volume.isel(box)
     # Turned only after it was read: what is read lazily may not know how to turn.
-    return part.values.transpose([part.get_axis_num(axis) for axis in box])
+    return box_array.values.transpose([box_array.get_axis_num(axis) for axis in box])
 
 
-def held(values: NDArray[Any] | LazyArray) -> Any:
+def variable_data(values: NDArray[Any] | LazyArray) -> Any:
     """Wrap values for a variable: an array, or a lazy one that stays one."""
-    return LazilyIndexedArray(_Backend(values)) if isinstance(values, LazyArray) else values
+    return LazilyIndexedArray(_LazyBackend(values)) if isinstance(values, LazyArray) else values
 
 
-class _Backend(BackendArray):
+class _LazyBackend(BackendArray):
     """A lazy array, as xarray indexes it."""
 
-    def __init__(self, inner: LazyArray) -> None:
-        self.inner, self.shape, self.dtype = inner, inner.shape, inner.dtype
+    def __init__(self, lazy: LazyArray) -> None:
+        self.lazy, self.shape, self.dtype = lazy, lazy.shape, lazy.dtype
 
     def __getitem__(self, key: ExplicitIndexer) -> Any:
         """Read a part."""
-        return explicit_indexing_adapter(key, self.shape, IndexingSupport.BASIC, self.inner.__getitem__)
+        return explicit_indexing_adapter(key, self.shape, IndexingSupport.BASIC, self.lazy.__getitem__)
 
 
 class ReadOnDemand(Mapping[str, T]):

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-_HEAD = 2048  # bytes in which flags, shape, name and the tag of the values of any variable lie
+_HEADER_BYTES = 2048  # bytes in which flags, shape, name and the tag of the values of any variable lie
 _MOST_AXES, _LONGEST_NAME = 32, 512
 _COMPRESSED, _MATRIX, _UINT32, _INT32, _INT8 = 15, 14, 6, 5, 1
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
@@ -100,9 +100,9 @@ def values(file: BinaryIO, variable: Variable) -> NDArray[Any]:
     if is_new(file.read(520)):
         import h5py  # pyright: ignore[reportMissingTypeStubs]
 
-        with h5py.File(file, "r") as opened:
-            whole: Any = opened[variable.name]
-            return np.asarray(whole[()]).T
+        with h5py.File(file, "r") as hdf5:
+            dataset: Any = hdf5[variable.name]
+            return np.asarray(dataset[()]).T
     from scipy.io import loadmat
 
     file.seek(0)
@@ -119,109 +119,109 @@ def _variables_new(file: BinaryIO) -> Iterator[Variable]:
     import h5py  # pyright: ignore[reportMissingTypeStubs]
 
     with h5py.File(file, "r") as hdf5:
-        opened: Any = hdf5
-        for key in opened:
+        root: Any = hdf5
+        for key in root:
             # A link, external storage or a virtual data set could lead to any file of the machine.
-            if not isinstance(opened.get(key, getlink=True), h5py.HardLink):
+            if not isinstance(root.get(key, getlink=True), h5py.HardLink):
                 continue
-            item: Any = opened[key]
-            if not isinstance(item, h5py.Dataset) or item.external or item.is_virtual or item.shape is None:
-                yield Variable(name=str(key), shape=(), kind="struct" if isinstance(item, h5py.Group) else "opaque")
+            member: Any = root[key]
+            if not isinstance(member, h5py.Dataset) or member.external or member.is_virtual or member.shape is None:
+                yield Variable(name=str(key), shape=(), kind="struct" if isinstance(member, h5py.Group) else "opaque")
                 continue
-            word: Any = item.attrs.get("MATLAB_class", b"")
-            kind = word.decode(errors="replace") if isinstance(word, bytes) else str(word)
-            kind = kind or next((name for name, dtype in NUMBERS.items() if dtype == item.dtype), str(item.dtype))
-            real = item.dtype.kind in "uif" and kind in NUMBERS
-            shape = tuple(int(n) for n in item.shape[::-1])
-            yield Variable(name=str(key), shape=shape, kind=kind, real=real)
+            class_name: Any = member.attrs.get("MATLAB_class", b"")
+            kind = class_name.decode(errors="replace") if isinstance(class_name, bytes) else str(class_name)
+            kind = kind or next((name for name, dtype in NUMBERS.items() if dtype == member.dtype), str(member.dtype))
+            is_real = member.dtype.kind in "uif" and kind in NUMBERS
+            shape = tuple(int(n) for n in member.shape[::-1])
+            yield Variable(name=str(key), shape=shape, kind=kind, real=is_real)
 
 
-def _variables_5(file: BinaryIO, mark: bytes) -> Iterator[Variable]:
-    order = "<" if mark == b"IM" else ">"
-    end = file.seek(0, 2)
+def _variables_5(file: BinaryIO, endian_mark: bytes) -> Iterator[Variable]:
+    byte_order = "<" if endian_mark == b"IM" else ">"
+    file_bytes = file.seek(0, 2)
     offset = 128  # bytes of text, version and byte order
-    while offset + 8 <= end:
+    while offset + 8 <= file_bytes:
         file.seek(offset)
-        kind, size = struct.unpack(f"{order}II", file.read(8))
-        if offset + 8 + size > end:
+        element_type, size = struct.unpack(f"{byte_order}II", file.read(8))
+        if offset + 8 + size > file_bytes:
             raise Damaged("a variable is longer than the file")
-        if kind == _COMPRESSED:
-            head = zlib.decompressobj().decompress(file.read(min(size, 4 * _HEAD)), _HEAD)
-        elif kind == _MATRIX:
+        if element_type == _COMPRESSED:
+            header = zlib.decompressobj().decompress(file.read(min(size, 4 * _HEADER_BYTES)), _HEADER_BYTES)
+        elif element_type == _MATRIX:
             file.seek(offset)
-            head = file.read(min(8 + size, _HEAD))
+            header = file.read(min(8 + size, _HEADER_BYTES))
         else:
-            raise Damaged(f"it holds an element of type {kind} where a variable should be")
-        if variable := _variable_5(head, order):
+            raise Damaged(f"it holds an element of type {element_type} where a variable should be")
+        if variable := _variable_5(header, byte_order):
             yield variable
         offset += 8 + size
 
 
-def _variable_5(head: bytes, order: str) -> Variable | None:
+def _variable_5(header: bytes, byte_order: str) -> Variable | None:
     """A variable that begins with these bytes; None for an empty element."""
-    kind, whole = struct.unpack_from(f"{order}II", head)
-    if kind != _MATRIX:
+    element_type, matrix_bytes = struct.unpack_from(f"{byte_order}II", header)
+    if element_type != _MATRIX:
         raise Damaged("what was compressed is no variable")
-    if not whole:
+    if not matrix_bytes:
         return None
-    kind, start, size, offset = _element(head, 8, order)
-    if (kind, size) != (_UINT32, 8):
+    element_type, start, size, offset = _element(header, 8, byte_order)
+    if (element_type, size) != (_UINT32, 8):
         raise Damaged("a variable has no flags")
-    flags = struct.unpack_from(f"{order}I", head, start)[0]
+    flags = struct.unpack_from(f"{byte_order}I", header, start)[0]
     if not 1 <= flags & 0xFF <= len(_CLASSES):
         raise Damaged(f"a variable is of the unknown class {flags & 0xFF}")
-    word = _CLASSES[(flags & 0xFF) - 1]
-    if word == "opaque":
+    class_name = _CLASSES[(flags & 0xFF) - 1]
+    if class_name == "opaque":
         return None  # of MATLAB's own objects only the flags are alike
-    kind, start, size, offset = _element(head, offset, order)
-    if kind != _INT32 or size % 4 or not 8 <= size <= 4 * _MOST_AXES:
+    element_type, start, size, offset = _element(header, offset, byte_order)
+    if element_type != _INT32 or size % 4 or not 8 <= size <= 4 * _MOST_AXES:
         raise Damaged("a variable has no shape")
-    shape = struct.unpack_from(f"{order}{size // 4}i", head, start)
+    shape = struct.unpack_from(f"{byte_order}{size // 4}i", header, start)
     if min(shape) < 0:
         raise Damaged("a variable has a negative size")
-    kind, start, size, offset = _element(head, offset, order)
-    if kind != _INT8 or size > _LONGEST_NAME:
+    element_type, start, size, offset = _element(header, offset, byte_order)
+    if element_type != _INT8 or size > _LONGEST_NAME:
         raise Damaged("a variable has no name")
-    name = head[start : start + size].decode("utf-8", "replace")
-    if word not in NUMBERS or not math.prod(shape):
-        return Variable(name=name, shape=shape, kind=word, real=word in NUMBERS)
-    kind, _, size, _ = _element(head, offset, order)
-    if kind not in _TYPES or size != math.prod(shape) * np.dtype(_TYPES[kind]).itemsize:
-        raise Damaged(f"a variable of shape {shape} holds {size} bytes of type {kind}")
-    if size > whole:
+    name = header[start : start + size].decode("utf-8", "replace")
+    if class_name not in NUMBERS or not math.prod(shape):
+        return Variable(name=name, shape=shape, kind=class_name, real=class_name in NUMBERS)
+    element_type, _, size, _ = _element(header, offset, byte_order)
+    if element_type not in _TYPES or size != math.prod(shape) * np.dtype(_TYPES[element_type]).itemsize:
+        raise Damaged(f"a variable of shape {shape} holds {size} bytes of type {element_type}")
+    if size > matrix_bytes:
         raise Damaged("the values of a variable are longer than the variable")
-    marks = (flags >> 8) & (_COMPLEX | _LOGICAL)
-    word = word if not marks else "complex" if marks & _COMPLEX else "logical"
-    return Variable(name=name, shape=shape, kind=word, real=not marks)
+    number_flags = (flags >> 8) & (_COMPLEX | _LOGICAL)
+    class_name = class_name if not number_flags else "complex" if number_flags & _COMPLEX else "logical"
+    return Variable(name=name, shape=shape, kind=class_name, real=not number_flags)
 
 
-def _element(head: bytes, offset: int, order: str) -> tuple[int, int, int, int]:
+def _element(header: bytes, offset: int, byte_order: str) -> tuple[int, int, int, int]:
     """Type, start and size of an element's bytes, and where the next one begins."""
-    kind, size = struct.unpack_from(f"{order}II", head, offset)
-    if kind >> 16:  # a small one: size and type share a word, four bytes follow
-        kind, size = kind & 0xFFFF, kind >> 16
+    element_type, size = struct.unpack_from(f"{byte_order}II", header, offset)
+    if element_type >> 16:  # a small one: size and type share a word, four bytes follow
+        element_type, size = element_type & 0xFFFF, element_type >> 16
         if size > 4:
             raise Damaged("a small element is too long")
-        return kind, offset + 4, size, offset + 8
-    return kind, offset + 8, size, offset + 8 + (size + 7) // 8 * 8
+        return element_type, offset + 4, size, offset + 8
+    return element_type, offset + 8, size, offset + 8 + (size + 7) // 8 * 8
 
 
 def _variables_4(file: BinaryIO) -> Iterator[Variable]:
-    end, offset = file.seek(0, 2), 0
-    if not end:
+    file_bytes, offset = file.seek(0, 2), 0
+    if not file_bytes:
         raise Damaged("it is empty")
-    while offset < end:
+    while offset < file_bytes:
         file.seek(offset)
-        head = file.read(20)
-        order = "<" if 0 <= struct.unpack_from("<i", head)[0] < 1000 else ">"
-        kind, rows, columns, imaginary, length = struct.unpack(f"{order}5i", head)
-        machine, precision, matrix_class = kind // 1000, kind // 10 % 10, kind % 10
-        wrong = machine != (0 if order == "<" else 1) or kind // 100 % 10 or precision > 5 or matrix_class > 2
-        if wrong or min(rows, columns) < 0 or imaginary not in (0, 1) or not 0 < length < 1000:
+        header = file.read(20)
+        byte_order = "<" if 0 <= struct.unpack_from("<i", header)[0] < 1000 else ">"
+        type_code, rows, columns, imaginary, name_bytes = struct.unpack(f"{byte_order}5i", header)
+        machine, precision, matrix_class = type_code // 1000, type_code // 10 % 10, type_code % 10
+        is_invalid = machine != (byte_order == ">") or type_code // 100 % 10 or precision > 5 or matrix_class > 2
+        if is_invalid or min(rows, columns) < 0 or imaginary not in (0, 1) or not 0 < name_bytes < 1000:
             raise Damaged("it does not begin as a MATLAB file")
-        name = file.read(length).rstrip(b"\0").decode("ascii", "replace")
-        offset += 20 + length + rows * columns * _SIZES_4[precision] * (1 + imaginary)
-        if offset > end:
+        name = file.read(name_bytes).rstrip(b"\0").decode("ascii", "replace")
+        offset += 20 + name_bytes + rows * columns * _SIZES_4[precision] * (1 + imaginary)
+        if offset > file_bytes:
             raise Damaged("it ends early")
-        word = ("double", "char", "sparse")[matrix_class] if not imaginary else "complex"
-        yield Variable(name=name, shape=(rows, columns), kind=word, real=word == "double")
+        class_name = ("double", "char", "sparse")[matrix_class] if not imaginary else "complex"
+        yield Variable(name=name, shape=(rows, columns), kind=class_name, real=class_name == "double")

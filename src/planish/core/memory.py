@@ -44,9 +44,9 @@ SLICES_VOXELS = 2**24  # read at a time for the slices of a page
 STACK_BYTES = 2**26  # a part of a volume that is written as TIFF
 
 
-def bytes_to_map(columns: float) -> int:
+def bytes_to_map(column_count: float) -> int:
     """Memory beside the program in which the maps of so many columns take their share."""
-    return math.ceil(columns * COLUMN_BYTES / MAPS_SHARE)
+    return math.ceil(column_count * COLUMN_BYTES / MAPS_SHARE)
 
 
 def bytes_to_hold(volume_bytes: float) -> int:
@@ -54,6 +54,6 @@ def bytes_to_hold(volume_bytes: float) -> int:
     return math.ceil(HELD_TIMES * volume_bytes)
 
 
-def enough_gb(amount: float) -> str:
+def enough_gb(byte_count: float) -> str:
     """Write bytes in GB, rounded up: given as ``--memory``, they suffice."""
-    return f"{math.ceil(amount / 1e8) / 10:.1f}"
+    return f"{math.ceil(byte_count / 1e8) / 10:.1f}"

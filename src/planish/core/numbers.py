@@ -10,9 +10,9 @@ from planish.core.facts import Pair, is_known
 NONE = "–"
 _UNITS = {"um": "µm", "um2": "µm²", "g/m2": "g/m²", "g/cm3": "g/cm³", "1/mm2": "1/mm²", "deg": "°", "1": ""}
 _SPACE = "\u202f"  # narrow, and no line break: between a number and its unit, and between thousands
-_NARROW = 0.02  # width of an interval of r, below which two decimals hide it
+_NARROW_WIDTH = 0.02  # width of an interval of r, below which two decimals hide it
 _MICROMETRES, _DEGREES = re.compile(r" um\b"), re.compile(r" deg\b")
-_SIMPLE = {"−": "-", _SPACE: " ", "–": "-", "≤": "<=", "≥": ">=", "µm": "um", "±": "+-", "²": "2"}
+_ASCII_FORMS = {"−": "-", _SPACE: " ", "–": "-", "≤": "<=", "≥": ">=", "µm": "um", "±": "+-", "²": "2"}
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 MOST_DECIMALS = 5
 
@@ -31,14 +31,14 @@ def number(value: float | None, digits: int = 3) -> str:
         return NONE
     if value == 0:
         return "0"
-    size = math.floor(math.log10(abs(value)))
-    if size < -4:
-        mantissa = f"{value / 10.0**size:.{max(digits - 1, 0)}f}"
-        return _signed(f"{mantissa}·10") + str(size).translate(_SUPERSCRIPTS)
+    exponent = math.floor(math.log10(abs(value)))
+    if exponent < -4:
+        mantissa = f"{value / 10.0**exponent:.{max(digits - 1, 0)}f}"
+        return _signed(f"{mantissa}·10") + str(exponent).translate(_SUPERSCRIPTS)
     # Rounding may add a digit: 0.9996 to three digits is 1.00.
-    rounded = round(value, max(digits - 1 - size, 0))
-    size = math.floor(math.log10(abs(rounded))) if rounded else size
-    return _signed(f"{rounded:,.{max(digits - 1 - size, 0)}f}")
+    rounded = round(value, max(digits - 1 - exponent, 0))
+    exponent = math.floor(math.log10(abs(rounded))) if rounded else exponent
+    return _signed(f"{rounded:,.{max(digits - 1 - exponent, 0)}f}")
 
 
 def fixed(value: float | None, decimals: int) -> str:
@@ -78,16 +78,16 @@ def unit(name: str) -> str:
 
 def plain(value_um: float) -> str:
     """Write a round length (a scale bar's, a pixel's) without trailing zeros."""
-    value, name = (value_um / 1000, "mm") if abs(value_um) >= 1000 else (value_um, "µm")
-    return f"{value:.6g}{_SPACE}{name}"
+    value, symbol = (value_um / 1000, "mm") if abs(value_um) >= 1000 else (value_um, "µm")
+    return f"{value:.6g}{_SPACE}{symbol}"
 
 
 def length(value_um: float | None, digits: int = 3) -> str:
     """Write a length in µm, from 1000 µm on in mm."""
     if value_um is None or not math.isfinite(value_um):
         return NONE
-    value, name = (value_um / 1000, "mm") if abs(value_um) >= 1000 else (value_um, "µm")
-    return f"{number(value, digits)}{_SPACE}{name}"
+    value, symbol = (value_um / 1000, "mm") if abs(value_um) >= 1000 else (value_um, "µm")
+    return f"{number(value, digits)}{_SPACE}{symbol}"
 
 
 def with_unit(value: float, units: str) -> str:
@@ -143,14 +143,14 @@ def capital(text: str) -> str:
 
 def decimals_of_r(limits: tuple[float, float] | None) -> int:
     """Decimals of an r within limits: two, and more where they are close to each other."""
-    wide = 1.0 if limits is None or not all(map(math.isfinite, limits)) else limits[1] - limits[0]
-    return min(max(2, 1 - math.floor(math.log10(wide))), MOST_DECIMALS) if 0 < wide < _NARROW else 2
+    width = 1.0 if limits is None or not all(map(math.isfinite, limits)) else limits[1] - limits[0]
+    return min(max(2, 1 - math.floor(math.log10(width))), MOST_DECIMALS) if 0 < width < _NARROW_WIDTH else 2
 
 
 def in_ascii(text: str) -> str:
     """Write typeset numbers and units as a terminal or a script takes them."""
-    for sign, simple in _SIMPLE.items():
-        text = text.replace(sign, simple)
+    for typeset_form, ascii_form in _ASCII_FORMS.items():
+        text = text.replace(typeset_form, ascii_form)
     return text
 
 

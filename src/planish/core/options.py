@@ -31,7 +31,7 @@ class Params(BaseModel):
 P = TypeVar("P", bound=Params)
 
 
-def params_of(model: type[P], options: P | Mapping[str, Any] | None, call: str = "") -> P:
+def params_of(model: type[P], options: P | Mapping[str, Any] | None, call_name: str = "") -> P:
     """Options of a function: its model, or a dict with some of its fields, or the words of the command line for them.
 
     Raises
@@ -43,19 +43,19 @@ def params_of(model: type[P], options: P | Mapping[str, Any] | None, call: str =
         return options or model()
     if not isinstance(options, Mapping):
         raise StudyError(
-            f"{call} takes options as {model.__name__} or as a dict, and {options!r} was given. Its options are "
+            f"{call_name} takes options as {model.__name__} or as a dict, and {options!r} was given. Its options are "
             f"{', '.join(model.model_fields)}."
         )
-    from planish.core.mistakes import mistakes
+    from planish.core.parameter_faults import fault_texts
 
-    places, tables = words_in(model), dict[str, Any]()
-    put_options(tables, places, options)
+    paths_by_word, tables = words_in(model), dict[str, Any]()
+    put_options(tables, paths_by_word, options)
     try:
         return model.model_validate(tables)
     except ValidationError as error:
-        faults = "; ".join(mistakes(error, model, as_flags(places)))
-        head, end = f"{call}: " if call else "", "" if faults.endswith("?") else "."
-        raise StudyError(f"{head}{faults}{end}") from error
+        faults_text = "; ".join(fault_texts(error, model, as_flags(paths_by_word)))
+        prefix, suffix = f"{call_name}: " if call_name else "", "" if faults_text.endswith("?") else "."
+        raise StudyError(f"{prefix}{faults_text}{suffix}") from error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,19 +99,19 @@ def options_of(model: type[Params]) -> Iterator[tuple[str, FieldInfo, Shown]]:
     for name, field in model.model_fields.items():
         extra: Any = field.json_schema_extra
         if extra is not None:
-            shown = extra["planish"]
-            yield name, field, Shown(**shown | {"flags": (shown["flags"] or flag_of(name),)})
+            appearance = extra["planish"]
+            yield name, field, Shown(**appearance | {"flags": (appearance["flags"] or flag_of(name),)})
 
 
-def words_in(model: type[Params], *outer: str) -> dict[str, tuple[str, ...]]:
+def words_in(model: type[Params], *outer_names: str) -> dict[str, tuple[str, ...]]:
     """Words of a call for the options of a model, ``label_air`` for ``--label-air``, and where each stands in it."""
-    words: dict[str, tuple[str, ...]] = {}
-    for name, field, shown in options_of(model):
-        words[shown.flags[0][2:].replace("-", "_")] = (*outer, name)
-        for inner in models_in(field.annotation):
-            if issubclass(inner, Params):
-                words |= words_in(inner, *outer, name)
-    return words
+    paths_by_word: dict[str, tuple[str, ...]] = {}
+    for name, field, appearance in options_of(model):
+        paths_by_word[appearance.flags[0][2:].replace("-", "_")] = (*outer_names, name)
+        for inner_model in models_in(field.annotation):
+            if issubclass(inner_model, Params):
+                paths_by_word |= words_in(inner_model, *outer_names, name)
+    return paths_by_word
 
 
 def flag_of(word: str) -> str:
@@ -119,40 +119,42 @@ def flag_of(word: str) -> str:
     return f"--{word.replace('_', '-')}"
 
 
-def as_flags(places: Mapping[str, tuple[str, ...]]) -> Callable[[tuple[str | int, ...]], tuple[Any, None]]:
+def as_flags(paths_by_word: Mapping[str, tuple[str, ...]]) -> Callable[[tuple[str | int, ...]], tuple[Any, None]]:
     """Name the places of mistakes by flags; as they are where the command line has none."""
-    flags = {place: flag_of(word) for word, place in places.items()}
+    flags = {path: flag_of(word) for word, path in paths_by_word.items()}
 
     def flag_at(loc: tuple[str | int, ...]) -> tuple[Any, None]:
-        names = tuple(part for part in loc if isinstance(part, str) and part != "layers")
+        names = tuple(name for name in loc if isinstance(name, str) and name != "layers")
         if names in flags:
             return (flags[names],), None
         # A message about a whole table is one of options that do not fit together, which it names.
-        return (() if any(place[: len(names)] == names for place in flags) else names), None
+        return (() if any(path[: len(names)] == names for path in flags) else names), None
 
     return flag_at
 
 
-def put_options(tables: dict[str, Any], places: Mapping[str, tuple[str, ...]], options: Mapping[str, Any]) -> list[str]:
+def put_options(
+    tables: dict[str, Any], paths_by_word: Mapping[str, tuple[str, ...]], options: Mapping[str, Any]
+) -> list[str]:
     """Put options into the tables where their words stand, others as they are; give the words of those given twice."""
-    twice: list[str] = []
+    duplicates: list[str] = []
     for word, value in options.items():
-        *outer, name = places.get(word, (word,))
+        *outer_names, name = paths_by_word.get(word, (word,))
         table = tables
-        for part in outer:
-            table = table.setdefault(part, {})
-        if value is True and any(place[:-1] == (*outer, name) for place in places.values()):
+        for outer_name in outer_names:
+            table = table.setdefault(outer_name, {})
+        if value is True and any(path[:-1] == (*outer_names, name) for path in paths_by_word.values()):
             table.setdefault(name, {})  # options of their own, which this word switches on
         elif table.get(name) is not None:
-            twice.append(word)
+            duplicates.append(word)
         else:
             table[name] = value
-    return twice
+    return duplicates
 
 
 def option_names(model: type[Params], *names: str) -> str:
     """Name fields for a message: by their flag, or as keys of a study file where the command line has none."""
-    flags = {name: shown.flags[0] for name, _, shown in options_of(model)}
+    flags = {name: appearance.flags[0] for name, _, appearance in options_of(model)}
     return " or ".join(flags.get(name, f"{name} in a study file") for name in names)
 
 
@@ -169,7 +171,7 @@ def kinds_of(annotation: Any) -> list[Any]:
     if get_origin(annotation) is Annotated:
         return kinds_of(get_args(annotation)[0])
     if get_origin(annotation) in (Union, UnionType):
-        return [part for inner in get_args(annotation) for part in kinds_of(inner)]
+        return [kind for alternative in get_args(annotation) for kind in kinds_of(alternative)]
     return [] if annotation is type(None) else [annotation]
 
 
@@ -177,5 +179,5 @@ def models_in(annotation: Any) -> Sequence[type[BaseModel]]:
     """Models that a field may hold, as they are, optional, or several of them."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
-    parts = get_args(annotation) if get_origin(annotation) in (Union, UnionType, Annotated, tuple, list) else ()
-    return [model for part in parts for model in models_in(part)]
+    arguments = get_args(annotation) if get_origin(annotation) in (Union, UnionType, Annotated, tuple, list) else ()
+    return [model for argument in arguments for model in models_in(argument)]

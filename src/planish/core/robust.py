@@ -31,24 +31,24 @@ def percentiles(values: NDArray[np.floating[Any]], *percents: float) -> tuple[fl
     return tuple(map(float, np.percentile(finite, percents))) if finite.size else (float("nan"),) * len(percents)
 
 
-def otsu_borders(number: Floats, total: Floats, classes: int) -> tuple[int, ...]:
+def otsu_borders(cum_count: Floats, cum_grey: Floats, classes: int) -> tuple[int, ...]:
     """Bins at which two or three classes of grey begin, between which the variance is largest (Otsu 1979).
 
-    ``number`` and ``total`` (bins + 1,) are running sums of the values in the bins and of their grey, from 0 on.
+    ``cum_count`` and ``cum_grey`` (bins + 1,) are running sums of the values in the bins and of their grey, from 0 on.
     """
-    end = number.size - 1
+    last_bin = cum_count.size - 1
 
     def gain(a: Any, b: Any) -> Floats:
-        count, grey = number[b] - number[a], total[b] - total[a]
-        return np.where(count > 0, grey * grey / np.maximum(count, 1e-300), 0.0)
+        count, grey_sum = cum_count[b] - cum_count[a], cum_grey[b] - cum_grey[a]
+        return np.where(count > 0, grey_sum * grey_sum / np.maximum(count, 1e-300), 0.0)
 
     if classes == 2:
-        cut = np.arange(1, end)
-        return (int(cut[np.argmax(gain(0, cut) + gain(cut, end))]),)
-    i, j = np.triu_indices(end, 1)
+        borders = np.arange(1, last_bin)
+        return (int(borders[np.argmax(gain(0, borders) + gain(borders, last_bin))]),)
+    i, j = np.triu_indices(last_bin, 1)
     i, j = i[i > 0], j[i > 0]
-    best = np.argmax(gain(0, i) + gain(i, j) + gain(j, end))
-    return int(i[best]), int(j[best])
+    best_pair = np.argmax(gain(0, i) + gain(i, j) + gain(j, last_bin))
+    return int(i[best_pair]), int(j[best_pair])
 
 
 def masked_gaussian(

@@ -47,22 +47,22 @@ def read_text(path: str | Path, *, what: str = "table") -> str:
     return decode_text(read_bytes(path, what=what), Path(path).name, what=what)
 
 
-def read_bytes(path: str | Path, *, what: str = "table", most: int = LARGEST_FILE) -> bytes:
-    """Read a small file; FileError if it cannot be read or has more than ``most`` bytes."""
-    place = Path(path)
+def read_bytes(path: str | Path, *, what: str = "table", most_bytes: int = LARGEST_FILE) -> bytes:
+    """Read a small file; FileError if it cannot be read or has more than ``most_bytes`` bytes."""
+    file_path = Path(path)
     try:
-        if place.exists() and not place.is_file():
-            raise FileError(f"{place.name} is no file. Give the file of the {what}.")
-        with place.open("rb") as file:
-            data = file.read(most + 1)
+        if file_path.exists() and not file_path.is_file():
+            raise FileError(f"{file_path.name} is no file. Give the file of the {what}.")
+        with file_path.open("rb") as file:
+            content = file.read(most_bytes + 1)
     except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise FileError(f"{place} cannot be read: {why}. Check the path.") from error
-    if len(data) > most:
+        reason = getattr(error, "strerror", None) or error
+        raise FileError(f"{file_path} cannot be read: {reason}. Check the path.") from error
+    if len(content) > most_bytes:
         raise FileError(
-            f"{place.name} is larger than {most // 1_000_000} MB and no {what}. Check that it is the right file."
+            f"{file_path.name} is larger than {most_bytes // 10**6} MB and no {what}. Check that it is the right file."
         )
-    return data
+    return content
 
 
 def decode_text(data: bytes, name: str, *, what: str = "table") -> str:
@@ -79,19 +79,19 @@ def decode_text(data: bytes, name: str, *, what: str = "table") -> str:
 
 def split_rows(text: str) -> Rows:
     """Rows of a text, whether the first of them is a header or not; cells without blanks at their ends."""
-    every = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
-    comments = [line.lstrip("#").strip() for _, line in every if line.startswith("#")]
-    lines = [(number, line) for number, line in every if not line.startswith("#")]
-    delimiter = max(",;\t", key=lines[0][1].count) if lines else ","
+    lines = [(line_number, line.strip()) for line_number, line in enumerate(text.splitlines(), 1) if line.strip()]
+    comments = [line.lstrip("#").strip() for _, line in lines if line.startswith("#")]
+    table_lines = [(line_number, line) for line_number, line in lines if not line.startswith("#")]
+    delimiter = max(",;\t", key=table_lines[0][1].count) if table_lines else ","
     rows: list[CsvRow] = []
     faults: list[str] = []
-    for number, line in lines:
+    for line_number, line in table_lines:
         try:
             cells = next(csv.reader([line], delimiter=delimiter, strict=True))
         except csv.Error as error:
-            faults.append(f"row {number}: {error}")
+            faults.append(f"row {line_number}: {error}")
             continue
-        rows.append(CsvRow(number, [cell.strip() for cell in cells]))
+        rows.append(CsvRow(line_number, [cell.strip() for cell in cells]))
     return Rows(rows, comments, delimiter, faults)
 
 
@@ -174,52 +174,52 @@ def parse_table(
         Of the class `error`, if the table is empty.
     """
     advice = advice or f"The first row has to name the columns {', '.join(needed)}."
-    parsed = split_rows(text)
-    if not parsed.rows:
+    content = split_rows(text)
+    if not content.rows:
         raise error(f"{name} is empty. {advice}")
-    first, *body = parsed.rows
-    header = [cell.lower() for cell in first.cells]
+    header_row, *body_rows = content.rows
+    header = [cell.lower() for cell in header_row.cells]
     faults: list[str] = []
     if missing := [column for column in needed if column not in header]:
         faults.append(f"columns missing: {', '.join(missing)} (found {', '.join(header)[:120]}). {advice.rstrip('.')}")
-    if twice := sorted({column for column in header if column and header.count(column) > 1}):
-        faults.append(f"columns given twice: {', '.join(twice)}")
-    faults += parsed.faults
-    wrong = [row for row in body if len(row.cells) != len(header)]
-    faults += [f"row {row.line} has {len(row.cells)} columns, the header {len(header)}" for row in wrong]
-    if parsed.delimiter == "," and any(len(row.cells) > len(header) for row in wrong):
+    if duplicates := sorted({column for column in header if column and header.count(column) > 1}):
+        faults.append(f"columns given twice: {', '.join(duplicates)}")
+    faults += content.faults
+    ragged_rows = [row for row in body_rows if len(row.cells) != len(header)]
+    faults += [f"row {row.line} has {len(row.cells)} columns, the header {len(header)}" for row in ragged_rows]
+    if content.delimiter == "," and any(len(row.cells) > len(header) for row in ragged_rows):
         faults[-1] += " (decimal commas need semicolons between the columns)"
-    rows = [row for row in body if len(row.cells) == len(header)]
+    rows = [row for row in body_rows if len(row.cells) == len(header)]
     return CsvTable(
-        name=name, header=header, rows=rows, comments=parsed.comments, error=error,
-        decimal_comma=parsed.delimiter != ",", faults=faults,
+        name=name, header=header, rows=rows, comments=content.comments, error=error,
+        decimal_comma=content.delimiter != ",", faults=faults,
     )  # fmt: skip
 
 
 def raise_faults(name: str, faults: Sequence[str], remedy: str, *, error: type[PlanishError]) -> None:
     """Raise all faults as one message; nothing where there is none."""
     if faults:
-        more = f"; and {len(faults) - MOST_FAULTS} more" if len(faults) > MOST_FAULTS else ""
-        raise error(f"{name}: {'; '.join(faults[:MOST_FAULTS])}{more}. {remedy}".rstrip())
+        remainder = f"; and {len(faults) - MOST_FAULTS} more" if len(faults) > MOST_FAULTS else ""
+        raise error(f"{name}: {'; '.join(faults[:MOST_FAULTS])}{remainder}. {remedy}".rstrip())
 
 
 @contextmanager
 def naming_faults(
-    name: str, remedy: str = "", *, error: type[PlanishError], where: Sequence[str] = ()
+    name: str, remedy: str = "", *, error: type[PlanishError], key_prefix: Sequence[str] = ()
 ) -> Generator[None]:
-    """Raise what pydantic finds as one message; ``where`` is put before the place of each fault."""
+    """Raise what pydantic finds as one message; ``key_prefix`` is put before the place of each fault."""
     try:
         yield
-    except ValidationError as faults:
-        raise_faults(name, model_faults(faults, where), remedy, error=error)
+    except ValidationError as validation_error:
+        raise_faults(name, model_faults(validation_error, key_prefix), remedy, error=error)
 
 
-def model_faults(error: ValidationError, where: Sequence[str] = ()) -> list[str]:
-    """Say what pydantic found, without the values themselves; ``where`` is put before the place of each fault."""
+def model_faults(error: ValidationError, key_prefix: Sequence[str] = ()) -> list[str]:
+    """Say what pydantic found, without the values themselves; ``key_prefix`` is put before the place of each fault."""
     faults = error.errors(include_url=False, include_input=False, include_context=False)
-    places = [".".join(map(str, (*where, *fault["loc"]))) for fault in faults]
-    words = [str(fault["msg"]).removeprefix("Value error, ") for fault in faults]
-    return [f"{place}: {text}" if place else text for place, text in zip(places, words, strict=True)]
+    fault_keys = [".".join(map(str, (*key_prefix, *fault["loc"]))) for fault in faults]
+    messages = [str(fault["msg"]).removeprefix("Value error, ") for fault in faults]
+    return [f"{key}: {message}" if key else message for key, message in zip(fault_keys, messages, strict=True)]
 
 
 def table_text(header: Sequence[str], rows: Iterable[Sequence[Any]], *, quote_all: bool = False) -> str:

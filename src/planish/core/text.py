@@ -10,8 +10,8 @@ from unicodedata import category
 def printable(text: str) -> str:
     r"""Write what no terminal should act on, and bytes of names that are no text, as ``\x1b`` or ``\udcff``."""
     # Control characters, and halves of pairs, which stand for bytes that are no UTF-8.
-    unfit = (c for c in text if category(c) in ("Cc", "Cs") and c not in "\n\t")
-    return text.translate({ord(c): c.encode("unicode_escape").decode() for c in unfit})
+    unprintable = (c for c in text if category(c) in ("Cc", "Cs") and c not in "\n\t")
+    return text.translate({ord(c): c.encode("unicode_escape").decode() for c in unprintable})
 
 
 def quoted(path: str) -> str:
@@ -21,8 +21,8 @@ def quoted(path: str) -> str:
 
 def and_join(words: Iterable[str]) -> str:
     """Words in a list: ``a, b and c``."""
-    *most, last = words
-    return f"{', '.join(most)} and {last}" if most else last
+    *leading, last = words
+    return f"{', '.join(leading)} and {last}" if leading else last
 
 
 def and_join_few(words: Sequence[str]) -> str:
@@ -38,5 +38,5 @@ def likely(name: str, words: Iterable[str]) -> str:
     >>> likely("coatng_top", ["coating_top", "thickness"])
     ' Did you mean coating_top?'
     """
-    close = get_close_matches(name, list(words), n=1, cutoff=0.6)
-    return f" Did you mean {close[0]}?" if close else ""
+    matches = get_close_matches(name, list(words), n=1, cutoff=0.6)
+    return f" Did you mean {matches[0]}?" if matches else ""

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 T = TypeVar("T")
 MOST = 8  # threads that are used at most where no number is given: more of them wait for the memory
 
-_VARIABLES = (
+_ENVIRONMENT_VARIABLES = (
     "TIFFFILE_NUM_THREADS",
     "TIFFFILE_NUM_IOTHREADS",
     "ZARR_THREADING__MAX_WORKERS",
@@ -34,7 +34,7 @@ def limit_threads(number: int | None) -> Generator[int]:
     count = count_threads(number)
     _limits.append(count)
     try:
-        with _libraries(count):
+        with _limited_libraries(count):
             yield count
     finally:
         _limits.pop()
@@ -51,7 +51,7 @@ def count_threads(number: int | None = None) -> int:
 def thread_pool(number: int | None = None) -> Generator[Executor]:
     """Give an executor of :func:`count_threads` threads; for one, an executor that works in the calling thread."""
     count = count_threads(number)
-    pool = ThreadPoolExecutor(count) if count > 1 else _Here()
+    pool = ThreadPoolExecutor(count) if count > 1 else _CallingThread()
     try:
         yield pool
     finally:
@@ -77,42 +77,42 @@ def available() -> int:
     return max(1, min([count, *_quotas(Path("/proc/self/cgroup"), Path("/sys/fs/cgroup"))]))
 
 
-def control_groups(controller: str, membership: Path, groups: Path) -> Iterator[tuple[Path, bool]]:
+def control_groups(controller: str, membership_file: Path, groups_folder: Path) -> Iterator[tuple[Path, bool]]:
     """Folders of the control groups of the process, outwards (containers, batch systems); True for version 1."""
     try:
-        lines = [line.split(":", 2) for line in membership.read_text(encoding="utf-8", errors="replace").splitlines()]
+        lines = membership_file.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         return
-    for _, controllers, path in (line for line in lines if len(line) == 3):
+    for _, controllers, group_path in (line.split(":", 2) for line in lines if line.count(":") >= 2):
         if controllers and controller not in controllers.split(","):
             continue
         # Inside a container the path may be the one outside: the group's own files then lie at the top.
-        folder = Path(path.lstrip("/"))
-        for root in (groups / controller, groups / controllers) if controllers else (groups,):
-            yield from ((root / part, bool(controllers)) for part in (folder, *folder.parents))
+        folder = Path(group_path.lstrip("/"))
+        for root in (groups_folder / controller, groups_folder / controllers) if controllers else (groups_folder,):
+            yield from ((root / subfolder, bool(controllers)) for subfolder in (folder, *folder.parents))
 
 
-def _quotas(membership: Path, groups: Path) -> list[int]:
+def _quotas(membership_file: Path, groups_folder: Path) -> list[int]:
     """Processors that the limits of the process's control groups amount to, rounded up."""
     quotas: list[int] = []
-    for folder, is_first in control_groups("cpu", membership, groups):
-        names = ("cpu.cfs_quota_us", "cpu.cfs_period_us") if is_first else ("cpu.max",)
+    for folder, is_version_1 in control_groups("cpu", membership_file, groups_folder):
+        file_names = ("cpu.cfs_quota_us", "cpu.cfs_period_us") if is_version_1 else ("cpu.max",)
         with suppress(OSError, ValueError):  # not there, or "max"
-            texts = [(folder / name).read_text(encoding="ascii", errors="replace") for name in names]
-            limit, period = map(int, " ".join(texts).split())
+            contents = [(folder / name).read_text(encoding="ascii", errors="replace") for name in file_names]
+            limit, period = map(int, " ".join(contents).split())
             if limit > 0 and period > 0:
                 quotas.append(-(-limit // period))
     return quotas
 
 
 @contextmanager
-def _libraries(count: int) -> Generator[None]:
+def _limited_libraries(count: int) -> Generator[None]:
     """Limit the threads in which tifffile and zarr pack and unpack: those that are imported, and those that will be.
 
     zarr keeps its pool once it has one, and a thread for its event loop whatever is asked for.
     """
-    before = {name: os.environ.get(name) for name in _VARIABLES}
-    os.environ.update(dict.fromkeys(_VARIABLES, str(count)))
+    previous_values = {name: os.environ.get(name) for name in _ENVIRONMENT_VARIABLES}
+    os.environ.update(dict.fromkeys(_ENVIRONMENT_VARIABLES, str(count)))
     tiff: Any = getattr(sys.modules.get("tifffile"), "TIFF", None)
     if tiff is not None:
         tiff.MAXWORKERS = tiff.MAXIOWORKERS = count
@@ -121,14 +121,14 @@ def _libraries(count: int) -> Generator[None]:
         with config.set({"threading.max_workers": count, "async.concurrency": count}) if config else nullcontext():
             yield
     finally:
-        for name, value in before.items():
+        for name, value in previous_values.items():
             if value is None:
                 del os.environ[name]
             else:
                 os.environ[name] = value
 
 
-class _Here(Executor):
+class _CallingThread(Executor):
     """An executor that does the work where it is handed in."""
 
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:

@@ -77,7 +77,7 @@ class Engine:
         Another executor than local threads, such as that of a cluster.
     workers : int or None
         Tiles that this executor works on at a time.
-    kept : Path or None
+    folder : Path or None
         Folder for the results of single tiles. A run that finds one there does not work it out again.
     """
 
@@ -85,7 +85,7 @@ class Engine:
     memory_bytes: int = 2**31
     executor: Executor | None = None
     workers: int | None = None
-    kept: Path | None = None
+    folder: Path | None = None
 
     @property
     def at_once(self) -> int:
@@ -116,22 +116,22 @@ class Engine:
             if isinstance(future, np.ndarray):
                 return tile, future
             result = future.result()
-            if place := self._place(step, tile):
-                place.parent.mkdir(parents=True, exist_ok=True)
-                part = place.with_suffix(".part")
-                with part.open("wb") as file:
+            if result_path := self._result_path(step, tile):
+                result_path.parent.mkdir(parents=True, exist_ok=True)
+                partial_path = result_path.with_suffix(".part")
+                with partial_path.open("wb") as file:
                     np.save(file, result)
                     file.flush()
                     os.fsync(file.fileno())
-                move(part, place, over=True)
+                move(partial_path, result_path, over=True)
             return tile, result
 
         with thread_pool(self.threads) if self.executor is None else nullcontext(self.executor) as pool:
             try:
                 for tile in tiles:
-                    place = self._place(step, tile)
-                    stored = place is not None and place.is_file()
-                    waiting.append((tile, np.load(place) if place and stored else pool.submit(work, job(tile), tile)))
+                    path = self._result_path(step, tile)
+                    is_stored = path is not None and path.is_file()
+                    waiting.append((tile, np.load(path) if path and is_stored else pool.submit(work, job(tile), tile)))
                     # Two wait for their turn, beside those that are worked on.
                     if len(waiting) >= self.at_once + 2:
                         yield take()
@@ -142,6 +142,6 @@ class Engine:
                     if not isinstance(future, np.ndarray):
                         future.cancel()
 
-    def _place(self, step: str, tile: Tile) -> Path | None:
+    def _result_path(self, step: str, tile: Tile) -> Path | None:
         # Named by what it covers: with another memory or number of threads the tiles are others.
-        return None if self.kept is None else self.kept / step / ("-".join(map(str, tile)) + ".npy")
+        return None if self.folder is None else self.folder / step / ("-".join(map(str, tile)) + ".npy")

@@ -188,31 +188,31 @@ class Projective(NearSimilarity):
         """Numerators (..., 2) and denominator (...)."""
         h = np.array(self.homography)
         scaled = (np.asarray(points, dtype=np.float64) - self.source) / self.source_size
-        below = scaled @ h[2, :2] + h[2, 2]
-        return scaled @ h[:2, :2].T + h[:2, 2], np.where(below > 0, below, np.nan)
+        denominators = scaled @ h[2, :2] + h[2, 2]
+        return scaled @ h[:2, :2].T + h[:2, 2], np.where(denominators > 0, denominators, np.nan)
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Transform points of shape ``(..., 2)``, in um; NaN stays NaN, and is the image of what lies behind."""
-        above, below = self._projected(points)
-        return above / below[..., None] * self.target_size + np.asarray(self.target)
+        numerators, denominators = self._projected(points)
+        return numerators / denominators[..., None] * self.target_size + np.asarray(self.target)
 
     def jacobian(self, points: ArrayLike) -> Floats:
         """Derivatives of the image at points ``(..., 2)``: ``(..., 2, 2)``."""
         h = np.array(self.homography)
-        above, below = self._projected(points)
-        image = above / below[..., None]
+        numerators, denominators = self._projected(points)
+        image = numerators / denominators[..., None]
         ratio = self.target_size / self.source_size
-        return ratio * (h[:2, :2] - image[..., :, None] * h[2, :2]) / below[..., None, None]
+        return ratio * (h[:2, :2] - image[..., :, None] * h[2, :2]) / denominators[..., None, None]
 
     @property
     def inverse(self) -> Projective:
         """The transformation back."""
-        back = np.linalg.inv(np.array(self.homography))
+        inverse_matrix = np.linalg.inv(np.array(self.homography))
         # The sign is free; the denominator has to be positive where the marks are.
         a, b, c = np.array(self.homography)[:, 2]
-        back *= np.sign(back[2] @ (a / c, b / c, 1.0))
+        inverse_matrix *= np.sign(inverse_matrix[2] @ (a / c, b / c, 1.0))
         return Projective(
-            homography=tuple((float(r[0]), float(r[1]), float(r[2])) for r in back),  # pyright: ignore[reportArgumentType]
+            homography=tuple((float(r[0]), float(r[1]), float(r[2])) for r in inverse_matrix),  # pyright: ignore[reportArgumentType]
             source=self.target, target=self.source, source_size=self.target_size, target_size=self.source_size,
         )  # fmt: skip
 

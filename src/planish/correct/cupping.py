@@ -22,7 +22,7 @@ _LOWEST = 0.5  # per cent: what is less does not matter
 class _Fit(NamedTuple):
     """Factor on the square of the share of the reach that one material shows, the loss it means, and its error."""
 
-    power: float
+    coefficient: float
     percent: float
     se: float
 
@@ -33,9 +33,9 @@ def _jackknife_errors(estimates: Floats) -> Floats:
     return np.sqrt((n - 1) / n * np.sum((estimates - estimates.mean(axis=0)) ** 2, axis=0))
 
 
-def _loss_percent(power: float) -> float:
+def _loss_percent(coefficient: float) -> float:
     """Loss in the middle against the reach, in per cent."""
-    return 100.0 * (1.0 - 1.0 / max(1.0 + power, 1e-3))
+    return 100.0 * (1.0 - 1.0 / max(1.0 + coefficient, 1e-3))
 
 
 def factor(powers: tuple[float, ...], share: Floats) -> Floats:
@@ -51,149 +51,154 @@ def find_cupping(
     ``rings`` (bin,) are still in the volume, as a share of the contrast: no part of the trend. The factor is None where
     it is not beyond its error, or the materials contradict each other.
     """
-    # Blocks along the axis, and quarters of the turn: (group, radius, depth, grey).
-    groups = sums.histogram.reshape(-1, *sums.histogram.shape[2:])
-    groups = groups[groups.sum(axis=(1, 2, 3)) > 0]
-    voxels = groups.sum(axis=(0, 2, 3))
-    radii = np.flatnonzero(voxels > 0.002 * max(int(voxels.max()), 1))
+    # Of blocks along the axis and quarters of the turn: (group, radius, depth, grey).
+    histograms = sums.histogram.reshape(-1, *sums.histogram.shape[2:])
+    histograms = histograms[histograms.sum(axis=(1, 2, 3)) > 0]
+    voxel_counts = histograms.sum(axis=(0, 2, 3))
+    radius_bins = np.flatnonzero(voxel_counts > 0.002 * max(int(voxel_counts.max()), 1))
     # The largest radius at which there is some sheet.
-    reach = float((radii[-1] + 1) * turning.farthest_um / COARSE) if radii.size >= _LEAST_RADII else 0.0
-    radius = (np.arange(COARSE) + 0.5) * turning.farthest_um / COARSE
+    reach_um = float((radius_bins[-1] + 1) * turning.farthest_um / COARSE) if radius_bins.size >= _LEAST_RADII else 0.0
+    radius_um = (np.arange(COARSE) + 0.5) * turning.farthest_um / COARSE
     # Mean height of the rings over the sheet's voxels at each radius of the histogram.
-    weight = sums.count[:, :, BASE:].sum(axis=(0, 1, 2)).astype(np.float64)
-    middle = (np.arange(rings.size) + 0.5) * turning.step_um
-    coarse = np.minimum((middle / turning.farthest_um * COARSE).astype(np.int64), COARSE - 1)
-    offset = np.bincount(coarse, weight * rings, COARSE) / np.maximum(np.bincount(coarse, weight, COARSE), 1.0)
-    materials = (BASE, BRIGHT) if reach > 0 else ()
-    all_fits = {m: _fit_material(groups, m, levels, radius / reach, offset) for m in materials}
+    sheet_counts = sums.count[:, :, BASE:].sum(axis=(0, 1, 2)).astype(np.float64)
+    bin_radius_um = (np.arange(rings.size) + 0.5) * turning.step_um
+    coarse_bin = np.minimum((bin_radius_um / turning.farthest_um * COARSE).astype(np.int64), COARSE - 1)
+    weights = np.maximum(np.bincount(coarse_bin, sheet_counts, COARSE), 1.0)
+    offset = np.bincount(coarse_bin, sheet_counts * rings, COARSE) / weights
+    materials = (BASE, BRIGHT) if reach_um > 0 else ()
+    all_fits = {m: _fit_material(histograms, m, levels, radius_um / reach_um, offset) for m in materials}
     fits = {m: fit for m, fit in all_fits.items() if fit is not None}
     trends = tuple(Trend(material=MATERIALS[m], before=f.percent, se=f.se) for m, f in fits.items())
     if not fits:
         return None, (), "Cupping: too few voxels lie inside the sheet, nothing was corrected."
-    shared, agree = _join_materials([*fits.values()])
-    each = ", ".join(f"{t.material} {t.before:.1f} +- {t.se:.1f} %" for t in trends)
-    if not agree:
-        return None, trends, f"Cupping: base and coating contradict each other ({each}), nothing was corrected."
+    shared, is_agreed = _join_materials([*fits.values()])
+    losses = ", ".join(f"{t.material} {t.before:.1f} +- {t.se:.1f} %" for t in trends)
+    if not is_agreed:
+        return None, trends, f"Cupping: base and coating contradict each other ({losses}), nothing was corrected."
     if abs(shared.percent) < max(_CLEAR * shared.se, _LOWEST):
-        return None, trends, f"Cupping: no trend against the radius beyond its error ({each}), nothing was corrected."
-    cupping = Cupping(percent=shared.percent, se=shared.se, powers=(shared.power,), reach_um=reach)
-    return cupping, trends, f"Cupping: {shared.percent:.1f} +- {shared.se:.1f} % in the middle corrected ({each})."
+        return None, trends, f"Cupping: no trend against the radius beyond its error ({losses}), nothing was corrected."
+    cupping = Cupping(percent=shared.percent, se=shared.se, powers=(shared.coefficient,), reach_um=reach_um)
+    return cupping, trends, f"Cupping: {shared.percent:.1f} +- {shared.se:.1f} % in the middle corrected ({losses})."
 
 
 def middle_factor(sums: Sums, turning: Turning, cupping: Cupping) -> float:
     """Mean of the factor over the sheet's voxels: divided by it, the correction keeps the sheet's mean grey."""
-    voxels = sums.histogram.sum(axis=(0, 1, 3, 4)).astype(np.float64)
-    radius = (np.arange(COARSE) + 0.5) * turning.farthest_um / COARSE
-    return float(np.sum(voxels * factor(cupping.powers, radius / cupping.reach_um)) / max(voxels.sum(), 1.0))
+    voxel_counts = sums.histogram.sum(axis=(0, 1, 3, 4)).astype(np.float64)
+    radius_um = (np.arange(COARSE) + 0.5) * turning.farthest_um / COARSE
+    factors = factor(cupping.powers, radius_um / cupping.reach_um)
+    return float(np.sum(voxel_counts * factors) / max(voxel_counts.sum(), 1.0))
 
 
-def _fit_material(groups: Counts, material: int, levels: Levels, share: Floats, offset: Floats) -> _Fit | None:
+def _fit_material(histograms: Counts, material: int, levels: Levels, share: Floats, offset: Floats) -> _Fit | None:
     """Fit the factor of one material; None where there are too few of its voxels."""
     if material == BRIGHT and not np.isfinite(levels.middle):
         return None
     # In contrasts above air.
-    border = (levels.middle - levels.air) / levels.contrast
-    limits = (-np.inf, border) if material == BASE else (border, np.inf)
-    whole = groups.sum(axis=0)
-    fit = _fit_powers(whole, limits, share, offset)
-    without = [_fit_powers(whole - group, limits, share, offset) for group in groups if fit is not None]
-    others = [other for other in without if other is not None]
-    if fit is None or len(others) < 3:
+    border_grey = (levels.middle - levels.air) / levels.contrast
+    limits = (-np.inf, border_grey) if material == BASE else (border_grey, np.inf)
+    total_histogram = histograms.sum(axis=0)
+    full_fit = _fit_coefficients(total_histogram, limits, share, offset)
+    omitted_histograms = histograms if full_fit else ()
+    jackknife_fits = [
+        fit for h in omitted_histograms if (fit := _fit_coefficients(total_histogram - h, limits, share, offset))
+    ]
+    if full_fit is None or len(jackknife_fits) < 3:
         return None
-    power, single = fit
-    error = float(_jackknife_errors(np.array([[_loss_percent(p)] for p, _ in others]))[0])
-    left_out = np.array([depths for _, depths in others])
-    is_valid = np.isfinite(single) & np.isfinite(left_out).all(axis=0)
+    coefficient, depth_coefficients = full_fit
+    loss_se = float(_jackknife_errors(np.array([[_loss_percent(p)] for p, _ in jackknife_fits]))[0])
+    replicates = np.array([coefficients for _, coefficients in jackknife_fits])
+    is_valid = np.isfinite(depth_coefficients) & np.isfinite(replicates).all(axis=0)
     if np.count_nonzero(is_valid) >= 2:
         # A true cupping is the same at every depth; a coating that is thinner in the middle is not. Depths do not err
         # alike by chance only: what they scatter beyond the jackknife is an error of their mean.
-        each, se = 100.0 * single[is_valid], np.maximum(100.0 * _jackknife_errors(left_out[:, is_valid]), 1e-3)
-        w = 1.0 / se**2
-        mean = float(np.sum(w * each) / w.sum())
-        between = float(np.mean((each - mean) ** 2 - se**2))
-        error = float(np.sqrt(error**2 + max(between, 0.0)))
-    return _Fit(power, _loss_percent(power), error)
+        losses, se = 100.0 * depth_coefficients[is_valid], 100.0 * _jackknife_errors(replicates[:, is_valid])
+        variance = np.maximum(se, 1e-3) ** 2
+        w = 1.0 / variance
+        mean_loss = float(np.sum(w * losses) / w.sum())
+        excess_variance = float(np.mean((losses - mean_loss) ** 2 - variance))
+        loss_se = float(np.sqrt(loss_se**2 + max(excess_variance, 0.0)))
+    return _Fit(coefficient, _loss_percent(coefficient), loss_se)
 
 
-def _fit_powers(histogram: Counts, limits: Pair, share: Floats, offset: Floats) -> tuple[float, Floats] | None:
+def _fit_coefficients(histogram: Counts, limits: Pair, share: Floats, offset: Floats) -> tuple[float, Floats] | None:
     """Fit 1 + p share² to the grey, less ``offset``, of a material at each depth; give p, and p of each depth alone."""
     low, high = limits
-    rows = histogram.reshape(-1, histogram.shape[-1]).astype(np.float64)
-    greys = rows * (GREYS[:-1] + 0.5 * (GREYS[1] - GREYS[0]))
-    count, total = (np.pad(np.cumsum(r, axis=1), ((0, 0), (1, 0))) for r in (rows, greys))
-    depths = histogram.shape[1]
-    t, offset = np.repeat(np.minimum(share, 1.0) ** 2, depths), np.repeat(offset, depths)
-    depth = np.tile(np.arange(depths), COARSE)
+    row_counts = histogram.reshape(-1, histogram.shape[-1]).astype(np.float64)
+    row_sums = row_counts * (GREYS[:-1] + 0.5 * (GREYS[1] - GREYS[0]))
+    running_counts, running_sums = (np.pad(np.cumsum(r, axis=1), ((0, 0), (1, 0))) for r in (row_counts, row_sums))
+    n_depths = histogram.shape[1]
+    t, offset = np.repeat(np.minimum(share, 1.0) ** 2, n_depths), np.repeat(offset, n_depths)
+    depth = np.tile(np.arange(n_depths), COARSE)
     # Depths at which base and coating meet: there the least shift of a face changes the grey.
-    border = (low if np.isfinite(low) else high) * np.ones(len(rows))
-    whole = lower = np.bincount(depth, count[:, -1])
-    if np.isfinite(border[0]):
-        lower = np.bincount(depth, _sum_between(count, -np.inf * border, border))
-    mixed = np.minimum(lower, whole - lower) > 0.05 * whole  # of the voxels of a depth may be of the other material
-    power = 0.0
-    used, grey, n = np.zeros(len(rows), bool), np.zeros(len(rows)), np.zeros(len(rows))
+    border_grey = (low if np.isfinite(low) else high) * np.ones(len(row_counts))
+    depth_counts = lower_counts = np.bincount(depth, running_counts[:, -1])
+    if np.isfinite(border_grey[0]):
+        lower_counts = np.bincount(depth, _sum_between(running_counts, -np.inf * border_grey, border_grey))
+    is_mixed = np.minimum(lower_counts, depth_counts - lower_counts) > 0.05 * depth_counts  # share of one material
+    coefficient = 0.0
+    is_used, grey, n = np.zeros(len(row_counts), bool), np.zeros(len(row_counts)), np.zeros(len(row_counts))
     for _ in range(40):  # of sorting and fitting
-        curve = 1.0 + power * t
-        n, grey = (_sum_between(sums, low * curve + offset, high * curve + offset) for sums in (count, total))
+        factors = 1.0 + coefficient * t
+        n, grey = (_sum_between(r, *(g * factors + offset for g in limits)) for r in (running_counts, running_sums))
         grey = grey / np.maximum(n, 1.0) - offset
         # A depth has to be there at many radii, or its level cannot be separated from the trend.
-        used = (n > 0.02 * n.max()) & ~mixed[depth]
-        used &= (np.bincount(depth, used, depths) >= _LEAST_RADII)[depth]
-        if n.sum() < 3000 or not used.any():  # of a material
+        is_used = (n > 0.02 * n.max()) & ~is_mixed[depth]
+        is_used &= (np.bincount(depth, is_used, n_depths) >= _LEAST_RADII)[depth]
+        if n.sum() < 3000 or not is_used.any():  # of a material
             return None
-        level = np.bincount(depth, np.where(used, n * grey / curve, 0.0), depths)
-        level /= np.maximum(np.bincount(depth, np.where(used, n, 0.0), depths), 1.0)
-        if level[depth[used]].min() <= 0:
+        level = np.bincount(depth, np.where(is_used, n * grey / factors, 0.0), n_depths)
+        level /= np.maximum(np.bincount(depth, np.where(is_used, n, 0.0), n_depths), 1.0)
+        if level[depth[is_used]].min() <= 0:
             return None
-        step = _power_step(level, depth[used], curve[used], t[used], grey[used], n[used])
-        power = min(max(power + step, -0.5), 1.0)
+        step = _coefficient_step(level, depth[is_used], factors[is_used], t[is_used], grey[is_used], n[is_used])
+        coefficient = min(max(coefficient + step, -0.5), 1.0)
         if abs(step) < 1e-5:
             break
-    return power, np.array([_power_of_depth(t, grey, n, used & (depth == d)) for d in range(depths)])
+    return coefficient, np.array([_depth_coefficient(t, grey, n, is_used & (depth == d)) for d in range(n_depths)])
 
 
-def _power_step(level: Floats, depth: Counts, curve: Floats, t: Floats, grey: Floats, n: Floats) -> float:
-    """Change of the power by which the greys follow from the levels best."""
-    # grey = (level + its change) (curve + change of the power), to first order. A second power costs more in noise than
-    # a beam hardened by a sheet of paper has.
+def _coefficient_step(level: Floats, depth: Counts, factors: Floats, t: Floats, grey: Floats, n: Floats) -> float:
+    """Change of the coefficient by which the greys follow from the levels best."""
+    # grey = (level + its change) (factor + change of the coefficient t), to first order. A second power costs more in
+    # noise than a beam hardened by a sheet of paper has.
     design = np.zeros((grey.size, level.size + 1))
-    design[np.arange(grey.size), depth] = curve
+    design[np.arange(grey.size), depth] = factors
     design[:, -1] = level[depth] * t
-    root = np.sqrt(n)
-    residual = grey - level[depth] * curve
-    return float(np.linalg.lstsq(design * root[:, None], residual * root, rcond=None)[0][-1])
+    sqrt_n = np.sqrt(n)
+    residual = grey - level[depth] * factors
+    return float(np.linalg.lstsq(design * sqrt_n[:, None], residual * sqrt_n, rcond=None)[0][-1])
 
 
-def _power_of_depth(t: Floats, grey: Floats, n: Floats, chosen: Bools) -> float:
-    """Fit the power of one depth alone; NaN where it has no grey."""
-    if not chosen.any():
+def _depth_coefficient(t: Floats, grey: Floats, n: Floats, is_used: Bools) -> float:
+    """Fit the coefficient of one depth alone; NaN where it has no grey."""
+    if not is_used.any():
         return np.nan
-    line = np.polynomial.polynomial.polyfit(t[chosen], grey[chosen], 1, w=np.sqrt(n[chosen]))
-    return line[1] / line[0] if line[0] > 0 else np.nan
+    line_fit = np.polynomial.polynomial.polyfit(t[is_used], grey[is_used], 1, w=np.sqrt(n[is_used]))
+    return line_fit[1] / line_fit[0] if line_fit[0] > 0 else np.nan
 
 
-def _sum_between(running: Floats, low: Floats, high: Floats) -> Floats:
+def _sum_between(running_sum: Floats, low: Floats, high: Floats) -> Floats:
     """Sum of each row of the histogram between two greys."""
-    rows = np.arange(len(running))
+    rows = np.arange(len(running_sum))
 
     def upto(grey: Floats) -> Floats:
         x = np.clip((grey - GREYS[0]) / (GREYS[1] - GREYS[0]), 0.0, GREYS.size - 1.0)
         i = np.minimum(x.astype(np.int64), GREYS.size - 2)
-        return running[rows, i] * (1 - (x - i)) + running[rows, i + 1] * (x - i)
+        return running_sum[rows, i] * (1 - (x - i)) + running_sum[rows, i + 1] * (x - i)
 
     return upto(high) - upto(low)
 
 
 def _join_materials(fits: list[_Fit]) -> tuple[_Fit, bool]:
     """Join the fits of base and coating to the one that is corrected; False where they contradict each other."""
-    surest, *others = sorted(fits, key=lambda fit: fit.se)
+    surest_fit, *other_fits = sorted(fits, key=lambda fit: fit.se)
     # A material whose error is three times that of the other does not count.
-    if not others or others[0].se > 3.0 * max(surest.se, 0.3):
-        return surest, True
+    if not other_fits or other_fits[0].se > 3.0 * max(surest_fit.se, 0.3):
+        return surest_fit, True
     a, b = fits
     if abs(a.percent - b.percent) <= 3.0 * float(np.hypot(a.se, b.se)):  # standard errors by which they may differ
         w = 1.0 / np.maximum([a.se, b.se], 1e-3) ** 2
-        power = float((w[0] * a.power + w[1] * b.power) / w.sum())
-        return _Fit(power, _loss_percent(power), float(1.0 / np.sqrt(w.sum()))), True
+        coefficient = float((w[0] * a.coefficient + w[1] * b.coefficient) / w.sum())
+        return _Fit(coefficient, _loss_percent(coefficient), float(1.0 / np.sqrt(w.sum()))), True
     # What both share is corrected, and no more: the rest is the sheet's own.
     return min(fits, key=lambda fit: abs(fit.percent)), a.percent * b.percent > 0

@@ -61,8 +61,8 @@ def write_picture(corrected: Corrected, before: xr.DataArray, path: Path) -> Non
         _draw_profiles(_add_axes(figure, total, 0.75, 0.35, _WIDTH - 1.1, 2.35), corrected, sums, air, contrast)
         titles = (f"Slice {turning.shape[0] // 2} across {turning.axis}, before", "after", "before minus after")
         for k, (title, picture) in enumerate(zip(titles, pictures, strict=True)):
-            corner = (0.15 + k * (width + 0.25), 3.55) if tall else (0.75, 3.5 + k * (height + 0.4))
-            axes = _add_axes(figure, total, *corner, width, height)
+            corner_in = (0.15 + k * (width + 0.25), 3.55) if tall else (0.75, 3.5 + k * (height + 0.4))
+            axes = _add_axes(figure, total, *corner_in, width, height)
             if k == 2:
                 # NaN, where the pictures share no voxel, is not the larger one.
                 limit = max(0.005 * contrast, *percentiles(np.abs(picture), 99.8))
@@ -70,9 +70,9 @@ def write_picture(corrected: Corrected, before: xr.DataArray, path: Path) -> Non
                 _draw_slice(axes, picture, title, cols, "RdBu_r", (-limit, limit))
             else:
                 _draw_slice(axes, picture, title, cols, "gray", (air - 0.25 * contrast, record.sheet + 0.35 * contrast))
-        pixels = io.BytesIO()
-        figure.savefig(pixels, format="rgba")
-    image = Image.frombytes("RGBA", figure.canvas.get_width_height(), pixels.getvalue()).convert("RGB")
+        pixel_buffer = io.BytesIO()
+        figure.savefig(pixel_buffer, format="rgba")
+    image = Image.frombytes("RGBA", figure.canvas.get_width_height(), pixel_buffer.getvalue()).convert("RGB")
     try:
         image.save(path, format="PNG", optimize=True)
     except OSError as error:
@@ -81,36 +81,35 @@ def write_picture(corrected: Corrected, before: xr.DataArray, path: Path) -> Non
         ) from error
 
 
-def _add_axes(figure: Figure, total: float, x: float, y: float, width: float, height: float) -> Axes:
-    return figure.add_axes((x / _WIDTH, 1 - (y + height) / total, width / _WIDTH, height / total))
+def _add_axes(figure: Figure, figure_height: float, x: float, y: float, width: float, height: float) -> Axes:
+    return figure.add_axes((x / _WIDTH, 1 - (y + height) / figure_height, width / _WIDTH, height / figure_height))
 
 
 def _middle_slices(after: xr.DataArray, before: xr.DataArray, turning: Turning) -> tuple[Floats, Floats, Floats]:
     """Middle slice across the axis, before, after and their difference, at most so fine as the figure."""
-    where = {turning.axis: turning.shape[0] // 2}
-    planes = [np.asarray(v.isel(where).transpose(*turning.plane).values, np.float64) for v in (before, after)]
+    slice_index = {turning.axis: turning.shape[0] // 2}
+    planes = [np.asarray(v.isel(slice_index).transpose(*turning.plane).values, np.float64) for v in (before, after)]
     step = max(1.0, max(planes[0].shape) / 1200)
     a, b = (area_mean(v, (step, step)) if step > 1 else v for v in planes)
     return a, b, a - b
 
 
-def _draw_profiles(axes: Axes, corrected: Corrected, sums: list[Sums], air: float, contrast: float) -> None:
+def _draw_profiles(axes: Axes, corrected: Corrected, stage_sums: list[Sums], air: float, contrast: float) -> None:
     record, turning = corrected.record, corrected.turning
     radius = (np.arange(turning.bins) + 0.5) * turning.step_um
-    for stage, (colour, name) in zip(sums, ((_BEFORE, "before"), (_AFTER, "after")), strict=False):
+    for stage, (colour, stage_name) in zip(stage_sums, ((_BEFORE, "before"), (_AFTER, "after")), strict=False):
         # Mean grey (material, bin) above air, as if every depth were as frequent at every radius; NaN for few voxels.
-        count, total = stage.count.sum(axis=(0, 1)), stage.total.sum(axis=(0, 1))
-        level = stage.level[:, 1] / np.maximum(stage.level[:, 0], 1)
-        above = np.where(count >= 30, total / np.maximum(count, 1), np.nan)  # voxels of a point of the profile
-        for m, means in enumerate((level[:, None] + above) / UNIT):
-            grey = air + contrast * means
-            axes.plot(radius, grey, color=colour, lw=0.9, label=name if m == 0 else None)
-            bins = np.flatnonzero(np.isfinite(grey))
-            if bins.size and name == "before":
-                axes.annotate(
-                    MATERIALS[m], (radius[bins[-1]], grey[bins[-1]]), xytext=(4, 0), textcoords="offset points",
-                    va="center", color=_INK, fontsize=8,
-                )  # fmt: skip
+        voxel_counts, grey_sums = stage.count.sum(axis=(0, 1)), stage.total.sum(axis=(0, 1))
+        material_level = stage.level[:, 1] / np.maximum(stage.level[:, 0], 1)
+        residual = np.where(voxel_counts >= 30, grey_sums / np.maximum(voxel_counts, 1), np.nan)
+        for m, contrast_share in enumerate((material_level[:, None] + residual) / UNIT):
+            grey = air + contrast * contrast_share
+            axes.plot(radius, grey, color=colour, lw=0.9, label=stage_name if m == 0 else None)
+            valid_bins = np.flatnonzero(np.isfinite(grey))
+            if valid_bins.size and stage_name == "before":
+                line_end = (radius[valid_bins[-1]], grey[valid_bins[-1]])
+                text_style: dict[str, Any] = {"va": "center", "color": _INK, "fontsize": 8}
+                axes.annotate(MATERIALS[m], line_end, xytext=(4, 0), textcoords="offset points", **text_style)
     for ring in record.rings:
         axes.axvline(ring.radius_um, color="#999999", lw=0.6, ls=":", zorder=0)
     axes.set_xlabel(f"Radius about {turning.axis} in um (dotted: rings corrected)")
@@ -121,17 +120,16 @@ def _draw_profiles(axes: Axes, corrected: Corrected, sums: list[Sums], air: floa
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _draw_slice(axes: Axes, picture: Floats, title: str, width_um: float, colours: str, limits: Pair) -> None:
-    """Draw a slice without axes, with a bar for its scale."""
-    axes.imshow(picture, colours, interpolation="nearest", aspect="auto", vmin=limits[0], vmax=limits[1])
+def _draw_slice(axes: Axes, picture: Floats, title: str, width_um: float, colour_map: str, grey_limits: Pair) -> None:
+    axes.imshow(picture, colour_map, interpolation="nearest", aspect="auto", vmin=grey_limits[0], vmax=grey_limits[1])
     axes.set_title(title, loc="left", fontsize=8, color=_INK, pad=3)
     axes.set_xticks([])
     axes.set_yticks([])
-    length = round_step(0.2 * width_um)
-    across, up = length / width_um, 0.06
-    axes.plot([0.02, 0.02 + across], [up, up], color="white", lw=4.5, transform=axes.transAxes, solid_capstyle="butt")
-    axes.plot([0.02, 0.02 + across], [up, up], color=_INK, lw=2.5, transform=axes.transAxes, solid_capstyle="butt")
+    length_um = round_step(0.2 * width_um)
+    x, y = (0.02, 0.02 + length_um / width_um), (0.06, 0.06)
+    for colour, line_width in (("white", 4.5), (_INK, 2.5)):
+        axes.plot(x, y, color=colour, lw=line_width, transform=axes.transAxes, solid_capstyle="butt")
     axes.text(
-        0.02, up + 0.05, f"{length:g} um", transform=axes.transAxes, fontsize=8, va="bottom", color=_INK,
+        0.02, 0.11, f"{length_um:g} um", transform=axes.transAxes, fontsize=8, va="bottom", color=_INK,
         bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0, "alpha": 0.8},
     )  # fmt: skip

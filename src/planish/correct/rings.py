@@ -46,10 +46,10 @@ class RingFit(NamedTuple):
         """Height (bin,) of all rings together."""
         return self.shapes.sum(axis=0)
 
-    def tables(self, blocks: Floats, slices: NDArray[np.intp]) -> Floats:
+    def tables(self, blocks: Floats, slice_numbers: NDArray[np.intp]) -> Floats:
         """Height (slice, bin) as a share of the contrast; between the middles of blocks it varies linearly."""
-        factors = np.stack([np.interp(slices, blocks, f) for f in self.factors]) if len(self.factors) else None
-        return np.zeros((slices.size, self.profile.size)) if factors is None else factors.T @ self.shapes
+        factors = np.stack([np.interp(slice_numbers, blocks, f) for f in self.factors]) if len(self.factors) else None
+        return np.zeros((slice_numbers.size, self.profile.size)) if factors is None else factors.T @ self.shapes
 
 
 def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:
@@ -67,23 +67,24 @@ def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:
         profile[:_INNERMOST] = error[:_INNERMOST] = np.nan
         intervals = _intervals(profile, error, share)
         heights = np.zeros(bins)
-        for where in intervals:
-            heights[where] = profile[where]
+        for ring_bins in intervals:
+            heights[ring_bins] = profile[ring_bins]
     shapes: list[Floats] = []
     factors: list[Floats] = []
     rings: list[RingArtefact] = []
     blocks = [_robust_mean(r, w) for r, w in zip(residual, weight, strict=True)] if intervals else []
     materials = [_robust_mean(residual[:, :, m], weight[:, :, m]) for m in range(3)] if intervals else []
-    for where in intervals:
-        ring = profile[where]
-        in_materials = [_height_factor(ring, p[where], e[where]) for p, e in materials]
+    for ring_bins in intervals:
+        ring = profile[ring_bins]
+        material_factors = [_height_factor(ring, p[ring_bins], e[ring_bins]) for p, e in materials]
         # What a material clearly shows less than a part of is the structure of another one.
-        if any(power and factor + 3.0 / np.sqrt(power) < _SHOWN for factor, power in in_materials):
+        if any(w and factor + 3.0 / np.sqrt(w) < _SHOWN for factor, w in material_factors):
             continue
         shape = np.zeros(bins)
-        shape[where] = ring
-        factor = _block_factors(ring, [(p[where], e[where]) for p, e in blocks]) if len(blocks) > 1 else np.ones(1)
-        crest = where.start + int(np.argmax(np.abs(ring)))
+        shape[ring_bins] = ring
+        in_blocks = [(p[ring_bins], e[ring_bins]) for p, e in blocks]
+        factor = _block_factors(ring, in_blocks) if len(blocks) > 1 else np.ones(1)
+        crest = ring_bins.start + int(np.argmax(np.abs(ring)))
         height = float(profile[crest])
         shapes.append(shape)
         factors.append(factor)
@@ -111,10 +112,10 @@ def remaining_rings(before: RingFit, after: RingFit) -> tuple[RingArtefact, ...]
     """Give each ring with the share that the correction left of it; its crest is weighed with its own shape."""
     remaining: list[RingArtefact] = []
     for ring, shape in zip(before.rings, before.shapes, strict=True):
-        inside = (shape != 0) & np.isfinite(after.profile)
-        power = float(np.sum(shape[inside] ** 2))
-        share = float(np.sum(shape[inside] * after.profile[inside])) / power if power else float("nan")
-        remaining.append(replace(ring, share_after=ring.share * share))
+        is_ring = (shape != 0) & np.isfinite(after.profile)
+        norm = float(np.sum(shape[is_ring] ** 2))
+        factor = float(np.sum(shape[is_ring] * after.profile[is_ring])) / norm if norm else float("nan")
+        remaining.append(replace(ring, share_after=ring.share * factor))
     return tuple(remaining)
 
 
@@ -125,54 +126,55 @@ def _residuals(sums: Sums, rings: Floats) -> tuple[Floats, Floats]:
     is_measured = count >= _LEAST
     mean = np.where(is_measured, sums.total / np.maximum(count, 1.0), np.nan) / UNIT
     residual = np.full(mean.shape, np.nan)
-    for part in np.ndindex(*mean.shape[:3]):
-        here = np.flatnonzero(is_measured[part])
-        if here.size < _WINDOW // 2:
+    for cell in np.ndindex(*mean.shape[:3]):
+        valid_bins = np.flatnonzero(is_measured[cell])
+        if valid_bins.size < _WINDOW // 2:
             continue
-        span = slice(here[0], here[-1] + 1)
-        whole = np.interp(np.arange(span.start, span.stop), here, mean[part][here])
-        plain = whole - rings[span]
-        trend = ndimage.uniform_filter1d(ndimage.median_filter(plain, _WINDOW, mode="nearest"), _AFTERWARDS)
-        residual[part][span] = np.where(is_measured[part][span], whole - trend, np.nan)
+        span = slice(valid_bins[0], valid_bins[-1] + 1)
+        mean_grey = np.interp(np.arange(span.start, span.stop), valid_bins, mean[cell][valid_bins])
+        ring_free = mean_grey - rings[span]
+        trend = ndimage.uniform_filter1d(ndimage.median_filter(ring_free, _WINDOW, mode="nearest"), _AFTERWARDS)
+        residual[cell][span] = np.where(is_measured[cell][span], mean_grey - trend, np.nan)
     weight = np.zeros(mean.shape)
     for m in range(mean.shape[2]):
-        here = np.isfinite(residual[:, :, m])
-        if here.any():
+        is_valid = np.isfinite(residual[:, :, m])
+        if is_valid.any():
             # Per voxel, as its mean really scatters: the texture of fibres makes neighbours alike.
-            variance = float(np.median(residual[:, :, m][here] ** 2 * count[:, :, m][here])) / _CHI2
-            weight[:, :, m] = np.where(here, count[:, :, m], 0.0) / max(variance, 1e-6)
+            variance = float(np.median(residual[:, :, m][is_valid] ** 2 * count[:, :, m][is_valid])) / _CHI2
+            weight[:, :, m] = np.where(is_valid, count[:, :, m], 0.0) / max(variance, 1e-6)
     return np.nan_to_num(residual), weight
 
 
 def _robust_mean(residual: Floats, weight: Floats) -> tuple[Floats, Floats]:
     """Robust mean (bin,) over all parts (..., bin) and its standard error; NaN where too few parts have values."""
     residual, weight = (a.reshape(-1, a.shape[-1]) for a in (residual, weight))
-    total = weight.sum(axis=0)
-    parts = np.divide(total**2, np.sum(weight**2, axis=0), out=np.zeros_like(total), where=total > 0)
-    sure = parts >= min(4.0, 0.6 * len(weight))  # parts of circles that have to agree, counted by their weight
+    weight_sum = weight.sum(axis=0)
+    # Parts of circles that have to agree, counted by their weight.
+    n_parts = np.divide(weight_sum**2, np.sum(weight**2, axis=0), out=np.zeros_like(weight_sum), where=weight_sum > 0)
+    has_enough = n_parts >= min(4.0, 0.6 * len(weight))
     mean = _weighted_median(residual, weight)
-    robust = weight
+    robust_weight = weight
     for _ in range(5):
-        off = np.abs(residual - mean) * np.sqrt(weight)
+        scaled_residual = np.abs(residual - mean) * np.sqrt(weight)
         # The scatter of the parts, but no less than that of their voxels.
-        scale = np.maximum(_weighted_median(off, (weight > 0).astype(np.float64)) / np.sqrt(_CHI2), 1.0)
-        robust = weight * np.minimum(1.0, 2.0 * scale / np.maximum(off, 1e-12))
-        mean = np.sum(robust * residual, axis=0) / np.maximum(robust.sum(axis=0), 1e-12)
-    total = np.maximum(robust.sum(axis=0), 1e-12)
-    scatter = np.sqrt(np.sum((robust * (residual - mean)) ** 2, axis=0)) / total
-    error = np.maximum(scatter, 1.0 / np.sqrt(total))
+        scale = np.maximum(_weighted_median(scaled_residual, (weight > 0).astype(np.float64)) / np.sqrt(_CHI2), 1.0)
+        robust_weight = weight * np.minimum(1.0, 2.0 * scale / np.maximum(scaled_residual, 1e-12))
+        mean = np.sum(robust_weight * residual, axis=0) / np.maximum(robust_weight.sum(axis=0), 1e-12)
+    weight_sum = np.maximum(robust_weight.sum(axis=0), 1e-12)
+    scatter = np.sqrt(np.sum((robust_weight * (residual - mean)) ** 2, axis=0)) / weight_sum
+    error = np.maximum(scatter, 1.0 / np.sqrt(weight_sum))
     # Circles pass the rows of voxels and the layers of the sheet in ever new ways: what that does from bin to bin is
     # error too, at least the usual scatter of the bins around.
-    usual = ndimage.median_filter(np.abs(mean) / error, 81, mode="nearest") / np.sqrt(_CHI2)
-    error = error * np.maximum(usual, 1.0)
-    return np.where(sure, mean, np.nan), np.where(sure, error, np.nan)
+    local_scatter = ndimage.median_filter(np.abs(mean) / error, 81, mode="nearest") / np.sqrt(_CHI2)
+    error = error * np.maximum(local_scatter, 1.0)
+    return np.where(has_enough, mean, np.nan), np.where(has_enough, error, np.nan)
 
 
 def _weighted_median(values: Floats, weight: Floats) -> Floats:
     order = np.argsort(values, axis=0, kind="stable")
-    running = np.cumsum(np.take_along_axis(weight, order, axis=0), axis=0)
-    middle = np.argmax(running >= 0.5 * running[-1], axis=0)
-    return np.take_along_axis(np.take_along_axis(values, order, axis=0), middle[None], axis=0)[0]
+    running_weight = np.cumsum(np.take_along_axis(weight, order, axis=0), axis=0)
+    median_index = np.argmax(running_weight >= 0.5 * running_weight[-1], axis=0)
+    return np.take_along_axis(np.take_along_axis(values, order, axis=0), median_index[None], axis=0)[0]
 
 
 def _intervals(profile: Floats, error: Floats, share: float) -> list[slice]:
@@ -180,19 +182,19 @@ def _intervals(profile: Floats, error: Floats, share: float) -> list[slice]:
     height = np.nan_to_num(profile)
     clarity = np.where(np.isfinite(error), np.abs(height) / np.nan_to_num(error, nan=1.0), 0.0)
     # What fills one bin only is no ring: its neighbours have to show it too.
-    neighbours = ndimage.uniform_filter1d(np.where(clarity > 0, height, 0.0), 3) / np.where(clarity > 0, height, 1.0)
-    clarity = np.minimum(clarity, neighbours * clarity * np.sqrt(3.0))
+    ratio = ndimage.uniform_filter1d(np.where(clarity > 0, height, 0.0), 3) / np.where(clarity > 0, height, 1.0)
+    clarity = np.minimum(clarity, ratio * clarity * np.sqrt(3.0))
     clear = (clarity > _CLEAR) & (np.abs(height) > _LOWEST)
     highest = float(np.abs(height[clear]).max(initial=0.0))
     # A ring ends where it is below 1.5 standard errors or changes its sign.
-    side = np.where(clarity > 1.5, np.sign(height), 0.0)
-    borders = np.flatnonzero(np.diff(side, prepend=0.0, append=0.0))
+    sign = np.where(clarity > 1.5, np.sign(height), 0.0)
+    sign_changes = np.flatnonzero(np.diff(sign, prepend=0.0, append=0.0))
     intervals: list[slice] = []
-    for first, end in pairwise(borders.tolist()):
-        seeds = clear[first:end] & (np.abs(height[first:end]) >= share * highest)
+    for start, end in pairwise(sign_changes.tolist()):
+        seeds = clear[start:end] & (np.abs(height[start:end]) >= share * highest)
         # No ring is narrower than the blur, and what is wider is left alone.
-        if seeds.any() and 3 <= end - first <= 40:
-            intervals.append(slice(first, end))
+        if seeds.any() and 3 <= end - start <= 40:
+            intervals.append(slice(start, end))
     return intervals
 
 
@@ -200,19 +202,19 @@ def _height_factor(shape: Floats, profile: Floats, error: Floats) -> tuple[float
     """Factor on the height of a ring of a known shape, and one over its variance; 1 and 0 where nothing is known."""
     is_valid = np.isfinite(profile) & np.isfinite(error)
     w = shape[is_valid] / error[is_valid] ** 2
-    power = float(np.sum(w * shape[is_valid]))
-    return (float(np.sum(w * profile[is_valid])) / power, power) if is_valid.any() else (1.0, 0.0)
+    precision = float(np.sum(w * shape[is_valid]))
+    return (float(np.sum(w * profile[is_valid])) / precision, precision) if is_valid.any() else (1.0, 0.0)
 
 
-def _block_factors(shape: Floats, parts: list[tuple[Floats, Floats]]) -> Floats:
+def _block_factors(shape: Floats, block_profiles: list[tuple[Floats, Floats]]) -> Floats:
     """Factor on a ring's height in each block; 1 everywhere where the blocks differ by no more than their errors."""
-    factor, power = np.array([_height_factor(shape, *part) for part in parts]).T
-    variance = np.divide(1.0, power, out=np.full(len(parts), np.inf), where=power > 0)
+    factor, precision = np.array([_height_factor(shape, *block) for block in block_profiles]).T
+    variance = np.divide(1.0, precision, out=np.full(len(block_profiles), np.inf), where=precision > 0)
     is_valid = np.isfinite(variance)
     n = int(np.count_nonzero(is_valid))
-    excess = (factor[is_valid] - 1.0) ** 2
-    if n < 2 or float(np.sum(excess / variance[is_valid])) < n + 4.0 * np.sqrt(2.0 * n):
-        return np.ones(len(parts))
-    between = max(float(np.mean(excess - variance[is_valid])), 0.0)
-    pull = np.where(is_valid, between / (between + np.where(is_valid, variance, 1.0)), 0.0)
-    return 1.0 + pull * (factor - 1.0)
+    squared_excess = (factor[is_valid] - 1.0) ** 2
+    if n < 2 or float(np.sum(squared_excess / variance[is_valid])) < n + 4.0 * np.sqrt(2.0 * n):
+        return np.ones(len(block_profiles))
+    between_variance = max(float(np.mean(squared_excess - variance[is_valid])), 0.0)
+    shrinkage = np.where(is_valid, between_variance / (between_variance + np.where(is_valid, variance, 1.0)), 0.0)
+    return 1.0 + shrinkage * (factor - 1.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from typing import Any, NamedTuple
@@ -61,60 +61,61 @@ def find_levels(slices: list[NDArray[Any]], radius: Floats) -> Levels | None:
     levels = _estimate_levels(np.concatenate([smoothed(s)[~missing(s, padding)] for s in slices]))
     if levels is None:
         return None
-    dark = cut = 0
+    n_dark = n_cut = 0
     for s in slices:
-        below = (smoothed(s) < levels.split) & ~missing(s, padding)
-        dark += np.count_nonzero(below)
-        cut += np.count_nonzero(below & (s == lowest))
+        is_dark = (smoothed(s) < levels.split) & ~missing(s, padding)
+        n_dark += np.count_nonzero(is_dark)
+        n_cut += np.count_nonzero(is_dark & (s == lowest))
     # Where all of the air has the same value it has no noise: nothing was cut off.
-    return levels._replace(padding=padding, air_cut=0.05 < cut / max(dark, 1) < 0.8)
+    return levels._replace(padding=padding, air_cut=0.05 < n_cut / max(n_dark, 1) < 0.8)
 
 
 def _padding(slices: list[NDArray[Any]], lowest: float, radius: Floats) -> float:
     """Value of the corners outside the scanner's circle: the lowest one, everywhere outside and nowhere inside."""
-    spike = np.mean([_without_specks(s == lowest) for s in slices], axis=0)
-    share = float(spike.mean())
+    frequency = np.mean([_without_specks(s == lowest) for s in slices], axis=0)
+    share = float(frequency.mean())
     if share < 0.01:  # of all voxels: so much padding at least
         return float("nan")
-    outside = radius > np.quantile(radius, 1.0 - share)
-    return lowest if spike[outside].mean() > 0.9 and spike[~outside].mean() < 0.1 * share else float("nan")
+    is_outside = radius > np.quantile(radius, 1.0 - share)
+    is_padding = frequency[is_outside].mean() > 0.9 and frequency[~is_outside].mean() < 0.1 * share
+    return lowest if is_padding else float("nan")
 
 
 def _without_specks(mask: Bools) -> Bools:
     """Mask without the single voxels that noise has cut off: nearly all of a neighbourhood has to be in it."""
-    share = ndimage.uniform_filter(mask.astype(np.float32), _WINDOW)
-    return mask & (ndimage.maximum_filter(share, _WINDOW) > 0.95)
+    local_share = ndimage.uniform_filter(mask.astype(np.float32), _WINDOW)
+    return mask & (ndimage.maximum_filter(local_share, _WINDOW) > 0.95)
 
 
 def _estimate_levels(greys: NDArray[np.float32]) -> Levels | None:
     """Read the levels off the histogram of smoothed greys; None where no sheet stands out from the air."""
     if greys.size < 1000:
         return None
-    low, high = (float(q) for q in np.percentile(greys, [0.02, 99.98]))
-    if not high > low:
+    lowest, highest = (float(q) for q in np.percentile(greys, [0.02, 99.98]))
+    if not highest > lowest:
         return None
-    count, edges = np.histogram(greys, 160, (low, high))
-    number, total = (
-        np.concatenate([[0.0], np.cumsum(n.astype(np.float64))]) for n in (count, count * np.arange(count.size))
-    )
-    split, middle = (float(edges[k]) for k in otsu_borders(number, total, 3))
-    dark, sheet = greys[greys <= split], greys[greys > split]
+    bin_counts, bin_edges = np.histogram(greys, 160, (lowest, highest))
+    moments = np.stack([bin_counts, bin_counts * np.arange(bin_counts.size)]).astype(np.float64)
+    running_count, running_sum = np.pad(np.cumsum(moments, axis=1), ((0, 0), (1, 0)))
+    split, middle = (float(bin_edges[k]) for k in otsu_borders(running_count, running_sum, 3))
+    dark_greys, sheet_greys = greys[greys <= split], greys[greys > split]
     # The mean of what lies near the median.
-    median = float(np.median(dark))
-    reach = max(3 * MAD_TO_SD * float(np.median(np.abs(dark - median))), 1e-6)
-    air = float(np.mean(dark[np.abs(dark - median) <= reach], dtype=np.float64))
-    base, bright = sheet[sheet <= middle], sheet[sheet > middle]
-    if not bright.size or not base.size:
+    dark_median = float(np.median(dark_greys))
+    air_reach = max(3 * MAD_TO_SD * float(np.median(np.abs(dark_greys - dark_median))), 1e-6)
+    air = float(np.mean(dark_greys[np.abs(dark_greys - dark_median) <= air_reach], dtype=np.float64))
+    base_greys, bright_greys = sheet_greys[sheet_greys <= middle], sheet_greys[sheet_greys > middle]
+    if not bright_greys.size or not base_greys.size:
         return None
-    lower, level = float(np.median(base)), float(np.median(bright))
+    base_level, bright_level = float(np.median(base_greys)), float(np.median(bright_greys))
     # A second material stands out from the base by so much of its own contrast.
-    if level - lower < 0.25 * (lower - air):
-        middle, lower = np.inf, float(np.median(sheet))
-        level = lower
-    if level - air < max(6.0 * mad_sd(dark, air), 1e-9):  # scatters of the smoothed air
+    if bright_level - base_level < 0.25 * (base_level - air):
+        middle, base_level = np.inf, float(np.median(sheet_greys))
+        bright_level = base_level
+    if bright_level - air < max(6.0 * mad_sd(dark_greys, air), 1e-9):  # scatters of the smoothed air
         return None
     # The lower border lies half way: a border between classes is drawn towards the wider one.
-    return Levels(air=air, sheet=level, split=0.5 * (air + lower), middle=middle, padding=np.nan, air_cut=False)
+    split = 0.5 * (air + base_level)
+    return Levels(air=air, sheet=bright_level, split=split, middle=middle, padding=np.nan, air_cut=False)
 
 
 SECTORS = 16  # parts of a full turn that are compared: a ring shows in all of them, a structure of the sheet does not
@@ -159,8 +160,8 @@ class Turning(NamedTuple):
     @property
     def farthest_um(self) -> float:
         """Largest radius in the field."""
-        along = zip(self.centre_um, self.shape[1:], self.pitch_um, strict=True)
-        return math.hypot(*(max(abs(c), abs((n - 1) * p - c)) for c, n, p in along))
+        axes = zip(self.centre_um, self.shape[1:], self.pitch_um, strict=True)
+        return math.hypot(*(max(abs(c), abs((n - 1) * p - c)) for c, n, p in axes))
 
     def offsets_um(self, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> tuple[Floats, Floats]:
         """Distances (rows, 1) and (1, cols) from the axis along the two others."""
@@ -187,20 +188,21 @@ def make_turning(volume: xr.DataArray, axis: Axis, centre_um: tuple[float, float
             f"The volume has {shape[1]} x {shape[2]} voxels along {a} and {b}, across the axis of rotation; at least "
             f"{_LEAST_PLANE} are needed. Give the whole stack, or another --rotation-axis."
         )
-    ends = ((shape[1] - 1) * pitch[0], (shape[2] - 1) * pitch[1])
-    centre = (0.5 * ends[0], 0.5 * ends[1]) if centre_um is None else centre_um
-    for name, position, end in zip((a, b), centre, ends, strict=True):
+    extent_um = ((shape[1] - 1) * pitch[0], (shape[2] - 1) * pitch[1])
+    centre = (0.5 * extent_um[0], 0.5 * extent_um[1]) if centre_um is None else centre_um
+    for name, position_um, end_um in zip((a, b), centre, extent_um, strict=True):
         # An axis further outside is taken for a mistake.
-        if not -0.5 * end <= position <= 1.5 * end:
+        if not -0.5 * end_um <= position_um <= 1.5 * end_um:
             raise InputError(
-                f"The axis of rotation would stand at {name} = {position:g} um; the field runs from 0 to {end:g} um. "
-                f"Give --rotation-centre-um as {a},{b} in um from the first voxel."
+                f"The axis of rotation would stand at {name} = {position_um:g} um; the field runs from 0 to {end_um:g} "
+                f"um. Give --rotation-centre-um as {a},{b} in um from the first voxel."
             )
     return Turning(axis=axis, centre_um=centre, pitch_um=pitch, shape=shape)
 
 
 Counts = NDArray[np.int64]
 Slice = NDArray[Any]
+Labels = NDArray[np.uint8]  # 0, or one more than the number of the material
 
 AIR, BASE, BRIGHT = 0, 1, 2
 MATERIALS = ("air", "base", "coating")
@@ -231,103 +233,101 @@ class Sums:
 
 
 def slices_of(
-    volume: xr.DataArray, turning: Turning, *, most: int | None = None, memory_bytes: int
+    volume: xr.DataArray, turning: Turning, *, max_slices: int | None = None, memory_bytes: int
 ) -> Iterator[tuple[int, Slice]]:
     """Give (number, slice across the axis) in order; every so many where the volume is large."""
     length, rows, cols = turning.shape
-    stride = max(1, -(-length * rows * cols // _MOST)) if most is None else max(1, length // most)
+    stride = max(1, -(-length * rows * cols // _MOST)) if max_slices is None else max(1, length // max_slices)
     numbers = range(stride // 2, length, stride)
     # A slab is in memory, and the one after it while that is read.
-    at_once = max(1, min(int(memory_bytes / (3 * rows * cols * volume.dtype.itemsize)), len(numbers)))
-    for start in range(0, len(numbers), at_once):
-        part = numbers[start : start + at_once]
-        box = {turning.axis: slice(part[0], part[-1] + 1, stride), **dict.fromkeys(turning.plane, slice(None))}
-        slab = read_box(volume, box)
-        for k, number in enumerate(part):
-            yield number, np.ascontiguousarray(slab[k])
+    slab_length = max(1, min(int(memory_bytes / (3 * rows * cols * volume.dtype.itemsize)), len(numbers)))
+    for start in range(0, len(numbers), slab_length):
+        slab_numbers = numbers[start : start + slab_length]
+        span = slice(slab_numbers[0], slab_numbers[-1] + 1, stride)
+        slab = read_box(volume, {turning.axis: span, **dict.fromkeys(turning.plane, slice(None))})
+        for number, plane in zip(slab_numbers, slab, strict=True):
+            yield number, np.ascontiguousarray(plane)
 
 
 def take_sums(slices: Iterator[tuple[int, Slice]], turning: Turning, levels: Levels, *, threads: int) -> Sums:
     """Add up all slices."""
     length = turning.shape[0]
     blocks = int(np.clip(length // _LEAST_BLOCK, 1, _BLOCKS))
-    offsets = turning.offsets_um(*(np.arange(n) for n in turning.shape[1:]))
-    radius = np.hypot(*offsets)
+    offsets_um = turning.offsets_um(*(np.arange(n) for n in turning.shape[1:]))
+    radius = np.hypot(*offsets_um)
     # Parts of the turn begin at the axes of the array.
-    sectors = np.minimum((np.arctan2(*offsets) / (2 * np.pi) % 1.0 * SECTORS).astype(np.int64), SECTORS - 1)
-    bins = (radius / turning.step_um).astype(np.int64)
-    coarse = np.minimum((radius / turning.farthest_um * COARSE).astype(np.int64), COARSE - 1)
-    count = np.zeros((blocks, SECTORS, len(MATERIALS), turning.bins), np.int64)
-    total = np.zeros_like(count)
-    histogram = np.zeros((blocks, QUARTERS, COARSE, DEPTHS.size, GREYS.size - 1), np.int64)
+    sectors = np.minimum((np.arctan2(*offsets_um) / (2 * np.pi) % 1.0 * SECTORS).astype(np.int64), SECTORS - 1)
+    radius_bins = (radius / turning.step_um).astype(np.int64)
+    coarse_bins = np.minimum((radius / turning.farthest_um * COARSE).astype(np.int64), COARSE - 1)
     quarters = sectors * QUARTERS // SECTORS
-    level = np.zeros((len(MATERIALS), 2), np.int64)
-    done = 0
+    sums = Sums(
+        count=np.zeros((blocks, SECTORS, len(MATERIALS), turning.bins), np.int64),
+        total=np.zeros((blocks, SECTORS, len(MATERIALS), turning.bins), np.int64),
+        histogram=np.zeros((blocks, QUARTERS, COARSE, DEPTHS.size, GREYS.size - 1), np.int64),
+        level=np.zeros((len(MATERIALS), 2), np.int64),
+        blocks=(np.arange(blocks) + 0.5) * length / blocks - 0.5,
+        slices=0,
+    )
+    n_slices = 0
     with thread_pool(threads) as pool:
-        while group := list(islice(slices, 16)):  # slices that are worked on together
-            for number, grey, kind, depth in pool.map(partial(_classify, levels=levels), group):
+        while batch := list(islice(slices, 16)):  # slices that are worked on together
+            for number, grey, label, depth in pool.map(partial(_classify, levels=levels), batch):
                 k = min(int(number * blocks / length), blocks - 1)
-                _add_to_rings(grey, kind, depth, bins, sectors, count[k], total[k], level)
-                _add_to_histogram(grey, kind, depth, quarters, coarse, histogram[k])
-                done += 1
-    middles = (np.arange(blocks) + 0.5) * length / blocks - 0.5
-    return Sums(count=count, total=total, histogram=histogram, blocks=middles, level=level, slices=done)
+                _add_to_rings(sums, k, grey, label, depth, radius_bins, sectors)
+                _add_to_histogram(sums.histogram[k], grey, label, depth, quarters, coarse_bins)
+            n_slices += len(batch)
+    return replace(sums, slices=n_slices)
 
 
 def _add_to_histogram(
-    grey: Counts, kind: NDArray[np.uint8], depth: Counts, quarters: Counts, coarse: Counts, histogram: Counts
+    histogram: Counts, grey: Counts, label: Labels, depth: Counts, quarters: Counts, coarse_bins: Counts
 ) -> None:
     """Count the voxels of a slice inside the sheet by quarter of the turn, radius, depth and grey."""
-    fine = np.clip(((grey / UNIT - GREYS[0]) / (GREYS[1] - GREYS[0])).astype(np.int64), 0, GREYS.size - 2)
-    deep = np.searchsorted(DEPTHS, depth, side="right") - 1
-    cells = np.ravel_multi_index((quarters, coarse, deep, fine), histogram.shape)[kind > 1 + AIR]
-    histogram += np.bincount(cells, minlength=histogram.size).reshape(histogram.shape)
+    grey_bins = np.clip(((grey / UNIT - GREYS[0]) / (GREYS[1] - GREYS[0])).astype(np.int64), 0, GREYS.size - 2)
+    depth_classes = np.searchsorted(DEPTHS, depth, side="right") - 1
+    cells = np.ravel_multi_index((quarters, coarse_bins, depth_classes, grey_bins), histogram.shape)
+    histogram += np.bincount(cells[label > 1 + AIR], minlength=histogram.size).reshape(histogram.shape)
 
 
 def _add_to_rings(
-    grey: Counts,
-    kind: NDArray[np.uint8],
-    depth: Counts,
-    bins: Counts,
-    sectors: Counts,
-    count: Counts,
-    total: Counts,
-    level: Counts,
+    sums: Sums, block: int, grey: Counts, label: Labels, depth: Counts, radius_bins: Counts, sectors: Counts
 ) -> None:
     """Add the voxels of a slice to their circles, less the mean of their material at their depth in this slice."""
     # Near the axis a circle runs along the layers of a sheet. A layer is as bright as it is everywhere at its depth,
     # and so leaves nothing; a ring does. Sums of whole numbers are exact in double precision.
-    is_classified = kind > 0
-    greys, material = grey[is_classified], kind[is_classified].astype(np.int64) - 1
-    deepest = _DEEPEST + 1
-    layer, layers = material * deepest + depth[is_classified], len(MATERIALS) * deepest
-    n, sums = np.bincount(layer, minlength=layers), np.bincount(layer, greys, layers)
-    level[:, 0] += n.reshape(-1, deepest).sum(axis=1)
-    level[:, 1] += sums.reshape(-1, deepest).sum(axis=1).astype(np.int64)
-    enough = n[layer] >= 32  # voxels of a material at one depth, for its mean grey
-    mean = np.rint(sums / np.maximum(n, 1)).astype(np.int64)
-    cells = np.ravel_multi_index((sectors[is_classified], material, bins[is_classified]), count.shape)[enough]
-    count += np.bincount(cells, minlength=count.size).reshape(count.shape)
-    more = np.bincount(cells, (greys - mean[layer])[enough], count.size)
-    total += more.astype(np.int64).reshape(count.shape)
+    is_classified = label > 0
+    greys, material = grey[is_classified], label[is_classified].astype(np.int64) - 1
+    n_depths = _DEEPEST + 1
+    layer, n_layers = material * n_depths + depth[is_classified], len(MATERIALS) * n_depths
+    layer_counts, layer_sums = np.bincount(layer, minlength=n_layers), np.bincount(layer, greys, n_layers)
+    sums.level[:, 0] += layer_counts.reshape(-1, n_depths).sum(axis=1)
+    sums.level[:, 1] += layer_sums.reshape(-1, n_depths).sum(axis=1).astype(np.int64)
+    has_enough = layer_counts[layer] >= 32  # voxels of a material at one depth, for its mean grey
+    layer_mean = np.rint(layer_sums / np.maximum(layer_counts, 1)).astype(np.int64)
+    shape, size = sums.count[block].shape, sums.count[block].size
+    cells = np.ravel_multi_index((sectors[is_classified], material, radius_bins[is_classified]), shape)[has_enough]
+    sums.count[block] += np.bincount(cells, minlength=size).reshape(shape)
+    cell_sums = np.bincount(cells, (greys - layer_mean[layer])[has_enough], size)
+    sums.total[block] += cell_sums.astype(np.int64).reshape(shape)
 
 
-def _classify(numbered: tuple[int, Slice], levels: Levels) -> tuple[int, Counts, NDArray[np.uint8], Counts]:
+def _classify(numbered_slice: tuple[int, Slice], levels: Levels) -> tuple[int, Counts, Labels, Counts]:
     """Number, grey above air in whole numbers, material of each voxel well inside one, and its depth below the face."""
     # The material comes from the smoothed slice, with wide limits: a ring of some per cent does not choose its voxels.
-    number, plane = numbered
-    smooth, empty = smoothed(plane), missing(plane, levels.padding)
-    solid = (smooth > levels.split) & ~empty
-    air = (np.abs(smooth - levels.air) < 0.15 * levels.contrast) & ~empty  # by so much it may be off
+    number, plane = numbered_slice
+    smoothed_plane, is_missing = smoothed(plane), missing(plane, levels.padding)
+    is_solid = (smoothed_plane > levels.split) & ~is_missing
+    is_air = (np.abs(smoothed_plane - levels.air) < 0.15 * levels.contrast) & ~is_missing  # by so much it may be off
     depth = np.zeros(plane.shape, np.int64)
-    kind = np.zeros(plane.shape, np.uint8)
-    for mask in (solid,) if levels.air_cut else (solid, air):
-        deep = np.asarray(ndimage.distance_transform_cdt(mask, "chessboard"), np.int64)
+    label = np.zeros(plane.shape, np.uint8)
+    for mask in (is_solid,) if levels.air_cut else (is_solid, is_air):
+        distance = np.asarray(ndimage.distance_transform_cdt(mask, "chessboard"), np.int64)
         if mask.all():
-            deep[:] = _DEEPEST
-        inside = deep > 3  # from a face: so far reaches its blur
-        depth[inside] = np.minimum(deep[inside], _DEEPEST)
-        kind[inside] = 1 + AIR if mask is air else np.where(smooth[inside] > levels.middle, 1 + BRIGHT, 1 + BASE)
-    share = (np.nan_to_num(plane.astype(np.float64), posinf=0.0, neginf=0.0) - levels.air) / levels.contrast
-    grey = np.rint(np.clip(share, GREYS[0], GREYS[-1]) * UNIT).astype(np.int64)
-    return number, grey, kind, depth
+            distance[:] = _DEEPEST
+        is_inside = distance > 3  # from a face: so far reaches its blur
+        depth[is_inside] = np.minimum(distance[is_inside], _DEEPEST)
+        solid_label = np.where(smoothed_plane[is_inside] > levels.middle, 1 + BRIGHT, 1 + BASE)
+        label[is_inside] = 1 + AIR if mask is is_air else solid_label
+    contrast_share = (np.nan_to_num(plane.astype(np.float64), posinf=0.0, neginf=0.0) - levels.air) / levels.contrast
+    grey = np.rint(np.clip(contrast_share, GREYS[0], GREYS[-1]) * UNIT).astype(np.int64)
+    return number, grey, label, depth

@@ -41,36 +41,36 @@ class Change(NamedTuple):
     ) -> tuple[NDArray[Any], int]:
         """Correct a block (along, rows, cols) with its places in the array; return it and how many were clipped."""
         radius = np.hypot(*self.turning.offsets_um(rows, cols))
-        cup = np.ones(radius.shape)
+        cupping_factor = np.ones(radius.shape)
         if self.cupping is not None:
-            cup = factor(self.cupping.powers, radius / self.cupping.reach_um) / self.mean_factor
+            cupping_factor = factor(self.cupping.powers, radius / self.cupping.reach_um) / self.mean_factor
         last = self.turning.bins - 1
         bin_position = np.clip(radius / self.turning.step_um - 0.5, 0.0, last)
-        inner = np.minimum(bin_position.astype(np.intp), last - 1)
-        share = bin_position - inner
+        lower_bin = np.minimum(bin_position.astype(np.intp), last - 1)
+        weight = bin_position - lower_bin
         tables = None if self.rings is None else self.levels.contrast * self.rings.tables(self.blocks, along)
-        whole, air = values.dtype.kind in "ui", self.levels.air
-        limits = np.iinfo(values.dtype) if whole else np.finfo(values.dtype)
+        is_integer, air = values.dtype.kind in "ui", self.levels.air
+        limits = np.iinfo(values.dtype) if is_integer else np.finfo(values.dtype)
         out, clipped = np.empty_like(values), 0
         for k, plane in enumerate(values):
             grey = plane.astype(np.float64)
-            ring = 0.0 if tables is None else tables[k, inner] * (1.0 - share) + tables[k, inner + 1] * share
-            changed = air + (grey - ring - air) / cup
-            changed = np.rint(changed) if whole else changed
-            within = np.clip(changed, float(limits.min), float(limits.max))
+            ring = 0.0 if tables is None else tables[k, lower_bin] * (1.0 - weight) + tables[k, lower_bin + 1] * weight
+            corrected = air + (grey - ring - air) / cupping_factor
+            corrected = np.rint(corrected) if is_integer else corrected
+            limited = np.clip(corrected, float(limits.min), float(limits.max))
             is_empty = (grey == self.levels.padding) | ~np.isfinite(grey)
-            clipped += np.count_nonzero((within != changed) & ~is_empty)
-            out[k] = np.where(is_empty, plane, within)
+            clipped += np.count_nonzero((limited != corrected) & ~is_empty)
+            out[k] = np.where(is_empty, plane, limited)
         return out, int(clipped)
 
 
 def _read_corrected(volume: xr.Variable, change: Change, where: Where) -> NDArray[Any]:
     """Read a part of a volume and correct it; a voxel does not depend on the part."""
-    order = change.turning.order
-    places = [np.arange(w.start, w.stop, w.step) for w in where]
-    values = np.transpose(volume[where].values, order)
-    out, _ = change.apply(values, *(places[axis] for axis in order))
-    return np.transpose(out, np.argsort(order))
+    axis_order = change.turning.order
+    indices = [np.arange(w.start, w.stop, w.step) for w in where]
+    values = np.transpose(volume[where].values, axis_order)
+    out, _ = change.apply(values, *(indices[axis] for axis in axis_order))
+    return np.transpose(out, np.argsort(axis_order))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -147,19 +147,19 @@ def correct_volume(
             "--correct-rings and --correct-cupping."
         )
     turning = make_turning(volume, params.axis, params.centre_um)
-    length, rows, cols = (np.arange(n) for n in turning.shape)
-    record = CorrectionRecord(axis=params.axis, centre_um=turning.centre_um, asked=params.asked, length=length.size)
+    length, (rows, cols) = turning.shape[0], (np.arange(n) for n in turning.shape[1:])
+    record = CorrectionRecord(axis=params.axis, centre_um=turning.centre_um, asked=params.asked, length=length)
     slices = partial(slices_of, volume, turning, memory_bytes=memory_bytes)
     # A first look at some slices.
-    levels = find_levels([values for _, values in slices(most=24)], np.hypot(*turning.offsets_um(rows, cols)))
+    levels = find_levels([values for _, values in slices(max_slices=24)], np.hypot(*turning.offsets_um(rows, cols)))
     if levels is None:
         record = replace(record, sentences=("No sheet stands out from the air: nothing was corrected.",))
         return Corrected(volume=_with_record(volume, record), record=record, turning=turning)
     record = replace(record, air=levels.air, sheet=levels.sheet)
 
-    def sums(slices: Iterator[tuple[int, Slice]], task: str) -> Sums:
+    def sums(slices: Iterator[tuple[int, Slice]], task_text: str) -> Sums:
         if progress is not None:
-            progress(task, f"{length.size} slices across {params.axis}")
+            progress(task_text, f"{length} slices across {params.axis}")
         return take_sums(slices, turning, levels, threads=count_threads(threads))
 
     before = sums(slices(), "rings and cupping")
@@ -178,11 +178,11 @@ def correct_volume(
 
     after = sums(changed(), "what is left")
     rings_after = find_rings(after, turning, levels.contrast)
-    losses = {t.material: t.before for t in find_cupping(after, turning, levels, rings_after.mean)[1]}
+    losses_after = {t.material: t.before for t in find_cupping(after, turning, levels, rings_after.mean)[1]}
     record = replace(
         record,
         rings=() if change.rings is None else remaining_rings(change.rings, rings_after),
-        trends=tuple(replace(t, after=losses.get(t.material)) for t in record.trends),
+        trends=tuple(replace(t, after=losses_after.get(t.material)) for t in record.trends),
         clipped=clipped[0] / clipped[1],
     )
     corrected = _with_record(computed(volume, partial(_read_corrected, volume.variable, change)), record)
@@ -194,31 +194,31 @@ def _with_record(volume: xr.DataArray, record: CorrectionRecord) -> xr.DataArray
 
 
 def _find_change(
-    before: Sums, turning: Turning, levels: Levels, record: CorrectionRecord
+    sums_before: Sums, turning: Turning, levels: Levels, record: CorrectionRecord
 ) -> tuple[Change, CorrectionRecord]:
     """Find the change that the volume needs, and note it with its reasons in the record."""
     sentences: list[str] = []
-    fit = find_rings(before, turning, levels.contrast)
-    cupping, trends, of_cupping = find_cupping(before, turning, levels, fit.mean)
+    ring_fit = find_rings(sums_before, turning, levels.contrast)
+    cupping, trends, cupping_text = find_cupping(sums_before, turning, levels, ring_fit.mean)
     if "rings" in record.asked:
-        record = replace(record, rings=fit.rings, ring_limit=fit.limit)
-        limit = f"one of {100 * fit.limit:.1f} % of the sheet's contrast would have been found"
-        sentence = f"Rings: no rings above noise ({limit}), nothing was corrected."
-        if fit.rings:
-            highest = 100 * max(abs(r.share) for r in fit.rings)
-            sentence = f"Rings: {len(fit.rings)} corrected, the highest {highest:.1f} % of the contrast."
+        record = replace(record, rings=ring_fit.rings, ring_limit=ring_fit.limit)
+        limit_text = f"one of {100 * ring_fit.limit:.1f} % of the sheet's contrast would have been found"
+        sentence = f"Rings: no rings above noise ({limit_text}), nothing was corrected."
+        if ring_fit.rings:
+            highest_percent = 100 * max(abs(r.share) for r in ring_fit.rings)
+            sentence = f"Rings: {len(ring_fit.rings)} corrected, the highest {highest_percent:.1f} % of the contrast."
         sentences.append(sentence)
     if "cupping" in record.asked:
-        sentences.append(of_cupping)
+        sentences.append(cupping_text)
     else:
         cupping = None
-    record = replace(record, slices=before.slices, cupping=cupping, trends=trends, sentences=tuple(sentences))
+    record = replace(record, slices=sums_before.slices, cupping=cupping, trends=trends, sentences=tuple(sentences))
     change = Change(
         turning=turning,
         levels=levels,
-        rings=fit if record.rings else None,
+        rings=ring_fit if record.rings else None,
         cupping=cupping,
-        blocks=before.blocks,
-        mean_factor=1.0 if cupping is None else middle_factor(before, turning, cupping),
+        blocks=sums_before.blocks,
+        mean_factor=1.0 if cupping is None else middle_factor(sums_before, turning, cupping),
     )
     return change, record

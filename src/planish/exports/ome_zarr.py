@@ -14,7 +14,7 @@ import zarr
 from numpy.typing import NDArray
 from zarr.codecs import BloscCodec, Crc32cCodec
 
-from planish.core.area import count_of, halved_values
+from planish.core.area import halved_values, overview_count
 from planish.core.bands import BAND, bands
 from planish.exports.content import ExportHistory, Maps, percentile_limits
 from planish.exports.formats import ExportParams
@@ -29,7 +29,7 @@ def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams)
     names, shapes = maps.names, [maps.shape]
     has_channels = len(names) > 1
     group = zarr.open_group(path, mode="w-", zarr_format=3)
-    for _ in range(count_of(maps.shape)):
+    for _ in range(overview_count(maps.shape)):
         shapes.append(((shapes[-1][0] + 1) // 2, (shapes[-1][1] + 1) // 2))
     channel_dims = (len(names),) if has_channels else ()
     codecs = (BloscCodec(cname="lz4", clevel=1, shuffle="shuffle"), Crc32cCodec())

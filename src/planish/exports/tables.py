@@ -89,8 +89,8 @@ def _points(maps: Maps, names: list[str], point_um: float) -> Iterator[Floats]:
     """Give the columns (x, y, every map, share of valid pixels; n) of all points."""
     pixel_um = maps.pixel_um
     pixels_per_point = point_um / pixel_um[0], point_um / pixel_um[1]
-    validity = AreaMeans(maps.shape, pixels_per_point, least=0.0)
-    means = {name: AreaMeans(maps.shape, pixels_per_point, least=_LEAST) for name in names}
+    validity = AreaMeans(maps.shape, pixels_per_point, least_share=0.0)
+    means = {name: AreaMeans(maps.shape, pixels_per_point, least_share=_LEAST) for name in names}
     for rows in bands(maps.shape[0]):
         map_bands = {name: band_of(maps.data[name], rows).astype(np.float64) for name in names}
         if "valid" in maps.data:

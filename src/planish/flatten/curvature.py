@@ -106,58 +106,58 @@ def curvature_check(points: Floats, *, patch_um: float = 1000.0) -> CurvatureChe
     Slices shifted along the sheet's thickness imitate Gaussian curvature only where the sheet is bent within the slices
     too; a shift that grows evenly shears the stack, leaves a cylinder a cylinder and is not found here.
     """
-    lacking, area = _turn_and_area(points)
-    inside = np.isfinite(lacking)
+    angle_deficit, area = _deficit_and_area(points)
+    inside = np.isfinite(angle_deficit)
     curvature = np.full(inside.shape, np.nan)
     if inside.any():
         lengths = (np.linalg.norm(np.diff(points, axis=axis), axis=-1) for axis in (0, 1))
         pitch = [float(np.median(k)) if k.size else np.inf for k in (e[np.isfinite(e)] for e in lengths)]
         # Weights rise smoothly from 0 beside the nodes without a full turn to 1 a third of the half-side from them.
-        away = ndimage.distance_transform_edt(np.pad(inside, 1), sampling=pitch)[1:-1, 1:-1]
-        share = np.minimum(away / (patch_um * (1 / 3)), 1.0)
-        weight = share * share * (3 - 2 * share)
-        window = [patch_um / np.sqrt(3) / p for p in pitch]
+        distance_um = ndimage.distance_transform_edt(np.pad(inside, 1), sampling=pitch)[1:-1, 1:-1]
+        ramp = np.minimum(distance_um / (patch_um * (1 / 3)), 1.0)
+        weight = ramp * ramp * (3 - 2 * ramp)
+        sigma_px = [patch_um / np.sqrt(3) / p for p in pitch]
 
         def over_patch(values: Floats) -> Floats:
             weighted = np.where(inside, weight * values, 0.0)
-            return ndimage.gaussian_filter(weighted, window, mode="constant", truncate=3.0)
+            return ndimage.gaussian_filter(weighted, sigma_px, mode="constant", truncate=3.0)
 
         is_covered = inside & (over_patch(np.ones(inside.shape)) >= 0.5)
-        curvature[is_covered] = over_patch(lacking)[is_covered] / over_patch(area)[is_covered]
+        curvature[is_covered] = over_patch(angle_deficit)[is_covered] / over_patch(area)[is_covered]
     strain = np.abs(curvature) * patch_um**2 / 16
-    is_judged = np.isfinite(strain)
-    share = largest = np.nan
-    if is_judged.any():
-        share = float(area[strain > _LIMIT].sum() / area[is_judged].sum())
-        largest = float(strain[is_judged].max())
+    has_strain = np.isfinite(strain)
+    share_above = largest = np.nan
+    if has_strain.any():
+        share_above = float(area[strain > _LIMIT].sum() / area[has_strain].sum())
+        largest = float(strain[has_strain].max())
     return CurvatureCheck(
-        curvature=curvature, strain=strain, patch_um=patch_um, limit=_LIMIT, share=share, largest=largest
+        curvature=curvature, strain=strain, patch_um=patch_um, limit=_LIMIT, share=share_above, largest=largest
     )
 
 
-def _turn_and_area(points: Floats) -> tuple[Floats, Floats]:
+def _deficit_and_area(points: Floats) -> tuple[Floats, Floats]:
     """Give what the angles about each node lack of a full turn, and the area of a third of its triangles."""
     # Both (rows, cols); NaN unless the node has four whole cells, cut along their first diagonal, about it.
     angles, area = (np.zeros(points.shape[:2]) for _ in range(2))
     for nodes in node_blocks(points):
-        block, turn, share = points[nodes], angles[nodes], area[nodes]
+        block_points, block_angles, block_area = points[nodes], angles[nodes], area[nodes]
         for p, q, r in _HALVES:
-            pq, pr = block[q] - block[p], block[r] - block[p]
+            pq, pr = block_points[q] - block_points[p], block_points[r] - block_points[p]
             normal = np.cross(pq, pr)
-            twice = np.sqrt(_dot(normal, normal))
-            with_p = _dot(pq, pr)
-            at_p = np.arctan2(twice, with_p)
-            at_q = np.arctan2(twice, _dot(pq, pq) - with_p)
-            turn[p] += at_p
-            turn[q] += at_q
-            turn[r] += np.pi - at_p - at_q
+            twice_area = np.sqrt(_dot(normal, normal))
+            pq_dot_pr = _dot(pq, pr)
+            at_p = np.arctan2(twice_area, pq_dot_pr)
+            at_q = np.arctan2(twice_area, _dot(pq, pq) - pq_dot_pr)
+            block_angles[p] += at_p
+            block_angles[q] += at_q
+            block_angles[r] += np.pi - at_p - at_q
             for k in (p, q, r):
-                share[k] += twice / 6
-    lacking = 2 * np.pi - angles
+                block_area[k] += twice_area / 6
+    angle_deficit = 2 * np.pi - angles
     # Nodes of the outline have no full turn.
-    lacking[[0, -1]] = lacking[:, [0, -1]] = np.nan
-    area[np.isnan(lacking)] = np.nan
-    return lacking, area
+    angle_deficit[[0, -1]] = angle_deficit[:, [0, -1]] = np.nan
+    area[np.isnan(angle_deficit)] = np.nan
+    return angle_deficit, area
 
 
 def _dot(p: Floats, q: Floats) -> Floats:

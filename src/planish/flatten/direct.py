@@ -42,15 +42,15 @@ class Network(NamedTuple):
 
     def energy(self, uv: Floats) -> float:
         """Sum over the springs of k (l - L)^2 for the places ``uv`` (nodes, 2)."""
-        long = np.linalg.norm(uv[self.second] - uv[self.first], axis=1)
-        return float(np.sum(self.stiff * (long - self.rest) ** 2))
+        lengths = np.linalg.norm(uv[self.second] - uv[self.first], axis=1)
+        return float(np.sum(self.stiff * (lengths - self.rest) ** 2))
 
     def forces(self, uv: Floats) -> Floats:
         """Minus half the energy's gradient, (nodes, 2)."""
-        step = uv[self.second] - uv[self.first]
+        vectors = uv[self.second] - uv[self.first]
         # Two nodes on one spot have no direction; such a spring pulls nowhere instead of to infinity.
-        long = np.maximum(np.linalg.norm(step, axis=1), 1e-150)
-        pull = step * (self.stiff * (1 - self.rest / long))[:, None]
+        lengths = np.maximum(np.linalg.norm(vectors, axis=1), 1e-150)
+        pull = vectors * (self.stiff * (1 - self.rest / lengths))[:, None]
         return np.stack(
             [np.bincount(self.first, p, len(uv)) - np.bincount(self.second, p, len(uv)) for p in pull.T],
             axis=1, dtype=np.float64,
@@ -62,37 +62,37 @@ class Network(NamedTuple):
         The Gauss-Newton part k d d', and if ``exact`` also k (1 - L / l) (1 - d d') of the springs under tension;
         that of compressed ones would make the matrix indefinite.
         """
-        d, bend = self._directions(uv, exact)
-        block = self.stiff * (d.T[:, None] * d.T * (1 - bend) + np.eye(2)[..., None] * bend)
+        d, transverse_share = self._directions(uv, exact)
+        block = self.stiff * (d.T[:, None] * d.T * (1 - transverse_share) + np.eye(2)[..., None] * transverse_share)
         # For both axes of either end, the four pairs of ends: (2, 2, 4, springs).
         values = block[:, :, None] * np.array([1.0, 1.0, -1.0, -1.0])[:, None]
         ends = np.stack([self.first, self.second, self.first, self.second])
-        partners = np.stack([self.first, self.second, self.second, self.first])
-        row, col = 2 * ends + np.arange(2)[:, None, None, None], 2 * partners + np.arange(2)[:, None, None]
-        places = (np.broadcast_to(k, values.shape).ravel() for k in (row, col))
+        other_ends = np.stack([self.first, self.second, self.second, self.first])
+        row, col = 2 * ends + np.arange(2)[:, None, None, None], 2 * other_ends + np.arange(2)[:, None, None]
+        indices = (np.broadcast_to(k, values.shape).ravel() for k in (row, col))
         size = 2 * len(uv)
-        whole = sparse.coo_array((values.ravel(), tuple(places)), (size, size))
-        return (whole + _TIE * sparse.eye_array(size)).tocsc()
+        stiffness = sparse.coo_array((values.ravel(), tuple(indices)), (size, size))
+        return (stiffness + _TIE * sparse.eye_array(size)).tocsc()
 
     def full_matrix(self, uv: Floats, *, exact: bool) -> Floats:
         """As ``matrix``, of a small network and without ties."""
-        d, bend = self._directions(uv, exact)
-        ends, springs = np.zeros((len(self.rest), len(uv))), np.arange(len(self.rest))
-        ends[springs, self.first], ends[springs, self.second] = -1.0, 1.0
-        along = (d[:, None, :] * ends[:, :, None]).reshape(len(self.rest), -1)
-        out = along.T @ ((self.stiff * (1 - bend))[:, None] * along)
+        d, transverse_share = self._directions(uv, exact)
+        incidence, spring_indices = np.zeros((len(self.rest), len(uv))), np.arange(len(self.rest))
+        incidence[spring_indices, self.first], incidence[spring_indices, self.second] = -1.0, 1.0
+        along = (d[:, None, :] * incidence[:, :, None]).reshape(len(self.rest), -1)
+        stiffness = along.T @ ((self.stiff * (1 - transverse_share))[:, None] * along)
         if exact:
-            across = ends.T @ ((self.stiff * bend)[:, None] * ends)
-            out[::2, ::2] += across
-            out[1::2, 1::2] += across
-        return out
+            across = incidence.T @ ((self.stiff * transverse_share)[:, None] * incidence)
+            stiffness[::2, ::2] += across
+            stiffness[1::2, 1::2] += across
+        return stiffness
 
     def _directions(self, uv: Floats, exact: bool) -> tuple[Floats, Floats]:
         """Unit vectors of the springs, and the share of their stiffness that acts across them."""
-        step = uv[self.second] - uv[self.first]
-        long = np.maximum(np.linalg.norm(step, axis=1), 1e-150)
-        bend = np.maximum(1 - self.rest / long, 0.0) if exact else np.zeros_like(long)
-        return step / long[:, None], bend
+        vectors = uv[self.second] - uv[self.first]
+        lengths = np.maximum(np.linalg.norm(vectors, axis=1), 1e-150)
+        transverse_share = np.maximum(1 - self.rest / lengths, 0.0) if exact else np.zeros_like(lengths)
+        return vectors / lengths[:, None], transverse_share
 
 
 class StiffnessSolver:
@@ -138,17 +138,17 @@ def relax_exactly(network: Network, uv: Floats, *, tolerance: float = 1e-10) -> 
 
     A step is shortened until the energy falls.
     """
-    now = network.energy(uv)
+    energy = network.energy(uv)
     for _ in range(60):
         move = StiffnessSolver(network, uv, exact=True)(network.forces(uv))
         if not np.isfinite(move).all():
             return uv
-        share, longest = 1.0, float(np.abs(move).max())
-        while (trial := network.energy(uv + share * move)) > now:
+        share, largest_move = 1.0, float(np.abs(move).max())
+        while (trial_energy := network.energy(uv + share * move)) > energy:
             share *= 0.5
             if share < 1e-4:
                 return uv
-        uv, now = uv + share * move, trial
-        if longest < tolerance:
+        uv, energy = uv + share * move, trial_energy
+        if largest_move < tolerance:
             break
     return uv

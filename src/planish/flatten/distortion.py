@@ -101,13 +101,13 @@ def folded_cells(points: Floats, uv: Floats, *, side: float = 1.0, floor: float 
     ``side`` is -1 where columns and rows of the grid run in the opposite sense to u and v; ``floor`` is the share of
     a cell's half area in space, from the product of its diagonals, that a triangle must exceed.
     """
-    least = 0.0
+    least_area = 0.0
     if floor:
         across, rising = points[1:, 1:] - points[:-1, :-1], points[1:, :-1] - points[:-1, 1:]
-        least = floor * 0.5 * np.linalg.norm(across, axis=-1) * np.linalg.norm(rising, axis=-1)
+        least_area = floor * 0.5 * np.linalg.norm(across, axis=-1) * np.linalg.norm(rising, axis=-1)
     with np.errstate(invalid="ignore"):
         first, second = triangle_areas(uv)
-        return np.minimum(side * first, side * second) <= least
+        return np.minimum(side * first, side * second) <= least_area
 
 
 def random_places(whole: Bools, count: int, rng: np.random.Generator) -> MeshPoints:
@@ -128,51 +128,53 @@ def trace_lines(points: Floats, uv: Floats, start: MeshPoints, end: MeshPoints) 
     triangle that is turned over); no intersection is ever searched, and corners on the line do no harm. In folded cells
     a line follows the sheet there and back.
     """
-    inside = np.pad(whole_cells(points, uv), 1)
-    first, goal = start.on(uv), end.on(points)
-    along = end.on(uv) - first
-    flat = np.hypot(*along.T)
-    space = np.full(flat.size, np.nan)
-    target = np.stack([end.row, end.col, end.half], axis=1)
-    turned = np.stack(triangle_areas(uv))[start.half, start.row, start.col] < 0
+    is_cell = np.pad(whole_cells(points, uv), 1)
+    origin, goals = start.on(uv), end.on(points)
+    vector = end.on(uv) - origin
+    flat_um = np.hypot(*vector.T)
+    space_um = np.full(flat_um.size, np.nan)
+    end_triangle = np.stack([end.row, end.col, end.half], axis=1)
+    is_turned = np.stack(triangle_areas(uv))[start.half, start.row, start.col] < 0
 
     # Lines that have not arrived: number, triangle; and last place on the surface, length so far.
-    walk: Index = np.stack([np.arange(flat.size), start.row, start.col, start.half], axis=1)
-    path: Floats = np.column_stack([start.on(points), np.zeros(flat.size)])
+    triangles: Index = np.stack([np.arange(flat_um.size), start.row, start.col, start.half], axis=1)
+    positions: Floats = np.column_stack([start.on(points), np.zeros(flat_um.size)])
     # No line crosses so many triangles unless it winds through folded cells.
     for _ in range(20 * sum(points.shape[:2])):
-        has_arrived = (walk[:, 1:] == target[walk[:, 0]]).all(axis=1)
-        arrived = walk[has_arrived, 0]
-        space[arrived] = path[has_arrived, 3] + np.linalg.norm(goal[arrived] - path[has_arrived, :3], axis=1)
-        walk, path = walk[~has_arrived], path[~has_arrived]
-        if walk.size == 0:
+        has_arrived = (triangles[:, 1:] == end_triangle[triangles[:, 0]]).all(axis=1)
+        arrived = triangles[has_arrived, 0]
+        rest_um = np.linalg.norm(goals[arrived] - positions[has_arrived, :3], axis=1)
+        space_um[arrived] = positions[has_arrived, 3] + rest_um
+        triangles, positions = triangles[~has_arrived], positions[~has_arrived]
+        if triangles.size == 0:
             break
-        line = walk[:, 0]
-        exits, walk, crosses = _leave_triangles(points, uv, walk, first[line], along[line], turned[line])
-        path = np.column_stack([exits, path[:, 3] + np.linalg.norm(exits - path[:, :3], axis=1)])
-        is_on_sheet = crosses & inside[walk[:, 1] + 1, walk[:, 2] + 1]
-        walk, path = walk[is_on_sheet], path[is_on_sheet]
-    return flat, space
+        line = triangles[:, 0]
+        start_turned = (origin[line], vector[line], is_turned[line])
+        exits, triangles, has_exit = _leave_triangles(points, uv, triangles, *start_turned)
+        positions = np.column_stack([exits, positions[:, 3] + np.linalg.norm(exits - positions[:, :3], axis=1)])
+        is_on_sheet = has_exit & is_cell[triangles[:, 1] + 1, triangles[:, 2] + 1]
+        triangles, positions = triangles[is_on_sheet], positions[is_on_sheet]
+    return flat_um, space_um
 
 
 def _leave_triangles(
-    points: Floats, uv: Floats, walk: Index, first: Floats, along: Floats, turned: Bools
+    points: Floats, uv: Floats, triangles: Index, origin: Floats, vector: Floats, is_turned: Bools
 ) -> tuple[Floats, Index, Bools]:
     """Give the points (n, 3) at which lines leave their triangles, the triangles behind, and which cross an edge."""
     # Those that are turned began in a triangle that is turned over.
-    line, row, col, half = walk.T
+    line, row, col, half = triangles.T
     corner = row[:, None] + _CORNERS[half, :, 0], col[:, None] + _CORNERS[half, :, 1]
-    x, y = np.moveaxis(uv[corner] - first[:, None], -1, 0)
-    left = along[:, :1] * y - along[:, 1:] * x
-    right = (left > 0) == turned[:, None]
-    leaves = right & ~right[:, [1, 2, 0]]
-    edge = np.argmax(leaves, axis=1)
-    begin, stop = ((np.arange(line.size), (edge + k) % 3) for k in (0, 1))
-    crosses = leaves.any(axis=1)  # not so where a line starts so close to an edge that rounding put it outside
-    share = left[begin] / np.where(crosses, left[begin] - left[stop], 1.0)
-    a, b = points[corner][begin], points[corner][stop]
+    x, y = np.moveaxis(uv[corner] - origin[:, None], -1, 0)
+    side = vector[:, :1] * y - vector[:, 1:] * x
+    is_right = (side > 0) == is_turned[:, None]
+    is_exit_edge = is_right & ~is_right[:, [1, 2, 0]]
+    edge = np.argmax(is_exit_edge, axis=1)
+    begin_corner, end_corner = ((np.arange(line.size), (edge + k) % 3) for k in (0, 1))
+    has_exit = is_exit_edge.any(axis=1)  # not so where a line starts so close to an edge that rounding put it outside
+    exit_share = side[begin_corner] / np.where(has_exit, side[begin_corner] - side[end_corner], 1.0)
+    a, b = points[corner][begin_corner], points[corner][end_corner]
     down, across, half = _BEHIND[half, edge].T
-    return a + share[:, None] * (b - a), np.stack([line, row + down, col + across, half], axis=1), crosses
+    return a + exit_share[:, None] * (b - a), np.stack([line, row + down, col + across, half], axis=1), has_exit
 
 
 _BLOCK = 100_000  # nodes worked on at a time, so that scratch arrays stay small beside the mesh
@@ -242,8 +244,8 @@ def measure_distortion(
     """
     strain = cell_strain(points, uv) if strain is None else strain
     area = strain["signed_area"].values
-    grown, uneven, direction, moved = _against_projection(points, uv)
-    median, p95, largest = percentiles(moved, 50, 95, 100)
+    scale, scale_ratio, direction, displacements = _against_projection(points, uv)
+    median, p95, largest = percentiles(displacements, 50, 95, 100)
     in_space, in_plane = boundary_lengths(points, uv)
     return Distortion(
         area=_spread(strain["area_ratio"].values - 1),
@@ -254,8 +256,8 @@ def measure_distortion(
         inverted_cells=int(np.count_nonzero(area <= 0)),
         boundary_space_um=in_space,
         boundary_flat_um=in_plane,
-        growth_percent=100 * (grown - 1),
-        growth_anisotropy_percent=100 * (uneven - 1),
+        growth_percent=100 * (scale - 1),
+        growth_anisotropy_percent=100 * (scale_ratio - 1),
         growth_direction_deg=direction,
         displacement_median_um=median,
         displacement_p95_um=p95,
@@ -322,13 +324,13 @@ def node_blocks(points: Floats) -> Iterator[slice]:
 
 def boundary_lengths(points: Floats, uv: Floats) -> tuple[float, float]:
     """Length in um, in space and in the plane, of the edges that border on exactly one whole cell."""
-    inside = np.pad(whole_cells(points, uv), 1)
-    across = inside[1:, 1:-1] != inside[:-1, 1:-1]  # (rows, cols - 1): edges along rows
-    down = inside[1:-1, 1:] != inside[1:-1, :-1]  # (rows - 1, cols)
+    is_cell = np.pad(whole_cells(points, uv), 1)
+    row_edges = is_cell[1:, 1:-1] != is_cell[:-1, 1:-1]  # (rows, cols - 1): edges along rows
+    col_edges = is_cell[1:-1, 1:] != is_cell[1:-1, :-1]  # (rows - 1, cols)
     in_space, in_plane = (
         sum(
             float(np.linalg.norm(np.diff(nodes, axis=axis)[edges], axis=1).sum())
-            for edges, axis in ((across, 1), (down, 0))
+            for edges, axis in ((row_edges, 1), (col_edges, 0))
         )
         for nodes in (points, uv)
     )
@@ -366,9 +368,9 @@ def _cell_edges(nodes: Floats) -> tuple[Floats, Floats]:
 
 
 def _spread(values: Floats) -> Spread:
-    names = ("median", "p5", "p95", "p95_abs", "max_abs")
+    field_names = ("median", "p5", "p95", "p95_abs", "max_abs")
     return Spread(
-        **dict(zip(names, percentiles(values, 50, 5, 95) + percentiles(np.abs(values), 95, 100), strict=True))
+        **dict(zip(field_names, percentiles(values, 50, 5, 95) + percentiles(np.abs(values), 95, 100), strict=True))
     )
 
 
@@ -380,12 +382,12 @@ def _against_projection(points: Floats, uv: Floats) -> tuple[float, float, float
     if len(a) < 3:
         return np.nan, np.nan, np.nan, np.zeros(len(a))
     a, b = a - a.mean(axis=0), b - b.mean(axis=0)
-    inertia, mixed = a.T @ a, b.T @ a
-    grown = float(np.hypot(mixed[0, 0] + mixed[1, 1], mixed[1, 0] - mixed[0, 1]) / np.trace(inertia))
-    turn = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
-    cos, sin = np.cos(turn), np.sin(turn)
-    moves = np.linalg.norm(b - a @ np.array([[cos, sin], [-sin, cos]]), axis=1)
-    if np.linalg.cond(inertia) > 1e12:  # a sheet on edge: its projection is a line
-        return grown, np.nan, np.nan, moves
-    _, size, axes = np.linalg.svd(mixed @ np.linalg.inv(inertia))
-    return grown, float(size[0] / size[1]), float(np.degrees(np.arctan2(axes[0, 1], axes[0, 0])) % 180), moves
+    scatter, cross = a.T @ a, b.T @ a
+    scale = float(np.hypot(cross[0, 0] + cross[1, 1], cross[1, 0] - cross[0, 1]) / np.trace(scatter))
+    rotation = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
+    cos, sin = np.cos(rotation), np.sin(rotation)
+    residuals = np.linalg.norm(b - a @ np.array([[cos, sin], [-sin, cos]]), axis=1)
+    if np.linalg.cond(scatter) > 1e12:  # a sheet on edge: its projection is a line
+        return scale, np.nan, np.nan, residuals
+    _, size, axes = np.linalg.svd(cross @ np.linalg.inv(scatter))
+    return scale, float(size[0] / size[1]), float(np.degrees(np.arctan2(axes[0, 1], axes[0, 0])) % 180), residuals

@@ -99,11 +99,11 @@ class Level:
     @property
     def nodes(self) -> Bools:
         """Mask (rows, cols) of the nodes that a spring holds."""
-        across, down, right, left = self.rest > 0
-        is_held = across | down | right
-        is_held[:, 1:] |= across[:, :-1] | left[:, :-1]
-        is_held[1:] |= down[:-1] | left[:-1]
-        is_held[1:, 1:] |= right[:-1, :-1]
+        row_springs, col_springs, falling_springs, rising_springs = self.rest > 0
+        is_held = row_springs | col_springs | falling_springs
+        is_held[:, 1:] |= row_springs[:, :-1] | rising_springs[:, :-1]
+        is_held[1:] |= col_springs[:-1] | rising_springs[:-1]
+        is_held[1:, 1:] |= falling_springs[:-1, :-1]
         return self.inside(is_held)
 
 
@@ -130,15 +130,15 @@ TRUSTED = 0.1  # share of the median weight below which a node does not count in
 
 def mean_pitch(points: Floats) -> float:
     """Mean distance of neighbours along rows and columns, from some ten of either, in the unit of ``points``."""
-    for lines in (10, max(points.shape)):
-        rows, cols = (max(1, n // lines) for n in points.shape[:2])
+    for n_lines in (10, max(points.shape)):
+        rows, cols = (max(1, n // n_lines) for n in points.shape[:2])
         with np.errstate(invalid="ignore", over="ignore"):
-            steps = [np.diff(points[::rows], axis=1), np.diff(points[:, ::cols], axis=0)]
-            long = np.concatenate([np.sqrt(np.sum(step * step, axis=-1)).ravel() for step in steps])
-        long = long[np.isfinite(long)]
-        if long.size > 1000:
+            vectors = [np.diff(points[::rows], axis=1), np.diff(points[:, ::cols], axis=0)]
+            lengths = np.concatenate([np.sqrt(np.sum(vector * vector, axis=-1)).ravel() for vector in vectors])
+        lengths = lengths[np.isfinite(lengths)]
+        if lengths.size > 1000:
             break
-    pitch = float(long.mean()) if long.size else 0.0
+    pitch = float(lengths.mean()) if lengths.size else 0.0
     if not np.isfinite(pitch) or pitch <= 0:
         raise CannotFlatten(
             "No two neighbours of the mesh have a distance. Give a grid of points (rows, cols, 3) in um, in which "
@@ -155,13 +155,13 @@ def make_springs(points: Floats, pitch: float, rest: Literal["arc", "chord"], te
     """
     rows, cols = points.shape[:2]
     parts = team.parts(rows, cols)
-    lengths, counts = padded(4, rows, cols, np.float64), np.zeros((rows + 2, 2))
-    team.run(rest_lengths, parts, points, 1 / pitch, rest == "arc", lengths, counts)
-    springs, straight = counts.sum(axis=0)
+    lengths, spring_counts = padded(4, rows, cols, np.float64), np.zeros((rows + 2, 2))
+    team.run(rest_lengths, parts, points, 1 / pitch, rest == "arc", lengths, spring_counts)
+    springs, n_straight = spring_counts.sum(axis=0)
     if springs == 0:
         raise CannotFlatten("No two neighbours of the mesh are known. Fill the gaps or use a coarser mesh.")
-    even = np.ones((4, 1, lengths.shape[2]), np.float32)
-    return Level(rows, cols, parts, lengths, even), int(springs), straight / springs if rest == "arc" else np.nan
+    ones = np.ones((4, 1, lengths.shape[2]), np.float32)
+    return Level(rows, cols, parts, lengths, ones), int(springs), n_straight / springs if rest == "arc" else np.nan
 
 
 def stiffen(level: Level, weights: Floats) -> None:
@@ -181,18 +181,18 @@ def loose_nodes(is_node: Bools) -> tuple[Bools, NDArray[np.intp]]:
     corners = sum(is_node[i : i + is_node.shape[0] - 1, j : j + is_node.shape[1] - 1].astype(np.int8)
                   for i in (0, 1) for j in (0, 1))  # fmt: skip
     # Cells at odd places and the edges between them; a path may pass an edge whose two nodes are known.
-    paths = np.zeros((2 * is_node.shape[0] - 1, 2 * is_node.shape[1] - 1), dtype=bool)
-    paths[1::2, 1::2] = corners >= 3
-    paths[1::2, ::2] = is_node[:-1] & is_node[1:]
-    paths[::2, 1::2] = is_node[:, :-1] & is_node[:, 1:]
-    labels = ndimage.label(paths)[0][1::2, 1::2]
+    passable = np.zeros((2 * is_node.shape[0] - 1, 2 * is_node.shape[1] - 1), dtype=bool)
+    passable[1::2, 1::2] = corners >= 3
+    passable[1::2, ::2] = is_node[:-1] & is_node[1:]
+    passable[::2, 1::2] = is_node[:, :-1] & is_node[:, 1:]
+    labels = ndimage.label(passable)[0][1::2, 1::2]
     sizes = np.bincount(labels[corners >= 3])
     if sizes.size == 0:
         return is_node.copy(), np.zeros(0, dtype=np.intp)
-    cells = (labels == np.argmax(sizes)) & (corners >= 3)
+    sheet_cells = (labels == np.argmax(sizes)) & (corners >= 3)
     is_held = np.zeros_like(is_node)
     for i, j in itertools.product((0, 1), repeat=2):
-        is_held[i : i + cells.shape[0], j : j + cells.shape[1]] |= cells
+        is_held[i : i + sheet_cells.shape[0], j : j + sheet_cells.shape[1]] |= sheet_cells
     return is_node & ~is_held, sizes[sizes > 0]
 
 
@@ -206,33 +206,33 @@ def impute_nodes(points: Floats, weights: Floats | None, is_trusted: Bools, is_m
     points = np.where(is_trusted[..., None], points, np.nan)
     if not is_missing.any():
         return points, weights
-    around = ndimage.binary_dilation(is_missing, structure=np.ones((3, 3), dtype=bool), iterations=2)
-    part = is_missing | (is_trusted & around)
-    rows, cols = np.nonzero(part)
-    size = rows.size
-    number = np.full(is_missing.shape, -1)
-    number[part] = np.arange(size)
+    is_near = ndimage.binary_dilation(is_missing, structure=np.ones((3, 3), dtype=bool), iterations=2)
+    is_local = is_missing | (is_trusted & is_near)
+    rows, cols = np.nonzero(is_local)
+    n_nodes = rows.size
+    node_number = np.full(is_missing.shape, -1)
+    node_number[is_local] = np.arange(n_nodes)
 
-    def differences(weights: tuple[float, ...]) -> sparse.csr_array:
-        """Sums of as many nodes in a row or a column, with these weights, wherever all of them take part."""
-        count = len(weights)
-        lines = [[n[k : len(n) + 1 + k - count].ravel() for k in range(count)] for n in (number, number.T)]
-        nodes = np.concatenate([np.stack(line) for line in lines], axis=1)
+    def differences(coefficients: tuple[float, ...]) -> sparse.csr_array:
+        """Sums of as many nodes in a row or a column, with these coefficients, wherever all of them take part."""
+        order = len(coefficients)
+        runs = [[n[k : len(n) + 1 + k - order].ravel() for k in range(order)] for n in (node_number, node_number.T)]
+        nodes = np.concatenate([np.stack(run) for run in runs], axis=1)
         nodes = nodes[:, (nodes >= 0).all(axis=0)]
-        place = (np.tile(np.arange(nodes.shape[1]), count), nodes.ravel())
-        return sparse.csr_array((np.repeat(weights, nodes.shape[1]), place), shape=(nodes.shape[1], size))
+        indices = (np.tile(np.arange(nodes.shape[1]), order), nodes.ravel())
+        return sparse.csr_array((np.repeat(coefficients, nodes.shape[1]), indices), shape=(nodes.shape[1], n_nodes))
 
-    bend = differences((1.0, -2.0, 1.0))
+    diff2 = differences((1.0, -2.0, 1.0))
     # A faint pull towards the neighbours settles what no second difference reaches.
-    slope = differences((1.0, -1.0))
-    is_free = is_missing[part]
+    diff1 = differences((1.0, -1.0))
+    is_free = is_missing[is_local]
     # The pull acts on the deviation from a plane, which leaves linear maps alone.
-    fixed = points[part][~is_free]
-    basis = np.stack([np.ones(size), rows, cols], axis=1)
-    plane = basis @ np.linalg.lstsq(basis[~is_free], fixed, rcond=None)[0]
-    matrix = (bend.T @ bend + 1e-8 * (slope.T @ slope)).tocsc()
+    fixed_points = points[is_local][~is_free]
+    plane_basis = np.stack([np.ones(n_nodes), rows, cols], axis=1)
+    plane = plane_basis @ np.linalg.lstsq(plane_basis[~is_free], fixed_points, rcond=None)[0]
+    matrix = (diff2.T @ diff2 + 1e-8 * (diff1.T @ diff1)).tocsc()
     solve = splu((matrix[is_free][:, is_free] + 1e-14 * sparse.eye_array(int(is_free.sum()))).tocsc()).solve
-    values = solve(-(matrix[is_free][:, ~is_free] @ (fixed - plane[~is_free])))
-    points[is_missing] = plane[is_free] + values
+    deviations = solve(-(matrix[is_free][:, ~is_free] @ (fixed_points - plane[~is_free])))
+    points[is_missing] = plane[is_free] + deviations
     # Stiff enough to hold a loose corner, too weak to steer the sheet.
     return points, np.where(is_missing, 0.01 * weights.max(), weights)

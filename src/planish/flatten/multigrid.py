@@ -68,9 +68,10 @@ class Multigrid:
         self.team, self.gaps, self.side, self.guarded = team, gaps, side, guarded
         self.history: list[Step] = []
         self.rate = 0.1  # share of the excess energy that a cycle is expected to leave, before one has been observed
-        self._twice, self._rough = True, False
+        self._corrects_twice, self._is_rough = True, False
         # From here on a level is the work of one thread.
-        self._small = next((k for k, level in enumerate(self.levels) if k and len(level.parts) == 1), len(self.levels))
+        alone = (k for k, level in enumerate(self.levels) if k and len(level.parts) == 1)
+        self._first_small = next(alone, len(self.levels))
 
     def run(self, tolerance: float) -> Outcome:
         """Relax all levels, the finest one to ``tolerance``."""
@@ -82,8 +83,8 @@ class Multigrid:
             fine.open()
             self.team.run(interpolate, fine.parts, coarse.xy, fine.xy, fine.near, fine.cols, coarse.cols, self.gaps)
             if self.gaps:
-                gone = ~fine.nodes
-                fine.inside(fine.xy)[:, gone] = fine.inside(fine.near)[:, gone] = FAR
+                is_gone = ~fine.nodes
+                fine.inside(fine.xy)[:, is_gone] = fine.inside(fine.near)[:, is_gone] = FAR
             self.team.run(prepare, fine.parts, fine.near, fine.stiff, fine.ease, fine.cols)
             # One step, as a rule: what is left on a coarse level is less than what the finer one adds.
             outcome = self.relax(k, tolerance if k == 0 else 0.1)
@@ -91,109 +92,110 @@ class Multigrid:
 
     def _start(self, level: Level) -> None:
         """Relax the coarsest mesh exactly, from the mean rest lengths between columns and rows."""
-        places: list[Floats] = []
+        coordinates: list[Floats] = []
         for lengths, axis, count in zip(level.inside(level.rest), (0, 1), (level.cols, level.rows), strict=False):
             is_spring = lengths > 0
-            mean = lengths.sum(axis=axis) / np.maximum(is_spring.sum(axis=axis), 1)
-            typical = lengths[is_spring].mean() if is_spring.any() else 1.0
-            mean = np.where(mean > 0, mean, typical)[: count - 1]
-            places.append(np.concatenate([[0.0], np.cumsum(mean)]))
+            mean_lengths = lengths.sum(axis=axis) / np.maximum(is_spring.sum(axis=axis), 1)
+            typical_length = lengths[is_spring].mean() if is_spring.any() else 1.0
+            mean_lengths = np.where(mean_lengths > 0, mean_lengths, typical_length)[: count - 1]
+            coordinates.append(np.concatenate([[0.0], np.cumsum(mean_lengths)]))
         level.open()
         self._network = Network.of(level)
-        mask = self._network.mask
-        grid = np.stack(np.meshgrid(self.side * places[0], places[1]), axis=-1)
-        uv = relax_exactly(self._network, grid[mask], tolerance=1e-10 if len(self.levels) == 1 else 0.3)
-        for inside in (level.inside(level.xy), level.inside(level.near)):
-            inside[:] = FAR
-            inside[:, mask] = uv.T
+        is_node = self._network.mask
+        grid = np.stack(np.meshgrid(self.side * coordinates[0], coordinates[1]), axis=-1)
+        uv = relax_exactly(self._network, grid[is_node], tolerance=1e-10 if len(self.levels) == 1 else 0.3)
+        for node_positions in (level.inside(level.xy), level.inside(level.near)):
+            node_positions[:] = FAR
+            node_positions[:, is_node] = uv.T
         self._exact = StiffnessSolver(self._network, uv)
         if self._exact.inverse is None:
-            self._small = len(self.levels)
+            self._first_small = len(self.levels)
 
     def relax(self, k: int, tolerance: float) -> Outcome:
         """Step on level ``k`` until the excess of energy over the minimum is below ``tolerance`` times the energy."""
         level = self.levels[k]
         count = level.rows * level.cols
         gains: list[float] = []
-        slow = 0
-        last: tuple[Single, Single, float] | None = None  # forces, move and their product at the step before
+        slow_steps = 0
+        previous: tuple[Single, Single, float] | None = None  # forces, move and their product at the step before
         for step in range(300):
             energy = self.balance(level)
-            short = k == 0 and step == 0 and self._rough
-            if short:
+            is_smoothing_only = k == 0 and step == 0 and self._is_rough
+            if is_smoothing_only:
                 # What the coarser levels could not see is most of the energy, and short: smoothing deals with it alone.
                 self._smooth(0, level, level, *_FOUR[:2])
                 for weight in _FOUR[2:]:
                     self._smooth(2, level, level, weight, weight)
             else:
-                self._twice = k > 0 or step > 1
+                self._corrects_twice = k > 0 or step > 1
                 self._cycle(k)
-            wanted = 0.0
+            wanted_gain = 0.0
             if self.guarded:
-                wanted = self._guard(level, energy)
-            elif slow:
+                wanted_gain = self._guard(level, energy)
+            elif slow_steps:
                 # By conjugate gradients (Polak and Ribiere): a cycle deals badly with a few movements only, of parts
                 # that hang together by a strip, or near many holes; these are what the method collects.
                 work = _dot(level.force, level.move)
-                if last is not None and last[2] > 0:
-                    level.move += np.float32(max((work - _dot(last[0], level.move)) / last[2], 0.0)) * last[1]
-                last = level.force.copy(), level.move.copy(), work
-            gain, square = self.advance(level)
-            if slow and not self.guarded:
-                gain, square = self._reach(level, gain, square)
-            self.history.append(Step(count, energy, gain, float(np.sqrt(square / count))))
+                if previous is not None and previous[2] > 0:
+                    beta = max((work - _dot(previous[0], level.move)) / previous[2], 0.0)
+                    level.move += np.float32(beta) * previous[1]
+                previous = level.force.copy(), level.move.copy(), work
+            gain, square_move = self.advance(level)
+            if slow_steps and not self.guarded:
+                gain, square_move = self._reach(level, gain, square_move)
+            self.history.append(Step(count, energy, gain, float(np.sqrt(square_move / count))))
             if not np.isfinite(gain):
                 return Outcome.NOT_FINITE
             if step == 0:
                 # The next finer level is then taken as rough, too.
-                self._rough = gain > 0.02 * energy
-            if short:
+                self._is_rough = gain > 0.02 * energy
+            if is_smoothing_only:
                 continue
             gains.append(gain)
             if len(gains) > 1:
                 # One lucky step is no proof where progress is slow.
-                ratios = [b / a if a else 1.0 for a, b in itertools.pairwise(gains[-4 if slow else -2 :])]
+                ratios = [b / a if a else 1.0 for a, b in itertools.pairwise(gains[-4 if slow_steps else -2 :])]
                 self.rate = float(np.clip(max(ratios), 0.01, 0.95))
             # Excess of energy and, as its square root, distance from the minimum: the steps to come, summed.
-            excess, root = gain * self.rate / (1 - self.rate), np.sqrt(self.rate)
-            distance = np.sqrt(square / count) * (root / (1 - root))
-            if excess <= tolerance * energy or distance <= _STILL:
-                return Outcome.RESTED if wanted <= max(100 * tolerance * energy, gain) else Outcome.HELD_OPEN
-            slow += slow > 0 or (len(gains) > 1 and gain > _SLOW * gains[-2])
-            if slow and slow % 4 == 0 and not self.guarded and count_folds(level, self.team, self.side)[1]:
+            excess_energy, root_rate = gain * self.rate / (1 - self.rate), np.sqrt(self.rate)
+            distance = np.sqrt(square_move / count) * (root_rate / (1 - root_rate))
+            if excess_energy <= tolerance * energy or distance <= _STILL:
+                return Outcome.RESTED if wanted_gain <= max(100 * tolerance * energy, gain) else Outcome.HELD_OPEN
+            slow_steps += slow_steps > 0 or (len(gains) > 1 and gain > _SLOW * gains[-2])
+            if slow_steps and slow_steps % 4 == 0 and not self.guarded and count_folds(level, self.team, self.side)[1]:
                 return Outcome.FOLDED
         return Outcome.OUT_OF_STEPS
 
-    def _reach(self, level: Level, gain: float, square: float) -> tuple[float, float]:
+    def _reach(self, level: Level, gain: float, square_move: float) -> tuple[float, float]:
         """Go on in the direction of the move just made, or back, to where the forces no longer act along it."""
         self.balance(level)
         slope = _dot(level.force, level.move)
-        share = float(np.clip(gain / (gain - slope), 0.1, 4.0)) if gain > slope else 1.0
-        level.move *= np.float32(share - 1)
+        reach = float(np.clip(gain / (gain - slope), 0.1, 4.0)) if gain > slope else 1.0
+        level.move *= np.float32(reach - 1)
         self.advance(level)
-        return share * gain, share * share * square
+        return reach * gain, reach * reach * square_move
 
     def _guard(self, level: Level, energy: float) -> float:
         """Shorten the move where it would close a cell, and as a whole until the energy falls; give the gain wanted."""
-        wanted = _dot(level.force, level.move)
-        share = np.ones(level.move.shape[1:], np.float32)
+        wanted_gain = _dot(level.force, level.move)
+        move_share = np.ones(level.move.shape[1:], np.float32)
         for _ in range(_HALVINGS):
-            if not hold_open(level.xy, level.rest, level.move, share, OPEN, self.side, level.cols, 1, level.rows):
+            if not hold_open(level.xy, level.rest, level.move, move_share, OPEN, self.side, level.cols, 1, level.rows):
                 break
             # What is next to a node that is held back may not run into it.
-            np.minimum(share, 2 * ndimage.minimum_filter(share, size=3), out=share)
+            np.minimum(move_share, 2 * ndimage.minimum_filter(move_share, size=3), out=move_share)
         else:
-            share[share < 1] = 0.0
-        level.move *= share
+            move_share[move_share < 1] = 0.0
+        level.move *= move_share
         for _ in range(_HALVINGS):
             self.advance(level)
-            risen = count_folds(level, self.team, self.side)[0] > energy * (1 + 1e-12)
+            has_risen = count_folds(level, self.team, self.side)[0] > energy * (1 + 1e-12)
             level.move *= -1
             self.advance(level)
-            level.move *= -0.5 if risen else -1.0
-            if not risen:
+            level.move *= -0.5 if has_risen else -1.0
+            if not has_risen:
                 break
-        return wanted
+        return wanted_gain
 
     def balance(self, level: Level) -> float:
         """Set the forces of a level and give its energy."""
@@ -203,48 +205,48 @@ class Multigrid:
     def advance(self, level: Level) -> tuple[float, float]:
         """Move the nodes; give force times move and the squared move, summed over the nodes."""
         self.team.run(advance, level.parts, level.xy, level.near, level.move, level.force, level.sums, level.cols)
-        work, square = level.sums[1 : level.rows + 1].sum(axis=0)
-        return float(work), float(square)
+        work, square_move = level.sums[1 : level.rows + 1].sum(axis=0)
+        return float(work), float(square_move)
 
     def _cycle(self, k: int, depth: int = 0) -> None:
         """Correct level ``k`` for its forces by smoothing, a correction from the level below, and smoothing again."""
         # The level below is corrected twice where it counts: else its own errors, and those below it, add up.
         level = self.levels[k]
-        if depth > 1 and k >= self._small:
+        if depth > 1 and k >= self._first_small:
             # ``descend`` takes eight levels, the last one repeated: another number would be compiled anew. No mesh has
             # more that are the work of one thread.
-            last = len(self.levels) - 1 - k
-            part = [*self.levels[k:], *self.levels[-1:] * (7 - last)]
-            names = ("near", "stiff", "ease", "force", "move", "alone", "cols")
-            arrays = (tuple(getattr(level, name) for level in part) for name in names)
-            nodes = (1 + index for index in np.nonzero(self._network.mask))
-            descend(*arrays, last, self._exact.inverse, *nodes, *_TWICE, _ONCE)
+            n_coarser = len(self.levels) - 1 - k
+            descent_levels = [*self.levels[k:], *self.levels[-1:] * (7 - n_coarser)]
+            array_names = ("near", "stiff", "ease", "force", "move", "alone", "cols")
+            arrays = (tuple(getattr(level, name) for level in descent_levels) for name in array_names)
+            node_indices = (1 + index for index in np.nonzero(self._network.mask))
+            descend(*arrays, n_coarser, self._exact.inverse, *node_indices, *_TWICE, _ONCE)
             return
         if k == len(self.levels) - 1:
-            mask = self._network.mask
-            move = self._exact(level.inside(level.force)[:, mask].T.astype(np.float64))
-            level.inside(level.move)[:, mask] = move.T
+            is_node = self._network.mask
+            move = self._exact(level.inside(level.force)[:, is_node].T.astype(np.float64))
+            level.inside(level.move)[:, is_node] = move.T
             return
         coarse = self.levels[k + 1]
         self._smooth(0, level, level, *_TWICE)
-        for _ in range(2 if depth == 1 and self._twice else 1):
+        for _ in range(2 if depth == 1 and self._corrects_twice else 1):
             self.team.run(restrict, coarse.parts, level.near, level.stiff, level.force, level.move, coarse.force,
                           level.cols, coarse.cols)  # fmt: skip
             self._cycle(k + 1, depth + 1)
             self._smooth(1, level, coarse, _ONCE, _ONCE)
 
     def _smooth(self, kind: int, level: Level, coarse: Level, first: np.float32, weight: np.float32) -> None:
-        fixed = (kind, level.near, level.stiff, level.ease, level.force, coarse.move, level.move)
-        edges = [level.alone]
+        shared_args = (kind, level.near, level.stiff, level.ease, level.force, coarse.move, level.move)
+        borders = [level.alone]
         if len(level.parts) > 1:
             # Rows that two threads share are copied before either of them moves its own.
-            edges = [np.ascontiguousarray(level.move[:, [r0 - 1, r1]]) for r0, r1 in level.parts]
-        calls = [(*fixed, edge, first, weight, level.cols) for edge in edges]
-        self.team.each(smooth, [(*call, *part) for call, part in zip(calls, level.parts, strict=True)])
+            borders = [np.ascontiguousarray(level.move[:, [r0 - 1, r1]]) for r0, r1 in level.parts]
+        call_args = [(*shared_args, border_rows, first, weight, level.cols) for border_rows in borders]
+        self.team.each(smooth, [(*args, *rows) for args, rows in zip(call_args, level.parts, strict=True)])
 
 
 def count_folds(level: Level, team: Team, side: float) -> tuple[float, int]:
     """Energy of a level, and how many of its cells are not upright."""
     team.run(survey, level.parts, level.xy, level.rest, level.stiff, side, level.sums, level.cols)
-    energy, down = level.sums[1 : level.rows + 1].sum(axis=0)
-    return float(energy), int(down)
+    energy, n_folded = level.sums[1 : level.rows + 1].sum(axis=0)
+    return float(energy), int(n_folded)

@@ -119,41 +119,41 @@ def relax_grid(
     """
     points = np.ascontiguousarray(points, dtype=np.float64)
     _check(points, start, weights, tolerance, least_share, method=method, rest=rest)
-    braces = None
+    is_brace = None
     imputed = dropped = np.zeros(points.shape[:2], dtype=bool)
     if weights is not None:
         points, weights, imputed = _impute_doubtful(points, np.asarray(weights, dtype=np.float64))
     pitch = mean_pitch(points)
     with Team(count_threads()) as team:
-        level, springs, straight = make_springs(points, pitch, rest, team)
-        gaps = springs < 4 * level.rows * level.cols - 3 * (level.rows + level.cols) + 2
-        if gaps:
+        level, springs, straight_share = make_springs(points, pitch, rest, team)
+        has_gaps = springs < 4 * level.rows * level.cols - 3 * (level.rows + level.cols) + 2
+        if has_gaps:
             points, dropped = _drop_specks(points, least_share)
             if dropped.any():
                 pitch = mean_pitch(points)
-                level, springs, straight = make_springs(points, pitch, rest, team)
-            points, weights, braces = _brace(points, weights)
-            if braces is not None:
+                level, springs, straight_share = make_springs(points, pitch, rest, team)
+            points, weights, is_brace = _brace(points, weights)
+            if is_brace is not None:
                 level = make_springs(points, pitch, rest, team)[0]
         if weights is not None:
             stiffen(level, weights)
         target = points if start is None else np.ascontiguousarray(start, dtype=np.float64)
         side = _handedness(target)
         if method == "multigrid":
-            steps, outcome, history = _multigrid(level, side, team, tolerance, gaps=gaps)
+            steps, outcome, history = _multigrid(level, side, team, tolerance, gaps=has_gaps)
         else:
             steps, outcome, history = _relaxation(level, points, target[..., :2] / pitch, method)
-        if braces is not None:
-            stiffen(level, np.where(braces, 0.0, np.ones(braces.shape) if weights is None else weights))
-        energy, folds = count_folds(level, team, side)
+        if is_brace is not None:
+            stiffen(level, np.where(is_brace, 0.0, np.ones(is_brace.shape) if weights is None else weights))
+        energy, n_folded = count_folds(level, team, side)
         level.drop_springs()
         uv = _lay_on_target(level, target, pitch, team)
-    if braces is not None:
-        uv[braces] = np.nan
+    if is_brace is not None:
+        uv[is_brace] = np.nan
     # Cells that the step rule held open are as good as folded.
     floor = 1.5 * OPEN if outcome is Outcome.HELD_OPEN else 0.0
     folded = np.zeros((level.rows - 1, level.cols - 1), dtype=bool)
-    if folds or floor:
+    if n_folded or floor:
         folded = folded_cells(points, uv, side=side, floor=floor)
     if folded.any() and outcome is Outcome.RESTED:
         outcome = Outcome.FOLDED
@@ -166,7 +166,7 @@ def relax_grid(
         history=history,
         folded=folded,
         imputed=imputed,
-        straight_share=straight,
+        straight_share=straight_share,
         pitch=pitch,
         dropped=dropped,
     )
@@ -204,47 +204,48 @@ def _check(
 def _drop_specks(points: Floats, least_share: float) -> tuple[Floats, Bools]:
     """Leave out pieces with less than ``least_share`` of all nodes; give the points, and which nodes were dropped."""
     is_node = np.isfinite(points).all(axis=-1)
-    labels, count = ndimage.label(is_node, structure=np.ones((3, 3)))
-    sizes = np.bincount(labels.ravel(), minlength=count + 1)
+    labels, n_pieces = ndimage.label(is_node, structure=np.ones((3, 3)))
+    sizes = np.bincount(labels.ravel(), minlength=n_pieces + 1)
     is_small = sizes < least_share * sizes[1:].sum()
     is_small[0] = False
-    dropped = is_small[labels]
-    return np.where((is_node & ~dropped)[..., None], points, np.nan), dropped
+    is_dropped = is_small[labels]
+    return np.where((is_node & ~is_dropped)[..., None], points, np.nan), is_dropped
 
 
 def _brace(points: Floats, weights: Floats | None) -> tuple[Floats, Floats | None, Bools | None]:
     """Add nodes around those that hang loosely on the sheet; give points, weights and the added nodes, if any."""
     is_node = np.asarray(np.isfinite(points).all(axis=-1))
-    nodes = np.count_nonzero(is_node)
-    if nodes < 4:
-        raise CannotFlatten(f"The mesh has {nodes} nodes; at least 2 rows and 2 columns are needed. Use a finer mesh.")
-    labels, count = ndimage.label(is_node, structure=np.ones((3, 3)))
-    if count > 1:
-        pieces = zip(np.bincount(labels.ravel())[1:], ndimage.find_objects(labels), strict=True)
-        places = [
+    n = np.count_nonzero(is_node)
+    if n < 4:
+        raise CannotFlatten(f"The mesh has {n} nodes; at least 2 rows and 2 columns are needed. Use a finer mesh.")
+    labels, n_pieces = ndimage.label(is_node, structure=np.ones((3, 3)))
+    if n_pieces > 1:
+        sized_pieces = zip(np.bincount(labels.ravel())[1:], ndimage.find_objects(labels), strict=True)
+        piece_texts = [
             f"{size} nodes in rows {rows.start}-{rows.stop - 1} and columns {cols.start}-{cols.stop - 1}"
-            for size, (rows, cols) in sorted(pieces, key=lambda piece: -piece[0])
+            for size, (rows, cols) in sorted(sized_pieces, key=lambda piece: -piece[0])
         ]
         raise CannotFlatten(
-            f"The sheet falls into {count} unconnected pieces: {_six(places)}. Their distance in the plane is not "
-            "known: flatten each of them by itself, or drop the smaller ones with least_share."
+            f"The sheet falls into {n_pieces} unconnected pieces: {_first_six(piece_texts)}. Their distance in the "
+            "plane is not known: flatten each of them by itself, or drop the smaller ones with least_share."
         )
-    loose, stiff = loose_nodes(is_node)
-    stiff = stiff[stiff > 0.02 * stiff.sum()]
-    if stiff.size != 1:
-        sizes = _six([str(size) for size in np.sort(stiff)[::-1]])
+    is_loose, sizes = loose_nodes(is_node)
+    sizes = sizes[sizes > 0.02 * sizes.sum()]
+    if sizes.size != 1:
+        sizes_text = _first_six([str(size) for size in np.sort(sizes)[::-1]])
         raise CannotFlatten(
-            f"The sheet falls into {stiff.size} pieces of {sizes} cells that hang together by single nodes at most. "
-            "How they are turned against each other is not known: cut them apart there, and flatten each by itself."
+            f"The sheet falls into {sizes.size} pieces of {sizes_text} cells that hang together by single nodes at "
+            "most. How they are turned against each other is not known: cut them apart there, and flatten each by "
+            "itself."
         )
-    if not loose.any():
+    if not is_loose.any():
         return points, weights, None
-    braces = ~is_node & ndimage.binary_dilation(loose, structure=np.ones((3, 3), dtype=bool), iterations=2)
-    return (*impute_nodes(points, weights, is_node, braces), braces)
+    is_brace = ~is_node & ndimage.binary_dilation(is_loose, structure=np.ones((3, 3), dtype=bool), iterations=2)
+    return (*impute_nodes(points, weights, is_node, is_brace), is_brace)
 
 
-def _six(words: list[str]) -> str:
-    return ", ".join(words[:6]) + " ..." * (len(words) > 6)
+def _first_six(texts: list[str]) -> str:
+    return ", ".join(texts[:6]) + " ..." * (len(texts) > 6)
 
 
 def _impute_doubtful(points: Floats, weights: Floats) -> tuple[Floats, Floats | None, Bools]:
@@ -253,16 +254,16 @@ def _impute_doubtful(points: Floats, weights: Floats) -> tuple[Floats, Floats | 
     if not (np.isfinite(weights[is_node]).all() and (weights[is_node] >= 0).all() and (weights[is_node] > 0).any()):
         raise CannotFlatten("A weight is negative or not finite, or all are 0. Give a confidence from 0 upwards.")
     is_doubtful = is_node & (weights < TRUSTED * np.median(weights[is_node & (weights > 0)]))
-    trusted = np.count_nonzero(is_node & ~is_doubtful)
-    if trusted < 4:
+    n_trusted = np.count_nonzero(is_node & ~is_doubtful)
+    if n_trusted < 4:
         raise CannotFlatten(
-            f"{trusted} nodes have more than a tenth of the median weight, at least 4 are needed. Give the nodes that "
-            "were measured a higher weight."
+            f"{n_trusted} nodes have more than a tenth of the median weight, at least 4 are needed. Give the nodes "
+            "that were measured a higher weight."
         )
     if is_doubtful.any():
         return (*impute_nodes(points, weights, is_node & ~is_doubtful, is_doubtful), is_doubtful)
-    even = np.ptp(weights[is_node]) == 0 and weights[is_node][0] == 1
-    return points, None if even else np.where(is_node, weights, 0.0), is_doubtful
+    is_uniform = np.ptp(weights[is_node]) == 0 and weights[is_node][0] == 1
+    return points, None if is_uniform else np.where(is_node, weights, 0.0), is_doubtful
 
 
 def _handedness(target: Floats) -> float:
@@ -292,24 +293,24 @@ def _relaxation(level: Level, points: Floats, start: Floats, method: Method | Re
     start = np.where(np.isfinite(points).all(axis=-1, keepdims=True), start, np.nan)
     params = method if isinstance(method, RelaxationParams) else RelaxationParams()
     rest = level.inside(np.where(level.rest > 0, level.rest, np.nan))
-    stiff = level.inside(np.broadcast_to(level.stiff, level.rest.shape)).astype(np.float64)
-    relaxed = relax_dynamically(start, rest, stiffness=stiff, params=params)
+    stiffness = level.inside(np.broadcast_to(level.stiff, level.rest.shape)).astype(np.float64)
+    relaxation = relax_dynamically(start, rest, stiffness=stiffness, params=params)
     level.open()
-    level.inside(level.xy)[:] = np.where(np.isfinite(relaxed.uv), relaxed.uv, 10 * GONE).transpose(2, 0, 1)
-    count, log = int(np.isfinite(relaxed.uv[..., 0]).sum()), relaxed.history
-    moves = zip(log.energy, log.mean_speed * log.dt, strict=True)
-    return relaxed.steps, relaxed.outcome, tuple(Step(count, energy, np.nan, move) for energy, move in moves)
+    level.inside(level.xy)[:] = np.where(np.isfinite(relaxation.uv), relaxation.uv, 10 * GONE).transpose(2, 0, 1)
+    n_nodes, motion = int(np.isfinite(relaxation.uv[..., 0]).sum()), relaxation.history
+    moves = zip(motion.energy, motion.mean_speed * motion.dt, strict=True)
+    return relaxation.steps, relaxation.outcome, tuple(Step(n_nodes, energy, np.nan, move) for energy, move in moves)
 
 
 def _lay_on_target(level: Level, target: Floats, pitch: float, team: Team) -> Floats:
     """Turn and shift the places to lie on the target: least squares without scale and without reflection."""
-    sums = np.zeros((level.rows + 2, 7))
-    team.run(moments, level.parts, target, 1 / pitch, level.xy, sums)
-    count, u, v, p, q, dot, cross = sums.sum(axis=0)
-    angle = np.arctan2(cross - (u * q - v * p) / count, dot - (u * p + v * q) / count) if count else 0.0
+    row_sums = np.zeros((level.rows + 2, 7))
+    team.run(moments, level.parts, target, 1 / pitch, level.xy, row_sums)
+    n_nodes, u, v, p, q, sum_dot, sum_cross = row_sums.sum(axis=0)
+    angle = np.arctan2(sum_cross - (u * q - v * p) / n_nodes, sum_dot - (u * p + v * q) / n_nodes) if n_nodes else 0.0
     cos, sin = float(np.cos(angle)), float(np.sin(angle))
-    count = max(count, 1.0)
-    shift = (p - cos * u + sin * v) / count, (q - sin * u - cos * v) / count
+    n_nodes = max(n_nodes, 1.0)
+    shift = (p - cos * u + sin * v) / n_nodes, (q - sin * u - cos * v) / n_nodes
     team.run(lay_down, level.parts, level.xy, cos, sin, *shift, pitch, level.cols)
     # In place, u and v apart: a copy would cost as much memory as all the corrections.
     return np.moveaxis(level.inside(level.xy), 0, -1)

@@ -166,25 +166,25 @@ def relax_dynamically(
 
 def _motion(x: Floats, springs: Springs, mask: Floats, p: RelaxationParams) -> tuple[Outcome, float, Floats]:
     """Move ``x`` (2, rows + 2, cols + 2) until it rests; give the energy, and time step, damping ... of each step."""
-    side, nodes, period = _sides(mask), np.count_nonzero(mask), 2.0 * (max(mask.shape) - 2)
+    weights, nodes, period = _difference_weights(mask), np.count_nonzero(mask), 2.0 * (max(mask.shape) - 2)
     v, next_v, f = np.zeros_like(x), np.zeros_like(x), np.zeros_like(x)
-    energy, largest = set_force(x, *springs, f)
-    dt, c = p.fixed_dt, max(p.c_min, np.sqrt(mix(v, 0.0, f, 1.0, side, next_v)[0] / p.b))
+    energy, largest_force = set_force(x, *springs, f)
+    dt, c = p.fixed_dt, max(p.c_min, np.sqrt(mix(v, 0.0, f, 1.0, weights, next_v)[0] / p.b))
     if p.control == "fixed":
         c = p.fixed_c
     gradient = time = calm_time = 0.0
     has_moved = False
     # Without any force there is no motion to wait for.
-    outcome = Outcome.RESTED if largest == 0.0 else Outcome.OUT_OF_STEPS
-    log: list[tuple[float, ...]] = []
+    outcome = Outcome.RESTED if largest_force == 0.0 else Outcome.OUT_OF_STEPS
+    step_log: list[tuple[float, ...]] = []
 
     def accelerate() -> tuple[float, float, float]:
         """Set the velocities after ``dt``; give their largest gradient, the fastest, and their sum."""
         if p.integrator == "euler":
-            return mix(v, 1.0 - c * dt, f, dt, side, next_v)
-        return mix(v, 1.0 / (1.0 + c * dt), f, dt / (1.0 + c * dt), side, next_v)
+            return mix(v, 1.0 - c * dt, f, dt, weights, next_v)
+        return mix(v, 1.0 / (1.0 + c * dt), f, dt / (1.0 + c * dt), weights, next_v)
 
-    while outcome is Outcome.OUT_OF_STEPS and len(log) < p.most_steps:
+    while outcome is Outcome.OUT_OF_STEPS and len(step_log) < p.most_steps:
         if p.control != "fixed":
             c = max(p.c_min, gradient / p.b, p.c_fall * c)
         if p.control == "scale":
@@ -192,47 +192,47 @@ def _motion(x: Floats, springs: Springs, mask: Floats, p: RelaxationParams) -> t
         elif p.control == "feedback":
             # The paper has no numbers for it; any come to a halt.
             dt = dt * 0.5 if gradient >= p.a else min(p.dt_max, dt * 1.1)
-        gradient, fastest, total = accelerate()
+        gradient, fastest, speed_sum = accelerate()
         if p.control == "scale" and dt * gradient > p.a:
             dt = p.a / gradient
-            gradient, fastest, total = accelerate()
+            gradient, fastest, speed_sum = accelerate()
         if p.control != "fixed" and fastest * dt > p.most_move:
             dt *= p.most_move / (fastest * dt)
-            gradient, fastest, total = accelerate()
+            gradient, fastest, speed_sum = accelerate()
         if p.integrator == "rk4":
             x[:], next_v[:] = _runge_kutta(x, v, f, springs, dt, c)
-            gradient, _, total = mix(next_v, 1.0, f, 0.0, side, next_v)
+            gradient, _, speed_sum = mix(next_v, 1.0, f, 0.0, weights, next_v)
         else:
             x += dt * (v if p.integrator == "euler" else next_v)
-        energy, largest = set_force(x, *springs, f)
+        energy, largest_force = set_force(x, *springs, f)
         v, next_v = next_v, v
-        speed = total / nodes
-        log.append((dt, c, gradient, speed, energy))
+        mean_speed = speed_sum / nodes
+        step_log.append((dt, c, gradient, mean_speed, energy))
         time += dt
-        has_moved = has_moved or speed > p.mean_speed
-        calm_time = 0.0 if speed > p.mean_speed else calm_time + dt
+        has_moved = has_moved or mean_speed > p.mean_speed
+        calm_time = 0.0 if mean_speed > p.mean_speed else calm_time + dt
         has_come_to_rest = {
             # A mesh that has not been fast within a period of its slowest mode will never be.
             "first": (has_moved or time >= period) and calm_time > 0.0,
             "sustained": calm_time >= period,
-            "residual": largest < p.residual,
+            "residual": largest_force < p.residual,
         }[p.stop]
-        if not np.isfinite(speed + energy):
+        if not np.isfinite(mean_speed + energy):
             outcome = Outcome.NOT_FINITE
         elif has_come_to_rest:
             outcome = Outcome.RESTED
-    return outcome, energy, np.array(log).reshape(-1, 5)
+    return outcome, energy, np.array(step_log).reshape(-1, 5)
 
 
 def _runge_kutta(x: Floats, v: Floats, f: Floats, springs: Springs, dt: float, c: float) -> tuple[Floats, Floats]:
     """Places and velocities after ``dt`` by the classical method of fourth order; ``f``, the force, is overwritten."""
-    place, speed, new_x, new_v = x, v, x, v
-    for stage, (weight, reach) in enumerate(((dt / 6, dt / 2), (dt / 3, dt / 2), (dt / 3, dt), (dt / 6, 0.0))):
+    stage_x, stage_v, new_x, new_v = x, v, x, v
+    for stage, (weight, stage_dt) in enumerate(((dt / 6, dt / 2), (dt / 3, dt / 2), (dt / 3, dt), (dt / 6, 0.0))):
         if stage > 0:
-            set_force(place, *springs, f)
-        rate = f - c * speed
-        new_x, new_v = new_x + weight * speed, new_v + weight * rate
-        place, speed = x + reach * speed, v + reach * rate
+            set_force(stage_x, *springs, f)
+        acceleration = f - c * stage_v
+        new_x, new_v = new_x + weight * stage_v, new_v + weight * acceleration
+        stage_x, stage_v = x + stage_dt * stage_v, v + stage_dt * acceleration
     return new_x, new_v
 
 
@@ -241,8 +241,8 @@ def _framed(values: Floats) -> Floats:
     return np.pad(values, [(0, 0)] * (values.ndim - 2) + [(1, 1), (1, 1)])
 
 
-def _sides(mask: Floats) -> Floats:
+def _difference_weights(mask: Floats) -> Floats:
     """Weights of the differences to the neighbours right, left, below and above (4, rows + 2, cols + 2)."""
     right, left, below, above = (np.roll(mask, shift, axis) for shift, axis in ((-1, 1), (1, 1), (-1, 0), (1, 0)))
-    pairs = ((right, left), (left, right), (below, above), (above, below))
-    return np.stack([mask * side * (1.0 - 0.5 * opposite) for side, opposite in pairs])
+    opposite_pairs = ((right, left), (left, right), (below, above), (above, below))
+    return np.stack([mask * side * (1.0 - 0.5 * opposite) for side, opposite in opposite_pairs])

@@ -99,7 +99,9 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
     CannotFlatten
         If the centre surface is too small or falls into pieces, or the middle of the base is asked for and not known.
     """
-    check_dataset(surfaces, "centre", what="surfaces", maker="pl.find_surfaces(volume)", call="pl.flatten_sheet({})")
+    check_dataset(
+        surfaces, "centre", expected="surfaces", source="pl.find_surfaces(volume)", call_format="pl.flatten_sheet({})"
+    )
     params = params_of(FlattenParams, params, "pl.flatten_sheet")
     frame = Frame.of(surfaces)
     has_base = "base_middle" in surfaces
@@ -122,7 +124,7 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
     curvature = curvature_check(points)
     strain["gaussian_curvature"] = (("row", "col"), _at_cells(curvature.curvature), {"units": "1/um2"})
     strain["needed_strain"] = (("row", "col"), _at_cells(curvature.strain))
-    edges = np.concatenate([np.abs(e[np.isfinite(e)]) for e in edge_strain(points, relaxed.uv)])
+    edge_strains = np.concatenate([np.abs(e[np.isfinite(e)]) for e in edge_strain(points, relaxed.uv)])
     moves = np.hypot(*(flat[axis].values - flat[f"projected_{axis}"].values for axis in "uv"))
     quality = FlatteningQuality(
         outcome=relaxed.outcome.name,
@@ -131,8 +133,8 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
         energy_um2=relaxed.energy,
         mesh_um=mesh.pitch_um,
         folded_cells=int(np.count_nonzero(relaxed.folded)),
-        edge_strain_p95=float(np.percentile(edges, 95)),
-        edge_strain_max=float(edges.max()),
+        edge_strain_p95=float(np.percentile(edge_strains, 95)),
+        edge_strain_max=float(edge_strains.max()),
         method=params.method,
         neutral=neutral,
         springs=relaxed.springs,
@@ -163,31 +165,33 @@ class SheetMesh(NamedTuple):
 
     def raised(self, offset: NDArray[np.floating]) -> Floats:
         """Nodes moved along the normals onto the surface that lies ``offset`` (y, x) above, vertically, in um."""
-        over = np.where(np.isfinite(self.points[..., 2]), offset[np.ix_(self.rows, self.cols)], np.nan)
-        order = 2 if min(over.shape) > 2 else 1
+        node_offset = np.where(np.isfinite(self.points[..., 2]), offset[np.ix_(self.rows, self.cols)], np.nan)
+        order = 2 if min(node_offset.shape) > 2 else 1
         down, across = np.gradient(filled(self.points[..., 2]), self.y_um, self.x_um, edge_order=order)
-        along = np.stack([-across, -down, np.ones(over.shape)], axis=-1)
-        return self.points + along * (np.nan_to_num(over) / (1 + down**2 + across**2))[..., None]
+        normals = np.stack([-across, -down, np.ones(node_offset.shape)], axis=-1)
+        return self.points + normals * (np.nan_to_num(node_offset) / (1 + down**2 + across**2))[..., None]
 
 
 def sheet_mesh(surfaces: xr.Dataset, mesh_um: float | None) -> SheetMesh:
     """Choose the nodes of the mesh; :func:`flatten_sheet` says what is raised."""
     y, x, centre = (surfaces[name].values for name in ("y", "x", "centre"))
     is_sheet = _largest_piece(np.isfinite(centre))
-    steps = pitch(surfaces)
-    wanted = mesh_um or max(4 * max(steps), np.sqrt(np.count_nonzero(is_sheet) * steps[0] * steps[1] / _MOST_NODES))
+    pitch_um = pitch(surfaces)
+    area_um2 = np.count_nonzero(is_sheet) * pitch_um[0] * pitch_um[1]
+    wanted_um = mesh_um or max(4 * max(pitch_um), np.sqrt(area_um2 / _MOST_NODES))
     # Columns per mesh cell, along rows and columns, so that cells are about square.
-    down, across = (
-        int(np.clip(round(wanted / step), 1, max(1, (n - 1) // 2))) for step, n in zip(steps, centre.shape, strict=True)
+    row_step, col_step = (
+        int(np.clip(round(wanted_um / step_um), 1, max(1, (n - 1) // 2)))
+        for step_um, n in zip(pitch_um, centre.shape, strict=True)
     )
-    rows, cols = _every(y.size, down), _every(x.size, across)
+    rows, cols = _mesh_indices(y.size, row_step), _mesh_indices(x.size, col_step)
     mesh_y, mesh_x = np.meshgrid(y[rows], x[cols], indexing="ij")
     height = np.where(is_sheet, centre, np.nan)[np.ix_(rows, cols)]
     points = np.stack([mesh_x, mesh_y, height], axis=-1)
     points[~_largest_piece(np.isfinite(height))] = np.nan
     return SheetMesh(
-        rows=rows, cols=cols, y_um=y[rows], x_um=x[cols], pitch_um=down * steps[0], is_sheet=is_sheet, points=points,
-        weights=node_weights(surfaces, rows, cols),
+        rows=rows, cols=cols, y_um=y[rows], x_um=x[cols], pitch_um=row_step * pitch_um[0], is_sheet=is_sheet,
+        points=points, weights=node_weights(surfaces, rows, cols),
     )  # fmt: skip
 
 
@@ -205,12 +209,12 @@ def _at_cells(nodes: Floats) -> Floats:
 
 def _progress(relaxed: Relaxed) -> dict[str, tuple[str, Floats, dict[str, str]]]:
     """History of the solver over ``step``: nodes of the mesh, energy, and the mean move of a node in the step."""
-    table = np.array([(step.nodes, step.energy, step.move) for step in relaxed.history], dtype=np.float64)
-    nodes, energy, move = table.reshape(-1, 3).T
+    step_table = np.array([(step.nodes, step.energy, step.move) for step in relaxed.history], dtype=np.float64)
+    nodes, energy, mean_move = step_table.reshape(-1, 3).T
     return {
         "step_nodes": ("step", nodes, {"long_name": "Nodes of the mesh"}),
         "step_energy": ("step", energy * relaxed.pitch**2, {"units": "um2", "long_name": "Spring energy"}),
-        "step_move": ("step", move * relaxed.pitch, {"units": "um", "long_name": "Mean move"}),
+        "step_move": ("step", mean_move * relaxed.pitch, {"units": "um", "long_name": "Mean move"}),
     }
 
 
@@ -222,14 +226,14 @@ def _largest_piece(mask: Bools) -> Bools:
     return labels == 1 + int(np.argmax(np.bincount(labels.ravel())[1:])) if count > 1 else mask
 
 
-def _every(count: int, step: int) -> NDArray[np.intp]:
+def _mesh_indices(n_columns: int, step: int) -> NDArray[np.intp]:
     """Indices of the mesh's nodes: every ``step``-th column, and the last one."""
-    indices = np.arange(0, count, step)
-    if indices[-1] == count - 1:
+    indices = np.arange(0, n_columns, step)
+    if indices[-1] == n_columns - 1:
         return indices
     # The last cell would be a sliver: it is widened instead.
-    is_sliver = count - 1 - indices[-1] < step / 2 and indices.size > 2
-    return np.append(indices[:-1] if is_sliver else indices, count - 1)
+    is_sliver = n_columns - 1 - indices[-1] < step / 2 and indices.size > 2
+    return np.append(indices[:-1] if is_sliver else indices, n_columns - 1)
 
 
 def _flat_columns(surfaces: xr.Dataset, mesh: SheetMesh, relaxed: Relaxed, frame: Frame) -> xr.Dataset:
@@ -239,21 +243,21 @@ def _flat_columns(surfaces: xr.Dataset, mesh: SheetMesh, relaxed: Relaxed, frame
     # Bilinear between the nodes of the mesh, filled by the nearest node outside.
     r = np.interp(np.arange(x.shape[0]), rows, np.arange(rows.size))[:, None]
     c = np.interp(np.arange(x.shape[1]), cols, np.arange(cols.size))[None, :]
-    across, down = (bilinear(filled(relaxed.uv[..., i] - mesh.points[..., i]), r, c) for i in range(2))
-    inside = mesh.is_sheet.copy()
+    u_moves, v_moves = (bilinear(filled(relaxed.uv[..., i] - mesh.points[..., i]), r, c) for i in range(2))
+    is_valid = mesh.is_sheet.copy()
     for i, j in zip(*np.nonzero(relaxed.folded), strict=True):
-        inside[rows[i] : rows[i + 1] + 1, cols[j] : cols[j + 1] + 1] = False
-    flip, offset = (-1.0, float(x[0, -1] + x[0, 0])) if frame.mirrored else (1.0, 0.0)
-    coordinates = {
-        "u": (offset + flip * (x + across), "Flat coordinate u"),
-        "v": (y + down, "Flat coordinate v"),
-        "projected_u": (offset + flip * x, "Projected coordinate u"),
+        is_valid[rows[i] : rows[i + 1] + 1, cols[j] : cols[j + 1] + 1] = False
+    flip, mirror_offset = (-1.0, float(x[0, -1] + x[0, 0])) if frame.mirrored else (1.0, 0.0)
+    values_and_titles = {
+        "u": (mirror_offset + flip * (x + u_moves), "Flat coordinate u"),
+        "v": (y + v_moves, "Flat coordinate v"),
+        "projected_u": (mirror_offset + flip * x, "Projected coordinate u"),
         "projected_v": (y, "Projected coordinate v"),
     }
     return xr.Dataset(
         {
-            name: (("y", "x"), np.where(inside, places, np.nan), {"units": "um", "long_name": title})
-            for name, (places, title) in coordinates.items()
+            name: (("y", "x"), np.where(is_valid, values, np.nan), {"units": "um", "long_name": title})
+            for name, (values, title) in values_and_titles.items()
         },
         coords=surfaces.coords,
         attrs=frame.attrs() | {"mirrored_view": int(frame.mirrored)},

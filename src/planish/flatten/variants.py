@@ -50,13 +50,13 @@ def flat_moves(
     area = float(np.count_nonzero(np.isfinite(centre))) * abs((y[1] - y[0]) * (x[1] - x[0]))
     mesh = sheet_mesh(surfaces, max(float(np.sqrt(area / _MOST_NODES)), 4 * abs(y[1] - y[0])))
     base = np.broadcast_to(np.asarray(neutral, dtype=np.float64), centre.shape)
-    start, *flattened = (
+    neutral_uv, *other_uvs = (
         relax_grid(mesh.raised(offset), rest=rest, weights=mesh.weights).uv for offset in (base, *others.values())
     )
-    signs = (-1.0 if Frame.of(surfaces).mirrored else 1.0, 1.0)
+    axis_signs = (-1.0 if Frame.of(surfaces).mirrored else 1.0, 1.0)
     moves = {
-        f"{name}_{axis}": (("y", "x"), filled(signs[k] * (uv - start)[..., k]), {"units": "um"})
-        for name, uv in zip(others, flattened, strict=True)
+        f"{name}_{axis}": (("y", "x"), filled(axis_signs[k] * (uv - neutral_uv)[..., k]), {"units": "um"})
+        for name, uv in zip(others, other_uvs, strict=True)
         for k, axis in enumerate("uv")
     }
     return xr.Dataset(moves, {"y": mesh.y_um, "x": mesh.x_um})
@@ -90,18 +90,18 @@ def places_when_scaled(
     -----
     Only differences of two flattenings of the same coarse mesh are used, so that its own error cancels.
     """
-    steps = pitch(surfaces)
+    pitch_um = pitch(surfaces)
     is_sheet = np.isfinite(flat["u"].values) & np.isfinite(surfaces["centre"].values)
-    area = np.count_nonzero(is_sheet) * steps[0] * steps[1]
+    area = np.count_nonzero(is_sheet) * pitch_um[0] * pitch_um[1]
     # The moves are differences of two flattenings, smooth over the 400 um of the centre surface.
-    wanted = mesh_um or max(min(50.0, np.sqrt(area / 5_000)), np.sqrt(area / 100_000))
+    wanted_um = mesh_um or max(min(50.0, np.sqrt(area / 5_000)), np.sqrt(area / 100_000))
     rows, cols = (
-        np.unique(np.linspace(0, n - 1, max(3, round((n - 1) * step / wanted) + 1)).round().astype(np.intp))
-        for n, step in zip(is_sheet.shape, steps, strict=True)
+        np.unique(np.linspace(0, n - 1, max(3, round((n - 1) * step_um / wanted_um) + 1)).round().astype(np.intp))
+        for n, step_um in zip(is_sheet.shape, pitch_um, strict=True)
     )
-    nodes = np.ix_(rows, cols)
-    is_node = is_sheet[nodes]
-    height = np.where(is_node, surfaces["centre"].values[nodes], np.nan)
+    mesh_nodes = np.ix_(rows, cols)
+    is_node = is_sheet[mesh_nodes]
+    height = np.where(is_node, surfaces["centre"].values[mesh_nodes], np.nan)
     across, down = np.meshgrid(surfaces["x"].values[cols], surfaces["y"].values[rows])
     weights = node_weights(surfaces, rows, cols)
     uv_by_scale: dict[float, Floats] = {}
@@ -114,6 +114,6 @@ def places_when_scaled(
         return np.ones(1), points[None].copy()
     moves = np.stack([uv - uv_by_scale[1.0] for uv in uv_by_scale.values()], axis=1)
     moves[..., 0] *= -1.0 if Frame.of(surfaces).mirrored else 1.0
-    places = np.stack([flat[k].values[nodes][is_node] for k in "uv"], axis=1)
-    moved = LinearNDInterpolator(places, moves.reshape(len(places), -1))(points).reshape(len(points), -1, 2)
-    return np.array(list(uv_by_scale)), points + np.moveaxis(moved, 1, 0)
+    flat_points = np.stack([flat[k].values[mesh_nodes][is_node] for k in "uv"], axis=1)
+    shifts = LinearNDInterpolator(flat_points, moves.reshape(len(flat_points), -1))(points).reshape(len(points), -1, 2)
+    return np.array(list(uv_by_scale)), points + np.moveaxis(shifts, 1, 0)

@@ -10,11 +10,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.core.arrays import IMAGE, VOLUME, Kind, check_values, described, instead_of, not_taken, step_um
+from planish.core.arrays import IMAGE, VOLUME, ArrayKind, check_values, conversion_call, described, not_taken, step_um
 from planish.core.errors import VolumeError, check_choice
 from planish.core.facts import SIDES, Side
 from planish.core.frame import Axis, End, Frame
-from planish.core.lazy import LazyArray, Where, held, labelled
+from planish.core.lazy import LazyArray, Where, labelled, variable_data
 from planish.io.formats import full_scale
 from planish.io.lazy import read_if_small, supported_type
 from planish.io.sizes import PIXEL, VOXEL, Stated, agreed_size
@@ -60,18 +60,18 @@ def volume(
     >>> float(sheet.x[-1]), sheet.attrs["through"]
     (88.5, 'y')
     """
-    frame, named = Frame(through=through, top=top), _array(array, VOLUME)
-    inner: Any = named.variable._data  # pyright: ignore  `values` would read them
-    dtype = supported_type(named.dtype).newbyteorder("=")
+    frame, raster = Frame(through=through, top=top), _array(array, VOLUME)
+    stored_data: Any = raster.variable._data  # pyright: ignore  `values` would read them
+    dtype = supported_type(raster.dtype).newbyteorder("=")
     values: NDArray[Any] | LazyArray
-    if isinstance(inner, np.ndarray) and inner.dtype == dtype:
-        values = read_if_small(inner, memory_bytes=None)
-    elif isinstance(inner, np.ndarray) and not isinstance(inner, np.memmap):
-        values = inner.astype(dtype)
+    if isinstance(stored_data, np.ndarray) and stored_data.dtype == dtype:
+        values = read_if_small(stored_data, memory_bytes=None)
+    elif isinstance(stored_data, np.ndarray) and not isinstance(stored_data, np.memmap):
+        values = stored_data.astype(dtype)
     else:
-        values = _lazy(named.variable, dtype)
-    attrs = {"full_scale": full_scale(named.dtype, 64), "long_name": "Grey value"} | named.attrs | frame.lies()
-    return _labelled(values, named, VOLUME, voxel_um, attrs, override=override_size, unusual=unusual_size)
+        values = _lazy(raster.variable, dtype)
+    attrs = {"full_scale": full_scale(raster.dtype, 64), "long_name": "Grey value"} | raster.attrs | frame.lies()
+    return _labelled(values, raster, VOLUME, voxel_um, attrs, override=override_size, unusual=unusual_size)
 
 
 def image(
@@ -108,66 +108,64 @@ def image(
 
     if side is not None:
         check_choice("side", side, SIDES)
-    named = _array(array, IMAGE)
-    stored = named.values
-    colour = "rgb" if stored.ndim == 3 else "grey"
-    picture = DecodedPicture(values=stored, colour=colour, bits=64, stated=(), orientation=1)
+    raster = _array(array, IMAGE)
+    stored_values = raster.values
+    colour = "rgb" if stored_values.ndim == 3 else "grey"
+    picture = DecodedPicture(values=stored_values, colour=colour, bits=64, stated=(), orientation=1)
     values, long_name = pick_channel(picture, channel, file_name="The array")
-    attrs = (
-        {
-            "full_scale": picture.full_scale,
-            "channel": channel,
-            "stored_dtype": str(stored.dtype),
-            "orientation": 1,
-            "long_name": long_name,
-        }
-        | named.attrs
-        | ({} if side is None else {"side": side})
-    )
-    return _labelled(values, named, IMAGE, pixel_um, attrs, override=override_size, unusual=unusual_size)
+    attrs = {
+        "full_scale": picture.full_scale,
+        "channel": channel,
+        "stored_dtype": str(stored_values.dtype),
+        "orientation": 1,
+        "long_name": long_name,
+        **raster.attrs,
+        **({} if side is None else {"side": side}),
+    }
+    return _labelled(values, raster, IMAGE, pixel_um, attrs, override=override_size, unusual=unusual_size)
 
 
-def _lazy(inner: Any, dtype: np.dtype[Any]) -> LazyArray:
+def _lazy(source: Any, dtype: np.dtype[Any]) -> LazyArray:
     """An array of another library, of which parts are read as they are asked for."""
-    array = LazyArray(tuple(map(int, inner.shape)), dtype, partial(_read_part, inner, dtype))
+    array = LazyArray(tuple(map(int, source.shape)), dtype, partial(_read_part, source, dtype))
     # Those of dask hold the size of each chunk.
-    chunks: Any = getattr(inner, "chunks", None) or getattr(inner, "encoding", {}).get("chunks") or ()
-    array.chunks = tuple(max(chunk) if isinstance(chunk, tuple) else chunk for chunk in chunks) or None
+    chunks: Any = getattr(source, "chunks", None) or getattr(source, "encoding", {}).get("chunks") or ()
+    array.chunks = tuple(max(edge) if isinstance(edge, tuple) else edge for edge in chunks) or None
     return array
 
 
-def _read_part(inner: Any, dtype: np.dtype[Any], where: Where) -> NDArray[Any]:
-    return np.asarray(inner[where], dtype)
+def _read_part(source: Any, dtype: np.dtype[Any], where: Where) -> NDArray[Any]:
+    return np.asarray(source[where], dtype)
 
 
-def _array(array: Any, kind: Kind) -> xr.DataArray:
+def _array(array: Any, kind: ArrayKind) -> xr.DataArray:
     """An array with names for its axes, not read; an image may have one more, its colours."""
     if not isinstance(getattr(array, "dtype", None), np.dtype) or isinstance(array, np.ma.MaskedArray):
-        instead = instead_of(array, kind)
+        instead_text = conversion_call(array, kind)
         if not isinstance(array, str | Path | xr.Dataset):
-            instead = instead.replace("array", "np.asarray(array)") + ", with NaN for what is masked"
-        raise not_taken(array, "an array", instead, f"pl.{kind.name}(")
-    named: Any = array
+            instead_text = instead_text.replace("array", "np.asarray(array)") + ", with NaN for what is masked"
+        raise not_taken(array, "an array", instead_text, f"pl.{kind.name}(")
+    raster: Any = array
     if not isinstance(array, xr.DataArray):
-        inner = array if isinstance(array, np.ndarray) else _lazy(array, array.dtype.newbyteorder("="))
-        named = xr.DataArray(xr.Variable([f"dim_{k}" for k in range(len(array.shape))], held(inner)))
-        named.encoding |= {"chunks": inner.chunks} if isinstance(inner, LazyArray) else {}
-    dims, coloured = [str(name) for name in named.dims], kind is IMAGE and named.shape[2:] in ((3,), (4,))
+        stored_data = array if isinstance(array, np.ndarray) else _lazy(array, array.dtype.newbyteorder("="))
+        raster = xr.DataArray(xr.Variable([f"dim_{k}" for k in range(len(array.shape))], variable_data(stored_data)))
+        raster.encoding |= {"chunks": stored_data.chunks} if isinstance(stored_data, LazyArray) else {}
+    dims, has_colour = [str(name) for name in raster.dims], kind is IMAGE and raster.shape[2:] in ((3,), (4,))
     if set(kind.axes) < set(dims) or sorted(dims) == sorted(kind.axes):
-        named = named.transpose(*kind.axes, ...)
-    elif all(name.startswith("dim_") for name in dims) and len(dims) == len(kind.axes) + coloured:  # names of no axis
-        named = named.rename(dict(zip(named.dims, (*kind.axes, "colour"), strict=False)))
-    dims = [str(name) for name in named.dims]
-    check_values(named, kind, dims[:2] if coloured else dims)
-    if min(named.shape) < (2 if kind is VOLUME else 1):
+        raster = raster.transpose(*kind.axes, ...)
+    elif all(name.startswith("dim_") for name in dims) and len(dims) == len(kind.axes) + has_colour:  # names of no axis
+        raster = raster.rename(dict(zip(raster.dims, (*kind.axes, "colour"), strict=False)))
+    dims = [str(name) for name in raster.dims]
+    check_values(raster, kind, dims[:2] if has_colour else dims)
+    if min(raster.shape) < (2 if kind is VOLUME else 1):
         raise VolumeError(f"The {kind.name} is cut off: {described(array)} was given. Give the whole stack.")
-    return named
+    return raster
 
 
 def _labelled(
     values: NDArray[Any] | LazyArray,
-    named: xr.DataArray,
-    kind: Kind,
+    raster: xr.DataArray,
+    kind: ArrayKind,
     size_um: Size | None,
     attrs: dict[str, Any],
     *,
@@ -175,22 +173,23 @@ def _labelled(
     unusual: bool,
 ) -> xr.DataArray:
     """The values with the size that coordinates, attribute and call agree on, beginning where they did."""
-    steps = {axis: None if override else step_um(named, axis) for axis in kind.axes}
+    steps = {axis: None if override else step_um(raster, axis) for axis in kind.axes}
     # Without a unit they may count voxels: they have to fit a size that is given, and are none by themselves.
-    plain = [axis for axis, step in steps.items() if step is not None and "units" not in named[axis].attrs]
-    sizes = tuple(None if size_um is None and axis in plain else step for axis, step in steps.items())
-    stated = Stated("its coordinate grid", sizes, "coordinates without a unit" if plain else "")
-    if size_um is None and not any(sizes) and kind.size in named.attrs:
-        stated = Stated(f"its attribute {kind.size}", tuple(named.attrs[kind.size]))
-    asked = VOXEL if kind is VOLUME else PIXEL
+    unitless = [axis for axis, step in steps.items() if step is not None and "units" not in raster[axis].attrs]
+    stated_um = tuple(None if size_um is None and axis in unitless else step for axis, step in steps.items())
+    stated = Stated("its coordinate grid", stated_um, "coordinates without a unit" if unitless else "")
+    if size_um is None and not any(stated_um) and kind.size_attribute in raster.attrs:
+        stated = Stated(f"its attribute {kind.size_attribute}", tuple(raster.attrs[kind.size_attribute]))
+    size_kind = VOXEL if kind is VOLUME else PIXEL
     name = f"The {kind.name}"
-    size, source = agreed_size([stated], size_um, file_name=name, asked=asked, override=override, unusual=unusual)
-    path = getattr(named.variable._data, "filename", None)  # pyright: ignore  of a memory map
-    origin = {"file_name": Path(path).name if path else str(named.name or "array"), "file_bytes": named.nbytes}
-    attrs = origin | attrs | {"units": "1", kind.size: list(size), f"{kind.size}_source": source}
+    size, source = agreed_size([stated], size_um, file_name=name, asked=size_kind, override=override, unusual=unusual)
+    path = getattr(raster.variable._data, "filename", None)  # pyright: ignore  of a memory map
+    file_name = Path(path).name if path else str(raster.name or "array")
+    attrs = {"file_name": file_name, "file_bytes": raster.nbytes, **attrs, "units": "1"}
+    attrs |= {kind.size_attribute: list(size), f"{kind.size_attribute}_source": source}
     coords = {
-        axis: (axis, named[axis].values.astype(np.float64), {"units": "um"})
+        axis: (axis, raster[axis].values.astype(np.float64), {"units": "um"})
         for axis, step in steps.items()
-        if step is not None and named[axis].values[0] != 0
+        if step is not None and raster[axis].values[0] != 0
     }
     return labelled(values, kind.axes, size, name=kind.name, attrs=attrs).assign_coords(coords)

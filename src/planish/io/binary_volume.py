@@ -31,55 +31,55 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
 
 
 def _header_of(
-    path: Path, sizes: tuple[int, ...], order: tuple[int, ...], stored: np.dtype[Any], offset: int, stated: Stated
+    path: Path, extents: tuple[int, ...], axes: tuple[int, ...], dtype: np.dtype[Any], offset: int, stated: Stated
 ) -> Header:
     """Header of values that begin at a byte of a file, which may be packed as a whole."""
-    packing, shape = packing_of(path), tuple(sizes[axis] for axis in order)
-    offset, skip = (0, offset) if packing else (offset, 0)
-    return Header(
-        path=path, data=path, shape=shape, stored=stored, offset=offset, packing=packing, skip=skip, stated=[stated]
-    )
+    packing, shape = packing_of(path), tuple(extents[axis] for axis in axes)
+    offset, skip_bytes = (0, offset) if packing else (offset, 0)
+    return Header(path, path, shape, dtype, offset, [stated], packing, skip_bytes)
 
 
 def _load_nifti(path: Path) -> LoadedVolume:
     """Values of a NIfTI file; those that the header scales become float32."""
-    keys, header_bytes = _nifti_header(unpacked_head(path, LONGEST_NIFTI), path)
+    fields, header_bytes = _nifti_header(unpacked_head(path, LONGEST_NIFTI), path)
     with reading(path):
-        sizes = tuple(int(n) for n in keys.get_data_shape())
-        stored, offset = np.dtype(keys.get_data_dtype()), int(keys.get_data_offset())
-        slope, intercept = keys.get_slope_inter()
-        word = str(keys.get_xyzt_units()[0])
-        unit = {"meter": "m", "micron": "um", "unknown": ""}.get(word, word)
-        lengths = [float(v) for v in keys.get_zooms()]
+        extents = tuple(int(n) for n in fields.get_data_shape())
+        dtype, offset = np.dtype(fields.get_data_dtype()), int(fields.get_data_offset())
+        slope, intercept = fields.get_slope_inter()
+        unit_name = str(fields.get_xyzt_units()[0])
+        unit = {"meter": "m", "micron": "um", "unknown": ""}.get(unit_name, unit_name)
+        voxel_lengths = [float(v) for v in fields.get_zooms()]
         # Without a code no affine was written, and nibabel would make one up.
-        has_affine = any(int(keys[name]) > 0 for name in ("sform_code", "qform_code"))
-        mirrored = has_affine and bool(np.linalg.det(keys.get_best_affine()[:3, :3]) < 0)
-    if min(sizes, default=0) < 0 or offset < header_bytes:
-        raise damaged(path, f"its sizes are {sizes}, its values begin at byte {offset}")
-    order = axes_of(sizes, "", path)
-    stated = stated_in("the NIfTI pixdim", lengths, [unit] * len(sizes), order)
-    header = _header_of(path, sizes, order, stored, offset, stated)
+        has_affine = any(int(fields[name]) > 0 for name in ("sform_code", "qform_code"))
+        is_mirrored = has_affine and bool(np.linalg.det(fields.get_best_affine()[:3, :3]) < 0)
+    if min(extents, default=0) < 0 or offset < header_bytes:
+        raise damaged(path, f"its sizes are {extents}, its values begin at byte {offset}")
+    axes = axes_of(extents, "", path)
+    stated = stated_in("the NIfTI pixdim", voxel_lengths, [unit] * len(extents), axes)
+    header = _header_of(path, extents, axes, dtype, offset, stated)
     values = values_behind(header)
     if slope is not None and intercept is not None and (slope, intercept) != (1.0, 0.0):
-        inner = values if isinstance(values, FileArray) else stored_planes(path, header.shape, stored, offset=offset)
-        values = ViewArray(inner, range(3), partial(_scaled, slope=slope, intercept=intercept), np.dtype(np.float32))
-    hand = {"hand": "left, by the affine"} if mirrored else {}
-    return header.volume(values, attrs=hand, notes=[MIRRORED.format(path.name)] if mirrored else [])
+        if not isinstance(values, FileArray):
+            values = stored_planes(path, header.shape, dtype, offset=offset)
+        scale = partial(_scaled, slope=slope, intercept=intercept)
+        values = ViewArray(values, range(3), scale, np.dtype(np.float32))
+    hand_attrs = {"hand": "left, by the affine"} if is_mirrored else {}
+    return header.volume(values, attrs=hand_attrs, notes=[MIRRORED.format(path.name)] if is_mirrored else [])
 
 
 def _nifti_header(head: bytes, path: Path) -> tuple[Any, int]:
     """Read the header alone, and its length: what nibabel opens may name other files and extensions of any size."""
     with quiet:
         from nibabel import Nifti1Header, Nifti2Header
-    header_class, length, magic = Nifti1Header, 348, head[344:347]
+    header_class, n_bytes, magic = Nifti1Header, 348, head[344:347]
     if head[:4] in (LONGEST_NIFTI.to_bytes(4, "little"), LONGEST_NIFTI.to_bytes(4, "big")):
-        header_class, length, magic = Nifti2Header, LONGEST_NIFTI, head[4:7]
+        header_class, n_bytes, magic = Nifti2Header, LONGEST_NIFTI, head[4:7]
     if magic in (b"ni1", b"ni2"):
         raise FileError(f"{path.name} has its values in another file (.img). Save it as one file, .nii or .nii.gz.")
-    if len(head) < length or magic not in (b"n+1", b"n+2"):
+    if len(head) < n_bytes or magic not in (b"n+1", b"n+2"):
         raise FileError(f"{path.name} is no NIfTI file. Check its name, or export it again.")
     with reading(path):
-        return header_class(head[:length], check=False), length
+        return header_class(head[:n_bytes], check=False), n_bytes
 
 
 def _scaled(values: NDArray[Any], *, slope: float, intercept: float) -> NDArray[Any]:
@@ -91,13 +91,14 @@ IMOD_STAMP, IMOD_AT = 1146047817, 40  # where it stands in extra2, the next numb
 
 
 def _load_mrc(path: Path) -> LoadedVolume:
-    keys = _mrc_header(unpacked_head(path, HEADER_BYTES), path)
-    sizes = tuple(int(keys[name]) for name in ("nx", "ny", "nz"))
-    more = int(keys["nsymbt"])
-    if min(sizes) < 1 or more < 0:
-        raise damaged(path, f"its sizes are {sizes}, its extended header has {more} bytes")
-    order = axes_of(sizes, "", path)
-    header = _header_of(path, sizes, order, _type_of(keys, path), HEADER_BYTES + more, _stated(keys, order))
+    fields = _mrc_header(unpacked_head(path, HEADER_BYTES), path)
+    extents = tuple(int(fields[name]) for name in ("nx", "ny", "nz"))
+    extended_bytes = int(fields["nsymbt"])
+    if min(extents) < 1 or extended_bytes < 0:
+        raise damaged(path, f"its sizes are {extents}, its extended header has {extended_bytes} bytes")
+    axes = axes_of(extents, "", path)
+    offset, dtype = HEADER_BYTES + extended_bytes, _type_of(fields, path)
+    header = _header_of(path, extents, axes, dtype, offset, _stated(fields, axes))
     return header.volume(values_behind(header))
 
 
@@ -106,38 +107,38 @@ def _mrc_header(head: bytes, path: Path) -> Any:
     with quiet:
         from mrcfile import dtypes
     if len(head) == HEADER_BYTES:
-        for order in ("<", ">"):
-            keys = np.frombuffer(head, dtypes.HEADER_DTYPE.newbyteorder(order))[0]
-            if 0 <= int(keys["mode"]) < 128 and all(0 < int(keys[name]) < 2**24 for name in ("nx", "ny", "nz")):
-                return keys
+        for byte_order in ("<", ">"):
+            fields = np.frombuffer(head, dtypes.HEADER_DTYPE.newbyteorder(byte_order))[0]
+            if 0 <= int(fields["mode"]) < 128 and all(0 < int(fields[name]) < 2**24 for name in ("nx", "ny", "nz")):
+                return fields
     raise FileError(f"{path.name} is no MRC file. Check its name, or export it again.")
 
 
-def _type_of(keys: Any, path: Path) -> np.dtype[Any]:
+def _type_of(fields: Any, path: Path) -> np.dtype[Any]:
     """Type of the values by their mode; bytes of programs that say so by IMOD's flags are unsigned."""
     from mrcfile import utils
 
-    mode, order = int(keys["mode"]), keys.dtype["nx"].byteorder
+    mode, byte_order = int(fields["mode"]), fields.dtype["nx"].byteorder
     try:
         dtype = np.dtype(utils.dtype_from_mode(mode))
     except ValueError:
         dtype = np.dtype(np.void)
     if dtype.kind not in "iuf":
         raise VolumeError(f"{path.name} has values of the mode {mode}. Export it with whole or real numbers.")
-    stamp, flags = np.frombuffer(keys["extra2"].tobytes(), np.dtype(np.int32).newbyteorder(order), 2, IMOD_AT)
+    stamp, flags = np.frombuffer(fields["extra2"].tobytes(), np.dtype(np.int32).newbyteorder(byte_order), 2, IMOD_AT)
     if mode == 0 and stamp == IMOD_STAMP and not flags & 1:
         dtype = np.dtype(np.uint8)
-    return dtype.newbyteorder(order)
+    return dtype.newbyteorder(byte_order)
 
 
-def _stated(keys: Any, order: tuple[int, ...]) -> Stated:
+def _stated(fields: Any, axes: tuple[int, ...]) -> Stated:
     """Size of a voxel: the cell by its intervals; its axes may stand in another order than those of the array."""
-    lengths: list[float | None] = []
+    cell_lengths: list[float | None] = []
     for name in ("mapc", "mapr", "maps"):
-        axis = {1: "x", 2: "y", 3: "z"}.get(int(keys[name]), "")
-        number = int(keys[f"m{axis}"]) if axis else 0
-        lengths.append(float(keys["cella"][axis]) / number if number > 0 else None)
-    if all(length in (0.0, 1.0) for length in lengths):
-        note = "1 Angstrom is what programs write when they do not know" if lengths[0] else "it is 0"
-        return Stated("the MRC cell", (None, None, None), note)
-    return stated_in("the MRC cell", lengths, ["angstrom"] * 3, order)
+        axis = {1: "x", 2: "y", 3: "z"}.get(int(fields[name]), "")
+        n_intervals = int(fields[f"m{axis}"]) if axis else 0
+        cell_lengths.append(float(fields["cella"][axis]) / n_intervals if n_intervals > 0 else None)
+    if all(length in (0.0, 1.0) for length in cell_lengths):
+        note_text = "1 Angstrom is what programs write when they do not know" if cell_lengths[0] else "it is 0"
+        return Stated("the MRC cell", (None, None, None), note_text)
+    return stated_in("the MRC cell", cell_lengths, ["angstrom"] * 3, axes)

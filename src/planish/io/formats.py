@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from planish.core.errors import FileError, InputError, VolumeError
 from planish.core.text import printable
 from planish.io.guard import quiet
-from planish.io.lazy import Values, read_if_small
+from planish.io.lazy import Values
 from planish.io.sizes import Stated
-from planish.io.tiff import damaged, size_words
+from planish.io.tiff import size_words
 
 ADVICE = "Save one grey volume alone, as a stack of slices."
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # weights of red, green and blue, Rec. ITU-R BT.709
@@ -38,20 +38,20 @@ class VolumeFormat(NamedTuple):
     name: str
     module: str  # of this package
     suffixes: tuple[str, ...] = ()  # ends of the names of its files or folders, in small letters
-    members: tuple[str, ...] = ()  # names of files that mark a folder of this format, whatever its own name
-    parts: bool = False  # whether ``path:part`` chooses one volume of several
+    marker_files: tuple[str, ...] = ()  # names of files that mark a folder of this format, whatever its own name
+    has_parts: bool = False  # whether ``path:part`` chooses one volume of several
 
 
 # The first line that fits is taken, so longer suffixes stand before shorter ones.
 FORMATS = (
     VolumeFormat("raw with a header", "header_volume", (".toml", ".raw", ".vol")),
-    VolumeFormat("OME-Zarr", "zarr_volume", (".zarr",), ("zarr.json", ".zgroup", ".zarray"), parts=True),
+    VolumeFormat("OME-Zarr", "zarr_volume", (".zarr",), ("zarr.json", ".zgroup", ".zarray"), has_parts=True),
     VolumeFormat("NRRD", "header_volume", (".nrrd", ".nhdr")),
     VolumeFormat("MetaImage", "header_volume", (".mha", ".mhd")),
-    VolumeFormat("HDF5 or NeXus", "hdf5_volume", (".h5", ".hdf5", ".hdf", ".he5", ".nxs", ".nx"), parts=True),
+    VolumeFormat("HDF5 or NeXus", "hdf5_volume", (".h5", ".hdf5", ".hdf", ".he5", ".nxs", ".nx"), has_parts=True),
     VolumeFormat("NIfTI", "binary_volume", (".nii", ".nii.gz")),
     VolumeFormat("MRC", "binary_volume", (".mrc", ".rec", ".st", ".ali", ".map", ".mrc.gz", ".mrc.bz2")),
-    VolumeFormat("MATLAB", "matlab_volume", (".mat",), parts=True),
+    VolumeFormat("MATLAB", "matlab_volume", (".mat",), has_parts=True),
 )
 TIFF = VolumeFormat("TIFF", "tiff_volume", (".tif", ".tiff", ".btf", ".tf8"))
 SLICES = VolumeFormat("folder of slices", "slice_volume")
@@ -100,11 +100,12 @@ def find_place(path: str | Path) -> Place:
         raise FileError(f"The name {printable(text)} holds what is no text. Results hold names: give it another.")
     if not exists(Path(text)):
         for colon in range(len(text) - 1, 0, -1):
-            front = text[:colon]
-            if text[colon] != ":" or (colon == 1 and front.isalpha()):
+            path_text = text[:colon]
+            if text[colon] != ":" or (colon == 1 and path_text.isalpha()):
                 continue
-            if exists(Path(front)) or any(front.lower().endswith(s) for f in FORMATS if f.parts for s in f.suffixes):
-                return Place(path=Path(front), part=text[colon + 1 :].replace(os.sep, "/"))
+            suffixes = tuple(s for f in FORMATS if f.has_parts for s in f.suffixes)
+            if exists(Path(path_text)) or path_text.lower().endswith(suffixes):
+                return Place(path=Path(path_text), part=text[colon + 1 :].replace(os.sep, "/"))
     return Place(path=Path(text))
 
 
@@ -120,11 +121,11 @@ def format_of(place: Place) -> VolumeFormat:
     """Find the format by the name, or for folders by what lies in them; everything else is an image file."""
     path = place.path
     name, is_folder = path.name.lower(), path.is_dir()
-    candidates = [f for f in FORMATS if name.endswith(f.suffixes) and is_folder == bool(f.members)]
+    candidates = [f for f in FORMATS if name.endswith(f.suffixes) and is_folder == bool(f.marker_files)]
     if is_folder:
-        candidates += [f for f in FORMATS if any((path / member).is_file() for member in f.members)]
+        candidates += [f for f in FORMATS if any((path / marker).is_file() for marker in f.marker_files)]
     file_format = (*candidates, SLICES if is_folder else TIFF)[0]
-    if place.part and not file_format.parts:
+    if place.part and not file_format.has_parts:
         raise FileError(
             f"{path.name} is {file_format.name}, in which {place.part!r} chooses nothing. Leave out ':{place.part}'."
         )
@@ -176,18 +177,6 @@ def full_scale(dtype: np.dtype[Any], bits: int) -> int | None:
     return 1 if dtype.kind == "b" else min(int(np.iinfo(dtype).max), 2**bits - 1)
 
 
-def checked_volume(volume: LoadedVolume, path: Path, *, memory_bytes: int | None) -> LoadedVolume:
-    """Check shape and type, and read what is small."""
-    shape = volume.values.shape
-    # No scan has more; a larger number is damage.
-    if 0 in shape or math.prod(shape) > 2**50:
-        raise damaged(path, f"it declares {size_words(shape)} voxels, which no volume has")
-    if len(shape) != 3 or min(shape) == 1:
-        raise VolumeError(f"{path.name} is no volume but {size_words(shape)} voxels (z, y, x). {ADVICE}")
-    check_type(volume.values.dtype, path)
-    return volume._replace(values=read_if_small(volume.values, memory_bytes=memory_bytes))
-
-
 def check_type(dtype: np.dtype[Any], path: Path) -> None:
     """Refuse values that are no grey values."""
     if dtype.kind == "b":
@@ -196,14 +185,14 @@ def check_type(dtype: np.dtype[Any], path: Path) -> None:
         raise VolumeError(f"{path.name} has {dtype} values. Needed are integers or real numbers up to 64 bits.")
 
 
-def referenced_file(folder: Path, name: str, path: Path, *, base: Path | None = None) -> Path:
+def referenced_file(folder: Path, name: str, path: Path, *, base_folder: Path | None = None) -> Path:
     """Path of a file that another file names, which has to lie in the same folder or below."""
-    target = (base or folder) / name
+    target = (base_folder or folder) / name
     try:
-        within = "\0" not in name and target.resolve().is_relative_to(folder.resolve())
+        is_within = "\0" not in name and target.resolve().is_relative_to(folder.resolve())
     except (OSError, RuntimeError):
-        within = False
-    if not within:
+        is_within = False
+    if not is_within:
         raise FileError(
             f"{path.name} takes data from {name!r}, outside its folder, which planish does not open. Put the files "
             "into one folder and name them without a path."
@@ -217,16 +206,16 @@ def describe_volumes(volumes: Sequence[tuple[str, tuple[int, ...], str]], name: 
     """List the volumes (name, shape, type) of a file, and say how one is chosen."""
     if not volumes:
         return ADVICE
-    listed = ", ".join(f"{volume} ({size_words(shape)} {dtype})" for volume, shape, dtype in volumes[:8])
-    more = f" and {len(volumes) - 8} more" if len(volumes) > 8 else ""
-    return f"Its volumes are {listed}{more}: choose one as {name}:{volumes[0][0]}."
+    volumes_text = ", ".join(f"{volume} ({size_words(shape)} {dtype})" for volume, shape, dtype in volumes[:8])
+    more_text = f" and {len(volumes) - 8} more" if len(volumes) > 8 else ""
+    return f"Its volumes are {volumes_text}{more_text}: choose one as {name}:{volumes[0][0]}."
 
 
 def only_volume(volumes: Sequence[tuple[str, tuple[int, ...], str]], name: str) -> str:
     """Name of the only volume of a file."""
     if len(volumes) != 1:
-        many = f"{len(volumes)} volumes" if volumes else "no volume"
-        raise VolumeError(f"{name} holds {many}. {describe_volumes(volumes, name)}")
+        count_text = f"{len(volumes)} volumes" if volumes else "no volume"
+        raise VolumeError(f"{name} holds {count_text}. {describe_volumes(volumes, name)}")
     return volumes[0][0]
 
 
@@ -253,12 +242,12 @@ def colour_attrs(channel: str | None, path: Path, *, in_colour: bool) -> dict[st
         if channel not in (None, "luminance"):
             raise InputError(f"{path.name} is grey, so it has no {channel}. Leave --volume-channel out.")
         return {}
-    chosen = "no channel was chosen, so luminance is" if channel is None else f"the channel chosen is {channel}"
-    return {"channel": channel or "luminance", "colour": f"The files are in colour; {chosen}."}
+    choice_text = "no channel was chosen, so luminance is" if channel is None else f"the channel chosen is {channel}"
+    return {"channel": channel or "luminance", "colour": f"The files are in colour; {choice_text}."}
 
 
 def check_chunks(
-    present: Iterable[tuple[int, ...]], shape: tuple[int, ...], chunk: tuple[int, ...], *, name: str
+    positions: Iterable[tuple[int, ...]], shape: tuple[int, ...], chunk: tuple[int, ...], *, name: str
 ) -> tuple[str, ...]:
     """Compare the chunks of an array with those it should have.
 
@@ -266,18 +255,18 @@ def check_chunks(
     sample. A whole layer of the array without any is a copy that was cut off, or a wrong shape.
     """
     grid = tuple(-(-n // c) for n, c in zip(shape, chunk, strict=True))
-    stored = [p for p in present if len(p) == len(grid) and all(0 <= i < n for i, n in zip(p, grid, strict=True))]
+    stored = [p for p in positions if len(p) == len(grid) and all(0 <= i < n for i, n in zip(p, grid, strict=True))]
     total = math.prod(grid)
-    lost = f"{total - len(stored)} of its {total} chunks are not stored"
+    loss = f"{total - len(stored)} of its {total} chunks are not stored"
     names = "tczyx"[-len(grid) :] if len(grid) <= 5 else range(len(grid))
     for axis, (n, c) in enumerate(zip(grid, chunk, strict=True)):
-        places = {position[axis] for position in stored}
-        if len(places) < n:
-            missing = c * next(p for p in range(n) if p not in places)
+        stored_indices = {position[axis] for position in stored}
+        if len(stored_indices) < n:
+            missing = c * next(p for p in range(n) if p not in stored_indices)
             raise FileError(
-                f"{name} has no values for {names[axis]} {missing} to {min(missing + c, shape[axis]) - 1}: {lost}. "
+                f"{name} has no values for {names[axis]} {missing} to {min(missing + c, shape[axis]) - 1}: {loss}. "
                 "It is cut off, or its shape is wrong: copy or export it again."
             )
     if len(stored) == total:
         return ()
-    return (f"{lost} and read as one constant: they are empty, or were lost when it was copied.",)
+    return (f"{loss} and read as one constant: they are empty, or were lost when it was copied.",)

@@ -150,14 +150,14 @@ def _available_on_windows(kernel: Any) -> int:
 
 
 def _control_group_limit_bytes(
-    membership: Path = Path("/proc/self/cgroup"), groups: Path = Path("/sys/fs/cgroup")
+    membership_file: Path = Path("/proc/self/cgroup"), groups_folder: Path = Path("/sys/fs/cgroup")
 ) -> int:
     """Least memory limit of the control groups of the process (containers, batch systems); a huge number if none."""
     limits = [2**62]
-    ends = ((groups, False), (groups / "memory", True))
-    for folder, is_first in (*ends, *control_groups("memory", membership, groups)):
+    folders = ((groups_folder, False), (groups_folder / "memory", True))
+    for folder, is_version_1 in (*folders, *control_groups("memory", membership_file, groups_folder)):
         with suppress(OSError):
-            name = "memory.limit_in_bytes" if is_first else "memory.max"
+            name = "memory.limit_in_bytes" if is_version_1 else "memory.max"
             text = (folder / name).read_text(encoding="ascii", errors="replace").strip()
             limits += [int(text)] if text.isdigit() else []
     return min(limits)

@@ -31,17 +31,18 @@ def missing_shards(path: Path) -> list[str]:
 
 def store_fingerprint(path: Path) -> str:
     """SHA-256 over the checksums of all shards, for which no shard is read; empty where there are no checksums."""
-    listed = sorted(_read_checksums(path).items())
+    shard_hashes = sorted(_read_checksums(path).items())
     # The shards hold the voxels, the metadata their size.
-    meta = sorted(p for p in path.rglob("*") if p.name in ("zarr.json", ".zattrs", ".zarray")) if listed else []
-    hashes = listed + [(p.relative_to(path).as_posix(), hashlib.sha256(p.read_bytes()).hexdigest()) for p in meta]
-    return _hash_of_hashes(hashes) if listed else ""
+    if not shard_hashes:
+        return ""
+    files = sorted(p for p in path.rglob("*") if p.name in ("zarr.json", ".zattrs", ".zarray"))
+    hashes = [(p.relative_to(path).as_posix(), hashlib.sha256(p.read_bytes()).hexdigest()) for p in files]
+    return _hash_of_hashes([*shard_hashes, *hashes])
 
 
 def _hash_of_hashes(hashes: Iterable[tuple[str, str]], part: str = "") -> str:
-    """Hash of files with their names (name, hash)."""
-    start = f"{part}\n" if part else ""
-    return hashlib.sha256((start + "".join(f"{sha}  {name}\n" for name, sha in hashes)).encode()).hexdigest()
+    prefix = f"{part}\n" if part else ""
+    return hashlib.sha256((prefix + "".join(f"{sha}  {name}\n" for name, sha in hashes)).encode()).hexdigest()
 
 
 class ShardLists:
@@ -114,27 +115,27 @@ def fingerprint(path: str | Path) -> str:
     place = find_place(path)
     path = place.path
     # A store that planish wrote has the hashes of its shards already.
-    if format_of(place).members and (stored := store_fingerprint(path)):
-        return hashlib.sha256(f"{place.part}\n{stored}".encode()).hexdigest() if place.part else stored
+    if format_of(place).marker_files and (stored_hash := store_fingerprint(path)):
+        return hashlib.sha256(f"{place.part}\n{stored_hash}".encode()).hexdigest() if place.part else stored_hash
     files = files_of(place)
     if files == [path] and not place.part:
         return hash_of_file(path)
-    base = path if path.is_dir() else path.parent
-    named = sorted((file.relative_to(base).as_posix(), file) for file in files)
-    return _hash_of_hashes(((name, hash_of_file(file)) for name, file in named), place.part)
+    base_folder = path if path.is_dir() else path.parent
+    named_files = sorted((file.relative_to(base_folder).as_posix(), file) for file in files)
+    return _hash_of_hashes(((name, hash_of_file(file)) for name, file in named_files), place.part)
 
 
 def files_of(place: Place) -> list[Path]:
     """List the files that an input is made of, reading its headers alone; errors as of :func:`fingerprint`."""
-    path, kind = place.path, format_of(place)
+    path, file_format = place.path, format_of(place)
     # Sections have gaps that are none: their counter says where each one lies, and is part of what was measured.
     if is_section_folder(path):
         return [file for file in path.iterdir() if is_slice_name(file.name) or file.name == COUNTER]
-    if kind is SLICES:
+    if file_format is SLICES:
         return slice_files(path, read_scan(path))
     if path.is_dir():
         return [file for file in path.rglob("*") if file.is_file()]
-    return [path] if kind is TIFF else list(dict.fromkeys(loader(kind)(place, None, sys.maxsize).files))
+    return [path] if file_format is TIFF else list(dict.fromkeys(loader(file_format)(place, None, sys.maxsize).files))
 
 
 # Hashes of files read before by this process, by path, size, time of change and inode.

@@ -65,25 +65,25 @@ def link_of(group: Any, name: str) -> Any:
 
 def find_dataset(path: Path, name: str) -> tuple[Path, str]:
     """Follow a path through groups and links."""
-    here, place, remaining = path, "", _words(name)
+    current_file, group_path, remaining_names = path, "", _words(name)
     for _ in range(MOST_LINKS):
-        with opened(here) as file:
-            while remaining:
-                part, *remaining = remaining
-                link = link_of(file[place or "/"], part)
+        with opened(current_file) as file:
+            while remaining_names:
+                member_name, *remaining_names = remaining_names
+                link = link_of(file[group_path or "/"], member_name)
                 if link is None:
                     volumes = describe_volumes(volumes_in(path), path.name)
-                    raise VolumeError(f"{path.name} has no {name!r}: {part!r} is not there. {volumes}")
+                    raise VolumeError(f"{path.name} has no {name!r}: {member_name!r} is not there. {volumes}")
                 if not isinstance(link, h5py.HardLink):
                     break
-                place = f"{place}/{part}"
+                group_path = f"{group_path}/{member_name}"
             else:
-                return here, place
+                return current_file, group_path
         is_external = isinstance(link, h5py.ExternalLink)
-        base = [] if is_external or link.path.startswith("/") else _words(place)
-        place, remaining = "", [*base, *_words(link.path), *remaining]
+        base_names = [] if is_external or link.path.startswith("/") else _words(group_path)
+        group_path, remaining_names = "", [*base_names, *_words(link.path), *remaining_names]
         if is_external:
-            here = referenced_file(path.parent, link.filename, path, base=here.parent)
+            current_file = referenced_file(path.parent, link.filename, path, base_folder=current_file.parent)
     raise FileError(
         f"{path.name}: {name!r} leads through more than {MOST_LINKS} links. Copy the data set into one file."
     )
@@ -95,42 +95,42 @@ def _words(name: str) -> list[str]:
 
 def check_storage(dataset: h5py.Dataset, path: Path, *, depth: int = 0) -> None:
     """Refuse a data set whose values lie outside the folder, or in files that are not there."""
-    fault = ""
+    fault_text = ""
     if dataset.external:
-        fault = f"keeps its values in another file ({dataset.external[0][0]!r}), which planish does not open"
+        fault_text = f"keeps its values in another file ({dataset.external[0][0]!r}), which planish does not open"
     elif dataset.is_virtual and depth > 4:
-        fault = "is virtual over virtual data sets"
-    parts = sorted({(s.file_name, s.dset_name) for s in dataset.virtual_sources()} if dataset.is_virtual else ())
-    for source, name in parts if not fault else ():
+        fault_text = "is virtual over virtual data sets"
+    sources = sorted({(s.file_name, s.dset_name) for s in dataset.virtual_sources()} if dataset.is_virtual else ())
+    for source, name in sources if not fault_text else ():
         if "%" in source or "%" in name:
-            fault = "takes its parts from a pattern of files"
+            fault_text = "takes its parts from a pattern of files"
             break
         file = path if source == "." else referenced_file(path.parent, source, path)
         target, target_name = find_dataset(file, name)
         if target.resolve() != file.resolve() or target_name.strip("/") != name.strip("/"):
-            fault = "reaches its parts through links"
+            fault_text = "reaches its parts through links"
             break
         with opened(file) as source_file:
-            part: Any = source_file[name]
-            check_storage(part, file, depth=depth + 1)
-    if fault:
-        raise FileError(f"{path.name}: {dataset.name} {fault}. Copy it into one file, for example with h5repack.")
+            source_dataset: Any = source_file[name]
+            check_storage(source_dataset, file, depth=depth + 1)
+    if fault_text:
+        raise FileError(f"{path.name}: {dataset.name} {fault_text}. Copy it into one file, for example with h5repack.")
 
 
 def volumes_in(path: Path) -> list[tuple[str, tuple[int, ...], str]]:
     """Names, shapes and types of all data sets with three axes longer than 1, links left aside."""
     volumes: list[tuple[str, tuple[int, ...], str]] = []
-    visits = count()
+    visit_count = count()
 
-    def note(name: str, member: Any) -> bool | None:
+    def note_volume(name: str, member: Any) -> bool | None:
         if isinstance(member, h5py.Dataset) and member.dtype.kind in "buif":
             shape = tuple(int(n) for n in member.shape or ())
             if sum(n > 1 for n in shape) == 3:
                 volumes.append((f"/{name}", shape, str(member.dtype)))
-        return True if next(visits) > 20_000 else None
+        return True if next(visit_count) > 20_000 else None
 
     with opened(path) as file:
-        file.visititems(note)
+        file.visititems(note_volume)
     return volumes
 
 
@@ -146,8 +146,8 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         if not isinstance(dataset, h5py.Dataset):
             volumes = describe_volumes(volumes_in(path), path.name)
             raise VolumeError(f"{path.name}: {place.part!r} is a group. {volumes}")
-        long = [axis for axis, n in enumerate(dataset.shape or ()) if n > 1]
-        if len(long) != 3:
+        long_axes = [axis for axis, n in enumerate(dataset.shape or ()) if n > 1]
+        if len(long_axes) != 3:
             extent = size_words(dataset.shape or ()) or "one value"
             raise VolumeError(f"{path.name}: {name} is no volume but {extent}. {ADVICE}")
         array, notes = lazy_dataset(dataset, file_path)
@@ -159,8 +159,8 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
             if not axes and len(names) == len(dataset.shape):
                 axes = [axis_name.strip() for axis_name in names]
         # As NeXus names them, otherwise as they stand.
-        letters = [axes[axis][:1].casefold() if axes else "" for axis in long]
-        order = [long[letters.index(a)] for a in "zyx"] if sorted(letters) == ["x", "y", "z"] else long
+        letters = [axes[axis][:1].casefold() if axes else "" for axis in long_axes]
+        order = [long_axes[letters.index(a)] for a in "zyx"] if sorted(letters) == ["x", "y", "z"] else long_axes
         stated = [*_stated_by_nexus(dataset, axes, order), *_stated_by_attributes(dataset)]
     return LoadedVolume(
         values=transposed(array, order), stated=stated, files=[path, file_path], attrs={"dataset": name}, notes=notes
@@ -181,17 +181,16 @@ def lazy_dataset(dataset: Any, path: Path) -> tuple[FileArray, tuple[str, ...]]:
         -(-n // c) for n, c in zip(array.shape, chunks, strict=True)
     ):
         return array, ()
-    present: list[tuple[int, ...]] = []
+    positions: list[tuple[int, ...]] = []
 
-    def note(chunk: Any) -> None:
-        present.append(tuple(o // c for o, c in zip(chunk.chunk_offset, chunks, strict=True)))
+    def note_position(chunk: Any) -> None:
+        positions.append(tuple(o // c for o, c in zip(chunk.chunk_offset, chunks, strict=True)))
 
-    dataset.id.chunk_iter(note)
-    return array, check_chunks(present, array.shape, chunks, name=f"{path.name}: {dataset.name}")
+    dataset.id.chunk_iter(note_position)
+    return array, check_chunks(positions, array.shape, chunks, name=f"{path.name}: {dataset.name}")
 
 
 def _read_part(path: Path, name: str, shape: tuple[int, ...], where: Where) -> NDArray[Any]:
-    """Read a part of a data set, whose file is open only meanwhile."""
     with opened(path) as file:
         # Parts of a virtual data set are looked for beside the file first, wherever planish was started.
         access = h5py.h5p.create(h5py.h5p.DATASET_ACCESS)
@@ -219,14 +218,14 @@ def _default_dataset(file: h5py.File, path: Path) -> str | None:
 
 
 def _default_group(group: Any, kind: str) -> Any:
-    """Group of a NeXus class that ``default`` names, or the only one there is; None in no group."""
+    """Group of a NeXus class that ``default_member`` names, or the only one there is; None in no group."""
     if group is None:
         return None
-    default = _child(group, _attribute(group, "default"))
-    for members in ([default], [_child(group, key) for key in group]):
-        of_class = [m for m in members if isinstance(m, h5py.Group) and _attribute(m, "NX_class") == kind]
-        if len(of_class) == 1:
-            return of_class[0]
+    default_member = _child(group, _attribute(group, "default"))
+    for members in ([default_member], [_child(group, key) for key in group]):
+        candidates = [m for m in members if isinstance(m, h5py.Group) and _attribute(m, "NX_class") == kind]
+        if len(candidates) == 1:
+            return candidates[0]
     return None
 
 
@@ -235,25 +234,25 @@ def _child(group: Any, name: str) -> Any:
     return group[name] if isinstance(link_of(group, name), h5py.HardLink) else None
 
 
-def _stated_by_nexus(dataset: Any, names: Sequence[str], order: Sequence[int]) -> list[Stated]:
+def _stated_by_nexus(dataset: Any, axis_names: Sequence[str], order: Sequence[int]) -> list[Stated]:
     """Voxel size from the values along the axes, which have to be evenly spaced."""
     steps: list[float | None] = [None] * len(dataset.shape)
     units = [""] * len(dataset.shape)
     notes: list[str] = []
-    for axis in order if names else ():
-        places: Any = _child(dataset.parent, names[axis])
+    for axis in order if axis_names else ():
+        coordinates: Any = _child(dataset.parent, axis_names[axis])
         n = dataset.shape[axis]
-        if not isinstance(places, h5py.Dataset) or places.shape != (n,) or n > 10_000_000:
+        if not isinstance(coordinates, h5py.Dataset) or coordinates.shape != (n,) or n > 10_000_000:
             continue
-        if places.dtype.kind not in "uif" or places.is_virtual or places.external:
+        if coordinates.dtype.kind not in "uif" or coordinates.is_virtual or coordinates.external:
             continue
-        differences = np.abs(np.diff(np.asarray(places[()], np.float64)))
+        differences = np.abs(np.diff(np.asarray(coordinates[()], np.float64)))
         step = float(np.median(differences))
         # The steps of an axis may differ by 1 %.
         if step > 0 and np.isfinite(differences).all() and np.all(np.abs(differences - step) <= 0.01 * step):
-            steps[axis], units[axis] = step, _attribute(places, "units")
+            steps[axis], units[axis] = step, _attribute(coordinates, "units")
         else:
-            notes.append(f"{names[axis]} is not evenly spaced")
+            notes.append(f"{axis_names[axis]} is not evenly spaced")
     if not notes and steps == [None] * len(steps):
         return []
     stated = stated_in("the NeXus axes", steps, units, order)
@@ -265,19 +264,19 @@ def _stated_by_attributes(dataset: Any) -> list[Stated]:
     stated: list[Stated] = []
     for owner in (dataset, dataset.parent):
         keys = {str(key).casefold(): str(key) for key in owner.attrs}
-        for folded, key in keys.items():
+        for folded_key, key in keys.items():
             # Names that programs use, with ``_um`` or another unit at the end, or the unit beside.
-            name = re.fullmatch(r"(voxel_size|element_size|pixel_size|spacing|resolution|voxel)(_.*)?", folded)
-            numbers = np.ravel(owner.attrs[key])
-            if name is None or "unit" in folded or numbers.dtype.kind not in "uif" or numbers.size not in (1, 3):
+            size_name = re.fullmatch(r"(voxel_size|element_size|pixel_size|spacing|resolution|voxel)(_.*)?", folded_key)
+            sizes = np.ravel(owner.attrs[key])
+            if size_name is None or "unit" in folded_key or sizes.dtype.kind not in "uif" or sizes.size not in (1, 3):
                 continue
-            base, unit = name[1], (name[2] or "")[1:]
-            if base == "voxel" and unit != "um":
+            quantity, unit = size_name[1], (size_name[2] or "")[1:]
+            if quantity == "voxel" and unit != "um":
                 continue
             if not unit:
-                unit_key = next((u for u in (f"{base}_units", f"{base}_unit", "units", "unit") if u in keys), "")
-                unit = _attribute(owner, keys.get(unit_key, ""))
-            stated.append(stated_in(f"the attribute {key}", np.broadcast_to(numbers, 3).tolist(), [unit] * 3))
+                unit_keys = (f"{quantity}_units", f"{quantity}_unit", "units", "unit")
+                unit = _attribute(owner, next((keys[key] for key in unit_keys if key in keys), ""))
+            stated.append(stated_in(f"the attribute {key}", np.broadcast_to(sizes, 3).tolist(), [unit] * 3))
     return stated
 
 
@@ -285,8 +284,8 @@ def _attribute(owner: Any, name: str) -> str:
     return _word(owner.attrs[name]) if name in owner.attrs else ""
 
 
-def _word(stored: Any) -> str:
+def _word(raw_value: Any) -> str:
     """Read a word that may be stored as bytes, or as an array of one."""
-    entries = np.asarray(stored).ravel()[:1]
+    entries = np.asarray(raw_value).ravel()[:1]
     word: Any = entries[0] if entries.size else ""
     return word.decode("utf-8", errors="replace") if isinstance(word, bytes) else str(word)

@@ -28,16 +28,16 @@ class Header(NamedTuple):
     path: Path  # its file
     data: Path  # file with the values
     shape: tuple[int, ...]  # z, y, x
-    stored: np.dtype[Any]
+    stored_dtype: np.dtype[Any]
     offset: int  # byte at which they begin; -1 where they end with the file
     stated: list[Stated]
     packing: str = ""  # or "deflate" or "bzip2"
-    skip: int = 0  # unpacked bytes before the values
+    skip_bytes: int = 0  # unpacked bytes before the values
 
     @property
     def needed_bytes(self) -> int:
         """Size of the values without compression."""
-        return math.prod(self.shape) * self.stored.itemsize
+        return math.prod(self.shape) * self.stored_dtype.itemsize
 
     def volume(self, values: Values, **more: Any) -> LoadedVolume:
         """The volume of these values, with further fields."""
@@ -60,63 +60,66 @@ def packing_of(path: Path) -> str:
 
 def values_behind(header: Header) -> Values:
     """Map values, or leave them to be unpacked."""
-    data, needed, size = header.data, header.needed_bytes, size_of_file(header.data)
-    offset = max(size - needed, 0) if header.offset < 0 else header.offset
-    stored_bytes = size - offset
+    data_file, needed_bytes, file_bytes = header.data, header.needed_bytes, size_of_file(header.data)
+    offset = max(file_bytes - needed_bytes, 0) if header.offset < 0 else header.offset
+    stored_bytes = file_bytes - offset
     if header.packing:
-        check_blown_up(data, decoded_bytes=needed, stored_bytes=max(stored_bytes, 0))
-        return WholeArray(header.path, header.shape, header.stored.newbyteorder("="), partial(_unpacked, header))
-    if stored_bytes != needed:
-        fault = "It was cut off" if stored_bytes < needed else "The header is wrong"
+        check_blown_up(data_file, decoded_bytes=needed_bytes, stored_bytes=max(stored_bytes, 0))
+        return WholeArray(header.path, header.shape, header.stored_dtype.newbyteorder("="), partial(_unpacked, header))
+    if stored_bytes != needed_bytes:
+        fault_text = "It was cut off" if stored_bytes < needed_bytes else "The header is wrong"
         raise FileError(
-            f"{header.path.name} declares {size_words(header.shape)} values of {header.stored.itemsize} bytes, "
-            f"{needed} bytes; {data.name} has {max(stored_bytes, 0)} from byte {offset} on. {fault}: copy or export it "
-            "again, or correct the header."
+            f"{header.path.name} declares {size_words(header.shape)} values of {header.stored_dtype.itemsize} bytes, "
+            f"{needed_bytes} bytes; {data_file.name} has {max(stored_bytes, 0)} from byte {offset} on. "
+            f"{fault_text}: copy or export it again, or correct the header."
         )
-    return mapped(data, header.shape, header.stored, offset=offset)
+    return mapped(data_file, header.shape, header.stored_dtype, offset=offset)
 
 
 def _unpacked(header: Header) -> NDArray[Any]:
     """Unpack values that fill a file from an offset to its end."""
     values = np.empty(header.needed_bytes, np.uint8)
-    filled = 0
+    n_unpacked = 0
     for part in unpacked_parts(header):
-        values[filled : filled + len(part)] = np.frombuffer(part, np.uint8)
-        filled += len(part)
-    return values.view(header.stored).reshape(header.shape).astype(header.stored.newbyteorder("="), copy=False)
+        values[n_unpacked : n_unpacked + len(part)] = np.frombuffer(part, np.uint8)
+        n_unpacked += len(part)
+    return (
+        values.view(header.stored_dtype).reshape(header.shape).astype(header.stored_dtype.newbyteorder("="), copy=False)
+    )
 
 
 def unpacked_parts(header: Header) -> Iterator[bytes]:
     """Unpack values bit by bit; in the end they were as many as declared, or an error is raised."""
-    bzip2, needed = header.packing == "bzip2", header.needed_bytes
+    is_bzip2, needed_bytes = header.packing == "bzip2", header.needed_bytes
     unpacker = _unpacker(header.packing)
-    filled = -header.skip
+    n_unpacked = -header.skip_bytes
     with reading(header.data), header.data.open("rb") as file:
         file.seek(header.offset)
         packed = b""
-        while not unpacker.eof and filled <= needed:
+        while not unpacker.eof and n_unpacked <= needed_bytes:
             # What is unpacked at once is limited, and so some input may be left, here or inside the unpacker.
-            if not packed and not (bzip2 and not unpacker.needs_input):
+            if not packed and not (is_bzip2 and not unpacker.needs_input):
                 packed = file.read(PACKED_BYTES)
                 if not packed:
                     break
-            part = unpacker.decompress(packed, min(needed - filled + 1, UNPACKED_BYTES))
-            packed = b"" if bzip2 else unpacker.unconsumed_tail
-            filled += len(part)
-            if 0 < filled <= needed:
-                yield part[-filled:] if filled < len(part) else part
-    if filled != needed or not unpacker.eof:
-        amount = f"more than the {needed}" if filled > needed else f"{max(filled, 0)} of the {needed}"
-        raise damaged(header.path, f"the packed values in {header.data.name} hold {amount} bytes declared")
+            part = unpacker.decompress(packed, min(needed_bytes - n_unpacked + 1, UNPACKED_BYTES))
+            packed = b"" if is_bzip2 else unpacker.unconsumed_tail
+            n_unpacked += len(part)
+            if 0 < n_unpacked <= needed_bytes:
+                yield part[-n_unpacked:] if n_unpacked < len(part) else part
+    if n_unpacked != needed_bytes or not unpacker.eof:
+        amount = "more than" if n_unpacked > needed_bytes else f"{max(n_unpacked, 0)} of"
+        amount_text = f"hold {amount} the {needed_bytes} bytes declared"
+        raise damaged(header.path, f"the packed values in {header.data.name} {amount_text}")
 
 
-def axes_of(sizes: tuple[int, ...], several: str, path: Path) -> tuple[int, ...]:
+def axes_of(extents: tuple[int, ...], contents_text: str, path: Path) -> tuple[int, ...]:
     """Find the axes z, y, x: the three that are longer than 1, the slowest first."""
-    long = tuple(axis for axis, n in enumerate(sizes) if n > 1)
-    if several or len(long) != 3:
-        fault = f"has {several}" if several else "is no volume"
-        raise VolumeError(f"{path.name} {fault}: {size_words(sizes)} (fastest axis first). {ADVICE}")
-    return long[::-1]
+    long_axes = tuple(axis for axis, n in enumerate(extents) if n > 1)
+    if contents_text or len(long_axes) != 3:
+        fault_text = f"has {contents_text}" if contents_text else "is no volume"
+        raise VolumeError(f"{path.name} {fault_text}: {size_words(extents)} (fastest axis first). {ADVICE}")
+    return long_axes[::-1]
 
 
 def _unpacker(packing: str) -> Any:

@@ -52,7 +52,7 @@ def load(place: Place, _channel: str | None, memory_bytes: int | None) -> Loaded
         for _ in unpacked_parts(header):
             pass
         extra("SimpleITK", path)
-        values = FileArray(path, header.shape, header.stored.newbyteorder("="), partial(_read_meta, path))
+        values = FileArray(path, header.shape, header.stored_dtype.newbyteorder("="), partial(_read_meta, path))
         values.piece_bytes = values.nbytes // header.shape[0]
     return header.volume(values)
 
@@ -76,123 +76,124 @@ def _nrrd_header(head: bytes, path: Path) -> Header:
     if not head.startswith(b"NRRD"):
         raise FileError(f"{path.name} is no NRRD file. Check its name, or export it again.")
     header_lines: list[str] = []
-    end = 0
+    header_bytes = 0
     for line in BytesIO(head):
         # pynrrd would drop what is not ASCII, as in file names.
         header_lines.append(line.decode("utf-8", errors="replace"))
-        end += len(line)
+        header_bytes += len(line)
         if not line.strip():
             break
     with reading(path):
-        keys: Mapping[str, Any] = nrrd.read_header(header_lines)
-        sizes = tuple(int(n) for n in np.atleast_1d(keys.get("sizes", ())))
-        line_skip, byte_skip = (int(keys.get(f"{word} skip", keys.get(f"{word}skip", 0))) for word in ("line", "byte"))
-    kinds = keys.get("kinds") or [""] * len(sizes)
-    if not sizes or len(sizes) != keys.get("dimension") or len(kinds) != len(sizes):
-        raise damaged(path, f"its sizes are {keys.get('sizes')}, its dimension is {keys.get('dimension')}")
+        fields: Mapping[str, Any] = nrrd.read_header(header_lines)
+        extents = tuple(int(n) for n in np.atleast_1d(fields.get("sizes", ())))
+        line_skip, byte_skip = (int(fields.get(f"{u} skip", fields.get(f"{u}skip", 0))) for u in ("line", "byte"))
+    kinds = fields.get("kinds") or [""] * len(extents)
+    if not extents or len(extents) != fields.get("dimension") or len(kinds) != len(extents):
+        raise damaged(path, f"its sizes are {fields.get('sizes')}, its dimension is {fields.get('dimension')}")
     spatial = ("domain", "space", "???", "none", "")
-    several = [f"{n} of kind {kind!r}" for n, kind in zip(sizes, kinds, strict=True) if n > 1 and kind not in spatial]
-    order = axes_of(sizes, f"{' and '.join(several)} in each voxel" if several else "", path)
-    dtype, endian = _type_of(str(keys.get("type", "")).strip(), path), keys.get("endian")
+    sample_texts = [
+        f"{n} of kind {kind!r}" for n, kind in zip(extents, kinds, strict=True) if n > 1 and kind not in spatial
+    ]
+    axes = axes_of(extents, f"{' and '.join(sample_texts)} in each voxel" if sample_texts else "", path)
+    dtype, endian = _type_of(str(fields.get("type", "")).strip(), path), fields.get("endian")
     if dtype.itemsize > 1 and endian not in ("little", "big"):
         raise damaged(path, "its header does not state the byte order (endian)")
-    encoding = str(keys.get("encoding", "")).casefold()
+    encoding = str(fields.get("encoding", "")).casefold()
     if line_skip != 0 or byte_skip < -1 or (byte_skip and encoding != "raw"):
         raise FileError(f"{path.name} skips lines or packed bytes before its values. Save it again without.")
     if encoding not in PACKINGS:
         raise FileError(f"{path.name} has the encoding {encoding!r}. Save it with the encoding raw or gzip.")
-    name = keys.get("data file", keys.get("datafile"))
+    data_name = fields.get("data file", fields.get("datafile"))
     return Header(
         path=path,
-        data=path if name is None else _data_file(str(name), path),
-        shape=tuple(sizes[axis] for axis in order),
-        stored=dtype.newbyteorder(">" if endian == "big" else "<"),
-        offset=-1 if byte_skip == -1 else byte_skip + (end if name is None else 0),
+        data=path if data_name is None else _data_file(str(data_name), path),
+        shape=tuple(extents[axis] for axis in axes),
+        stored_dtype=dtype.newbyteorder(">" if endian == "big" else "<"),
+        offset=-1 if byte_skip == -1 else byte_skip + (header_bytes if data_name is None else 0),
         packing=PACKINGS[encoding],
-        stated=_stated_by_nrrd(keys, order),
+        stated=_stated_by_nrrd(fields, axes),
     )
 
 
-def _stated_by_nrrd(keys: Mapping[str, Any], order: tuple[int, ...]) -> list[Stated]:
+def _stated_by_nrrd(fields: Mapping[str, Any], axes: tuple[int, ...]) -> list[Stated]:
     """Voxel size along z, y, x: the lengths of the space directions, and the spacings."""
     stated: list[Stated] = []
-    directions, spacings = keys.get("space directions"), keys.get("spacings")
+    directions, spacings = fields.get("space directions"), fields.get("spacings")
     if directions is not None:
         lengths = [None if v is None else float(np.linalg.norm(np.asarray(v, float))) for v in directions]
         # A direction may mix the axes of space only if all of these have one unit.
-        words = {str(u).strip('"') for u in np.atleast_1d(keys.get("space units", ()))}
-        medical = not words and "-" in str(keys.get("space", ""))
-        unit = "mm" if medical else words.pop() if len(words) == 1 else ""
-        more = " (no unit written; mm, as programs for anatomical spaces have it)" if medical else ""
-        stated.append(stated_in(f"the NRRD space directions{more}", lengths, [unit] * len(lengths), order))
+        unit_names = {str(u).strip('"') for u in np.atleast_1d(fields.get("space units", ()))}
+        is_medical = not unit_names and "-" in str(fields.get("space", ""))
+        unit = "mm" if is_medical else unit_names.pop() if len(unit_names) == 1 else ""
+        unit_text = " (no unit written; mm, as programs for anatomical spaces have it)" if is_medical else ""
+        stated.append(stated_in(f"the NRRD space directions{unit_text}", lengths, [unit] * len(lengths), axes))
     if spacings is not None:
-        units = [str(u) for u in np.atleast_1d(keys.get("units", [""] * len(spacings)))]
-        stated.append(stated_in("the NRRD spacings", [float(v) for v in spacings], units, order))
+        units = [str(u) for u in np.atleast_1d(fields.get("units", [""] * len(spacings)))]
+        stated.append(stated_in("the NRRD spacings", [float(v) for v in spacings], units, axes))
     return stated
 
 
 def _meta_header(head: bytes, path: Path) -> Header:
-    keys: dict[str, str] = {}
-    end = 0
+    fields: dict[str, str] = {}
+    header_bytes = 0
     for line in BytesIO(head):
-        key, equals, text = map(str.strip, line.decode("utf-8", errors="replace").partition("="))
+        key, equals, field_text = map(str.strip, line.decode("utf-8", errors="replace").partition("="))
         if key and not equals:
             break
-        end += len(line)
-        keys.setdefault(key.casefold(), text)
-        if "elementdatafile" in keys:
+        header_bytes += len(line)
+        fields.setdefault(key.casefold(), field_text)
+        if "elementdatafile" in fields:
             break
-    name = keys.get("elementdatafile")
-    if name is None:
+    data_name = fields.get("elementdatafile")
+    if data_name is None:
         raise FileError(f"{path.name} is no MetaImage: the line ElementDataFile is missing. Export it again.")
 
     def switched(key: str, default: str) -> bool:
-        return keys.get(key, default).casefold() in {"true", "t", "1"}
+        return fields.get(key, default).casefold() in {"true", "t", "1"}
 
-    words = keys.get("dimsize", "").split()
-    whole = all(word.isascii() and word.isdecimal() and len(word) < 16 for word in words)
-    if not whole or str(len(words)) != keys.get("ndims", ""):
-        raise damaged(path, f"its sizes are {keys.get('dimsize', '')[:40]!r}, its dimension is {keys.get('ndims')}")
-    sizes = tuple(int(word) for word in words)
-    channels = keys.get("elementnumberofchannels", "1")
-    order = axes_of(sizes, f"{channels} channels" if channels != "1" else "", path)
-    dtype = _type_of(keys.get("elementtype", ""), path)
+    words = fields.get("dimsize", "").split()
+    is_whole = all(word.isascii() and word.isdecimal() and len(word) < 16 for word in words)
+    if not is_whole or str(len(words)) != fields.get("ndims", ""):
+        raise damaged(path, f"its sizes are {fields.get('dimsize', '')[:40]!r}, its dimension is {fields.get('ndims')}")
+    extents = tuple(int(word) for word in words)
+    channels = fields.get("elementnumberofchannels", "1")
+    axes = axes_of(extents, f"{channels} channels" if channels != "1" else "", path)
+    dtype = _type_of(fields.get("elementtype", ""), path)
     if not switched("binarydata", "True"):
         raise FileError(f"{path.name} has its values written as text. Save it with binary values.")
-    local, skip = name.casefold() == "local", keys.get("headersize", "0")
-    if skip != "0" and (local or skip != "-1"):
-        raise FileError(f"{path.name} skips {skip} bytes before its values (HeaderSize). Save it again without.")
-    packed = switched("compresseddata", "False")
-    big = switched("binarydatabyteordermsb", keys.get("elementbyteordermsb", "False"))
-    unit = keys.get("distanceunits", "")
+    is_local, skip_text = data_name.casefold() == "local", fields.get("headersize", "0")
+    if skip_text != "0" and (is_local or skip_text != "-1"):
+        raise FileError(f"{path.name} skips {skip_text} bytes before its values (HeaderSize). Save it again without.")
+    is_packed = switched("compresseddata", "False")
+    is_big_endian = switched("binarydatabyteordermsb", fields.get("elementbyteordermsb", "False"))
+    unit = fields.get("distanceunits", "")
     stated: list[Stated] = []
     for key in ("ElementSpacing", "ElementSize"):
-        if words := keys.get(key.casefold(), "").split():
+        if words := fields.get(key.casefold(), "").split():
             source = f"the MetaImage {key} ({unit or 'no unit written; mm, as ITK has it'})"
             with reading(path):
-                stated.append(stated_in(source, [float(w) for w in words], [unit or "mm"] * len(sizes), order))
+                stated.append(stated_in(source, [float(w) for w in words], [unit or "mm"] * len(extents), axes))
     return Header(
         path=path,
-        data=path if local else _data_file(name, path),
-        shape=tuple(sizes[axis] for axis in order),
-        stored=dtype.newbyteorder(">" if big else "<"),
-        offset=-1 if skip == "-1" and not packed else end if local else 0,
-        packing="deflate" if packed else "",
+        data=path if is_local else _data_file(data_name, path),
+        shape=tuple(extents[axis] for axis in axes),
+        stored_dtype=dtype.newbyteorder(">" if is_big_endian else "<"),
+        offset=-1 if skip_text == "-1" and not is_packed else header_bytes if is_local else 0,
+        packing="deflate" if is_packed else "",
         stated=stated,
     )
 
 
 def _read_meta(path: Path, where: Where) -> NDArray[Any]:
-    """Read a part of compressed values by SimpleITK."""
     itk: Any = extra("SimpleITK", path)
     reader = itk.ImageFileReader()
     reader.SetImageIO("MetaImageIO")
     reader.SetFileName(str(path))
     reader.ReadImageInformation()
     # Axes of length 1 that were left out above lie before the others or after them; here they come back.
-    sizes = [int(n) for n in reader.GetSize()]
-    parts = iter(reversed(where))
-    spans = [next(parts) if n > 1 else slice(0, 1) for n in sizes]
+    extents = [int(n) for n in reader.GetSize()]
+    reversed_spans = iter(reversed(where))
+    spans = [next(reversed_spans) if n > 1 else slice(0, 1) for n in extents]
     reader.SetExtractIndex([span.start for span in spans])
     reader.SetExtractSize([span.stop - span.start for span in spans])
     values = np.asarray(itk.GetArrayFromImage(reader.Execute())).reshape([s.stop - s.start for s in where])
@@ -206,39 +207,41 @@ EXAMPLE = 'with lines such as: shape = [z, y, x], dtype = "uint16", byte_order =
 
 def _raw_header(path: Path) -> Header:
     """Header of raw values in a TOML file; either of the two files is given."""
-    header = path if path.suffix.lower() == ".toml" else path.with_name(path.name + ".toml")
-    if not header.is_file() and header != path:
+    header_file = path if path.suffix.lower() == ".toml" else path.with_name(path.name + ".toml")
+    if not header_file.is_file() and header_file != path:
         size_of_file(path)
-        raise FileError(f"{path.name} has raw values and no header. Write {header.name} beside it, {EXAMPLE}.")
-    if size_of_file(header) > 100_000:
-        raise FileError(f"{header.name} is larger than 100 kB and no header. Write one {EXAMPLE}.")
-    with reading(header), header.open("rb") as file:
-        keys = tomllib.load(file)
-    data = referenced_file(header.parent, str(keys.get("file", header.name[: -len(".toml")])), header)
-    faults = [f"unknown key {key!r}" for key in keys if key not in KEYS]
-    shape, dtype, order = (keys.get(key) for key in ("shape", "dtype", "byte_order"))
-    offset, voxel_um = keys.get("offset", 0), keys.get("voxel_um")
+        raise FileError(f"{path.name} has raw values and no header. Write {header_file.name} beside it, {EXAMPLE}.")
+    if size_of_file(header_file) > 100_000:
+        raise FileError(f"{header_file.name} is larger than 100 kB and no header. Write one {EXAMPLE}.")
+    with reading(header_file), header_file.open("rb") as file:
+        fields = tomllib.load(file)
+    data_name = str(fields.get("file", header_file.name[: -len(".toml")]))
+    data_file = referenced_file(header_file.parent, data_name, header_file)
+    faults = [f"unknown key {key!r}" for key in fields if key not in KEYS]
+    shape, dtype, byte_order = (fields.get(key) for key in ("shape", "dtype", "byte_order"))
+    offset, voxel_um = fields.get("offset", 0), fields.get("voxel_um")
     if not (isinstance(shape, list) and len(shape) == 3 and all(type(n) is int and n > 0 for n in shape)):
         faults.append(f"shape is {shape!r}, needed are three whole numbers [z, y, x]")
     if dtype not in RAW_TYPES:
         faults.append(f"dtype is {dtype!r}, needed is one of {', '.join(RAW_TYPES)}")
-    elif np.dtype(dtype).itemsize > 1 and order not in ("little", "big"):
-        faults.append(f'byte_order is {order!r}, needed is "little" or "big"')
+    elif np.dtype(dtype).itemsize > 1 and byte_order not in ("little", "big"):
+        faults.append(f'byte_order is {byte_order!r}, needed is "little" or "big"')
     if type(offset) is not int or offset < 0:
         faults.append(f"offset is {offset!r}, needed is a number of bytes")
-    sizes: list[Any] = voxel_um if isinstance(voxel_um, list) else [voxel_um] * 3
-    if voxel_um is not None and not (len(sizes) == 3 and all(type(v) in (int, float) and v > 0 for v in sizes)):
+    voxel_sizes: list[Any] = voxel_um if isinstance(voxel_um, list) else [voxel_um] * 3
+    are_numbers = all(type(v) in (int, float) and v > 0 for v in voxel_sizes)
+    if voxel_um is not None and not (len(voxel_sizes) == 3 and are_numbers):
         faults.append(f"voxel_um is {voxel_um!r}, needed is a number or [z, y, x], in um")
-    if not isinstance(keys.get("file", ""), str):
+    if not isinstance(fields.get("file", ""), str):
         faults.append("file is no name")
     if faults:
-        raise FileError(f"{header.name}: {'; '.join(faults)}. Correct the header, {EXAMPLE}.")
-    voxel = tuple(None if v is None else float(v) for v in sizes)
+        raise FileError(f"{header_file.name}: {'; '.join(faults)}. Correct the header, {EXAMPLE}.")
+    stated_um = tuple(None if v is None else float(v) for v in voxel_sizes)
     return Header(
-        path=header,
-        data=data,
+        path=header_file,
+        data=data_file,
         shape=tuple(int(n) for n in shape or ()),
         offset=int(offset),
-        stored=np.dtype(str(dtype)).newbyteorder(">" if order == "big" else "<"),
-        stated=[Stated("the TOML header", voxel, "it has no voxel_um" if None in voxel else "")],
+        stored_dtype=np.dtype(str(dtype)).newbyteorder(">" if byte_order == "big" else "<"),
+        stated=[Stated("the TOML header", stated_um, "it has no voxel_um" if None in stated_um else "")],
     )

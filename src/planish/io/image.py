@@ -121,30 +121,33 @@ def pick_channel(picture: DecodedPicture, channel: str, *, file_name: str) -> tu
 def channel_of(picture: DecodedPicture, channel: str, *, file_name: str) -> tuple[NDArray[np.float32], str]:
     """One channel as float32, of a whole picture or a window of it, and its name."""
     samples = picture.values if picture.values.ndim == 3 else picture.values[..., np.newaxis]
-    count, colour, word = samples.shape[-1], picture.colour, channel.strip().casefold()
-    if word.isdecimal() and word.isascii():
-        if int(word) >= count:
-            many = f"{count} channels" if count > 1 else "1 channel"
-            choice = f"0 to {count - 1}" if count > 1 else "0"
-            raise InputError(
-                f"{file_name} has {many}, number {word} is not among them. Choose {choice} with --channel."
+    n_channels, colour, channel_name = samples.shape[-1], picture.colour, channel.strip().casefold()
+    if channel_name.isdecimal() and channel_name.isascii():
+        if int(channel_name) >= n_channels:
+            count_text, range_text = (
+                (f"{n_channels} channels", f"0 to {n_channels - 1}") if n_channels > 1 else ("1 channel", "0")
             )
-        return _as_float32(samples[..., int(word)]), f"{GREY}, channel {int(word)}"
-    if word != "luminance" and word not in COLOURS:
+            raise InputError(
+                f"{file_name} has {count_text}, number {channel_name} is not among them. Choose {range_text} with "
+                "--channel."
+            )
+        return _as_float32(samples[..., int(channel_name)]), f"{GREY}, channel {int(channel_name)}"
+    if channel_name != "luminance" and channel_name not in COLOURS:
         raise InputError(f"{channel!r} is no channel. Choose luminance, red, green, blue or a number with --channel.")
-    if colour == "rgb" and word in COLOURS:
-        return _as_float32(samples[..., COLOURS[word]]), f"{GREY}, {word}"
+    if colour == "rgb" and channel_name in COLOURS:
+        return _as_float32(samples[..., COLOURS[channel_name]]), f"{GREY}, {channel_name}"
     if colour == "rgb":
         luminance = np.zeros(samples.shape[:2], np.float32)
         for sample, weight in enumerate(LUMINANCE):
             luminance += np.float32(weight) * _as_float32(samples[..., sample])
         return luminance, f"{GREY}, luminance"
-    if colour == "grey" and word == "luminance":
+    if colour == "grey" and channel_name == "luminance":
         return _as_float32(samples[..., 0]), GREY
-    content, choice = "is a grey image", "luminance"
+    content_text, choice_text = "is a grey image", "luminance"
     if colour != "grey":
-        content, choice = f"has {count} channels that are not red, green, blue", f"a number from 0 to {count - 1}"
-    raise InputError(f"{file_name} {content}, so it has no {word}. Choose {choice} with --channel.")
+        content_text = f"has {n_channels} channels that are not red, green, blue"
+        choice_text = f"a number from 0 to {n_channels - 1}"
+    raise InputError(f"{file_name} {content_text}, so it has no {channel_name}. Choose {choice_text} with --channel.")
 
 
 def _as_float32(values: NDArray[Any]) -> NDArray[np.float32]:

@@ -23,7 +23,7 @@ from planish.core.memory import (
     bytes_to_map,
 )
 from planish.core.typing import Pair
-from planish.io.formats import SLICES, TIFF, Place, find_place, format_of
+from planish.io.formats import SLICES, TIFF, Place, check_channel, find_place, format_of, loader
 from planish.io.guard import size_of_file
 from planish.io.image import across, pick_channel
 from planish.io.inspection import declared_facts, inspect_values
@@ -33,7 +33,7 @@ from planish.io.sections import Sections, is_section_folder, open_sections
 from planish.io.sizes import PIXEL, VOXEL, agreed_size
 from planish.io.slice_volume import list_slices, slice_numbers, slice_step
 from planish.io.tiff import open_series
-from planish.io.volume import declared_volume, load_volume
+from planish.io.volume import load_volume
 
 # Voxel sizes that show a sheet of paper: smaller, and its field is too small; larger, and the sheet is blurred.
 USUAL_VOXEL_UM = (0.3, 20.0)
@@ -101,48 +101,51 @@ def describe(
         facts = _describe_image(place.path, partial(agreed_size, **options), memory_bytes, look, values, warnings)
     else:
         kind, options = "volume", options | {"file_name": place.path.name, "asked": VOXEL, "user_um": voxel_um}
-        agreed = partial(agreed_size, **options)
-        facts = _describe_volume(place, agreed, channel, memory_bytes, look, values, warnings)
+        find_size = partial(agreed_size, **options)
+        facts = _describe_volume(place, find_size, channel, memory_bytes, look, values, warnings)
     return {"kind": kind, "file_name": place.path.name, **facts, "warnings": warnings}
 
 
 def _describe_volume(
     place: Place,
-    agreed: Agreed,
+    find_size: Agreed,
     channel: str | None,
     memory_bytes: int,
     look: Look | None,
-    wanted: bool,
+    is_wanted: bool,
     warnings: list[str],
 ) -> dict[str, Any]:
     """Report what a volume holds; of its values, if they are wanted and can be read within the memory."""
     loaded = None
     with suppress(ResourceError):
-        loaded = load_volume(place, channel=channel, memory_bytes=memory_bytes) if wanted else None
+        loaded = load_volume(place, channel=channel, memory_bytes=memory_bytes) if is_wanted else None
     is_read = loaded is not None
-    loaded = loaded or declared_volume(place, channel=channel)
-    grey, file_format = unmapped(loaded.values), format_of(place)
+    # Of what does not fit into the memory, the values are not read.
+    loaded = loaded or loader(format_of(place))(place, check_channel(channel), None)
+    grey_values, file_format = unmapped(loaded.values), format_of(place)
     warnings += loaded.notes
     if file_format is SLICES and "nrecon" not in loaded.attrs:
-        step = slice_step(slice_numbers(list_slices(place.path), place.path))
-        if step > 1:
-            warnings.append(f"The slices are numbered in steps of {step}: the z size must be that of {step} slices.")
-    facts = _value_facts(grey, loaded.full_scale, warnings, VOXEL.axes, look, is_read, wanted)
-    size = _size_facts(partial(agreed, loaded.stated), grey.shape, warnings, ("Voxels", USUAL_VOXEL_UM))
+        number_step = slice_step(slice_numbers(list_slices(place.path), place.path))
+        if number_step > 1:
+            warnings.append(
+                f"The slices are numbered in steps of {number_step}: the z size must be that of {number_step} slices."
+            )
+    facts = _value_facts(grey_values, loaded.full_scale, warnings, VOXEL.axes, look, is_read, is_wanted)
+    size_facts = _size_facts(partial(find_size, loaded.stated), grey_values.shape, warnings, ("Voxels", USUAL_VOXEL_UM))
     window = loaded.attrs.get("attenuation_window")
-    if window is not None and is_read and grey.dtype == np.uint8:
+    if window is not None and is_read and grey_values.dtype == np.uint8:
         warnings.append(
             f"NRecon wrote 8 bits: grey 0 to 255 is attenuation {window[0]:g} to {window[1]:g}, and what lies outside "
             f"was cut ({100 * facts['bottom_share']:.3g} % of the values are 0, {100 * facts['saturated_share']:.3g} % "
             "are 255). 16 bits lose nothing."
         )
     # How a volume is held; memory and time of ``planish map`` for a sheet across the shortest axis.
-    values, columns = loaded.values, math.prod(grey.shape) // min(grey.shape)
-    stored, whole_bytes = "decoded in memory", values.nbytes
+    values, n_columns = loaded.values, math.prod(grey_values.shape) // min(grey_values.shape)
+    storage_text, whole_bytes = "decoded in memory", values.nbytes
     if isinstance(values, np.memmap):
-        stored, whole_bytes = "mapped from its file", 0
+        storage_text, whole_bytes = "mapped from its file", 0
     elif isinstance(values, FileArray):
-        stored, whole_bytes = "read in parts when they are needed", values.nbytes if values.whole_slices else 0
+        storage_text, whole_bytes = "read in parts when they are needed", values.nbytes if values.whole_slices else 0
         if values.whole_slices:
             warnings.append(
                 "It does not fit into the memory, and its slices can only be decoded whole. Bring it into a store with "
@@ -152,70 +155,70 @@ def _describe_volume(
         "bytes": loaded.file_bytes,
         "format": file_format.name,
         **facts,
-        **size,
-        "stored": stored,
-        "run_bytes": PROGRAM_BYTES + max(bytes_to_map(columns), bytes_to_hold(whole_bytes)),
+        **size_facts,
+        "stored": storage_text,
+        "run_bytes": PROGRAM_BYTES + max(bytes_to_map(n_columns), bytes_to_hold(whole_bytes)),
         # What ``planish map`` takes for each column through the sheet and in any case, on two busy cores.
-        "run_seconds": 15.0 + 35e-6 * columns,
-        "through": likely_through(grey) if is_read else None,
+        "run_seconds": 15.0 + 35e-6 * n_columns,
+        "through": likely_through(grey_values) if is_read else None,
         "metadata": dict(loaded.attrs),
     }
 
 
-def _describe_sections(sections: Sections, agreed: Agreed, warnings: list[str]) -> dict[str, Any]:
+def _describe_sections(sections: Sections, find_size: Agreed, warnings: list[str]) -> dict[str, Any]:
     """Report what a folder of sections with its counter holds, as photographed."""
-    steps = np.diff(sections.positions_um)
-    step = float(np.median(steps))
-    missing = np.rint(steps / step).astype(int) - 1
-    size = _size_facts(agreed, sections.values.shape, warnings)
-    if size["extent_um"] is not None:
-        size["extent_um"][0] = float(np.ptp(sections.positions_um)) + step
-    if missing.sum():
-        word = "section is" if missing.sum() == 1 else "sections are"
-        warnings.append(f"{missing.sum()} {word} missing between the others, at most {missing.max()} in a row.")
+    steps_um = np.diff(sections.positions_um)
+    pitch_um = float(np.median(steps_um))
+    n_missing = np.rint(steps_um / pitch_um).astype(int) - 1
+    size_facts = _size_facts(find_size, sections.values.shape, warnings)
+    if size_facts["extent_um"] is not None:
+        size_facts["extent_um"][0] = float(np.ptp(sections.positions_um)) + pitch_um
+    if missing_total := n_missing.sum():
+        subject_text = f"{missing_total} section is" if missing_total == 1 else f"{missing_total} sections are"
+        warnings.append(f"{subject_text} missing between the others, at most {n_missing.max()} in a row.")
     facts = inspect_values(sections.values, sections.full_scale, warnings, dims=VOXEL.axes)
-    return {"bytes": sections.file_bytes, **facts, **size}
+    return {"bytes": sections.file_bytes, **facts, **size_facts}
 
 
 def _describe_image(
-    path: Path, agreed: Agreed, memory_bytes: int, look: Look | None, wanted: bool, warnings: list[str]
+    path: Path, find_size: Agreed, memory_bytes: int, look: Look | None, is_wanted: bool, warnings: list[str]
 ) -> dict[str, Any]:
     """Report what an image holds; its values are those of the luminance, or of channel 0 where there is none."""
     picture = None
     with suppress(ResourceError):
-        picture = load_picture(path, memory_bytes=memory_bytes) if wanted else None
+        picture = load_picture(path, memory_bytes=memory_bytes) if is_wanted else None
     is_read = picture is not None
     picture = picture or load_picture(path, decode=False)
-    whole, shape = picture.values, picture.values.shape[:2]
+    full_values, shape = picture.values, picture.values.shape[:2]
     # Of a larger image, some rows and columns are looked at.
-    step = max(1, math.ceil(math.sqrt(math.prod(shape) / SAMPLE_VALUES)))
-    picture = picture._replace(values=whole[::step, ::step])
+    stride = max(1, math.ceil(math.sqrt(math.prod(shape) / SAMPLE_VALUES)))
+    picture = picture._replace(values=full_values[::stride, ::stride])
     try:
-        values, _ = pick_channel(picture, "luminance", file_name=path.name)
+        channel_values, _ = pick_channel(picture, "luminance", file_name=path.name)
     except FileError:
         raise
     except InputError as error:
         warnings.append(error.text)
-        values, _ = pick_channel(picture, "0", file_name=path.name)
+        channel_values, _ = pick_channel(picture, "0", file_name=path.name)
     if kind_of(path) == "jpeg":
         warnings.append("JPEG loses detail and adds block edges. Use TIFF or PNG if there is one.")
     if picture.orientation != 1:
         warnings.append(f"An orientation tag ({picture.orientation}) asks viewers to turn the image; planish does not.")
-    shown = values if is_read else whole
-    facts = _value_facts(shown, picture.full_scale, warnings, PIXEL.axes, look, is_read, wanted)
-    if is_read and step > 1:
-        facts["sampled"] = f"every {step} rows and columns"
-    size = _size_facts(partial(agreed, across(picture.stated)), shape, warnings, ("Pixels", PIXEL.usual_um))
+    shown_values = channel_values if is_read else full_values
+    facts = _value_facts(shown_values, picture.full_scale, warnings, PIXEL.axes, look, is_read, is_wanted)
+    if is_read and stride > 1:
+        facts["sampled"] = f"every {stride} rows and columns"
+    size_facts = _size_facts(partial(find_size, across(picture.stated)), shape, warnings, ("Pixels", PIXEL.usual_um))
     return {
         "bytes": size_of_file(path),
         **facts,
         "shape": list(shape),
-        "dtype": str(whole.dtype),
+        "dtype": str(full_values.dtype),
         "colour": picture.colour,
-        "channels": whole.shape[2] if whole.ndim == 3 else 1,
+        "channels": full_values.shape[2] if full_values.ndim == 3 else 1,
         "link_bytes": LINK_BYTES + PIXEL_BYTES * math.prod(shape),
         "link_seconds": 2.5e-6 * math.prod(shape),
-        **size,
+        **size_facts,
     }
 
 
@@ -236,37 +239,39 @@ def _value_facts(
     dims: tuple[str, ...],
     look: Look | None,
     is_read: bool,
-    wanted: bool,
+    is_wanted: bool,
 ) -> dict[str, Any]:
     if is_read:
         facts = inspect_values(values, full_scale, warnings, dims=dims)
         if look is not None:
             look(values)
         return facts
-    if wanted:
+    if is_wanted:
         size_gb = math.prod(values.shape) * values.dtype.itemsize / 1e9
         warnings.append(f"Its {size_gb:.2g} GB can only be decoded whole, so no grey was looked at.")
     return declared_facts(values, dims)
 
 
 def _size_facts(
-    agreed: Agreed, shape: Sequence[int], warnings: list[str], usual: tuple[str, Pair] | None = None
+    find_size: Agreed, shape: Sequence[int], warnings: list[str], usual_range: tuple[str, Pair] | None = None
 ) -> dict[str, Any]:
-    """Voxel or pixel size and where it comes from, or why there is none; with ``usual``, unusual ones are doubted."""
+    """Voxel or pixel size and where it comes from, or why there is none; unusual ones are doubted."""
     try:
-        size, source = agreed()
+        size, source = find_size()
     except SizeError as error:
         warnings.append(error.text)
         return {"size_um": None, "size_source": None, "size_problem": error.text, "extent_um": None}
-    if usual is not None:
-        elements, (low, high) = usual
-        least, most = min(size), max(size)
-        if least < low or most > high:
-            edges, limits = " x ".join(f"{v:g}" for v in size), f"{low:g} to {high:g} um"
-            warnings.append(f"{elements} of {edges} um are unusual for paper ({limits}). Is the unit right?")
+    if usual_range is not None:
+        elements, (least, most) = usual_range
+        shortest, longest = min(size), max(size)
+        if shortest < least or longest > most:
+            edges_text, range_text = " x ".join(f"{v:g}" for v in size), f"{least:g} to {most:g} um"
+            warnings.append(f"{elements} of {edges_text} um are unusual for paper ({range_text}). Is the unit right?")
         # Longest over shortest edge of a voxel; beyond, one of them is probably wrong.
-        if most > 5.0 * least:
-            edge = f"Is the {'z size' if elements == 'Voxels' else 'size'} right?"
-            warnings.append(f"The edges of {elements.lower()} differ by a factor of {most / least:.3g}. {edge}")
-    extent = [n * um for n, um in zip(shape, size, strict=True)]
-    return {"size_um": list(size), "size_source": source, "size_problem": None, "extent_um": extent}
+        if longest > 5.0 * shortest:
+            size_name, ratio = "z size" if elements == "Voxels" else "size", longest / shortest
+            warnings.append(
+                f"The edges of {elements.lower()} differ by a factor of {ratio:.3g}. Is the {size_name} right?"
+            )
+    extent_um = [n * um for n, um in zip(shape, size, strict=True)]
+    return {"size_um": list(size), "size_source": source, "size_problem": None, "extent_um": extent_um}

@@ -34,19 +34,19 @@ class _Statistics:
 
     def add(self, number: int, plane: NDArray[Any], *, sampled: bool) -> None:
         """Add one plane."""
-        numbers = plane if plane.dtype.kind != "f" else plane[np.isfinite(plane)]
+        finite_values = plane if plane.dtype.kind != "f" else plane[np.isfinite(plane)]
         self.count += plane.size
-        self.finite += numbers.size
+        self.finite += finite_values.size
         low = high = math.nan
-        if numbers.size:
-            low, high = float(numbers.min()), float(numbers.max())
+        if finite_values.size:
+            low, high = float(finite_values.min()), float(finite_values.max())
             self.low, self.high = min(self.low, low), max(self.high, high)
         if self.full_scale is not None:
             self.saturated += int(np.count_nonzero(plane == self.full_scale))
             self.bottom += int(np.count_nonzero(plane == 0))
         if sampled:
-            part = plane[(slice(None, None, self.stride),) * plane.ndim].ravel()
-            self.sample.append(part[np.isfinite(part)])
+            sample = plane[(slice(None, None, self.stride),) * plane.ndim].ravel()
+            self.sample.append(sample[np.isfinite(sample)])
         # Slices with fewer pixels may well be alike, or of one grey.
         if plane.ndim == 2 and plane.size >= 1000:
             digest = hashlib.blake2b(np.ascontiguousarray(plane).data, digest_size=16).digest()
@@ -61,21 +61,22 @@ def inspect_values(
     values: Values, full_scale: int | None, warnings: list[str], *, dims: tuple[str, ...]
 ) -> dict[str, Any]:
     """Shape, type and distribution of the values; what looks wrong is added to `warnings`."""
-    total = values.shape[0]
-    numbers = [*range(total)]
+    n_planes = values.shape[0]
+    plane_numbers = [*range(n_planes)]
     if values.ndim > 2 and values.nbytes > EAGER_BYTES:  # evenly spread ones, where reading all would take long
-        count = max(8, SAMPLE_BYTES // (values.nbytes // total))
-        numbers = numbers if count >= total else [int(n) for n in np.linspace(0, total - 1, count).round()]
-    share = len(numbers) / total
+        n_sampled = max(8, SAMPLE_BYTES // (values.nbytes // n_planes))
+        if n_sampled < n_planes:
+            plane_numbers = [int(n) for n in np.linspace(0, n_planes - 1, n_sampled).round()]
+    share = len(plane_numbers) / n_planes
     stride = max(1, math.ceil((math.prod(values.shape) * share / SAMPLE_VALUES) ** (1 / values.ndim)))
     statistics = _Statistics(full_scale, stride)
-    for index, number in enumerate(numbers):
+    for index, number in enumerate(plane_numbers):
         statistics.add(number, np.asarray(values[number]), sampled=index % stride == 0)
     facts: dict[str, Any] = declared_facts(values, dims) | {
         "nan_share": 1 - statistics.finite / statistics.count,
         "saturated_share": statistics.saturated / statistics.count,
         "bottom_share": statistics.bottom / statistics.count,
-        "sampled": None if len(numbers) == total else f"{len(numbers)} of {total} slices",
+        "sampled": None if len(plane_numbers) == n_planes else f"{len(plane_numbers)} of {n_planes} slices",
     }
     if not statistics.finite:
         warnings.append("There is no number in it, all values are missing.")
@@ -83,37 +84,39 @@ def inspect_values(
     else:
         sample = np.sort(np.concatenate(statistics.sample))
         if not sample.size:  # the grid met no number
-            planes = (np.asarray(values[number]) for number in numbers)
+            planes = (np.asarray(values[number]) for number in plane_numbers)
             sample = np.sort(np.concatenate([plane[np.isfinite(plane)] for plane in planes]))
         facts["percentiles"] = {str(p): float(np.percentile(sample, p)) for p in PERCENTILES}
         facts |= {"min": statistics.low, "max": statistics.high}
-        levels = int(np.count_nonzero(np.diff(sample)) + 1)
+        n_levels = int(np.count_nonzero(np.diff(sample)) + 1)
         if statistics.low == statistics.high:
             warnings.append(f"All values are {statistics.low:g}.")
-        elif values.dtype.kind in "ui" and levels < 16:
-            warnings.append(f"It has {levels} grey levels only. Is it a segmentation? planish needs the grey values.")
+        elif values.dtype.kind in "ui" and n_levels < 16:
+            warnings.append(f"It has {n_levels} grey levels only. Is it a segmentation? planish needs the grey values.")
     if facts["nan_share"] > 0:
         warnings.append(f"{100 * facts['nan_share']:.3g} % of the values are missing (NaN or infinite).")
     if statistics.low == statistics.high:
         return facts
     # Above this share of values at the end of the range, grey levels were lost.
     if facts["saturated_share"] > 0.001:
-        cut = f"are at {full_scale}, the largest the file can store: grey levels were cut there."
-        warnings.append(f"{100 * facts['saturated_share']:.3g} % of the values {cut}")
+        cut_text = f"are at {full_scale}, the largest the file can store: grey levels were cut there."
+        warnings.append(f"{100 * facts['saturated_share']:.3g} % of the values {cut_text}")
     if statistics.constant:
-        where = f"(black or empty), z {first_few(statistics.constant)}: the scan ended there, or files were damaged."
-        warnings.append(f"{len(statistics.constant)} slices have one grey value only {where}")
+        warnings.append(
+            f"{len(statistics.constant)} slices have one grey value only (black or empty), z "
+            f"{first_few(statistics.constant)}: the scan ended there, or files were damaged."
+        )
     if statistics.copies:
-        where = f"as a slice before them, z {first_few(statistics.copies)}: were they copied to fill gaps?"
-        warnings.append(f"{len(statistics.copies)} slices hold the same values {where}")
+        place_text = f"as a slice before them, z {first_few(statistics.copies)}: were they copied to fill gaps?"
+        warnings.append(f"{len(statistics.copies)} slices hold the same values {place_text}")
     return facts
 
 
 def declared_facts(values: Values, dims: tuple[str, ...]) -> dict[str, Any]:
     """Give the facts without those of the values, which are None."""
-    of_values = ("min", "max", "percentiles", "nan_share", "saturated_share", "bottom_share")
-    declared = {"dims": list(dims), "shape": list(values.shape), "dtype": str(values.dtype)}
-    return declared | dict.fromkeys(of_values) | {"sampled": "none"}
+    value_keys = ("min", "max", "percentiles", "nan_share", "saturated_share", "bottom_share")
+    header_facts = {"dims": list(dims), "shape": list(values.shape), "dtype": str(values.dtype)}
+    return header_facts | dict.fromkeys(value_keys) | {"sampled": "none"}
 
 
 _SIDE = 480  # pixels along the longer side of a section
@@ -139,12 +142,12 @@ def middle_sections(values: Values) -> list[Section]:
     if len(values.shape) == 2:
         return [_section("y", "x", np.asarray(values), (1, 1))]
     depth, rows, cols = values.shape
-    every = -(-depth // 96)
-    planes = (np.asarray(values[k]) for k in range(0, depth, every))
+    stride = -(-depth // 96)
+    planes = (np.asarray(values[k]) for k in range(0, depth, stride))
     along_x, along_y = zip(*((p[rows // 2].copy(), p[:, cols // 2].copy()) for p in planes), strict=True)
     return [
-        _section("z", "x", np.stack(along_x), (every, 1)),
-        _section("z", "y", np.stack(along_y), (every, 1)),
+        _section("z", "x", np.stack(along_x), (stride, 1)),
+        _section("z", "y", np.stack(along_y), (stride, 1)),
         _section("y", "x", np.asarray(values[depth // 2]), (1, 1)),
     ]
 
@@ -166,9 +169,9 @@ def write_picture(sections: list[Section], path: Path) -> None:
         If the disk is full.
     """
     scale = _SIDE / max(n * k for s in sections for n, k in zip(s.grey.shape, s.step, strict=True))
-    shown = [_resized(s, scale) for s in sections]
-    tallest = max(len(part) for part in shown)
-    padded = [np.pad(part, ((0, tallest - len(part)), (0, 8)), constant_values=255) for part in shown]
+    pictures = [_resized(s, scale) for s in sections]
+    max_rows = max(map(len, pictures))
+    padded = [np.pad(grey, ((0, max_rows - len(grey)), (0, 8)), constant_values=255) for grey in pictures]
     write_whole(path, bytes(imagecodecs.png_encode(np.ascontiguousarray(np.hstack(padded)[:, :-8]))))
 
 
@@ -184,19 +187,19 @@ def as_text(section: Section) -> list[str]:
 
 def _section(down: str, across: str, plane: NDArray[Any], step: tuple[int, int]) -> Section:
     """Thin a plane out, and spread its grey over 0 to 255."""
-    thin = [max(1, -(-n * k // _SIDE) // k) for n, k in zip(plane.shape, step, strict=True)]
-    plane = plane[:: thin[0], :: thin[1]].astype(np.float64)
-    finite = plane[np.isfinite(plane)]
-    low, high = np.percentile(finite, [1, 99]) if finite.size else (0.0, 1.0)
+    strides = [max(1, -(-n * k // _SIDE) // k) for n, k in zip(plane.shape, step, strict=True)]
+    plane = plane[:: strides[0], :: strides[1]].astype(np.float64)
+    finite_values = plane[np.isfinite(plane)]
+    low, high = np.percentile(finite_values, [1, 99]) if finite_values.size else (0.0, 1.0)
     grey = np.clip((plane - low) / max(high - low, 1e-300), 0.0, 1.0)
-    step = (step[0] * thin[0], step[1] * thin[1])
+    step = (step[0] * strides[0], step[1] * strides[1])
     return Section(down, across, (255 * np.nan_to_num(grey)).astype(np.uint8), step)
 
 
 def _resized(section: Section, scale: float, *, squeeze: float = 1.0) -> Grey:
     """The nearest pixels, so many per voxel; rows are squeezed for letters, which are higher than wide."""
-    nearest: list[Ints] = []
-    for n, step, per in zip(section.grey.shape, section.step, (scale / squeeze, scale), strict=True):
-        count = max(1, round(n * step * per))
-        nearest.append(np.minimum(((np.arange(count) + 0.5) * n / count).astype(np.intp), n - 1))
-    return section.grey[np.ix_(*nearest)]
+    nearest_indices: list[Ints] = []
+    for n, step, pixels_per_voxel in zip(section.grey.shape, section.step, (scale / squeeze, scale), strict=True):
+        n_pixels = max(1, round(n * step * pixels_per_voxel))
+        nearest_indices.append(np.minimum(((np.arange(n_pixels) + 0.5) * n / n_pixels).astype(np.intp), n - 1))
+    return section.grey[np.ix_(*nearest_indices)]

@@ -61,16 +61,16 @@ class PagedArray(FileArray):
     def read(self, where: Where) -> NDArray[Any]:
         """Read a part page by page."""
         pages, rows, *across = where
-        first, last = rows.start // self.unit_rows, -(-rows.stop // self.unit_rows)
-        begin = first * self.unit_rows
+        first_strip, end_strip = rows.start // self.unit_rows, -(-rows.stop // self.unit_rows)
+        first_row = first_strip * self.unit_rows
         values = np.empty(lengths(where), self.dtype)
         for i, page in enumerate(range(pages.start, pages.stop, pages.step)):
             if self.unit_rows == 1:
-                block = self.rows(page, rows.start, rows.stop)
+                page_rows = self.rows(page, rows.start, rows.stop)
             else:
-                strips = [self._strip(page, k) for k in range(first, last)]
-                block = strips[0] if len(strips) == 1 else np.concatenate(strips)
-            values[i] = block[(slice(rows.start - begin, rows.stop - begin, rows.step), *across)]
+                strips = [self._strip(page, k) for k in range(first_strip, end_strip)]
+                page_rows = strips[0] if len(strips) == 1 else np.concatenate(strips)
+            values[i] = page_rows[(slice(rows.start - first_row, rows.stop - first_row, rows.step), *across)]
         return values
 
     def _decoded(self, page: int, number: int) -> NDArray[Any]:
@@ -84,29 +84,29 @@ class StoredArray(FileArray):
     surroundings, as memory in use.
     """
 
-    def __init__(self, planes: Sequence[tuple[Path, int]], shape: tuple[int, ...], stored: np.dtype[Any]) -> None:
-        self.planes, self.shape, self.stored = planes, shape, stored
-        self.path, self.dtype = planes[0][0], stored.newbyteorder("=")
+    def __init__(self, planes: Sequence[tuple[Path, int]], shape: tuple[int, ...], stored_dtype: np.dtype[Any]) -> None:
+        self.planes, self.shape, self.stored_dtype = planes, shape, stored_dtype
+        self.path, self.dtype = planes[0][0], stored_dtype.newbyteorder("=")
 
     def read(self, where: Where) -> NDArray[Any]:
         """Read whole rows, plane by plane, and keep a part of them."""
         planes, rows, *across = where
         values = np.empty(lengths(where), self.dtype)
-        shape = (rows.stop - rows.start, *self.shape[2:])
-        skip = rows.start * math.prod(self.shape[2:]) * self.stored.itemsize
+        rows_shape = (rows.stop - rows.start, *self.shape[2:])
+        skip_bytes = rows.start * math.prod(self.shape[2:]) * self.stored_dtype.itemsize
         for i, k in enumerate(range(planes.start, planes.stop, planes.step)):
             path, offset = self.planes[k]
-            part = np.fromfile(path, self.stored, math.prod(shape), offset=offset + skip)
-            if part.size < math.prod(shape):
-                raise damaged(path, f"it ends within the rows at byte {offset + skip}")
-            values[i] = part.reshape(shape)[(slice(None, None, rows.step), *across)]
+            plane_values = np.fromfile(path, self.stored_dtype, math.prod(rows_shape), offset=offset + skip_bytes)
+            if plane_values.size < math.prod(rows_shape):
+                raise damaged(path, f"it ends within the rows at byte {offset + skip_bytes}")
+            values[i] = plane_values.reshape(rows_shape)[(slice(None, None, rows.step), *across)]
         return values
 
 
-def stored_planes(path: Path, shape: tuple[int, ...], stored: np.dtype[Any], *, offset: int) -> StoredArray:
+def stored_planes(path: Path, shape: tuple[int, ...], stored_dtype: np.dtype[Any], *, offset: int) -> StoredArray:
     """An array whose planes lie in a file one after the other."""
-    plane_bytes = math.prod(shape[1:]) * stored.itemsize
-    return StoredArray([(path, offset + k * plane_bytes) for k in range(shape[0])], shape, stored)
+    plane_bytes = math.prod(shape[1:]) * stored_dtype.itemsize
+    return StoredArray([(path, offset + k * plane_bytes) for k in range(shape[0])], shape, stored_dtype)
 
 
 def lengths(where: Where) -> list[int]:
@@ -122,12 +122,12 @@ def unmapped(array: Values) -> Values:
     return stored_planes(Path(array.filename), array.shape, array.dtype, offset=array.offset)
 
 
-def mapped(path: Path, shape: tuple[int, ...], stored: np.dtype[Any], *, offset: int) -> Values:
+def mapped(path: Path, shape: tuple[int, ...], stored_dtype: np.dtype[Any], *, offset: int) -> Values:
     """Map values that lie in a file as they are; a memmap where the machine has their byte order."""
-    if stored == stored.newbyteorder("=") and stored != np.float16:
+    if stored_dtype == stored_dtype.newbyteorder("=") and stored_dtype != np.float16:
         with reading(path):
-            return np.memmap(path, stored, mode="r", offset=offset, shape=shape)
-    return stored_planes(path, shape, stored, offset=offset)
+            return np.memmap(path, stored_dtype, mode="r", offset=offset, shape=shape)
+    return stored_planes(path, shape, stored_dtype, offset=offset)
 
 
 class WholeArray(FileArray):
@@ -162,10 +162,10 @@ class ViewArray(FileArray):
 
     def read(self, where: Where) -> NDArray[Any]:
         """Read a part, turn it and change its values."""
-        inside = [slice(0, n, 1) for n in self.inner.shape]
-        for part, axis in zip(where, self.order, strict=True):
-            inside[axis] = part
-        turned = np.moveaxis(self.inner.read(tuple(inside)), self.order, range(len(self.order)))
+        inner_slices = [slice(0, n, 1) for n in self.inner.shape]
+        for axis_slice, axis in zip(where, self.order, strict=True):
+            inner_slices[axis] = axis_slice
+        turned = np.moveaxis(self.inner.read(tuple(inner_slices)), self.order, range(len(self.order)))
         return np.asarray(self.change(turned), self.dtype).reshape(lengths(where))
 
 

@@ -14,11 +14,11 @@ import zarr
 from numpy.typing import NDArray
 from zarr.codecs import BloscCodec, Crc32cCodec
 
-from planish.core.area import count_of, halved, middles
+from planish.core.area import halved, middles, overview_count
 from planish.core.errors import FileError, PlanishError
 from planish.core.files import writing
 from planish.core.grid import Grid
-from planish.core.lazy import LazyArray, Where, held
+from planish.core.lazy import LazyArray, Where, variable_data
 from planish.core.memory import LARGE_BYTES
 from planish.core.tiles import Tile, tiles_of
 
@@ -65,42 +65,42 @@ class StoredMaps:
             return
         with writing(self.path):
             self._add(name, grid, tile, maps)
-            for k in range(1, count_of(grid.shape) + 1 if name in self.stored else 1):
+            for k in range(1, overview_count(grid.shape) + 1 if name in self.stored else 1):
                 # Tiles begin at multiples of more pixels than there are in one of the last overview.
                 maps = halved(maps)
-                part = Tile(tile.r0 >> k, (tile.r0 >> k) + maps.sizes["y"], tile.c0 >> k, 0)
-                part = part._replace(c1=part.c0 + maps.sizes["x"])
+                overview_tile = Tile(tile.r0 >> k, (tile.r0 >> k) + maps.sizes["y"], tile.c0 >> k, 0)
+                overview_tile = overview_tile._replace(c1=overview_tile.c0 + maps.sizes["x"])
                 grid = Grid(y_um=middles(grid.y_um), x_um=middles(grid.x_um))
-                self._add(f"{OVERVIEWS}/{name}/{k}", grid, part, maps)
+                self._add(f"{OVERVIEWS}/{name}/{k}", grid, overview_tile, maps)
 
     def _add(self, name: str, grid: Grid, tile: Tile, maps: xr.Dataset) -> None:
         if name not in self._arrays:
             self._arrays[name] = self._create_arrays(name, grid, maps)
-        for key, data in maps.data_vars.items():
-            self._arrays[name][str(key)][tile.rows, tile.cols] = data.values
+        for map_name, variable in maps.data_vars.items():
+            self._arrays[name][str(map_name)][tile.rows, tile.cols] = variable.values
 
     def _create_arrays(self, name: str, grid: Grid, maps: xr.Dataset) -> dict[str, Any]:
-        size = sum(data.dtype.itemsize for data in maps.data_vars.values()) * grid.shape[0] * grid.shape[1]
-        if self.path is None or (size < LARGE_BYTES and not name.startswith(f"{OVERVIEWS}/")):
+        group_bytes = sum(v.dtype.itemsize for v in maps.data_vars.values()) * grid.shape[0] * grid.shape[1]
+        if self.path is None or (group_bytes < LARGE_BYTES and not name.startswith(f"{OVERVIEWS}/")):
             variables = {k: (v.dims, np.empty(grid.shape, v.dtype), v.attrs) for k, v in maps.data_vars.items()}
-            coords = {k: (k, um, dict(maps[k].attrs)) for k, um in (("y", grid.y_um), ("x", grid.x_um))}
+            coords = {k: (k, axis_um, dict(maps[k].attrs)) for k, axis_um in (("y", grid.y_um), ("x", grid.x_um))}
             self._groups[name] = xr.Dataset(variables, coords=coords, attrs=maps.attrs)
-            return {str(k): data.values for k, data in self._groups[name].data_vars.items()}
+            return {str(k): variable.values for k, variable in self._groups[name].data_vars.items()}
         group = zarr.open_group(self.path, mode="a", attributes={COMPLETE: True}).require_group(name)
         group.attrs.update(_json_attrs(maps.attrs))
 
-        def create(key: str, dims: tuple[str, ...], shape: tuple[int, ...], like: Any, **how: Any) -> Any:
-            how |= {"dimension_names": dims, "compressors": CODECS, "attributes": _json_attrs(like.attrs)}
-            return group.create_array(key, shape=shape, dtype=like.dtype, **how)
+        def create(key: str, dims: tuple[str, ...], shape: tuple[int, ...], template: Any, **options: Any) -> Any:
+            options |= {"dimension_names": dims, "compressors": CODECS, "attributes": _json_attrs(template.attrs)}
+            return group.create_array(key, shape=shape, dtype=template.dtype, **options)
 
-        for axis, places in (("y", grid.y_um), ("x", grid.x_um)):
-            create(axis, (axis,), places.shape, maps[axis])[:] = places
+        for axis, axis_um in (("y", grid.y_um), ("x", grid.x_um)):
+            create(axis, (axis,), axis_um.shape, maps[axis])[:] = axis_um
         self.stored.append(name)
         arrays: dict[str, Any] = {}
-        how = {"chunks": tuple(min(n, CHUNK) for n in grid.shape), "config": {"write_empty_chunks": True}}
-        for key, data in maps.data_vars.items():
-            fill = np.nan if data.dtype.kind == "f" else 0
-            arrays[str(key)] = create(str(key), ("y", "x"), grid.shape, data, fill_value=fill, **how)
+        options = {"chunks": tuple(min(n, CHUNK) for n in grid.shape), "config": {"write_empty_chunks": True}}
+        for key, variable in maps.data_vars.items():
+            fill_value = np.nan if variable.dtype.kind == "f" else 0
+            arrays[str(key)] = create(str(key), ("y", "x"), grid.shape, variable, fill_value=fill_value, **options)
         return arrays
 
     def group(self, name: str) -> xr.Dataset:
@@ -136,7 +136,7 @@ def stored_group(path: Path, name: str, cache: PartCache | None = None) -> xr.Da
             attrs = {k: v for k, v in array.attrs.items() if k not in ("_FillValue", "coordinates")}
             other_coords |= {*str(array.attrs.get("coordinates", "")).split()}
             (coords if dims == (key,) else variables)[key] = xr.Variable(
-                dims, held(_StoredArray(path, array, cache)) if array.ndim == 2 else array[...], attrs
+                dims, variable_data(_StoredArray(path, array, cache)) if array.ndim == 2 else array[...], attrs
             )
         coords |= {key: variables.pop(key) for key in other_coords & variables.keys()}
         return xr.Dataset(variables, coords=coords, attrs=dict(group.attrs))
@@ -163,16 +163,14 @@ class PartCache:
         key = (array.path, *((s.start, s.stop, s.step) for s in where))
         if key in self._parts:
             return self._parts[key].copy()
-        part = np.asarray(array[where])
-        if part.nbytes <= self._room:
-            self._room -= part.nbytes
-            self._parts[key] = part.copy()
-        return part
+        values = np.asarray(array[where])
+        if values.nbytes <= self._room:
+            self._room -= values.nbytes
+            self._parts[key] = values.copy()
+        return values
 
 
 class _StoredArray(LazyArray):
-    """An array of a store, of which parts are read."""
-
     def __init__(self, path: Path, array: Any, cache: PartCache) -> None:
         self._path, self._array, self._cache = path, array, cache
         self.shape, self.dtype = array.shape, np.dtype(array.dtype)
@@ -197,5 +195,4 @@ def readable(path: Path) -> Generator[None]:
 
 
 def _json_attrs(attrs: Mapping[Any, Any]) -> dict[str, Any]:
-    """Attributes as JSON has them."""
     return {str(k): v.tolist() if isinstance(v, np.ndarray | np.generic) else v for k, v in attrs.items()}

@@ -21,48 +21,48 @@ from planish.io.sizes import stated_in
 
 def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> LoadedVolume:
     """Read the variable that was chosen, or the only one with three axes."""
-    path, wanted = place.path, place.part.strip("/")
+    path, name = place.path, place.part.strip("/")
     size_of_file(path)
     with reading(path), path.open("rb") as file:
-        head = file.read(520)
-        if not matlab.is_new(head) and not matlab.is_version_5(head):
+        first_bytes = file.read(520)
+        if not matlab.is_new(first_bytes) and not matlab.is_version_5(first_bytes):
             raise FileError(
                 f"{path.name} is no MATLAB file of version 5 or later; version 4 holds no volumes. Save it with '-v7'."
             )
         with _damage(path):
             variables = {v.name: v for v in matlab.variables(file)}
             volumes = [(v.name, v.shape, v.kind) for v in variables.values() if sum(n > 1 for n in v.shape) == 3]
-            if wanted and wanted not in (name for name, *_ in volumes):
-                raise VolumeError(f"{path.name} has no volume {wanted!r}. {describe_volumes(volumes, path.name)}")
-            chosen = variables[wanted or only_volume(volumes, path.name)]
+            if name and name not in (volume_name for volume_name, *_ in volumes):
+                raise VolumeError(f"{path.name} has no volume {name!r}. {describe_volumes(volumes, path.name)}")
+            variable = variables[name or only_volume(volumes, path.name)]
             # The voxel size, one number or z, y, x: no habit of MATLAB, but it can be saved beside the volume.
-            size = variables.get("voxel_um")
-            is_size = size is not None and size.real and size.count in (1, 3)
-            sizes = np.broadcast_to(np.ravel(matlab.values(file, size)), 3).tolist() if size and is_size else []
-    if chosen.kind not in matlab.NUMBERS:
+            size, sizes = variables.get("voxel_um"), list[float]()
+            if size is not None and size.real and size.count in (1, 3):
+                sizes = np.broadcast_to(np.ravel(matlab.values(file, size)), 3).tolist()
+    if variable.kind not in matlab.NUMBERS:
         raise VolumeError(
-            f"{path.name}: {chosen.name} holds values of the class {chosen.kind}. Save it with real numbers."
+            f"{path.name}: {variable.name} holds values of the class {variable.kind}. Save it with real numbers."
         )
-    rows, columns, slices = (axis for axis, n in enumerate(chosen.shape) if n > 1)
-    order, notes = (slices, rows, columns), ()
-    if matlab.is_new(head):
+    row_axis, column_axis, slice_axis = (axis for axis, n in enumerate(variable.shape) if n > 1)
+    axis_order, notes = (slice_axis, row_axis, column_axis), ()
+    if matlab.is_new(first_bytes):
         from planish.io.hdf5_volume import lazy_dataset, opened
 
         with opened(path) as file:
-            array, notes = lazy_dataset(file[chosen.name], path)
-        values = transposed(array, [len(chosen.shape) - 1 - axis for axis in order])
+            array, notes = lazy_dataset(file[variable.name], path)
+        values = transposed(array, [len(variable.shape) - 1 - axis for axis in axis_order])
     else:
-        dtype = matlab.NUMBERS[chosen.kind]
-        check_blown_up(path, decoded_bytes=chosen.count * dtype.itemsize, stored_bytes=size_of_file(path))
-        shape = tuple(chosen.shape[axis] for axis in order)
-        values = WholeArray(path, shape, dtype, partial(_decoded, path, chosen))
+        dtype = matlab.NUMBERS[variable.kind]
+        check_blown_up(path, decoded_bytes=variable.count * dtype.itemsize, stored_bytes=size_of_file(path))
+        shape = tuple(variable.shape[axis] for axis in axis_order)
+        values = WholeArray(path, shape, dtype, partial(_decoded, path, variable))
     stated = stated_in("the variable voxel_um", sizes, ["um"] * 3)
-    return LoadedVolume(values=values, stated=[stated], files=[path], attrs={"variable": chosen.name}, notes=notes)
+    return LoadedVolume(values=values, stated=[stated], files=[path], attrs={"variable": variable.name}, notes=notes)
 
 
-def _decoded(path: Path, chosen: matlab.Variable) -> NDArray[Any]:
+def _decoded(path: Path, variable: matlab.Variable) -> NDArray[Any]:
     with _damage(path), path.open("rb") as file:
-        return np.squeeze(matlab.values(file, chosen)).transpose(2, 0, 1)
+        return np.squeeze(matlab.values(file, variable)).transpose(2, 0, 1)
 
 
 @contextmanager

@@ -92,8 +92,8 @@ def load_picture(path: Path, *, memory_bytes: int | None = None, decode: bool = 
                 if np.all(colormap % 257 == 0):
                     colormap, bits = (colormap // 257).astype(np.uint8), 8
                 colour = "grey" if (colormap == colormap[0]).all() else "rgb"
-                index = values.astype(np.intp)
-                values = colormap[0][index] if colour == "grey" else np.moveaxis(colormap[:, index], 0, -1)
+                entry = values.astype(np.intp)
+                values = colormap[0][entry] if colour == "grey" else np.moveaxis(colormap[:, entry], 0, -1)
             orientation = page.tags.valueof(274, default=1)
         stated = stated_by_tiff(tif, page, path)
     orientation = orientation if isinstance(orientation, int) else 1
@@ -139,12 +139,12 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
         if kind == "png":  # the checksum of every part; decoders pass over some of them
             PLUGINS[kind](BytesIO(data)).verify()
         image = PLUGINS[kind](BytesIO(data))
-    deep = kind == "png" and data[24] == 16 and data[25] in (2, 4, 6)
-    bands = len(image.getbands())
-    needed = image.width * image.height * max(bands, 3 if image.mode == "P" else 1) * (2 if deep else 1)
-    check_blown_up(path, decoded_bytes=needed, stored_bytes=len(data))
+    is_16_bit = kind == "png" and data[24] == 16 and data[25] in (2, 4, 6)
+    n_bands = len(image.getbands())
+    needed_bytes = image.width * image.height * max(n_bands, 3 if image.mode == "P" else 1) * (2 if is_16_bit else 1)
+    check_blown_up(path, decoded_bytes=needed_bytes, stored_bytes=len(data))
     if decode:
-        check_memory(path, needed_bytes=needed, limit_bytes=memory_bytes)
+        check_memory(path, needed_bytes=needed_bytes, limit_bytes=memory_bytes)
     with reading(path):
         # Pillow decodes a PNG to look for the tag behind its pixels.
         orientation = image.getexif().get(274, 1) if decode or kind != "png" else 1
@@ -152,10 +152,10 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
         if decode:
             image.load()
         if not decode:
-            types = {"1": "bool", "I": "int32", "I;16": "uint16", "I;16B": "uint16", "F": "float32"}
-            dtype = np.dtype("uint16" if deep else types.get(image.mode, "uint8"))
-            values = constant_zeros((image.height, image.width, bands)[: 2 + (bands > 1)], dtype)
-        elif deep:  # Pillow cuts 16-bit colour to 8 bits
+            mode_types = {"1": "bool", "I": "int32", "I;16": "uint16", "I;16B": "uint16", "F": "float32"}
+            dtype = np.dtype("uint16" if is_16_bit else mode_types.get(image.mode, "uint8"))
+            values = constant_zeros((image.height, image.width, n_bands)[: 2 + (n_bands > 1)], dtype)
+        elif is_16_bit:  # Pillow cuts 16-bit colour to 8 bits
             values = np.asarray(imagecodecs.png_decode(data))
         elif image.mode in {"P", "PA"}:
             lut = np.asarray(image.convert("RGB"))

@@ -79,46 +79,46 @@ def work_folder(path: Path, key: str) -> Generator[Path]:
     """
     check_length(path.absolute())
     work = path.with_name(f".{path.name}.work")
-    marker, note = work / WORK_MARKER, work / "key"
+    marker, key_file = work / WORK_MARKER, work / "key"
     with writing(path):
         claim_folder(work, WORK_MARKER, _WORK_TEXT, for_what=path)
         # Everything in it has to be planish's own.
         names = {entry.name for entry in work.iterdir()}
-        foreign = sorted(name for name in names if is_link(work / name) or not _is_work_name(name))
+        foreign_names = sorted(name for name in names if is_link(work / name) or not _is_work_name(name))
         # Versions before the marker wrote a key of 64 digits and a lock.
-        marked = _has_text(marker, _WORK_TEXT) if marker.name in names else {"key", "lock"} <= names
-        if foreign or not marked:
-            reason = f"it holds {', '.join(foreign[:3])}" if foreign else f"it has no file {WORK_MARKER}"
-            raise FileError(f"{work} was not made by planish ({reason}). {_IN_THE_WAY.format(path.name)}")
+        is_marked = _has_text(marker, _WORK_TEXT) if marker.name in names else {"key", "lock"} <= names
+        if foreign_names or not is_marked:
+            fault_text = f"holds {', '.join(foreign_names[:3])}" if foreign_names else f"has no file {WORK_MARKER}"
+            raise FileError(f"{work} was not made by planish (it {fault_text}). {_IN_THE_WAY.format(path.name)}")
         lock = acquire_lock(work / "lock", path)
         try:
             marker.write_text(_WORK_TEXT, encoding="utf-8", newline="\n")
-            if not _has_text(note, key):
+            if not _has_text(key_file, key):
                 shutil.rmtree(work / "tiles", ignore_errors=True)
-                note.write_text(key, encoding="utf-8", newline="\n")
-            for half in work.glob(".*.partial"):
-                shutil.rmtree(half, ignore_errors=True)
+                key_file.write_text(key, encoding="utf-8", newline="\n")
+            for partial_folder in work.glob(".*.partial"):
+                shutil.rmtree(partial_folder, ignore_errors=True)
             yield work
         finally:
             lock.release()
             _remove_work_folder(work)
 
 
-def _has_text(file: Path, text: str) -> bool:
-    return file.is_file() and file.read_text(encoding="utf-8") == text
+def _has_text(file: Path, expected_text: str) -> bool:
+    return file.is_file() and file.read_text(encoding="utf-8") == expected_text
 
 
-def acquire_lock(lock: Path, path: Path) -> FileLock:
+def acquire_lock(lock_file: Path, path: Path) -> FileLock:
     """Take the lock of a folder in which ``path`` is made; FileError where another process has it."""
-    file_lock = FileLock(lock)
+    lock = FileLock(lock_file)
     try:
-        file_lock.acquire(timeout=0)
+        lock.acquire(timeout=0)
     except Timeout as error:
         raise FileError(f"Another planish is writing {path} now. Wait for it, or give another name.") from error
-    return file_lock
+    return lock
 
 
-def claim_folder(folder: Path, marker: str, text: str, *, for_what: Path) -> None:
+def claim_folder(folder: Path, marker_name: str, marker_text: str, *, for_what: Path) -> None:
     """Make a folder that carries a marker from its first moment, or leave the one that is there.
 
     Raises
@@ -132,13 +132,13 @@ def claim_folder(folder: Path, marker: str, text: str, *, for_what: Path) -> Non
     if folder.exists():
         return
     folder.parent.mkdir(parents=True, exist_ok=True)
-    temporary = folder.with_name(f"{folder.name}.{secrets.token_hex(4)}")
-    temporary.mkdir()
+    temporary_folder = folder.with_name(f"{folder.name}.{secrets.token_hex(4)}")
+    temporary_folder.mkdir()
     try:
-        (temporary / marker).write_text(text, encoding="utf-8", newline="\n")
-        move(temporary, folder)
+        (temporary_folder / marker_name).write_text(marker_text, encoding="utf-8", newline="\n")
+        move(temporary_folder, folder)
     except (OSError, FileError):
-        shutil.rmtree(temporary, ignore_errors=True)
+        shutil.rmtree(temporary_folder, ignore_errors=True)
         if not folder.is_dir():  # otherwise another process was faster
             raise
 
@@ -181,8 +181,8 @@ def remove(folder: Path) -> None:
     zarr writes chunks from threads of its own. When one of them fails, the others still finish theirs and make
     folders anew for them, so the folder is removed again until it stays away.
     """
-    end = time.monotonic() + 10.0
-    while folder.exists() and time.monotonic() < end:
+    deadline = time.monotonic() + 10.0
+    while folder.exists() and time.monotonic() < deadline:
         shutil.rmtree(folder, ignore_errors=True)
         time.sleep(0.2)
 
@@ -292,8 +292,8 @@ def read_group(path: Path, name: str, variables: Iterable[str] | None = None) ->
     """
     with readable(path):
         group = stored_group(path, name)
-        part = group if variables is None else group[list(variables)]
-        return part if is_large(group.data_vars.values()) else part.load()
+        selection = group if variables is None else group[list(variables)]
+        return selection if is_large(group.data_vars.values()) else selection.load()
 
 
 def _check_chunks(path: Path, groups: Iterable[str] = ("",)) -> None:

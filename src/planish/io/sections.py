@@ -135,16 +135,16 @@ class Sections(NamedTuple):
         name = self.folder.name
         pitch_um = float(np.median(np.diff(self.positions_um)))
         if voxel_um is not None:
-            sizes = size_per_axis(voxel_um, VOXEL)
-            single = isinstance(voxel_um, (int, float)) or len(voxel_um) == 1
-            if not single and not agree(sizes[0], pitch_um):
+            axis_sizes = size_per_axis(voxel_um, VOXEL)
+            is_single = isinstance(voxel_um, (int, float)) or len(voxel_um) == 1
+            if not is_single and not agree(axis_sizes[0], pitch_um):
                 raise SizeError(
-                    f"{name}: {VOXEL.option} gives z {sizes[0]:g} um, but the median step of {COUNTER} is "
+                    f"{name}: {VOXEL.option} gives z {axis_sizes[0]:g} um, but the median step of {COUNTER} is "
                     f"{pitch_um:g} um. Correct the counter, or give the pixel size alone."
                 )
-            voxel_um = (pitch_um, sizes[1], sizes[2])
-        photographed = [s._replace(um=(None, *s.um[1:])) for s in self.first.stated]
-        stated = [Stated("the cut counter", (pitch_um, None, None)), *photographed]
+            voxel_um = (pitch_um, axis_sizes[1], axis_sizes[2])
+        photograph_sizes = [s._replace(um=(None, *s.um[1:])) for s in self.first.stated]
+        stated = [Stated("the cut counter", (pitch_um, None, None)), *photograph_sizes]
         return agreed_size(stated, voxel_um, file_name=name, asked=VOXEL, override=override, unusual=unusual)
 
 
@@ -152,47 +152,48 @@ def open_sections(folder: Path, *, channel: str | None, memory_bytes: int | None
     """Read the cut counter of a folder, compare it with the pictures there, and read these."""
     if not folder.is_dir():
         raise FileError(f"{folder.name} is not a folder. Check the name.")
-    counter, name = folder / COUNTER, f"{COUNTER} in {folder.name}"
-    size_of_file(counter)
-    table = parse_table(read_text(counter, what="cut counter"), name, needed=COLUMNS, error=VolumeError)
+    counter_file, counter_name = folder / COUNTER, f"{COUNTER} in {folder.name}"
+    size_of_file(counter_file)
+    table = parse_table(read_text(counter_file, what="cut counter"), counter_name, needed=COLUMNS, error=VolumeError)
     positions = table.numbers(COLUMNS[1:])[:, 0]
     files: list[Path] = []
     for row in table.rows:
-        file = folder / (word := table.text(row, "file"))
-        if not word or file.name != word:
-            table.fault(row, f"{word!r} is not the name of a file in this folder")
+        file = folder / (file_name := table.text(row, "file"))
+        if not file_name or file.name != file_name:
+            table.fault(row, f"{file_name!r} is not the name of a file in this folder")
         elif file in files:
-            table.fault(row, f"{word} for the second time")
+            table.fault(row, f"{file_name} for the second time")
         files.append(file)
     table.check()
     if len(files) < 2:
-        raise VolumeError(f"{name} names {len(files)} sections, at least two are needed.")
+        raise VolumeError(f"{counter_name} names {len(files)} sections, at least two are needed.")
     for (first, a), (second, b) in pairwise(zip(files, positions, strict=True)):
         if not b > a:
             raise VolumeError(
-                f"{name}: {second.name} lies at {b:g} um, {first.name} before it at {a:g} um. Positions increase in "
-                "the order of the cuts: correct the counter, or sort its rows by position."
+                f"{counter_name}: {second.name} lies at {b:g} um, {first.name} before it at {a:g} um. Positions "
+                "increase in the order of the cuts: correct the counter, or sort its rows by position."
             )
-    if missing := [file.name for file in files if not file.is_file()]:
+    if missing_names := [file.name for file in files if not file.is_file()]:
         raise VolumeError(
-            f"{folder.name} lacks {len(missing)} of {len(files)} files named in {COUNTER}: {first_few(missing)}. Add "
-            "them, or take their rows out: a gap in the positions is understood as a missing section."
+            f"{folder.name} lacks {len(missing_names)} of {len(files)} files named in {COUNTER}: "
+            f"{first_few(missing_names)}. Add them, or take their rows out: a gap in the positions is understood as a "
+            "missing section."
         )
-    if odd := sorted(p.name for p in {*folder.iterdir()} - {*files} if is_slice_name(p.name) and p.is_file()):
+    if unlisted := sorted(p.name for p in {*folder.iterdir()} - {*files} if is_slice_name(p.name) and p.is_file()):
         raise VolumeError(
-            f"{folder.name} holds {len(odd)} pictures that {COUNTER} does not name: {first_few(odd)}. Add a row for "
-            "each with its position, or move them elsewhere."
+            f"{folder.name} holds {len(unlisted)} pictures that {COUNTER} does not name: {first_few(unlisted)}. Add a "
+            "row for each with its position, or move them elsewhere."
         )
     kind, channel = _kind_of_sections(table), check_channel(channel)
-    grey, picture = load_pictures(files, channel=channel, memory_bytes=memory_bytes, photographs=True)
-    file_bytes = sum(size_of_file(file) for file in [*files, counter])
-    return Sections(folder=folder, values=grey, first=picture, positions_um=positions, kind=kind, file_bytes=file_bytes)
+    values, picture = load_pictures(files, channel=channel, memory_bytes=memory_bytes, photographs=True)
+    file_bytes = sum(size_of_file(file) for file in [*files, counter_file])
+    return Sections(folder, values, picture, positions, kind, file_bytes)
 
 
 def _kind_of_sections(table: CsvTable) -> str:
     """Read from the comments what was photographed; empty where they do not say it. Two kinds are never mixed."""
-    split = [comment.partition(":") for comment in table.comments]
-    kinds = sorted({word.strip().lower() for key, colon, word in split if colon and key.strip().lower() == "kind"})
+    comments = [comment.strip().lower().partition(":") for comment in table.comments]
+    kinds = sorted({kind.strip() for key, colon, kind in comments if colon and key.strip() == "kind"})
     if unknown := [kind for kind in kinds if kind not in KINDS]:
         raise VolumeError(f"{table.name} has the kind {', '.join(map(repr, unknown))}. Give {' or '.join(KINDS)}.")
     if len(kinds) > 1:

@@ -20,17 +20,15 @@ from planish.io.guard import reading
 if TYPE_CHECKING:
     from tifffile import TiffFile, TiffPage
 
+PREFIXES = (("p", "pico", 1e-6), ("n", "nano", 1e-3), ("u", "micro", 1.0), ("m", "milli", 1e3), ("c", "centi", 1e4))
 # Length of each unit in um. Keys are case-folded, which also makes the micro sign a Greek mu.
 UNITS_UM = {
-    "pm": 1e-6, "picometer": 1e-6, "picometre": 1e-6,
-    "å": 1e-4, "angstrom": 1e-4, "ångström": 1e-4,
-    "nm": 1e-3, "nanometer": 1e-3, "nanometre": 1e-3, "nanometers": 1e-3, "nanometres": 1e-3,
-    "um": 1.0, "μm": 1.0, "micron": 1.0, "microns": 1.0,
-    "micrometer": 1.0, "micrometre": 1.0, "micrometers": 1.0, "micrometres": 1.0,
-    "mm": 1e3, "millimeter": 1e3, "millimetre": 1e3, "millimeters": 1e3, "millimetres": 1e3,
-    "cm": 1e4, "centimeter": 1e4, "centimetre": 1e4, "centimeters": 1e4, "centimetres": 1e4,
-    "m": 1e6, "meter": 1e6, "metre": 1e6, "meters": 1e6, "metres": 1e6,
+    "å": 1e-4, "angstrom": 1e-4, "ångström": 1e-4, "μm": 1.0, "micron": 1.0, "microns": 1.0,
     "in": 25400.0, "inch": 25400.0, "inches": 25400.0,
+} | {
+    f"{prefix}{metre}": um
+    for symbol, name, um in (*PREFIXES, ("", "", 1e6))
+    for prefix, metre in ((symbol, "m"), (name, "meter"), (name, "metre"), (name, "meters"), (name, "metres"))
 }  # fmt: skip
 
 OVERRIDE = "--override-size"
@@ -55,8 +53,8 @@ class Asked(NamedTuple):
 
     def in_words(self, size: Sequence[float | None]) -> str:
         """Write a size with its axes, for example ``z 2, y 1.5, x 1.5 um``."""
-        parts = [f"{axis} {um:.6g}" for axis, um in zip(self.axes, size, strict=True) if um is not None]
-        return ", ".join(parts) + " um"
+        axis_texts = [f"{axis} {um:.6g}" for axis, um in zip(self.axes, size, strict=True) if um is not None]
+        return ", ".join(axis_texts) + " um"
 
     def statements(self, stated: Sequence[Stated]) -> str:
         """Write what several kinds of metadata state."""
@@ -89,11 +87,11 @@ def stated_in(
     for axis in order:
         length = lengths[axis] if axis < len(lengths) else None
         unit = units[axis] if axis < len(units) else ""
-        size, of_unit = _number(length), unit_um(unit)
-        sizes.append(None if size is None or of_unit is None else size * of_unit)
+        size, unit_length = _number(length), unit_um(unit)
+        sizes.append(None if size is None or unit_length is None else size * unit_length)
         if length is not None and size is None:
             notes.append(f"{length:g} is no size")
-        elif length is not None and of_unit is None:
+        elif length is not None and unit_length is None:
             notes.append(f"{unit!r} is no unit of length" if unit else f"{length:g} without a unit")
     return Stated(source, tuple(sizes), ", ".join(dict.fromkeys(notes)))
 
@@ -104,12 +102,12 @@ def from_density(per_unit: float | None, unit: str) -> float | None:
     Exactly 1 pixel per unit, and 72 or 96 pixels per inch in whatever unit, are what programs write when they
     do not know.
     """
-    length, density = unit_um(unit), _number(per_unit)
-    if density is None or length is None or density == 1:
+    unit_length, density = unit_um(unit), _number(per_unit)
+    if density is None or unit_length is None or density == 1:
         return None
-    um = length / density
+    pixel_um = unit_length / density
     # What programs write when they do not know the resolution, within the rounding of whole pixels per cm.
-    return None if any(abs(25400.0 / um - dpi) <= 1.0 for dpi in (72.0, 96.0)) else um
+    return None if any(abs(25400.0 / pixel_um - dpi) <= 1.0 for dpi in (72.0, 96.0)) else pixel_um
 
 
 def agreed_size(
@@ -131,42 +129,42 @@ def agreed_size(
     SizeError
         If it is missing on an axis, contradictory, or outside the possible range.
     """
-    stating = [s for s in stated if any(v is not None for v in s.um)]
-    sources = " and ".join(s.source for s in stating)
+    statements = [s for s in stated if any(v is not None for v in s.um)]
+    sources = " and ".join(s.source for s in statements)
     if user_um is None:
-        merged = _merge_stated(stating, file_name=file_name, asked=asked)
-        size = tuple(um for um in merged if um is not None)
-        if len(size) < len(merged):
-            missing = and_join(axis for axis, um in zip(asked.axes, merged, strict=True) if um is None)
-            notes = "; ".join(f"{s.source}: {s.note}" for s in stated if s.note)
-            along = f" along {missing}: {asked.statements(stating)} only" if stating else ""
+        merged_size = _merge_stated(statements, file_name=file_name, asked=asked)
+        size = tuple(um for um in merged_size if um is not None)
+        if len(size) < len(merged_size):
+            missing_axes = and_join(axis for axis, um in zip(asked.axes, merged_size, strict=True) if um is None)
+            notes_text = "; ".join(f"{s.source}: {s.note}" for s in stated if s.note)
+            only_text = f" along {missing_axes}: {asked.statements(statements)} only" if statements else ""
             raise SizeError(
-                f"{file_name} states no {asked.name} size{along}{f' ({notes})' if notes else ''}. Give it with "
-                f"{asked.option} SIZE (or {','.join(asked.axes).upper()}), in um."
+                f"{file_name} states no {asked.name} size{only_text}{f' ({notes_text})' if notes_text else ''}. Give "
+                f"it with {asked.option} SIZE (or {','.join(asked.axes).upper()}), in um."
             )
-        _check_range(size, file_name=file_name, asked=asked, unusual=unusual, more=f", and add {OVERRIDE}")
+        _check_range(size, file_name=file_name, asked=asked, unusual=unusual, more_text=f", and add {OVERRIDE}")
         return size, sources
     size = size_per_axis(user_um, asked)
-    contradicting = [
-        s for s in stating if any(v is not None and not agree(v, g) for v, g in zip(s.um, size, strict=True))
+    contradictions = [
+        s for s in statements if any(v is not None and not agree(v, g) for v, g in zip(s.um, size, strict=True))
     ]
-    if contradicting and not override:
+    if contradictions and not override:
         raise SizeError(
-            f"{file_name}: {asked.option} gives {asked.in_words(size)}, but {asked.statements(contradicting)}. "
+            f"{file_name}: {asked.option} gives {asked.in_words(size)}, but {asked.statements(contradictions)}. "
             f"Correct one of them, or add {OVERRIDE} to take the given size."
         )
     _check_range(size, file_name=file_name, asked=asked, unusual=unusual)
-    if contradicting:
-        replaced = and_join(f"{s.source} ({asked.in_words(s.um)})" for s in contradicting)
-        return size, f"given, in place of {replaced}"
+    if contradictions:
+        replaced_text = and_join(f"{s.source} ({asked.in_words(s.um)})" for s in contradictions)
+        return size, f"given, in place of {replaced_text}"
     # A repeated run gives the very size that the metadata stated the first time; it still comes from there.
-    return size, sources if _merge_stated(stating, file_name=file_name, asked=asked) == size else "given"
+    return size, sources if _merge_stated(statements, file_name=file_name, asked=asked) == size else "given"
 
 
 def size_per_axis(size_um: float | Sequence[float], asked: Asked) -> tuple[float, ...]:
     """Spread a given size over the axes."""
-    listed: Any = size_um.tolist() if isinstance(size_um, np.ndarray) else size_um
-    sizes: tuple[Any, ...] = tuple(listed) if isinstance(listed, (list, tuple)) else (listed,)
+    axis_sizes: Any = size_um.tolist() if isinstance(size_um, np.ndarray) else size_um
+    sizes: tuple[Any, ...] = tuple(axis_sizes) if isinstance(axis_sizes, (list, tuple)) else (axis_sizes,)
     if not all(not isinstance(v, bool) and isinstance(v, Real) and _number(v) for v in sizes):
         raise SizeError(f"{asked.option}: {size_um!r} is not a size. Give numbers above 0, in um.")
     if len(sizes) not in (1, len(asked.axes)):
@@ -176,39 +174,39 @@ def size_per_axis(size_um: float | Sequence[float], asked: Asked) -> tuple[float
     return tuple(float(v) for v in (sizes if len(sizes) > 1 else sizes * len(asked.axes)))
 
 
-def _merge_stated(stating: Sequence[Stated], *, file_name: str, asked: Asked) -> tuple[float | None, ...]:
+def _merge_stated(statements: Sequence[Stated], *, file_name: str, asked: Asked) -> tuple[float | None, ...]:
     """Join what several kinds of metadata state; the first that states an axis gives its number."""
     sizes: list[float | None] = [None] * len(asked.axes)
-    for statement in stating:
-        for i, um in enumerate(statement.um):
+    for statement in statements:
+        for i, stated_um in enumerate(statement.um):
             size = sizes[i]
             if size is None:
-                sizes[i] = um
-            elif um is not None and not agree(size, um):
+                sizes[i] = stated_um
+            elif stated_um is not None and not agree(size, stated_um):
                 raise SizeError(
-                    f"{file_name} contradicts itself: {asked.statements(stating)}. Give the right {asked.name} size "
+                    f"{file_name} contradicts itself: {asked.statements(statements)}. Give the right {asked.name} size "
                     f"with {asked.option} and add {OVERRIDE}."
                 )
     return tuple(sizes)
 
 
-def _check_range(size: Sequence[float], *, file_name: str, asked: Asked, unusual: bool, more: str = "") -> None:
+def _check_range(size: Sequence[float], *, file_name: str, asked: Asked, unusual: bool, more_text: str = "") -> None:
     """Ask about sizes that no image of paper has, and refuse those that no image has."""
     low, high = asked.usual_um
     for axis, um in zip(asked.axes, size, strict=True):
-        possible = POSSIBLE_UM[0] <= um <= POSSIBLE_UM[1]
-        if low <= um <= high or (unusual and possible):
+        is_possible = POSSIBLE_UM[0] <= um <= POSSIBLE_UM[1]
+        if low <= um <= high or (unusual and is_possible):
             continue
-        guess = "The unit is probably wrong"
+        guess_text = "The unit is probably wrong"
         for unit, factor in (("m", 1e6), ("mm", 1e3), ("nm", 1e-3)):
             if low <= um * factor <= high:
-                guess = f"It looks like {unit} given as um ({um:g} {unit} is {um * factor:g} um)"
-        limits, meant = f"possible are {POSSIBLE_UM[0]:g} to 1000 um", ""
-        if possible:
-            limits, meant = f"usual are {low:g} to {high:g} um", " If it is meant, add --unusual-size."
+                guess_text = f"It looks like {unit} given as um ({um:g} {unit} is {um * factor:g} um)"
+        limits_text, meant_text = f"possible are {POSSIBLE_UM[0]:g} to 1000 um", ""
+        if is_possible:
+            limits_text, meant_text = f"usual are {low:g} to {high:g} um", " If it is meant, add --unusual-size."
         raise SizeError(
-            f"{file_name}: the {asked.name} size along {axis} is {um:g} um, {limits}. {guess}. Give the right one with "
-            f"{asked.option}, in um{more}.{meant}"
+            f"{file_name}: the {asked.name} size along {axis} is {um:g} um, {limits_text}. {guess_text}. Give the "
+            f"right one with {asked.option}, in um{more_text}.{meant_text}"
         )
 
 
@@ -222,10 +220,10 @@ def stated_by_tiff(tif: TiffFile, page: TiffPage, path: Path) -> tuple[Stated, .
         if ome is not None:  # the first image; the unit is um where none is written, as OME has it
             if "<!ENTITY" in ome or "<!DOCTYPE" in ome:
                 raise FileError(f"{path.name}: its OME metadata define entities, as OME never does. Export it again.")
-            pixels = (e.attrib for e in ElementTree.fromstring(ome).iter() if e.tag.rpartition("}")[2] == "Pixels")
-            keys: Mapping[str, str] = next(pixels, {})
-            sizes = [_number(keys.get(f"PhysicalSize{axis}")) for axis in "ZYX"]
-            units = [keys.get(f"PhysicalSize{axis}Unit", "um") for axis in "ZYX"]
+            elements = ElementTree.fromstring(ome).iter()
+            attributes = next((e.attrib for e in elements if e.tag.rpartition("}")[2] == "Pixels"), dict[str, str]())
+            sizes = [_number(attributes.get(f"PhysicalSize{axis}")) for axis in "ZYX"]
+            units = [attributes.get(f"PhysicalSize{axis}Unit", "um") for axis in "ZYX"]
             stated = [stated_in("OME metadata", sizes, units)]
         if imagej is not None and str(imagej.get("unit", "")).strip():
             return (*stated, _stated_by_imagej(imagej, density))
@@ -236,8 +234,8 @@ def stated_by_tiff(tif: TiffFile, page: TiffPage, path: Path) -> tuple[Stated, .
 
 def stated_density(source: str, density: Sequence[float | None], unit: str) -> Stated:
     """Size along z, y, x by pixels per unit of length along y, x."""
-    across = [from_density(per_unit, unit) for per_unit in density]
-    return Stated(source, (None, *across), "missing, or a default such as 72 dpi" if None in across else "")
+    sizes_um = [from_density(per_unit, unit) for per_unit in density]
+    return Stated(source, (None, *sizes_um), "missing, or a default such as 72 dpi" if None in sizes_um else "")
 
 
 def _stated_by_imagej(meta: Mapping[str, Any], density: Sequence[float | None]) -> Stated:
@@ -246,30 +244,30 @@ def _stated_by_imagej(meta: Mapping[str, Any], density: Sequence[float | None]) 
     if unit_um(unit) is None:
         return Stated("ImageJ metadata", (None, None, None), f"{unit!r} is no unit of length")
     unit_y, unit_z = (str(meta.get(key) or unit) for key in ("yunit", "zunit"))
-    across: list[float | None] = []
-    for per_unit, its_unit in zip(density, (unit_y, unit), strict=True):
-        length = unit_um(its_unit)
-        if its_unit.strip().casefold() in {"inch", "in", "inches", "cm"}:
-            across.append(from_density(per_unit, its_unit))
+    sizes_um: list[float | None] = []
+    for per_unit, axis_unit in zip(density, (unit_y, unit), strict=True):
+        unit_length = unit_um(axis_unit)
+        if axis_unit.strip().casefold() in {"inch", "in", "inches", "cm"}:
+            sizes_um.append(from_density(per_unit, axis_unit))
         else:
-            across.append(None if per_unit is None or length is None else length / per_unit)
+            sizes_um.append(None if per_unit is None or unit_length is None else unit_length / per_unit)
     z = stated_in("", [_number(meta.get("spacing"))], [unit_z], (0,)).um[0]
     note = "" if z is not None else "it has no slice spacing (ImageJ leaves out a spacing of exactly 1)"
-    return Stated("ImageJ metadata", (z, *across), note)
+    return Stated("ImageJ metadata", (z, *sizes_um), note)
 
 
-def _fraction(stored: Any) -> float | None:
+def _fraction(tag_value: Any) -> float | None:
     """A fraction of a tag; None where it is no positive number."""
-    if not isinstance(stored, tuple) or len(stored) != 2:  # pyright: ignore[reportUnknownArgumentType]
+    if not isinstance(tag_value, tuple) or len(tag_value) != 2:  # pyright: ignore[reportUnknownArgumentType]
         return None
-    top, bottom = map(_number, stored)
-    return None if top is None or bottom is None else top / bottom
+    numerator, denominator = map(_number, tag_value)
+    return None if numerator is None or denominator is None else numerator / denominator
 
 
-def _number(stated: Any) -> float | None:
+def _number(raw_value: Any) -> float | None:
     """Read a positive finite number, or None."""
     try:
-        number = float(stated)
+        number = float(raw_value)
     except (TypeError, ValueError):
         return None
     return number if math.isfinite(number) and number > 0 else None

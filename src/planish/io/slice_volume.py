@@ -62,11 +62,11 @@ def list_slices(folder: Path) -> list[Path]:
         raise FileError(f"{folder.name} holds no slices: TIFF, PNG, BMP or JPEG files with numbers in their names.")
     # A preview, a second scan: names that differ in more than numbers.
     patterns = [re.sub(r"\d+", "#", p.stem) + p.suffix.lower() for p in files]
-    (main, count), *_ = Counter(patterns).most_common(1)
-    if odd := [p for p, pattern in zip(files, patterns, strict=True) if pattern != main]:
+    (main_pattern, n_main), *_ = Counter(patterns).most_common(1)
+    if odd_files := [p for p, pattern in zip(files, patterns, strict=True) if pattern != main_pattern]:
         raise VolumeError(
-            f"{folder.name} holds {count} images named like {files[patterns.index(main)].name}, and {len(odd)} named "
-            f"otherwise, first {odd[0].name}. Leave only the slices of one volume there."
+            f"{folder.name} holds {n_main} images named like {files[patterns.index(main_pattern)].name}, and "
+            f"{len(odd_files)} named otherwise, first {odd_files[0].name}. Leave only the slices of one volume there."
         )
     _check_several(files)
     numbers = slice_numbers(files, folder)
@@ -81,34 +81,35 @@ def is_slice_name(name: str) -> bool:
 
 def slice_numbers(files: list[Path], folder: Path) -> list[int]:
     """Find the number that counts the slices: the only one in the names that changes."""
-    columns = zip(*(map(int, re.findall(r"\d+", p.stem)) for p in files), strict=True)
-    changing = [[*column] for column in columns if len({*column}) > 1]
-    if len(changing) != 1:
+    number_columns = zip(*(map(int, re.findall(r"\d+", p.stem)) for p in files), strict=True)
+    changing_columns = [[*column] for column in number_columns if len({*column}) > 1]
+    if len(changing_columns) != 1:
         raise VolumeError(
-            f"{folder.name}: {len(changing)} numbers change from {files[0].name} to {files[-1].name}. Rename the "
-            "slices with one running number."
+            f"{folder.name}: {len(changing_columns)} numbers change from {files[0].name} to {files[-1].name}. Rename "
+            "the slices with one running number."
         )
-    return changing[0]
+    return changing_columns[0]
 
 
 def check_no_gap(numbers: list[int], folder: Path) -> None:
     """Refuse a series with missing or repeated numbers."""
-    ordered = sorted(numbers)
-    if repeated := sorted(n for n, times in Counter(ordered).items() if times > 1):
+    sorted_numbers = sorted(numbers)
+    if repeated_numbers := sorted(n for n, times in Counter(sorted_numbers).items() if times > 1):
         raise VolumeError(
-            f"{folder.name} has more than one slice with the number {first_few(repeated)}. Remove copies."
+            f"{folder.name} has more than one slice with the number {first_few(repeated_numbers)}. Remove copies."
         )
-    wanted = range(ordered[0], ordered[-1] + 1, slice_step(ordered))
-    if count := len(wanted) - len(ordered):
+    expected_numbers = range(sorted_numbers[0], sorted_numbers[-1] + 1, slice_step(sorted_numbers))
+    if n_missing := len(expected_numbers) - len(sorted_numbers):
+        missing_text = _first_missing(expected_numbers, sorted_numbers)
         raise VolumeError(
-            f"{folder.name} has {len(ordered)} slices from {ordered[0]} to {ordered[-1]}, {count} missing: "
-            f"{_first_missing(wanted, ordered)}. Add them, or move the slices before or after the gap elsewhere."
+            f"{folder.name} has {len(numbers)} slices from {sorted_numbers[0]} to {sorted_numbers[-1]}, {n_missing} "
+            f"missing: {missing_text}. Add them, or move the slices before or after the gap elsewhere."
         )
 
 
-def _first_missing(wanted: range, numbers: list[int]) -> str:
-    present = set(numbers)
-    return first_few(list(islice((n for n in wanted if n not in present), MOST_NAMES + 1)))
+def _first_missing(expected_numbers: range, numbers: list[int]) -> str:
+    present_numbers = set(numbers)
+    return first_few(list(islice((n for n in expected_numbers if n not in present_numbers), MOST_NAMES + 1)))
 
 
 def slice_step(numbers: list[int]) -> int:
@@ -118,8 +119,8 @@ def slice_step(numbers: list[int]) -> int:
 
 def first_few(items: Sequence[object]) -> str:
     """Write the first few names or numbers."""
-    more = ", ..." if len(items) > MOST_NAMES else ""
-    return ", ".join(map(str, items[:MOST_NAMES])) + more
+    more_text = ", ..." if len(items) > MOST_NAMES else ""
+    return ", ".join(map(str, items[:MOST_NAMES])) + more_text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -163,8 +164,8 @@ def read_scan(folder: Path) -> Scan | None:
     low, high = (_number(keys.get(f"{end} for cs to image conversion")) for end in ("minimum", "maximum"))
     details: dict[str, str] = {}
     for section, names in DETAIL_KEYS.items():
-        written = sections.get(section, {})
-        details |= {name: written[name.casefold()] for name in names if name.casefold() in written}
+        settings = sections.get(section, {})
+        details |= {name: settings[name.casefold()] for name in names if name.casefold() in settings}
     return Scan(
         log=log,
         stated=Stated("NRecon log", (size * step, size, size)),
@@ -182,11 +183,11 @@ def _log_sections(path: Path) -> dict[str, dict[str, str]]:
     with reading(path):
         if path.stat().st_size > 10_000_000:
             raise FileError(f"{path.name} is larger than 10 MB and no log of NRecon. Move it elsewhere.")
-        raw = path.read_bytes()
+        raw_bytes = path.read_bytes()
     try:
-        text = raw.decode("utf-8-sig")
+        text = raw_bytes.decode("utf-8-sig")
     except UnicodeDecodeError:
-        text = raw.decode("cp1252", errors="replace")  # names of people and folders, never numbers
+        text = raw_bytes.decode("cp1252", errors="replace")  # names of people and folders, never numbers
     sections: dict[str, dict[str, str]] = {}
     section: dict[str, str] = {}
     for line in map(str.strip, text.splitlines()):
@@ -200,36 +201,35 @@ def _log_sections(path: Path) -> dict[str, dict[str, str]]:
 
 def named_slices(scan: Scan, folder: Path) -> list[Path]:
     """Slices with the prefix of a log, in their order; other pictures, such as NRecon's own preview, are left aside."""
-    prefix, numbered = scan.prefix or "", list[tuple[int, Path]]()
+    prefix, numbered_files = scan.prefix or "", list[tuple[int, Path]]()
     for path in folder.iterdir():
         digits = path.stem[len(prefix) :]
         if path.stem.casefold().startswith(prefix.casefold()) and digits.isdecimal() and is_slice_name(path.name):
-            numbered.append((int(digits), path))
-    numbered.sort()
-    if not numbered:
+            numbered_files.append((int(digits), path))
+    numbered_files.sort()
+    if not numbered_files:
         raise VolumeError(
             f"{folder.name} holds no slice named {prefix} and a number, as {scan.log.name} states. Rename the slices, "
             f"{ELSEWHERE}"
         )
-    numbers = [number for number, _ in numbered]
+    numbers = [number for number, _ in numbered_files]
     if scan.numbers is not None:
-        wanted = scan.numbers
-        if missing := _first_missing(wanted, numbers):
+        expected_numbers = scan.numbers
+        if missing_text := _first_missing(expected_numbers, numbers):
             raise VolumeError(
-                f"{scan.log.name} states {len(wanted)} sections, {folder.name} holds {len(numbers)}. Missing: "
-                f"{missing}. Add them, {ELSEWHERE}"
+                f"{scan.log.name} states {len(expected_numbers)} sections, {folder.name} holds {len(numbers)}. "
+                f"Missing: {missing_text}. Add them, {ELSEWHERE}"
             )
-        if odd := [n for n in numbers if n not in wanted]:
+        if odd := [n for n in numbers if n not in expected_numbers]:
             raise VolumeError(
                 f"{folder.name} holds slices that {scan.log.name} does not name: {first_few(odd)}. Move them elsewhere."
             )
     if len(numbers) > 1 and scan.count in (None, len(numbers)):
         check_no_gap(numbers, folder)
-    return [path for _, path in numbered]
+    return [path for _, path in numbered_files]
 
 
-def _number(text: str | None) -> float | None:
-    return finite(text, decimal_comma=True)
+_number = partial(finite, decimal_comma=True)
 
 
 def _count(text: str | None) -> int | None:
@@ -285,9 +285,9 @@ def load_pictures(
     colour_attrs(channel, folder, in_colour=first.in_colour)
     grey = _grey_values(first, files[0], channel)
     dtype, shape = supported_type(grey.dtype), (len(files), *grey.shape)
-    kind, stored, offset = _slice_header(files[0])
-    eager = limit if photographs or offset is None else min(limit, EAGER_BYTES)
-    if math.prod(shape) * dtype.itemsize <= eager:
+    first_key, stored_dtype, offset = _slice_header(files[0])
+    eager_bytes = limit if photographs or offset is None else min(limit, EAGER_BYTES)
+    if math.prod(shape) * dtype.itemsize <= eager_bytes:
         values = np.empty(shape, dtype)
         values[0] = grey
         for i, file in enumerate(files[1:], start=1):
@@ -299,20 +299,19 @@ def load_pictures(
     check_memory(folder, needed_bytes=4 * first.values.nbytes if photographs else 2 * grey.nbytes, limit_bytes=limit)
     planes: list[tuple[Path, int]] = []
     for file in files:
-        its_kind, its_stored, offset = _slice_header(file)
-        if its_kind != kind:
+        file_key, file_dtype, offset = _slice_header(file)
+        if file_key != first_key:
             _check_same(load_picture(file, memory_bytes=limit), first, file=file, first_file=files[0])
-        if offset is not None and its_stored == stored and first.values.ndim == 2:
+        if offset is not None and file_dtype == stored_dtype and first.values.ndim == 2:
             planes.append((file, offset))
     if len(planes) == len(files):
-        return widened(StoredArray(planes, shape, stored)), first
+        return widened(StoredArray(planes, shape, stored_dtype)), first
     return PagedArray(folder, shape, dtype, shape[1], partial(_slice_rows, files, channel, grey.shape)), first
 
 
 def _slice_rows(
     files: list[Path], channel: str | None, shape: tuple[int, ...], page: int, start: int, stop: int
 ) -> NDArray[Any]:
-    """Decode a slice, of which rows are taken."""
     file = files[page]
     grey = _grey_values(load_picture(file), file, channel)
     if grey.shape != shape:
@@ -325,18 +324,18 @@ def _slice_rows(
 
 def _slice_header(file: Path) -> tuple[tuple[Any, ...], np.dtype[Any], int | None]:
     """Format, size and type of a slice, which is not decoded; its type in the file, and from where it lies as it is."""
-    name = kind_of(file)
-    if name != "tiff":
-        with reading(file), file.open("rb") as opened:
-            image = PLUGINS[name](opened)
-            return (name, image.size, image.mode, image.info.get("dpi")), np.dtype(np.uint8), None
+    format_name = kind_of(file)
+    if format_name != "tiff":
+        with reading(file), file.open("rb") as stream:
+            image = PLUGINS[format_name](stream)
+            return (format_name, image.size, image.mode, image.info.get("dpi")), np.dtype(np.uint8), None
     with open_series(file, error=FileError, advice=ADVICE) as (tif, series), reading(file):
         page = series.keyframe
         resolution = tuple(page.tags.valueof(code) for code in (282, 283, 296))
-        meta = (page.photometric, page.bitspersample, page.compression, resolution)
+        page_facts = (page.photometric, page.bitspersample, page.compression, resolution)
         offset = series.dataoffset if page.photometric == PHOTOMETRIC.MINISBLACK else None
-        kind = (name, series.shape, series.axes, str(series.dtype), *meta)
-        return kind, series.dtype.newbyteorder(tif.byteorder), offset
+        header_key = (format_name, series.shape, series.axes, str(series.dtype), *page_facts)
+        return header_key, series.dtype.newbyteorder(tif.byteorder), offset
 
 
 def _grey_values(picture: DecodedPicture, file: Path, channel: str | None) -> NDArray[Any]:

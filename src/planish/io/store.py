@@ -83,17 +83,17 @@ def write_store(
     source = _identity(volume)
     with writing(path, needed=int(1.2 * volume.nbytes)):
         claim_folder(partial, _SOURCE, json.dumps(source), for_what=path)
-        note = partial / _SOURCE  # of what an import that stopped has read
+        source_file = partial / _SOURCE  # of what an import that stopped has read
         try:
-            noted = None if is_link(note) else json.loads(note.read_text(encoding="utf-8"))
+            noted_source = None if is_link(source_file) else json.loads(source_file.read_text(encoding="utf-8"))
         except (OSError, ValueError):
-            noted = None
-        if not isinstance(noted, dict) or not source.keys() - {"corrections"} <= noted.keys():
+            noted_source = None
+        if not isinstance(noted_source, dict) or not source.keys() - {"corrections"} <= noted_source.keys():
             raise InputError(
                 f"{partial} is in the way and no import that stopped. Move that folder away, or give another name with "
                 "--out."
             )
-        if noted != json.loads(json.dumps(source)):
+        if noted_source != json.loads(json.dumps(source)):
             raise InputError(
                 f"An import of another volume stopped half-way at {partial}. Remove that folder, or give another name "
                 "with --out."
@@ -101,12 +101,12 @@ def write_store(
         lock = acquire_lock(partial / _LOCK, path)
         try:
             levels = _make_levels(partial, volume, ome)
-            done = ShardLists(partial, ome)
+            shard_lists = ShardLists(partial, ome)
             with limit_threads(threads):
-                _write_finest_levels(volume, levels, done, memory_bytes, executor, workers, progress)
+                _write_finest_levels(volume, levels, shard_lists, memory_bytes, executor, workers, progress)
                 for fine, coarse in pairwise(levels[1:]):
-                    _write_coarser_level(fine, coarse, done)
-            done.settle()
+                    _write_coarser_level(fine, coarse, shard_lists)
+            shard_lists.settle()
         except Exception:  # only an import that was killed or interrupted is gone on with
             lock.release()
             remove(partial)
@@ -114,70 +114,72 @@ def write_store(
         finally:
             lock.release()
         delete(partial / _LOCK)
-        delete(note)
+        delete(source_file)
         move(partial, path)
 
 
 def _write_finest_levels(
     volume: xr.DataArray,
     levels: list[Array],
-    done: ShardLists,
+    shard_lists: ShardLists,
     memory_bytes: int,
     executor: Executor | None,
     workers: int,
     progress: Progress | None,
 ) -> None:
     """Write the volume and its half in one pass over the input."""
-    most = min(BLOCKS_AT_WORK, count_threads()) if executor is None else workers
-    block, at_once = _plan_blocks(levels[0], memory_bytes, most)
-    wheres = list(_blocks(levels[0].shape, block))
-    pending = [where for where in wheres if not all(done.has(*part) for part in _parts(levels, where))]
-    running: set[Future[list[dict[str, str]]]] = set()
+    max_blocks = min(BLOCKS_AT_WORK, count_threads()) if executor is None else workers
+    block_shape, n_parallel = _plan_blocks(levels[0], memory_bytes, max_blocks)
+    blocks = list(_blocks(levels[0].shape, block_shape))
+    pending_blocks = [
+        where for where in blocks if not all(shard_lists.has(*level_part) for level_part in _parts(levels, where))
+    ]
+    futures: set[Future[list[dict[str, str]]]] = set()
 
     def finish(when: str) -> None:
         """Wait for blocks, and list what they wrote, whether another failed or not."""
-        failed: Future[Any] | None = None
-        for future in wait(running, return_when=when).done:
-            running.remove(future)
+        failed_future: Future[Any] | None = None
+        for future in wait(futures, return_when=when).done:
+            futures.remove(future)
             if future.exception() is not None:
-                failed = future
+                failed_future = future
                 continue
             for level, checksums in zip(levels, future.result(), strict=False):
-                done.add(level, checksums)
-        if failed is not None:
-            failed.result()
+                shard_lists.add(level, checksums)
+        if failed_future is not None:
+            failed_future.result()
         if progress is not None:
-            progress("import", len(wheres) - len(pending) - len(running), len(wheres))
+            progress("import", len(blocks) - len(pending_blocks) - len(futures), len(blocks))
 
-    with thread_pool(at_once) if executor is None else nullcontext(executor) as pool:
+    with thread_pool(n_parallel) if executor is None else nullcontext(executor) as pool:
         try:
-            while pending:
-                where = pending.pop(0)
-                names = [done.names(*part) for part in _parts(levels, where)]
-                running.add(pool.submit(_write_block, volume, where, done.folder, names))
-                if len(running) == at_once:
+            while pending_blocks:
+                where = pending_blocks.pop(0)
+                shard_names = [shard_lists.names(*level_part) for level_part in _parts(levels, where)]
+                futures.add(pool.submit(_write_block, volume, where, shard_lists.folder, shard_names))
+                if len(futures) == n_parallel:
                     finish(FIRST_COMPLETED)
         finally:
             finish(ALL_COMPLETED)
 
 
-def _plan_blocks(level: Array, memory_bytes: int, most: int) -> tuple[tuple[int, int, int], int]:
+def _plan_blocks(level: Array, memory_bytes: int, max_blocks: int) -> tuple[tuple[int, int, int], int]:
     """Size the blocks as the memory allows, whole shards on two levels, and say how many are worked on at once."""
     shape = level.shape
-    units = [min(2 * s, -(-n // s) * s) for s, n in zip(level.shards or level.chunks, shape, strict=True)]
+    unit_shape = [min(2 * s, -(-n // s) * s) for s, n in zip(level.shards or level.chunks, shape, strict=True)]
     # A block and its means, and what is compressed of it.
-    block_bytes = 1.6 * level.dtype.itemsize * math.prod(min(unit, n) for unit, n in zip(units, shape, strict=True))
-    at_once = max(min(int(memory_bytes / block_bytes), most), 1)
-    room = memory_bytes / (at_once * block_bytes)
-    if room < 1:
-        needed = enough_gb(bytes_to_hold(block_bytes) + PROGRAM_BYTES)
+    block_bytes = 1.6 * level.dtype.itemsize * math.prod(map(min, unit_shape, shape))
+    n_parallel = max(min(int(memory_bytes / block_bytes), max_blocks), 1)
+    block_ratio = memory_bytes / (n_parallel * block_bytes)
+    if block_ratio < 1:
+        needed_gb = enough_gb(bytes_to_hold(block_bytes) + PROGRAM_BYTES)
         raise ResourceError(
             f"The import needs {block_bytes / 1e6:.0f} MB for a block of shards, {memory_bytes / 1e6:.0f} MB are "
-            f"allowed for it. Allow more: --memory {needed}GB will do."
+            f"allowed for it. Allow more: --memory {needed_gb}GB will do."
         )
-    wide = min(int(room), -(-shape[2] // units[2]))
-    high = min(max(int(room / wide), 1), -(-shape[1] // units[1]))
-    return (units[0], high * units[1], wide * units[2]), at_once
+    n_across = min(int(block_ratio), -(-shape[2] // unit_shape[2]))
+    n_down = min(max(int(block_ratio / n_across), 1), -(-shape[1] // unit_shape[1]))
+    return (unit_shape[0], n_down * unit_shape[1], n_across * unit_shape[2]), n_parallel
 
 
 def _parts(levels: list[Array], where: Where) -> list[tuple[Array, Where]]:
@@ -188,24 +190,23 @@ def _parts(levels: list[Array], where: Where) -> list[tuple[Array, Where]]:
 def _write_block(volume: xr.DataArray, where: Where, folder: Path, names: list[list[str]]) -> list[dict[str, str]]:
     """Write a block of the volume and its means; return the checksums of the shards, level by level."""
     values = np.ascontiguousarray(volume.isel(dict(zip("zyx", where, strict=True))).values)
-    written: list[dict[str, str]] = []
-    for k, of_level in enumerate(names):
+    checksums: list[dict[str, str]] = []
+    for k, shard_names in enumerate(names):
         if k > 0:
             values = halve(values)
-        written.append(_write_shards(_level(folder, k), _halved(where, k), values, folder / str(k), of_level))
-    return written
+        checksums.append(_write_shards(_level(folder, k), _halved(where, k), values, folder / str(k), shard_names))
+    return checksums
 
 
-def _write_coarser_level(fine: Array, coarse: Array, done: ShardLists) -> None:
+def _write_coarser_level(fine: Array, coarse: Array, shards: ShardLists) -> None:
     for where in _blocks(coarse.shape, coarse.shards or coarse.chunks):
-        if not done.has(coarse, where):
+        if not shards.has(coarse, where):
             values = halve(np.asarray(fine[tuple(slice(2 * w.start, 2 * w.stop) for w in where)]))
-            folder = done.folder / coarse.basename
-            done.add(coarse, _write_shards(coarse, where, values, folder, done.names(coarse, where)))
+            folder = shards.folder / coarse.basename
+            shards.add(coarse, _write_shards(coarse, where, values, folder, shards.names(coarse, where)))
 
 
 def _write_shards(level: Array, where: Where, values: NDArray[Any], folder: Path, names: list[str]) -> dict[str, str]:
-    """Write the shards of a block to the disk, and return their checksums."""
     level[where] = values
     checksums: dict[str, str] = {}
     for name in names:
@@ -240,44 +241,44 @@ def _make_levels(folder: Path, volume: xr.DataArray, ome: str) -> list[Array]:
     shapes = [tuple(volume.shape)]
     while max(shapes[-1]) > _SMALLEST and min(shapes[-1]) >= 2 * _LEAST_DEPTH:
         shapes.append(tuple(-(-n // 2) for n in shapes[-1]))
-    voxel = [float(v) for v in volume.attrs["voxel_um"]]
-    first = [float(volume[axis].values[0]) for axis in "zyx"]
-    name = str(volume.attrs.get("file_name", "volume"))
-    scales = multiscale(name, "zyx", voxel, first, len(shapes), kind="mean of 2 x 2 x 2")
+    voxel_um = [float(v) for v in volume.attrs["voxel_um"]]
+    first_um = [float(volume[axis].values[0]) for axis in "zyx"]
+    source_name = str(volume.attrs.get("file_name", "volume"))
+    scales = multiscale(source_name, "zyx", voxel_um, first_um, len(shapes), kind="mean of 2 x 2 x 2")
     attributes: dict[str, Any] = {"ome": {"version": ome, "multiscales": [scales]}}
-    how: dict[str, Any] = {"compressors": ZstdCodec(level=1, checksum=True), "dimension_names": list("zyx")}
+    options: dict[str, Any] = {"compressors": ZstdCodec(level=1, checksum=True), "dimension_names": list("zyx")}
     if ome == "0.4":
         attributes = {"multiscales": [{"version": ome, **scales}]}
-        how = {"chunk_key_encoding": {"name": "v2", "separator": "/"}}
+        options = {"chunk_key_encoding": {"name": "v2", "separator": "/"}}
     attr_names = ("full_scale", "voxel_um_source", "stored_dtype", "channel", "sections", "corrections", "history")
-    noted = {key: volume.attrs[key] for key in attr_names if volume.attrs.get(key) is not None}
+    noted_attrs = {key: volume.attrs[key] for key in attr_names if volume.attrs.get(key) is not None}
     group = zarr.open_group(folder, mode="a", zarr_format=3 if ome == "0.5" else 2)
-    group.attrs.update(attributes | {"planish": {"source": name} | noted})
-    for k, size in enumerate(shapes):
+    group.attrs.update(attributes | {"planish": {"source": source_name} | noted_attrs})
+    for k, shape in enumerate(shapes):
         if ome == "0.5":
-            how["shards"] = tuple(min(s, -(-n // c) * c) for s, n, c in zip(SHARD, size, CHUNK, strict=True))
+            options["shards"] = tuple(min(s, -(-n // c) * c) for s, n, c in zip(SHARD, shape, CHUNK, strict=True))
         if str(k) not in group:
-            group.create_array(str(k), shape=size, dtype=volume.dtype, chunks=CHUNK, fill_value=0, **how)
+            group.create_array(str(k), shape=shape, dtype=volume.dtype, chunks=CHUNK, fill_value=0, **options)
     return [_level(folder, k) for k in range(len(shapes))]
 
 
 def multiscale(
-    name: str, axes: str, pitch_um: Sequence[float], first_um: Sequence[float], levels: int, *, kind: str
+    name: str, axes: str, pitch_um: Sequence[float], first_um: Sequence[float], n_levels: int, *, kind: str
 ) -> dict[str, Any]:
     """Describe an image of several levels, each half as fine, as OME-Zarr does; an axis c lies before those of space.
 
     ``pitch_um`` and ``first_um`` are size and place of the first voxel along the axes of space.
     """
-    channels = axes.count("c")
+    n_channels = axes.count("c")
     datasets: list[dict[str, Any]] = []
-    for k in range(levels):
-        scale = {"type": "scale", "scale": [1.0] * channels + [v * 2**k for v in pitch_um]}
-        corner = [f + v * (2**k - 1) / 2 for f, v in zip(first_um, pitch_um, strict=True)]
-        translation = {"type": "translation", "translation": [0.0] * channels + corner}
+    for k in range(n_levels):
+        scale = {"type": "scale", "scale": [1.0] * n_channels + [v * 2**k for v in pitch_um]}
+        origin_um = [f + v * (2**k - 1) / 2 for f, v in zip(first_um, pitch_um, strict=True)]
+        translation = {"type": "translation", "translation": [0.0] * n_channels + origin_um}
         datasets.append({"path": str(k), "coordinateTransformations": [scale, translation]})
-    listed = [{"name": "c", "type": "channel"}] * channels
-    listed += [{"name": axis, "type": "space", "unit": "micrometer"} for axis in axes if axis != "c"]
-    return {"name": name, "axes": listed, "datasets": datasets, "type": kind}
+    axis_entries = [{"name": "c", "type": "channel"}] * n_channels
+    axis_entries += [{"name": axis, "type": "space", "unit": "micrometer"} for axis in axes if axis != "c"]
+    return {"name": name, "axes": axis_entries, "datasets": datasets, "type": kind}
 
 
 def _level(folder: Path, k: int) -> Array:

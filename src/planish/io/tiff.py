@@ -42,29 +42,30 @@ NEEDED_TAGS = frozenset({256, 257, 258, 259, 262, 270, 273, 277, 278, 279, 322, 
 @contextmanager
 def open_series(path: Path, *, error: type[InputError], advice: str) -> Generator[tuple[TiffFile, TiffPageSeries]]:
     """Open a TIFF file and give its one series of equal pages, thumbnails left aside, with all data in the file."""
-    pages = _count_pages(path)
+    n_pages = _count_pages(path)
     with reading(path):
         tif = TiffFile(path, _multifile=False)
     with tif:
         with reading(path):
-            if len(tif.pages) != pages:
-                raise damaged(path, f"{pages} pages are chained, {len(tif.pages)} can be read")
+            if len(tif.pages) != n_pages:
+                raise damaged(path, f"{n_pages} pages are chained, {len(tif.pages)} can be read")
             _check_declared_images(tif, path)
-            every = list(tif.series)
-            full = [s for s in every if not s.keyframe.is_reduced] or every
-            if not full:
+            all_series = list(tif.series)
+            full_series = [s for s in all_series if not s.keyframe.is_reduced] or all_series
+            if not full_series:
                 raise damaged(path, "it holds no image")
-            series = first = full[0]
-            if len(full) > 1:  # slices may be written one by one, each as an image of its own
-                if not all(len(s.pages) == 1 and s.ndim == 2 and s.keyframe.hash == first.keyframe.hash for s in full):
-                    odd = next((s for s in full[1:] if s.shape != first.shape), full[1])
-                    odd_page = next((page.index + 1 for page in odd if page is not None), 0)
+            series = first_series = full_series[0]
+            if len(full_series) > 1:  # slices may be written one by one, each as an image of its own
+                layouts = {(len(s.pages), s.ndim, s.keyframe.hash) for s in full_series}
+                if layouts != {(1, 2, first_series.keyframe.hash)}:
+                    odd_series = next((s for s in full_series[1:] if s.shape != first_series.shape), full_series[1])
+                    odd_page = next((page.index + 1 for page in odd_series if page is not None), 0)
                     raise error(
-                        f"{path.name} holds {len(full)} different images: {shape_words(first)} from page 1 on, "
-                        f"{shape_words(odd)} at page {odd_page}. {advice}"
+                        f"{path.name} holds {len(full_series)} different images: {shape_words(first_series)} from page "
+                        f"1 on, {shape_words(odd_series)} at page {odd_page}. {advice}"
                     )
-                shape, slices = (len(full), *first.shape), [s.pages[0] for s in full]
-                series = TiffPageSeries(slices, shape, first.dtype, "IYX", kind="uniform")
+                shape, slice_pages = (len(full_series), *first_series.shape), [s.pages[0] for s in full_series]
+                series = TiffPageSeries(slice_pages, shape, first_series.dtype, "IYX", kind="uniform")
             _check_data(series, path)
         yield tif, series
 
@@ -75,46 +76,48 @@ def is_tiff(head: bytes) -> bool:
 
 
 def _count_pages(path: Path) -> int:
-    size = size_of_file(path)
+    file_bytes = size_of_file(path)
     offsets: set[int] = set()
     with reading(path), path.open("rb") as file:
         head = file.read(16)
         if not is_tiff(head):
             raise FileError(f"{path.name} is not a TIFF file. Export it as TIFF.")
-        order = "<" if head[:2] == b"II" else ">"
-        widths, first = ("QHHQQ", 16) if head[2:4] in {b"+\0", b"\0+"} else ("HHHII", 8)
-        if len(head) < first:
+        byte_order = "<" if head[:2] == b"II" else ">"
+        is_big = head[2:4] in {b"+\0", b"\0+"}
+        struct_codes, first_offset = (("Q", "HHQ", "Q"), 16) if is_big else (("H", "HHI", "I"), 8)
+        if len(head) < first_offset:
             raise damaged(path, "it ends within its header")
-        count, tag, pointer = (struct.Struct(order + part) for part in (widths[0], widths[1:4], widths[4]))
-        offset: int = pointer.unpack(head[first // 2 : first])[0]
+        count, tag, pointer = (struct.Struct(byte_order + code) for code in struct_codes)
+        offset: int = pointer.unpack(head[first_offset // 2 : first_offset])[0]
         while offset:
-            page = f"page {len(offsets) + 1}"
+            page_text = f"page {len(offsets) + 1}"
             if offset in offsets:
-                raise damaged(path, f"{page} of its chain is one of the pages before it")
+                raise damaged(path, f"{page_text} of its chain is one of the pages before it")
             if len(offsets) == MOST_PAGES:
                 raise damaged(path, f"it claims more than {MOST_PAGES} pages")
             offsets.add(offset)
-            if not first <= offset <= size - count.size:
-                raise damaged(path, f"{page} should begin at byte {offset}, the file has {size}")
+            if not first_offset <= offset <= file_bytes - count.size:
+                raise damaged(path, f"{page_text} should begin at byte {offset}, the file has {file_bytes}")
             file.seek(offset)
-            tags = count.unpack(file.read(count.size))[0]
-            if not 0 < tags <= 4096:
-                raise damaged(path, f"{page} claims {tags} tags")
-            step = tag.size + pointer.size
-            table = file.read(tags * step + pointer.size)
-            if len(table) != tags * step + pointer.size:
-                raise damaged(path, f"the file ends within the table of {page}")
-            for start in range(0, tags * step, step):
-                code, kind, values = tag.unpack_from(table, start)
-                length = values * TYPE_BYTES.get(kind, 0)
+            n_tags = count.unpack(file.read(count.size))[0]
+            if not 0 < n_tags <= 4096:
+                raise damaged(path, f"{page_text} claims {n_tags} tags")
+            entry_bytes = tag.size + pointer.size
+            table = file.read(n_tags * entry_bytes + pointer.size)
+            if len(table) != n_tags * entry_bytes + pointer.size:
+                raise damaged(path, f"the file ends within the table of {page_text}")
+            for position in range(0, n_tags * entry_bytes, entry_bytes):
+                code, type_code, n_values = tag.unpack_from(table, position)
+                value_bytes = n_values * TYPE_BYTES.get(type_code, 0)
                 if code not in NEEDED_TAGS:
                     continue
-                if length == 0:
-                    raise damaged(path, f"tag {code} of {page} has no value")
+                if value_bytes == 0:
+                    raise damaged(path, f"tag {code} of {page_text} has no value")
                 # Values that are short enough stand in the table itself.
-                if length > pointer.size and pointer.unpack_from(table, start + tag.size)[0] + length > size:
-                    raise damaged(path, f"tag {code} of {page} lies outside the file of {size} bytes")
-            offset = pointer.unpack_from(table, tags * step)[0]
+                value_offset = pointer.unpack_from(table, position + tag.size)[0]
+                if value_bytes > pointer.size and value_offset + value_bytes > file_bytes:
+                    raise damaged(path, f"tag {code} of {page_text} lies outside the file of {file_bytes} bytes")
+            offset = pointer.unpack_from(table, n_tags * entry_bytes)[0]
     if not offsets:
         raise damaged(path, "it holds no page")
     return len(offsets)
@@ -130,65 +133,66 @@ def _check_declared_images(tif: TiffFile, path: Path) -> None:
 
     A file of ImageJ that was cut still has its one table of pages.
     """
-    first, pages = tif.pages.first, len(tif.pages)
+    first, n_pages = tif.pages.first, len(tif.pages)
     for tag in re.findall(r"<(?:\w+:)?Pixels\b[^>]*>", tif.ome_metadata or ""):
         sizes = {k: int(n) for k, n in re.findall(r"\bSize([ZCTYX])\s*=\s*[\"'](\d{1,18})[\"']", tag)}
-        planes = math.prod(sizes.get(k, 1) for k in "ZCT")
-        rows, columns = sizes.get("Y", 1), sizes.get("X", 1)
-        if planes > MOST_PAGES or rows > 10 * first.imagelength or columns > 10 * first.imagewidth:
+        n_planes = math.prod(sizes.get(k, 1) for k in "ZCT")
+        n_rows, n_columns = sizes.get("Y", 1), sizes.get("X", 1)
+        if n_planes > MOST_PAGES or n_rows > 10 * first.imagelength or n_columns > 10 * first.imagewidth:
             declared = f"its OME metadata declare {size_words([*sizes.values()])} values"
-            raise damaged(path, f"{declared}, the file has {pages} pages of {size_words(first.shape)}")
+            raise damaged(path, f"{declared}, the file has {n_pages} pages of {size_words(first.shape)}")
     meta: Any = tif.imagej_metadata
-    images = meta.get("images", 1) if meta else 1
-    if not isinstance(images, int) or images <= max(1, pages) or not first.dataoffsets:
+    n_images = meta.get("images", 1) if meta else 1
+    if not isinstance(n_images, int) or n_images <= max(1, n_pages) or not first.dataoffsets:
         return
-    if first.dataoffsets[0] + images * first.nbytes > tif.filehandle.size or not first.is_contiguous:
-        size = tif.filehandle.size
-        raise damaged(path, f"{images} images are declared, the file has {pages} pages and {size} bytes")
+    if first.dataoffsets[0] + n_images * first.nbytes > tif.filehandle.size or not first.is_contiguous:
+        file_bytes = tif.filehandle.size
+        raise damaged(path, f"{n_images} images are declared, the file has {n_pages} pages and {file_bytes} bytes")
 
 
 def _check_data(series: TiffPageSeries, path: Path) -> None:
     """Check that all data of a series are in the file, as far as the page tables show."""
-    size, key = size_of_file(path), series.keyframe
+    file_bytes, frame = size_of_file(path), series.keyframe
     for name in LAYOUT_NUMBERS:  # damaged tags may have any type
-        number: Any = getattr(key, name)
+        number: Any = getattr(frame, name)
         if not isinstance(number, int):
             raise damaged(path, f"its {name} is {str(number)[:40]!r}, which is no number")
-    if series.size == 0 or key.dtype is None or series.dtype.itemsize == 0:
+    if series.size == 0 or frame.dtype is None or series.dtype.itemsize == 0:
         raise damaged(path, f"its image is {size_words(series.shape) or 'without extent'} pixels")
-    if key.bitspersample not in range(1, 65):
-        raise damaged(path, f"its pixels have {key.bitspersample} bits")
+    if frame.bitspersample not in range(1, 65):
+        raise damaged(path, f"its pixels have {frame.bitspersample} bits")
     offset = series.dataoffset
-    pages: list[TiffPage | TiffFrame | None] = [key] if offset is not None else list(series)
-    if offset is not None and offset + series.nbytes > size:
-        raise damaged(path, f"the image ends at byte {offset + series.nbytes}, the file has {size}")
-    pixels = len(pages) * math.prod(key.shape)
-    if pixels != series.size and offset is None:
-        raise damaged(path, f"{series.size} pixels are declared, its pages hold {pixels}")
-    segments, needed, total = math.prod(key.chunked), 0, 0
-    if key.compression == 1 and not key.is_subsampled:  # bytes that the strips of a page must have
-        samples, planes = (key.samplesperpixel, 1) if key.planarconfig == 1 else (1, key.samplesperpixel)
-        row_bytes = math.ceil(key.imagewidth * key.bitspersample * samples / 8)
-        needed = key.imagelength * key.imagedepth * planes * row_bytes
+    pages: list[TiffPage | TiffFrame | None] = [frame] if offset is not None else list(series)
+    if offset is not None and offset + series.nbytes > file_bytes:
+        raise damaged(path, f"the image ends at byte {offset + series.nbytes}, the file has {file_bytes}")
+    n_pixels = len(pages) * math.prod(frame.shape)
+    if n_pixels != series.size and offset is None:
+        raise damaged(path, f"{series.size} pixels are declared, its pages hold {n_pixels}")
+    n_segments, needed_bytes, total_bytes = math.prod(frame.chunked), 0, 0
+    if frame.compression == 1 and not frame.is_subsampled:  # bytes that the strips of a page must have
+        n_samples, n_planes = (frame.samplesperpixel, 1) if frame.planarconfig == 1 else (1, frame.samplesperpixel)
+        row_bytes = math.ceil(frame.imagewidth * frame.bitspersample * n_samples / 8)
+        needed_bytes = frame.imagelength * frame.imagedepth * n_planes * row_bytes
     for number, page in enumerate(pages, start=1):
         if page is None:
             raise FileError(
                 f"{path.name}: image {number} of {len(pages)} is declared but not in this file. Export all into one."
             )
-        offsets, counts = page.dataoffsets, page.databytecounts
-        missing = f"data missing: page {number} has"
-        if min(len(offsets), len(counts)) < segments:
-            raise damaged(path, f"{missing} {min(len(offsets), len(counts))} of {segments} strips or tiles")
-        for start, count in zip(offsets, counts, strict=False):
-            if start == 0 or count == 0:
-                raise damaged(path, f"{missing} an empty strip or tile")
-            if start < 8 or start + count > size:
-                raise damaged(path, f"data of page {number} end at byte {start + count}, the file has {size}")
-        if sum(counts) < needed:
-            raise damaged(path, f"{missing} {sum(counts)} bytes of {needed}")
-        total += sum(counts)
-    if key.compression != 1:
-        check_blown_up(path, decoded_bytes=series.nbytes, stored_bytes=total)
+        offsets, byte_counts = page.dataoffsets, page.databytecounts
+        missing_text = f"data missing: page {number} has"
+        if min(len(offsets), len(byte_counts)) < n_segments:
+            raise damaged(path, f"{missing_text} {min(len(offsets), len(byte_counts))} of {n_segments} strips or tiles")
+        for start, byte_count in zip(offsets, byte_counts, strict=False):
+            if start == 0 or byte_count == 0:
+                raise damaged(path, f"{missing_text} an empty strip or tile")
+            if start < 8 or start + byte_count > file_bytes:
+                end_byte = start + byte_count
+                raise damaged(path, f"data of page {number} end at byte {end_byte}, the file has {file_bytes}")
+        if sum(byte_counts) < needed_bytes:
+            raise damaged(path, f"{missing_text} {sum(byte_counts)} bytes of {needed_bytes}")
+        total_bytes += sum(byte_counts)
+    if frame.compression != 1:
+        check_blown_up(path, decoded_bytes=series.nbytes, stored_bytes=total_bytes)
 
 
 def map_or_decode(series: TiffPageSeries, path: Path, *, memory_bytes: int | None) -> NDArray[Any]:
@@ -208,9 +212,9 @@ def map_or_decode(series: TiffPageSeries, path: Path, *, memory_bytes: int | Non
 
 def mapped_from(series: TiffPageSeries) -> int | None:
     """Byte of the file from which the values lie there as they are; None where they have to be decoded."""
-    turned = series.keyframe.photometric == PHOTOMETRIC.MINISWHITE
-    native = series.dtype.newbyteorder(series.keyframe.parent.byteorder) == series.dtype.newbyteorder("=")
-    return series.dataoffset if native and not turned else None
+    is_turned = series.keyframe.photometric == PHOTOMETRIC.MINISWHITE
+    is_native = series.dtype.newbyteorder(series.keyframe.parent.byteorder) == series.dtype.newbyteorder("=")
+    return series.dataoffset if is_native and not is_turned else None
 
 
 def turn_white(values: NDArray[Any], *, path: Path, bits: int, out: NDArray[Any] | None = None) -> NDArray[Any]:

@@ -54,8 +54,8 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
         check_type(series.dtype, path)
         if page.photometric == PHOTOMETRIC.PALETTE and not tif.is_imagej:
             # A palette may only spread grey values over the range, in order.
-            ramp = np.zeros((3, 2)) if page.colormap is None else np.asarray(page.colormap).astype(np.int64)
-            if not (np.all(ramp == ramp[0]) and np.all(np.diff(ramp[0]) > 0)):
+            palette = np.zeros((3, 2)) if page.colormap is None else np.asarray(page.colormap).astype(np.int64)
+            if not (np.all(palette == palette[0]) and np.all(np.diff(palette[0]) > 0)):
                 raise VolumeError(f"{path.name} has a colour palette. {ADVICE}")
         change: Change | None = partial(grey_of, channel=channel) if "S" in axes else None
         if page.photometric == PHOTOMETRIC.MINISWHITE:
@@ -69,58 +69,58 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
         )
 
 
-def _series_values(series: TiffPageSeries, path: Path, axes: str, change: Change | None, limit: int) -> Values:
+def _series_values(series: TiffPageSeries, path: Path, axes: str, change: Change | None, limit_bytes: int) -> Values:
     """Return the values of a checked series: mapped, left in its pages, or decoded."""
-    key = series.keyframe
+    frame = series.keyframe
     shape = tuple(n for n, axis in zip(series.shape, series.axes, strict=True) if axis in axes)
-    stored = series.dtype.newbyteorder(key.parent.byteorder)
+    stored_dtype = series.dtype.newbyteorder(frame.parent.byteorder)
     array: FileArray | None = None
     with reading(path):
         offset = series.dataoffset
         pages = [page for page in series if page is not None] if offset is None else []
         if offset is not None:
             if change is None:
-                return mapped(path, shape, stored, offset=offset)
-            array = stored_planes(path, shape, stored, offset=offset)
+                return mapped(path, shape, stored_dtype, offset=offset)
+            array = stored_planes(path, shape, stored_dtype, offset=offset)
         # One page for each slice, and one plane in each page.
-        elif (key.planarconfig == 1 or key.samplesperpixel == 1) and key.imagedepth == 1 and len(pages) == shape[0]:
-            if key.is_final and all(map(_is_joined, pages)):
-                array = StoredArray([(path, page.dataoffsets[0]) for page in pages], shape, stored)
-            elif not key.is_subsampled:
+        elif 1 in (frame.planarconfig, frame.samplesperpixel) and frame.imagedepth == 1 and len(pages) == shape[0]:
+            if frame.is_final and all(map(_is_joined, pages)):
+                array = StoredArray([(path, page.dataoffsets[0]) for page in pages], shape, stored_dtype)
+            elif not frame.is_subsampled:
                 array = TiffPages(path, series)
-    if array is None or (isinstance(array, TiffPages) and "S" not in axes and is_small(array, limit)):
-        whole = map_or_decode(series, path, memory_bytes=limit).reshape(shape)
+    if array is None or (isinstance(array, TiffPages) and "S" not in axes and is_small(array, limit_bytes)):
+        values = map_or_decode(series, path, memory_bytes=limit_bytes).reshape(shape)
         if change is None or "S" not in axes:
-            return whole
-        check_memory(path, needed_bytes=whole.nbytes + math.prod(shape) // 3, limit_bytes=limit)
-        return np.stack([change(np.moveaxis(plane, 0, -1) if axes[1] == "S" else plane) for plane in whole])
-    order = (0, 2, 3) if axes[1] == "S" else (0, 1, 2)
-    return array if change is None else ViewArray(array, order, change)
+            return values
+        check_memory(path, needed_bytes=values.nbytes + math.prod(shape) // 3, limit_bytes=limit_bytes)
+        return np.stack([change(np.moveaxis(plane, 0, -1) if axes[1] == "S" else plane) for plane in values])
+    axis_order = (0, 2, 3) if axes[1] == "S" else (0, 1, 2)
+    return array if change is None else ViewArray(array, axis_order, change)
 
 
 def _is_joined(page: TiffPage | TiffFrame) -> bool:
     """True if the strips of a page lie one behind the other."""
-    ends = (start + count for start, count in zip(page.dataoffsets, page.databytecounts, strict=False))
-    return all(end == start for end, start in zip(ends, page.dataoffsets[1:], strict=False))
+    segment_ends = (start + count for start, count in zip(page.dataoffsets, page.databytecounts, strict=False))
+    return all(end == start for end, start in zip(segment_ends, page.dataoffsets[1:], strict=False))
 
 
 def _volume_axes(series: TiffPageSeries, path: Path) -> str:
     """Return the axes of a stack that are longer than 1: slices, y and x, and the samples of a stack in colour."""
     axes, shape = long_axes(series), shape_words(series)
-    sizes = dict(zip(series.axes, series.shape, strict=True))
-    grey = axes.replace("S", "")
+    axis_lengths = dict(zip(series.axes, series.shape, strict=True))
+    grey_axes = axes.replace("S", "")
     # The samples of a pixel may be red, green and blue, with or without further ones.
-    is_rgb = axes.find("S") in (1, 3) and sizes["S"] in (3, 4) and has_rgb(series.keyframe)
-    if len(grey) == 3 and grey[0] in SLICE_AXES and grey[1:] == "YX" and (axes == grey or is_rgb):
+    is_rgb = axes.find("S") in (1, 3) and axis_lengths["S"] in (3, 4) and has_rgb(series.keyframe)
+    if len(grey_axes) == 3 and grey_axes[0] in SLICE_AXES and grey_axes[1:] == "YX" and (axes == grey_axes or is_rgb):
         return axes
     # ImageJ and tifffile file a stack of unnamed pages as channels; nothing has so many channels, so these are slices.
-    if axes == "CYX" and sizes["C"] >= 16:
+    if axes == "CYX" and axis_lengths["C"] >= 16:
         return axes
-    if further := {a: n for a, n in sizes.items() if n > 1 and a in MEANINGS}:
-        content = " and ".join(f"{n} {MEANINGS[a]}" for a, n in further.items())
-        hint = "If these are the slices, say so in the file (ImageJ: Image > Properties). Otherwise: "
-        hint = "" if "S" in further or set(axes) & set(SLICE_AXES) else hint
-        raise VolumeError(f"{path.name} has {content}: {shape}. {hint}{ADVICE}")
+    if further_axes := {a: n for a, n in axis_lengths.items() if n > 1 and a in MEANINGS}:
+        content_text = " and ".join(f"{n} {MEANINGS[a]}" for a, n in further_axes.items())
+        hint_text = "If these are the slices, say so in the file (ImageJ: Image > Properties). Otherwise: "
+        hint_text = "" if "S" in further_axes or set(axes) & set(SLICE_AXES) else hint_text
+        raise VolumeError(f"{path.name} has {content_text}: {shape}. {hint_text}{ADVICE}")
     if axes == "YX":
         raise VolumeError(f"{path.name} has one page, not a stack: {shape}. Give all slices, in one file or folder.")
     raise VolumeError(f"{path.name} is not a volume with the axes z, y, x: {shape}. {ADVICE}")
@@ -148,19 +148,19 @@ class TiffPages(PagedArray):
     def _decoded_rows(self, page: int, start: int, stop: int) -> NDArray[Any]:
         values = np.empty((stop - start, *self.shape[2:]), self.dtype)
         pixels = values.reshape(*values.shape[:2], -1)
-        offsets, counts, tables = self._segments[page]
-        first, last = start // self.unit_rows, -(-stop // self.unit_rows)
+        offsets, byte_counts, tables = self._segments[page]
+        first_row, end_row = start // self.unit_rows, -(-stop // self.unit_rows)
         with self.path.open("rb") as file:
-            for index in range(first * self._across, last * self._across):
+            for index in range(first_row * self._across, end_row * self._across):
                 file.seek(offsets[index])
-                data = file.read(counts[index])
-                if len(data) < counts[index]:
+                data = file.read(byte_counts[index])
+                if len(data) < byte_counts[index]:
                     raise damaged(self.path, f"data of page {page + 1} are missing")
-                part, (_, _, y, x, _), (_, height, width, _) = self._decode(data, index, _fullsize=False, **tables)
-                if part is None:
+                segment, (_, _, y, x, _), (_, height, width, _) = self._decode(data, index, _fullsize=False, **tables)
+                if segment is None:
                     raise damaged(self.path, f"a strip or tile of page {page + 1} is empty")
                 height, width = min(height, stop - y), min(width, self.shape[2] - x)
-                pixels[y - start : y - start + height, x : x + width] = part[0, :height, :width]
+                pixels[y - start : y - start + height, x : x + width] = segment[0, :height, :width]
         return values
 
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from planish.core.arrays import check_path
+from planish.core.errors import VolumeError
 from planish.core.frame import Axis, End, Frame
 from planish.core.lazy import labelled
-from planish.io.formats import LoadedVolume, Place, check_channel, checked_volume, find_place, format_of, loader
+from planish.io.formats import ADVICE, LoadedVolume, Place, check_channel, check_type, find_place, format_of, loader
+from planish.io.lazy import read_if_small
 from planish.io.sizes import VOXEL, agreed_size
+from planish.io.tiff import damaged, size_words
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -74,7 +78,7 @@ def read_volume(
     ResourceError
         If not even a slice of it fits into the memory.
     """
-    lies = Frame(through=through or "z", top=top or "high").lies() if through or top else {}
+    frame_attrs = Frame(through=through or "z", top=top or "high").lies() if through or top else {}
     place = find_place(check_path(path, "the path of a file", "pl.read_volume", "pl.volume(array, voxel_um=...)"))
     loaded = load_volume(place, channel=channel, memory_bytes=memory_bytes)
     name = place.path.name
@@ -90,17 +94,19 @@ def read_volume(
         "file_name": name,
         "file_bytes": loaded.file_bytes,
         **loaded.attrs,
-        **lies,
+        **frame_attrs,
     }
     return labelled(loaded.values, VOXEL.axes, size, name="volume", attrs=attrs)
 
 
-def declared_volume(place: Place, *, channel: str | None = None) -> LoadedVolume:
-    """Read what a volume declares, where its values do not fit into the memory; these are not read."""
-    return loader(format_of(place))(place, check_channel(channel), None)
-
-
 def load_volume(place: Place, *, channel: str | None = None, memory_bytes: int | None = None) -> LoadedVolume:
     """Read the values of a volume, whatever its voxel size; errors as those of :func:`read_volume`."""
-    load = loader(format_of(place))
-    return checked_volume(load(place, check_channel(channel), memory_bytes), place.path, memory_bytes=memory_bytes)
+    path, loaded = place.path, loader(format_of(place))(place, check_channel(channel), memory_bytes)
+    shape = loaded.values.shape
+    # No scan has more; a larger number is damage.
+    if 0 in shape or math.prod(shape) > 2**50:
+        raise damaged(path, f"it declares {size_words(shape)} voxels, which no volume has")
+    if len(shape) != 3 or min(shape) == 1:
+        raise VolumeError(f"{path.name} is no volume but {size_words(shape)} voxels (z, y, x). {ADVICE}")
+    check_type(loaded.values.dtype, path)
+    return loaded._replace(values=read_if_small(loaded.values, memory_bytes=memory_bytes))

@@ -27,7 +27,6 @@ from planish.io.tiff import damaged, size_words
 # Files of a zarr store that are no chunks.
 METADATA = frozenset({"zarr.json", ".zarray", ".zattrs", ".zgroup", ".zmetadata"})
 
-
 Keys = Mapping[str, Any]
 
 
@@ -60,23 +59,23 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
     if multiscale is not None:
         # The scale transformations of the level and of the whole image.
         scale = _scale_of(multiscale["datasets"][level], len(shape))
-        whole = _scale_of(multiscale, len(shape)) or [1.0] * len(shape)
+        image_scale = _scale_of(multiscale, len(shape)) or [1.0] * len(shape)
         stated = [Stated("the OME-Zarr scale", (None, None, None), "the level has no scale transformation")]
         if scale is not None:
-            stated = [stated_in("the OME-Zarr scale", [a * b for a, b in zip(scale, whole, strict=True)], units, order)]
+            voxel = [a * b for a, b in zip(scale, image_scale, strict=True)]
+            stated = [stated_in("the OME-Zarr scale", voxel, units, order)]
     return LoadedVolume(
         values=transposed(lazy, order), stated=stated, files=files, attrs={"dataset": name or "/"}, notes=notes
     )
 
 
 def _read_part(path: Path, name: str, shape: tuple[int, ...], where: Where) -> NDArray[Any]:
-    """Read a part of an array, which is opened anew."""
     array = _open_node(path, name)
     if tuple(array.shape) != shape:
         raise FileError(f"{path.name} was changed while planish read it. Start again.")
     # In shards, and behind other codecs, a checksum guards the chunks.
-    codecs = [type(codec).__name__.casefold() for codec in array.compressors]
-    if array.shards is None and codecs and "blosc" in codecs[-1]:
+    codec_names = [type(codec).__name__.casefold() for codec in array.compressors]
+    if array.shards is None and codec_names and "blosc" in codec_names[-1]:
         _check_blosc(array, where, path / name, path)
     return np.asarray(array[where], array.dtype.newbyteorder("="))
 
@@ -91,15 +90,15 @@ def _part_of(path: Path, part: str) -> str:
 
 
 def _open_node(path: Path, name: str) -> Any:
-    place, where = path / name, name or "its root"
-    metadata = [file for file in METADATA if (place / file).is_file()]
+    node_folder, node_text = path / name, name or "its root"
+    metadata = [file for file in METADATA if (node_folder / file).is_file()]
     if not metadata:
-        raise FileError(f"{path.name} has nothing at {where}: no zarr.json, .zarray or .zgroup. Check the name.")
-    if any((place / file).stat().st_size > 50_000_000 for file in metadata):
-        raise damaged(path, f"the metadata of {where} are larger than 50 MB")
+        raise FileError(f"{path.name} has nothing at {node_text}: no zarr.json, .zarray or .zgroup. Check the name.")
+    if any((node_folder / file).stat().st_size > 50_000_000 for file in metadata):
+        raise damaged(path, f"the metadata of {node_text} are larger than 50 MB")
     with reading(path):
         # Each node is opened by its own folder: neither parents nor consolidated metadata are read.
-        return zarr.open(store=LocalStore(place, read_only=True), mode="r", use_consolidated=False)
+        return zarr.open(store=LocalStore(node_folder, read_only=True), mode="r", use_consolidated=False)
 
 
 def _find_level(path: Path, name: str) -> tuple[Keys | None, int, str]:
@@ -122,8 +121,8 @@ def _find_level(path: Path, name: str) -> tuple[Keys | None, int, str]:
     if len(members) == 1:
         return _find_level(path, f"{name}/{members[0]}".strip("/"))
     example = f" Choose one as {path.name}:{members[0]}." if members else " Export it again as OME-Zarr."
-    listed, where = ", ".join(members[:8]) or "nothing", name or "its root"
-    raise VolumeError(f"{path.name} has no multiscale image at {where}; it holds {listed}.{example}")
+    members_text, node_text = ", ".join(members[:8]) or "nothing", name or "its root"
+    raise VolumeError(f"{path.name} has no multiscale image at {node_text}; it holds {members_text}.{example}")
 
 
 def _multiscale_of(group: Any, path: Path) -> Keys | None:
@@ -145,23 +144,23 @@ def _multiscale_of(group: Any, path: Path) -> Keys | None:
 
 def _axes(multiscale: Keys | None, shape: tuple[int, ...], path: Path) -> tuple[list[str], list[int]]:
     """Units of the axes, and which of them are z, y and x; all others have to be of length 1."""
-    image = multiscale or {}
-    axes: Any = image.get("axes")
+    image_keys = multiscale or {}
+    axes: Any = image_keys.get("axes")
     if axes is None:
         axes = "tczyx"[5 - len(shape) :] if len(shape) <= 5 else "?" * len(shape)
-    listed = axes if isinstance(axes, (list, str)) else []
-    axes = [axis if isinstance(axis, dict) else {"name": axis} for axis in listed]
+    axis_entries = axes if isinstance(axes, (list, str)) else []
+    axes = [axis if isinstance(axis, dict) else {"name": axis} for axis in axis_entries]
     if len(axes) != len(shape):
         raise damaged(path, f"it names {len(axes)} axes, its array has {len(shape)}")
     names = [str(axis.get("name", "")).casefold() for axis in axes]
     shape_words = f"{size_words(shape)} ({', '.join(names)}). {ADVICE}"
     for name, n in zip(names, shape, strict=True):
         if name not in ("z", "y", "x") and n > 1:
-            content = {"c": "channels", "t": "time points"}.get(name, f"places along {name!r}")
-            omero: Any = image.get("omero") if name == "c" else None
+            content_text = {"c": "channels", "t": "time points"}.get(name, f"places along {name!r}")
+            omero: Any = image_keys.get("omero") if name == "c" else None
             channels: Any = omero.get("channels") if isinstance(omero, dict) else None
             labels = ", ".join(str(c.get("label")) for c in channels or () if isinstance(c, dict))
-            raise VolumeError(f"{path.name} has {n} {content}{f' ({labels})' if labels else ''}: {shape_words}")
+            raise VolumeError(f"{path.name} has {n} {content_text}{f' ({labels})' if labels else ''}: {shape_words}")
     if any(names.count(letter) != 1 for letter in "zyx"):
         raise VolumeError(f"{path.name} is no volume: its axes are {', '.join(names)}: {shape_words}")
     return [str(axis.get("unit", "")) for axis in axes], [names.index(letter) for letter in "zyx"]
@@ -181,24 +180,24 @@ def _stored_chunks(folder: Path, files: list[Path]) -> Iterator[tuple[int, ...]]
     """Positions of the chunks, or shards, that lie in the folder of an array."""
     for file in files:
         # ``c/0/1/2``, ``c.0.1.2``, ``0/1/2`` or ``0.1.2``
-        numbers = file.relative_to(folder).as_posix().removeprefix("c").strip("/.").replace("/", ".").split(".")
-        if file.name not in METADATA and not file.name.startswith(".") and all(map(str.isdecimal, numbers)):
-            yield tuple(int(number) for number in numbers)
+        index_words = file.relative_to(folder).as_posix().removeprefix("c").strip("/.").replace("/", ".").split(".")
+        if file.name not in METADATA and not file.name.startswith(".") and all(map(str.isdecimal, index_words)):
+            yield tuple(int(number) for number in index_words)
 
 
 def _check_blosc(array: Any, where: Where, folder: Path, path: Path) -> None:
     """Compare the chunks of a part with the sizes in their first bytes; Blosc itself would read on behind their end."""
-    needed = math.prod(array.chunks) * array.dtype.itemsize
+    needed_bytes = math.prod(array.chunks) * array.dtype.itemsize
     spans = [range(s.start // c, (s.stop - 1) // c + 1) for s, c in zip(where, array.chunks, strict=True)]
     for position in product(*spans):
         chunk = folder / array.metadata.encode_chunk_key(position)
         if not chunk.is_file():
             continue
         with chunk.open("rb") as file:
-            head = file.read(16)
+            first_bytes = file.read(16)
         stored_bytes = chunk.stat().st_size
-        unpacked, packed = struct.unpack_from("<4xIxxxxI", head) if len(head) == 16 else (0, 0)
-        if (unpacked, packed) != (needed, stored_bytes):
-            name = chunk.relative_to(path).as_posix()
-            sizes = f"{stored_bytes} bytes of {packed}, for {unpacked} bytes of values"
-            raise damaged(path, f"its chunk {name} has {sizes}, where {needed} are needed")
+        unpacked, packed = struct.unpack_from("<4xIxxxxI", first_bytes) if len(first_bytes) == 16 else (0, 0)
+        if (unpacked, packed) != (needed_bytes, stored_bytes):
+            chunk_name = chunk.relative_to(path).as_posix()
+            sizes_text = f"{stored_bytes} bytes of {packed}, for {unpacked} bytes of values"
+            raise damaged(path, f"its chunk {chunk_name} has {sizes_text}, where {needed_bytes} are needed")

@@ -107,7 +107,7 @@ def holes_from_json(content: Mapping[str, Any], name: str = "The JSON") -> xr.Da
     with naming_faults(name, _REMEDY, error=MarkError):
         file = _File.model_validate(dict(content))
     for key, variable in file.variables.items():
-        with naming_faults(name, _REMEDY, error=MarkError, where=("variables", key, "values")):
+        with naming_faults(name, _REMEDY, error=MarkError, key_prefix=("variables", key, "values")):
             checked_values = TypeAdapter(_COLUMN_TYPES[variable.type]).validate_python(variable.values)
         dtype = np.str_ if variable.type == "str" else variable.type
         column = np.array(_missing_as_nan(checked_values), dtype=dtype)

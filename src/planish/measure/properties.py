@@ -84,7 +84,9 @@ def measure_properties(
     paper's, is too large by 1 / cos of the tilt across the slices.
     """
     params = params_of(MeasureParams, params, "pl.measure_properties")
-    check_dataset(surfaces, what="surfaces", maker="pl.find_surfaces(volume)", call="pl.measure_properties({})")
+    check_dataset(
+        surfaces, expected="surfaces", source="pl.find_surfaces(volume)", call_format="pl.measure_properties({})"
+    )
     if volume is not None:
         check_volume(volume, "pl.measure_properties(surfaces, volume={})")
     elif params.maps:

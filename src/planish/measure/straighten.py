@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from planish.core.errors import StudyError, SurfaceError
 from planish.core.frame import Frame
 from planish.core.grid import Grid, bilinear, pitch
-from planish.core.lazy import LazyArray, Where, held
+from planish.core.lazy import LazyArray, Where, variable_data
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
 from planish.core.typing import Floats, Pair
@@ -72,7 +72,7 @@ def straightened(
     grid = Grid.of(maps)
     lazy_volume = _Straightened(volume, surfaces, maps, depths_um, frame)
     coords = {k: (k, um, {"units": "um"}) for k, um in (("z", depths_um), ("y", grid.y_um), ("x", grid.x_um))}
-    straight_volume = xr.DataArray(xr.Variable(("z", "y", "x"), held(lazy_volume)), coords=coords, name="grey")
+    straight_volume = xr.DataArray(xr.Variable(("z", "y", "x"), variable_data(lazy_volume)), coords=coords, name="grey")
     return straight_volume.assign_attrs(voxel_um=(voxel_um, *(round(float(p), 9) for p in grid.pixel_um)))
 
 

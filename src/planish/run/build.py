@@ -13,8 +13,8 @@ import xarray as xr
 from pydantic import ValidationError
 
 from planish.core.errors import StudyError
-from planish.core.mistakes import mistakes
 from planish.core.options import Params, as_flags, flag_of, params_of, put_options, words_in
+from planish.core.parameter_faults import fault_texts
 from planish.io import find_place
 from planish.io.info import is_image
 from planish.io.sections import is_section_folder
@@ -152,7 +152,7 @@ def study_of(
     try:
         return Study.model_validate({"layers": tables, "chain": chain, **link_options})
     except ValidationError as error:
-        raise StudyError("; ".join(dict.fromkeys(mistakes(error, Study, as_flags(words_of()))))) from error
+        raise StudyError("; ".join(dict.fromkeys(fault_texts(error, Study, as_flags(words_of()))))) from error
 
 
 class PathLayer(NamedTuple):

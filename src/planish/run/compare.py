@@ -40,8 +40,8 @@ def correlate_maps(
         If ``params.regions`` are of no use, or come after a screen was taken off the image.
     """
     check_dataset(
-        linked, "image", "valid", what="linked maps", call="pl.correlate_maps({})",
-        maker="pl.resample_maps(measured, flat, onto=image, registration=registration)",
+        linked, "image", "valid", expected="linked maps", call_format="pl.correlate_maps({})",
+        source="pl.resample_maps(measured, flat, onto=image, registration=registration)",
     )  # fmt: skip
     params = params_of(CorrelateParams, params, "pl.correlate_maps")
     if params.regions is not None:

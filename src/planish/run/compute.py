@@ -23,7 +23,7 @@ from planish.core.errors import InputError, ResourceError
 from planish.core.frame import Frame
 from planish.core.memory import HELD_TIMES, MAPS_SHARE, PROGRAM_BYTES, RETURNED_BYTES, bytes_to_map, enough_gb
 from planish.core.options import Params, option
-from planish.core.sources import hash_sources
+from planish.core.source_hash import hash_sources
 from planish.core.tiles import Engine
 
 if TYPE_CHECKING:
@@ -131,7 +131,7 @@ def engine(compute: Compute, *, tiles: Path | None = None) -> Generator[Engine]:
     """Give the engine that works on tiles; InputError without scheduler or library, ResourceError if it is lost."""
     memory = int((1 - MAPS_SHARE) * compute.for_work)
     if compute.scheduler is None:
-        yield Engine(threads=compute.threads, memory_bytes=memory, kept=tiles)
+        yield Engine(threads=compute.threads, memory_bytes=memory, folder=tiles)
         return
     try:
         from distributed import Client, KilledWorker
@@ -152,7 +152,7 @@ def engine(compute: Compute, *, tiles: Path | None = None) -> Generator[Engine]:
         if not workers:
             raise InputError(f"The scheduler {compute.scheduler} has no workers. Start some with 'dask worker'.")
         try:
-            yield Engine(executor=client.get_executor(pure=False), workers=workers, memory_bytes=memory, kept=tiles)
+            yield Engine(executor=client.get_executor(pure=False), workers=workers, memory_bytes=memory, folder=tiles)
         except (CancelledError, CommClosedError, KilledWorker) as error:
             raise ResourceError(
                 f"The scheduler {compute.scheduler} was lost, or its workers died again and again at one part of the "

@@ -32,7 +32,7 @@ from planish.checks import (
 from planish.core.bands import thinned
 from planish.core.checks import Check
 from planish.core.facts import Side
-from planish.core.sources import hash_sources
+from planish.core.source_hash import hash_sources
 from planish.core.transform import Similarity
 from planish.io.map_store import StoredMaps, map_tiles
 from planish.resample import SheetOnto

@@ -172,13 +172,13 @@ def resample_maps(
     check_dataset(
         measured,
         "centre",
-        what="measured surfaces",
-        maker="pl.measure_properties(surfaces, volume=volume)",
-        call="pl.resample_maps({}, flat)",
+        expected="measured surfaces",
+        source="pl.measure_properties(surfaces, volume=volume)",
+        call_format="pl.resample_maps({}, flat)",
     )
     check_dataset(
-        flat, "u", "v", what="flat coordinates", maker="pl.flatten_sheet(surfaces).flat",
-        call="pl.resample_maps(measured, {})",
+        flat, "u", "v", expected="flat coordinates", source="pl.flatten_sheet(surfaces).flat",
+        call_format="pl.resample_maps(measured, {})",
     )  # fmt: skip
     check_same_grid(measured, flat)
     if onto is None and registration is None:

@@ -159,7 +159,7 @@ def register_marks(
     Hirn et al. (2009), section 2.4. Each pair is weighted with the covariances of its two holes.
     """
     for holes, call in ((moving, "pl.register_marks({}, fixed)"), (fixed, "pl.register_marks(moving, {})")):
-        check_dataset(holes, "x", "y", what="holes", maker="pl.find_holes(...)", call=call)
+        check_dataset(holes, "x", "y", expected="holes", source="pl.find_holes(...)", call_format=call)
     fit_params = params_of(RegistrationParams, params, "pl.register_marks")
     designed = None
     if fit_params.design is not None:

@@ -15,8 +15,8 @@ from pydantic import Field, ValidationError, model_validator
 from planish.analyze.params import CorrelateParams
 from planish.core.errors import FileError, InputError, StudyError
 from planish.core.files import fault_of_name
-from planish.core.mistakes import Key, key_lines, mistakes, toml_mistake
 from planish.core.options import Params, options_of
+from planish.core.parameter_faults import Key, fault_texts, key_lines, toml_fault
 from planish.core.tables import read_text
 from planish.flatten.params import FlattenParams
 from planish.io.params import ImageParams, VolumeParams
@@ -149,7 +149,7 @@ def toml_tables(path: Path, text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(f"{text}\n")  # with a line end, what is wrong in the last line has a number, too
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise FileError(f"{path} is not a TOML file: {toml_mistake(error, text)}") from error
+        raise FileError(f"{path} is not a TOML file: {toml_fault(error, text)}") from error
 
 
 def checked_study(path: Path, text: str, tables: dict[str, Any]) -> Study:
@@ -165,7 +165,7 @@ def checked_study(path: Path, text: str, tables: dict[str, Any]) -> Study:
             old_loc = (*loc[:2], "map", *loc[2:])  # of planish 0.1.0
             return loc, key_line_index.of(old_loc if old_loc[:4] in key_line_index.lines else loc)
 
-        faults = mistakes(error, Study, place)
+        faults = fault_texts(error, Study, place)
         count_text = f"{len(faults)} wrong parameter{'s' if len(faults) > 1 else ''}"
         raise InputError("\n  ".join([f"{path} has {count_text}:", *faults])) from error
 
@@ -239,7 +239,7 @@ def with_values(study: Study, changes: Sequence[str]) -> Study:
     try:
         return Study.model_validate(data)
     except ValidationError as error:
-        raise StudyError("; ".join(mistakes(error, Study)) + ".") from error
+        raise StudyError("; ".join(fault_texts(error, Study)) + ".") from error
 
 
 def in_study_words(text: str) -> str:

@@ -197,28 +197,28 @@ def _line(section, r, pose, grade, line):
 
 
 @njit(**_SETTINGS)
-def between(first, second, share, poses, grades, low, high, whole, out):
-    """Set out to (1 - share) first + share second, both corrected; rounded and kept in low..high where ``whole``."""
-    wide = out.shape[1]
-    one, two = np.empty(wide, np.float32), np.empty(wide, np.float32)
+def interpolate(first, second, share, poses, grades, low, high, is_integer, out):
+    """Set out to (1 - share) first + share second, both corrected; integers are rounded and kept in low..high."""
+    cols = out.shape[1]
+    first_line, second_line = np.empty(cols, np.float32), np.empty(cols, np.float32)
     t = np.float32(share)
     for r in range(out.shape[0]):
         if share < 1.0:
-            _line(first, r, poses[0], grades[0], one)
+            _line(first, r, poses[0], grades[0], first_line)
         if share > 0.0:
-            _line(second, r, poses[1], grades[1], two)
+            _line(second, r, poses[1], grades[1], second_line)
         if share <= 0.0:
-            line = one
+            line = first_line
         elif share >= 1.0:
-            line = two
+            line = second_line
         else:
-            for c in range(wide):
-                one[c] += t * (two[c] - one[c])
-            line = one
+            for c in range(cols):
+                first_line[c] += t * (second_line[c] - first_line[c])
+            line = first_line
         target = out[r]
-        if whole:
-            for c in range(wide):
+        if is_integer:
+            for c in range(cols):
                 target[c] = floor(min(max(line[c], low), high) + np.float32(0.5))
         else:
-            for c in range(wide):
+            for c in range(cols):
                 target[c] = line[c]

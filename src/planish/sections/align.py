@@ -16,11 +16,11 @@ from planish.core.threads import map_threads
 from planish.core.transform import Pair
 from planish.core.typing import Bools, Floats
 from planish.sections.band import SectionSeries, Stack
-from planish.sections.network import LEAST_SHARE, Index, parts, quick_places, slow_part, solve_places
+from planish.sections.network import LEAST_SHARE, Index, quick_places, section_components, slow_part, solve_places
 from planish.sections.pairs import FINEST_UM, GROUPS, SectionPairs, compare
 
 _REACH, _REACH_FIRST = 5, 2  # each section is compared with so many on either side, and in the first rounds
-
+_CUTOFF_PITCHES = 50.0  # corrections with longer wavelengths are not applied
 _SURER = 0.5  # sigma of fine over that of coarse pairs of neighbours, above which the fine ones show noise
 
 
@@ -87,78 +87,78 @@ def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Ali
     Joint alignment: Saalfeld et al. 2012, Nature Methods 9, 717. A sheet that rises along the cut has a true offset
     from section to section; it belongs to the slow part, and the band follows it before anything is compared.
     """
-    away, n = series.away_um, series.away_um.size
-    cutoff = 50.0 * series.pitch_um  # corrections with longer wavelengths are not applied
-    first, second = neighbours(away, series.pitch_um, _REACH)
+    away_um, n = series.away_um, series.away_um.size
+    cutoff_um = _CUTOFF_PITCHES * series.pitch_um
+    first, second = neighbours(away_um, series.pitch_um, _REACH)
     # Course of the sheet itself as a pose: mean height and slope of the smooth surface, which the pairs do not see.
-    course = _sheet_course(series)
+    sheet_course = _sheet_course(series)
     pose = np.zeros((n, 3))
     pose[:, 0] = series.band.jump * series.pixel_um[0]
     # The first rounds only bring the sections near, with few pairs; the offsets that count are those of the last.
-    near = second - first <= _REACH_FIRST
-    for chosen in (near, near, np.ones_like(near)):
-        coarse = compare(series, pose, first[chosen], second[chosen])
-        places, is_used = _join_pairs(coarse, n)
-        groups = parts(coarse.first[is_used], coarse.second[is_used], n)
-        pose = quick_places(places + course, away, groups, cutoff_um=cutoff)
+    is_near = second - first <= _REACH_FIRST
+    for is_compared in (is_near, is_near, np.ones_like(is_near)):
+        coarse_pairs = compare(series, pose, first[is_compared], second[is_compared])
+        places, is_used = _join_pairs(coarse_pairs, n)
+        components = section_components(coarse_pairs.first[is_used], coarse_pairs.second[is_used], n)
+        pose = quick_places(places + sheet_course, away_um, components, cutoff_um=cutoff_um)
     # Coarse texture wanders along the columns with the fibres that come and go; fine texture less. The place along the
     # columns is measured once more in it, now that the sections lie near enough.
-    close = (second - first == 1) & is_used
-    fine: SectionPairs | None = None
+    is_close = (second - first == 1) & is_used
+    fine_pairs: SectionPairs | None = None
     coarse_pose = pose
-    for _ in range(2 if max(series.pixel_um) <= FINEST_UM and close.any() else 0):
-        finer = compare(series, pose, first[close], second[close], fine=True)
-        if not np.median(finer.sigma[:, 1]) < _SURER * np.median(coarse.sigma[close, 1]):
-            fine, pose = None, coarse_pose
+    for _ in range(2 if max(series.pixel_um) <= FINEST_UM and is_close.any() else 0):
+        finer_pairs = compare(series, pose, first[is_close], second[is_close], is_fine=True)
+        if not np.median(finer_pairs.sigma[:, 1]) < _SURER * np.median(coarse_pairs.sigma[is_close, 1]):
+            fine_pairs, pose = None, coarse_pose
             break
-        fine = finer
-        places[:, 1] = _join_columns(coarse, fine, n)
-        pose = quick_places(places + course, away, groups, cutoff_um=cutoff)
+        fine_pairs = finer_pairs
+        places[:, 1] = _join_columns(coarse_pairs, fine_pairs, n)
+        pose = quick_places(places + sheet_course, away_um, components, cutoff_um=cutoff_um)
     # Sections that hang together with others, by two pairs or more.
     pair_counts = np.bincount(np.concatenate([first[is_used], second[is_used]]), minlength=n)
-    aligned = np.isin(np.arange(n), [i for group in groups for i in group]) & (pair_counts >= min(2, n - 1))
+    aligned = np.isin(np.arange(n), np.concatenate([*components, []])) & (pair_counts >= min(2, n - 1))
     pose[~aligned] = 0.0
-    variance = np.full(3, np.nan)
-    if aligned.any():
-        variance = _variance_without_groups(series, coarse, fine, groups, cutoff)[aligned].mean(axis=0) * (GROUPS - 1)
+    pose_variance = _jackknife_variance(series, coarse_pairs, fine_pairs, components, aligned)
     # A narrow image determines rotations badly: they are shortened to what is more than their own error (Wiener).
-    mean_square_turn = float(np.mean(pose[aligned, 2] ** 2)) if aligned.any() else 0.0
-    pose[:, 2] *= max(0.0, 1.0 - variance[2] / mean_square_turn) if mean_square_turn > 0 else 0.0
-    is_fixed = _add_fixed_drift(pose, fixed, away, cutoff, aligned) if fixed is not None else [False] * 3
+    mean_square_rotation = float(np.mean(pose[aligned, 2] ** 2)) if aligned.any() else 0.0
+    pose[:, 2] *= max(0.0, 1.0 - pose_variance[2] / mean_square_rotation) if mean_square_rotation > 0 else 0.0
+    is_fixed = _add_fixed_drift(pose, fixed, away_um, cutoff_um, aligned) if fixed is not None else [False] * 3
     return Alignment(
         shift_um=pose[:, :2].copy(),
         rotation_rad=pose[:, 2].copy(),
         aligned=aligned,
-        jitter_left_um=np.sqrt(variance[:2]),
+        jitter_left_um=np.sqrt(pose_variance[:2]),
         pairs_used=int(is_used.sum()),
         pairs_refused=int((~is_used).sum()),
-        cutoff_um=cutoff,
+        cutoff_um=cutoff_um,
         fixed=tuple(is_fixed),
     )
 
 
-def _variance_without_groups(
-    series: SectionSeries, coarse: SectionPairs, fine: SectionPairs | None, groups: list[Index], cutoff: float
+def _jackknife_variance(
+    series: SectionSeries, coarse: SectionPairs, fine: SectionPairs | None, components: list[Index], aligned: Bools
 ) -> Floats:
-    """Variance of the poses (sections, 3) where one run of columns after the other is left out, of the surface too."""
+    """Variance of the poses (3,) from solutions that each leave out a run of columns, of the surface too; or NaN."""
+    if not aligned.any():
+        return np.full(3, np.nan)
     poses: list[Floats] = []
     for k in range(GROUPS):
-        fewer = coarse.without(k)
-        places = _join_pairs(fewer, len(series.away_um))[0]
+        fewer_pairs = coarse.without(k)
+        places = _join_pairs(fewer_pairs, len(series.away_um))[0]
         if fine is not None:
-            places[:, 1] = _join_columns(fewer, fine.without(k), len(series.away_um))
-        places += _sheet_course(series, without=k)
-        poses.append(quick_places(places, series.away_um, groups, cutoff_um=cutoff))
-    return np.var(poses, axis=0)
+            places[:, 1] = _join_columns(fewer_pairs, fine.without(k), len(series.away_um))
+        places += _sheet_course(series, left_out_group=k)
+        poses.append(quick_places(places, series.away_um, components, cutoff_um=_CUTOFF_PITCHES * series.pitch_um))
+    return np.var(poses, axis=0)[aligned].mean(axis=0) * (GROUPS - 1)
 
 
-def _add_fixed_drift(pose: Floats, fixed: Floats, away: Floats, cutoff: float, aligned: Bools) -> list[bool]:
+def _add_fixed_drift(pose: Floats, fixed: Floats, away_um: Floats, cutoff_um: float, aligned: Bools) -> list[bool]:
     """Add the slow part of what something fixed shows; True for each axis that it shows."""
-    is_fixed = [bool(np.isfinite(course).mean() >= 0.5) for course in fixed.T]
+    is_fixed = [bool(share >= 0.5) for share in np.isfinite(fixed).mean(axis=0)]
     for axis in np.flatnonzero(is_fixed):
         weights = np.isfinite(fixed[:, axis]).astype(np.float64)
-        slow = slow_part(away, np.nan_to_num(fixed[:, axis]), cutoff_um=cutoff, weights=weights)
-        pose[aligned, axis] += slow[aligned]
+        drift = slow_part(away_um, np.nan_to_num(fixed[:, axis]), cutoff_um=cutoff_um, weights=weights)
+        pose[aligned, axis] += drift[aligned]
     return is_fixed
 
 
@@ -166,43 +166,43 @@ def neighbours(away_um: Floats, pitch_um: float, reach: int) -> tuple[Index, Ind
     """Give the pairs of sections at most ``reach`` apart with no wide gap between them, ordered by the first."""
     n = away_um.size
     # Neighbours farther apart show other fibres: three missing sections are bridged, no more.
-    wide = np.cumsum(np.concatenate([[0], np.diff(away_um) > 4.5 * pitch_um]))
-    ties = [(i, j) for i in range(n) for j in range(i + 1, min(i + reach + 1, n)) if wide[i] == wide[j]]
-    first, second = np.array(ties, np.intp).reshape(-1, 2).T
+    n_gaps = np.cumsum(np.concatenate([[0], np.diff(away_um) > 4.5 * pitch_um]))
+    pairs = [(i, j) for i in range(n) for j in range(i + 1, min(i + reach + 1, n)) if n_gaps[i] == n_gaps[j]]
+    first, second = np.array(pairs, np.intp).reshape(-1, 2).T
     return first, second
 
 
-def _sheet_course(series: SectionSeries, without: int = -1) -> Floats:
-    """Mean height in um, 0, and slope of the smooth surface in each section, (sections, 3), ``without`` one group."""
+def _sheet_course(series: SectionSeries, left_out_group: int = -1) -> Floats:
+    """Mean height in um, 0, and slope of the smooth surface in each section, (sections, 3); one group left out."""
     band, (_, rows, cols) = series.band, series.stack.shape
-    blocks = band.at_col * GROUPS // cols != without
-    x = (band.at_col[blocks] - 0.5 * (cols - 1)) * series.pixel_um[1]
-    y = (band.row[:, blocks] - 0.5 * (rows - 1)) * series.pixel_um[0]
-    mean, slope = np.polynomial.polynomial.polyfit(x, y.T, 1)
-    return np.stack([mean, np.zeros_like(mean), slope], axis=1)
+    is_included = band.at_col * GROUPS // cols != left_out_group
+    x = (band.at_col[is_included] - 0.5 * (cols - 1)) * series.pixel_um[1]
+    y = (band.row[:, is_included] - 0.5 * (rows - 1)) * series.pixel_um[0]
+    mean_height_um, slope = np.polynomial.polynomial.polyfit(x, y.T, 1)
+    return np.stack([mean_height_um, np.zeros_like(mean_height_um), slope], axis=1)
 
 
 def _join_pairs(pairs: SectionPairs, n: int) -> tuple[Floats, Bools]:
     """Places of all sections (sections, 3), and which pairs were used."""
     places = np.zeros((n, 3))
-    shares = np.zeros((pairs.first.size, 3))
-    sound = pairs.sound
+    weight_shares = np.zeros((pairs.first.size, 3))
+    is_sound = pairs.is_sound
     for axis in range(3):
-        places[:, axis], shares[sound, axis] = solve_places(
-            pairs.first[sound], pairs.second[sound], pairs.offset[sound, axis], pairs.sigma[sound, axis], n
+        places[:, axis], weight_shares[is_sound, axis] = solve_places(
+            pairs.first[is_sound], pairs.second[is_sound], pairs.offset[is_sound, axis], pairs.sigma[is_sound, axis], n
         )
-    return places, sound & (np.min(shares, axis=1) > LEAST_SHARE)
+    return places, is_sound & (np.min(weight_shares, axis=1) > LEAST_SHARE)
 
 
-def _join_columns(coarse: SectionPairs, fine: SectionPairs, n: int) -> Floats:
+def _join_columns(coarse_pairs: SectionPairs, fine_pairs: SectionPairs, n: int) -> Floats:
     """Places along the columns from the coarse and the fine texture together; (sections,)."""
     # The coarse ones bridge what the fine ones do not hold together, and take over where noise hides fine texture.
     # Coarse pairs over the same sections, and the next ones, share their errors: hence the factor on their sigma.
-    columns = [
-        (p.first[p.sound], p.second[p.sound], p.offset[p.sound, 1], factor * p.sigma[p.sound, 1])
-        for p, factor in ((coarse, 4.0), (fine, 1.0))
+    column_offsets = [
+        (p.first[p.is_sound], p.second[p.is_sound], p.offset[p.is_sound, 1], sigma_factor * p.sigma[p.is_sound, 1])
+        for p, sigma_factor in ((coarse_pairs, 4.0), (fine_pairs, 1.0))
     ]
-    first, second, offset, sigma = map(np.concatenate, zip(*columns, strict=True))
+    first, second, offset, sigma = map(np.concatenate, zip(*column_offsets, strict=True))
     return solve_places(first, second, offset, sigma, n)[0]
 
 
@@ -255,66 +255,66 @@ def fixed_places(stack: Stack, pixel_um: Pair, *, rows: Strip | None = None, col
 
 def _line_places(stack: Stack, axis: int, strip: Strip, pixel_um: Pair) -> tuple[Floats, Floats]:
     """Place in um and slope of the line of each section, against their mean."""
-    pixel, length, rows = pixel_um[axis], stack.shape[2 - axis], slice(strip[0], strip[1] + 1)
-    edges = np.linspace(0, length, _PARTS + 1).astype(int)
+    across_um, length_px, strip_slice = pixel_um[axis], stack.shape[2 - axis], slice(strip[0], strip[1] + 1)
+    piece_edges = np.linspace(0, length_px, _PARTS + 1).astype(int)
 
     def cut(i: int) -> Floats:
-        grey = np.asarray(stack[i], dtype=np.float64)
-        grey = grey[rows] if axis == 0 else grey[:, rows].T
-        return np.add.reduceat(grey, edges[:-1], axis=1).T / np.diff(edges)[:, None]
+        greys = np.asarray(stack[i], dtype=np.float64)
+        greys = greys[strip_slice] if axis == 0 else greys[:, strip_slice].T
+        return np.add.reduceat(greys, piece_edges[:-1], axis=1).T / np.diff(piece_edges)[:, None]
 
     profiles = np.stack(map_threads(cut, range(stack.shape[0])))  # (sections, pieces, across)
-    off = np.zeros(profiles.shape[:2])
-    alike = np.zeros(profiles.shape[:2])
-    for blur in (12.0, 4.0, 2.0):  # Gaussian sigma, from coarse to fine: the first reaches as far as sections are off
-        smooth = gaussian_filter1d(profiles, max(blur / pixel, 0.5), axis=2, mode="nearest")
+    shift = np.zeros(profiles.shape[:2])
+    correlation = np.zeros(profiles.shape[:2])
+    for sigma_um in (12.0, 4.0, 2.0):  # from coarse to fine: the first reaches as far as sections are off
+        smoothed = gaussian_filter1d(profiles, max(sigma_um / across_um, 0.5), axis=2, mode="nearest")
         for _ in range(4):
-            moved = _shifted(smooth, off)
-            step, alike = _match_template(moved, np.median(moved, axis=0))
-            off += np.clip(step, -2 * blur / pixel, 2 * blur / pixel)
-            off -= np.median(off)
-    shows_line = alike > 0.7  # correlation with the mean profile below which a piece does not show the line
+            shifted = _shifted(smoothed, shift)
+            shift_step, correlation = _match_template(shifted, np.median(shifted, axis=0))
+            shift += np.clip(shift_step, -2 * sigma_um / across_um, 2 * sigma_um / across_um)
+            shift -= np.median(shift)
+    shows_line = correlation > 0.7  # correlation with the mean profile below which a piece does not show the line
     is_clear = shows_line.sum(axis=1) >= _PARTS // 2
     if np.count_nonzero(is_clear) < 0.5 * is_clear.size:
         raise VolumeError(
             f"The {'columns' if axis else 'rows'} {strip[0]} to {strip[1]} show no line or edge that lies still in "
             "most sections. Look at a few photographs and give a strip that shows the same straight line throughout."
         )
-    along = (0.5 * (edges[1:] + edges[:-1] - 1) - 0.5 * (length - 1)) * pixel_um[1 - axis]
+    along_um = (0.5 * (piece_edges[1:] + piece_edges[:-1] - 1) - 0.5 * (length_px - 1)) * pixel_um[1 - axis]
     # The mean course of all sections is the line's own and is taken off.
-    off *= pixel
-    line_course, counted = np.zeros(_PARTS), shows_line.any(axis=0)
-    line_course[counted] = np.nanmedian(np.where(shows_line, off, np.nan)[:, counted], axis=0)
-    lines = np.full((is_clear.size, 2), np.nan)
+    shift *= across_um
+    line_course, has_line = np.zeros(_PARTS), shows_line.any(axis=0)
+    line_course[has_line] = np.nanmedian(np.where(shows_line, shift, np.nan)[:, has_line], axis=0)
+    line_fits = np.full((is_clear.size, 2), np.nan)
     for i in np.flatnonzero(is_clear):
-        pieces = shows_line[i]
-        lines[i] = np.polyfit(along[pieces], (off[i] - line_course)[pieces], 1)
-    return lines[:, 1], lines[:, 0]
+        is_visible = shows_line[i]
+        line_fits[i] = np.polyfit(along_um[is_visible], (shift[i] - line_course)[is_visible], 1)
+    return line_fits[:, 1], line_fits[:, 0]
 
 
-def _shifted(profiles: Floats, off: Floats) -> Floats:
-    """Profiles read at their places plus ``off``, linearly between pixels."""
-    across = profiles.shape[2]
-    position = np.clip(np.arange(across) + off[..., None], 0, across - 1)
-    low = np.minimum(position.astype(int), across - 2)
-    share = position - low
-    a, b = (np.take_along_axis(profiles, k, axis=2) for k in (low, low + 1))
-    return a * (1 - share) + b * share
+def _shifted(profiles: Floats, shift: Floats) -> Floats:
+    """Profiles read at their places plus ``shift``, linearly between pixels."""
+    width = profiles.shape[2]
+    position = np.clip(np.arange(width) + shift[..., None], 0, width - 1)
+    index = np.minimum(position.astype(int), width - 2)
+    weight = position - index
+    a, b = (np.take_along_axis(profiles, k, axis=2) for k in (index, index + 1))
+    return a * (1 - weight) + b * weight
 
 
-def _match_template(moved: Floats, template: Floats) -> tuple[Floats, Floats]:
+def _match_template(profiles: Floats, template: Floats) -> tuple[Floats, Floats]:
     """Match profiles with a template: how much further each lies, in pixels, and its correlation with it.
 
     A profile is gain x template + offset, moved a little: least squares for the three.
     """
-    slope = np.gradient(template, axis=1)
-    inner = slice(2, -2)
-    t, g, f = template[:, inner], slope[:, inner], moved[..., inner]
+    gradient = np.gradient(template, axis=1)
+    interior = slice(2, -2)
+    t, g, f = template[:, interior], gradient[:, interior], profiles[..., interior]
     t, g, f = (v - v.mean(axis=-1, keepdims=True) for v in (t, g, f))
     tt, tg, gg = (t * t).sum(axis=-1), (t * g).sum(axis=-1), (g * g).sum(axis=-1)
     ft, fg, ff = (f * t).sum(axis=-1), (f * g).sum(axis=-1), (f * f).sum(axis=-1)
     det = np.maximum(tt * gg - tg * tg, 1e-12)
-    gain, move = (ft * gg - fg * tg) / det, (fg * tt - ft * tg) / det
-    alike = ft / np.sqrt(np.maximum(ff * tt, 1e-12))
-    good = gain > 0.2
-    return np.where(good, -move / np.where(good, gain, 1.0), 0.0), alike
+    gain, shift = (ft * gg - fg * tg) / det, (fg * tt - ft * tg) / det
+    correlation = ft / np.sqrt(np.maximum(ff * tt, 1e-12))
+    has_gain = gain > 0.2
+    return np.where(has_gain, -shift / np.where(has_gain, gain, 1.0), 0.0), correlation

@@ -114,41 +114,41 @@ class SectionSeries:
         # Block means of 5 x 80 um are separated by Otsu's threshold (1979, IEEE Trans. SMC 9, 62) on the difference to
         # the section's background; the largest connected part is the sheet.
         n, rows, cols = self.stack.shape
-        tall = max(1, min(round(5.0 / self.pixel_um[0]), rows // 16))
-        wide = max(1, min(round(80.0 / self.pixel_um[1]), cols // 8))
+        block_rows = max(1, min(round(5.0 / self.pixel_um[0]), rows // 16))
+        block_cols = max(1, min(round(80.0 / self.pixel_um[1]), cols // 8))
 
         def means(i: int) -> NDArray[np.float32]:
-            return block_means(self.stack[i], tall, wide)
+            return block_means(self.stack[i], block_rows, block_cols)
 
         blocks = np.stack(map_threads(means, range(n)))
-        border = max(1, int(0.15 * blocks.shape[1]))  # share of the rows at each end that is taken to be background
-        background = _row_medians(np.concatenate([blocks[:, :border], blocks[:, -border:]], axis=1).reshape(n, -1))
-        sheet, weight = _find_sheet(blocks, background)
-        count = sheet.sum(axis=1)
-        usual = float(np.median(count[count > 0]))
-        total = weight.sum(axis=1)
-        sound = (count >= 0.5 * usual) & (count <= 2.0 * usual) & (total > 0)
-        if not sound.any():
+        margin = max(1, int(0.15 * blocks.shape[1]))  # rows at each end that are taken to be background
+        background = _row_medians(np.concatenate([blocks[:, :margin], blocks[:, -margin:]], axis=1).reshape(n, -1))
+        is_sheet, weight = _find_sheet(blocks, background)
+        thickness = is_sheet.sum(axis=1)
+        typical = float(np.median(thickness[thickness > 0]))
+        weight_sum = weight.sum(axis=1)
+        is_sound = (thickness >= 0.5 * typical) & (thickness <= 2.0 * typical) & (weight_sum > 0)
+        if not is_sound.any():
             raise VolumeError(
                 "No sheet of an even thickness found in the sections. Check the files and the pixel size."
             )
-        at_row = np.arange(blocks.shape[1])[:, None]
-        middle = np.where(sound, (weight * at_row).sum(axis=1) / np.where(total > 0, total, 1.0), np.nan)
-        middle = (middle + 0.5) * tall - 0.5
-        smooth = _smooth_surface(middle, self.away_um)
-        off = np.where(sound, middle - smooth, np.nan)
-        jump = np.array([np.nanmedian(row) if np.isfinite(row).any() else 0.0 for row in off])
-        contrast = _row_medians(np.where(sheet, blocks, np.nan).reshape(n, -1)) - background
-        typical = float(np.nanmedian(contrast))
+        moment = (weight * np.arange(blocks.shape[1])[:, None]).sum(axis=1)
+        middle = np.where(is_sound, moment / np.where(weight_sum > 0, weight_sum, 1.0), np.nan)
+        middle_row = (middle + 0.5) * block_rows - 0.5
+        smooth_row = _smooth_surface(middle_row, self.away_um)
+        deviation = np.where(is_sound, middle_row - smooth_row, np.nan)
+        jump = np.nan_to_num(_row_medians(deviation))
+        contrast = _row_medians(np.where(is_sheet, blocks, np.nan).reshape(n, -1)) - background
+        median_contrast = float(np.nanmedian(contrast))
         # A section without a sheet has no contrast of its own; a drift of colour is far less than a factor of two.
-        is_fair = np.isfinite(contrast) & (np.abs(contrast - typical) < 0.5 * abs(typical))
+        is_plausible = np.isfinite(contrast) & (np.abs(contrast - median_contrast) < 0.5 * abs(median_contrast))
         return SheetBand(
-            row=smooth,
-            at_col=np.arange(blocks.shape[2], dtype=np.float64) * wide + 0.5 * (wide - 1),
+            row=smooth_row,
+            at_col=np.arange(blocks.shape[2], dtype=np.float64) * block_cols + 0.5 * (block_cols - 1),
             jump=jump,
-            half_um=0.5 * usual * tall * self.pixel_um[0],
+            half_um=0.5 * typical * block_rows * self.pixel_um[0],
             background=np.where(np.isfinite(background), background, np.nanmedian(background)),
-            contrast=np.where(is_fair, contrast, typical),
+            contrast=np.where(is_plausible, contrast, median_contrast),
         )
 
 
@@ -156,45 +156,47 @@ def _find_sheet(blocks: NDArray[np.float32], background: Floats) -> tuple[Bools,
     """Give the blocks of the sheet as a mask, and their difference to the background, 0 off the sheet."""
     difference = np.abs(blocks - background[:, None, None])
     difference[~np.isfinite(difference)] = 0.0
-    smoothed: Floats = gaussian_filter(difference, 1.0)
-    greys = smoothed[:: max(1, len(blocks) // 200)].ravel()
-    counts, edges = np.histogram(greys, 512)
+    smoothed_difference: Floats = gaussian_filter(difference, 1.0)
+    sample = smoothed_difference[:: max(1, len(blocks) // 200)].ravel()
+    bin_counts, bin_edges = np.histogram(sample, 512)
     # Otsu's threshold separates two groups best: the variance between them is largest.
-    below = np.cumsum(counts)[:-1]
-    above, mass = greys.size - below, np.cumsum(counts * (0.5 * (edges[1:] + edges[:-1])))
-    low, high = mass[:-1] / np.maximum(below, 1), (mass[-1] - mass[:-1]) / np.maximum(above, 1)
-    threshold = edges[1 + int(np.argmax(below.astype(np.float64) * above * (high - low) ** 2))]
-    names, count = label(smoothed > float(threshold))
-    if count == 0:
+    n_below = np.cumsum(bin_counts)[:-1]
+    n_above, running_sum = sample.size - n_below, np.cumsum(bin_counts * (0.5 * (bin_edges[1:] + bin_edges[:-1])))
+    mean_below = running_sum[:-1] / np.maximum(n_below, 1)
+    mean_above = (running_sum[-1] - running_sum[:-1]) / np.maximum(n_above, 1)
+    threshold = bin_edges[1 + int(np.argmax(n_below.astype(np.float64) * n_above * (mean_above - mean_below) ** 2))]
+    labels, n_labels = label(smoothed_difference > float(threshold))
+    if n_labels == 0:
         raise VolumeError("No sheet found in the sections: all grey levels are alike. Check the files.")
-    largest = 1 + int(np.argmax(np.bincount(names.ravel())[1:]))
-    sheet = names == largest
-    return sheet, np.where(sheet, difference, 0.0)
+    largest_label = 1 + int(np.argmax(np.bincount(labels.ravel())[1:]))
+    is_sheet = labels == largest_label
+    return is_sheet, np.where(is_sheet, difference, 0.0)
 
 
 def block_means(section: NDArray[Any], rows: int, cols: int) -> NDArray[np.float32]:
     """Means of blocks of rows x cols pixels; NaN where a block holds a NaN, and what is left over is left out."""
-    down, across = section.shape[0] // rows, section.shape[1] // cols
-    inner = section[: down * rows, : across * cols].reshape(down, rows, across * cols)
-    total = inner.sum(axis=1, dtype=np.float32).reshape(down, across, cols).sum(axis=2, dtype=np.float64)
+    n_down, n_across = section.shape[0] // rows, section.shape[1] // cols
+    interior = section[: n_down * rows, : n_across * cols].reshape(n_down, rows, n_across * cols)
+    total = interior.sum(axis=1, dtype=np.float32).reshape(n_down, n_across, cols).sum(axis=2, dtype=np.float64)
     return (total / (rows * cols)).astype(np.float32)
 
 
-def _row_medians(rows: NDArray[np.float32]) -> Floats:
-    """Median of the numbers in each row; NaN where there is none."""
-    is_valid = np.isfinite(rows)
-    return np.array([np.median(v[h]) if h.any() else np.nan for v, h in zip(rows, is_valid, strict=True)], np.float64)
+def _row_medians(values: NDArray[Any]) -> Floats:
+    """Median of the finite values in each row; NaN where there is none."""
+    is_valid = np.isfinite(values)
+    return np.array([np.median(v[h]) if h.any() else np.nan for v, h in zip(values, is_valid, strict=True)], np.float64)
 
 
-def _smooth_surface(middle: Floats, away_um: Floats) -> Floats:
+def _smooth_surface(middle_row: Floats, away_um: Floats) -> Floats:
     """Smooth the middle of the sheet (sections, blocks) along both axes and fill it where it is NaN."""
-    is_valid = np.isfinite(middle)
-    nearest: NDArray[Any] = distance_transform_edt(~is_valid, return_distances=False, return_indices=True)
-    filled = median_filter(middle[tuple(nearest)], size=(1, 3), mode="nearest")
+    is_valid = np.isfinite(middle_row)
+    nearest_indices: NDArray[Any] = distance_transform_edt(~is_valid, return_distances=False, return_indices=True)
+    filled_row = median_filter(middle_row[tuple(nearest_indices)], size=(1, 3), mode="nearest")
     weights = np.where(is_valid, 1.0, 1e-3)  # weight of a place where the sheet was not found, against 1
-    cutoff = 30.0 * float(np.median(np.diff(away_um)))  # shortest wave of the surface
-    lines = [slow_part(away_um, filled[:, k], cutoff_um=cutoff, weights=weights[:, k]) for k in range(middle.shape[1])]
-    return gaussian_filter1d(np.stack(lines, axis=1), 1.0, axis=1, mode="nearest")
+    cutoff_um = 30.0 * float(np.median(np.diff(away_um)))  # shortest wave of the surface
+    rows = zip(filled_row.T, weights.T, strict=True)
+    courses = [slow_part(away_um, y, cutoff_um=cutoff_um, weights=w) for y, w in rows]
+    return gaussian_filter1d(np.stack(courses, axis=1), 1.0, axis=1, mode="nearest")
 
 
 _MOST = 50_000  # pixels for a level: the noise of a pixel is divided by 200
@@ -260,25 +262,27 @@ def normalise_sections(series: SectionSeries) -> Gains:
 
 
 def core_and_background(
-    section: NDArray[Any], height: NDArray[np.float32], near: float, far: float, step: tuple[int, int]
+    section: NDArray[Any], height: NDArray[np.float32], near_px: float, far_px: float, strides: tuple[int, int]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Grey levels of the sheet's core and of the background.
 
-    height[c] is the row of the sheet: pixels within ``near`` of it are the core, of which every step[0]-th is taken;
-    those beyond ``far`` are the background, of which every step[1]-th is.
+    height[c] is the row of the sheet: pixels within ``near_px`` of it are the core, of which every strides[0]-th is
+    taken; those beyond ``far_px`` are the background, of which every strides[1]-th is.
     """
-    row, middle = np.arange(section.shape[0])[:, None], height.astype(np.float64)
-    core = section[(row >= middle - near) & (row <= middle + near)][:: step[0]].astype(np.float32)
-    off = section[(row <= middle - far) | (row >= middle + far)][:: step[1]].astype(np.float32)
-    return core[~np.isnan(core)][: 2 * _MOST], off[~np.isnan(off)][: 2 * _MOST]
+    row, sheet_row = np.arange(section.shape[0])[:, None], height.astype(np.float64)
+    is_core = (row >= sheet_row - near_px) & (row <= sheet_row + near_px)
+    is_background = (row <= sheet_row - far_px) | (row >= sheet_row + far_px)
+    samples = (section[m][::k].astype(np.float32) for m, k in zip((is_core, is_background), strides, strict=True))
+    core, background = (greys[~np.isnan(greys)][: 2 * _MOST] for greys in samples)
+    return core, background
 
 
 def _crowd_mean(greys: NDArray[np.float32]) -> float:
     """Value around which most of the data lie, by iteration from the median; NaN for a few pixels."""
     if greys.size < 50:
         return np.nan
-    precise = greys.astype(np.float64)
-    level, spread = float(np.median(precise)), mad_sd(precise)
-    for _ in range(6 if spread > 0 else 0):
-        level = float(precise[np.abs(precise - level) <= 2.0 * spread].mean())
-    return level
+    values = greys.astype(np.float64)
+    crowd_mean, sd = float(np.median(values)), mad_sd(values)
+    for _ in range(6 if sd > 0 else 0):
+        crowd_mean = float(values[np.abs(values - crowd_mean) <= 2.0 * sd].mean())
+    return crowd_mean

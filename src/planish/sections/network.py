@@ -35,13 +35,13 @@ def solve_places(first: Index, second: Index, offset: Floats, sigma: Floats, n: 
     outlier. Least squares with Cauchy's weights, iterated; the scale is the median of the residuals over their sigma.
     """
     trust = 1.0 / sigma**2
-    shares = np.ones(first.size)
+    weight_shares = np.ones(first.size)
     place = np.zeros(n)
     if first.size == 0:
-        return place, shares
+        return place, weight_shares
     reach = int(np.max(second - first))
     for _ in range(25):
-        w = trust * shares
+        w = trust * weight_shares
         band = np.zeros((reach + 1, n))
         np.add.at(band[reach], first, w)
         np.add.at(band[reach], second, w)
@@ -55,25 +55,25 @@ def solve_places(first: Index, second: Index, offset: Floats, sigma: Floats, n: 
         residual = np.abs(offset - (place[second] - place[first])) / sigma
         scale = max(mad_sd(residual, 0.0), 1.0)
         # 95 % as good as least squares where nothing is wrong (Holland and Welsch 1977).
-        shares = 1.0 / (1.0 + (residual / (2.385 * scale)) ** 2)
-    return place, shares
+        weight_shares = 1.0 / (1.0 + (residual / (2.385 * scale)) ** 2)
+    return place, weight_shares
 
 
-def parts(first: Index, second: Index, n: int) -> list[Index]:
+def section_components(first: Index, second: Index, n: int) -> list[Index]:
     """Sections that pairs tie to each other, each part in order; those too small are left out."""
-    ties = coo_array((np.ones(first.size), (first, second)), shape=(n, n))
-    names: NDArray[np.int32] = connected_components(ties, directed=False)[1]
-    sizes = np.bincount(names, minlength=1)
+    adjacency = coo_array((np.ones(first.size), (first, second)), shape=(n, n))
+    labels: NDArray[np.int32] = connected_components(adjacency, directed=False)[1]
+    sizes = np.bincount(labels, minlength=1)
     # With fewer sections, slow and quick parts cannot be separated.
-    return [np.flatnonzero(names == k) for k in np.flatnonzero(sizes >= min(6, n))]
+    return [np.flatnonzero(labels == k) for k in np.flatnonzero(sizes >= min(6, n))]
 
 
-def quick_places(places: Floats, away_um: Floats, groups: list[Index], *, cutoff_um: float) -> Floats:
+def quick_places(places: Floats, away_um: Floats, components: list[Index], *, cutoff_um: float) -> Floats:
     """Take the slow part off places (sections, axes), in each part by itself; 0 for sections in none."""
     quick = np.zeros_like(places)
-    for group in groups:
+    for component in components:
         for axis in range(places.shape[1]):
-            quick[group, axis] = quick_part(away_um[group], places[group, axis], cutoff_um=cutoff_um)
+            quick[component, axis] = quick_part(away_um[component], places[component, axis], cutoff_um=cutoff_um)
     return quick
 
 
@@ -110,8 +110,8 @@ def slow_part(at_um: Floats, values: Floats, *, cutoff_um: float, weights: Float
     band[_ORDER] += positive_weights
     clean = np.where(weights > 0, values, 0.0)
     first: Floats = solveh_banded(band, positive_weights * clean)
-    remainder = np.where(weights > 0, clean - first, 0.0)
-    second: Floats = solveh_banded(band, positive_weights * remainder)
+    residual = np.where(weights > 0, clean - first, 0.0)
+    second: Floats = solveh_banded(band, positive_weights * residual)
     return first + second
 
 

@@ -33,26 +33,26 @@ _BLOCK = 32  # sections that a thread takes at a time
 class SectionPairs(NamedTuple):
     """Offsets between pairs of sections: pose of the second less that of the first, along row and col in um, and rad.
 
-    ``alike`` pairs show the same sheet, and the offset of ``sound`` ones is also known well enough. The offsets follow
-    from ``sums`` (pairs, parts, 13) and ``base`` (pairs, 3), the difference of the poses with which the bands were
-    made; ``fine`` bands show no rotation.
+    Where ``is_sound``, the offset is also known well enough. The offsets follow from ``normal_sums`` (pairs, parts, 13)
+    and ``base_offset`` (pairs, 3), the difference of the poses with which the bands were made; fine bands show no
+    rotation.
     """
 
     first: Index
     second: Index
     offset: Floats
     sigma: Floats
-    alike: Bools
-    sound: Bools
-    sums: Floats
-    base: Floats
-    fine: bool
+    is_same_sheet: Bools
+    is_sound: Bools
+    normal_sums: Floats
+    base_offset: Floats
+    is_fine: bool
 
     def without(self, group: int) -> SectionPairs:
         """Return the same pairs without one group of the columns, of `GROUPS`."""
-        parts = self.sums.shape[1]
-        remaining = np.arange(parts) * GROUPS // parts != group
-        return _solve(self.sums[:, remaining], self.first, self.second, self.base, self.alike, self.fine)
+        n_parts = self.normal_sums.shape[1]
+        sums = self.normal_sums[:, np.arange(n_parts) * GROUPS // n_parts != group]
+        return _solve(sums, self.first, self.second, self.base_offset, self.is_same_sheet, self.is_fine)
 
 
 class Bands(NamedTuple):
@@ -65,14 +65,14 @@ class Bands(NamedTuple):
     stack: Stack
     band: SheetBand
     pixel_um: tuple[float, float]
-    fine: bool = False
+    is_fine: bool = False
 
     @property
     def step(self) -> tuple[int, int]:
         """Pixels per sample along rows and cols: about so many um."""
-        rows_um, cols_um = (1.6, 0.8) if self.fine else (2.5, 5.0)
-        across = min(round(cols_um / self.pixel_um[1]), self.stack.shape[2] // 64)
-        return max(1, round(rows_um / self.pixel_um[0])), max(1, across)
+        row_step_um, col_step_um = (1.6, 0.8) if self.is_fine else (2.5, 5.0)
+        col_step = min(round(col_step_um / self.pixel_um[1]), self.stack.shape[2] // 64)
+        return max(1, round(row_step_um / self.pixel_um[0])), max(1, col_step)
 
     @property
     def pitch_um(self) -> tuple[float, float]:
@@ -87,19 +87,19 @@ class Bands(NamedTuple):
         _, rows, cols = self.stack.shape
         (down, across), (pitch_r, pitch_c), (pixel_r, pixel_c) = self.step, self.pitch_um, self.pixel_um
         height = self.band.heights(section, cols)
-        count = max(5, round(2 * (self.band.half_um + _MARGIN_UM) / pitch_r))
-        samples = np.zeros((count, cols // across), np.float32)
+        n_rows = max(5, round(2 * (self.band.half_um + _MARGIN_UM) / pitch_r))
+        samples = np.zeros((n_rows, cols // across), np.float32)
         in_pixels = np.array(
             [pose[0] / pixel_r, pose[1] / pixel_c, pose[2] * pixel_c / pixel_r, pose[2] * pixel_r / pixel_c]
         )
-        straighten(self.stack[section], height, -0.5 * (count * down - 1), down, across, in_pixels, samples)
+        straighten(self.stack[section], height, -0.5 * (n_rows * down - 1), down, across, in_pixels, samples)
         samples -= np.float32(self.band.background[section])
         samples /= np.float32(self.band.contrast[section])
         self._replace_knife_marks(samples)
         # Wide against the shifts to be measured, narrow against the texture; or one pixel.
-        blur = max(1.0, pixel_c) if self.fine else 6.0
+        blur = max(1.0, pixel_c) if self.is_fine else 6.0
         smoothed = _smoothed(samples, _gaussian(blur / pitch_r), _gaussian(blur / pitch_c))
-        if self.fine:
+        if self.is_fine:
             # A Gaussian of four blurs, whose mean along the columns is taken off.
             smoothed -= _smoothed(smoothed, np.ones(1, np.float32), _gaussian(4.0 * blur / pitch_c))
         middle = (np.arange(samples.shape[1]) + 0.5) * across - 0.5
@@ -108,43 +108,42 @@ class Bands(NamedTuple):
 
     def _replace_knife_marks(self, samples: Samples) -> None:
         """Replace columns in which the resin shows a knife mark by those beside: a knife's nick stays where it is."""
-        rim = max(1, int(0.7 * _MARGIN_UM / self.pitch_um[0]))
-        profile = np.concatenate([samples[:rim], samples[-rim:]]).mean(axis=0)
+        rim_rows = max(1, int(0.7 * _MARGIN_UM / self.pitch_um[0]))
+        profile = np.concatenate([samples[:rim_rows], samples[-rim_rows:]]).mean(axis=0)
         if not np.isfinite(profile).all():
             return
         # Window of the median against which a mark stands out by five sigma, and the mark's surroundings.
-        window, margin = (max(1, round(length / self.pitch_um[1])) for length in (75.0, 5.0))
-        away = np.abs(profile - median_filter(profile, window, mode="nearest"))
-        marked = away > 5.0 * 1.4826 * float(np.median(away))
-        marked = np.convolve(marked, np.ones(2 * margin + 1), mode="same") > 0
-        good, bad = np.flatnonzero(~marked), np.flatnonzero(marked)
-        if bad.size == 0 or bad.size > 0.3 * marked.size:
+        window, margin = (max(1, round(length_um / self.pitch_um[1])) for length_um in (75.0, 5.0))
+        deviation = np.abs(profile - median_filter(profile, window, mode="nearest"))
+        is_marked = deviation > 5.0 * 1.4826 * float(np.median(deviation))
+        is_marked = np.convolve(is_marked, np.ones(2 * margin + 1), mode="same") > 0
+        clean_cols, marked_cols = np.flatnonzero(~is_marked), np.flatnonzero(is_marked)
+        if marked_cols.size == 0 or marked_cols.size > 0.3 * is_marked.size:
             return
-        right = np.clip(np.searchsorted(good, bad), 1, good.size - 1)
-        a, b = good[right - 1], good[right]
-        share = np.clip((bad - a) / (b - a), 0.0, 1.0).astype(np.float32)
-        samples[:, bad] = samples[:, a] * (1 - share) + samples[:, b] * share
+        right_index = np.clip(np.searchsorted(clean_cols, marked_cols), 1, clean_cols.size - 1)
+        a, b = clean_cols[right_index - 1], clean_cols[right_index]
+        weight = np.clip((marked_cols - a) / (b - a), 0.0, 1.0).astype(np.float32)
+        samples[:, marked_cols] = samples[:, a] * (1 - weight) + samples[:, b] * weight
 
-    def sums(self, pose: Floats, first: Index, second: Index) -> Floats:
+    def normal_sums(self, pose: Floats, first: Index, second: Index) -> Floats:
         """Sums of `pair_sums` for pairs that are ordered by the first section; (pairs, parts, 13)."""
         cols = self.stack.shape[2] // self.step[1]
         x = ((np.arange(cols) + 0.5) * self.step[1] - 0.5 - 0.5 * (self.stack.shape[2] - 1)) * self.pixel_um[1]
-        parts = int(np.clip(self.stack.shape[2] * self.pixel_um[1] / _PART_UM, *_PARTS))
+        n_parts = int(np.clip(self.stack.shape[2] * self.pixel_um[1] / _PART_UM, *_PARTS))
 
         # A block of sections at a time: each band is made once or twice, and few are held.
         def block(k: int) -> Floats:
-            in_block = slice(np.searchsorted(first, k * _BLOCK), np.searchsorted(first, (k + 1) * _BLOCK))
-            return self._block_sums(pose, first[in_block], second[in_block], x.astype(np.float32), parts)
+            block_pairs = slice(np.searchsorted(first, k * _BLOCK), np.searchsorted(first, (k + 1) * _BLOCK))
+            return self._block_sums(pose, first[block_pairs], second[block_pairs], x.astype(np.float32), n_parts)
 
         return np.concatenate(map_threads(block, range(-(-pose.shape[0] // _BLOCK))))
 
-    def _block_sums(self, pose: Floats, first: Index, second: Index, x32: Samples, parts: int) -> Floats:
-        sums = np.zeros((first.size, parts, 13))
-        shared = 1.0 if self.fine else 0.0
+    def _block_sums(self, pose: Floats, first: Index, second: Index, x_um: Samples, n_parts: int) -> Floats:
+        sums = np.zeros((first.size, n_parts, 13))
         bands: dict[int, tuple[Samples, Samples]] = {}
         for k, (i, j) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
-            for gone in [s for s in bands if s < i]:
-                del bands[gone]
+            for passed_section in [s for s in bands if s < i]:
+                del bands[passed_section]
             for s in (i, j):
                 if s not in bands:
                     bands[s] = self.samples(s, pose[s])
@@ -154,71 +153,74 @@ class Bands(NamedTuple):
             # row, or the empty resin would count.
             difference = np.abs(a[:, ::4] - b[:, ::4])
             is_valid = np.isfinite(difference)
-            mean = np.where(is_valid, difference, 0.0).sum(axis=1) / np.maximum(is_valid.sum(axis=1), 1)
-            mean = np.maximum(mean, max(float(np.median(mean)), 1e-6))
-            limit, trust = _OUTLIER_SIGMAS * 1.2533 * mean, (mean.min() / mean) ** 2
+            mean_difference = np.where(is_valid, difference, 0.0).sum(axis=1) / np.maximum(is_valid.sum(axis=1), 1)
+            mean_difference = np.maximum(mean_difference, max(float(np.median(mean_difference)), 1e-6))
+            limit, trust = _OUTLIER_SIGMAS * 1.2533 * mean_difference, (mean_difference.min() / mean_difference) ** 2
             # Columns move along the sheet here, not at a fixed row: where the sheet is tilted, its faces would else
             # tell the shift along the columns, and every unevenness of the smooth surface would count as one. What
             # this neglects vanishes with the shift itself, after two or three rounds.
-            pair_sums(a, b, x32, 0.5 * (y_a + y_b), self.pitch_um, parts, limit, trust, sums[k], shared)
+            pair_sums(a, b, x_um, 0.5 * (y_a + y_b), self.pitch_um, n_parts, limit, trust, sums[k], float(self.is_fine))
         return sums
 
 
-def _smoothed(samples: Samples, down: Samples, across: Samples) -> Samples:
+def _smoothed(samples: Samples, row_weights: Samples, col_weights: Samples) -> Samples:
     out = np.empty_like(samples)
-    smooth(samples, down, across, np.empty(samples.shape[1] + across.size, np.float32), out)
+    smooth(samples, row_weights, col_weights, np.empty(samples.shape[1] + col_weights.size, np.float32), out)
     return out
 
 
-def compare(series: SectionSeries, pose: Floats, first: Index, second: Index, *, fine: bool = False) -> SectionPairs:
+def compare(series: SectionSeries, pose: Floats, first: Index, second: Index, *, is_fine: bool = False) -> SectionPairs:
     """Offsets of pairs of sections, ordered by the first, in bands that are straightened by their poses.
 
-    ``fine`` bands show neither a rotation nor whether both are of one sheet.
+    Fine bands show neither a rotation nor whether both are of one sheet.
     """
-    sums = Bands(stack=series.stack, band=series.band, pixel_um=series.pixel_um, fine=fine).sums(pose, first, second)
+    bands = Bands(stack=series.stack, band=series.band, pixel_um=series.pixel_um, is_fine=is_fine)
+    normal_sums = bands.normal_sums(pose, first, second)
     # Enough of both is there, and they go up and down together.
-    total = sums.sum(axis=1)
+    total = normal_sums.sum(axis=1)
     likeness = 1.0 - total[:, 9] / np.maximum(total[:, 10], 1e-12)
-    alike = (likeness > _ALIKE) & (total[:, 11] > 0.5 * total[:, 12]) & (total[:, 12] > 0)
-    return _solve(sums, first, second, pose[second] - pose[first], alike | fine, fine)
+    is_same_sheet = (likeness > _ALIKE) & (total[:, 11] > 0.5 * total[:, 12]) & (total[:, 12] > 0)
+    return _solve(normal_sums, first, second, pose[second] - pose[first], is_same_sheet | is_fine, is_fine)
 
 
-def _solve(sums: Floats, first: Index, second: Index, base: Floats, alike: Bools, fine: bool) -> SectionPairs:
-    size = 2 if fine else 3
-    scale = np.array([1.0, 1.0, _TURN_UM])[:size]
+def _solve(
+    normal_sums: Floats, first: Index, second: Index, base_offset: Floats, is_same_sheet: Bools, is_fine: bool
+) -> SectionPairs:
+    n_unknowns = 2 if is_fine else 3
+    scale = np.array([1.0, 1.0, _TURN_UM])[:n_unknowns]
     rows, cols = np.triu_indices(3)
-    matrix = np.zeros((*sums.shape[:2], 3, 3))
-    matrix[..., rows, cols] = matrix[..., cols, rows] = sums[..., :6]
-    matrix = matrix[..., :size, :size] / (scale[:, None] * scale)
-    right = -sums[..., 6:9][..., :size] / scale
-    weight = np.ones(sums.shape[:2])
-    stiff = 1e-6 * np.eye(size) * np.maximum(matrix.sum(axis=1)[:, :1, :1], 1e-12)
-    answer = np.zeros((first.size, size))
-    covariance = np.zeros((first.size, size, size))
+    normal_matrix = np.zeros((*normal_sums.shape[:2], 3, 3))
+    normal_matrix[..., rows, cols] = normal_matrix[..., cols, rows] = normal_sums[..., :6]
+    normal_matrix = normal_matrix[..., :n_unknowns, :n_unknowns] / (scale[:, None] * scale)
+    right_side = -normal_sums[..., 6:9][..., :n_unknowns] / scale
+    part_weights = np.ones(normal_sums.shape[:2])
+    ridge = 1e-6 * np.eye(n_unknowns) * np.maximum(normal_matrix.sum(axis=1)[:, :1, :1], 1e-12)
+    solution = np.zeros((first.size, n_unknowns))
+    covariance = np.zeros((first.size, n_unknowns, n_unknowns))
     for _ in range(3):
-        total = (weight[..., None, None] * matrix).sum(axis=1) + stiff
-        inverse = np.linalg.inv(total)
-        answer = np.einsum("pij,pj->pi", inverse, (weight[..., None] * right).sum(axis=1))
+        total_matrix = (part_weights[..., None, None] * normal_matrix).sum(axis=1) + ridge
+        inverse = np.linalg.inv(total_matrix)
+        solution = np.einsum("pij,pj->pi", inverse, (part_weights[..., None] * right_side).sum(axis=1))
         # What each part would still pull: the spread of these is the error, and a part that pulls too far is torn.
-        pull = right - np.einsum("pkij,pj->pki", matrix, answer)
-        spread = np.einsum("pk,pki,pkj->pij", weight**2, pull, pull)
-        covariance = np.einsum("pij,pjk,pkl->pil", inverse, spread, inverse)
-        weight = _part_weights(matrix, pull)
-    offset = base.copy()
-    offset[:, :size] += answer / scale
-    parts = sums.shape[1]
+        residual = right_side - np.einsum("pkij,pj->pki", normal_matrix, solution)
+        scatter = np.einsum("pk,pki,pkj->pij", part_weights**2, residual, residual)
+        covariance = np.einsum("pij,pjk,pkl->pil", inverse, scatter, inverse)
+        part_weights = _part_weights(normal_matrix, residual)
+    offset = base_offset.copy()
+    offset[:, :n_unknowns] += solution / scale
+    n_parts = normal_sums.shape[1]
     sigma = np.full((first.size, 3), np.inf)
-    sigma[:, :size] = np.sqrt(np.einsum("pii->pi", covariance) * parts / max(parts - 1, 1))
-    sound = alike & np.isfinite(answer).all(axis=1) & (sigma[:, :2] < 5.0).all(axis=1)
+    sigma[:, :n_unknowns] = np.sqrt(np.einsum("pii->pi", covariance) * n_parts / max(n_parts - 1, 1))
+    is_sound = is_same_sheet & np.isfinite(solution).all(axis=1) & (sigma[:, :2] < 5.0).all(axis=1)
     sigma = np.maximum(sigma, 0.02)  # no pair is better than this, whatever its parts say
     sigma[:, 2] /= _TURN_UM
-    return SectionPairs(first, second, offset, sigma, alike, sound, sums, base, fine)
+    return SectionPairs(first, second, offset, sigma, is_same_sheet, is_sound, normal_sums, base_offset, is_fine)
 
 
-def _part_weights(matrix: Floats, pull: Floats) -> Floats:
+def _part_weights(normal_matrix: Floats, residual: Floats) -> Floats:
     """Weigh each part of the columns (pairs, parts): less where it pulls farther than the others."""
-    away = np.abs(pull / np.sqrt(np.maximum(np.einsum("pkii->pki", matrix), 0.0) + 1e-12))
-    sigmas = np.max(away / (1.4826 * np.median(away, axis=1, keepdims=True) + 1e-12), axis=2)
+    scaled_residual = np.abs(residual / np.sqrt(np.maximum(np.einsum("pkii->pki", normal_matrix), 0.0) + 1e-12))
+    sigmas = np.max(scaled_residual / (1.4826 * np.median(scaled_residual, axis=1, keepdims=True) + 1e-12), axis=2)
     return np.where(sigmas > _OUTLIER_SIGMAS, _OUTLIER_SIGMAS / np.maximum(sigmas, 1e-9), 1.0)
 
 

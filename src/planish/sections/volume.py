@@ -14,7 +14,7 @@ from planish.core.errors import VolumeError
 from planish.core.lazy import LazyArray, Where, labelled
 from planish.core.threads import map_threads
 from planish.core.typing import Bools, Floats
-from planish.sections._kernels import between
+from planish.sections._kernels import interpolate
 from planish.sections.align import Alignment
 from planish.sections.band import Gains, SectionSeries, Stack
 
@@ -62,22 +62,23 @@ def regular_volume(
     """
     stack, real = series.stack, series.stack.dtype.kind == "f"
     n = stack.shape[0]
-    used = np.arange(n) if alignment is None else np.flatnonzero(alignment.aligned)
-    if used.size < 2:
+    used_sections = np.arange(n) if alignment is None else np.flatnonzero(alignment.aligned)
+    if used_sections.size < 2:
         raise VolumeError(
-            f"{used.size} of {n} sections could be aligned, two are needed. Check that they show one sheet, in order."
+            f"{used_sections.size} of {n} sections could be aligned, two are needed. Check that they show one "
+            "sheet, in order."
         )
-    missing = np.rint(np.diff(series.away_um[used]) / series.pitch_um).astype(int) - 1
+    missing = np.rint(np.diff(series.away_um[used_sections]) / series.pitch_um).astype(int) - 1
     gaps = np.flatnonzero(missing > most_missing)
     if gaps.size and not real:
-        um = series.positions_um[used]
-        named = ", ".join(f"{missing[k]} between {um[k]:g} and {um[k + 1]:g} um" for k in gaps[:5])
+        used_um = series.positions_um[used_sections]
+        named = ", ".join(f"{missing[k]} between {used_um[k]:g} and {used_um[k + 1]:g} um" for k in gaps[:5])
         more = f" and {gaps.size - 5} more" if gaps.size > 5 else ""
         raise VolumeError(
             f"Sections are missing or could not be aligned: {named}{more}. At most {most_missing} in a row can be "
             "interpolated: add the sections, or split the series there and treat each part as a volume of its own."
         )
-    planes = _place_planes(series, used, gaps, alignment, gains)
+    planes = _place_planes(series, used_sections, gaps, alignment, gains)
     values: NDArray[Any] | Planes = planes
     if isinstance(stack, np.ndarray):
         values = np.empty(planes.shape, stack.dtype)
@@ -90,9 +91,9 @@ def regular_volume(
         "voxel_um_source": "given",
         "full_scale": None if real else int(np.iinfo(stack.dtype).max),
         **(attrs or {}),
-        "sections": int(used.size),
+        "sections": int(used_sections.size),
         "sections_missing": int(np.maximum(missing, 0).sum()),
-        "first_position_um": float(series.positions_um[used[0]]),
+        "first_position_um": float(series.positions_um[used_sections[0]]),
     }
     if alignment is not None:
         volume_attrs["jitter_left_um"] = [float(v) for v in alignment.jitter_left_um]
@@ -101,21 +102,22 @@ def regular_volume(
 
 def _place_planes(
     series: SectionSeries,
-    used: NDArray[np.intp],
+    used_sections: NDArray[np.intp],
     gaps: NDArray[np.intp],
     alignment: Alignment | None,
     gains: Gains | None,
 ) -> Planes:
     """Place the planes of a regular grid between the sections that are used; those in one of the gaps are empty."""
-    places, pitch, n = series.away_um[used], series.pitch_um, series.stack.shape[0]
-    planes = places[0] + pitch * np.arange(int((places[-1] - places[0]) / pitch + 0.5 * _ON_SECTION) + 1)
-    before = np.clip(np.searchsorted(places, planes + _ON_SECTION * pitch, side="right") - 1, 0, used.size - 1)
-    after = np.minimum(before + 1, used.size - 1)
-    step = np.where(after > before, places[after] - places[before], 1.0)
-    share = np.clip((planes - places[before]) / step, 0.0, 1.0)
-    share[np.abs(planes - places[before]) <= _ON_SECTION * pitch] = 0.0
-    share[np.abs(planes - places[after]) <= _ON_SECTION * pitch] = 1.0
-    share[after == before] = 0.0
+    places_um, pitch_um, n = series.away_um[used_sections], series.pitch_um, series.stack.shape[0]
+    planes_um = places_um[0] + pitch_um * np.arange(int(np.ptp(places_um) / pitch_um + 0.5 * _ON_SECTION) + 1)
+    last_index, tolerance_um = used_sections.size - 1, _ON_SECTION * pitch_um
+    before = np.clip(np.searchsorted(places_um, planes_um + tolerance_um, side="right") - 1, 0, last_index)
+    after = np.minimum(before + 1, last_index)
+    spacing_um = np.where(after > before, places_um[after] - places_um[before], 1.0)
+    weight = np.clip((planes_um - places_um[before]) / spacing_um, 0.0, 1.0)
+    weight[np.abs(planes_um - places_um[before]) <= tolerance_um] = 0.0
+    weight[np.abs(planes_um - places_um[after]) <= tolerance_um] = 1.0
+    weight[after == before] = 0.0
     poses = np.zeros((n, 4))  # as the kernels take them: pixels, and pixels per pixel
     if alignment is not None:
         poses[:, :2] = alignment.shift_um / np.asarray(series.pixel_um)
@@ -123,10 +125,10 @@ def _place_planes(
         poses[:, 3] = alignment.rotation_rad * series.pixel_um[0] / series.pixel_um[1]
     return Planes(
         stack=series.stack,
-        before=used[before],
-        after=used[after],
-        share=share,
-        empty=(share > 0) & (share < 1) & np.isin(before, gaps),
+        before=used_sections[before],
+        after=used_sections[after],
+        weight=weight,
+        empty=(weight > 0) & (weight < 1) & np.isin(before, gaps),
         poses=poses,
         grades=np.tile([1.0, 0.0], (n, 1)) if gains is None else np.stack([gains.gain, gains.offset], axis=1),
     )
@@ -134,17 +136,17 @@ def _place_planes(
 
 @dataclass(kw_only=True, eq=False)
 class Planes(LazyArray):
-    """The planes of a volume, each computed from the sections before and after it at its ``share`` of the way.
+    """The planes of a volume, each interpolated between the sections before and after it.
 
-    ``empty`` planes lie in a gap that is too wide; ``poses`` (sections, 4) and ``grades`` (sections, 2) are those of
-    the kernels.
+    ``weight`` is that of the section after it; ``empty`` planes lie in a gap that is too wide; ``poses`` (sections, 4)
+    and ``grades`` (sections, 2) are those of the kernels.
     """
 
     whole_slices = True
     stack: Stack
     before: NDArray[np.intp]
     after: NDArray[np.intp]
-    share: Floats
+    weight: Floats
     empty: Bools
     poses: Floats
     grades: Floats
@@ -159,20 +161,21 @@ class Planes(LazyArray):
         if self.empty[k]:
             out[...] = np.nan
             return
-        pair = [int(self.before[k]), int(self.after[k])]
-        first = self.stack[pair[0]]
-        second = first if pair[0] == pair[1] else self.stack[pair[1]]
-        whole, low, high = self.dtype.kind != "f", -np.inf, np.inf
-        if whole:
+        pair_indices = [int(self.before[k]), int(self.after[k])]
+        first = self.stack[pair_indices[0]]
+        second = first if pair_indices[0] == pair_indices[1] else self.stack[pair_indices[1]]
+        is_integer, low, high = self.dtype.kind != "f", -np.inf, np.inf
+        if is_integer:
             low, high = float(np.iinfo(self.dtype).min), float(np.iinfo(self.dtype).max)
-        between(first, second, float(self.share[k]), self.poses[pair], self.grades[pair], low, high, whole, out)
+        poses, grades = self.poses[pair_indices], self.grades[pair_indices]
+        interpolate(first, second, float(self.weight[k]), poses, grades, low, high, is_integer, out)
 
     def read(self, where: Where) -> NDArray[Any]:
         """Compute a part."""
-        whole = np.empty(self.shape[1:], self.dtype)
-        planes = range(where[0].start, where[0].stop, where[0].step)
-        part = np.empty((len(planes), *whole[where[1:]].shape), self.dtype)
-        for i, k in enumerate(planes):
-            self.fill(k, whole)
-            part[i] = whole[where[1:]]
-        return part
+        plane = np.empty(self.shape[1:], self.dtype)
+        plane_numbers = range(where[0].start, where[0].stop, where[0].step)
+        block = np.empty((len(plane_numbers), *plane[where[1:]].shape), self.dtype)
+        for i, k in enumerate(plane_numbers):
+            self.fill(k, plane)
+            block[i] = plane[where[1:]]
+        return block

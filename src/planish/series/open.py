@@ -62,7 +62,7 @@ def open_study(path: str | Path) -> xr.Dataset:
             "--out' made."
         )
     results = SeriesResults.read(folder / RESULTS)
-    text = read_bytes(folder / VALUES, what="table of a series", most=2_000_000_000).decode("utf-8", errors="replace")
+    text = read_bytes(folder / VALUES, what="table of a series", most_bytes=2 * 10**9).decode("utf-8", errors="replace")
     needed = ("specimen", "layer", "map", "other_layer", "other_map", "at_um", "quantity", "value", "unit", "low",
               "high", "trust")  # fmt: skip
     table = parse_table(text, VALUES, needed=needed, error=FileError)

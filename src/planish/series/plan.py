@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from planish.core.errors import FileError, InputError, StudyError
 from planish.core.files import fault_of_name
-from planish.core.mistakes import key_lines, mistakes
+from planish.core.parameter_faults import fault_texts, key_lines
 from planish.core.tables import parse_table, raise_faults, read_text
 from planish.io import find_place
 from planish.run.build import study_of
@@ -170,7 +170,7 @@ def _of_toml(path: Path, text: str, plan: Plan) -> Plan:
     try:
         declared = Declared.model_validate(compare)
     except ValidationError as error:
-        faults = mistakes(error, Declared, lambda loc: (("compare", *loc), lines.of(("compare", *loc))))
+        faults = fault_texts(error, Declared, lambda loc: (("compare", *loc), lines.of(("compare", *loc))))
         raise InputError(f"{path}: {'; '.join(faults)}.") from error
     faults, rows = list[str](), list[_TableRow]()
     for k, table in enumerate(cast("list[dict[str, Any]]", tables)):

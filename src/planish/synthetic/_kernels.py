@@ -142,7 +142,7 @@ def paint(
     below ``film`` um it has no holes.
     """
     has_cells = structure.shape[2] > 0
-    beyond = structure_low + cell * structure.shape[2] if has_cells else -1e9
+    structure_high = structure_low + cell * structure.shape[2] if has_cells else -1e9
     depth_voxels = slab.shape[2]
     last_row, last_col = fields.shape[0] - 1.000001, fields.shape[1] - 1.000001
     layers = fields.shape[2] - _SINGLE
@@ -169,7 +169,7 @@ def paint(
                 fx -= c
                 fy -= r
                 top, low = _bilinear(fields, r, c, fy, fx, 0), _bilinear(fields, r, c, fy, fx, 3)
-                if s > max(top, beyond) + step or s < (min(low, structure_low) if has_cells else low) - step:
+                if s > max(top, structure_high) + step or s < (min(low, structure_low) if has_cells else low) - step:
                     continue
                 for n in range(_SINGLE):
                     at[n] = _bilinear(fields, r, c, fy, fx, n)
@@ -180,10 +180,10 @@ def paint(
                 in_sheet = _ramp((top - s) / step) * _ramp((s - low) / step)
                 in_base = _ramp((inner_top - s) / step) * _ramp((s - inner_low) / step)
                 if has_cells:
-                    coat = max(in_sheet - in_base, 0.0)
+                    coat_share = max(in_sheet - in_base, 0.0)
                     fibre = 0.0
-                    if coat < 1.0:
-                        fibre = (1.0 - coat) * _cells_between(
+                    if coat_share < 1.0:
+                        fibre = (1.0 - coat_share) * _cells_between(
                             structure,
                             r,
                             c,
@@ -192,7 +192,7 @@ def paint(
                             (s - structure_low - 0.5 * step) / cell,
                             (s - structure_low + 0.5 * step) / cell,
                         )
-                    value = fibre * grey[0] + coat * grey[1] * (at[6] * at[7])
+                    value = fibre * grey[0] + coat_share * grey[1] * (at[6] * at[7])
                     slab[i, j, k] = value * (1.0 if s < film else solid)
                     continue
                 depth = min(max((s - inner_low) / max(inner_top - inner_low, 1e-6), 0.0), 1.0) * (layers - 1)
@@ -216,12 +216,12 @@ def _bilinear(fields, r, c, fy, fx, n):
 def _cells_between(cells, r, c, fy, fx, low, high):
     """Mean of cells between two heights, in cells from the lowest border, between four nodes."""
     first, last = max(int(floor(low)), 0), min(int(floor(high)), cells.shape[2] - 1)
-    total = 0.0
+    density_sum = 0.0
     for k in range(first, last + 1):
-        top = cells[r, c, k] * (1 - fx) + cells[r, c + 1, k] * fx
-        low_row = cells[r + 1, c, k] * (1 - fx) + cells[r + 1, c + 1, k] * fx
-        total += (top * (1 - fy) + low_row * fy) * (min(high, k + 1.0) - max(low, float(k)))
-    return 0.01 * total / (high - low)
+        upper_row = cells[r, c, k] * (1 - fx) + cells[r, c + 1, k] * fx
+        lower_row = cells[r + 1, c, k] * (1 - fx) + cells[r + 1, c + 1, k] * fx
+        density_sum += (upper_row * (1 - fy) + lower_row * fy) * (min(high, k + 1.0) - max(low, float(k)))
+    return 0.01 * density_sum / (high - low)
 
 
 @njit(cache=True, nogil=True)

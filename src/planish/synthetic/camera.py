@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from planish.core.area import area_mean
-from planish.core.light import layer_over
+from planish.core.reflectance import layer_over
 from planish.core.typing import Floats
 from planish.synthetic.params import CameraParams, PaperParams, PrintParams
 from planish.synthetic.pose import CameraPose
@@ -36,12 +36,12 @@ def base_weight(paper: PaperParams, base_mass: ArrayLike = 1.0) -> Floats:
 
 
 def coated(
-    below: ArrayLike, coating_um: ArrayLike, density: ArrayLike, paper: PaperParams, *, outwards: bool = True
+    backing: ArrayLike, coating_um: ArrayLike, density: ArrayLike, paper: PaperParams, *, outwards: bool = True
 ) -> Floats:
     """Reflectance of the triple coating over what lies below it, which is the base unless ``outwards`` is false."""
     weight = paper.coating_g_per_cm3 * _KG_PER_M2 * np.asarray(coating_um, float) * np.asarray(density, float)
     layers = list(zip(COATING_S_M2_PER_KG, COATING_SHARES, strict=True))
-    result = np.asarray(below, dtype=np.float64)
+    result = np.asarray(backing, dtype=np.float64)
     for s, share in layers if outwards else layers[::-1]:
         result = layer_over(result, s, COATING_K_M2_PER_KG, share * weight)
     return result
@@ -62,20 +62,20 @@ def sheet_reflectance(
     The backing is a pile of the same paper or a black hollow. Density of the coatings and grammage of the base are
     relative, 1 in the mean.
     """
-    below = pile_reflectance(paper) if backing == "pile" else 0.0
-    below = coated(below, coating_bottom_um, coating_density, paper, outwards=False)
-    below = layer_over(below, base_s_m2_per_kg, BASE_K_M2_PER_KG, base_weight(paper, base_mass))
-    return coated(below, coating_top_um, coating_density, paper)
+    reflectance = pile_reflectance(paper) if backing == "pile" else 0.0
+    reflectance = coated(reflectance, coating_bottom_um, coating_density, paper, outwards=False)
+    reflectance = layer_over(reflectance, base_s_m2_per_kg, BASE_K_M2_PER_KG, base_weight(paper, base_mass))
+    return coated(reflectance, coating_top_um, coating_density, paper)
 
 
 def pile_reflectance(paper: PaperParams) -> float:
     """Reflectance of a pile of mean sheets of this paper that nothing shines through."""
-    below = np.zeros(())
+    reflectance = np.zeros(())
     for _ in range(_SHEETS):
-        below = coated(below, paper.coating_bottom_um, 1.0, paper, outwards=False)
-        below = layer_over(below, BASE_S_M2_PER_KG, BASE_K_M2_PER_KG, base_weight(paper))
-        below = coated(below, paper.coating_top_um, 1.0, paper)
-    return float(below)
+        reflectance = coated(reflectance, paper.coating_bottom_um, 1.0, paper, outwards=False)
+        reflectance = layer_over(reflectance, BASE_S_M2_PER_KG, BASE_K_M2_PER_KG, base_weight(paper))
+        reflectance = coated(reflectance, paper.coating_top_um, 1.0, paper)
+    return float(reflectance)
 
 
 Field = NDArray[np.float32]
@@ -85,9 +85,9 @@ _CHAR_GREY = 0.2  # of burnt paper down in a hole: its wall, and what closes its
 _CHAR_RIM = 0.6  # share of the reflectance that is left at the rim, where sheet.char is 0.5
 _BASE_S_SD_M2_PER_KG = 3.0
 _PAPER_UM, _TONE_UM = 200.0, 300.0  # correlation lengths: of the base's scattering and the nuisance; of the tone
-_COARSE = 4  # pitches between nodes of those smooth fields: 12 um, where interpolation loses 0.1 % of the variance
+_COARSE_STEP = 4  # pitches between nodes of those smooth fields: 12 um, where interpolation loses 0.1 % of the variance
 _ORACLE_UM = 100.0  # points at which r2 of the true maps is stated
-_AWAY_UM = 100.0  # from the holes' rims: two and a half times the burnt width
+_HOLE_CLEARANCE_UM = 100.0  # from the holes' rims: two and a half times the burnt width
 _FEWEST = 20  # of those points
 _BLOCK = 128  # rows of the image at a time
 _CELL_SAMPLES = 7  # per side of a print's cell, for the coating under its dot
@@ -108,46 +108,46 @@ def photograph(
     the usual screen where that is None. ``seed`` is not changed: the same one gives the same image. ValueError if
     ``camera.oracle_r2`` is out of reach.
     """
-    for_scatter, for_nuisance, for_tone, for_plain, for_print = (_child(seed, k) for k in range(5))
+    for_scatter, for_nuisance, for_tone, for_noise, for_print_noise = (_child(seed, k) for k in range(5))
     u, v = image_material(pose, shape, camera.pixel_um)
     top, coating, rim, hole, image = _bare_sheet(sheet, camera, u, v, for_scatter)
-    nuisance, gain = _coarse(sheet, _PAPER_UM, for_nuisance), camera.nuisance_sd
+    nuisance, gain = _coarse_noise(sheet, _PAPER_UM, for_nuisance), camera.nuisance_sd
     if camera.oracle_r2 is not None:
-        maps = (coating, image, _sampled(sheet, nuisance, u, v))
-        gain = _oracle_gain(maps, rim > _AWAY_UM, camera.pixel_um, camera.oracle_r2)
+        truth_maps = (coating, image, _sample(sheet, nuisance, u, v))
+        gain = _oracle_gain(truth_maps, rim > _HOLE_CLEARANCE_UM, camera.pixel_um, camera.oracle_r2)
     screen = (camera.screen or PrintParams()) if printed else None
-    tone = _coarse(sheet, _TONE_UM, for_tone)
+    tone = _coarse_noise(sheet, _TONE_UM, for_tone)
     _finish_paper(image, sheet, u, v, nuisance=(nuisance, gain), screen=screen, tone=tone, pixel_um=camera.pixel_um)
-    solid = np.clip(rim / camera.pixel_um + 0.5, 0, 1)
-    image = np.asarray(hole + (image - hole) * solid, dtype=np.float32)
-    return _expose(image, top, solid, camera, for_print if printed else for_plain)
+    paper_share = np.clip(rim / camera.pixel_um + 0.5, 0, 1)
+    image = np.asarray(hole + (image - hole) * paper_share, dtype=np.float32)
+    return _expose(image, top, paper_share, camera, for_print_noise if printed else for_noise)
 
 
 def _bare_sheet(
     sheet: DrawnSheet, camera: CameraParams, u: Floats, v: Floats, rng: np.random.Generator
 ) -> tuple[Field, Field, Field, Field, Field]:
     """Top face, top coating and distance to a rim in um at each pixel; reflectances of a hole and of the sheet."""
-    pixel = camera.pixel_um
-    scatter = _BASE_S_SD_M2_PER_KG * _coarse(sheet, _PAPER_UM, rng)
-    top, coating, rim, hole, image = (np.empty(u.shape, dtype=np.float32) for _ in range(5))
-    for rows in _blocks(u.shape[0]):
+    pixel_um = camera.pixel_um
+    scattering_field = _BASE_S_SD_M2_PER_KG * _coarse_noise(sheet, _PAPER_UM, rng)
+    top_um, coating_um, rim_um, hole_reflectance, reflectance = (np.empty(u.shape, dtype=np.float32) for _ in range(5))
+    for rows in _row_blocks(u.shape[0]):
         uv = (u[rows], v[rows])
         faces = [sheet.at(face, *uv) for face in sheet.faces]
-        top[rows] = faces[0]
-        coating[rows] = np.maximum(faces[0] - faces[1], 0)
-        rim[rows] = sheet.at(sheet.rim_um[0], *uv)
-        below = np.clip(sheet.at(sheet.rim_um[1], *uv) / pixel + 0.5, 0, 1)
-        hole[rows] = _HOLE + (_CHAR_GREY - _HOLE) * below
-        image[rows] = sheet_reflectance(
+        top_um[rows] = faces[0]
+        coating_um[rows] = np.maximum(faces[0] - faces[1], 0)
+        rim_um[rows] = sheet.at(sheet.rim_um[0], *uv)
+        lower_share = np.clip(sheet.at(sheet.rim_um[1], *uv) / pixel_um + 0.5, 0, 1)
+        hole_reflectance[rows] = _HOLE + (_CHAR_GREY - _HOLE) * lower_share
+        reflectance[rows] = sheet_reflectance(
             sheet.params,
             camera.backing,
-            coating_top_um=coating[rows],
+            coating_top_um=coating_um[rows],
             coating_bottom_um=np.maximum(faces[2] - faces[3], 0),
             coating_density=sheet.at(sheet.coating_density, *uv),
             base_mass=sheet.at(sheet.base_mass, *uv),
-            base_s_m2_per_kg=np.maximum(BASE_S_M2_PER_KG + _sampled(sheet, scatter, *uv), 0),
+            base_s_m2_per_kg=np.maximum(BASE_S_M2_PER_KG + _sample(sheet, scattering_field, *uv), 0),
         )
-    return top, coating, rim, hole, image
+    return top_um, coating_um, rim_um, hole_reflectance, reflectance
 
 
 def _finish_paper(
@@ -156,130 +156,133 @@ def _finish_paper(
 ) -> None:  # fmt: skip
     """Add to a reflectance in place what is not due to the coating (field, gain), the print, and the burnt rims."""
     field, gain = nuisance
-    first, radius_um = _dots(sheet, screen, tone) if screen else ((0, 0), np.empty(0))
-    for rows in _blocks(len(image)):
+    first_cell, radius_um = _dot_radii(sheet, screen, tone) if screen else ((0, 0), np.empty(0))
+    for rows in _row_blocks(len(image)):
         uv = (u[rows], v[rows])
-        paper = image[rows] + gain * _sampled(sheet, field, *uv)
+        reflectance = image[rows] + gain * _sample(sheet, field, *uv)
         if screen:
-            cover = _inked(*uv, screen, first, radius_um, pixel_um)
-            paper = paper * (1 - cover) + screen.ink * cover  # Murray and Davies
-        image[rows] = paper * (1 - 2 * (1 - _CHAR_RIM) * (1 - sheet.at(sheet.char, *uv)))
+            ink_share = _ink_share(*uv, screen, first_cell, radius_um, pixel_um)
+            reflectance = reflectance * (1 - ink_share) + screen.ink * ink_share  # Murray and Davies
+        image[rows] = reflectance * (1 - 2 * (1 - _CHAR_RIM) * (1 - sheet.at(sheet.char, *uv)))
 
 
-def _expose(image: Field, top: Field, solid: Field, camera: CameraParams, rng: np.random.Generator) -> Field:
-    """Shade the sheet, where it is ``solid``, by its topography; add blur, vignetting and noise; round to the bits."""
+def _expose(image: Field, top_um: Field, paper_share: Field, camera: CameraParams, rng: np.random.Generator) -> Field:
+    """Shade the sheet by its topography, holes apart; add blur, vignetting and noise; round to the bits."""
     shape = (image.shape[0], image.shape[1])
     if camera.shading > 0:
         # The light stands on the left: what rises to the right faces it.
-        slope = np.asarray(np.gradient(top, camera.pixel_um, axis=1))
-        image *= 1 + camera.shading / 0.1 * slope * solid
+        slope = np.asarray(np.gradient(top_um, camera.pixel_um, axis=1))
+        image *= 1 + camera.shading / 0.1 * slope * paper_share
     if camera.lens_um > 0:
         image = ndimage.gaussian_filter(image, camera.lens_um / camera.pixel_um, mode="nearest")
     if camera.vignetting > 0:
         y, x = (np.linspace(-1, 1, n) * n for n in shape)
-        corner = (y[:, None] ** 2 + x[None, :] ** 2) / (shape[0] ** 2 + shape[1] ** 2)  # 1 in the corners
-        image *= 1 - camera.vignetting * corner.astype(np.float32)
+        radius_squared = (y[:, None] ** 2 + x[None, :] ** 2) / (shape[0] ** 2 + shape[1] ** 2)  # 1 in the corners
+        image *= 1 - camera.vignetting * radius_squared.astype(np.float32)
     image += np.float32(camera.noise) * rng.standard_normal(shape, dtype=np.float32)
-    steps = 2**camera.bits - 1
-    return (np.rint(np.clip(image, 0, 1) * steps) / steps).astype(np.float32)
+    grey_levels = 2**camera.bits - 1
+    return (np.rint(np.clip(image, 0, 1) * grey_levels) / grey_levels).astype(np.float32)
 
 
 def image_material(pose: CameraPose, shape: tuple[int, int], pixel_um: float) -> tuple[Floats, Floats]:
     """Material coordinates (u, v) in um shown by each pixel of an image of ``shape`` (rows, cols)."""
     u, v = np.empty(shape), np.empty(shape)
     y, x = (np.arange(n) * pixel_um for n in shape)
-    for rows in _blocks(shape[0]):
-        back = pose.inverse(np.stack(np.meshgrid(x, y[rows]), axis=-1))
-        u[rows], v[rows] = back[..., 0], back[..., 1]
+    for rows in _row_blocks(shape[0]):
+        material_uv = pose.inverse(np.stack(np.meshgrid(x, y[rows]), axis=-1))
+        u[rows], v[rows] = material_uv[..., 0], material_uv[..., 1]
     return u, v
 
 
-def _oracle_gain(maps: tuple[Field, Field, Floats], away: NDArray[np.bool_], pixel_um: float, target: float) -> float:
+def _oracle_gain(
+    maps: tuple[Field, Field, Floats], is_clear: NDArray[np.bool_], pixel_um: float, target: float
+) -> float:
     """Size of the nuisance, the third map, that brings r2 of thickness and reflectance, both true, to ``target``.
 
     Over points of 100 um away from the holes, the covariances of ``R + g N`` with the thickness and with itself are
     polynomials in ``g``, so ``r2 = target`` is a quadratic equation.
     """
-    side = (_ORACLE_UM / pixel_um, _ORACLE_UM / pixel_um)
-    means = [area_mean(np.where(away, m, np.nan), side, least=1.0) for m in maps]
+    cell_px = (_ORACLE_UM / pixel_um, _ORACLE_UM / pixel_um)
+    means = [area_mean(np.where(is_clear, m, np.nan), cell_px, least_share=1.0) for m in maps]
     is_finite = np.isfinite(means[0])
-    count = int(is_finite.sum())
-    if count < _FEWEST:
+    n_points = int(is_finite.sum())
+    if n_points < _FEWEST:
         raise ValueError(
-            f"oracle_r2 asks for {_FEWEST} points of {_ORACLE_UM:g} um away from the holes and the image has {count}; "
-            "take a larger image or fewer holes, or set nuisance_sd instead."
+            f"oracle_r2 asks for {_FEWEST} points of {_ORACLE_UM:g} um away from the holes and the image has "
+            f"{n_points}; take a larger image or fewer holes, or set nuisance_sd instead."
         )
     (tt, tr, tn), (_, rr, rn), (_, _, nn) = np.cov([m[is_finite] for m in means])
-    now = float(tr * tr / (tt * rr)) if tt > 0 and tr > 0 else 0.0
-    if not 0 < target <= now:
+    clean_r2 = float(tr * tr / (tt * rr)) if tt > 0 and tr > 0 else 0.0
+    if not 0 < target <= clean_r2:
         raise ValueError(
             f"oracle_r2 = {target:g} is out of reach: without any nuisance, r2 of coating thickness and reflectance is "
-            f"{now:.3f}, and a nuisance can only lower it. Ask for less, but more than 0."
+            f"{clean_r2:.3f}, and a nuisance can only lower it. Ask for less, but more than 0."
         )
-    share = target * tt
-    roots = np.roots([tn * tn - share * nn, 2 * (tr * tn - share * rn), tr * tr - share * rr])
+    scaled_target = target * tt
+    roots = np.roots([tn * tn - scaled_target * nn, 2 * (tr * tn - scaled_target * rn), tr * tr - scaled_target * rr])
     gains = [g.real for g in roots if abs(g.imag) < 1e-12 and g.real >= 0 and tr + g.real * tn > 0]
     if not gains:
         raise ValueError(
-            f"oracle_r2 = {target:g} is out of reach: over {count} points even the nuisance alone has an r2 of "
+            f"oracle_r2 = {target:g} is out of reach: over {n_points} points even the nuisance alone has an r2 of "
             f"{tn * tn / (tt * nn):.3f} with the thickness. Ask for more, or take a larger image or another seed."
         )
     return float(min(gains))
 
 
-def _dots(sheet: DrawnSheet, screen: PrintParams, tone: Floats) -> tuple[tuple[int, int], Floats]:
+def _dot_radii(sheet: DrawnSheet, screen: PrintParams, tone: Floats) -> tuple[tuple[int, int], Floats]:
     """Radii of the dots of the whole sheet, one to each cell of the turned screen, and the (row, col) of the first."""
     rows, cols = sheet.char.shape
     u = sheet.origin[0] + PITCH_UM * np.array([0, cols - 1, 0, cols - 1])
     v = sheet.origin[1] + PITCH_UM * np.array([0, 0, rows - 1, rows - 1])
-    a, b = _turned(u, v, screen)
-    first = (int(np.floor(b.min())), int(np.floor(a.min())))
-    count = (int(np.floor(b.max())) - first[0] + 1, int(np.floor(a.max())) - first[1] + 1)
-    inside = (np.arange(_CELL_SAMPLES) + 0.5) / _CELL_SAMPLES
+    a, b = _screen_coordinates(u, v, screen)
+    first_cell = (int(np.floor(b.min())), int(np.floor(a.min())))
+    cell_shape = (int(np.floor(b.max())) - first_cell[0] + 1, int(np.floor(a.max())) - first_cell[1] + 1)
+    sample_offsets = (np.arange(_CELL_SAMPLES) + 0.5) / _CELL_SAMPLES
     b, a = np.meshgrid(
-        *((k + np.arange(n)[:, None] + inside).ravel() for k, n in zip(first, count, strict=True)), indexing="ij"
+        *((k + np.arange(n)[:, None] + sample_offsets).ravel() for k, n in zip(first_cell, cell_shape, strict=True)),
+        indexing="ij",
     )
     pitch, angle = 1e4 / screen.screen_per_cm, np.deg2rad(screen.angle_deg)
     u, v = pitch * (a * np.cos(angle) - b * np.sin(angle)), pitch * (a * np.sin(angle) + b * np.cos(angle))
     coating = np.maximum(sheet.at(sheet.faces[0], u, v) - sheet.at(sheet.faces[1], u, v), 0)
-    mean = float(np.mean(sheet.faces[0] - sheet.faces[1], dtype=np.float64))
-    change = screen.gain_sd * _sampled(sheet, tone, u, v) - screen.gain_per_um * (coating - mean)
-    cells = change.reshape(count[0], _CELL_SAMPLES, count[1], _CELL_SAMPLES).mean(axis=(1, 3))
+    mean_coating_um = float(np.mean(sheet.faces[0] - sheet.faces[1], dtype=np.float64))
+    tone_change = screen.gain_sd * _sample(sheet, tone, u, v) - screen.gain_per_um * (coating - mean_coating_um)
+    cell_change = tone_change.reshape(cell_shape[0], _CELL_SAMPLES, cell_shape[1], _CELL_SAMPLES).mean(axis=(1, 3))
     # A larger dot would touch its neighbours: then the tone is no longer pi r^2.
-    area = np.clip(screen.tone + cells, 0.0, 0.25 * np.pi)
-    return first, pitch * np.sqrt(area / np.pi)
+    dot_area = np.clip(screen.tone + cell_change, 0.0, 0.25 * np.pi)
+    return first_cell, pitch * np.sqrt(dot_area / np.pi)
 
 
-def _inked(
-    u: Floats, v: Floats, screen: PrintParams, first: tuple[int, int], radius_um: Floats, pixel_um: float
+def _ink_share(
+    u: Floats, v: Floats, screen: PrintParams, first_cell: tuple[int, int], radius_um: Floats, pixel_um: float
 ) -> Floats:  # fmt: skip
     """Share of each pixel that is inked; the edge of a dot is one pixel wide."""
-    a, b = _turned(u, v, screen)
+    a, b = _screen_coordinates(u, v, screen)
     col, row = np.floor(a), np.floor(b)
     distance = 1e4 / screen.screen_per_cm * np.hypot(a - col - 0.5, b - row - 0.5)
-    i = np.clip(row.astype(int) - first[0], 0, radius_um.shape[0] - 1)
-    j = np.clip(col.astype(int) - first[1], 0, radius_um.shape[1] - 1)
+    i = np.clip(row.astype(int) - first_cell[0], 0, radius_um.shape[0] - 1)
+    j = np.clip(col.astype(int) - first_cell[1], 0, radius_um.shape[1] - 1)
     return np.clip((radius_um[i, j] - distance) / pixel_um + 0.5, 0, 1)
 
 
-def _turned(u: Floats, v: Floats, screen: PrintParams) -> tuple[Floats, Floats]:
+def _screen_coordinates(u: Floats, v: Floats, screen: PrintParams) -> tuple[Floats, Floats]:
     """Places along the rows and across them, in pitches of the screen."""
     pitch, angle = 1e4 / screen.screen_per_cm, np.deg2rad(screen.angle_deg)
     cos, sin = np.cos(angle) / pitch, np.sin(angle) / pitch
     return u * cos + v * sin, v * cos - u * sin
 
 
-def _coarse(sheet: DrawnSheet, correlation_um: float, rng: np.random.Generator) -> Floats:
+def _coarse_noise(sheet: DrawnSheet, correlation_um: float, rng: np.random.Generator) -> Floats:
     """Random field of unit standard deviation over the sheet, on every 4th node of its grid and a little beyond."""
     rows, cols = sheet.char.shape
-    return noise((rows // _COARSE + 2, cols // _COARSE + 2), correlation_um / _COARSE, rng)
+    return noise((rows // _COARSE_STEP + 2, cols // _COARSE_STEP + 2), correlation_um / _COARSE_STEP, rng)
 
 
-def _sampled(sheet: DrawnSheet, coarse: Floats, u: Floats, v: Floats) -> Floats:
+def _sample(sheet: DrawnSheet, coarse_field: Floats, u: Floats, v: Floats) -> Floats:
     """Bilinear value of a coarse field at material coordinates."""
-    step = PITCH_UM * _COARSE
-    places = np.stack([(v - sheet.origin[1]) / step, (u - sheet.origin[0]) / step])
-    return np.asarray(ndimage.map_coordinates(coarse, places, order=1, mode="nearest"))
+    pitch_um = PITCH_UM * _COARSE_STEP
+    node_positions = np.stack([(v - sheet.origin[1]) / pitch_um, (u - sheet.origin[0]) / pitch_um])
+    return np.asarray(ndimage.map_coordinates(coarse_field, node_positions, order=1, mode="nearest"))
 
 
 def _child(seed: np.random.SeedSequence, k: int) -> np.random.Generator:
@@ -287,5 +290,5 @@ def _child(seed: np.random.SeedSequence, k: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, k)))
 
 
-def _blocks(rows: int) -> list[slice]:
+def _row_blocks(rows: int) -> list[slice]:
     return [slice(start, min(start + _BLOCK, rows)) for start in range(0, rows, _BLOCK)]

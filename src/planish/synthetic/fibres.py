@@ -44,19 +44,20 @@ class Structure:
 
     def on_film(self, bottom: Floats, film: FilmParams) -> Structure:
         """Put a film below a sheet with the face ``bottom`` (rows, cols)."""
-        touching = float(np.percentile(bottom, 1.0))
-        film_high = touching if film.is_tape else float(bottom.min()) - film.gap_um
-        low = float(np.floor(min(self.low_um, film_high - film.film_um - 2 * self.cell_um)))
-        more = int(np.ceil((self.low_um - low) / self.cell_um))
-        density = np.pad(self.density, ((0, 0), (0, 0), (more, 0)))
-        borders = self.low_um + self.cell_um * (np.arange(density.shape[2] + 1) - more)
-        upper = np.minimum(bottom, touching + 30.0) if film.is_tape else np.full(bottom.shape, film_high)
+        contact_um = float(np.percentile(bottom, 1.0))
+        film_top_um = contact_um if film.is_tape else float(bottom.min()) - film.gap_um
+        low_um = float(np.floor(min(self.low_um, film_top_um - film.film_um - 2 * self.cell_um)))
+        n_cells_below = int(np.ceil((self.low_um - low_um) / self.cell_um))
+        density = np.pad(self.density, ((0, 0), (0, 0), (n_cells_below, 0)))
+        cell_borders = self.low_um + self.cell_um * (np.arange(density.shape[2] + 1) - n_cells_below)
+        upper_um = np.minimum(bottom, contact_um + 30.0) if film.is_tape else np.full(bottom.shape, film_top_um)
         cols = slice(0, round(film.share * bottom.shape[1]))
-        for k, (a, b) in enumerate(pairwise(borders)):
-            inside = np.clip(np.minimum(b, upper[:, cols]) - max(a, film_high - film.film_um), 0.0, None) / self.cell_um
-            cells = density[:, cols, k]
-            cells[:] = np.maximum(cells, np.rint(np.minimum(100 * film.grey * inside, 255)).astype(np.uint8))
-        return Structure(density=density, low_um=float(borders[0]), cell_um=self.cell_um, film_um=film_high)
+        for k, (start_um, stop_um) in enumerate(pairwise(cell_borders)):
+            filled_um = np.minimum(stop_um, upper_um[:, cols]) - max(start_um, film_top_um - film.film_um)
+            share = np.clip(filled_um, 0.0, None) / self.cell_um
+            film_cells = density[:, cols, k]
+            film_cells[:] = np.maximum(film_cells, np.rint(np.minimum(100 * film.grey * share, 255)).astype(np.uint8))
+        return Structure(density=density, low_um=float(cell_borders[0]), cell_um=self.cell_um, film_um=film_top_um)
 
     def face(self, blur_um: float, pitch_um: float, *, top: bool) -> NDArray[np.float32]:
         """Height (rows, cols) of a face without coating, NaN where there is none.
@@ -65,21 +66,21 @@ class Structure:
         its own density. Give it a structure without loose fibres, which are no part of the face.
         """
         sigma = blur_um / np.sqrt(8 * np.log(2.0))
-        reach = int(np.ceil(4 * sigma / pitch_um)) + 1
-        rows, cols, count = self.density.shape
+        halo_rows = int(np.ceil(4 * sigma / pitch_um)) + 1
+        rows, cols, n_cells = self.density.shape
         face = np.full((rows, cols), np.nan, dtype=np.float32)
         for start in range(0, rows, _FACE_ROWS):
-            first, stop = max(start - reach, 0), min(start + _FACE_ROWS, rows)
-            part = self.density[first : min(stop + reach, rows)].astype(np.float32) / 100.0
+            halo_start, stop = max(start - halo_rows, 0), min(start + _FACE_ROWS, rows)
+            wall_share = self.density[halo_start : min(stop + halo_rows, rows)].astype(np.float32) / 100.0
             sigmas = (sigma / pitch_um, sigma / pitch_um, sigma / self.cell_um)
-            blurred = ndimage.gaussian_filter(np.minimum(part, 1.0), sigmas)[start - first :][: stop - start]
+            blurred = ndimage.gaussian_filter(np.minimum(wall_share, 1.0), sigmas)[start - halo_start :][: stop - start]
             blurred = blurred[..., ::-1] if top else blurred
-            above = np.concatenate([np.zeros_like(blurred[..., :1]), blurred[..., :-1]], axis=2)
-            is_face = (blurred >= 0.5) & (above < 0.5)
+            outer_blurred = np.concatenate([np.zeros_like(blurred[..., :1]), blurred[..., :-1]], axis=2)
+            is_face = (blurred >= 0.5) & (outer_blurred < 0.5)
             k = is_face.argmax(axis=2)[..., None]
-            outer, inner = (np.take_along_axis(a, k, axis=2)[..., 0] for a in (above, blurred))
-            place = k[..., 0] - (inner - 0.5) / np.maximum(inner - outer, 1e-6) + 0.5
-            height = (count - place if top else place) * self.cell_um + self.low_um
+            outer, inner = (np.take_along_axis(a, k, axis=2)[..., 0] for a in (outer_blurred, blurred))
+            crossing = k[..., 0] - (inner - 0.5) / np.maximum(inner - outer, 1e-6) + 0.5
+            height = (n_cells - crossing if top else crossing) * self.cell_um + self.low_um
             face[start:stop] = np.where(is_face.any(axis=2), height, np.nan)
         return face
 
@@ -95,8 +96,8 @@ class FibreMat:
         self._grounds = (ground, -ground)
         self._shares: list[NDArray[np.uint8]] = []
         self.heights: list[Floats] = []
-        for side, ground_of_half in zip(("upper", "lower"), self._grounds, strict=True):
-            shares, heights = self._lay(shape, ground_of_half, generator(seed, "fibre mat", side))
+        for side, half_ground in zip(("upper", "lower"), self._grounds, strict=True):
+            shares, heights = self._lay(shape, half_ground, generator(seed, "fibre mat", side))
             self._shares.append(shares)
             self.heights.append(heights)
 
@@ -109,27 +110,29 @@ class FibreMat:
         solid_um = 0.5 * p.g_per_m2 / WALL_G_PER_CM3
         area = float(shape[0] * shape[1]) * pitch**2
         lengths, widths, walls, lumens = (np.empty(0) for _ in range(4))
-        volume = 0.0
-        parts: list[tuple[Floats, Floats, Floats, Floats]] = []
+        volume_um3 = 0.0
+        batches: list[tuple[Floats, Floats, Floats, Floats]] = []
         # A fibre begins outside as often as inside: the field grows by its length, which its middle may lie in.
-        while volume < 1.1 * solid_um * area:  # more than is needed: the last ones are not laid
+        while volume_um3 < 1.1 * solid_um * area:  # more than is needed: the last ones are not laid
             is_fine = rng.random(512) < p.fines
             lengths = np.where(is_fine, rng.uniform(60.0, 250.0, 512), rng.uniform(*p.length_um, 512))
             widths = np.where(is_fine, rng.uniform(6.0, 15.0, 512), rng.uniform(*p.width_um, 512))
             walls = rng.uniform(*p.wall_um, 512)
             lumens = np.where(is_fine, 0.0, rng.uniform(*p.lumen_um, 512))
-            inside = area / ((shape[0] * pitch + lengths) * (shape[1] * pitch + lengths))
-            parts.append((lengths, widths, walls, lumens))
-            volume += float(np.sum(lengths * widths * 2 * walls * 0.86 * inside))
-        lengths, widths, walls, lumens = (np.concatenate(column) for column in zip(*parts, strict=True))
-        count = lengths.size
-        angles = rng.vonmises(0.0, 0.5 * np.log(self._paper.anisotropy), count) / 2 + rng.integers(0, 2, count) * np.pi
-        curls = rng.normal(0.0, 4e-4, count) * pitch
+            share_in_field = area / ((shape[0] * pitch + lengths) * (shape[1] * pitch + lengths))
+            batches.append((lengths, widths, walls, lumens))
+            volume_um3 += float(np.sum(lengths * widths * 2 * walls * 0.86 * share_in_field))
+        lengths, widths, walls, lumens = (np.concatenate(samples) for samples in zip(*batches, strict=True))
+        n_fibres = lengths.size
+        angles = (
+            rng.vonmises(0.0, 0.5 * np.log(self._paper.anisotropy), n_fibres) / 2 + rng.integers(0, 2, n_fibres) * np.pi
+        )
+        curls = rng.normal(0.0, 4e-4, n_fibres) * pitch
         lengths, widths = lengths / pitch, widths / pitch
-        middle = rng.uniform(0.0, 1.0, (count, _TRIES, 2)) * (np.array(shape[::-1]) + lengths[:, None, None])
-        middle -= 0.5 * lengths[:, None, None]
-        starts = middle - 0.5 * lengths[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)[:, None]
-        flexibility = rng.uniform(*p.flexibility, count) * pitch
+        middles = rng.uniform(0.0, 1.0, (n_fibres, _TRIES, 2)) * (np.array(shape[::-1]) + lengths[:, None, None])
+        middles -= 0.5 * lengths[:, None, None]
+        starts = middles - 0.5 * lengths[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)[:, None]
+        flexibility = rng.uniform(*p.flexibility, n_fibres) * pitch
         shares = np.zeros((*shape, int(_DEEPEST * solid_um / p.cell_um) + 8), dtype=np.uint8)
         top = ground.copy()
         _fibre_kernels.lay_ribbons(
@@ -149,53 +152,55 @@ class FibreMat:
         solids = [np.minimum(solid, h - g) for solid, h, g in zip(solids, self.heights, self._grounds, strict=True)]
         voids = [h - g - solid for h, g, solid in zip(self.heights, self._grounds, solids, strict=True)]
 
-        def faces(flat: float) -> list[Floats]:
+        def faces(flattening: float) -> list[Floats]:
             """Faces whose distances from their mean are multiplied by ``flat``."""
-            share = (p.base_um - float(sum(s.mean() for s in solids))) / float(sum(v.mean() for v in voids))
-            pressed: list[Floats] = []
+            open_share = (p.base_um - float(sum(s.mean() for s in solids))) / float(sum(v.mean() for v in voids))
+            pressed_halves: list[Floats] = []
             for ground, solid, void in zip(self._grounds, solids, voids, strict=True):
-                height = ground + solid + max(share, 0.0) * void
-                height = height.mean() + flat * (height - height.mean())
-                pressed.append(np.clip(height, ground + 0.9 * solid, ground + solid + void))
-            lost = p.base_um - float(sum(face.mean() for face in pressed))
-            return [face + 0.5 * lost for face in pressed]
+                height = ground + solid + max(open_share, 0.0) * void
+                height = height.mean() + flattening * (height - height.mean())
+                pressed_halves.append(np.clip(height, ground + 0.9 * solid, ground + solid + void))
+            excess_um = p.base_um - float(sum(face.mean() for face in pressed_halves))
+            return [face + 0.5 * excess_um for face in pressed_halves]
 
         low, high = 0.0, 1.0
         for _ in range(20):
-            flat = 0.5 * (low + high)
-            sq = float(np.sqrt(np.mean([face.var() for face in faces(flat)])))
-            low, high = (flat, high) if sq < p.roughness_um else (low, flat)
+            flattening = 0.5 * (low + high)
+            sq = float(np.sqrt(np.mean([face.var() for face in faces(flattening)])))
+            low, high = (flattening, high) if sq < p.roughness_um else (low, flattening)
         upper, lower = faces(0.5 * (low + high))
         return upper, lower
 
-    def pressed(self, top: Floats, bottom: Floats, above: float) -> Structure:
-        """Press the upper half to ``top``, the lower one to ``bottom``, and strew filler; 0 is ``above`` their 0."""
+    def pressed(self, top: Floats, bottom: Floats, neutral_um: float) -> Structure:
+        """Press the upper half to ``top``, the lower to ``bottom``, strew filler; heights count from ``neutral_um``."""
         from planish.synthetic import _fibre_kernels
 
         p, paper = self._fibres, self._paper
-        beyond = (p.fuzz_um[1] if p.fuzz_per_mm2 else 0.0) + 3 * p.cell_um
-        low = float(np.floor(bottom.min() - beyond))
-        count = int(np.ceil((top.max() + beyond - low) / p.cell_um))
-        density = np.zeros((*top.shape, count), dtype=np.uint8)
+        margin_um = (p.fuzz_um[1] if p.fuzz_per_mm2 else 0.0) + 3 * p.cell_um
+        low_um = float(np.floor(bottom.min() - margin_um))
+        n_cells = int(np.ceil((top.max() + margin_um - low_um) / p.cell_um))
+        density = np.zeros((*top.shape, n_cells), dtype=np.uint8)
         for sign, shares, heights, ground, target in zip(
             (1.0, -1.0), self._shares, self.heights, self._grounds, (top, -bottom), strict=True
         ):
-            _fibre_kernels.press(density, low, sign, shares, heights, ground, target, p.cell_um, p.void_floor)
-        volume = self._pitch**2 * p.cell_um
-        chance = paper.filler * paper.base_g_per_cm3 / _FILLER_G_PER_CM3 / _FILLER_UM3 * volume
+            _fibre_kernels.press(density, low_um, sign, shares, heights, ground, target, p.cell_um, p.void_floor)
+        cell_um3 = self._pitch**2 * p.cell_um
+        grain_probability = paper.filler * paper.base_g_per_cm3 / _FILLER_G_PER_CM3 / _FILLER_UM3 * cell_um3
         rng = generator(self._seed, "filler")
-        for k in range(count) if chance else ():
-            height = low + (k + 0.5) * p.cell_um
-            is_grain = (rng.random(top.shape, dtype=np.float32) < chance) & (height < top) & (height > bottom)
+        for k in range(n_cells) if grain_probability else ():
+            height = low_um + (k + 0.5) * p.cell_um
+            is_grain = (
+                (rng.random(top.shape, dtype=np.float32) < grain_probability) & (height < top) & (height > bottom)
+            )
             density[..., k] += (_GRAIN * is_grain).astype(np.uint8)
-        for sign, face in ((1.0, top), (-1.0, -bottom)) if p.fuzz_per_mm2 else ():
+        for sign, outward_face in ((1.0, top), (-1.0, -bottom)) if p.fuzz_per_mm2 else ():
             rng = generator(self._seed, "fuzz", str(sign))
-            many = max(int(p.fuzz_per_mm2 * top.size * self._pitch**2 * 1e-6), 1)
-            lengths = rng.uniform(100.0, 350.0, many) / self._pitch
+            n = max(int(p.fuzz_per_mm2 * top.size * self._pitch**2 * 1e-6), 1)
+            lengths = rng.uniform(100.0, 350.0, n) / self._pitch
             _fibre_kernels.raise_fibres(
-                density, low, sign, face, rng.uniform(0, 1, (many, 2)) * top.shape[::-1],
-                rng.uniform(0, 2 * np.pi, many), lengths, rng.uniform(12.0, 22.0, many) / self._pitch,
-                rng.normal(0, 2e-3, many) * self._pitch, rng.uniform(3.0, 6.0, many), rng.uniform(*p.fuzz_um, many),
+                density, low_um, sign, outward_face, rng.uniform(0, 1, (n, 2)) * top.shape[::-1],
+                rng.uniform(0, 2 * np.pi, n), lengths, rng.uniform(12.0, 22.0, n) / self._pitch,
+                rng.normal(0, 2e-3, n) * self._pitch, rng.uniform(3.0, 6.0, n), rng.uniform(*p.fuzz_um, n),
                 p.cell_um,
             )  # fmt: skip
-        return Structure(density=density, low_um=low - above, cell_um=p.cell_um)
+        return Structure(density=density, low_um=low_um - neutral_um, cell_um=p.cell_um)

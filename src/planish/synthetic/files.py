@@ -74,21 +74,22 @@ def _write_stack(specimen: Specimen, folder: Path) -> InstrumentFiles:
 
 def _write_scan(specimen: Specimen, folder: Path) -> InstrumentFiles:
     scanner, voxel = specimen.scanner, specimen.params.scanner.voxel_um
-    place = folder / "scan"
-    place.mkdir()
+    scan_folder = folder / "scan"
+    scan_folder.mkdir()
     rows = scanner.shape[1]
     for start, tile in scanner.tiles():
         for k, row in enumerate(tile):
             # Slices count down along y: so the sheet keeps its hand with its normal along the rows.
             name = f"{_PREFIX}{rows - 1 - start - k:08d}.tif"
-            tifffile.imwrite(place / name, np.ascontiguousarray(row.T))
-    (place / f"{_PREFIX.removesuffix('_rec')}_rec.log").write_text(_rec_log(specimen), encoding="utf-8", newline="\n")
-    last = (rows - 1) * voxel
+            tifffile.imwrite(scan_folder / name, np.ascontiguousarray(row.T))
+    log_path = scan_folder / f"{_PREFIX.removesuffix('_rec')}_rec.log"
+    log_path.write_text(_rec_log(specimen), encoding="utf-8", newline="\n")
+    last_um = (rows - 1) * voxel
 
     def to_physical(points: Floats, _sections: xr.Dataset | None = None) -> Floats:
-        return np.stack([points[:, 0], last - points[:, 2], points[:, 1]], axis=1)
+        return np.stack([points[:, 0], last_um - points[:, 2], points[:, 1]], axis=1)
 
-    return InstrumentFiles(volume=place, voxel_um=(voxel, voxel, voxel), through="y", to_physical=to_physical)
+    return InstrumentFiles(volume=scan_folder, voxel_um=(voxel, voxel, voxel), through="y", to_physical=to_physical)
 
 
 def _rec_log(specimen: Specimen) -> str:
@@ -127,15 +128,15 @@ def _rec_log(specimen: Specimen) -> str:
 
 def _write_sections(specimen: Specimen, folder: Path) -> InstrumentFiles:
     p, poses, microtome = specimen.params.sections, specimen.poses, specimen.microtome
-    place = folder / "sections"
-    place.mkdir()
+    photo_folder = folder / "sections"
+    photo_folder.mkdir()
     per_cm = 1e4 / p.pixel_um
     lines = ["# kind: block-face", "file,position_um"]
     for k, picture in enumerate(microtome.pictures()):
         name = f"section_{int(poses.index[k]):05d}.tif"
-        tifffile.imwrite(place / name, picture, resolution=(per_cm, per_cm), resolutionunit="CENTIMETER")
+        tifffile.imwrite(photo_folder / name, picture, resolution=(per_cm, per_cm), resolutionunit="CENTIMETER")
         lines.append(f"{name},{poses.counter_um[k]:.3f}")
-    (place / COUNTER).write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+    (photo_folder / COUNTER).write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
     middle = 0.5 * (np.array(microtome.shape[::-1]) - 1) * p.pixel_um
 
     def to_physical(points: Floats, sections: xr.Dataset | None = None) -> Floats:
@@ -154,7 +155,7 @@ def _write_sections(specimen: Specimen, folder: Path) -> InstrumentFiles:
         return np.stack([true_x, np.interp(position, poses.counter_um, poses.y_um), true_z], axis=1)
 
     voxel = (p.section_um, p.pixel_um, p.pixel_um)
-    return InstrumentFiles(volume=place, voxel_um=voxel, through="y", to_physical=to_physical)
+    return InstrumentFiles(volume=photo_folder, voxel_um=voxel, through="y", to_physical=to_physical)
 
 
 def write_image(specimen: Specimen, path: Path, *, printed: bool = False) -> Path:

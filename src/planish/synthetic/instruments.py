@@ -33,13 +33,13 @@ def painted(
     middle_um = 0.5 * (shape[0] - 1) * step_um, 0.5 * (shape[1] - 1) * step_um
     shift_x, shift_z, turn = moved
     w, curve = warp.packed()
-    thick = sheet.reach_um + 2 * step_um
-    half = 1.05 * thick * float(np.hypot(1.0, warp.steepest))
+    reach_um = sheet.reach_um + 2 * step_um
+    half_depth = 1.05 * reach_um * float(np.hypot(1.0, warp.steepest))
     structure = sheet.structure
-    cells = (np.zeros((1, 1, 0), np.uint8), 0.0, 1.0, -np.inf)
+    structure_args = (np.zeros((1, 1, 0), np.uint8), 0.0, 1.0, -np.inf)
     if structure is not None:
-        cells = (structure.density, structure.low_um, structure.cell_um, structure.film_um)
-    done: list[tuple[int, int, Slab]] = []
+        structure_args = (structure.density, structure.low_um, structure.cell_um, structure.film_um)
+    blocks: list[tuple[int, int, Slab]] = []
     for start in range(0, shape[0], _BLOCK):
         stop = min(start + _BLOCK, shape[0])
         xs = np.arange(start - halo, stop + halo) * step_um
@@ -47,18 +47,17 @@ def painted(
             [_kernels.columns(w, curve, ys_um[i : i + 1], xs + shift_x[i]) for i in range(ys_um.size)]
         )
         middle = under[..., 2] - shift_z[:, None] - turn[:, None] * (xs - middle_um[0])
-        first = max(int(np.floor((middle.min() - half) / step_um)) - halo, 0)
-        last = min(int(np.ceil((middle.max() + half) / step_um)) + halo, shape[1] - 1)
+        first = max(int(np.floor((middle.min() - half_depth) / step_um)) - halo, 0)
+        last = min(int(np.ceil((middle.max() + half_depth) / step_um)) + halo, shape[1] - 1)
         if last < first:
             continue
         block = np.zeros((ys_um.size, xs.size, last - first + 1 + 2 * halo), dtype=np.float32)
         _kernels.paint(
             block, w, curve, ys_um, xs, first - halo, step_um, shift_x, shift_z, turn, np.array(middle_um), under,
-            half, sheet.packed, np.array(sheet.origin), PITCH_UM, np.array([grey[1] - grey[0], grey[2] - grey[0]]),
-            *cells,
+            half_depth, sheet.packed, np.array(sheet.origin), PITCH_UM, np.subtract(grey[1:], grey[0]), *structure_args,
         )  # fmt: skip
-        done.append((start, first, block))
-    return done
+        blocks.append((start, first, block))
+    return blocks
 
 
 def gaussian_taps(sigma: float) -> NDArray[np.float32]:
@@ -74,14 +73,14 @@ def smooth(slab: Slab, taps: NDArray[np.float32], axes: tuple[int, ...]) -> Slab
     for axis in axes if reach else ():
         shape = list(slab.shape)
         shape[axis] -= 2 * reach
-        done = np.empty(shape, dtype=np.float32)
+        smoothed = np.empty(shape, dtype=np.float32)
         # Plane by plane, so that a plane stays in the processor's cache.
-        for plane, out in zip(np.moveaxis(slab, axis, 1), np.moveaxis(done, axis, 1), strict=True):
-            parts = [plane[k : k + len(out)] for k in range(2 * reach + 1)]
-            np.multiply(parts[reach], taps[0], out=out)
+        for plane, out in zip(np.moveaxis(slab, axis, 1), np.moveaxis(smoothed, axis, 1), strict=True):
+            shifted = [plane[k : k + len(out)] for k in range(2 * reach + 1)]
+            np.multiply(shifted[reach], taps[0], out=out)
             for k in range(1, reach + 1):
-                out += taps[k] * (parts[reach - k] + parts[reach + k])
-        slab = done
+                out += taps[k] * (shifted[reach - k] + shifted[reach + k])
+        slab = smoothed
     return slab
 
 
@@ -120,14 +119,14 @@ class Scanner:
 
     def tiles(self, *, tile_rows: int | None = None) -> Iterator[tuple[int, NDArray[np.generic]]]:
         """Give (first row, tile (rows, x, z)) one after the other; some ``2 * threads`` tiles are in memory."""
-        _ = self.sheet.packed, self._plane, self._cups  # made once, before threads ask for them
+        _ = self.sheet.packed, self._rings_image, self._cupping_factor  # made once, before threads ask for them
         tile_rows = tile_rows or max(_TILE_VOXELS // (self.shape[0] * self.shape[2]), _LEAST_ROWS)
         starts, threads = range(0, self.shape[1], tile_rows), count_threads()
         with thread_pool() as pool:
-            for begin in range(0, len(starts), threads):
-                part = starts[begin : begin + threads]
-                stops = [min(start + tile_rows, self.shape[1]) for start in part]
-                yield from zip(part, pool.map(self.rows, part, stops), strict=True)
+            for batch_start in range(0, len(starts), threads):
+                batch = starts[batch_start : batch_start + threads]
+                stops = [min(start + tile_rows, self.shape[1]) for start in batch]
+                yield from zip(batch, pool.map(self.rows, batch, stops), strict=True)
 
     def rows(self, start: int, stop: int) -> NDArray[np.generic]:
         """Render the rows [start, stop) as (rows, x, z)."""
@@ -135,9 +134,9 @@ class Scanner:
         contrast = p.grey[2] - p.grey[0]
         slab = self._sheet(start, stop)
         if p.cupping:
-            slab = slab * self._cups
+            slab = slab * self._cupping_factor
         if p.rings:
-            slab = slab + contrast * self._plane
+            slab = slab + contrast * self._rings_image
         if p.streak:
             slab = slab + p.streak * contrast * self._streaks(start, stop)
         if p.noise:
@@ -193,13 +192,13 @@ class Scanner:
         return np.hypot(x, z)
 
     @cached_property
-    def _cups(self) -> Slab:
+    def _cupping_factor(self) -> Slab:
         """Factor (x, z) on what is brighter than air: the middle of the field comes out too faint."""
         radius = self._radius()
         return (1 - self.params.cupping * (1 - (radius / radius.max()) ** 2)).astype(np.float32)
 
     @cached_property
-    def _plane(self) -> Slab:
+    def _rings_image(self) -> Slab:
         """Rings (x, z), the same in all rows."""
         rng, radius = generator(self.seed, "rings"), self._radius()
         plane = np.zeros(radius.shape)
@@ -210,15 +209,15 @@ class Scanner:
 
     def _streaks(self, start: int, stop: int) -> Slab:
         """Lines along x, thin in z, that fade in and out over rows and along x; unit standard deviation."""
-        knots_x = int(np.ceil(self.shape[2] * self.params.voxel_um / _STREAK_UM)) + 2
-        at_x = np.arange(self.shape[2]) * self.params.voxel_um / _STREAK_UM
+        n_knots = int(np.ceil(self.shape[2] * self.params.voxel_um / _STREAK_UM)) + 2
+        knot_position = np.arange(self.shape[2]) * self.params.voxel_um / _STREAK_UM
         taps = gaussian_taps(1.0)
 
         def knot(row: int) -> Floats:
             rng = generator(self.seed, "streaks", str(row))
-            white = rng.standard_normal((1, knots_x, self.shape[0] + 2 * (taps.size - 1)), dtype=np.float32)
+            white = rng.standard_normal((1, n_knots, self.shape[0] + 2 * (taps.size - 1)), dtype=np.float32)
             lines = smooth(white, taps, (2,))[0] / np.sqrt(taps[0] ** 2 + 2 * np.sum(taps[1:] ** 2))
-            j, f = at_x.astype(int), (at_x % 1)[:, None]
+            j, f = knot_position.astype(int), (knot_position % 1)[:, None]
             return (lines[j] * (1 - f) + lines[j + 1] * f) / np.sqrt((1 - f) ** 2 + f**2)
 
         knots = {k: knot(k) for k in range(start // _STREAK_ROWS, (stop - 1) // _STREAK_ROWS + 2)}
@@ -266,30 +265,30 @@ def draw_poses(params: SectionsParams, length_um: float, seed: int) -> Poses:
     """Cut a block of ``length_um`` along y."""
     count = int(length_um / params.section_um) + 1
     rng = generator(seed, "poses")
-    white = rng.standard_normal((2, count))
+    jitter = rng.standard_normal((2, count))
     walk = np.cumsum(rng.standard_normal((2, count)), axis=1)
     walk -= walk.mean(axis=1, keepdims=True)
     turn = rng.standard_normal(count)
-    place = rng.standard_normal(count)
+    position_error = rng.standard_normal(count)
     rng = generator(seed, "missing")  # sections are lost in runs, never the first or the last one
-    lost = np.zeros(count, dtype=bool)
-    starts = np.flatnonzero(rng.random(count) < params.missing / (0.5 * (1 + _RUN)))
-    lengths = rng.integers(1, _RUN + 1, count)
-    for k in starts:
-        if not lost[max(k - 1, 0)]:  # one that is left between two runs keeps them apart
-            lost[k : k + lengths[k]] = True
-    lost[:1] = lost[-1:] = False
-    shift = params.jitter_um * white + params.walk_um * walk
-    present = np.flatnonzero(~lost)
+    is_lost = np.zeros(count, dtype=bool)
+    run_starts = np.flatnonzero(rng.random(count) < params.missing / (0.5 * (1 + _RUN)))
+    run_lengths = rng.integers(1, _RUN + 1, count)
+    for k in run_starts:
+        if not is_lost[max(k - 1, 0)]:  # one that is left between two runs keeps them apart
+            is_lost[k : k + run_lengths[k]] = True
+    is_lost[:1] = is_lost[-1:] = False
+    shift = params.jitter_um * jitter + params.walk_um * walk
+    indices = np.flatnonzero(~is_lost)
     counter = params.section_um * np.arange(count, dtype=np.float64)
-    true = length_um - counter - params.thickness * params.section_um * place
+    true_y = length_um - counter - params.thickness * params.section_um * position_error
     return Poses(
-        index=present,
-        counter_um=counter[present],
-        y_um=true[present],
-        shift_x_um=shift[0, present],
-        shift_z_um=shift[1, present],
-        turn_rad=np.deg2rad(params.rotation_deg) * turn[present],
+        index=indices,
+        counter_um=counter[indices],
+        y_um=true_y[indices],
+        shift_x_um=shift[0, indices],
+        shift_z_um=shift[1, indices],
+        turn_rad=np.deg2rad(params.rotation_deg) * turn[indices],
     )
 
 
@@ -320,15 +319,15 @@ class Microtome:
         rng = generator(self.seed, "section", str(number))
         gains = 1 + p.drift * rng.standard_normal(3)
         knots = rng.standard_normal((self.shape[0] // _RESIN_PX + 2, self.shape[1] // _RESIN_PX + 2), dtype=np.float32)
-        uneven = _between(_between(knots, self.shape[0]).T, self.shape[1]).T
-        common = (p.texture * contrast * uneven + p.knife * contrast * self._knife(number)).astype(np.float32)
+        resin_texture = _between(_between(knots, self.shape[0]).T, self.shape[1]).T
+        texture = (p.texture * contrast * resin_texture + p.knife * contrast * self._knife(number)).astype(np.float32)
         if not p.colour:
-            return self._exposed(k, p.grey, float(gains[1]), common, rng)
+            return self._exposed(k, p.grey, float(gains[1]), texture, rng)
         channels = [tuple(float(level * tint[c]) for level, tint in zip(p.grey, _TINTS, strict=True)) for c in range(3)]
-        return np.stack([self._exposed(k, g, float(gains[c]), common, rng) for c, g in enumerate(channels)], axis=-1)
+        return np.stack([self._exposed(k, g, float(gains[c]), texture, rng) for c, g in enumerate(channels)], axis=-1)
 
     def _exposed(
-        self, k: int, grey: tuple[float, ...], gain: float, common: Slab, rng: np.random.Generator
+        self, k: int, grey: tuple[float, ...], gain: float, texture: Slab, rng: np.random.Generator
     ) -> NDArray[np.uint8]:
         p = self.params
         taps = gaussian_taps(p.defocus_um / p.pixel_um)
@@ -343,24 +342,24 @@ class Microtome:
             blurred = smooth(block, taps, (1, 2))[0]
             picture[col : col + blurred.shape[0], depth : depth + blurred.shape[1]] = blurred
         grain = rng.standard_normal(self.shape, dtype=np.float32)
-        exposed = gain * (grey[0] + picture.T + common) + p.noise * (p.grey[0] - p.grey[2]) * grain
+        exposed = gain * (grey[0] + picture.T + texture) + p.noise * (p.grey[0] - p.grey[2]) * grain
         return np.clip(np.rint(exposed), 0, 255).astype(np.uint8)
 
     def _knife(self, number: int) -> Slab:
         """Lines across the sheet, the same over as many sections as one part of the edge lasts."""
         rng = generator(self.seed, "knife", str(number // _EPOCH))
         width = self.shape[1]
-        count = rng.poisson(_MARKS_PER_MM * width * self.params.pixel_um * 1e-3)
+        n_marks = rng.poisson(_MARKS_PER_MM * width * self.params.pixel_um * 1e-3)
         x = np.arange(width, dtype=np.float32)[None, :]
-        row = np.zeros((1, width), dtype=np.float32)
-        for centre, size in zip(rng.uniform(0, width, count), rng.choice([-1.0, 1.0], count), strict=True):
-            row += np.float32(size) * np.exp(-0.5 * ((x - np.float32(centre)) / np.float32(1.5)) ** 2)
-        return row
+        marks = np.zeros((1, width), dtype=np.float32)
+        for centre, sign in zip(rng.uniform(0, width, n_marks), rng.choice([-1.0, 1.0], n_marks), strict=True):
+            marks += np.float32(sign) * np.exp(-0.5 * ((x - np.float32(centre)) / np.float32(1.5)) ** 2)
+        return marks
 
 
 def _between(knots: Slab, count: int) -> Slab:
     """Interpolate rows linearly between knots."""
-    position = np.arange(count, dtype=np.float32) / np.float32(_RESIN_PX)
-    k = position.astype(int)
-    f = (position - k)[:, None].astype(np.float32)
+    knot_position = np.arange(count, dtype=np.float32) / np.float32(_RESIN_PX)
+    k = knot_position.astype(int)
+    f = (knot_position - k)[:, None].astype(np.float32)
     return (knots[k] * (1 - f) + knots[k + 1] * f).astype(np.float32)

@@ -38,9 +38,9 @@ class CameraPose:
         """Carry material points (..., 2), (u, v) in um, to the image: (x, y) in um; NaN stays NaN."""
         middle, centre = np.array(self.middle_um), np.array(self.centre_um)
         stretched = middle + (np.asarray(points, dtype=np.float64) - middle) * self._strain()
-        off = self.similarity(stretched) - centre
-        square = np.sum(off * off, axis=-1, keepdims=True) / self.half_diagonal_um**2
-        return centre + off * (1 + self.radial * square)
+        offset = self.similarity(stretched) - centre
+        radius_squared = np.sum(offset * offset, axis=-1, keepdims=True) / self.half_diagonal_um**2
+        return centre + offset * (1 + self.radial * radius_squared)
 
     def inverse(self, points: ArrayLike) -> Floats:
         """Carry image points (..., 2), (x, y) in um, back to the sheet: (u, v) in um, exact to 1e-9 um.
@@ -48,10 +48,10 @@ class CameraPose:
         NaN where the lens (``radial`` below 0) shows no point of the sheet.
         """
         middle, centre = np.array(self.middle_um), np.array(self.centre_um)
-        off = np.asarray(points, dtype=np.float64) - centre
+        offset = np.asarray(points, dtype=np.float64) - centre
         if self.radial != 0:
-            off = off * self._shrink(np.hypot(off[..., 0], off[..., 1]) / self.half_diagonal_um)[..., None]
-        stretched = self.similarity.inverse(off + centre)
+            offset = offset * self._shrink(np.hypot(offset[..., 0], offset[..., 1]) / self.half_diagonal_um)[..., None]
+        stretched = self.similarity.inverse(offset + centre)
         return middle + (stretched - middle) / self._strain()
 
     def _strain(self) -> Floats:
@@ -85,13 +85,13 @@ def draw_pose(camera: CameraParams, spread: ArrayLike, rng: np.random.Generator)
     field = np.asarray(spread, dtype=np.float64)
     rotation = float(np.deg2rad(camera.turn_deg + camera.turn_range_deg * turn))
     middle = 0.5 * (field[:2] + field[2:])
-    wide, tall = _sides(field, rotation)
-    size = float(1 + camera.scale_range * scale)
+    width_um, height_um = _frame_sides(field, rotation)
+    scale_factor = float(1 + camera.scale_range * scale)
     grid = np.stack(np.meshgrid(*np.linspace(field[:2], field[2:], 101).T), axis=-1)
 
     def posed(shape: tuple[int, int], shift: Floats) -> CameraPose:
         centre = 0.5 * camera.pixel_um * (np.array(shape[::-1]) - 1.0)
-        linear = Similarity(scale=size, rotation_rad=rotation, mirrored=camera.mirrored)
+        linear = Similarity(scale=scale_factor, rotation_rad=rotation, mirrored=camera.mirrored)
         x, y = centre + shift - linear(middle)
         return CameraPose(
             similarity=replace(linear, shift_um=(float(x), float(y))),
@@ -104,15 +104,15 @@ def draw_pose(camera: CameraParams, spread: ArrayLike, rng: np.random.Generator)
 
     def in_view(shape: tuple[int, int], shift: Floats) -> float:
         pose = posed(shape, shift)
-        points = pose(grid)
-        return float(np.mean(np.all((points >= 0) & (points <= 2 * np.array(pose.centre_um)), axis=-1)))
+        image_points = pose(grid)
+        return float(np.mean(np.all((image_points >= 0) & (image_points <= 2 * np.array(pose.centre_um)), axis=-1)))
 
-    centred = np.zeros(2)
-    shape = (max(int(_TALL * tall / camera.pixel_um), 2), max(int(_WIDE * wide / camera.pixel_um), 2))
-    while in_view(shape, centred) < _CENTRED_IN_VIEW:
+    no_shift = np.zeros(2)
+    shape = (max(int(_TALL * height_um / camera.pixel_um), 2), max(int(_WIDE * width_um / camera.pixel_um), 2))
+    while in_view(shape, no_shift) < _CENTRED_IN_VIEW:
         shape = (int(_GROWTH * shape[0]) + 1, int(_GROWTH * shape[1]) + 1)
-    wanted = camera.shift_range_um * np.array([shift_x, shift_y])
-    return shape, posed(shape, _shortened(wanted, lambda shift: in_view(shape, shift) >= _LEAST_IN_VIEW))
+    drawn_shift = camera.shift_range_um * np.array([shift_x, shift_y])
+    return shape, posed(shape, _shortened(drawn_shift, lambda shift: in_view(shape, shift) >= _LEAST_IN_VIEW))
 
 
 def _shortened(shift: Floats, is_enough: Callable[[Floats], bool]) -> Floats:
@@ -122,15 +122,15 @@ def _shortened(shift: Floats, is_enough: Callable[[Floats], bool]) -> Floats:
     # A frame that moves away from the middle of a rectangle loses field all the way, so halving finds the limit.
     low, high = 0.0, 1.0
     for _ in range(30):
-        half = 0.5 * (low + high)
-        low, high = (half, high) if is_enough(half * shift) else (low, half)
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if is_enough(middle * shift) else (low, middle)
     return low * shift
 
 
-def _sides(field: Floats, rotation: float) -> tuple[float, float]:
+def _frame_sides(field: Floats, rotation: float) -> tuple[float, float]:
     """Width and height of the field as it lies under the camera; they change places with a quarter turn."""
     width, height = field[2:] - field[:2]
     off_upright = abs(np.remainder(np.rad2deg(rotation) + 90.0, 180.0) - 90.0)
-    follow = np.deg2rad(np.clip((off_upright - _UPRIGHT_DEG) / (90.0 - 2 * _UPRIGHT_DEG), 0.0, 1.0) * 90.0)
-    cos, sin = np.cos(follow), np.sin(follow)
+    turn = np.deg2rad(np.clip((off_upright - _UPRIGHT_DEG) / (90.0 - 2 * _UPRIGHT_DEG), 0.0, 1.0) * 90.0)
+    cos, sin = np.cos(turn), np.sin(turn)
     return float(width * cos + height * sin), float(width * sin + height * cos)

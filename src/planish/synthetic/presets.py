@@ -131,9 +131,9 @@ def without(params: SpecimenParams, names: Iterable[str]) -> SpecimenParams:
 
 def with_only(params: SpecimenParams, names: Iterable[str]) -> SpecimenParams:
     """Switch every nuisance off but the named ones."""
-    keep = set(names)
-    assert keep <= NUISANCES.keys(), f"unknown nuisances {sorted(keep - NUISANCES.keys())}"
-    return without(params, [name for name in NUISANCES if name not in keep])
+    kept_names = set(names)
+    assert kept_names <= NUISANCES.keys(), f"unknown nuisances {sorted(kept_names - NUISANCES.keys())}"
+    return without(params, [name for name in NUISANCES if name not in kept_names])
 
 
 INSTRUMENTS = ("ct", "sections", "stack", "image", "print")

@@ -36,9 +36,9 @@ def lowpass(field: Floats, half_um: float) -> Floats:
     """Gaussian filter that halves a wave of length ``half_um``; the field is mirrored at its borders."""
     sigma = half_um * float(np.sqrt(np.log(2.0) / 2)) / np.pi
     pad = min(int(4 * sigma / PITCH_UM) + 1, min(field.shape) - 1)
-    wide = np.pad(field, pad, mode="reflect")
-    done = _filtered(wide, sigma)
-    return done[pad : pad + field.shape[0], pad : pad + field.shape[1]]
+    padded = np.pad(field, pad, mode="reflect")
+    filtered = _filtered(padded, sigma)
+    return filtered[pad : pad + field.shape[0], pad : pad + field.shape[1]]
 
 
 def streaks(shape: tuple[int, int], correlation_um: float, rng: np.random.Generator) -> Floats:
@@ -53,13 +53,13 @@ def fibres(shape: tuple[int, int], per_mm2: float, anisotropy: float, rng: np.ra
     ``anisotropy`` is the number of fibres along u over those across; angles follow von Mises' distribution.
     """
     count = max(int(per_mm2 * shape[0] * shape[1] * PITCH_UM**2 * 1e-6), 8)
-    (short, long), (thin, wide) = _FIBRE_UM
+    (shortest, longest), (narrowest, widest) = _FIBRE_UM
     field = np.zeros(shape)
-    margin = 0.5 * long / PITCH_UM
+    margin = 0.5 * longest / PITCH_UM
     starts = rng.uniform(-margin, [shape[1] + margin, shape[0] + margin], (count, 2))
     angles = rng.vonmises(0.0, 0.5 * np.log(anisotropy), count) / 2 + rng.integers(0, 2, count) * np.pi
-    lengths = rng.uniform(short, long, count) / PITCH_UM
-    widths = rng.uniform(thin, wide, count) / PITCH_UM
+    lengths = rng.uniform(shortest, longest, count) / PITCH_UM
+    widths = rng.uniform(narrowest, widest, count) / PITCH_UM
     curls = rng.normal(0, 4e-4, count) * PITCH_UM
     # The angle is that of a fibre's middle: half of the curl lies before it.
     _kernels.lay_fibres(field, starts, angles - 0.5 * curls * lengths, lengths, widths, curls, 1.0)
@@ -83,10 +83,10 @@ def _padded(shape: tuple[int, int]) -> tuple[int, int]:
 def _filtered(field: Floats, sigma_um: float) -> Floats:
     """Gaussian filter of a periodic field."""
     shape = _padded((field.shape[0], field.shape[1]))
-    wide = np.pad(field, ((0, shape[0] - field.shape[0]), (0, shape[1] - field.shape[1])), mode="wrap")
+    padded = np.pad(field, ((0, shape[0] - field.shape[0]), (0, shape[1] - field.shape[1])), mode="wrap")
     fy = np.exp(-2 * (np.pi * sigma_um * fft.fftfreq(shape[0], PITCH_UM)) ** 2)[:, None]
     fx = np.exp(-2 * (np.pi * sigma_um * fft.rfftfreq(shape[1], PITCH_UM)) ** 2)[None, :]
-    return fft.irfft2(fft.rfft2(wide) * fy * fx, shape)[: field.shape[0], : field.shape[1]]
+    return fft.irfft2(fft.rfft2(padded) * fy * fx, shape)[: field.shape[0], : field.shape[1]]
 
 
 _BORDER_UM = 260.0  # from the middle of a hole to the end of the field
@@ -111,8 +111,8 @@ def hole_pattern(params: BurnParams, low: Floats, high: Floats, seed: int) -> Fl
 def _coded(params: BurnParams, low: Floats, high: Floats) -> Floats:
     """Three lines: along the lower edge, and up the left and the right one."""
     per_line = -(-params.count // 3)
-    corner, rise = low + _BORDER_UM, low[1] + (_BORDER_UM + 520.0)  # from one line to the first hole of the next
-    starts = (corner, (corner[0], rise), (high[0] - _BORDER_UM, rise))
+    corner, side_start_v = low + _BORDER_UM, low[1] + (_BORDER_UM + 520.0)
+    starts = (corner, (corner[0], side_start_v), (high[0] - _BORDER_UM, side_start_v))
     lines: list[Floats] = []
     for pitches, start, direction in zip(_PITCHES_UM, starts, (0, 1, 1), strict=True):
         line = np.tile(start, (per_line, 1))
@@ -151,10 +151,10 @@ def burn(
     """Burn the holes into a sheet of the mean thickness ``depth_um``: its ``rim_um`` and ``char``."""
     rim = np.full((2, *shape), 1e4, dtype=np.float32)
     char = np.ones(shape, dtype=np.float32)
-    reach = 2.0 * params.diameter_um + 4 * params.char_um
+    reach_um = 2.0 * params.diameter_um + 4 * params.char_um
     for k, (u, v) in enumerate(holes):
-        j0, j1 = (int((u - low[0] + d) / PITCH_UM) for d in (-reach, reach))
-        i0, i1 = (int((v - low[1] + d) / PITCH_UM) for d in (-reach, reach))
+        j0, j1 = (int((u - low[0] + d) / PITCH_UM) for d in (-reach_um, reach_um))
+        i0, i1 = (int((v - low[1] + d) / PITCH_UM) for d in (-reach_um, reach_um))
         box = (slice(max(i0, 0), min(i1, shape[0])), slice(max(j0, 0), min(j1, shape[1])))
         y = low[1] + PITCH_UM * np.arange(shape[0])[box[0], None] - v
         x = low[0] + PITCH_UM * np.arange(shape[1])[None, box[1]] - u
@@ -175,29 +175,29 @@ def _hole(
     # Everything is drawn, also what is off: then one switch does not move the others.
     radius = 0.5 * (params.diameter_um + params.diameter_sd_um * rng.standard_normal())
     ratio = np.sqrt(1 + (params.axis_ratio - 1) * rng.random())
-    turn, towards, side = rng.uniform(0, 2 * np.pi, 3)
-    lean = np.tan(np.deg2rad(params.tilt_deg * rng.random())) * depth_um
-    power = np.exp(-((_ORDERS * _ROUGH_UM / (2 * radius)) ** 2))
-    waves = params.rim_um * np.sqrt(power / power.sum())[:, None] * rng.standard_normal((_ORDERS.size, 2))
+    axis_angle, lean_angle, closed_angle = rng.uniform(0, 2 * np.pi, 3)
+    lean_um = np.tan(np.deg2rad(params.tilt_deg * rng.random())) * depth_um
+    wave_power = np.exp(-((_ORDERS * _ROUGH_UM / (2 * radius)) ** 2))
+    waves = params.rim_um * np.sqrt(wave_power / wave_power.sum())[:, None] * rng.standard_normal((_ORDERS.size, 2))
     burnt_um = max(params.char_um + params.char_sd_um * rng.standard_normal(), 0.0)
-    closed = rng.random() < params.half_closed
+    is_half_closed = rng.random() < params.half_closed
 
     def distance(x: Floats, y: Floats, radius: float) -> Floats:
         # cos(k angle) + i sin(k angle) from one order to the next, without a sine for each
         spin: NDArray[np.complex128] = np.exp(1j * np.arctan2(y, x))
-        wave, rough = spin, np.zeros(spin.shape)
+        harmonic, roughness = spin, np.zeros(spin.shape)
         for a, b in waves:
-            wave = wave * spin
-            rough += a * wave.real + b * wave.imag
-        p = (x * np.cos(turn) + y * np.sin(turn)) / ratio
-        q = (y * np.cos(turn) - x * np.sin(turn)) * ratio
-        return np.hypot(p, q) - radius - rough
+            harmonic = harmonic * spin
+            roughness += a * harmonic.real + b * harmonic.imag
+        p = (x * np.cos(axis_angle) + y * np.sin(axis_angle)) / ratio
+        q = (y * np.cos(axis_angle) - x * np.sin(axis_angle)) * ratio
+        return np.hypot(p, q) - radius - roughness
 
     top = distance(x, y, radius)
-    x, y = x - lean * np.cos(towards), y - lean * np.sin(towards)
+    x, y = x - lean_um * np.cos(lean_angle), y - lean_um * np.sin(lean_angle)
     bottom = distance(x, y, radius * (1 - params.taper))
-    if closed:
-        bottom = np.maximum(bottom, x * np.cos(side) + y * np.sin(side))
+    if is_half_closed:
+        bottom = np.maximum(bottom, x * np.cos(closed_angle) + y * np.sin(closed_angle))
     return top, bottom, burnt_um
 
 
@@ -271,10 +271,10 @@ class DrawnSheet:
         layers = np.empty((LAYERS, *shape), dtype=np.float32)
         for k in range(LAYERS):
             depth = (k + 0.5) / LAYERS
-            grains = _FILLER_CONTRAST * p.filler * (1.2 - 1.6 * (depth - 0.5) ** 2)
+            filler_sd = _FILLER_CONTRAST * p.filler * (1.2 - 1.6 * (depth - 0.5) ** 2)
             net = p.base_density_sd * fibrous(shape, p.anisotropy, generator(self.seed, "net", str(k)), per_mm2=50.0)
-            dust = grains * generator(self.seed, "filler", str(k)).standard_normal(shape)
-            layers[k] = np.clip(1 + net + dust, 0.2, 2.5)
+            filler_noise = filler_sd * generator(self.seed, "filler", str(k)).standard_normal(shape)
+            layers[k] = np.clip(1 + net + filler_noise, 0.2, 2.5)
         return layers
 
     @cached_property
@@ -293,46 +293,47 @@ def make_sheet(
     below a base of single fibres.
     """
     shape = (int(np.ceil((high[1] - low[1]) / PITCH_UM)) + 2, int(np.ceil((high[0] - low[0]) / PITCH_UM)) + 2)
-    mat = None
+    fibre_mat = None
     if paper.fibres:
-        mat = FibreMat(paper, shape, PITCH_UM, _MIDDLE_UM * noise(shape, 400.0, generator(seed, "middle")), seed)
-        upper, lower = mat.calendered()
-        thickness, relief = upper + lower, 0.5 * (upper - lower)
+        fibre_mat = FibreMat(paper, shape, PITCH_UM, _MIDDLE_UM * noise(shape, 400.0, generator(seed, "middle")), seed)
+        upper_height, lower_height = fibre_mat.calendered()
+        thickness, relief = upper_height + lower_height, 0.5 * (upper_height - lower_height)
     else:
         thickness, relief = _base(paper, shape, seed)
     mass = thickness / thickness.mean() * (1 + 0.03 * noise(shape, 500.0, generator(seed, "mass")))
     mass /= mass.mean()
     faces: list[Floats] = []
-    pits: list[Floats | float] = []
+    pit_depths: list[Floats | float] = []
     for side, sign, mean in (("top", 1.0, paper.coating_top_um), ("bottom", -1.0, paper.coating_bottom_um)):
         inner = 0.5 * thickness + sign * relief
-        pit = 0.0
+        pit_depth = 0.0
         if paper.fibres and mean:
             # Coating colour does not flow into a pore that is narrower than this.
-            bridged = ndimage.grey_closing(inner, footprint=_DISC)
-            inner, pit = bridged, bridged - inner
-        pits.append(pit)
+            closed = ndimage.grey_closing(inner, footprint=_DISC)
+            inner, pit_depth = closed, closed - inner
+        pit_depths.append(pit_depth)
         coating = _coating(paper, inner, mean, side, seed)
         outer = inner + coating
         # A nip presses the outer face flat; the coating keeps its thickness and the base gives way.
         outer = outer.mean() + paper.calendering * (outer - outer.mean())
         faces += [outer, outer - coating]
-    depth = float(np.mean(faces[0] + faces[2]))
-    rim, char = burn(holes, centres, shape, (float(low[0]), float(low[1])), depth, seed)
-    grain = 0.3 * (mass - mass.mean()) / mass.std() + np.sqrt(1 - 0.09) * noise(shape, 300.0, generator(seed, "grain"))
+    depth_um = float(np.mean(faces[0] + faces[2]))
+    rim, char = burn(holes, centres, shape, (float(low[0]), float(low[1])), depth_um, seed)
+    density = noise(shape, 300.0, generator(seed, "grain"))
+    density = 0.3 * (mass - mass.mean()) / mass.std() + np.sqrt(1 - 0.09) * density
     top, bottom = (float(np.mean(faces[k] - faces[k + 1])) for k in (0, 2))
-    above = neutral_height(float(np.mean(faces[1] + faces[3])), top, bottom, stiffness)
-    structure = mat and mat.pressed(faces[1] - pits[0], -(faces[3] - pits[1]), above)
+    neutral_um = neutral_height(float(np.mean(faces[1] + faces[3])), top, bottom, stiffness)
+    structure = fibre_mat and fibre_mat.pressed(faces[1] - pit_depths[0], -(faces[3] - pit_depths[1]), neutral_um)
     if structure is not None and film is not None:
-        structure = structure.on_film(-faces[2] - above, film)
+        structure = structure.on_film(-faces[2] - neutral_um, film)
     return DrawnSheet(
         params=paper,
         seed=seed,
         origin=(float(low[0]), float(low[1])),
-        faces=np.stack([faces[0], faces[1], -faces[3], -faces[2]]).astype(np.float32) - np.float32(above),
+        faces=np.stack([faces[0], faces[1], -faces[3], -faces[2]]).astype(np.float32) - np.float32(neutral_um),
         rim_um=rim,
         char=char,
-        coating_density=(1 + paper.coating_density_sd * grain).astype(np.float32),
+        coating_density=(1 + paper.coating_density_sd * density).astype(np.float32),
         base_mass=mass.astype(np.float32),
         holes=centres,
         structure=structure,
@@ -371,12 +372,12 @@ def _coating(p: PaperParams, inner: Floats, mean_um: float, side: str, seed: int
     shape = (inner.shape[0], inner.shape[1])
     if mean_um == 0:
         return np.zeros(shape)
-    levelled = lowpass(inner, p.levelling_um) - inner
-    levelled += p.coating_noise_sd_um * noise(shape, 20.0, generator(seed, "coater", side))
-    excess_variance = p.coating_sd_um**2 - float(levelled.var())
+    coating_change = lowpass(inner, p.levelling_um) - inner
+    coating_change += p.coating_noise_sd_um * noise(shape, 20.0, generator(seed, "coater", side))
+    excess_variance = p.coating_sd_um**2 - float(coating_change.var())
     if excess_variance > 0:
         # Skewed: a spot can lack more than another can carry too much.
         spots = np.exp(0.6 * noise(shape, _DEPOSIT_UM, generator(seed, "deposit", side)))
-        levelled -= np.sqrt(excess_variance) * (spots - spots.mean()) / spots.std()
-    coating = np.maximum(mean_um + levelled, p.least_coating_um)
+        coating_change -= np.sqrt(excess_variance) * (spots - spots.mean()) / spots.std()
+    coating = np.maximum(mean_um + coating_change, p.least_coating_um)
     return coating if p.fibres is None else np.maximum(coating + mean_um - coating.mean(), p.least_coating_um)

@@ -67,9 +67,9 @@ class Specimen:
     @property
     def scanner(self) -> Scanner:
         """The micro-CT scanner that holds the specimen."""
-        voxel = self.params.scanner.voxel_um
+        voxel_um = self.params.scanner.voxel_um
         x, y, z = self.extent_um
-        shape = (int(np.ceil(z / voxel)) + 1, round(y / voxel), round(x / voxel))
+        shape = (int(np.ceil(z / voxel_um)) + 1, round(y / voxel_um), round(x / voxel_um))
         return Scanner(sheet=self.sheet, warp=self.warp, params=self.params.scanner, shape=shape, seed=self.params.seed)
 
     @cached_property
@@ -146,8 +146,8 @@ class Specimen:
     def columns(self) -> xr.Dataset:
         """``u, v, centre`` of the centre surface at each column (y, x) of the scanned volume, in um."""
         y, x = (np.arange(n, dtype=np.float64) * self.params.scanner.voxel_um for n in self.scanner.shape[1:])
-        under = np.moveaxis(self.warp.columns(y, x), -1, 0)
-        values = {k: (("y", "x"), field, {"units": "um"}) for k, field in zip(("u", "v", "centre"), under, strict=True)}
+        uvz = np.moveaxis(self.warp.columns(y, x), -1, 0)
+        values = {k: (("y", "x"), field, {"units": "um"}) for k, field in zip(("u", "v", "centre"), uvz, strict=True)}
         return xr.Dataset(values, coords={"y": y, "x": x})
 
 
@@ -160,16 +160,16 @@ def _labelled(values: NDArray[Any], dims: tuple[str, ...], pitch_um: float, **at
 
 def _place_in_volume(params: SpecimenParams) -> tuple[Warp, Floats, float]:
     """Bring the sheet's own origin to the middle of the volume; give the warp, its columns (u, v, z), and the depth."""
-    (width, height), p = params.size_um, params.paper
-    reach = 2.0 * max(params.size_um) / np.cos(np.arctan(params.warp.steepest)) + 1000.0
-    warp = replace(params.warp, shift_um=(width / 2, height / 2, 0.0), reach_um=reach)
-    under = warp.columns(np.linspace(0, height, 61), np.linspace(0, width, 81))
-    thickness = p.base_um + p.coating_top_um + p.coating_bottom_um
+    (width_um, height_um), p = params.size_um, params.paper
+    reach_um = 2.0 * max(params.size_um) / np.cos(np.arctan(params.warp.steepest)) + 1000.0
+    warp = replace(params.warp, shift_um=(width_um / 2, height_um / 2, 0.0), reach_um=reach_um)
+    uvz = warp.columns(np.linspace(0, height_um, 61), np.linspace(0, width_um, 81))
+    thickness_um = p.base_um + p.coating_top_um + p.coating_bottom_um
     film = params.film
-    below = film.film_um + film.gap_um if film is not None else 0.0
-    air = (0.5 * thickness + 20.0 + below) * float(np.hypot(1.0, warp.steepest)) + 60.0
-    low_z, high_z = float(under[..., 2].min()) - air, float(under[..., 2].max()) + air
-    return replace(warp, shift_um=(width / 2, height / 2, -low_z)), under, high_z - low_z
+    film_depth_um = film.film_um + film.gap_um if film is not None else 0.0
+    margin_um = (0.5 * thickness_um + 20.0 + film_depth_um) * float(np.hypot(1.0, warp.steepest)) + 60.0
+    low_z, high_z = float(uvz[..., 2].min()) - margin_um, float(uvz[..., 2].max()) + margin_um
+    return replace(warp, shift_um=(width_um / 2, height_um / 2, -low_z)), uvz, high_z - low_z
 
 
 def make_specimen(
@@ -215,22 +215,22 @@ def make_specimen(
     params = params or DEMO
     if params.film is not None and (params.paper.fibres is None if sheet is None else not sheet.has_film):
         raise ValueError("a film lies under a base of fibres only: set paper.fibres, or give a sheet made with a film")
-    warp, under, depth_um = _place_in_volume(params)
-    spread = np.concatenate([under[..., :2].min(axis=(0, 1)), under[..., :2].max(axis=(0, 1))])
-    image_shape, pose = draw_pose(params.camera, spread, generator(params.seed, "pose"))
+    warp, uvz, depth_um = _place_in_volume(params)
+    field_uv = np.concatenate([uvz[..., :2].min(axis=(0, 1)), uvz[..., :2].max(axis=(0, 1))])
+    image_shape, pose = draw_pose(params.camera, field_uv, generator(params.seed, "pose"))
     rows, cols = np.multiply(image_shape, params.camera.pixel_um)
     corners = pose.inverse([[x, y] for x in (0.0, cols) for y in (0.0, rows)])
-    low = np.minimum(spread[:2], corners.min(axis=0)) - _BEYOND_UM
-    high = np.maximum(spread[2:], corners.max(axis=0)) + _BEYOND_UM
+    low = np.minimum(field_uv[:2], corners.min(axis=0)) - _BEYOND_UM
+    high = np.maximum(field_uv[2:], corners.max(axis=0)) + _BEYOND_UM
     if sheet is None:
-        inner_low = np.array([under[:, 0, 0].max(), under[0, :, 1].max()])
-        inner_high = np.array([under[:, -1, 0].min(), under[-1, :, 1].min()])
+        inner_low = np.array([uvz[:, 0, 0].max(), uvz[0, :, 1].max()])
+        inner_high = np.array([uvz[:, -1, 0].min(), uvz[-1, :, 1].min()])
         centres = hole_pattern(params.holes, inner_low, inner_high, params.seed)
         sheet = make_sheet(
             params.paper, params.holes, low=low, high=high, centres=centres, seed=params.seed,
             stiffness=params.stiffness, film=params.film,
         )  # fmt: skip
-    elif not sheet.covers(spread[:2], spread[2:]):
+    elif not sheet.covers(field_uv[:2], field_uv[2:]):
         raise ValueError("the given sheet does not reach as far as the volume shows it; bend it more or make it larger")
     specimen = Specimen(
         params=params, warp=warp, sheet=sheet, pose=pose, extent_um=(*params.size_um, depth_um),
@@ -240,9 +240,9 @@ def make_specimen(
         return specimen
     from planish.synthetic.files import write_instruments, write_truth
 
-    place = Path(folder)
-    if place.exists():
-        raise FileError(f"{place} exists already. Name another folder for the specimen, or remove that one.")
-    files = write_instruments(specimen, place)
-    write_truth(specimen, place / "truth")
+    specimen_folder = Path(folder)
+    if specimen_folder.exists():
+        raise FileError(f"{specimen_folder} exists already. Name another folder for the specimen, or remove that one.")
+    files = write_instruments(specimen, specimen_folder)
+    write_truth(specimen, specimen_folder / "truth")
     return replace(specimen, files=files)

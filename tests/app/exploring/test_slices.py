@@ -38,7 +38,7 @@ def test_the_voxels_are_those_of_the_volume_and_each_plane_is_read_once(monkeypa
     frame = Frame(through=through)
     rows = np.arange(1, data.sizes[frame.rows], 3)
     depth = slice(2, 9)
-    found = slices._read(data, frame, rows, depth, every, Scale(0.0, 255.0, "grey"), silent)
+    found = slices._read_greys(data, frame, rows, depth, every, Scale(0.0, 255.0, "grey"), silent)
     turned = values.transpose(["zyx".index(axis) for axis in (frame.rows, frame.through, frame.cols)])[rows, depth]
     cols = turned.shape[2] // every
     expected = turned[:, :, : cols * every].reshape(rows.size, 7, cols, every).mean(axis=3)

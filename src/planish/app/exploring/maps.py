@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import math
+import re
 import zlib
 from dataclasses import dataclass
 from typing import Any
@@ -28,7 +29,7 @@ from planish.run.run import MAPS, Run
 
 Codes = NDArray[np.unsignedinteger[Any]]
 
-_LEVEL = 6  # a higher one takes five times as long and saves 2 %
+_ZLIB_LEVEL = 6  # a higher one takes five times as long and saves 2 %
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,67 +81,68 @@ def packed(values: NDArray[Any], *, bits: int = 8) -> Packed:
     take a third of them, these are only known to lie beyond. Where all values lie a whole number of steps apart and
     there are codes enough, nothing is lost.
     """
-    data = np.asarray(values, dtype=np.float64)
-    finite = data[np.isfinite(data)]
+    numbers = np.asarray(values, dtype=np.float64)
+    finite = numbers[np.isfinite(numbers)]
     low, high = _range(finite)
-    most = 2**bits - 1
-    spacing = _spacing(finite, most - 3)
-    step = spacing or (high - low) / (most - 3)
+    last_code = 2**bits - 1
+    spacing = _spacing(finite, last_code - 3)
+    step = spacing or (high - low) / (last_code - 3)
     low = float(finite.min()) if spacing else low
-    step_counts = np.rint((np.where(np.isfinite(data), data, low) - low) / step)
-    shown = np.clip(step_counts, -1, most - 2) + 2
-    codes = np.where(np.isfinite(data), shown, 0).astype(np.uint8 if bits == 8 else np.uint16)
-    order, text = min(((k, _deflated(codes, k)) for k in (1, 2)), key=lambda candidate: len(candidate[1]))
+    step_counts = np.rint((np.where(np.isfinite(numbers), numbers, low) - low) / step)
+    clipped = np.clip(step_counts, -1, last_code - 2) + 2
+    codes = np.where(np.isfinite(numbers), clipped, 0).astype(np.uint8 if bits == 8 else np.uint16)
+    order, deflated = min(((k, _deflated(codes, k)) for k in (1, 2)), key=lambda candidate: len(candidate[1]))
     return Packed(
-        text=base64.b64encode(text).decode("ascii"), shape=(data.shape[0], data.shape[1]), bits=bits, order=order,
-        low=low, step=step, beyond=int(np.count_nonzero((codes == 1) | (codes == most))), exact=spacing is not None,
+        text=base64.b64encode(deflated).decode("ascii"), shape=(codes.shape[0], codes.shape[1]), bits=bits, order=order,
+        low=low, step=step, beyond=int(((codes == 1) | (codes == last_code)).sum()), exact=spacing is not None,
     )  # fmt: skip
 
 
 def _range(finite: Floats) -> tuple[float, float]:
     if not finite.size:
         return 0.0, 1.0
-    least, most = float(finite.min()), float(finite.max())
+    minimum, maximum = float(finite.min()), float(finite.max())
     # Single values far off would take the digits: of them 0.05 % may lie beyond either end.
     low, high = map(float, np.percentile(finite, [0.05, 99.95]))
-    if high > low and most - least > 1.5 * (high - low):
-        least, most = low, high
-    tiny = 1e-9 * max(abs(least), abs(most), 1e-300)
-    return (least, most) if most - least > tiny else (least - 0.5, least + 0.5)
+    if high > low and maximum - minimum > 1.5 * (high - low):
+        minimum, maximum = low, high
+    tolerance = 1e-9 * max(abs(minimum), abs(maximum), 1e-300)
+    return (minimum, maximum) if maximum - minimum > tolerance else (minimum - 0.5, minimum + 0.5)
 
 
-def _spacing(finite: Floats, most: int) -> float | None:
+def _spacing(finite: Floats, max_steps: int) -> float | None:
     """The step that all values lie a whole number of apart, where so few of them span the range; else None."""
-    values = np.unique(finite)
-    if values.size < 2:
+    unique = np.unique(finite)
+    if unique.size < 2:
         return None
-    steps = np.diff(values)
-    step = float(steps.min())
-    if (values[-1] - values[0]) / step > most:
+    differences = np.diff(unique)
+    step = float(differences.min())
+    if (unique[-1] - unique[0]) / step > max_steps:
         return None
-    whole = steps / step
-    return step if np.abs(whole - np.rint(whole)).max() < 1e-6 else None
+    step_counts = differences / step
+    return step if np.abs(step_counts - np.rint(step_counts)).max() < 1e-6 else None
 
 
 def _deflated(codes: Codes, order: int) -> bytes:
     """Deflate differences along the rows and, of second order, of those down the columns."""
-    along = codes.copy()
-    along[:, 1:] -= codes[:, :-1]
-    differences = along.copy()
+    row_differences = codes.copy()
+    row_differences[:, 1:] -= codes[:, :-1]
+    differences = row_differences.copy()
     if order == 2:
-        differences[1:] -= along[:-1]
+        differences[1:] -= row_differences[:-1]
     if differences.dtype == np.uint8:
-        return zlib.compress(differences.tobytes(), _LEVEL)
+        return zlib.compress(differences.tobytes(), _ZLIB_LEVEL)
     # Small differences of either sign have a high byte of 0, and all high bytes stand together.
     signed = differences.view(np.int16)
-    folded = ((signed << 1) ^ (signed >> 15)).view(np.uint16)
-    return zlib.compress((folded & 255).astype(np.uint8).tobytes() + (folded >> 8).astype(np.uint8).tobytes(), _LEVEL)
+    zigzag = ((signed << 1) ^ (signed >> 15)).view(np.uint16)
+    low_bytes, high_bytes = (zigzag & 255).astype(np.uint8), (zigzag >> 8).astype(np.uint8)
+    return zlib.compress(low_bytes.tobytes() + high_bytes.tobytes(), _ZLIB_LEVEL)
 
 
 BUDGET = 6_000_000
 """Letters that all maps may take."""
 
-_MOST_PIXELS = 1_500_000  # of a map: what a browser colours anew in some milliseconds
+_MAX_PIXELS = 1_500_000  # of a map: what a browser colours anew in some milliseconds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,12 +156,12 @@ class PageMap:
     packed : Packed
     scale : Scale
         Colours and their limits, those of the report.
-    span : (float, float)
+    scatter_limits : (float, float)
         What the scatter spans.
-    group : int
+    group_index : int
         Which of the masks of valid pixels is its own.
     trust : Trust
-        What the checks leave of it, by those in ``why``.
+        What the checks leave of it, by those in ``check_names``.
     """
 
     layer: str
@@ -168,10 +170,10 @@ class PageMap:
     units: str
     packed: Packed
     scale: Scale
-    span: tuple[float, float]
-    group: int
+    scatter_limits: tuple[float, float]
+    group_index: int
     trust: Trust
-    why: tuple[str, ...]
+    check_names: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -182,14 +184,14 @@ class Group:
     ----------
     valid : Packed or None
         Where pixels count.
-    places : dict of Packed
+    coordinates : dict of Packed
         Places in the volume by axis; empty of an image.
     sheet : str
         Name of the sheet, empty where there is none.
     """
 
     valid: Packed | None
-    places: dict[str, Packed]
+    coordinates: dict[str, Packed]
     sheet: str
 
 
@@ -206,12 +208,12 @@ class MapsOfPage:
     @property
     def titles(self) -> dict[tuple[str, str], str]:
         """Titles by layer and name."""
-        return {(shown.layer, shown.name): shown.title for shown in self.maps}
+        return {(m.layer, m.name): m.title for m in self.maps}
 
     def letters(self) -> int:
         """Size of all that is packed."""
-        more = [p for group in self.groups for p in (group.valid, *group.places.values()) if p is not None]
-        return sum(len(codes.text) for codes in (*(shown.packed for shown in self.maps), *more))
+        grids = [grid for group in self.groups for grid in (group.valid, *group.coordinates.values())]
+        return sum(len(grid.text) for grid in (*(m.packed for m in self.maps), *grids) if grid is not None)
 
 
 def maps_of(run: Run) -> MapsOfPage:
@@ -222,12 +224,12 @@ def maps_of(run: Run) -> MapsOfPage:
     InputError
         If the run holds no maps.
     """
-    wanted = _map_names(run)
-    shape = Grid.of(run.groups[wanted[0][0]]).shape
-    count = sum(len(names) for _, names in wanted)
-    most = min(_MOST_PIXELS, 2 * BUDGET // max(1, count))  # two pixels a letter at best
-    halvings = max(0, math.ceil(math.log(shape[0] * shape[1] / most, 4)))
-    while (maps := _packed_maps(run, wanted, halvings)).letters() > BUDGET:
+    map_names = _map_names(run)
+    shape = Grid.of(run.groups[map_names[0][0]]).shape
+    n_maps = sum(len(names) for _, names in map_names)
+    max_pixels = min(_MAX_PIXELS, 2 * BUDGET // max(1, n_maps))  # two pixels a letter at best
+    halvings = max(0, math.ceil(math.log(shape[0] * shape[1] / max_pixels, 4)))
+    while (maps := _packed_maps(run, map_names, halvings)).letters() > BUDGET:
         halvings += 1
     return maps
 
@@ -235,98 +237,100 @@ def maps_of(run: Run) -> MapsOfPage:
 def _map_names(run: Run) -> list[tuple[str, list[str]]]:
     """Groups and the names of their maps: the headline of each first, then what it is compared with."""
     results, groups = run.results, run.groups
-    names = ["linked"] if "linked" in groups else [f"layers/{layer.name}" for layer in results.layers]
-    names = [name for name in names if name in groups] or [name for name in ("maps",) if name in groups]
-    if not names:
+    group_names = ["linked"] if "linked" in groups else [f"layers/{layer.name}" for layer in results.layers]
+    group_names = [group for group in group_names if group in groups] or [group for group in groups if group == "maps"]
+    if not group_names:
         raise InputError(f"The run holds no maps to show; it holds {', '.join(groups) or 'nothing'}.")
-    wanted: list[tuple[str, list[str]]] = []
-    for name in names:
-        data = groups[name]
-        float_maps = [str(k) for k, v in data.data_vars.items() if v.ndim == 2 and v.dtype.kind == "f"]
-        hidden = "volume_", "projected_", "presence", "error_"  # beginnings of names
-        maps = [k for k in float_maps if not k.startswith(hidden) and k not in ("u", "v") and not k.endswith("_se")]
-        first = [layer.headline for layer in results.layers if name in ("linked", "maps", f"layers/{layer.name}")]
-        listed = [k for layer in results.layers if layer.sheet for k in layer.sheet.properties]
-        order = {k: rank for rank, k in reversed([*enumerate([*first, *listed])])}
-        wanted.append((name, sorted(maps, key=lambda k: (order.get(k, len(order)), k))))
-    return wanted
+    map_names: list[tuple[str, list[str]]] = []
+    properties = [name for layer in results.layers if layer.sheet for name in layer.sheet.properties]
+    hidden = re.compile("volume_|projected_|presence|error_|[uv]$|.*_se$")
+    for group in group_names:
+        variables = groups[group].data_vars.items()
+        float_maps = [str(name) for name, data in variables if data.ndim == 2 and data.dtype.kind == "f"]
+        headlines = [layer.headline for layer in results.layers if group in ("linked", "maps", f"layers/{layer.name}")]
+        ranks = {name: rank for rank, name in reversed([*enumerate([*headlines, *properties])])}
+        names = [name for name in float_maps if not hidden.match(name)]
+        map_names.append((group, sorted(names, key=lambda name: (ranks.get(name, len(ranks)), name))))
+    return map_names
 
 
-def _packed_maps(run: Run, wanted: list[tuple[str, list[str]]], halvings: int) -> MapsOfPage:
+def _packed_maps(run: Run, map_names: list[tuple[str, list[str]]], halvings: int) -> MapsOfPage:
     results = run.results
     maps: list[PageMap] = []
     groups: list[Group] = []
     grid, headline = None, None
-    for group, (name, names) in enumerate(wanted):
-        places = [f"volume_{axis}" for axis in "xyz"]
-        stored = run.groups[name]
-        placed = all(place in stored for place in places)
-        extra_names = [*(places if placed else []), *(["valid"] if "valid" in stored else [])]
-        data = _halved_maps(run, name, names + extra_names, halvings)
-        grid = grid or Grid.of(data)
-        valid = data["valid"].values.astype(bool) if "valid" in data else np.True_
+    volume_names = {axis: f"volume_{axis}" for axis in "xyz"}
+    for group_index, (group, names) in enumerate(map_names):
+        variables = run.groups[group]
+        coordinates = volume_names if all(name in variables for name in volume_names.values()) else {}
+        extra_names = [*coordinates.values(), *(["valid"] if "valid" in variables else [])]
+        dataset = _halved_maps(run, group, names + extra_names, halvings)
+        grid = grid or Grid.of(dataset)
+        is_valid = dataset["valid"].values.astype(bool) if "valid" in dataset else np.True_
         groups.append(Group(
-            valid=packed(np.where(valid, 1.0, np.nan)) if "valid" in data else None,
-            places={axis: packed(data[f"volume_{axis}"].values, bits=16) for axis in "xyz"} if placed else {},
-            sheet=_layer_of(results, name, "").name if placed else "",
+            valid=packed(np.where(is_valid, 1.0, np.nan)) if "valid" in dataset else None,
+            coordinates={axis: packed(dataset[name].values, bits=16) for axis, name in coordinates.items()},
+            sheet=_layer_of_map(results, group, "").name if coordinates else "",
         ))  # fmt: skip
-        for key in names:
-            layer = _layer_of(results, name, key)
-            layer_map = data[key].rename(key)
+        for name in names:
+            layer = _layer_of_map(results, group, name)
+            layer_map = dataset[name].rename(name)
             values = layer_map.values
-            counted = values[np.isfinite(values) & valid].astype(np.float64)
+            valid_values = values[np.isfinite(values) & is_valid].astype(np.float64)
             if headline is None:
-                headline = np.where(valid, values, np.nan).astype(np.float32)
-            maps.append(_packed_map(layer_map, counted, layer, results, group))
+                headline = np.where(is_valid, values, np.nan).astype(np.float32)
+            maps.append(_packed_map(layer_map, valid_values, layer, results, group_index))
     assert grid is not None
     assert headline is not None
-    maps.sort(key=lambda shown: shown.name != _layer_of(results, wanted[shown.group][0], shown.name).headline)
+    maps.sort(key=lambda m: m.name != _layer_of_map(results, map_names[m.group_index][0], m.name).headline)
     return MapsOfPage(maps=tuple(maps), groups=tuple(groups), grid=grid, halvings=halvings, headline=headline)
 
 
-def _packed_map(data: xr.DataArray, counted: Floats, layer: LayerFacts, results: Results, group: int) -> PageMap:
+def _packed_map(
+    data: xr.DataArray, valid_values: Floats, layer: LayerFacts, results: Results, group_index: int
+) -> PageMap:  # fmt: skip
     name = str(data.name)
     figure = POSITION if name == "expected_error" else name
     checks = concerned(results.checks, (layer.name,), (figure,))
-    scale = colours_of(data, counted)
-    pack = packed(data.values)
+    scale = colours_of(data, valid_values)
+    packed_map = packed(data.values)
     # Single values, such as holes, may take most steps, with few between the limits of the colours.
-    if (scale.high - scale.low) / pack.step < 100:
-        pack = packed(data.values, bits=16)
+    if (scale.high - scale.low) / packed_map.step < 100:
+        packed_map = packed(data.values, bits=16)
     # Per cent of the values that the scatter spans.
-    low, high = map(float, np.percentile(counted, (0.05, 99.95))) if counted.size else (0.0, 1.0)
+    low, high = map(float, np.percentile(valid_values, (0.05, 99.95))) if valid_values.size else (0.0, 1.0)
     return PageMap(
-        layer=layer.name, name=name, title=title_of(data), units=unit_of(data), packed=pack, scale=scale,
-        span=(low, high) if low < high else (low - 0.5, low + 0.5),
-        group=group, trust=trust_of(results.checks, (layer.name,), (figure,)),
-        why=tuple(check.name for check in checks if check.state in ("fail", "look")),
+        layer=layer.name, name=name, title=title_of(data), units=unit_of(data), packed=packed_map, scale=scale,
+        scatter_limits=(low, high) if low < high else (low - 0.5, low + 0.5),
+        group_index=group_index, trust=trust_of(results.checks, (layer.name,), (figure,)),
+        check_names=tuple(check.name for check in checks if check.state in ("fail", "look")),
     )  # fmt: skip
 
 
-def _halved_maps(run: Run, name: str, names: list[str], halvings: int) -> xr.Dataset:
+def _halved_maps(run: Run, group: str, names: list[str], halvings: int) -> xr.Dataset:
     """Maps of a group, halved so often: from the store's own smaller copies as far as it has them."""
     assert run.folder is not None
     store = run.folder / MAPS
-    copies = overviews_of(store, name)[:halvings]
-    data = read_group(store, copies[-1], names) if copies else run.groups[name][names].compute()
-    for _ in range(halvings - len(copies)):
-        data = halved(data)
-    return data
+    overviews = overviews_of(store, group)[:halvings]
+    maps = read_group(store, overviews[-1], names) if overviews else run.groups[group][names].compute()
+    for _ in range(halvings - len(overviews)):
+        maps = halved(maps)
+    return maps
 
 
-def _layer_of(results: Results, group: str, name: str) -> LayerFacts:
+def _layer_of_map(results: Results, group: str, map_name: str) -> LayerFacts:
     """The layer that a map of a group is of."""
     if group.startswith("layers/"):
         return results.layer(group.removeprefix("layers/"))
-    kind = "image" if name == IMAGE else "sheet"
+    kind = "image" if map_name == IMAGE else "sheet"
     return next(layer for layer in results.layers if layer.kind == kind)
 
 
-def map_spec(shown: PageMap) -> dict[str, Any]:
+def map_spec(m: PageMap) -> dict[str, Any]:
     """Give what the script needs of a map, beside its values."""
-    digits = max(0, min(6, math.ceil(-math.log10(shown.packed.step))))
+    digits = max(0, min(6, math.ceil(-math.log10(m.packed.step))))
     return {
-        "title": shown.title, "layer": shown.layer, "units": shown.units, "digits": digits, "error": shown.packed.error,
-        "range": [shown.scale.low, shown.scale.high], "colours": shown.scale.colours, "span": list(shown.span),
-        "group": shown.group, "trust": shown.trust, "why": list(shown.why),
+        "title": m.title, "layer": m.layer, "units": m.units, "digits": digits, "error": m.packed.error,
+        "range": [m.scale.low, m.scale.high], "colours": m.scale.colours, "span": list(m.scatter_limits),
+        "group": m.group_index, "trust": m.trust, "why": list(m.check_names),
     }  # fmt: skip

@@ -56,7 +56,7 @@ def read_regions(path: str | Path) -> Regions:
         If the file cannot be read, is damaged, too large, or holds something else than polygons; all faults are named.
     """
     name = Path(path).name
-    content = read_bytes(path, what="file of regions", most=_LARGEST_FILE)
+    content = read_bytes(path, what="file of regions", most_bytes=_LARGEST_FILE)
     faults: list[str] = []
     readers: list[tuple[str, Callable[[], Region]]] = []
     if is_imagej := content.startswith((ZIP, ROI)):

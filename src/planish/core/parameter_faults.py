@@ -6,6 +6,7 @@ import difflib
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
+from itertools import chain
 from typing import Any, NamedTuple, get_origin
 
 from pydantic import BaseModel, ValidationError
@@ -31,25 +32,25 @@ class KeyLines(NamedTuple):
 def key_lines(text: str) -> KeyLines:
     """Find the line of every key in a text that is TOML; keys of tables within a value count as that value."""
     lines: dict[Key, int] = {}
-    counts: dict[Key, int] = {}
-    base: Key = ()
-    part, begin = "", 1
-    for number, line in enumerate(text.split("\n"), 1):
-        part += f"{line}\n"
-        if (names := _names(part)) is None:  # a value that goes on
+    table_counts: dict[Key, int] = {}
+    table_key: Key = ()
+    statement, first_line = "", 1
+    for line_number, line in enumerate(text.split("\n"), 1):
+        statement += f"{line}\n"
+        if (names := _key_names(statement)) is None:  # a value that goes on
             continue
-        if part.lstrip().startswith("["):
-            key = base = _table(names, counts, array=part.lstrip().startswith("[["))
+        if statement.lstrip().startswith("["):
+            key = table_key = _table_key(names, table_counts, is_array=statement.lstrip().startswith("[["))
         else:  # names end at the first sign that is not within quotes
-            ends = (sign.start() for sign in re.finditer("=", part))
-            key = (*base, *next(filter(None, (_names(f"{part[:end]}= 1") for end in ends)), ()))
+            parsed = (_key_names(f"{statement[: sign.start()]}= 1") for sign in re.finditer("=", statement))
+            key = (*table_key, *next(filter(None, parsed), ()))
         for k in range(1, len(key) + 1):
-            lines.setdefault(key[:k], begin)
-        part, begin = "", number + 1
+            lines.setdefault(key[:k], first_line)
+        statement, first_line = "", line_number + 1
     return KeyLines(lines)
 
 
-def _names(text: str) -> list[str] | None:
+def _key_names(text: str) -> list[str] | None:
     """Names of the tables and the key of a line of TOML; None where it is none."""
     names: list[str] = []
     try:
@@ -63,20 +64,20 @@ def _names(text: str) -> list[str] | None:
     return names
 
 
-def _table(names: list[str], counts: dict[Key, int], *, array: bool) -> Key:
+def _table_key(names: list[str], table_counts: dict[Key, int], *, is_array: bool) -> Key:
     """Key of a table: within arrays of tables, that of the last one."""
     key: Key = ()
     for k, name in enumerate(names):
         key = (*key, name)
-        if array and k == len(names) - 1:
-            counts[key] = counts.get(key, 0) + 1
-        if key in counts:
-            key = (*key, counts[key] - 1)
+        if is_array and k == len(names) - 1:
+            table_counts[key] = table_counts.get(key, 0) + 1
+        if key in table_counts:
+            key = (*key, table_counts[key] - 1)
     return key
 
 
 # From where a model has a value to the key that the file has for it, and its line; None where it has no line.
-Place = Callable[[Key], tuple[Key, int | None]]
+PlaceOf = Callable[[Key], tuple[Key, int | None]]
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _ALIKE = 0.6  # of difflib: the share of letters that two names have in common
@@ -91,89 +92,89 @@ _ADVICE = (
 )  # fmt: skip
 
 
-def toml_mistake(error: tomllib.TOMLDecodeError | RecursionError, text: str) -> str:
+def toml_fault(error: tomllib.TOMLDecodeError | RecursionError, text: str) -> str:
     """Say where a text stops being TOML, and what to write there."""
-    words = str(error)
-    match = re.search(r"\(at line (\d+), column (\d+)\)", words)
+    error_text = str(error)
+    position = re.search(r"\(at line (\d+), column (\d+)\)", error_text)
     lines = text.splitlines()
-    if match is None or not 0 < int(match[1]) <= len(lines):
-        return f"{words}."
-    line = lines[int(match[1]) - 1]
+    if position is None or not 0 < int(position[1]) <= len(lines):
+        return f"{error_text}."
+    line = lines[int(position[1]) - 1]
     advice = next(
-        (f" {what}" for pattern, kinds, what in _ADVICE
-         if pattern.search(line) and (not kinds or any(kind in words for kind in kinds))), ""
+        (f" {advice_text}" for pattern, triggers, advice_text in _ADVICE
+         if pattern.search(line) and (not triggers or any(trigger in error_text for trigger in triggers))), ""
     )  # fmt: skip
-    return f"line {match[1]}, column {match[2]}: {words[: match.start()].strip()}: {line.strip()[:80]}.{advice}"
+    reason = error_text[: position.start()].strip()
+    return f"line {position[1]}, column {position[2]}: {reason}: {line.strip()[:80]}.{advice}"
 
 
-def mistakes(error: ValidationError, model: type[BaseModel], place: Place = lambda loc: (loc, None)) -> list[str]:
+def fault_texts(error: ValidationError, model: type[BaseModel], place: PlaceOf = lambda loc: (loc, None)) -> list[str]:
     """Name every mistake that a validation found: ``line 7, volume.thruogh: unknown; did you mean through?``.
 
     Names that are possible are taken from ``model``; ``place`` gives key and line in the file.
     """
     sentences: list[tuple[int, str]] = []
-    named_keys: set[Key] = set()
+    reported_keys: set[Key] = set()
     for fault in error.errors(include_url=False):
         # The place of a value without the kinds that it may have, which pydantic names behind it.
-        loc = tuple(part for part in fault["loc"] if isinstance(part, int) or _NAME.fullmatch(part))
+        loc = tuple(name for name in fault["loc"] if isinstance(name, int) or _NAME.fullmatch(name))
         key, line = place(loc)
-        if key in named_keys and key:  # of a value that may be of several kinds, the first kind says enough
+        if key in reported_keys and key:  # of a value that may be of several kinds, the first kind says enough
             continue
-        named_keys.add(key)
-        where = ".".join(map(str, key))
+        reported_keys.add(key)
         line_text = f"line {line}" if line is not None else ""
-        head = ", ".join(filter(None, (line_text, where)))
-        sentences.append((line or 0, f"{head}: {_words(fault, loc, model)}" if head else _words(fault, loc, model)))
+        texts = (", ".join(filter(None, (line_text, ".".join(map(str, key))))), _fault_text(fault, loc, model))
+        sentences.append((line or 0, ": ".join(filter(None, texts))))
     return [text for _, text in sorted(sentences, key=lambda sentence: sentence[0])]
 
 
-def _words(fault: Any, loc: Key, model: type[BaseModel]) -> str:
+def _fault_text(fault: Any, loc: Key, model: type[BaseModel]) -> str:
     message = str(fault["msg"]).removeprefix("Value error, ")
     value = fault.get("input")
     if fault["type"] == "extra_forbidden":
-        return _unknown(str(loc[-1]), loc[:-1], model)
+        return _unknown_text(str(loc[-1]), loc[:-1], model)
     if fault["type"] == "missing":
         return "a value is missing" if loc and isinstance(loc[-1], int) else "missing"
     if fault["type"] == "tuple_type":
         return f"{value!r} is not possible; needed are values in brackets, such as [1.5, 1.5]"
     if fault["type"] == "literal_error":
         expected = str(fault["ctx"]["expected"])
-        likely = difflib.get_close_matches(str(value).casefold(), re.findall(r"'([^']*)'", expected), 1, _ALIKE)
-        meant = f"; did you mean {likely[0]!r}?" if likely else "."
-        return f"{value!r} is not possible; needed is {expected}{meant}".removesuffix(".")
+        matches = difflib.get_close_matches(str(value).casefold(), re.findall(r"'([^']*)'", expected), 1, _ALIKE)
+        suggestion = f"; did you mean {matches[0]!r}?" if matches else "."
+        return f"{value!r} is not possible; needed is {expected}{suggestion}".removesuffix(".")
     if isinstance(value, str | int | float | bool):
         return f"{message} (found {value!r})"
     return message
 
 
-def _unknown(name: str, table: Key, model: type[BaseModel]) -> str:
+def _unknown_text(name: str, table: Key, model: type[BaseModel]) -> str:
     """Say that a name is unknown: the closest one of its table, or the table that has it."""
-    everywhere = dict(_tables(model, ()))
+    names_by_table = dict(_tables_of(model, ()))
     # A place has names of fields, numbers, and names of alternatives.
     models: Sequence[type[BaseModel]] = [model]
-    for part in (part for part in table if isinstance(part, str)):
-        inner = [k for m in models if part in m.model_fields for k in models_in(m.model_fields[part].annotation)]
-        models = inner or models
-    here = [field for m in models for field in m.model_fields]
-    here += [] if table else [place[0] for place in everywhere if place]
-    likely = difflib.get_close_matches(name.casefold(), here, 1, _ALIKE)
-    if likely:
-        return f"unknown; did you mean {likely[0]}?"
-    owners = [place for place, fields in everywhere.items() if name in fields and place]
+    for name_of_table in (key for key in table if isinstance(key, str)):
+        fields = [model.model_fields[name_of_table] for model in models if name_of_table in model.model_fields]
+        models = [inner for field in fields for inner in models_in(field.annotation)] or models
+    possible_names = [field for m in models for field in m.model_fields]
+    possible_names += [] if table else [path[0] for path in names_by_table if path]
+    matches = difflib.get_close_matches(name.casefold(), possible_names, 1, _ALIKE)
+    if matches:
+        return f"unknown; did you mean {matches[0]}?"
+    owners = [path for path, fields in names_by_table.items() if name in fields and path]
     if not owners:
-        near = difflib.get_close_matches(name, sorted({f for fs in everywhere.values() for f in fs}), 1, 0.8)
-        owners = [place for place, fields in everywhere.items() if near and near[0] in fields and place]
-        name = near[0] if owners else name
+        close = difflib.get_close_matches(name, sorted(set(chain(*names_by_table.values()))), 1, 0.8)
+        owners = [path for path, fields in names_by_table.items() if close and close[0] in fields and path]
+        name = close[0] if owners else name
     if owners:
-        tables = " or ".join(f"[{'.'.join(place)}]" for place in owners)
+        tables = " or ".join(f"[{'.'.join(path)}]" for path in owners)
         return f"unknown here; {name} belongs to {tables}"
-    return f"unknown; there {'is' if len(here) == 1 else 'are'} {', '.join(sorted(set(here))[:30])}"
+    return f"unknown; there {'is' if len(possible_names) == 1 else 'are'} {', '.join(sorted(set(possible_names))[:30])}"
 
 
-def _tables(model: type[BaseModel], place: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], list[str]]]:
+def _tables_of(model: type[BaseModel], path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], list[str]]]:
     """All tables of a model, each with the names in it; those of an array stand where the array does."""
-    yield place, [name for name, field in model.model_fields.items() if not models_in(field.annotation)]
+    yield path, [name for name, field in model.model_fields.items() if not models_in(field.annotation)]
     for name, field in model.model_fields.items():
-        several = get_origin(field.annotation) in (tuple, list)
-        for inner in models_in(field.annotation):
-            yield from _tables(inner, place if several else (*place, name))
+        is_array = get_origin(field.annotation) in (tuple, list)
+        for inner_model in models_in(field.annotation):
+            yield from _tables_of(inner_model, path if is_array else (*path, name))

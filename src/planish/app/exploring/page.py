@@ -27,30 +27,30 @@ from planish.run.compute import Compute, Progress, silent
 from planish.run.run import open_run
 
 _PACKAGE = "planish.app.exploring"
-_PARTS = ("unpack.js", "model.js", "mapview.js", "scatter.js", "sliceview.js", "start.js")
+_SCRIPTS = ("unpack.js", "model.js", "mapview.js", "scatter.js", "sliceview.js", "start.js")
 
 
 def render(results: Results, maps: MapsOfPage, stacks: Sequence[Stack], notes: Sequence[str]) -> str:
     """Return the page as text; the same run gives the same bytes."""
     style = template(_PACKAGE, "explore.css").render()
-    parts = [(files(_PACKAGE) / "script" / name).read_text(encoding="utf-8") for name in _PARTS]
-    script = "(() => {\n" + '"use strict";\n' + "".join(parts) + "})();\n"  # in a scope of their own
-    hashes = [base64.b64encode(hashlib.sha256(part.encode()).digest()).decode() for part in (style, script)]
+    scripts = [(files(_PACKAGE) / "script" / name).read_text(encoding="utf-8") for name in _SCRIPTS]
+    script = "(() => {\n" + '"use strict";\n' + "".join(scripts) + "})();\n"  # in a scope of their own
+    hashes = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in (style, script)]
     policy = (
         f"default-src 'none'; style-src 'sha256-{hashes[0]}'; script-src 'sha256-{hashes[1]}'; img-src data: blob:; "
         "base-uri 'none'; form-action 'none'"
     )
-    about, blocks = _data(results, maps, stacks)
-    data = json.dumps(about, allow_nan=False, separators=(",", ":"))
-    for sign, code in (("<", "\\u003c"), (">", "\\u003e"), ("&", "\\u0026")):
-        data = data.replace(sign, code)  # it cannot end the element that it stands in
+    page_data, blocks = _data(results, maps, stacks)
+    data_json = json.dumps(page_data, allow_nan=False, separators=(",", ":"))
+    for character, escape in (("<", "\\u003c"), (">", "\\u003e"), ("&", "\\u0026")):
+        data_json = data_json.replace(character, escape)  # it cannot end the element that it stands in
     # The map that leads as a picture of 640 pixels for those without a script.
     factor = max(1.0, max(maps.headline.shape) / 640)
-    still = area_mean(maps.headline, (factor, factor)) if factor > 1 else maps.headline
+    headline_image = area_mean(maps.headline, (factor, factor)) if factor > 1 else maps.headline
     page = template(_PACKAGE, "explore.html.j2").render(
         results=results, layers=results.layers, titles=maps.titles, summary=summary, maps=maps.maps, lead=maps.maps[0],
-        still=image_uri(still, maps.maps[0].scale), notes=notes, stacks=stacks, style=style, script=script,
-        policy=policy, data=data, blocks=blocks,
+        still=image_uri(headline_image, maps.maps[0].scale), notes=notes, stacks=stacks, style=style, script=script,
+        policy=policy, data=data_json, blocks=blocks,
     )  # fmt: skip
     return f"{page}\n"
 
@@ -65,43 +65,43 @@ def _data(
         blocks.append({"name": name, "text": packed.text})
         return packed.spec() | {"block": name}
 
-    described = [block(f"m{k}", shown.packed) | map_spec(shown) for k, shown in enumerate(maps.maps)]
+    map_specs = [block(f"m{k}", m.packed) | map_spec(m) for k, m in enumerate(maps.maps)]
     groups: list[dict[str, Any]] = []
     for k, group in enumerate(maps.groups):
-        places = {axis: block(f"g{k}{axis}", place) for axis, place in group.places.items()}
+        coordinates = {axis: block(f"g{k}{axis}", um) for axis, um in group.coordinates.items()}
         valid = None if group.valid is None else block(f"g{k}valid", group.valid)
-        groups.append({"sheet": group.sheet, "valid": valid, "places": places})
-    slices: list[dict[str, Any]] = []
+        groups.append({"sheet": group.sheet, "valid": valid, "places": coordinates})
+    stack_specs: list[dict[str, Any]] = []
     for k, stack in enumerate(stacks):
-        slices.append(stack.about | {
+        stack_specs.append(stack.spec | {
             "pictures": f"s{k}pictures",
             "lines": {name: block(f"s{k}{name}", line) for name, line in stack.lines.items()},
-            "used": block(f"s{k}used", stack.used),
+            "used": block(f"s{k}used", stack.measured),
         })  # fmt: skip
         blocks.append({"name": f"s{k}pictures", "text": "".join(stack.pictures)})
     grid = maps.grid
     data = {
-        "maps": described,
+        "maps": map_specs,
         "groups": groups,
         "grid": {
             "rows": grid.shape[0], "cols": grid.shape[1], "dy": grid.pixel_um[0], "dx": grid.pixel_um[1],
             "x0": grid.origin_um[0], "y0": grid.origin_um[1], "names": ["x", "y"] if results.is_link else ["u", "v"],
         },
-        "pairs": _pairs(results, maps),
+        "pairs": _doubted_pairs(results, maps),
         "halved": maps.halvings > 0,
         "several": len(results.layers) > 2 or len(stacks) > 1,
-        "stacks": slices,
+        "stacks": stack_specs,
         "lines": [dict(zip(("name", "title", "colour", "dash"), line, strict=True)) for line in LINES],
         "palettes": {
             name: base64.b64encode(colours_in_steps(name).tobytes()).decode("ascii")
-            for name in sorted({shown.scale.colours for shown in maps.maps})
+            for name in sorted({m.scale.colours for m in maps.maps})
         },
         "missing": MISSING,
     }  # fmt: skip
     return data, blocks
 
 
-def _pairs(results: Results, maps: MapsOfPage) -> list[list[Any]]:
+def _doubted_pairs(results: Results, maps: MapsOfPage) -> list[list[Any]]:
     """Pairs of maps whose relation the checks doubt or withhold: both, the word, and the checks."""
     pairs: list[list[Any]] = []
     for i, a in enumerate(maps.maps):
@@ -167,9 +167,8 @@ def explore(
         progress("maps", str(run))
         maps = maps_of(opened)
         sheets = dict.fromkeys(group.sheet for group in maps.groups if group.sheet)
-        layers, budget = map(opened.results.layer, sheets), BUDGET // max(len(sheets), 1)
-        read = (stack_of(opened, layer, budget, compute, progress) for layer in layers)
-        stacks = [stack for stack in read if stack is not None]
+        letters, layers = BUDGET // max(len(sheets), 1), map(opened.results.layer, sheets)
+        stacks = list(filter(None, (stack_of(opened, layer, letters, compute, progress) for layer in layers)))
         notes = _notes(maps, stacks)
         page = render(opened.results, maps, stacks, notes).encode()
     assert len(page) <= LARGEST
@@ -181,19 +180,19 @@ def explore(
 
 def _notes(maps: MapsOfPage, stacks: list[Stack]) -> tuple[str, ...]:
     """Say what the page holds, and what was left out of it, with ASCII units."""
-    down, across = maps.grid.pixel_um
-    size = f"{across:.4g} um" if abs(down - across) < 1e-6 * across else f"{across:.4g} x {down:.4g} um"
+    dy, dx = maps.grid.pixel_um
+    pixel_text = f"{dx:.4g} um" if abs(dy - dx) < 1e-6 * dx else f"{dx:.4g} x {dy:.4g} um"
     rows, cols = maps.grid.shape
-    pixels = f"{cols} x {rows} pixels of {size}"
+    grid_text = f"{cols} x {rows} pixels of {pixel_text}"
     n = 2**maps.halvings
-    origin = f": means of {n} x {n} pixels of the run, to keep the page small" if n > 1 else ", as in the run"
-    notes = [f"Maps: {pixels}{origin}."]
+    origin_text = f": means of {n} x {n} pixels of the run, to keep the page small" if n > 1 else ", as in the run"
+    notes = [f"Maps: {grid_text}{origin_text}."]
     for stack in stacks:
-        name = f"{stack.about['sheet']}: " if len(stacks) > 1 else ""
+        name = f"{stack.spec['sheet']}: " if len(stacks) > 1 else ""
         notes.append(f"{name}{stack.note[:1].upper()}{stack.note[1:]}.")
-    without = sorted({group.sheet for group in maps.groups if group.sheet} - {stack.about["sheet"] for stack in stacks})
-    if without:
-        notes.append(f"No slices of {' and '.join(without)}: its surfaces are not in this run.")
+    sheets, sliced = {group.sheet for group in maps.groups if group.sheet}, {stack.spec["sheet"] for stack in stacks}
+    if without_slices := sorted(sheets - sliced):
+        notes.append(f"No slices of {' and '.join(without_slices)}: its surfaces are not in this run.")
     elif not stacks:
         notes.append("No slices: the run does not say where its pixels lie in a volume.")
     return tuple(notes)

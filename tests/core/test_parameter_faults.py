@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planish.core.errors import FileError, InputError
-from planish.core.mistakes import key_lines
+from planish.core.parameter_faults import key_lines
 from planish.run import read_study
 
 

@@ -4,23 +4,23 @@ from pathlib import Path
 
 import pytest
 
-from planish.core import sources
+from planish.core import source_hash
 from planish.run import compute
 
 
 def test_names_and_bytes_of_the_sources_count_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sources, "PACKAGE", tmp_path)
+    monkeypatch.setattr(source_hash, "PACKAGE", tmp_path)
     states = list[str]()
 
     def state() -> str:
-        states.append(sources.hash_sources.__wrapped__())
+        states.append(source_hash.hash_sources.__wrapped__())
         return states[-1]
 
     (tmp_path / "stage").mkdir()
     (tmp_path / "stage" / "a.py").write_bytes(b"a = 1\n")
     before = state()
     (tmp_path / "page.html").write_text("no code")
-    assert sources.hash_sources.__wrapped__() == before
+    assert source_hash.hash_sources.__wrapped__() == before
     (tmp_path / "stage" / "a.py").write_bytes(b"a = 2\n")
     state()
     (tmp_path / "stage" / "a.py").rename(tmp_path / "a.py")

@@ -16,11 +16,11 @@ def hash_sources(pattern: str = "*.py") -> str:
     """Give the first 16 hex digits of a hash of the package's files, their names and bytes."""
     digest = hashlib.sha256()
     for name, path in sorted((path.relative_to(PACKAGE).as_posix(), path) for path in PACKAGE.rglob(pattern)):
-        data = path.read_bytes()
-        digest.update(f"{name}\n{len(data)}\n".encode() + data)
+        content = path.read_bytes()
+        digest.update(f"{name}\n{len(content)}\n".encode() + content)
     return digest.hexdigest()[:16]
 
 
-def is_this_code(version: str, code: str) -> bool:
+def is_this_code(version: str, source_hash: str) -> bool:
     """Return True if a version and a hash of sources are those of this program."""
-    return version == __version__ and code == hash_sources()
+    return version == __version__ and source_hash == hash_sources()

@@ -1,0 +1,100 @@
+"""From a session to the study of a new run, with the files that it names: only what was changed is written."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from planish.app.changes import Mark, changed_corrections
+from planish.app.picture import PLANES
+from planish.app.session import Session, dataset_of
+from planish.core.files import free_path
+from planish.marks.exchange import marks_bytes
+from planish.marks.exchange.model import join_holes, with_holes
+from planish.marks.regions import Region, Regions, geojson_text
+from planish.marks.regions.model import ring_of
+from planish.run.cached_maps import noted_study
+from planish.run.regions import REGIONS
+from planish.run.study import EDITS, LayerParams, Study, changed, with_layer
+
+STAGING = f"{EDITS}/.apply"
+"""Hidden folder of a run where files of an order stand until the new run has its own."""
+
+
+def order_of(session: Session, staging: Path) -> tuple[Study, dict[str, str]]:
+    """Give the study of the new run of a session, and texts of files by name, which the study finds in ``staging``.
+
+    Where a session stands as it began, so does the study, and there are no files.
+    """
+    study, holes = _original_run(session)
+    original, state, file_texts = session.first, session.state, dict[str, str]()
+    default_diameter_um, is_only_layer = float(np.mean(study.holes.hole_um)), len(state.marks) == 1
+    for name, marks in state.marks.items():
+        if marks == original.marks[name]:
+            continue
+        file_name = "marks.json" if is_only_layer else f"marks-{name}.json"
+        dataset = all_marks(marks, holes[name], default_diameter_um=default_diameter_um)
+        file_texts[file_name] = marks_bytes(dataset, "json")[""].decode()
+        path = str(staging / file_name)
+        if is_only_layer:
+            study = changed(study, registration={"marks": path})
+        study = with_layer(study, name, marks=None if is_only_layer else path)
+    if state.model != original.model:
+        study = changed(study, registration={"model": state.model})
+    if state.regions != original.regions:
+        regions = tuple(
+            Region(
+                name=region.name, reason=region.reason, author=region.author,
+                polygons=(tuple(ring_of(np.array(ring)) for ring in (region.polygon, *region.holes)),),
+            )
+            for region in state.regions
+        )  # fmt: skip
+        if regions:
+            file_texts[REGIONS] = geojson_text(Regions(declared=regions))
+        study = changed(study, correlate={"regions": str(staging / REGIONS) if regions else None})
+    for name, corrections in changed_corrections(study, original.corrections, state.corrections).items():
+        file_name = f"surface-{name}.json"
+        if corrections.stretches:
+            file_texts[file_name] = corrections.to_json()
+        path = str(staging / file_name) if corrections.stretches else None
+        study = with_layer(study, name, surface={"corrections": path})
+    return study, file_texts
+
+
+def _original_run(session: Session) -> tuple[Study, Mapping[str, xr.Dataset]]:
+    """Study of a run before any change, and all holes and marks by layer; of a map, those of its link to the image."""
+    if session.image_params is None:
+        return session.study, {layer: registration.marks for layer, registration in session.registrations.items()}
+    sheet, study = session.study.layers[0], noted_study(session.folder) or session.study
+    image_name = next((layer.name for layer in study.layers if layer.image is not None), "image")
+    image = LayerParams(name=image_name, image=session.image_params)
+    holes = session.holes(sheet.name)
+    marks = join_holes(holes["moving"], holes["fixed"]).assign_attrs(layers={})
+    return study.model_copy(update={"layers": (sheet, image)}), {sheet.name: marks}
+
+
+def new_run_folder(run: Path, *, linked: bool) -> Path:
+    """Choose the folder of the new run: ``RUN-2`` beside RUN, ``OUT`` of the ``OUT-map`` that is linked to an image."""
+    if linked and (suffix := re.search(r"-map(-\d+)?$", run.name)) and suffix.start():
+        return free_path(run.with_name(run.name[: suffix.start()]))
+    return free_path(run)
+
+
+def all_marks(marks: Sequence[Mark], run_marks: xr.Dataset, *, default_diameter_um: float) -> xr.Dataset:
+    """Marks of a session as files have them, and the holes in which none of them lies: these are masked too.
+
+    ``run_marks`` are all marks of the run, matched or not, as ``marks.json`` has them. An end of a mark keeps what it
+    says of itself; without a diameter it takes that of the hole in which it lies, or ``default_diameter_um``.
+    """
+    dataset = dataset_of(marks, about=run_marks.attrs.get("layers", {}))
+    labels = [mark.label for mark in marks]
+    for side in PLANES:
+        dataset, used_labels = with_holes(dataset, run_marks, side, usual_um=default_diameter_um), {*labels}
+        free_labels = (name for k in itertools.count(1) if (name := f"{side} {k}") not in used_labels)
+        labels += itertools.islice(free_labels, dataset.sizes["mark"] - len(labels))
+    return dataset.assign(label=("mark", np.array(labels, dtype=np.str_)))
