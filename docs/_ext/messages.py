@@ -71,7 +71,7 @@ def _of(tree: ast.Module, path: Path, constants: dict[str, str]) -> Iterator[tup
             listed = isinstance(node.func, ast.Attribute) and node.func.attr == "append" and node.args
             if listed and _FAULTS.search(_name(node.func.value)):
                 yield from ((node.lineno, "one of several", text) for text in _texts(node.args, constants))
-        if isinstance(node, ast.Assign) and _FAULTS.fullmatch(_name(node.targets[0])):
+        if isinstance(node, ast.Assign) and _FAULTS.search(_name(node.targets[0])):
             yield from ((node.lineno, "one of several", text) for text in _texts([node.value], constants))
 
 

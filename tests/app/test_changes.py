@@ -15,7 +15,7 @@ def state() -> changes.State:
         )
         for k in (1, 2, 3)
     )
-    return changes.State(marks={"sheet": marks, "other": ()}, first="sheet")
+    return changes.State(marks={"sheet": marks, "other": ()}, first_layer="sheet")
 
 
 def after(one: changes.State, line: int, **change: object) -> changes.State:
