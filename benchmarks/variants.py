@@ -10,10 +10,7 @@ from typing import Any
 from planish.validate.certify import run_scenario
 from planish.validate.scenario import Scenario
 
-_PLAIN: dict[str, Any] = {
-    "holes": {"pattern": "irregular", "count": 6},
-    "camera": {"radial": 0.0, "stretch": 0.0},
-}
+_PLAIN: dict[str, Any] = {"holes": {"pattern": "irregular", "count": 6}, "camera": {"radial": 0.0, "stretch": 0.0}}
 _FIGURES = (
     "recall_image", "recall_volume", "tre_median", "tre_p95", "pixel_coating_top_bias", "pixel_coating_top_rmse",
     "pixel_base_thickness_rmse", "r_point", "r_true_point", "tre_projection_p95",

@@ -185,10 +185,7 @@ def test_import_takes_a_scheduler(cluster, store, tmp_path, planish):
 
 @pytest.mark.study
 def test_a_scheduler_that_is_lost_is_a_sentence(cluster):
-    with (
-        pytest.raises(ResourceError, match="was lost"),
-        engine(Compute(scheduler=cluster.scheduler_address)) as on,
-    ):
+    with pytest.raises(ResourceError, match="was lost"), engine(Compute(scheduler=cluster.scheduler_address)) as on:
         list(on.map("sums", dies, lambda _tile: None, tiles_of((4, 4), (2, 2))))
 
 

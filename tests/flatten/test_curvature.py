@@ -126,11 +126,7 @@ def test_a_surface_that_no_paper_can_have_is_named_and_small_ones_are_not_judged
     assert "segmentation" in found.verdict
     assert "2 mm" in found.verdict
     assert "0.5 %" in found.verdict
-    for points in (
-        sphere(20, 20, 10.0, 5000.0),
-        sphere(2, 9, 10.0, 5000.0),
-        np.full((5, 5, 3), np.nan),
-    ):
+    for points in (sphere(20, 20, 10.0, 5000.0), sphere(2, 9, 10.0, 5000.0), np.full((5, 5, 3), np.nan)):
         found = curvature_check(points)
         assert np.isnan([found.share, found.largest]).all()
         assert "smaller than a patch of 2 mm" in found.verdict

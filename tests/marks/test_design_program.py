@@ -9,15 +9,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from planish.core.errors import MarkError
-from planish.design import (
-    DesignParams,
-    StageParams,
-    design_pattern,
-    dry_run,
-    own_pattern,
-    short_route,
-    stage_program,
-)
+from planish.design import DesignParams, StageParams, design_pattern, dry_run, own_pattern, short_route, stage_program
 
 SAFE = ["G21", "G90", "F1200", "G0 X1 Y1", "M3", "G4 P0.005", "M5", "G4 P0.1", "G0 X0 Y0", "M2"]
 

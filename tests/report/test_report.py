@@ -13,18 +13,7 @@ import xarray as xr
 from PIL import Image
 
 from planish.core.numbers import count, fixed, in_words, length, number, percent, plain, to_spread
-from planish.report import (
-    Canvas,
-    Scale,
-    colours,
-    draw,
-    image_uri,
-    limits,
-    maps,
-    relation,
-    take_slice,
-    write_report,
-)
+from planish.report import Canvas, Scale, colours, draw, image_uri, limits, maps, relation, take_slice, write_report
 from planish.results import Results
 from report.pages import Page
 from report.runs import PROPERTIES, a_run, page_of

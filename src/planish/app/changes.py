@@ -186,8 +186,7 @@ class DeclareRegion(_Change):
 
 
 Change = Annotated[
-    Add | Move | Use | Relabel | Remove | Import | ChooseModel | Correct | DeclareRegion,
-    Field(discriminator="do"),
+    Add | Move | Use | Relabel | Remove | Import | ChooseModel | Correct | DeclareRegion, Field(discriminator="do")
 ]
 _CHANGE: TypeAdapter[Change] = TypeAdapter(Change)
 

@@ -218,8 +218,7 @@ def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
                 # Mean products with the neighbours at 0, 1, 2 ... voxels along the two axes of the sheet.
                 turned = grey, grey.swapaxes(0, 1)
                 lags += np.array(
-                    [[float(np.mean(v[k:] * v[: len(v) - k])) for v in turned] for k in range(_LAGS)],
-                    dtype=np.float64,
+                    [[float(np.mean(v[k:] * v[: len(v) - k])) for v in turned] for k in range(_LAGS)], dtype=np.float64
                 ).mean(axis=1)
     if not lags[0] > lags[-1]:
         return float("nan")

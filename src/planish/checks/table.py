@@ -16,15 +16,7 @@ from planish.checks.sheets import MeasuredSheet
 from planish.checks.slices import slice_order
 from planish.checks.through_scale import RegisteredSheet
 from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, CheckRule, trust_of
-from planish.results import (
-    ComparisonRow,
-    CorrelationRow,
-    ExpectedError,
-    LayerFacts,
-    LinkedArea,
-    PropertyFacts,
-    Results,
-)
+from planish.results import ComparisonRow, CorrelationRow, ExpectedError, LayerFacts, LinkedArea, PropertyFacts, Results
 
 Figure = TypeVar("Figure", CorrelationRow, ComparisonRow, PropertyFacts, ExpectedError)
 

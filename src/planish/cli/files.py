@@ -59,11 +59,7 @@ def info(path: Path, picture: Path | None, as_json: bool) -> None:
         click.echo(printable("\n".join(lines)))
 
 
-@verb(
-    "planish import scan/ --out sheet.zarr",
-    "planish import sections/ --out sheet.zarr --through y",
-    name="import",
-)
+@verb("planish import scan/ --out sheet.zarr", "planish import sections/ --out sheet.zarr --through y", name="import")
 @existing("volume")
 @out_option("Store to make, such as sheet.zarr; it must not exist.")
 @options(

@@ -15,17 +15,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from planish.core.errors import StudyError
-from planish.core.options import (
-    Params,
-    Shown,
-    flag_of,
-    kinds_of,
-    options_of,
-    params_of,
-    put_options,
-    unit_of,
-    words_in,
-)
+from planish.core.options import Params, Shown, flag_of, kinds_of, options_of, params_of, put_options, unit_of, words_in
 
 Command = Callable[..., Any]
 P = TypeVar("P", bound=Params)

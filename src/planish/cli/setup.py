@@ -9,12 +9,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import click
-from click.shell_completion import (
-    CompletionItem,
-    ShellComplete,
-    add_completion_class,
-    get_completion_class,
-)
+from click.shell_completion import CompletionItem, ShellComplete, add_completion_class, get_completion_class
 
 from planish.cli.console import print_json, sentence
 from planish.cli.options import verb

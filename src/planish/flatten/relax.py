@@ -15,16 +15,7 @@ from planish.core.typing import Bools, Floats
 from planish.flatten._kernels import GONE
 from planish.flatten._mesh_kernels import lay_down, moments
 from planish.flatten.distortion import folded_cells
-from planish.flatten.levels import (
-    TRUSTED,
-    Level,
-    Team,
-    impute_nodes,
-    loose_nodes,
-    make_springs,
-    mean_pitch,
-    stiffen,
-)
+from planish.flatten.levels import TRUSTED, Level, Team, impute_nodes, loose_nodes, make_springs, mean_pitch, stiffen
 from planish.flatten.multigrid import OPEN, Multigrid, Step, count_folds
 from planish.flatten.relaxation import RelaxationParams, relax_dynamically
 

@@ -22,15 +22,7 @@ from numpy.typing import NDArray
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
-from planish.io.formats import (
-    ADVICE,
-    LoadedVolume,
-    Place,
-    check_chunks,
-    describe_volumes,
-    only_volume,
-    referenced_file,
-)
+from planish.io.formats import ADVICE, LoadedVolume, Place, check_chunks, describe_volumes, only_volume, referenced_file
 from planish.io.guard import reading, size_of_file
 from planish.io.lazy import FileArray, transposed
 from planish.io.sizes import Stated, stated_in

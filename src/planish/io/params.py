@@ -37,9 +37,7 @@ class VolumeParams(Params):
         False, help="Take sizes that paper does not have: pixels of 0.1 nm to 1 mm, sheets of 50 nm to 50 mm."
     )
     channel: Channel | None = option(
-        None,
-        cli="--volume-channel",
-        help="Channel of slices or sections in colour; luminance where not given.",
+        None, cli="--volume-channel", help="Channel of slices or sections in colour; luminance where not given."
     )
     column_um: float | None = option(
         None, gt=0, help="Width of the measured columns in um; single voxels where not given, or as the memory demands."

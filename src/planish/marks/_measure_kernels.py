@@ -10,23 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from planish.core.jit import njit
-from planish.marks._edge_kernels import (
-    first_crossings,
-    fit_outline,
-    half_level_edges,
-    innermost_edges,
-    levels,
-    waves,
-)
-from planish.marks._rim_kernels import (
-    ENOUGH,
-    OUTWARDS,
-    closed_path,
-    edge_worth,
-    floor_middle,
-    polar_rises,
-    rim_radius,
-)
+from planish.marks._edge_kernels import first_crossings, fit_outline, half_level_edges, innermost_edges, levels, waves
+from planish.marks._rim_kernels import ENOUGH, OUTWARDS, closed_path, edge_worth, floor_middle, polar_rises, rim_radius
 
 # Columns of the results.
 X, Y, RADIUS, HALF_DIFFERENCE, COV_XX, COV_YY, COV_XY, COVERAGE, STEP, INSIDE = range(10)

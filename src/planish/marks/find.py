@@ -38,11 +38,7 @@ USUAL_UM = 173.2
 
 
 def find_holes(
-    image: ArrayLike,
-    *,
-    pixel_um: float | Pair,
-    diameter_um: Pair = (100.0, 300.0),
-    polarity: Polarity = "auto",
+    image: ArrayLike, *, pixel_um: float | Pair, diameter_um: Pair = (100.0, 300.0), polarity: Polarity = "auto"
 ) -> xr.Dataset:
     """Find round laser holes and locate their centres to a fraction of a pixel.
 

@@ -17,10 +17,7 @@ from planish.measure.registry import SIDES, Side
 
 
 def thin_fraction(
-    thickness: xr.DataArray,
-    *,
-    se: xr.DataArray | Floats | None = None,
-    marked_um: tuple[float, ...] = (0.0, 2.0, 5.0),
+    thickness: xr.DataArray, *, se: xr.DataArray | Floats | None = None, marked_um: tuple[float, ...] = (0.0, 2.0, 5.0)
 ) -> xr.Dataset:
     """Share F(x) of the area whose coating is thinner than x (P-03).
 

@@ -24,12 +24,7 @@ from planish.run.facts import input_file, property_facts, section_facts, surface
 from planish.run.layers import Layer
 from planish.run.study import LayerParams, changed
 from planish.run.volume import read_sheet_volume, some_slices
-from planish.surface import (
-    Corrections,
-    correct_surfaces,
-    find_surfaces,
-    read_corrections,
-)
+from planish.surface import Corrections, correct_surfaces, find_surfaces, read_corrections
 
 CORRECTIONS = "edits/surface.json"
 """Name of the file of a run that holds them."""

@@ -234,10 +234,7 @@ class Sensitivity:
 
 
 def sensitivity(
-    scenario: Scenario,
-    seeds: int | Sequence[int] = 1,
-    progress: Progress = silent,
-    compute: Compute | None = None,
+    scenario: Scenario, seeds: int | Sequence[int] = 1, progress: Progress = silent, compute: Compute | None = None
 ) -> Sensitivity:
     """Run a scenario without nuisances, with each alone, and with all; figures are rms over the seeds.
 
