@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from folders import refused
 from planish.app import pictures, selection
 from planish.app.selection import Brush, Rectangle, Stopped, cursor, density, histogram, profile, select
 from planish.core.area import halved, overviews
@@ -146,10 +147,8 @@ def test_brushed_pixels_are_counted_and_nothing_is_said_of_r(maps, tiles, pair):
 
 
 def test_a_region_beside_the_map_and_a_line_without_length_are_refused(tiles, pair):
-    with pytest.raises(InputError, match="No pixel"):
-        select(tiles, *pair, region=Rectangle(1e6, 1e6, 2e6, 2e6))
-    with pytest.raises(InputError, match="no length"):
-        profile(tiles, [pair[0]], (5.0, 5.0, 5.0, 5.0))
+    refused(InputError, "No pixel", select, tiles, *pair, region=Rectangle(1e6, 1e6, 2e6, 2e6))
+    refused(InputError, "no length", profile, tiles, [pair[0]], (5.0, 5.0, 5.0, 5.0))
 
 
 def test_a_selection_that_is_not_wanted_any_more_ends(tiles, pair):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from folders import refused
 from planish.core.errors import InputError
 from planish.core.frame import Frame
 
@@ -31,11 +32,8 @@ def test_columns_is_a_view_and_a_call_takes_the_frame_in_words_in_one_piece_or_f
     assert Frame.asked(volume, None, None, None) == Frame(through="y", top="low")
     assert Frame.asked(volume, None, "x", None) == Frame(through="x", top="low")
     assert Frame.asked(volume, Frame(), None, None) == Frame()
-    with pytest.raises(InputError, match="frame= and through= say the same"):
-        Frame.asked(volume, Frame(), "x", None)
+    refused(InputError, "frame= and through= say the same", Frame.asked, volume, Frame(), "x", None)
     with pytest.raises(InputError, match=r"frame='y' is no frame. Write through=\"y\", or frame=pl.Frame"):
         Frame.asked(volume, "y", None, None)
-    with pytest.raises(InputError, match="through='w' is not possible; needed is 'z', 'y' or 'x'"):
-        Frame(through="w")
-    with pytest.raises(InputError, match="top='up' is not possible; needed is 'high' or 'low'"):
-        Frame(top="up")
+    refused(InputError, "through='w' is not possible; needed is 'z', 'y' or 'x'", Frame, through="w")
+    refused(InputError, "top='up' is not possible; needed is 'high' or 'low'", Frame, top="up")

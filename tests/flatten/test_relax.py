@@ -357,8 +357,7 @@ def test_an_interrupted_run_leaves_no_thread(monkeypatch):
     ],
 )
 def test_what_does_not_fit_is_refused(change, message):
-    with pytest.raises(CannotFlatten, match=message):
-        relax_grid(bumpy(30, 40), **change)
+    refused(CannotFlatten, message, relax_grid, bumpy(30, 40), **change)
 
 
 def test_infinite_places_are_missing_and_points_without_a_sheet_refused():

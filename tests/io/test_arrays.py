@@ -155,8 +155,7 @@ def test_what_is_no_image_is_refused():
         pl.image(np.zeros((4, 5, 7)), pixel_um=2)
     with pytest.raises(InputError, match="side='front' is not possible; needed is 'top' or 'bottom'"):
         pl.image(IMAGE, pixel_um=2, side="front")
-    with pytest.raises(SizeError, match=r"The image states no pixel size. Give it with pixel_um=SIZE \(or Y,X\)"):
-        pl.image(IMAGE)
+    refused(SizeError, r"The image states no pixel size. Give it with pixel_um=SIZE \(or Y,X\)", pl.image, IMAGE)
     refused(InputError, "Choose luminance with channel=", pl.image, IMAGE, pixel_um=2, channel="red")
 
 

@@ -135,8 +135,7 @@ def test_the_pixel_size_is_read_from_the_resolution(tmp_path: Path, extension: s
     assert image.attrs["pixel_um"] == pytest.approx([10, 20], rel=1e-4)  # PNG stores whole pixels per metre
     kind = {".png": "PNG", ".jpg": "JPEG", ".tif": "TIFF"}[extension]
     assert image.attrs["pixel_um_source"] == f"the {kind} resolution"
-    with pytest.raises(SizeError, match=r"pixel_um= gives y 5, x 5 um, but the .* override_size=True"):
-        read_image(path, pixel_um=5)
+    refused(SizeError, r"pixel_um= gives y 5, x 5 um, but the .* override_size=True", read_image, path, pixel_um=5)
     assert read_image(path, pixel_um=5, override_size=True).attrs["pixel_um"] == [5, 5]
 
 
@@ -145,8 +144,7 @@ def test_the_pixel_size_is_read_from_the_resolution(tmp_path: Path, extension: s
 def test_no_resolution_is_no_pixel_size(tmp_path: Path, extension: str, dpi: int | None) -> None:
     path = tmp_path / f"i{extension}"
     Image.fromarray(picture()).save(path, **({} if dpi is None else {"dpi": (dpi, dpi)}))
-    with pytest.raises(SizeError, match=r"states no pixel size .* Give it with pixel_um=SIZE \(or Y,X\), in um"):
-        read_image(path)
+    refused(SizeError, r"states no pixel size .* Give it with pixel_um=SIZE \(or Y,X\), in um", read_image, path)
     assert read_image(path, pixel_um=400).attrs["pixel_um"] == [400, 400]
 
 

@@ -129,8 +129,7 @@ def test_faults_of_the_counter_are_said(tmp_path: Path, text: str, words: str) -
 
 
 def test_a_folder_without_memory_or_a_readable_counter_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ResourceError, match="v needs"):
-        read_section_stack(write(tmp_path / "v"), memory_bytes=200)
+    refused(ResourceError, "v needs", read_section_stack, write(tmp_path / "v"), memory_bytes=200)
     refused(FileError, "is not a folder", read_section_stack, tmp_path / "none")
     (tmp_path / "empty").mkdir()
     refused(FileError, r"sections\.csv does not exist", read_section_stack, tmp_path / "empty")

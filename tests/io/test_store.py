@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 import zarr
 
-from folders import bytes_of
+from folders import bytes_of, refused
 from planish.core.errors import FileError, InputError, ResourceError
 from planish.io import hashes, read_volume, store, write_store
 from planish.io import store as module
@@ -114,8 +114,7 @@ def test_another_volume_does_not_go_on_with_it(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "_write_finest_levels", lambda *_a, **_k: (_ for _ in ()).throw(Stop))
     with pytest.raises(Stop):
         write_store(volume(), tmp_path / "s.zarr")
-    with pytest.raises(InputError, match="another volume stopped"):
-        write_store(volume(shape=(70, 130, 201)), tmp_path / "s.zarr")
+    refused(InputError, "another volume stopped", write_store, volume(shape=(70, 130, 201)), tmp_path / "s.zarr")
 
 
 @pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "full"), RuntimeError("wires crossed")])
@@ -137,8 +136,7 @@ def test_two_imports_at_once_do_not_meet(tmp_path, monkeypatch):
     inner = module._write_finest_levels
 
     def second(*args, **more):
-        with pytest.raises(FileError, match="Another planish is writing"):
-            write_store(volume(), tmp_path / "s.zarr")
+        refused(FileError, "Another planish is writing", write_store, volume(), tmp_path / "s.zarr")
         inner(*args, **more)
 
     monkeypatch.setattr(module, "_write_finest_levels", second)
@@ -156,8 +154,7 @@ def test_a_folder_in_the_way_is_neither_removed_nor_written_into(tmp_path, link,
     if link:
         (tmp_path / ".s.zarr.partial").symlink_to(real, target_is_directory=True)
     before = bytes_of(tmp_path)
-    with pytest.raises(InputError, match="give another name"):
-        write_store(volume(), tmp_path / "s.zarr")
+    refused(InputError, "give another name", write_store, volume(), tmp_path / "s.zarr")
     assert real.is_dir()
     assert not (tmp_path / "s.zarr").exists()
     assert bytes_of(tmp_path) == before
@@ -191,10 +188,8 @@ def test_a_lost_or_changed_shard_is_named(tmp_path):
 
 def test_refusals_say_what_to_do(tmp_path):
     (tmp_path / "there.zarr").mkdir()
-    with pytest.raises(FileError, match="exists already"):
-        write_store(volume(), tmp_path / "there.zarr")
-    with pytest.raises(ResourceError, match="memory="):
-        write_store(volume(), tmp_path / "s.zarr", memory_bytes=1000)
+    refused(FileError, "exists already", write_store, volume(), tmp_path / "there.zarr")
+    refused(ResourceError, "memory=", write_store, volume(), tmp_path / "s.zarr", memory_bytes=1000)
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.uint32, np.float32])

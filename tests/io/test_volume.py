@@ -189,12 +189,10 @@ def test_imagej_hyperstack_written_by_imagej_is_big_endian_behind_one_page(tmp_p
 
 def test_imagej_without_spacing_or_in_pixels_states_no_size(tmp_path: Path) -> None:
     path = write_imagej(tmp_path / "v.tif", resolution=(0.5, 0.5), unit="um")
-    with pytest.raises(SizeError, match=r"no voxel size along z: ImageJ metadata states y 2, x 2 um only .*exactly 1"):
-        read_volume(path)
+    refused(SizeError, r"no voxel size along z: ImageJ metadata states y 2, x 2 um only .*exactly 1", read_volume, path)
     assert read_volume(path, voxel_um=(1, 2, 2)).attrs["voxel_um"] == [1, 2, 2]
     write_imagej(path, unit="pixel", spacing=1)
-    with pytest.raises(SizeError, match=r"states no voxel size \(ImageJ metadata: 'pixel' is no unit of length\)"):
-        read_volume(path)
+    refused(SizeError, r"states no voxel size \(ImageJ metadata: 'pixel' is no unit of length\)", read_volume, path)
 
 
 @pytest.mark.parametrize(("unit", "um"), [("µm", 1), ("nm", 1e-3), ("mm", 1e3), ("cm", 1e4), (None, 1)])
@@ -276,5 +274,4 @@ def test_incomplete_missing_and_empty_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "v.tif").touch()
     refused(FileError, r"^v\.tif is empty", read_volume, tmp_path / "v.tif", voxel_um=1)
     (tmp_path / "v.tif").write_text("version https://git-lfs.github.com/spec/v1")
-    with pytest.raises(FileError, match=r"^v\.tif is no TIFF, PNG, JPEG or BMP file"):
-        read_volume(tmp_path / "v.tif", voxel_um=1)
+    refused(FileError, r"^v\.tif is no TIFF, PNG, JPEG or BMP file", read_volume, tmp_path / "v.tif", voxel_um=1)
