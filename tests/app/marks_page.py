@@ -1,6 +1,7 @@
 """What tests of the page's marks share."""
 
 import re
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +20,14 @@ def api(shown, path):
     """The answer of the server to a question of the page."""
     ask = "([path, token]) => fetch(path, {headers: {Authorization: 'Bearer ' + token}}).then(r => r.json())"
     return shown.page.evaluate(ask, [f"/api/{path}", shown.server.token])
+
+
+def drag(page: Any, start: tuple[float, float], end: tuple[float, float]) -> None:
+    """Press the mouse at one place of the screen and let it go at another."""
+    page.mouse.move(*start)
+    page.mouse.down()
+    page.mouse.move(*end, steps=5)
+    page.mouse.up()
 
 
 def message(shown):

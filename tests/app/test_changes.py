@@ -9,12 +9,8 @@ from planish.app import changes
 
 
 def state() -> changes.State:
-    marks = tuple(
-        changes.Mark.model_validate(
-            {"id": f"m0-{k}", "label": f"hole {k}", "moving": (1.0 * k, 2.0), "fixed": (3.0, 1.0 * k)}
-        )
-        for k in (1, 2, 3)
-    )
+    made = [{"id": f"m0-{k}", "label": f"hole {k}", "moving": (k, 2.0), "fixed": (3.0, k)} for k in (1, 2, 3)]
+    marks = tuple(map(changes.Mark.model_validate, made))
     return changes.State(marks={"sheet": marks, "other": ()}, first_layer="sheet")
 
 

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from app.marks_page import api, expect
+from app.marks_page import api, drag, expect
 
 pytestmark = pytest.mark.study
 
@@ -106,10 +106,7 @@ def test_a_rectangle_in_the_scatter_fills_the_brushes(maps, linked):
     scatter.scroll_into_view_if_needed()
     box = scatter.bounding_box()
     at = [(box["x"] + box["width"] * u, box["y"] + box["height"] * v) for u, v in ((0.4, 0.3), (0.7, 0.6))]
-    maps.page.mouse.move(*at[0])
-    maps.page.mouse.down()
-    maps.page.mouse.move(*at[1], steps=4)
-    maps.page.mouse.up()
+    drag(maps.page, *at)
     said = selection(maps, r"^n \d+;")
     limits = [maps.page.get_by_label(f"Brush {n}", exact=True).input_value() for n in (LEFT, RIGHT)]
     (a0, a1), (b0, b1) = ([float(v) for v in text.split(", ")] for text in limits)

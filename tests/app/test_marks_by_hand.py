@@ -37,20 +37,9 @@ def test_an_image_with_two_holes_is_linked_by_hand(
     out = kept.with_name(tmp_path.name)
     maps = kept.with_name(f"{out.name}-map")
     size = ("--pixel-um", str(pixel_um))
-    refuses(
-        "link",
-        specimen_files[0],
-        image,
-        "--out",
-        out,
-        *size,
-        words=(
-            "Only 2 holes found in the image",
-            f"planish map {specimen_files[0]} --out {maps}",
-            f"planish view {maps} {image}",
-        ),
-        out=False,
-    )
+    instead = (f"planish map {specimen_files[0]} --out {maps}", f"planish view {maps} {image}")
+    words = ("Only 2 holes found in the image", *instead)
+    refuses("link", specimen_files[0], image, "--out", out, *size, words=words, out=False)
     shutil.copytree(kept, maps)  # that map
 
     # Places from the run of the whole image: its five holes, of which three are gone in this one, and two beside them.

@@ -7,7 +7,7 @@ import signal
 import numpy as np
 import pytest
 
-from app.marks_page import IMAGE, VOLUME, api, ends, expect, forget_lost, message, settled
+from app.marks_page import IMAGE, VOLUME, api, drag, ends, expect, forget_lost, message, settled
 from planish.register import fit_transform
 
 pytestmark = pytest.mark.study
@@ -53,10 +53,7 @@ def test_two_clicks_make_a_pair_where_they_were_clicked(shown):
 def test_a_drag_makes_no_mark_and_a_double_click_one(shown):
     x, y = shown.middle(VOLUME)
     before = shown.page.get_by_label(f"{VOLUME} centre, um", exact=True).input_value()
-    shown.page.mouse.move(x, y)
-    shown.page.mouse.down()
-    shown.page.mouse.move(x + 40, y + 25, steps=4)
-    shown.page.mouse.up()
+    drag(shown.page, (x, y), (x + 40, y + 25))
     assert shown.page.get_by_label(f"{VOLUME} centre, um", exact=True).input_value() != before
     expect(shown.role("button", "Undo")).to_be_disabled()
     shown.go(VOLUME, 30.0, 40.0, 1.0)
@@ -102,10 +99,7 @@ def test_the_chosen_mark_is_dragged(shown):
     shown.role("button", shown.rows()[1][0]).click()
     shown.go(VOLUME, *before[1, :2], 2.0)
     x, y = shown.middle(VOLUME)
-    shown.page.mouse.move(x, y)
-    shown.page.mouse.down()
-    shown.page.mouse.move(x + 20, y - 10, steps=4)
-    shown.page.mouse.up()
+    drag(shown.page, (x, y), (x + 20, y - 10))
     expect(message(shown)).to_contain_text("Mark moved. Saved.")
     moved = ends(shown.rows()) - before
     assert np.hypot(*moved[1, :2]) == pytest.approx(np.hypot(40, 20), abs=0.03)  # the view may be turned

@@ -27,13 +27,8 @@ def states(monkeypatch=None, requires=None):
 def test_planish_alone_names_three_things_to_do(planish):
     code, out, err = planish()
     assert (code, out) == (2, "")
-    for command in (
-        "planish demo",
-        "planish info FILE",
-        "planish new STUDY.toml VOLUME IMAGE",
-        "planish run STUDY.toml",
-    ):
-        assert command in err
+    for command in ("demo", "info FILE", "new STUDY.toml VOLUME IMAGE", "run STUDY.toml"):
+        assert f"planish {command}" in err
     assert len(err.splitlines()) < 12
 
 

@@ -4,14 +4,10 @@ from hypothesis import strategies as st
 
 from planish.core.transform import Similarity
 
+PLACES_UM = st.floats(-1e4, 1e4)
 
-@given(
-    scale=st.floats(0.1, 10),
-    angle=st.floats(-4, 4),
-    x=st.floats(-1e4, 1e4),
-    y=st.floats(-1e4, 1e4),
-    mirrored=st.booleans(),
-)
+
+@given(scale=st.floats(0.1, 10), angle=st.floats(-4, 4), x=PLACES_UM, y=PLACES_UM, mirrored=st.booleans())
 def test_inverse_undoes(scale, angle, x, y, mirrored):
     there = Similarity(scale=scale, rotation_rad=angle, shift_um=(x, y), mirrored=mirrored)
     points = np.array([[0.0, 0.0], [100.0, -3.0], [5.0, 2000.0]])

@@ -132,20 +132,9 @@ def test_every_file_check_and_variable_of_a_run_is_explained(linked_run):
 def test_every_variable_of_other_runs_stands_with_its_unit(passes, tmp_path):
     passes("specimen", "--size", "T0", "--seed", "8", "--instrument", "sections", "--out", tmp_path / "sheet")
     further = ("porosity", "fibre_angle", "mean_curvature", "coating_difference")
-    passes(
-        "map",
-        tmp_path / "sheet" / "sections",
-        "--through",
-        "y",
-        "--column-um",
-        "9",
-        "--envelope-um",
-        "250",
-        *(part for name in further for part in ("--property", name)),
-        "--out",
-        tmp_path / "run",
-        codes=(0, 4),
-    )
+    options = ["--through", "y", "--column-um", "9", "--envelope-um", "250"]
+    options += [part for name in further for part in ("--property", name)]
+    passes("map", tmp_path / "sheet" / "sections", *options, "--out", tmp_path / "run", codes=(0, 4))
     check_variables(tmp_path / "run" / "maps.zarr")
 
 

@@ -10,25 +10,14 @@ import check_site
 import from_code
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     """The built site."""
     folder = tmp_path_factory.mktemp("site") / "html"
-    command = [
-        sys.executable,
-        "-m",
-        "sphinx",
-        "-b",
-        "html",
-        "-W",
-        "--keep-going",
-        "-q",
-        str(ROOT / "docs"),
-        str(folder),
-    ]
+    command = [sys.executable, "-m", "sphinx", "-b", "html", "-W", "--keep-going", "-q", str(DOCS), str(folder)]
     built = subprocess.run(command, capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stderr
     return folder
@@ -41,7 +30,7 @@ def test_links_are_whole_and_nothing_comes_from_a_network(site):
 
 @pytest.mark.study
 def test_every_document_is_a_page_that_others_lead_to(site):
-    documents = [p.relative_to(ROOT / "docs") for p in (ROOT / "docs").rglob("*.md") if "_build" not in p.parts]
+    documents = [p.relative_to(DOCS) for p in DOCS.rglob("*.md") if "_build" not in p.parts]
     sources = {path.with_suffix(".html") for path in documents}
     pages = {path.relative_to(site) for path in site.rglob("*.html")}
     assert sources <= pages

@@ -4,17 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from flatten.meshes import grid, in_space
 from planish.flatten import cell_strain, distortion, measure_distortion
-
-
-def grid(rows, cols, pitch=1.0):
-    v, u = np.mgrid[0:rows, 0:cols] * pitch
-    return np.stack([u, v], axis=-1)
-
-
-def in_space(uv, turn=0.0):
-    """A plane of points, turned out of the horizontal by an angle about x."""
-    return np.stack([uv[..., 0], np.cos(turn) * uv[..., 1], np.sin(turn) * uv[..., 1]], axis=-1)
 
 
 def on_cylinder(uv, radius, angle=0.0):

@@ -5,12 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from flatten.meshes import grid, in_space
 from planish.flatten import distortion, geodesic_error
-
-
-def grid(rows, cols, pitch=1.0):
-    v, u = np.mgrid[0:rows, 0:cols] * pitch
-    return np.stack([u, v], axis=-1)
 
 
 def triangles(whole):
@@ -68,18 +64,15 @@ def test_traced_lengths_equal_the_slow_twin(seed):
 def test_lines_through_nodes_do_no_harm(direction):
     """A quarter of the way from one node of a regular mesh to one in line with it, to as far before a third."""
     uv = grid(12, 12, 7.0)
-    points = np.concatenate([uv, np.zeros((12, 12, 1))], axis=-1)
+    points = in_space(uv)
     node, d = np.array([8 if direction[0] < 0 else 2, 8 if direction[1] < 0 else 2]), np.array(direction)
     ends = []
     for at in (node + d / 4, node + 3 * d - d / 4):
         cell = np.floor(at).astype(int)
         x, y = at - cell
         half, weights = (0, [1 - x, x - y, y]) if x > y else (1, [1 - y, x, y - x])
-        ends.append(
-            distortion.MeshPoints(
-                row=cell[1:], col=cell[:1], half=np.array([half]), weights=np.array([weights], dtype=float)
-            )
-        )
+        shares = np.array([weights], dtype=float)
+        ends.append(distortion.MeshPoints(row=cell[1:], col=cell[:1], half=np.array([half]), weights=shares))
     flat, space = distortion.trace_lines(points, uv, *ends)
     assert (flat, space) == (pytest.approx([7 * 2.5 * np.hypot(*direction)]), pytest.approx(flat))
 
@@ -98,7 +91,7 @@ def test_a_cylinder_exactly_unrolled_keeps_all_lengths(angle):
 
 def test_uniform_growth_is_the_error_of_every_line_and_a_generator_repeats_it():
     uv = grid(20, 30, 4.0)
-    points = np.concatenate([uv, np.zeros((20, 30, 1))], axis=-1)
+    points = in_space(uv)
     found = geodesic_error(points, 1.02 * uv, rng=np.random.default_rng(0), pairs=50)
     assert (found.p50, found.p95, found.largest) == pytest.approx((0.02, 0.02, 0.02), abs=1e-12)
     assert found.used == 50
@@ -143,7 +136,7 @@ def test_great_circles_of_a_cap():
 def test_lines_that_leave_the_sheet_single_rows_and_folded_cells_are_counted():
     """Two halves joined by a bridge at one end: lines from one half to the other mostly leave the sheet."""
     uv = grid(21, 21)
-    points = np.concatenate([uv, np.zeros((21, 21, 1))], axis=-1)
+    points = in_space(uv)
     points[:19, 10] = np.nan
     found = geodesic_error(points, uv, rng=np.random.default_rng(0))
     assert found.used + found.dropped == 1000
@@ -152,7 +145,7 @@ def test_lines_that_leave_the_sheet_single_rows_and_folded_cells_are_counted():
     points[:, 10] = np.nan
     assert geodesic_error(points, uv, rng=np.random.default_rng(0)).used > 400
     uv = grid(2, 40)
-    points = np.concatenate([uv, np.zeros((2, 40, 1))], axis=-1)
+    points = in_space(uv)
     found = geodesic_error(points, uv, rng=np.random.default_rng(0))
     assert (found.used, found.dropped) == (1000, 0)
     assert found.largest < 1e-12

@@ -1,16 +1,12 @@
 import numpy as np
 import pytest
 
+from flatten.meshes import distances, grid
 from planish.core.errors import CannotFlatten
 from planish.core.status import Outcome
 from planish.flatten import RelaxationParams, relax_dynamically, relax_grid
 
 TIES = ((0, 0, 0, 1), (0, 0, 1, 0), (0, 0, 1, 1), (0, 1, 1, 0))  # ends of the four springs of a cell: row, column twice
-
-
-def grid(rows, cols):
-    y, x = np.mgrid[0:rows, 0:cols].astype(float)
-    return np.stack([x, y], axis=-1)
 
 
 def rest_lengths(points):
@@ -45,13 +41,11 @@ def errors(uv, flat):
     return size(uv) / size(flat) - 1
 
 
-def largest_distance(uv, target):
-    """Largest distance of a node from its place after the best turn and shift."""
-    known = np.isfinite(target[..., 0])
-    a, b = (p[known] @ [1, 1j] for p in (uv, target))
-    a, b = a - a.mean(), b - b.mean()
-    turn = np.vdot(a, b)
-    return float(np.abs(a * turn / abs(turn) - b).max())
+def rested(start, rest, **choices):
+    """What a relaxation found that came to rest."""
+    found = relax_dynamically(start, rest, params=RelaxationParams(**choices))
+    assert found.outcome is Outcome.RESTED
+    return found
 
 
 def slow_springs(known, rest, stiff):
@@ -158,15 +152,13 @@ def test_forces_have_the_right_sign_and_nodes_on_one_spot_pull_nowhere():
     """Eq. (2) as printed has the other sign if x_ij points from i to j."""
     flat = grid(2, 2)
     for scale in (0.8, 1.2):
-        found = relax_dynamically(scale * flat, rest_lengths(flat), params=RelaxationParams(stop="residual"))
-        assert found.outcome is Outcome.RESTED
+        found = rested(scale * flat, rest_lengths(flat), stop="residual")
         np.testing.assert_allclose(errors(found.uv, flat), 0, atol=1e-4)
     flat = grid(6, 7)
     start = flat.copy()
     start[2, 3] = start[2, 4]
-    found = relax_dynamically(start, rest_lengths(flat), params=RelaxationParams(stop="residual"))
-    assert found.outcome is Outcome.RESTED
-    assert largest_distance(found.uv, flat) < 0.01
+    found = rested(start, rest_lengths(flat), stop="residual")
+    assert distances(found.uv, flat).max() < 0.01
 
 
 def test_the_paper_s_mesh_is_restored_to_a_thousandth():
@@ -175,8 +167,7 @@ def test_the_paper_s_mesh_is_restored_to_a_thousandth():
     for seed in range(10):
         flat, start = deformed(seed)
         for speed, limit in ((1e-3, 1e-3), (1e-4, 1e-4)):
-            found = relax_dynamically(start, rest_lengths(flat), params=RelaxationParams(mean_speed=speed))
-            assert found.outcome is Outcome.RESTED
+            found = rested(start, rest_lengths(flat), mean_speed=speed)
             assert found.inverted == 0
             assert np.abs(errors(found.uv, flat)).max() < limit
         inverted += relax_dynamically(start, rest_lengths(flat), params=RelaxationParams(most_steps=1)).inverted
@@ -187,13 +178,11 @@ def test_the_first_slow_moment_is_a_turning_point_and_the_residual_states_the_di
     """Stopping there leaves several times the paper's 0.1 %: the mesh swings through 0.2 to 0.5 %."""
     for seed in range(10):
         flat, start = deformed(seed)
-        found = relax_dynamically(start, rest_lengths(flat), params=RelaxationParams(stop="first"))
-        assert found.outcome is Outcome.RESTED
+        found = rested(start, rest_lengths(flat), stop="first")
         assert 0.0015 < np.abs(errors(found.uv, flat)).max() < 0.006
     # A force of 1e-5 leaves less than 1e-4 of the size: the softest mode has a stiffness of (pi / 32)^2 = 0.01.
     flat, start = deformed(0)
-    found = relax_dynamically(start, rest_lengths(flat), params=RelaxationParams(stop="residual"))
-    assert found.outcome is Outcome.RESTED
+    found = rested(start, rest_lengths(flat), stop="residual")
     assert np.abs(errors(found.uv, flat)).max() < 1e-4
 
 
@@ -227,11 +216,10 @@ def test_runge_kutta_comes_to_the_same_rest_either_way_round():
         for name in ("symplectic", "rk4")
     ]
     assert [f.outcome for f in found] == [Outcome.RESTED] * 2
-    assert largest_distance(found[1].uv, found[0].uv) < 1e-3  # each is within 4e-4 of rest
+    assert distances(found[1].uv, found[0].uv).max() < 1e-3  # each is within 4e-4 of rest
     assert found[1].steps == pytest.approx(found[0].steps, rel=0.02)  # and on the same way
     flat, start = deformed(2)
-    found = relax_dynamically(start * [-1, 1], rest_lengths(flat))
-    assert found.outcome is Outcome.RESTED
+    found = rested(start * [-1, 1], rest_lengths(flat))
     assert found.inverted == 0
 
 
@@ -241,9 +229,8 @@ def test_a_cylinder_unrolls():
     flat = grid(96, 128) - [half, 0]
     points = np.concatenate([flat, np.sqrt(radius**2 - flat[..., :1] ** 2)], axis=-1)
     unrolled = np.stack([radius * np.arcsin(flat[..., 0] / radius), flat[..., 1]], axis=-1)
-    found = relax_dynamically(points[..., :2], rest_lengths(points))
-    assert found.outcome is Outcome.RESTED
-    assert largest_distance(found.uv, unrolled) < 0.01  # measured 0.004
+    found = rested(points[..., :2], rest_lengths(points))
+    assert distances(found.uv, unrolled).max() < 0.01  # measured 0.004
 
 
 def test_the_minimum_is_newton_s():
@@ -254,10 +241,9 @@ def test_the_minimum_is_newton_s():
     points[8:11, 15:18] = np.nan
     points[:4, :5] = np.nan
     newton = relax_grid(points, tolerance=1e-9, rest="chord")
-    found = relax_dynamically(points[..., :2], rest_lengths(points), params=RelaxationParams(stop="residual"))
-    assert found.outcome is Outcome.RESTED
+    found = rested(points[..., :2], rest_lengths(points), stop="residual")
     assert np.array_equal(np.isnan(found.uv), np.isnan(points[..., :2]))
-    assert largest_distance(found.uv, newton.uv) < 0.005  # 1e-5 over the softest mode's stiffness, (pi / 26)^2
+    assert distances(found.uv, newton.uv).max() < 0.005  # 1e-5 over the softest mode's stiffness, (pi / 26)^2
     assert found.energy == pytest.approx(newton.energy, rel=1e-4)
     assert newton.energy > 0.01
 
@@ -266,20 +252,17 @@ def test_the_minimum_is_newton_s():
 def test_one_row_of_cells(shape):
     flat = grid(*shape)
     start = flat * [0.8, 1.1] + np.random.default_rng(6).normal(0, 0.1, flat.shape)
-    found = relax_dynamically(start, rest_lengths(flat), params=RelaxationParams(stop="residual"))
-    assert found.outcome is Outcome.RESTED
-    assert largest_distance(found.uv, flat) < 0.01
+    found = rested(start, rest_lengths(flat), stop="residual")
+    assert distances(found.uv, flat).max() < 0.01
 
 
 def test_what_rests_stays_and_arrays_that_do_not_fit_are_refused():
     flat = grid(6, 7)
-    found = relax_dynamically(flat, rest_lengths(flat))
-    assert found.outcome is Outcome.RESTED
+    found = rested(flat, rest_lengths(flat))
     assert found.steps == found.history.dt.size == 0
     assert np.array_equal(found.uv, flat)
     # too little to be fast ever: known after a period of the slowest mode, 2 x 7, or one step more
-    found = relax_dynamically(flat * (1 + 1e-6), rest_lengths(flat))
-    assert found.outcome is Outcome.RESTED
+    found = rested(flat * (1 + 1e-6), rest_lengths(flat))
     assert 14 <= found.history.dt.sum() < 14.4
     flat = grid(4, 5)
     with pytest.raises(CannotFlatten, match="do not fit"):

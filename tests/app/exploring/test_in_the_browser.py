@@ -13,6 +13,7 @@ import pytest
 import xarray as xr
 
 from app.exploring.made import Explored, put
+from app.marks_page import drag
 from planish.app import explore
 from planish.run import open_run
 from report.runs import a_run
@@ -106,22 +107,22 @@ def numbers(text: str) -> list[float]:
     return [float(v) for v in re.findall(r"-?\d+(?:\.\d+)?", text)]
 
 
-def a_pixel(linked: xr.Dataset) -> tuple[int, int]:
-    """A pixel that counts, away from the middle."""
+def a_pixel(linked: xr.Dataset) -> tuple[float, float]:
+    """Where a pixel lies that counts, away from the middle: x and y in um."""
     rows, cols = np.nonzero(linked["valid"].values)
     k = rows.size // 5
-    return int(rows[k]), int(cols[k])
+    return float(linked["x"].values[cols[k]]), float(linked["y"].values[rows[k]])
 
 
 # --- what it shows ---------------------------------------------------------------------------------------------
 def test_the_cursor_gives_the_values_of_the_run_under_the_mouse(opened, path, data, linked):
     window = opened(path)
-    row, col = a_pixel(linked)
-    window.page.mouse.move(*window.at("Left map", linked["x"].values[col], linked["y"].values[row], data.data["grid"]))
+    at = a_pixel(linked)
+    window.page.mouse.move(*window.at("Left map", *at, data.data["grid"]))
     x, y = numbers(window.status("Cursor"))[:2]
     # A pixel of the screen is larger than one of the map at most; the cursor says which one it is on.
-    assert abs(x - linked["x"].values[col]) <= 5.0
-    assert abs(y - linked["y"].values[row]) <= 5.0
+    assert abs(x - at[0]) <= 5.0
+    assert abs(y - at[1]) <= 5.0
     here = linked.sel(x=x, y=y)
     told = window.status("Cursor")
     for name in ("coating_top", "image"):
@@ -137,10 +138,7 @@ def test_the_cursor_gives_the_values_of_the_run_under_the_mouse(opened, path, da
 
 def test_the_slice_is_the_nearest_one_and_says_how_far_it_is(opened, path, data, linked):
     window = opened(path)
-    row, col = a_pixel(linked)
-    window.page.mouse.click(
-        *window.at("Right map", linked["x"].values[col], linked["y"].values[row], data.data["grid"])
-    )
+    window.page.mouse.click(*window.at("Right map", *a_pixel(linked), data.data["grid"]))
     x, y = numbers(window.status("Cursor"))[:2]
     here = linked.sel(x=x, y=y)
     told = window.status("Slice position")
@@ -225,10 +223,7 @@ def test_a_region_is_drawn_with_the_mouse_and_cleared_with_escape(opened, path, 
     window = opened(path)
     grid = data.data["grid"]
     start, end = window.at("Left map", 300, 200, grid), window.at("Left map", 800, 600, grid)
-    window.page.mouse.move(*start)
-    window.page.mouse.down()
-    window.page.mouse.move(*end, steps=5)
-    window.page.mouse.up()
+    drag(window.page, start, end)
     box = numbers(window.page.get_by_label("Region, µm", exact=True).input_value())
     np.testing.assert_allclose(box, [300, 200, 800, 600], atol=6)
     n, _ = chosen(data, linked, region=box)
@@ -252,10 +247,8 @@ def test_a_brush_in_the_scatter_dims_the_other_pixels_of_the_maps(opened, path):
     window.view("Scatter").scroll_into_view_if_needed()
     before = window.page.evaluate(colours)
     box = window.view("Scatter").bounding_box()
-    window.page.mouse.move(box["x"] + 0.45 * box["width"], box["y"] + 0.3 * box["height"])
-    window.page.mouse.down()
-    window.page.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + 0.5 * box["height"], steps=4)
-    window.page.mouse.up()
+    at = [(box["x"] + box["width"] * u, box["y"] + box["height"] * v) for u, v in ((0.45, 0.3), (0.6, 0.5))]
+    drag(window.page, *at)
     n, of = numbers(window.status("Selection"))[:2]
     assert 0 < n < of
     # The map is drawn larger than it is, and smoothed; the cursor and the slice's trace are coloured, too.
@@ -327,13 +320,11 @@ def test_it_fits_the_width_of_the_screen(opened, path, width):
 
 def test_a_tap_moves_the_cursor(opened, path, data, linked):
     window = opened(path, width=390, height=844, has_touch=True, is_mobile=True)
-    row, col = a_pixel(linked)
-    window.page.touchscreen.tap(
-        *window.at("Left map", linked["x"].values[col], linked["y"].values[row], data.data["grid"])
-    )
+    at = a_pixel(linked)
+    window.page.touchscreen.tap(*window.at("Left map", *at, data.data["grid"]))
     x, y = numbers(window.status("Cursor"))[:2]
-    assert abs(x - linked["x"].values[col]) <= 10
-    assert abs(y - linked["y"].values[row]) <= 10
+    assert abs(x - at[0]) <= 10
+    assert abs(y - at[1]) <= 10
 
 
 def test_without_a_script_or_in_an_old_browser_the_leading_map_is_shown(opened, path):
@@ -398,8 +389,7 @@ def test_a_sheet_through_y_seen_from_the_low_end(opened, passes, laid, tmp_path)
     [stack] = data.data["stacks"]
     assert (stack["rows"], stack["cols"], stack["through"], stack["sign"]) == ("z", "x", "y", -1)
     window = opened(path)
-    row, col = a_pixel(linked)
-    window.page.mouse.click(*window.at("Left map", linked["x"].values[col], linked["y"].values[row], data.data["grid"]))
+    window.page.mouse.click(*window.at("Left map", *a_pixel(linked), data.data["grid"]))
     x, y = numbers(window.status("Cursor"))[:2]
     here = linked.sel(x=x, y=y)
     told = window.status("Slice position")
