@@ -306,6 +306,18 @@ def slices(suffix: str, dtype: str = "uint16", **options: Any) -> Case:
     return Case(write=write, source="given", states_size=False, data=data, resize=remove(f"*{suffix}"), dtype=dtype)
 
 
+def nrrd_case(kind: str, packing: str, sections: bytes, **more: Any) -> Case:
+    """NRRD, whose header can be made to state another number of sections than its 12."""
+    resize = swap(f"*{kind}", b"sizes: 19 17 12", b"sizes: 19 17 " + sections)
+    return Case(write=partial(write_nrrd, kind=kind, packing=packing), resize=resize, **more)
+
+
+def meta_case(kind: str, *, packed: bool = False, **more: Any) -> Case:
+    """MetaImage, whose header can be made to state 21 sections in place of its 12."""
+    resize = swap(f"*{kind}", b"DimSize = 19 17 12", b"DimSize = 19 17 21")
+    return Case(write=partial(write_meta, kind=kind, packed=packed), source="MetaImage", resize=resize, **more)
+
+
 CASES: dict[str, Case] = {
     "OME-TIFF": Case(write=write_tiff, source="OME", lazy=False, resize=swap("*.tif", b'SizeZ="12"', b'SizeZ="19"')),
     "OME-TIFF deflate": Case(
@@ -338,43 +350,12 @@ CASES: dict[str, Case] = {
         data=lambda f: next(p for p in (f / f"{NAME}.ome.zarr" / "0" / "c").rglob("1") if p.is_file()),
         resize=lambda f: swap("zarr.json", b"12,", b"52,")(f / f"{NAME}.ome.zarr" / "0"),
     ),
-    "NRRD": Case(
-        write=partial(write_nrrd, kind=".nrrd", packing="raw"),
-        source="NRRD spacings",
-        lazy=False,
-        resize=swap("*.nrrd", b"sizes: 19 17 12", b"sizes: 19 17 21"),
-    ),
-    "NRRD gzip": Case(
-        write=partial(write_nrrd, kind=".nrrd", packing="gzip"),
-        source="NRRD spacings",
-        lazy=False,
-        resize=swap("*.nrrd", b"sizes: 19 17 12", b"sizes: 19 17 11"),
-    ),
-    "NRRD detached": Case(
-        write=partial(write_nrrd, kind=".nhdr", packing="raw"),
-        source="NRRD space directions",
-        lazy=False,
-        data=named("*.raw"),
-        resize=swap("*.nhdr", b"sizes: 19 17 12", b"sizes: 19 17 21"),
-    ),
-    "MetaImage": Case(
-        write=partial(write_meta, kind=".mha", packed=False),
-        source="MetaImage",
-        lazy=False,
-        resize=swap("*.mha", b"DimSize = 19 17 12", b"DimSize = 19 17 21"),
-    ),
-    "MetaImage packed": Case(
-        write=partial(write_meta, kind=".mha", packed=True),
-        source="MetaImage",
-        resize=swap("*.mha", b"DimSize = 19 17 12", b"DimSize = 19 17 21"),
-    ),
-    "MetaImage detached": Case(
-        write=partial(write_meta, kind=".mhd", packed=False),
-        source="MetaImage",
-        lazy=False,
-        data=named("*.raw"),
-        resize=swap("*.mhd", b"DimSize = 19 17 12", b"DimSize = 19 17 21"),
-    ),
+    "NRRD": nrrd_case(".nrrd", "raw", b"21", source="NRRD spacings", lazy=False),
+    "NRRD gzip": nrrd_case(".nrrd", "gzip", b"11", source="NRRD spacings", lazy=False),
+    "NRRD detached": nrrd_case(".nhdr", "raw", b"21", source="NRRD space directions", lazy=False, data=named("*.raw")),
+    "MetaImage": meta_case(".mha", lazy=False),
+    "MetaImage packed": meta_case(".mha", packed=True),
+    "MetaImage detached": meta_case(".mhd", lazy=False, data=named("*.raw")),
     "HDF5": Case(write=write_hdf5, source="attribute voxel_size", resize=reshape_hdf5),
     "NeXus": Case(write=write_nexus, source="NeXus axes", resize=reshape_hdf5),
     "MATLAB 5": Case(write=partial(write_mat, packed=False), source="voxel_um", lazy=False),

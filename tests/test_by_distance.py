@@ -54,10 +54,8 @@ def test_variograms_are_those_of_the_function():
 
 def test_the_correlogram_is_that_of_the_function_with_lag_0_in_its_profiles():
     maps, lags = pair()
-    found, twin = (
-        correlograms.answer_correlogram(compared(maps, lags))["correlogram"],
-        cross_correlogram(*maps, pixel_um=CELL),
-    )
+    found = correlograms.answer_correlogram(compared(maps, lags))["correlogram"]
+    twin = cross_correlogram(*maps, pixel_um=CELL)
     assert (found.peak_r, found.lag_um, found.n_eff) == (twin.peak_r, twin.lag_um, twin.n_eff)
     for profile in (found.along_x, found.along_y):
         middle = len(profile.r) // 2
@@ -140,11 +138,8 @@ def test_figures_hold_their_numbers():
     assert "µm²" in variograms.svg
     lags = diagnostics.draw_correlogram(found.correlogram, names=("coating", "grey"))
     assert lags.data["along-x"]["r"] == list(found.correlogram.along_x.r)
-    same = facts(same=True)
-    assert [*diagnostics.draw_variograms(same, titles=("Coating, a", "Coating, b")).data] == [
-        "a-coating-top",
-        "b-coating-top",
-    ]
+    same = diagnostics.draw_variograms(facts(same=True), titles=("Coating, a", "Coating, b"))
+    assert [*same.data] == ["a-coating-top", "b-coating-top"]
 
 
 def test_a_run_has_all_of_it(linked_run):

@@ -14,12 +14,13 @@ import pytest
 
 from folders import bytes_of
 from planish.cli import show
-from planish.core.errors import InputError, ResourceError
+from planish.core.errors import FileError, InputError, ResourceError
 from planish.core.frame import Frame
 from planish.core.lazy import LazyArray, labelled
 from planish.core.memory import COLUMN_BYTES
 from planish.core.tiles import tiles_of
-from planish.io import VolumeParams, describe, read_volume, write_store
+from planish.io import VolumeParams, describe, new_folder, read_volume, work_folder, write_store
+from planish.io.run_folder import WORK_MARKER
 from planish.run import Compute, as_study, column_step, engine, map_sheet, read_whole, run_study
 from planish.synthetic import BurnParams, SectionsParams, SpecimenParams, make_specimen, write_instruments
 from surface.sheets import slab, volume
@@ -74,16 +75,11 @@ def test_a_killed_run_goes_on_and_gives_the_same(store, whole, tmp_path, share):
 
 
 def test_two_runs_do_not_write_to_one_place(store, tmp_path):
-    from planish.core.errors import FileError
-    from planish.io import work_folder
-
     with work_folder(tmp_path / "run", "a"), pytest.raises(FileError, match="Another planish"):
         run_study(study(store), tmp_path / "run")
 
 
 def test_tiles_of_another_study_are_not_used(tmp_path):
-    from planish.io import work_folder
-
     work = tmp_path / ".run.work"
     (work / "tiles").mkdir(parents=True)
     (work / "key").write_text("another")
@@ -94,9 +90,6 @@ def test_tiles_of_another_study_are_not_used(tmp_path):
 
 
 def test_what_a_run_left_that_was_killed_while_it_wrote_is_swept_up(tmp_path):
-    from planish.io import new_folder, work_folder
-    from planish.io.run_folder import WORK_MARKER
-
     with work_folder(tmp_path / "run", "this") as work:
         marker = (work / WORK_MARKER).read_bytes()
     half = tmp_path / ".run.work" / ".run.abc.partial"
@@ -291,8 +284,6 @@ def test_a_mapped_volume_counts_as_memory_and_the_limit_is_kept(tmp_path):
 @pytest.mark.study
 def test_memory_that_others_take_meanwhile_changes_no_column(specimen_files, monkeypatch):
     free = iter([10**10])  # then next to nothing
-    monkeypatch.setattr(
-        Compute, "memory", property(lambda self: self.memory_bytes or next(free, 2 * 10**8))
-    )  # fmt: skip
+    monkeypatch.setattr(Compute, "memory", property(lambda self: self.memory_bytes or next(free, 2 * 10**8)))
     run = map_sheet(specimen_files[0])
     assert run.study.layers[0].volume.column_um is None

@@ -10,9 +10,9 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-import tifffile
 
 import planish.synthetic as synthetic
+from folders import write_volume
 from planish.core import files
 
 resource = pytest.importorskip("resource", reason="this system limits no sizes of files")
@@ -47,9 +47,7 @@ def failed_in(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
 def given(specimen, specimen_files, linked_run, tmp_path_factory, monkeypatch) -> SimpleNamespace:
     """What the commands read, outside of the folder that is compared. The link has compiled what they need."""
     monkeypatch.setitem(synthetic.SIZES_UM, "T0", (560.0, 420.0))  # the least that has room for three holes
-    corner = tmp_path_factory.mktemp("corner") / "volume.tif"
-    size, meta = (0.25, 0.25), {"spacing": 4.0, "unit": "um", "axes": "ZYX"}
-    tifffile.imwrite(corner, specimen.volume.values[:, :125, :200], imagej=True, resolution=size, metadata=meta)
+    corner = write_volume(tmp_path_factory.mktemp("corner") / "volume.tif", specimen.volume.values[:, :125, :200])
     return SimpleNamespace(corner=corner, volume=specimen_files[0], image=specimen_files[1], run=linked_run)
 
 

@@ -32,8 +32,10 @@ def results(linked_run):
 
 
 @pytest.fixture(scope="module")
-def linked(linked_run):
-    return xr.open_zarr(linked_run / "maps.zarr", group="linked", consolidated=False).load()
+def layers(specimen_files):
+    """The two layers of a study."""
+    volume, image = (str(path) for path in specimen_files[:2])
+    return {"volume": {"path": volume}, "image": {"path": image}}
 
 
 def test_a_row_is_what_the_function_says_of_the_maps(results, linked):
@@ -92,8 +94,7 @@ def test_a_relation_that_saturates_is_named():
     thick = 10 + 2 * ndimage.gaussian_filter(maps["sheet"]["coating_top"].values, 6) / 0.047
     maps["sheet"]["coating_top"][:] = thick
     maps["image"]["image"][:] = 1 - np.exp(-thick / 5) + 0.01 * maps["image"]["image"].values
-    given = ("sheet", "coating_top"), ("image", "image")
-    found = evidence_of(maps, *given, point_um=50, declared=False)
+    found = evidence_of(maps, point_um=50)
     assert found.curve.words == "curved, saturating"
     assert any("curved, saturating" in s for s in sentences(found, 50.0))
 
@@ -105,39 +106,26 @@ def test_the_page_says_who_named_the_headline(linked_run):
     assert "<script" not in page
 
 
-def test_a_headline_that_will_not_be_is_refused_before_the_volume_is_read(planish, specimen_files, tmp_path):
-    code, _, said = planish("link", *specimen_files, "--out", tmp_path / "run", "--headline", "coating_topp")
-    assert code == 3
-    assert "coating_top," in said
-    assert "read:" not in said
-    assert not (tmp_path / "run").exists()
-
-
 @pytest.mark.parametrize(
-    ("names", "said_of_them"),
+    ("option", "names", "words"),
     [
-        (["gloss"], "there will be no such map"),
-        (["thickness", "thickness"], "stands there twice"),
-        (["coating_top"], "leads already"),
-        (["thickness", "base_thickness", "coating_bottom"], "nothing is left to correlate"),
+        ("--headline", ["coating_topp"], "coating_top,"),
+        ("--beside", ["gloss"], "there will be no such map"),
+        ("--beside", ["thickness", "thickness"], "stands there twice"),
+        ("--beside", ["coating_top"], "leads already"),
+        ("--beside", ["thickness", "base_thickness", "coating_bottom"], "nothing is left to correlate"),
     ],
 )
-def test_maps_that_cannot_stand_beside_are_refused_before_the_volume_is_read(
-    planish, specimen_files, tmp_path, names, said_of_them
+def test_maps_that_cannot_lead_or_stand_beside_are_refused_before_the_volume_is_read(
+    refuses, specimen_files, option, names, words
 ):
-    given = [word for name in names for word in ("--beside", name)]
-    code, _, said = planish("link", *specimen_files, "--out", tmp_path / "run", *given)
-    assert code == 3
-    assert said_of_them in " ".join(said.split())
-    assert "read:" not in said
-    assert not (tmp_path / "run").exists()
+    given = [word for name in names for word in (option, name)]
+    assert "read:" not in refuses("link", *specimen_files, *given, words=words)
 
 
-def test_two_of_three_parts_may_stand_beside(specimen_files):
-    volume, image = (str(path) for path in specimen_files[:2])
+def test_two_of_three_parts_may_stand_beside(layers):
     for beside in (["base_thickness", "coating_bottom"], ["thickness", "coating_bottom"], ["topography_top"]):
-        study = as_study({"volume": {"path": volume}, "image": {"path": image}, "correlate": {"beside": beside}})
-        assert preflight.check_request(study, Compute()) is None
+        assert preflight.check_request(as_study(layers | {"correlate": {"beside": beside}}), Compute()) is None
 
 
 @pytest.mark.parametrize(
@@ -151,21 +139,18 @@ def test_two_of_three_parts_may_stand_beside(specimen_files):
         ({}, "tilt"),  # costs nothing
     ],
 )
-def test_a_map_that_its_numbers_make_may_lead_or_stand_beside(specimen_files, properties, name):
+def test_a_map_that_its_numbers_make_may_lead_or_stand_beside(layers, properties, name):
     """The rules ``when`` and ``together`` of the properties; without its number a map will not be."""
-    volume, image = (str(path) for path in specimen_files[:2])
     for place in ({"headline": name}, {"beside": [name]}):
-        parts = {"volume": {"path": volume}, "image": {"path": image}, "correlate": place}
+        parts = layers | {"correlate": place}
         assert preflight.check_request(as_study(parts | {"properties": properties}), Compute()) is None
         if properties:
             with pytest.raises(InputError, match=f'{name}"?: there will be no such map'):
                 preflight.check_request(as_study(parts), Compute())
 
 
-def test_of_labels_no_map_but_those_of_the_faces_may_lead(specimen_files):
-    volume, image = (str(path) for path in specimen_files[:2])
-    parts = {"volume": {"path": volume}, "image": {"path": image}, "surface": {"labels": {}}}
-    parts |= {"properties": {"coating_g_cm3": 1.6}}
+def test_of_labels_no_map_but_those_of_the_faces_may_lead(layers):
+    parts = layers | {"surface": {"labels": {}}, "properties": {"coating_g_cm3": 1.6}}
     assert preflight.check_request(as_study(parts | {"correlate": {"headline": "thickness"}}), Compute()) is None
     with pytest.raises(InputError, match=r'coat_weight_top"?: there will be no such map'):
         preflight.check_request(as_study(parts | {"correlate": {"headline": "coat_weight_top"}}), Compute())
@@ -211,9 +196,8 @@ def test_a_partial_r_is_what_the_function_says_of_the_points():
     maps = with_base()
     maps["sheet"]["valid"][20:40, 30:70] = False
     maps["sheet"]["base_thickness"][60:80, 90:120] = np.nan
-    given = ("sheet", "coating_top"), ("image", "image")
     names = ("base_thickness", "thickness")
-    found = evidence_of(maps, *given, point_um=20, declared=True, beside=names)
+    found = evidence_of(maps, point_um=20, declared=True, beside=names)
     known = maps["sheet"]["valid"].values & np.isfinite(maps["sheet"]["base_thickness"].values)
     top, base, whole, image = (
         area_mean(np.where(known, m.values, np.nan), (4.0, 4.0))
@@ -231,11 +215,10 @@ def test_a_partial_r_is_what_the_function_says_of_the_points():
 
 def test_the_page_says_the_partial_r():
     maps = with_base()
-    given = ("sheet", "coating_top"), ("image", "image")
-    found = evidence_of(maps, *given, point_um=20, declared=True, beside=("base_thickness",))
+    found = evidence_of(maps, point_um=20, declared=True, beside=("base_thickness",))
     (said,) = [s for s in sentences(found, 20.0) if s.startswith("Given base thickness, r = 0.")]
     assert f"{found.commonality['coating_top']:.2f} of the variance" in said
-    without = evidence_of(maps, *given, point_um=20, declared=True)
+    without = evidence_of(maps, point_um=20, declared=True)
     assert (without.partial, without.commonality) == (None, None)
     assert not any("Given" in s for s in sentences(without, 20.0))
 
@@ -243,27 +226,20 @@ def test_the_page_says_the_partial_r():
 def test_where_nothing_is_left_the_run_stands_and_says_why():
     maps = with_base()
     sheet = maps["sheet"]
-    given = ("sheet", "coating_top"), ("image", "image")
     sheet["rest"] = sheet["thickness"] - sheet["coating_top"]
-    found = evidence_of(maps, *given, point_um=20, declared=True, beside=("thickness", "rest"))
+    found = evidence_of(maps, point_um=20, declared=True, beside=("thickness", "rest"))
     assert found.sizes
     assert math.isnan(found.partial.r)
     assert "stand beside their sum" in found.partial.silence
     assert any(found.partial.silence in s for s in sentences(found, 20.0))
     sheet["flat"] = xr.full_like(sheet["thickness"], 2.0)
-    found = evidence_of(maps, *given, point_um=20, declared=True, beside=("flat",))
+    found = evidence_of(maps, point_um=20, declared=True, beside=("flat",))
     assert "flat does not vary" in found.partial.silence
     sheet["nothing"] = xr.full_like(sheet["thickness"], np.nan)
-    found = evidence_of(maps, *given, point_um=20, declared=True, beside=("nothing",))
+    found = evidence_of(maps, point_um=20, declared=True, beside=("nothing",))
     assert found.partial.n == 0
-    found = evidence_of(maps, *given, point_um=2, declared=True, beside=("thickness",))
+    found = evidence_of(maps, point_um=2, declared=True, beside=("thickness",))
     assert "smaller than a pixel" in found.partial.silence
-
-
-def test_a_map_that_the_sheet_lacks_cannot_stand_beside():
-    given = ("sheet", "coating_top"), ("image", "image")
-    with pytest.raises(InputError, match="no map gloss to stand beside"):
-        evidence_of(with_base(), *given, point_um=20, declared=True, beside=("gloss",))
 
 
 @pytest.mark.study
@@ -278,9 +254,9 @@ def test_a_run_states_what_stands_beside(planish, specimen_files, tmp_path):
     assert "Given base thickness and topography top, r = " in page
 
 
-def evidence_of(maps, a, b, *, declared=False, **options):
-    headline = a[1] if declared else None
-    return correlation_diagnostics(maps, a, b, params=CorrelateParams(headline=headline, **options))
+def evidence_of(maps, *, declared=False, **options):
+    params = CorrelateParams(headline="coating_top" if declared else None, **options)
+    return correlation_diagnostics(maps, ("sheet", "coating_top"), ("image", "image"), params=params)
 
 
 def sentences(evidence, point_um):
@@ -290,7 +266,7 @@ def sentences(evidence, point_um):
 def test_unrelated_noise_says_nothing_at_any_scale():
     maps = drawn()
     assert all(row.p_of_table > 0.05 for row in correlate_layers("sheet", "image", maps, 100.0))
-    found = evidence_of(maps, ("sheet", "coating_top"), ("image", "image"), point_um=50, declared=True)
+    found = evidence_of(maps, point_um=50, declared=True)
     assert all(row.band[0] < 0 < row.band[1] for row in found.sizes if row.band)
     assert all(band.p_of_bands > 0.01 for band in found.bands)
     assert found.ceiling is None
@@ -298,11 +274,10 @@ def test_unrelated_noise_says_nothing_at_any_scale():
 
 
 def test_thin_regions_have_a_difference_with_an_interval():
-    maps = drawn(shape=(120, 160))
+    maps = drawn()
     maps["sheet"]["coating_top"][:] = 6 + 3 * maps["sheet"]["coating_top"].values
     maps["image"]["image"][:] = 100 + maps["image"]["image"].values - 4 * (maps["sheet"]["coating_top"].values < 5)
-    given = ("sheet", "coating_top"), ("image", "image")
-    found = evidence_of(maps, *given, point_um=50, declared=False)
+    found = evidence_of(maps, point_um=50)
     assert [k.thinner_than_um for k in found.thin] == [2, 5, 10]
     assert found.thin[1].interval[0] < -4 < found.thin[1].interval[1]
     assert any("below 5" in s and "differs by" in s for s in sentences(found, 50.0))
@@ -311,11 +286,12 @@ def test_thin_regions_have_a_difference_with_an_interval():
 def test_a_constant_map_has_no_evidence():
     maps = drawn()
     maps["sheet"]["coating_top"][:] = 3.0
-    given = ("sheet", "coating_top"), ("image", "image")
-    assert evidence_of(maps, *given, point_um=50, declared=False) is None
+    assert evidence_of(maps, point_um=50) is None
 
 
-def test_a_map_that_the_sheet_lacks_cannot_lead():
+def test_a_map_that_the_sheet_lacks_can_neither_lead_nor_stand_beside():
+    with pytest.raises(InputError, match="no map gloss to stand beside"):
+        evidence_of(with_base(), point_um=20, declared=True, beside=("gloss",))
     with pytest.raises(InputError, match="no map 'gloss'"):
         headline_of(drawn()["sheet"], "top", "gloss")
     assert headline_of(drawn()["image"], "top", "gloss") == "image"

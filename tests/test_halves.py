@@ -93,17 +93,19 @@ def test_a_thickness_of_a_tilted_column_is_that_along_the_normal():
     np.testing.assert_allclose(found.values("thickness")[0] if "thickness" in found.measured else 90.0, 90.0)
 
 
+def halves(found, known):
+    return split_half.half_points(
+        found, "coating_top", known, origin_um=(-2.0, -2.0), cell_um=(8.0, 8.0), point_um=POINT_UM
+    )
+
+
 def test_many_rows_are_taken_in_bands_and_none_twice(monkeypatch):
     found, _ = columns(noise=5.0, slope=0.3)
-    whole = split_half.half_points(
-        found, "coating_top", np.ones((80, 100), bool), origin_um=(-2.0, -2.0), cell_um=(8.0, 8.0), point_um=POINT_UM
-    )
+    whole = halves(found, np.ones((80, 100), bool))
     monkeypatch.setattr(
         "planish.analyze.split_half.bands", lambda n: [slice(k, min(k + 34, n)) for k in range(0, n, 34)]
     )
-    parts = split_half.half_points(
-        found, "coating_top", np.ones((80, 100), bool), origin_um=(-2.0, -2.0), cell_um=(8.0, 8.0), point_um=POINT_UM
-    )
+    parts = halves(found, np.ones((80, 100), bool))
     for one, other in zip(whole[:2], parts[:2], strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-12)
 
@@ -112,9 +114,7 @@ def test_only_columns_in_cells_that_count_are_taken():
     found, _ = columns(noise=1.0)
     known = np.ones((80, 100), bool)
     known[:, 50:] = False
-    odd, even, _ = split_half.half_points(
-        found, "coating_top", known, origin_um=(-2.0, -2.0), cell_um=(8.0, 8.0), point_um=POINT_UM
-    )
+    odd, even, _ = halves(found, known)
     assert odd.shape == (6, 8)
     np.testing.assert_array_equal(np.isfinite(odd).all(axis=0), [True] * 4 + [False] * 4)
     np.testing.assert_array_equal(np.isfinite(odd), np.isfinite(even))

@@ -230,7 +230,6 @@ CHANGES = [
 
 
 @pytest.mark.study
-@pytest.mark.study
 @pytest.mark.parametrize(("change", "kept"), [pytest.param(*one, id=one[0]) for one in CHANGES])
 def test_a_changed_parameter_repeats_what_depends_on_it(passes, linked_run, tmp_path, monkeypatch, change, kept):
     again(passes, linked_run, tmp_path, monkeypatch, change, NOT_REPEATED[kept])

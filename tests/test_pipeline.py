@@ -2,9 +2,7 @@
 
 import filecmp
 import json
-import shutil
 import tomllib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -134,43 +132,41 @@ def test_a_repeated_run_has_the_same_bytes(passes, linked_run):
     assert all(filecmp.cmp(linked_run / f, again / f, shallow=False) for f in files)
 
 
-def test_files_that_differ_are_named_and_those_of_maps_counted(linked_run, tmp_path, capsys):
-    other = Path(shutil.copytree(linked_run, tmp_path / "other"))
-    runs._compare(linked_run, other)
-    assert f"{other}: same bytes as {linked_run}" in capsys.readouterr().err
-    chunks = sorted((other / "maps.zarr/linked/image/c").rglob("[0-9]"))
-    for path in (*chunks, other / "maps.zarr/maps/u/zarr.json", other / "figures.csv"):
+def test_files_that_differ_are_named_and_those_of_maps_counted(linked_run, run_copy, capsys):
+    runs._compare(linked_run, run_copy)
+    assert f"{run_copy}: same bytes as {linked_run}" in capsys.readouterr().err
+    chunks = sorted((run_copy / "maps.zarr/linked/image/c").rglob("[0-9]"))
+    for path in (*chunks, run_copy / "maps.zarr/maps/u/zarr.json", run_copy / "figures.csv"):
         if path.is_file():
             path.write_bytes(path.read_bytes() + b" ")
     count = 1 + sum(path.is_file() for path in chunks)
-    runs._compare(linked_run, other)
-    said = f"{other}: {count} files of maps.zarr (linked, maps), figures.csv differ from {linked_run}"
+    runs._compare(linked_run, run_copy)
+    said = f"{run_copy}: {count} files of maps.zarr (linked, maps), figures.csv differ from {linked_run}"
     assert said in capsys.readouterr().err
 
 
-def test_a_run_of_other_code_is_said_to_be_one_and_its_maps_are_not_taken(linked_run, tmp_path, capsys):
+def test_a_run_of_other_code_is_said_to_be_one_and_its_maps_are_not_taken(linked_run, run_copy, capsys):
     """The version alone is the same in all states of the sources between two releases."""
-    other = Path(shutil.copytree(linked_run, tmp_path / "other"))
-    study = read_study(other / "run.toml")
-    hashes = [layer.source.sha256 for layer in open_results(other).layers]
-    assert cached_maps.sheets_of(other, study, hashes)[0].keys() == {"sheet"}
-    assert run.open_sheet(other).unchanged
-    results = open_results(other)
+    study = read_study(run_copy / "run.toml")
+    hashes = [layer.source.sha256 for layer in open_results(run_copy).layers]
+    assert cached_maps.sheets_of(run_copy, study, hashes)[0].keys() == {"sheet"}
+    assert run.open_sheet(run_copy).unchanged
+    results = open_results(run_copy)
     assert len(results.code) == 16
-    (other / "results.json").write_text(results.model_copy(update={"code": ""}).to_json(), encoding="utf-8")
-    assert cached_maps.sheets_of(other, study, hashes) == ({}, {})
-    assert not run.open_sheet(other).unchanged
-    runs._compare(other, linked_run)
-    said = f"results.json differs from {other}, which was made by other code (planish {results.planish})"
+    (run_copy / "results.json").write_text(results.model_copy(update={"code": ""}).to_json(), encoding="utf-8")
+    assert cached_maps.sheets_of(run_copy, study, hashes) == ({}, {})
+    assert not run.open_sheet(run_copy).unchanged
+    runs._compare(run_copy, linked_run)
+    said = f"results.json differs from {run_copy}, which was made by other code (planish {results.planish})"
     assert said in capsys.readouterr().err
 
 
 @pytest.mark.study
 def test_a_link_of_a_run_of_other_code_is_no_run_of_this_code(run_copy, specimen_files, tmp_path):
-    old = run_copy
-    assert link(old, specimen_files[1], out=tmp_path / "same").results.is_of_this_code
-    (old / "results.json").write_text(open_results(old).model_copy(update={"code": ""}).to_json(), encoding="utf-8")
-    assert not link(old, specimen_files[1], out=tmp_path / "linked").results.is_of_this_code
+    assert link(run_copy, specimen_files[1], out=tmp_path / "same").results.is_of_this_code
+    text = open_results(run_copy).model_copy(update={"code": ""}).to_json()
+    (run_copy / "results.json").write_text(text, encoding="utf-8")
+    assert not link(run_copy, specimen_files[1], out=tmp_path / "linked").results.is_of_this_code
 
 
 @pytest.mark.parametrize("group", ["surfaces", "flat", "strain", "maps", "linked"])

@@ -10,6 +10,7 @@ import xarray as xr
 CENTRE_X, CENTRE_Y, RADIUS = 366.4, 378.7, 312.3
 # The crop starts at column 600 and row 230.
 FIRST_X, FIRST_Y = 600, 230
+OPTIONS = ("--voxel-um", 1, "--through", "x")
 
 
 @pytest.fixture(scope="module")
@@ -18,18 +19,9 @@ def wall(shared_data, tmp_path_factory):
     from planish.cli import main
 
     out = tmp_path_factory.mktemp("wall") / "run"
-    arguments = [
-        "map",
-        shared_data("battery_sector_right"),
-        "--voxel-um",
-        1,
-        "--through",
-        "x",
-        "--sheet-grey",
-        "100,255",
-    ]
+    arguments = ("map", shared_data("battery_sector_right"), *OPTIONS, "--sheet-grey", "100,255", "--out", out)
     with pytest.raises(SystemExit) as end:
-        main([str(a) for a in [*arguments, "--out", out]])
+        main([str(a) for a in arguments])
     assert end.value.code == 0
     with xr.open_datatree(out / "maps.zarr", engine="zarr") as tree:
         return json.loads((out / "results.json").read_text())["layers"][0]["sheet"], tree.load()
@@ -60,5 +52,5 @@ def test_the_wall_is_measured_in_every_slice_on_its_circle(wall):
 
 
 def test_without_the_grey_range_the_way_out_is_named(shared_data, refuses):
-    command = ("map", shared_data("battery_sector_right"), "--voxel-um", 1, "--through", "x")
-    refuses(*command, words=("several sheets", "--sheet-grey LOW,HIGH"))
+    words = ("several sheets", "--sheet-grey LOW,HIGH")
+    refuses("map", shared_data("battery_sector_right"), *OPTIONS, words=words)

@@ -82,13 +82,7 @@ def test_bigwarp_of_two_images_and_of_a_volume(put):
     marks = read_any(put(bigwarp_3d()))
     assert layer_names(marks) == ["volume", "fixed"]
     assert marks.volume_z.values.tolist() == [40.0, 41.0, 42.5, 39.0]
-    assert set(exchange.used_pairs(read_any(put(bigwarp_3d())))) >= {
-        "volume_x",
-        "volume_y",
-        "volume_z",
-        "fixed_x",
-        "fixed_y",
-    }
+    assert set(exchange.used_pairs(marks)) >= {"volume_x", "volume_y", "volume_z", "fixed_x", "fixed_y"}
     assert layer_names(read_any(put(bigwarp_3d(z=(0.0,) * 4)))) == ["moving", "fixed"]  # two flat pictures
 
 

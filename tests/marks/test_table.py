@@ -74,11 +74,8 @@ def test_results_are_written_beside_the_pairs(tmp_path):
 
 
 @pytest.mark.parametrize(("text", "message"), [
-    ("", "empty"),
-    ("# nothing\n", "no known format"),
     (FLAT, "no pair"),
     ("label,moving_x_um,fixed_x_um\nA,1,2\n", "columns missing: moving_y_um, fixed_y_um"),
-    ("a,b\n1,2\n", "no known format"),
     ("moving_x_um,moving_y_um,volume_x_um,fixed_x_um,fixed_y_um\n1,2,3,4,5\n", "both moving and volume"),
     ("moving_x_um,moving_x_um,moving_y_um,fixed_x_um,fixed_y_um\n1,1,2,3,4\n", "given twice: moving_x_um"),
     (FLAT + "A,1,2,3,4\nB,1,2,3\n", "row 3 has 4 columns, the header 5"),
@@ -96,7 +93,6 @@ def test_faults_are_named_with_their_rows(tmp_path, text, message):
 
 
 def test_missing_files_sides_and_places_are_refused(tmp_path):
-    refused(FileError, r"none\.csv", read_marks, tmp_path / "none.csv")
     (tmp_path / "binary.csv").write_bytes(b"\xff\x00\x01")
     refused(FileError, "UTF-8", read_marks, tmp_path / "binary.csv")
     with pytest.raises(MarkError, match="either moving_x"):

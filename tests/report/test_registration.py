@@ -85,25 +85,17 @@ def test_lags_lie_where_their_pixels_do_and_are_drawn_if_distinct() -> None:
 def test_expected_error_states_its_range_and_needs_values() -> None:
     y, x = 5.0 * np.arange(40), 5.0 * np.arange(60)
     error = xr.DataArray(np.tile(np.linspace(1.0, 3.0, 60), (40, 1)), {"y": y, "x": x}, ("y", "x"))
-    drawn = registration.draw_expected_error(
-        error, None, hole_um=200.0, width=draw.FULL, reference="image", layer="volume"
-    )
+    given: dict[str, Any] = {"hole_um": 200.0, "reference": "image", "layer": "volume"}
+    drawn = registration.draw_expected_error(error, None, width=draw.FULL, **given)
     assert drawn is not None
     assert f"1.0{MICRO} to 3.0{MICRO}, median 2.0{MICRO}" in drawn.caption
     assert f"Contour lines every 0.2{MICRO}" in drawn.caption
     # The line of 2 um stands upright in the middle.
     assert re.search(r">2</text>", drawn.svg)
-    even = registration.draw_expected_error(
-        error * 0 + 1.5, None, hole_um=200.0, width=draw.HALF, reference="image", layer="volume"
-    )
+    even = registration.draw_expected_error(error * 0 + 1.5, None, width=draw.HALF, **given)
     assert even is not None
     assert "Contour" not in even.caption
-    assert (
-        registration.draw_expected_error(
-            error * np.nan, None, hole_um=200.0, width=draw.HALF, reference="image", layer="volume"
-        )
-        is None
-    )
+    assert registration.draw_expected_error(error * np.nan, None, width=draw.HALF, **given) is None
 
 
 def test_page_states_what_is_known_of_the_registration() -> None:

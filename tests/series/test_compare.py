@@ -6,7 +6,6 @@ import shutil
 import pytest
 
 from folders import refused
-from planish.cli import main
 from planish.core.errors import FileError, InputError
 from planish.series import members_of
 from series.runs import put, results_of
@@ -24,18 +23,9 @@ def runs(tmp_path, monkeypatch):
     return sorted((tmp_path / "Läufe").iterdir())
 
 
-def called(capsys, *args):
-    with pytest.raises(SystemExit) as end:
-        main([str(a) for a in args])
-    found = capsys.readouterr()
-    return end.value.code, found.out, found.err
-
-
-def test_runs_are_compared_and_written_into_a_folder(runs, capsys):
-    code, out, _ = called(
-        capsys, "compare", "--table", "table.csv", "--by", "Paper", "--margin", "coating_top=0.5", "--out", "both"
-    )
-    assert code == 0
+def test_runs_are_compared_and_written_into_a_folder(runs, passes, refuses):
+    table = ("compare", "--table", "table.csv", "--out", "both")
+    out, _ = passes(*table, "--by", "Paper", "--margin", "coating_top=0.5")
     assert "A and B differ in mean coating thickness (top side): B - A = +7.0" in out
     assert "Blatt 5" in out
     folder = runs[0].parents[1] / "both"
@@ -43,13 +33,11 @@ def test_runs_are_compared_and_written_into_a_folder(runs, capsys):
     results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
     assert results["specimens"][0]["member"]["run"] == "../Läufe/Blatt 0"
     assert results["differences"][0]["equivalence"]["verdict"] == "larger"
-    code, out, err = called(capsys, "compare", "--table", "table.csv", "--out", "both")
-    assert (code, "exists already" in err) == (3, True)
+    refuses(*table, words="exists already", out=False)
 
 
-def test_runs_alone_give_a_table_and_their_mean(runs, capsys):
-    code, out, err = called(capsys, "compare", *runs, "--json")
-    assert code == 0
+def test_runs_alone_give_a_table_and_their_mean(runs, passes):
+    out, err = passes("compare", *runs, "--json")
     results = json.loads(out)
     assert [s["member"]["name"] for s in results["specimens"]] == [f"Blatt {k}" for k in range(6)]
     assert (results["groups"][0]["sheets"], results["differences"]) == (6, [])
@@ -72,10 +60,8 @@ def test_runs_alone_give_a_table_and_their_mean(runs, capsys):
     ],
 )
 @pytest.mark.usefixtures("runs")
-def test_what_cannot_be_compared_is_said_in_a_sentence(capsys, args, code, words):
-    found, _, err = called(capsys, "compare", *args)
-    assert found == code
-    assert words in err
+def test_what_cannot_be_compared_is_said_in_a_sentence(refuses, args, code, words):
+    refuses("compare", *args, words=words, code=code, out=False)
 
 
 def test_a_copy_counts_once(runs):
@@ -83,18 +69,14 @@ def test_a_copy_counts_once(runs):
     refused(InputError, "one is a copy", members_of, [runs[0], runs[0].parent / "copy"], home=runs[0].parent)
 
 
-def test_a_damaged_run_ends_with_4_and_none_that_can_be_read_with_3(runs, capsys):
+def test_a_damaged_run_ends_with_4_and_none_that_can_be_read_with_3(runs, passes, refuses):
     (runs[0] / "results.json").write_text("{}")
-    code, out, err = called(capsys, "compare", *runs[:3])
-    assert code == 4
+    out, err = passes("compare", *runs[:3], codes=(4,))
     assert "Blatt 0: damaged" in err
     assert "Blatt 2" in out
     for run in runs[1:3]:
         (run / "results.json").write_text(f"{{{run.name}")
-    code, _, err = called(capsys, "compare", *runs[:3], "--out", "none")
-    assert code == 3
-    assert "None of 3 runs can be read" in err
-    assert not (runs[0].parents[1] / "none").exists()
+    refuses("compare", *runs[:3], words="None of 3 runs can be read")
 
 
 def test_runs_of_one_name_are_told_apart_by_their_folders(tmp_path):

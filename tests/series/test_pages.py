@@ -43,6 +43,13 @@ def written(tmp_path_factory):
     return write_series(members, home, Declared(margin={"coating_top": 1.0}), out), members, home, out
 
 
+def written_of(members, home):
+    """The folder of a series that declares nothing."""
+    (home / "out").mkdir()
+    write_series(members, home, Declared(), home / "out")
+    return home / "out"
+
+
 def bytes_of(folder):
     return {name: (folder / name).read_bytes() for name in FILES}
 
@@ -139,13 +146,11 @@ def test_a_series_comes_back_as_arrays(written):
 
 
 def test_two_volumes_keep_their_layers_in_arrays_and_have_a_section(tmp_path):
-    members = series(tmp_path, ({}, two_volumes()), ({}, two_volumes(bias=0.7)))
-    (tmp_path / "out").mkdir()
-    write_series(members, tmp_path, Declared(), tmp_path / "out")
-    study = pl.open_study(tmp_path / "out")
+    out = written_of(series(tmp_path, ({}, two_volumes()), ({}, two_volumes(bias=0.7))), tmp_path)
+    study = pl.open_study(out)
     assert study.bias.sel(pair="ct.coating_top/sections.coating_top", point_um=100).values.tolist() == [0.5, 0.7]
     assert study.bias_low.values.ravel().tolist() == pytest.approx([0.4, 0.6])
-    text = Page((tmp_path / "out" / "report.html").read_text(encoding="utf-8")).text()
+    text = Page((out / "report.html").read_text(encoding="utf-8")).text()
     assert "Two instruments" in text
     assert "−1.80 to −1.20" in text  # of the lower limit
     assert "Both show the same down to waves" in text
@@ -184,10 +189,7 @@ def test_one_specimen_and_none_that_can_be_read_have_a_page_as_well(tmp_path):
 
 
 def test_a_factor_with_the_name_of_a_column_keeps_apart(tmp_path):
-    members = series(tmp_path, ({"map": "M", "state": "wet"}, results_of()))
-    (tmp_path / "out").mkdir()
-    write_series(members, tmp_path, Declared(), tmp_path / "out")
-    study = pl.open_study(tmp_path / "out")
+    study = pl.open_study(written_of(series(tmp_path, ({"map": "M", "state": "wet"}, results_of())), tmp_path))
     assert (study.factor_map.values.tolist(), study.state.values.tolist()) == (["M"], ["whole"])
     assert study.factor_state.values.tolist() == ["wet"]
 
@@ -210,8 +212,7 @@ def test_two_hundred_specimens_take_less_than_ten_megabytes(tmp_path):
         ({"paper": f"P{k % 4}", "sheet": str(k // 8)}, results_of(mean=20 + k / 50, sd=2, r=0.5)) for k in range(200)
     ]
     members = series(tmp_path, *papers)
-    (tmp_path / "out").mkdir()
-    results = write_series(members, tmp_path, Declared(), tmp_path / "out")
+    results = SeriesResults.read(written_of(members, tmp_path) / "results.json")
     y, x = np.arange(330) * 4.0, np.arange(450) * 4.0
     maps = [
         small_map(m.name, xr.DataArray(rng.normal(20, 4, (330, 450)), dims=("v", "u"), coords={"v": y, "u": x},

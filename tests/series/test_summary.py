@@ -45,12 +45,8 @@ def test_two_papers_are_compared_over_sheets_not_fields(tmp_path):
     assert (d.factor, d.levels, d.kind, d.sheets) == ("paper", ("A", "B"), "two groups", (3, 4))
     assert d.p == pytest.approx(welch.pvalue, rel=1e-9)
     assert d.interval == pytest.approx(tuple(welch.confidence_interval()), rel=1e-9)
-    assert [math.isnan(k.p) for k in results.differences] == [
-        False,
-        True,
-        True,
-        True,
-    ]  # all sheets are alike in the others
+    # All sheets are alike in the others.
+    assert [math.isnan(k.p) for k in results.differences] == [False, True, True, True]
     assert d.p_of_table == pytest.approx(4 * d.p)  # but they were looked at
 
 
@@ -130,12 +126,8 @@ def test_r_of_few_points_or_points_of_another_size_takes_part_in_nothing_and_say
 def test_fewer_than_three_sheets_have_no_interval_and_the_reason(tmp_path):
     one_sheet = [({"sheet": "1", "field": str(k)}, results_of(mean=20.0 + k)) for k in range(4)]
     found = of(said(tmp_path, *one_sheet), "mean")
-    assert (found.sheets, found.fields, is_known(found.interval), found.reason) == (
-        1,
-        4,
-        False,
-        "1 of at least 3 sheets",
-    )
+    assert (found.sheets, found.fields, is_known(found.interval)) == (1, 4, False)
+    assert found.reason == "1 of at least 3 sheets"
     assert found.mean == pytest.approx(21.5)
 
 

@@ -1,6 +1,8 @@
 """Files of a watched folder: taken once, when they are whole and stand still."""
 
 import os
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -18,6 +20,11 @@ class Clock:
 
     def __call__(self) -> float:
         return self.now
+
+    def after(self, seconds: float, coming: Iterator[PlannedSpecimen | None]) -> PlannedSpecimen | None:
+        """What a look at the folder finds so much later."""
+        self.now += seconds
+        return next(coming)
 
 
 def plan(folder: Path, **watch: str) -> Plan:
@@ -39,11 +46,7 @@ def test_pairs_are_taken_once_when_they_are_whole_and_stand_still(tmp_path: Path
         plan(tmp_path, volume="{paper} {sheet}_ct.tif", image="{paper} {sheet}_img.tif"), tmp_path, settle_s=30,
         idle_s=200, tell=said.append, clock=clock,
     )  # fmt: skip
-
-    def look(seconds: float) -> PlannedSpecimen | None:
-        clock.now += seconds
-        return next(coming)
-
+    look = partial(clock.after, coming=coming)
     write(tmp_path / "Süd 1_img.tif")
     whole = write(tmp_path / "Süd 1_ct.tif")
     (tmp_path / "Süd 1_ct.tif").write_bytes(whole[:3000])
@@ -84,11 +87,7 @@ def test_a_part_of_each_file_is_taken_when_all_of_it_stands_still(tmp_path: Path
         plan(tmp_path, volume="{sheet}_ct.h5:/entry/a"), tmp_path, settle_s=30, idle_s=None, tell=said.append,
         clock=clock,
     )  # fmt: skip
-
-    def look(seconds: float) -> PlannedSpecimen | None:
-        clock.now += seconds
-        return next(coming)
-
+    look = partial(clock.after, coming=coming)
     for rows in (4, 9):
         with h5py.File(tmp_path / "1_ct.h5", "w") as file:
             file["entry/a"] = np.zeros((9, rows, 7), np.uint8)
