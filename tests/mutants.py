@@ -84,8 +84,8 @@ MUTANTS = [
     Mutant("marks/_measure_kernels.py", "cx, cy, radius = cx + fit[1], cy + fit[2], fit[0]", "cx, cy, radius = cx - fit[1], cy + fit[2], fit[0]", "marks/test_find.py"),
     Mutant("marks/regions/_kernels.py", "if ya > yb:", "if ya > yb + 1e30:", "test_regions.py"),
     Mutant("marks/regions/_kernels.py", "np.searchsorted(x, at)", "np.searchsorted(x, at, 'right')", "test_regions.py"),
-    Mutant("marks/regions/model.py", "(ring - 0.5) * size", "ring * size", "test_regions.py"),
-    Mutant("marks/regions/files.py", "begin, kind = (_HEAD + 4 * count", "begin, kind = (_HEAD + 2 * count", "test_regions.py"),
+    Mutant("marks/regions/model.py", "(ring - 0.5) * pixel_um", "ring * pixel_um", "test_regions.py"),
+    Mutant("marks/regions/files.py", "start, kind = (_HEAD + 4 * count", "start, kind = (_HEAD + 2 * count", "test_regions.py"),
     Mutant("run/overlay.py", "is_allowed & ~self.regions.inside(part)", "is_allowed", "test_regions.py"),
     # register
     Mutant("register/similarity.py", "angle, shift_um = float(np.angle(alpha))", "angle, shift_um = -float(np.angle(alpha))", "register/test_fit.py"),
