@@ -103,6 +103,30 @@ def test_volumes_without_a_sheet_or_across_it_are_refused():
     refused(VolumeError, "at least 8", find_surfaces, volume(np.zeros((4, 50, 50))))
 
 
+def on_film(sheet, film_um, gap_um, film_grey, half):
+    """The grey of a sheet (its air is 40) at 170 um with a film below it."""
+    height = 170.0 - half - gap_um - film_um / 2
+    film, *_ = slab(shape=sheet.shape, height=height, coat=0.0, base=film_um, greys=(0.0, film_grey, 0.0), noise=0.0)
+    return sheet + film
+
+
+@pytest.mark.parametrize("gap_um", [15.0, 40.0])
+def test_a_film_beyond_air_is_left_out_and_named_where_the_sheet_is_coated(gap_um):
+    grey, _, half = slab(shape=(110, 60, 60), height=170.0)
+    alone = find_surfaces(volume(grey))
+    found = find_surfaces(volume(on_film(grey, 40.0, gap_um, 80.0, half)))
+    for face in ("top", "bottom", "interface_bottom"):
+        assert np.abs(found[face] - alone[face]).max() < 0.3
+    assert "from the bottom side, in 100 % of the columns" in found.attrs["beside"]
+    assert found.attrs["beside_gap_um"] == pytest.approx(gap_um, abs=10.0)  # between the outer edges of the blur
+    assert "beside" not in alone.attrs
+
+
+def test_a_film_thicker_than_a_sheet_without_a_coating_is_not_taken_for_the_sheet():
+    grey, _, half = slab(shape=(110, 60, 60), height=170.0, coat=0.0, greys=(40.0, 90.0, 90.0))
+    refused(VolumeError, r"2 separate sheets", find_surfaces, volume(on_film(grey, 80.0, 20.0, 80.0, half)))
+
+
 def test_two_sheets_are_counted_and_one_is_chosen_by_its_grey():
     grey, *_ = slab(shape=(120, 60, 60), height=90.0, coat=0.0, base=40, greys=(20.0, 120.0, 120.0))
     other, *_ = slab(shape=(120, 60, 60), height=260.0, coat=0.0, base=40, greys=(20.0, 120.0, 120.0))

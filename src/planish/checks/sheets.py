@@ -60,6 +60,18 @@ def missing_voxels(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
     )  # fmt: skip
 
 
+def film(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
+    """Name what was left out beside the sheet, such as the film it lies on; None where nothing was."""
+    if not (beside_text := sheet.measured.attrs.get("beside")):
+        return None
+    gap_um = float(sheet.measured.attrs["beside_gap_um"])
+    return rule.at_least(
+        gap_um, look=2.5 * float(sheet.measured.attrs["blur_um"]), units="um",
+        sentence=f"Beside the sheet lies something flat that was left out: {beside_text}.",
+        advice="The blur reaches across the air between them: look at the slices, and crop the volume to the sheet.",
+    )  # fmt: skip
+
+
 def fold_over(rule: CheckRule, sheet: MeasuredSheet) -> Check:
     """Judge whether the flattened mesh is folded."""
     folded = sheet.facts.flatten.folded_cells

@@ -29,6 +29,7 @@ CHECKS = (
     # planish map: from the maps of a sheet
     CheckRule("coverage", MeasuredSheet, (PROPERTIES,), sheets.coverage),
     CheckRule("missing voxels", MeasuredSheet, (PROPERTIES,), sheets.missing_voxels),
+    CheckRule("film", MeasuredSheet, (PROPERTIES,), sheets.film),
     CheckRule("fold-over", MeasuredSheet, (POSITION,), sheets.fold_over),
     CheckRule("alignment", MeasuredSheet, (PROPERTIES, POSITION), sheets.alignment),
     CheckRule("cut-off", MeasuredSheet, (POSITION,), sheets.cutoff),

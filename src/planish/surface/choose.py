@@ -69,6 +69,10 @@ def choose_sheet(
             if min_threshold < 0.7 * threshold:
                 with suppress(VolumeError):
                     return _refined(oriented, min_threshold, choice), "air", polarity
+            # What air parts from a sheet that is coated, or thicker, is film or a mount.
+            with suppress(VolumeError):
+                sheet = _refined(oriented, threshold, replace(choice, may_lead=True))
+                return sheet, "others" if _has_others_beside(oriented, sheet) else "air", polarity
             raise
     unseeded: CoarseSheet | None = None
     with suppress(VolumeError):
@@ -151,7 +155,8 @@ def _refined(oriented: Blocks, threshold: float, choice: Choice) -> CoarseSheet:
     depth = np.rint(low[:, None] + (high - low)[:, None] * np.linspace(*CORE, 7)).astype(int)
     # The core tells the base's level, and that a better threshold: half way between air and base.
     base = float(np.median(oriented[rows[:, None], cols[:, None], depth].astype(np.float64)))
-    threshold = max(threshold * 0.7, 0.5 * base)
+    # Beside another object it is not lowered: noise and blur would join them.
+    threshold = max(threshold * (1.0 if choice.may_lead else 0.7), 0.5 * base)
     return search_sheet(oriented, oriented > threshold, threshold, choice)
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,15 @@ MERGED = 1.6
 """Times the usual thickness: two sheets that touch, or one that folds back."""
 
 
+class Companion(NamedTuple):
+    """A flat object beside the sheet, beyond air; lengths in voxels of depth."""
+
+    thickness_px: float  # median
+    gap_px: float  # median air between them where both are
+    share: float  # of the columns
+    end: Literal["low", "high"]  # of the axis through the sheet at which it lies
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CoarseSheet:
     """Extent of the sheet in each block column, in voxels of depth, NaN where there is none."""
@@ -40,6 +50,8 @@ class CoarseSheet:
     # (block rows, block cols): where it touches another sheet or folds back on itself, as far as that is known.
     is_touching: Bools
     specks: int = 0  # other objects in the air beside the sheet
+    # A film, mount or other sheet that air parts from this one.
+    companions: tuple[Companion, ...] = ()
 
     @property
     def is_whole(self) -> Bools:
@@ -55,6 +67,7 @@ class Choice:
     describe: Callable[[tuple[int, int, int]], str]  # turns such a point into what a user would give as a seed
     # Block row, block column and depth of a point in it; the largest object where not given.
     seed: tuple[int, int, int] | None = None
+    may_lead: bool = False  # of several, the one that is coated or thicker than the others
 
 
 def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice) -> CoarseSheet:
@@ -84,7 +97,11 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
             "columns. Check --through (the axis that runs through the sheet) and --sheet-grey."
         )
     sheet_labels = [int(k) for k in by_cover[:6] if n_covered[k] > 0.25 * n_covered[largest_label]]
-    if len(sheet_labels) > 1:
+    leading_label = _leading(labels, sheet_labels, blocks) if choice.may_lead else None
+    if leading_label is not None:
+        largest_label = leading_label
+        covered_share = n_covered[largest_label] / n_columns
+    elif len(sheet_labels) > 1:
         shares_text = ", ".join(f"{100 * n_covered[k] / n_columns:.0f} %" for k in sheet_labels)
         points_text = "; ".join(choice.describe(_inner_point(labels == k)) for k in sheet_labels)
         raise VolumeError(
@@ -111,8 +128,48 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
     return CoarseSheet(
         low=low, high=high, block=choice.block, is_leaving=in_sheet[..., 0] | in_sheet[..., -1], threshold=threshold,
         is_touching=np.zeros(has_sheet.shape, bool),
-        specks=int(np.count_nonzero(n_blocks[1:] >= 8)) - 1,  # fewer blocks are noise
+        specks=int(np.count_nonzero(n_blocks[1:] >= 8)) - len(sheet_labels),  # fewer blocks are noise
+        companions=tuple(_companion(labels == k, low, high) for k in sheet_labels if k != largest_label),
     )  # fmt: skip
+
+
+_BRIGHTER, _THICKER = 1.3, 1.2  # times the others
+_UNEVEN = 1.25  # brightest tenth of an object over its median: film is of one grey, paper is coated or full of pores
+
+
+def _leading(labels: NDArray[np.integer], candidates: Sequence[int], blocks: Blocks) -> int | None:
+    """Label of the object that is paper, and brighter or thicker than all others; None where there is no such."""
+    is_uneven, bright, thick = [], [], []
+    for label in candidates:
+        in_object = labels == label
+        median, brightest = np.percentile(blocks[in_object], [50, 90])
+        n_filled = in_object.sum(axis=-1)
+        is_uneven.append(bool(brightest >= _UNEVEN * median))
+        bright.append(float(brightest))
+        thick.append(float(np.median(n_filled[n_filled > 0])))
+
+    def leads(k: int, other: int) -> bool:
+        return bright[k] >= _BRIGHTER * bright[other] or thick[k] >= _THICKER * thick[other]
+
+    indices = range(len(candidates))
+    leaders = [k for k in indices if is_uneven[k] and all(leads(k, other) for other in indices if other != k)]
+    return candidates[leaders[0]] if len(leaders) == 1 and len(candidates) > 1 else None
+
+
+def _companion(in_object: Bools, low: Floats, high: Floats) -> Companion:
+    """Describe an object beside the sheet, whose extent is ``low`` to ``high``."""
+    n_filled = in_object.sum(axis=-1)
+    first, last = first_and_last(in_object)
+    is_there = n_filled > 0
+    below, above = low - last - 1, first - high - 1
+    is_below = float(np.nanmedian(np.where(is_there, below, np.nan))) > 0
+    gap = np.where(is_there, below if is_below else above, np.nan)
+    return Companion(
+        thickness_px=float(np.median(n_filled[is_there])),
+        gap_px=float(np.nanmedian(gap)),
+        share=float(is_there.mean()),
+        end="low" if is_below else "high",
+    )
 
 
 def followed_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice) -> CoarseSheet:

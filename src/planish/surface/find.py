@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from planish.core.options import params_of
 from planish.core.tiles import Engine
 from planish.surface.assemble import assemble
 from planish.surface.boundaries import find_faces_by_slice, surfaces_from_labels
+from planish.surface.coarse import Companion
 from planish.surface.columns import Columns, make_guide
 from planish.surface.corrected import correct_surfaces
 from planish.surface.faces import find_faces
@@ -119,10 +121,23 @@ def _search(volume: xr.DataArray, frame: Frame, params: SurfaceParams, step: int
     surfaces.attrs |= priors.attrs(columns.pitch[2], frame) | share_attrs
     if survey.padding is not None:
         surfaces.attrs["padding"] = survey.padding
+    surfaces.attrs |= _attrs_of_companions(survey.coarse.companions, columns.pitch[2], frame)
     if params.corrections is None:
         return surfaces
     corrections = read_corrections(params.corrections)
     return correct_surfaces(surfaces, volume, corrections, params=params, engine=engine)
+
+
+def _attrs_of_companions(companions: Sequence[Companion], voxel_um: float, frame: Frame) -> dict[str, str | float]:
+    """Words for the objects that were left out beside the sheet, and the narrowest gap to one of them."""
+    if not companions:
+        return {}
+    texts = [
+        f"{c.thickness_px * voxel_um:.0f} um thick, some {c.gap_px * voxel_um:.0f} um from the "
+        f"{'top' if c.end == frame.top else 'bottom'} side, in {100 * c.share:.0f} % of the columns"
+        for c in companions
+    ]
+    return {"beside": "; ".join(texts), "beside_gap_um": voxel_um * min(c.gap_px for c in companions)}
 
 
 _LEAST_SHARE = 0.15  # of the columns with more than air: with less there is no map
