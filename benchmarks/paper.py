@@ -22,6 +22,7 @@ from zlib import crc32
 
 import numpy as np
 import xarray as xr
+from scipy import ndimage
 
 from planish.core.errors import PlanishError
 from planish.core.typing import Bools, Floats
@@ -215,7 +216,11 @@ def truth(specimen: Specimen, columns: xr.Dataset) -> tuple[dict[str, Floats], B
     under, sheet = specimen.columns, specimen.sheet
     u, v = (under[name].values[np.ix_(rows, cols)] for name in ("u", "v"))
     if specimen.params.paper.coating_top_um:
-        top, inner_top, inner_bottom, bottom = (sheet.at(face, u, v) for face in sheet.faces)
+        scan = specimen.params.scanner
+        blur, box = scan.fwhm_um / math.sqrt(8.0 * math.log(2.0)) / PITCH_UM, max(round(voxel / PITCH_UM), 1)
+        top, inner_top, inner_bottom, bottom = (
+            sheet.at(ndimage.uniform_filter(ndimage.gaussian_filter(face, blur), box), u, v) for face in sheet.faces
+        )
     else:
         paper = specimen.params.paper
         assert paper.fibres is not None
