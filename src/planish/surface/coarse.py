@@ -102,12 +102,7 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
         largest_label = leading_label
         covered_share = n_covered[largest_label] / n_columns
     elif len(sheet_labels) > 1:
-        shares_text = ", ".join(f"{100 * n_covered[k] / n_columns:.0f} %" for k in sheet_labels)
-        points_text = "; ".join(choice.describe(_inner_point(labels == k)) for k in sheet_labels)
-        raise VolumeError(
-            f"The volume shows {len(sheet_labels)} separate sheets (they cover {shares_text} of the columns). {_CHOOSE}"
-            f" Points in them: {points_text}."
-        )
+        raise _several_sheets(labels, sheet_labels, n_covered / n_columns, choice)
     in_sheet = labels == largest_label
     leaving_share, end = max((in_sheet[..., k].mean() / covered_share, end) for end, k in (("low", 0), ("high", -1)))
     if leaving_share > _LEAVES:
@@ -131,6 +126,17 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
         specks=int(np.count_nonzero(n_blocks[1:] >= 8)) - len(sheet_labels),  # fewer blocks are noise
         companions=tuple(_companion(labels == k, low, high) for k in sheet_labels if k != largest_label),
     )  # fmt: skip
+
+
+def _several_sheets(
+    labels: NDArray[np.integer], candidates: Sequence[int], covered_shares: Floats, choice: Choice
+) -> VolumeError:
+    shares_text = ", ".join(f"{100 * covered_shares[k]:.0f} %" for k in candidates)
+    points_text = "; ".join(choice.describe(_inner_point(labels == k)) for k in candidates)
+    return VolumeError(
+        f"The volume shows {len(candidates)} separate sheets (they cover {shares_text} of the columns). {_CHOOSE}"
+        f" Points in them: {points_text}."
+    )
 
 
 _BRIGHTER, _THICKER = 1.3, 1.2  # times the others
