@@ -11,9 +11,9 @@ import numpy as np
 
 from planish.core.errors import MarkError
 from planish.core.typing import Floats
+from planish.register.base_model import Model
 from planish.register.bent import Bent, Kernel
 from planish.register.field import DeviationField, covariance, covariance_slope
-from planish.register.model import Model
 from planish.register.pairs import Pairs
 from planish.register.similarity import AffineModel, ProjectiveModel, RigidModel, SimilarityModel
 from planish.register.spline import SplineModel

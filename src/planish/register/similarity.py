@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.transform import Affine, Projective, Similarity, Transform
 from planish.core.typing import Floats
-from planish.register.model import Frame, ParametricModel, least_squares, refuse_line
+from planish.register.base_model import Frame, ParametricModel, least_squares, refuse_line
 from planish.register.pairs import COINCIDENT, Pairs, as_complex
 
 _STEPS = 100

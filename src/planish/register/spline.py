@@ -16,9 +16,9 @@ import numpy as np
 from planish.core.errors import CannotRegister
 from planish.core.typing import Floats
 from planish.register._bent_kernels import add_thin_plate
+from planish.register.base_model import Model, refuse_line
 from planish.register.bent import Bent, Kernel
 from planish.register.field import DeviationField
-from planish.register.model import Model, refuse_line
 from planish.register.pairs import Pairs, inverse_of, whitened
 
 _LEAST = 6

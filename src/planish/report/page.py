@@ -21,7 +21,18 @@ from planish.core.files import write_whole
 from planish.core.numbers import in_words
 from planish.core.tables import table_text
 from planish.marks.exchange.model import points_of
-from planish.report import diagnostics, first, flattening, maps, registration, slices, statement, summary, tables, text
+from planish.report import (
+    diagnostics,
+    first_screen,
+    flattening,
+    maps,
+    registration,
+    slices,
+    statement,
+    summary,
+    tables,
+    text,
+)
 from planish.report.draw import FULL, HALF, Picture
 from planish.report.relation import MapPair, draw_pair
 from planish.results import EvidenceFacts, LayerFacts, Results
@@ -107,8 +118,8 @@ def render_report(
     pairs = _map_pairs(run_maps)
     page = report_template().render(
         results=results, layers=results.layers, reference=results.reference, titles=run_maps.titles, tables=tables,
-        summary=summary, statement=statement, text=text, first=first, diagnostics=diagnostics, numbered=numbered,
-        sheets=sheets, leading=first.draw_first(run_maps, pairs) or
+        summary=summary, statement=statement, text=text, first=first_screen, diagnostics=diagnostics, numbered=numbered,
+        sheets=sheets, leading=first_screen.draw_first(run_maps, pairs) or
         [picture for sheet in sheets for picture in sheet["leading"]],
         blocks=[
             block for layer in results.moving

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planish.report import first
+from planish.report import first_screen
 from planish.report.maps import draw_maps
 from planish.results import PropertyFacts, Results
 from report.pages import Page
@@ -144,7 +144,7 @@ def test_what_would_make_it_surer_follows_from_the_results(
     for row in run["results"]["correlations"]:
         row["interval"] = interval
     run["results"]["evidence"] = evidence(**given)
-    found = [text for text, _ in first.recommendations(Results.model_validate(run["results"]))]
+    found = [text for text, _ in first_screen.recommendations(Results.model_validate(run["results"]))]
     assert 1 <= len(found) <= 2
     assert says in " ".join(found)
     assert says_not not in " ".join(found)
