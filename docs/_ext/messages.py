@@ -18,7 +18,7 @@ from public_names import PACKAGE
 GAP = "…"
 _ERRORS = PACKAGE / "core" / "errors.py"
 # What makes an error of a reason: the position of the reason among the arguments.
-_MAKERS = {"damaged": 1, "Damaged": 0, "_damaged": 1, "error": 0}
+_MAKERS = {"damaged": 1, "Damaged": 0, "_damaged": 1, "error": 0, "error_type": 0}
 _STUDY = ("study.py", "params.py", "options.py", "presets.py", "draws.py")  # modules whose ValueErrors a user meets
 _FAULTS = re.compile(r"fault|problem|wrong")  # reasons that are put into a message
 

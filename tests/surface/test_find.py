@@ -127,6 +127,15 @@ def test_a_film_thicker_than_a_sheet_without_a_coating_is_not_taken_for_the_shee
     refused(VolumeError, r"2 separate sheets", find_surfaces, volume(on_film(grey, 80.0, 20.0, 80.0, half)))
 
 
+def test_two_coated_sheets_are_refused_whether_one_is_thicker_or_a_film_lies_where_the_sheet_is_not():
+    grey, _, half = slab(shape=(130, 60, 60), height=190.0)
+    thinner, *_ = slab(shape=(130, 60, 60), height=190.0 - half - 75.0, base=20.0, noise=0.0)
+    refused(VolumeError, r"2 separate sheets", find_surfaces, volume(np.maximum(grey, thinner)))
+    apart = on_film(np.where(np.arange(60) < 28, grey, 40.0), 40.0, 20.0, 80.0, half)
+    apart[:, :, :32] = np.where(np.arange(130)[:, None, None] * VOXEL < 190.0 - half - 10.0, 40.0, apart[:, :, :32])
+    refused(VolumeError, r"2 separate sheets", find_surfaces, volume(apart))
+
+
 def test_two_sheets_are_counted_and_one_is_chosen_by_its_grey():
     grey, *_ = slab(shape=(120, 60, 60), height=90.0, coat=0.0, base=40, greys=(20.0, 120.0, 120.0))
     other, *_ = slab(shape=(120, 60, 60), height=260.0, coat=0.0, base=40, greys=(20.0, 120.0, 120.0))

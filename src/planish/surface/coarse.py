@@ -144,22 +144,28 @@ _UNEVEN = 1.25  # brightest tenth of an object over its median: film is of one g
 
 
 def _leading(labels: NDArray[np.integer], candidates: Sequence[int], blocks: Blocks) -> int | None:
-    """Label of the object that is paper, and brighter or thicker than all others; None where there is no such."""
-    is_uneven, bright, thick = [], [], []
+    """Label of the object that alone is paper, above or below all others, and brighter or thicker than they are.
+
+    None where there is no such object: a sheet that came apart is several objects of paper, and none of them leads.
+    """
+    covered, is_uneven, bright, thick = [], [], [], []
     for label in candidates:
         in_object = labels == label
         median, brightest = np.percentile(blocks[in_object], [50, 90])
         n_filled = in_object.sum(axis=-1)
+        covered.append(n_filled > 0)
         is_uneven.append(bool(brightest >= _UNEVEN * median))
         bright.append(float(brightest))
         thick.append(float(np.median(n_filled[n_filled > 0])))
-
-    def leads(k: int, other: int) -> bool:
-        return bright[k] >= _BRIGHTER * bright[other] or thick[k] >= _THICKER * thick[other]
-
-    indices = range(len(candidates))
-    leaders = [k for k in indices if is_uneven[k] and all(leads(k, other) for other in indices if other != k)]
-    return candidates[leaders[0]] if len(leaders) == 1 and len(candidates) > 1 else None
+    if len(candidates) < 2 or sum(is_uneven) != 1:
+        return None
+    leader = is_uneven.index(True)
+    for other in range(len(candidates)):
+        is_ahead = bright[leader] >= _BRIGHTER * bright[other] or thick[leader] >= _THICKER * thick[other]
+        lies_across = np.count_nonzero(covered[leader] & covered[other]) >= 0.5 * np.count_nonzero(covered[other])
+        if other != leader and not (is_ahead and lies_across):
+            return None
+    return candidates[leader]
 
 
 def _companion(in_object: Bools, low: Floats, high: Floats) -> Companion:

@@ -63,6 +63,8 @@ def find_surfaces(
         itself, 6 it leaves the volume, 7 a particle sticks to it; 4 is left to the measurement. With
         ``envelope_um`` also ``top_envelope`` and ``bottom_envelope``.
         Attributes hold the grey levels and what was seen.
+        Attributes ``beside`` and ``beside_gap_um``: what air parts from the sheet and was left out, such as a film, and
+        the narrowest gap; only where there is such a thing.
 
     Raises
     ------
