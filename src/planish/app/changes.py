@@ -231,10 +231,7 @@ class State:
 def applied(state: State, change: Change) -> State:
     """The state after a change, which does not change the one before.
 
-    Raises
-    ------
-    ChangeError
-        If the change names a mark, layer, correction or region that is not there, or leaves a mark without a place.
+    ChangeError where it names a mark, layer, correction or region that is not there, or leaves a mark without a place.
     """
     match change:
         case ChooseModel():

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from planish.app.changes import Mark
-from planish.app.picture import PLANES, WHERE, Answer, Plane, finite_or_none
+from planish.app.picture import PLANES, WHERE, Plane, finite_or_none
 from planish.app.session import dataset_of
 from planish.core.errors import PlanishError
+from planish.core.facts import ResultModel
 from planish.core.text import and_join_few
 from planish.core.transform import Similarity
 from planish.core.typing import Bools, Floats
@@ -118,7 +119,7 @@ QUICK = ("rigid", "similarity", "affine", "projective")
 """Models that are fitted within a click."""
 
 
-class FitWarning(Answer):
+class FitWarning(ResultModel):
     """Something to be careful about: of one mark, or of all."""
 
     text: str
@@ -127,33 +128,15 @@ class FitWarning(Answer):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fitted:
-    """A fit as the page shows it.
+    """A fit as the page shows it."""
 
-    Attributes
-    ----------
-    fit : FittedTransform or None
-        To the pairs in use; of a quick model while another one follows.
-    pairs : tuple of Mark
-        In use or not.
-    residual_um, leave_one_out_um : ndarray, shape (n,)
-        Of all pairs. Marks that stand out are left out of the fits to all others.
-    is_outlier : ndarray of bool, shape (n,)
-        Pairs that stand out.
-    error : str
-        Why there is no fit of the model; a similarity stands for it where there is one.
-    is_pending : bool
-        Whether the fit of the model is still worked out.
-    warnings : tuple of FitWarning
-    mirrored : bool or None
-    """
-
-    fit: FittedTransform | None
-    pairs: tuple[Mark, ...]
-    is_outlier: Bools
-    residual_um: Floats
-    leave_one_out_um: Floats
-    error: str = ""
-    is_pending: bool = False
+    fit: FittedTransform | None  # to the pairs in use; of a quick model while another one follows
+    pairs: tuple[Mark, ...]  # in use or not
+    is_outlier: Bools  # (n,), pairs that stand out
+    residual_um: Floats  # (n,), of all pairs
+    leave_one_out_um: Floats  # (n,); marks that stand out are left out of the fits to all others
+    error: str = ""  # why there is no fit of the model; a similarity stands for it where there is one
+    is_pending: bool = False  # whether the fit of the model is still worked out
     warnings: tuple[FitWarning, ...] = ()
     mirrored: bool | None = False
 
@@ -199,21 +182,11 @@ class Fitted:
 def fitted(
     marks: Sequence[Mark], model: str, *, mirrored: bool | None, params: RegistrationParams, quick: bool = False
 ) -> Fitted:
-    """Fit the marks as the page shows them.
+    """Fit the marks of one registration as the page shows them; those with one end are passed over.
 
-    Parameters
-    ----------
-    marks : sequence of Mark
-        Of one registration; those with one end are passed over.
-    model : str
-        ``auto`` is fitted as Apply will do it: robustly, with the covariances of the holes; all others by least
-        squares to all marks in use.
-    mirrored : bool or None
-        Whether the two planes show opposite sides; None for whichever fits better.
-    params : RegistrationParams
-        Of the run.
-    quick : bool
-        Whether only what takes some milliseconds is done: of another model than `QUICK`, a similarity instead.
+    The model ``auto`` is fitted as Apply will do it: robustly, with the covariances of the holes; all others by least
+    squares to all marks in use. ``mirrored``: whether the two planes show opposite sides; None for whichever fits
+    better. ``quick``: only what takes some milliseconds; of another model than `QUICK`, a similarity instead.
     """
     pairs = tuple(mark for mark in marks if mark.is_paired)
     moving, fixed = (_points(pairs, plane) for plane in PLANES)

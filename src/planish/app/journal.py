@@ -26,23 +26,10 @@ class Journal:
     """Lines of JSON that are appended, each forced to the disk, and never changed.
 
     The first line says what the file is. The end of a line that a killed process did not finish is dropped. Nothing is
-    written before the first change.
+    written before the first change. ``subject`` is what the changes are made to, such as the hash of a run's results.
 
-    Parameters
-    ----------
-    path : Path
-        The file; it need not be there.
-    subject : str
-        What the changes are made to, such as the hash of a run's results; a journal of something else is refused.
-    write : bool
-        Whether lines will be appended; at most one process can.
-
-    Raises
-    ------
-    InUse
-        If another process writes it.
-    FileError
-        If it cannot be read, is damaged, or is of something else; with ``write`` also where it cannot be written.
+    With ``write`` lines will be appended, which at most one process can: InUse where another one does. FileError where
+    it cannot be read, is damaged, or is of another subject; with ``write`` also where it cannot be written.
     """
 
     def __init__(self, path: Path, *, subject: str, write: bool) -> None:
@@ -77,12 +64,7 @@ class Journal:
     def append(self, line: bytes) -> None:
         """Write one line, JSON without line ends; it is on the disk when this returns, or nothing of it is.
 
-        Raises
-        ------
-        ResourceError
-            If the disk is full.
-        FileError
-            If it cannot be written otherwise, or the journal was opened to be read.
+        ResourceError where the disk is full; FileError where it cannot be written otherwise, or was opened to be read.
         """
         if self._lock is None:
             raise FileError(f"{self.path} is read only here. Nothing was changed.")

@@ -22,13 +22,7 @@ _log = logging.getLogger("planish.app")
 
 
 class Live:
-    """Fits of a session, one for each registration and each state.
-
-    Parameters
-    ----------
-    session : Session
-        Each fit that was worked out in the thread is a new version of it.
-    """
+    """Fits of a session, one for each registration and state; one worked out in the thread is a new version of it."""
 
     def __init__(self, session: Session) -> None:
         self.session = session

@@ -7,7 +7,6 @@ import math
 import os
 import secrets
 import shutil
-import sys
 import tempfile
 import threading
 import weakref
@@ -20,8 +19,8 @@ from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
+from numba.misc.appdirs import AppDirs
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
 
 from planish.core.area import halved_values, overview_count
 from planish.core.grid import Grid
@@ -41,12 +40,6 @@ LAST_CODE = 65535
 
 _WINDOW = 256  # pixels along the edge of the parts of a picture that show which values it has
 _FEW, _MANY = 2, 4  # such parts along each side, with and without a coarse level
-
-
-class Answer(BaseModel):
-    """Anything that the page is sent as JSON, which has no NaN."""
-
-    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
 
 def finite_or_none(number: Any) -> float | None:
@@ -86,32 +79,16 @@ class Codes:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlanePicture:
-    """A map or an image on one of the two planes of a session.
-
-    Attributes
-    ----------
-    id : str
-        By which the page asks for it.
-    plane : {"moving", "fixed"}
-    layer : str
-        Layer that it belongs to.
-    name : str
-        Variable in the store; with the layer before it where several layers have their own.
-    title, units : str
-    levels : sequence of DataArray (rows, cols)
-        Full resolution first, each next one with pixels twice as wide; values are read where they are asked for.
-    around_zero : bool
-        Whether 0 is in the middle of its colours.
-    """
+    """A map or an image on one of the two planes of a session."""
 
     plane: Plane
-    layer: str
-    name: str
+    layer: str  # that it belongs to
+    name: str  # variable in the store; with the layer before it where several layers have their own
     title: str
     units: str
-    levels: Sequence[xr.DataArray]
-    around_zero: bool = False
-    id: str = ""
+    levels: Sequence[xr.DataArray]  # full resolution first, pixels of each next one twice as wide; read when asked for
+    around_zero: bool = False  # whether 0 is in the middle of its colours
+    id: str = ""  # by which the page asks for it
 
     @property
     def variable(self) -> str:
@@ -197,14 +174,7 @@ _LAST_ON_DEMAND = 3  # levels up to this one are made of the window that is aske
 
 def user_cache() -> Path:
     """Folder for what can be made again: that of ``PLANISH_CACHE``, or of the platform."""
-    if folder := os.environ.get("PLANISH_CACHE"):
-        return Path(folder)
-    home = Path.home()
-    if os.name == "nt":
-        return Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local") / "planish" / "cache"
-    if sys.platform == "darwin":
-        return home / "Library" / "Caches" / "planish"
-    return Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache") / "planish"
+    return Path(os.environ.get("PLANISH_CACHE") or AppDirs("planish", appauthor=False).user_cache_dir)
 
 
 def cache_folder(file: Path, *keys: str) -> Path:
@@ -216,16 +186,10 @@ def cache_folder(file: Path, *keys: str) -> Path:
 
 
 class ComputedLevels:
-    """All levels of a picture, full resolution first.
+    """All levels of a picture of ``values`` (rows, cols), floats or truth values; full resolution first.
 
-    Parameters
-    ----------
-    values : array (rows, cols)
-        Of floating point or truth values.
-    place : Path
-        Of :func:`cache_folder`.
-    keep_all : bool
-        Whether the values themselves are kept there as well: those of a file of which no window can be read.
+    ``folder`` is that of :func:`cache_folder`. With ``keep_all`` the values themselves are kept there as well: those of
+    a file of which no window can be read.
     """
 
     def __init__(self, values: xr.DataArray | LazyArray, folder: Path, *, keep_all: bool = False) -> None:

@@ -188,13 +188,7 @@ Key = tuple[str, int, int, int]
 
 
 class Tiles:
-    """Windows of pictures, block by block.
-
-    Attributes
-    ----------
-    read_bytes : int
-        Of all blocks that were read so far.
-    """
+    """Windows of pictures, block by block; ``read_bytes`` counts all that were read so far."""
 
     def __init__(self, pictures: Pictures, *, most_bytes: int = TILE_BYTES) -> None:
         self.pictures, self._most_bytes = pictures, most_bytes

@@ -191,12 +191,7 @@ def select(
 ) -> dict[str, Any]:  # fmt: skip
     """Count what is selected at full resolution; of a region also say how two pictures are correlated in it.
 
-    Of picked values nothing is said of r: ``r``, ``n_eff`` and ``interval`` are None.
-
-    Raises
-    ------
-    Stopped
-        Once ``stop`` is set.
+    Of picked values nothing is said of r: ``r``, ``n_eff`` and ``interval`` are None. Stopped once ``stop`` is set.
     """
     stop, pixel_um = stop or threading.Event(), a.grid.pixel_um
     window: Window = (slice(None), slice(None)) if region is None else region.on(a)
@@ -211,17 +206,13 @@ def select(
                 is_selected &= (values >= brush.low) & (values <= brush.high)
             n += int(np.count_nonzero(is_selected))
         return {"n": n, "pixel_um": pixel_um, "r": None, "n_eff": None, "interval": None, "warnings": []}
-    mask = computed(masks[0], partial(_all_true, masks)) if masks else None
+    mask = computed(masks[0], lambda part: np.logical_and.reduce([m[part].values for m in masks])) if masks else None
     # As a run does: its whole map gives its n_eff.
     row = correlate(x, y, mask=mask, pixel_um=pixel_um, most_cells=CELLS)
     return {
         "n": row.n, "pixel_um": pixel_um, "r": finite_or_none(row.r), "n_eff": finite_or_none(row.n_eff),
         "interval": row.interval if is_known(row.interval) else None, "warnings": row.warnings,
     }  # fmt: skip
-
-
-def _all_true(masks: Sequence[xr.DataArray], window: Where) -> Bools:
-    return np.logical_and.reduce([mask[window].values for mask in masks])
 
 
 def _read_until(stop: threading.Event, level: xr.DataArray, window: Where) -> NDArray[np.floating]:

@@ -49,21 +49,11 @@ class Refused(Exception):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Guard:
-    """Middleware: 421 for another host, 401 without the token, 403, 415, 413 for writes that are not the page's.
-
-    Attributes
-    ----------
-    app : ASGIApp
-        What is guarded.
-    token : str
-        Wanted of every request of data, as ``Authorization: Bearer``.
-    hosts : sequence of str
-        Names with port under which the server is called.
-    """
+    """Middleware: 421 for another host, 401 without the token, 403, 415, 413 for writes that are not the page's."""
 
     app: ASGIApp
-    token: str
-    hosts: Sequence[str]
+    token: str  # wanted of every request of data, as ``Authorization: Bearer``
+    hosts: Sequence[str]  # names with port under which the server is called
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Let a request in, or answer it."""
@@ -182,21 +172,9 @@ async def _error_response(_request: Request, error: Exception) -> Response:
 
 
 def serve(session: Session, *, host: str, port: int, on_open: Callable[[str], None]) -> None:
-    """Serve a session until the process is interrupted.
+    """Serve a session until the process is interrupted, and close it; any free port where ``port`` is 0.
 
-    Parameters
-    ----------
-    session : Session
-        It is closed at the end.
-    host, port
-        Where to listen; any free port where 0.
-    on_open : callable
-        Called with the address, token included, when it is open.
-
-    Raises
-    ------
-    FileError
-        If nothing can listen there.
+    ``on_open`` is called with the address, token included. FileError where nothing can listen there.
     """
     token = secrets.token_urlsafe(32)
     with closing(session):

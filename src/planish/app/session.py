@@ -54,33 +54,16 @@ class Stale(InputError):
 
 @dataclass(eq=False)
 class Session:
-    """What one server serves.
+    """What one server serves."""
 
-    Attributes
-    ----------
-    folder : Path
-        The run; a map where ``image_params`` is given.
-    study : Study
-        Of the run.
-    results : Results
-    registrations : dict of Registration
-        As the run has them, by the name of the moving layer; empty for a map and an image that were never linked.
-    image_params : ImageParams or None
-        The image of a link that was refused at the marks.
-    reason : str
-        Why nothing can be changed; empty where it can.
-    version : int
-        Lines of the journal, and one more for everything since that a window has to show.
-    """
-
-    folder: Path
+    folder: Path  # the run; a map where ``image_params`` is given
     study: Study
     results: Results
-    registrations: dict[str, Registration]
-    image_params: ImageParams | None
+    registrations: dict[str, Registration]  # by the moving layer; empty for a map and an image that were never linked
+    image_params: ImageParams | None  # of a link that was refused at the marks
     journal: Journal
-    reason: str
-    version: int = 0
+    reason: str  # why nothing can be changed; empty where it can
+    version: int = 0  # lines of the journal, and one more for everything since that a window has to show
     changed_at: int = 0  # version of the last change: what was asked for before is stale
     _states: list[State] = field(default_factory=list[State])
     _position: int = 0

@@ -10,11 +10,13 @@ from typing import Any, Literal, Self
 
 import numpy as np
 import xarray as xr
+from contourpy import LineType, contour_generator
 from numpy.typing import NDArray
 from pydantic import Field
 
-from planish.app.picture import Answer, Codes, layer_run
+from planish.app.picture import Codes, layer_run
 from planish.core.errors import FileError, InputError
+from planish.core.facts import ResultModel
 from planish.core.frame import Axis, Frame
 from planish.core.grid import pitch
 from planish.core.lazy import read_box
@@ -40,7 +42,7 @@ HEIGHTS = ("top", "interface_top", "centre", "interface_bottom", "bottom")
 _EXACT = np.dtype("u1"), np.dtype("u2")
 
 
-class AxisFacts(Answer):
+class AxisFacts(ResultModel):
     """One edge of a slice: the place of pixel k is ``first_um + k * step_um``."""
 
     name: Literal["z", "y", "x", "height"]
@@ -49,44 +51,22 @@ class AxisFacts(Answer):
     count: int
 
 
-class SliceFacts(Answer):
-    """A slice and what was found in it.
-
-    Attributes
-    ----------
-    direction : {"z", "y", "x", "straight"}
-        Axis across the slice; ``straight`` is straightened along the normals of the centre surface.
-    normal : str
-        Axis along which slices of this direction follow each other.
-    index, at_um
-        Which slice it is, and where it lies along ``normal``.
-    across, down : AxisFacts
-        Edges; the top of the sheet is up.
-    scale, offset : float
-        A value of 16 bits stands for ``offset + scale * value``.
-    missing : int
-        Value of voxels that are missing; -1 where there are none.
-    lines : tuple of str
-        Names of the lines, float32 each, one value a column of the surfaces.
-    columns : AxisFacts or None
-        Where these columns lie along ``across``.
-    segments : dict of int
-        Of a slice along the sheet: how many segments x0, y0, x1, y1 in um each contour has.
-    """
+class SliceFacts(ResultModel):
+    """A slice and what was found in it; a value of 16 bits stands for ``offset + scale * value``."""
 
     layer: str
-    direction: Direction
-    normal: Axis
+    direction: Direction  # axis across the slice; or straightened along the normals of the centre surface
+    normal: Axis  # along which slices of this direction follow each other
     index: int
-    at_um: float
+    at_um: float  # place along the normal
     across: AxisFacts
-    down: AxisFacts
+    down: AxisFacts  # the top of the sheet is up
     scale: float
     offset: float
-    missing: int
-    lines: tuple[str, ...] = ()
-    columns: AxisFacts | None = None
-    segments: dict[str, int] = Field(default_factory=dict[str, int])
+    missing: int  # value of voxels that are missing; -1 where there are none
+    lines: tuple[str, ...] = ()  # names of the lines, float32 each, one value a column of the surfaces
+    columns: AxisFacts | None = None  # these columns along ``across``
+    segments: dict[str, int] = Field(default_factory=dict[str, int])  # of each contour of a slice along the sheet
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,10 +93,7 @@ class SlicedSheet:
     def open(cls, name: str, params: VolumeParams, store: Path) -> Self:
         """Open the volume and the surfaces of a sheet.
 
-        Raises
-        ------
-        FileError
-            If the volume is not there any more, is damaged, or is a folder of serial sections.
+        FileError where the volume is not there any more, is damaged, or is a folder of serial sections.
         """
         path = find_place(params.path).path
         if is_section_folder(path):
@@ -175,22 +152,11 @@ class SlicedSheet:
         self, direction: Direction, index: int, *, near_um: Near = (None, None),
         corrections: Corrections | None = None,
     ) -> SheetSlice:  # fmt: skip
-        """One slice.
+        """One slice; InputError where there is none.
 
-        Parameters
-        ----------
-        direction : {"z", "y", "x", "straight"}
-        index : int
-            Voxel along the direction's axis; row of the surfaces' columns where it is straightened.
-        near_um : (float or None, float or None)
-            Place across and down around which a large slice is cut; its middle where None.
-        corrections : Corrections, optional
-            What is seen as ``preview_top`` and ``preview_bottom``.
-
-        Raises
-        ------
-        InputError
-            If there is no such slice.
+        ``index`` is the voxel along the direction's axis, or the row of the surfaces' columns where it is straightened;
+        ``near_um`` the place across and down around which a large slice is cut, its middle where None;
+        ``corrections`` are seen as ``preview_top`` and ``preview_bottom``.
         """
         if not 0 <= index < self.count(direction):
             raise InputError(f"There is no slice {index} along {direction}; there are {self.count(direction)}.")
@@ -352,28 +318,11 @@ def sheets_of(folder: Path, study: Study) -> dict[str, tuple[VolumeParams, Path]
 
 def contour(height: Floats, x: Floats, y: Floats) -> Floats:
     """Segments (n, 4: x0, y0, x1, y1) along which a field (y, x) crosses 0, linear between its nodes."""
-    values = np.asarray(height, dtype=np.float64)
-    corners = np.stack([values[:-1, :-1], values[:-1, 1:], values[1:, 1:], values[1:, :-1]])
-    is_above = corners >= 0
-    cells = np.flatnonzero((np.isfinite(corners).all(axis=0) & is_above.any(axis=0) & ~is_above.all(axis=0)).ravel())
-    rows, cols = np.unravel_index(cells, corners.shape[1:]) if cells.size else (cells, cells)
-    corner_values = corners[:, rows, cols]
-    corner_x = np.stack([x[cols], x[cols + 1], x[cols + 1], x[cols]])
-    corner_y = np.stack([y[rows], y[rows], y[rows + 1], y[rows + 1]])
-    ends: list[Floats] = []
-    for k in range(4):
-        start, end = corner_values[k], corner_values[k - 3]
-        is_crossed = (start >= 0) != (end >= 0)
-        fraction = np.zeros(is_crossed.shape)
-        np.divide(start, start - end, out=fraction, where=is_crossed)
-        point = np.stack([place[k] + fraction * (place[k - 3] - place[k]) for place in (corner_x, corner_y)], axis=-1)
-        ends.append(np.where(is_crossed[:, None], point, np.nan))
-    # Two edges of a cell are crossed, or at a saddle all four: its crossings then belong together in pairs.
-    crossings = np.stack(ends, axis=1)
-    order = np.argsort(np.isnan(crossings[..., 0]), axis=1, kind="stable")
-    sorted_ends = np.take_along_axis(crossings, order[..., None], axis=1)
-    first, second = sorted_ends[:, :2].reshape(-1, 4), sorted_ends[:, 2:].reshape(-1, 4)
-    return np.concatenate([first, second[np.isfinite(second).all(axis=1)]])
+    if min(height.shape) < 2:
+        return np.empty((0, 4))
+    masked = np.ma.masked_invalid(height)
+    lines: Any = contour_generator(x, y, masked, line_type=LineType.Separate, corner_mask=False).lines(0.0)
+    return np.concatenate([np.empty((0, 4)), *(np.hstack([line[:-1], line[1:]]) for line in lines)])
 
 
 def _relative(inner: slice, outer: slice) -> slice:

@@ -17,13 +17,7 @@ REACH = 0.75
 
 
 def snapped(session: Session, layer: str, mark: Mark) -> Move:
-    """Give the move of a mark's ends into the holes that they lie in; an end where no hole is stays.
-
-    Raises
-    ------
-    ChangeError
-        If neither end lies in a hole.
-    """
+    """Give the move of a mark's ends into the holes that they lie in; ChangeError where neither end lies in one."""
     ends: dict[Plane, End] = {plane: end for plane in PLANES if (end := getattr(mark, plane))}
     holes = {plane: hole for plane, end in ends.items() if (hole := hole_at(session, layer, plane, end.xy))}
     if not holes:

@@ -118,10 +118,7 @@ def completion(shell: str, install: bool) -> None:
 def install_script(shell: str) -> list[str]:
     """Write the script and what loads it; return what was done.
 
-    Raises
-    ------
-    FileError
-        If a file cannot be written, or PowerShell is not there to say which file it reads at its start.
+    FileError where a file cannot be written, or PowerShell is not there to say which file it reads at its start.
     """
     home = Path.home()
     data_folder = Path(os.environ.get("XDG_DATA_HOME") or home / ".local" / "share") / "planish"

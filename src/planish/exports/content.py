@@ -22,24 +22,12 @@ from planish.report.colours import Scale
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportHistory:
-    """Origin of an export, which travels with every file as one line of JSON.
+    """Origin of an export, which travels with every file as one line of JSON."""
 
-    Attributes
-    ----------
-    planish : str
-        Version that made the run.
-    exported_by : str
-        Version that exports it.
-    study_sha256 : str
-        SHA-256 of ``run.toml``.
-    inputs : tuple of dict
-        Of each layer its name, the name of its file, and the file's SHA-256.
-    """
-
-    planish: str
-    exported_by: str
-    study_sha256: str
-    inputs: tuple[Mapping[str, Any], ...]
+    planish: str  # version that made the run
+    exported_by: str  # version that exports it
+    study_sha256: str  # of ``run.toml``
+    inputs: tuple[Mapping[str, Any], ...]  # of each layer its name, the name of its file, and the file's SHA-256
 
     def json(self, **more: Any) -> str:
         """Return it as JSON, with what else is to be known of a file: one line of ASCII, always the same."""
@@ -55,22 +43,15 @@ class ExportHistory:
 class Maps:
     """Maps (rows, cols) on one regular grid, which may stay in their store.
 
-    Attributes
-    ----------
-    data : Dataset, dims (y, x) or (v, u)
-        Variables with ``units`` and ``long_name``; coordinates in um. NaN is missing.
-    group : str
-        Name of the group in the run.
-    scales : dict of Scale
-        Limits and colours with which maps are shown, by name, where they are chosen.
-    levels : dict of sequences of Path
-        Folders of the arrays in a zarr store that hold a map and its overviews, the finest first, by name, where they
-        are there.
+    ``data`` has the dims (y, x) or (v, u), coordinates in um, and variables with ``units`` and ``long_name``; NaN is
+    missing.
     """
 
     data: xr.Dataset
-    group: str
+    group: str  # its name in the run
+    # By name, where they are chosen: limits and colours with which maps are shown.
     scales: Mapping[str, Scale] = field(default_factory=dict[str, Scale])
+    # By name, where they are there: folders in a zarr store of a map's array and its overviews, the finest first.
     levels: Mapping[str, Sequence[Path]] = field(default_factory=dict[str, Sequence[Path]])
 
     @property

@@ -96,12 +96,7 @@ def write_crate(run: Path, path: Path, history: ExportHistory, _params: ExportPa
     """Copy a run folder into a crate, a new folder.
 
     Its date is the day on which ``results.json`` was last changed (UTC), the only one that a run has. The inputs are
-    described with their hashes and not copied.
-
-    Raises
-    ------
-    InputError
-        The run folder holds a crate's description already.
+    described with their hashes and not copied. InputError where the run folder holds a crate's description already.
     """
     from rocrate.rocrate import ROCrate
 

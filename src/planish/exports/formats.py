@@ -26,60 +26,27 @@ Holds = Literal["maps", "volume", "surface", "registration", "marks", "run"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportFormat:
-    """A format of an export.
+    """A format of an export."""
 
-    Attributes
-    ----------
-    title : str
-        Its name in messages and documents.
-    writer : str
-        The function that writes it: ``module:function`` of this package.
-    holds : tuple of str
-        What it can hold; the first is what is meant where nothing else is asked for.
-    suffixes : tuple of str
-        Ends of the names of its files, the usual one first. None: it is always a folder.
-    endings : tuple of str
-        Of one that is always a folder: ends of the files of a registration. Those behind the first one are there only
-        where no affine map is all of it.
-    is_folder : bool
-        Whether what has such a name is a folder.
-    stack : bool
-        Whether one file holds several maps.
-    apart : bool
-        Whether a folder gets a file for each map, or each direction of a registration; otherwise one for all of them.
-    shows_limits : bool
-        Whether its file says between which limits a map is shown first.
-    gives, opens, missing : str
-        For the documents: what is written, programs that open it, and how a missing value is written.
-    most : int or None
-        Largest map in pixels, or surface in nodes, where all of it is held in memory; None: it is written part by part.
-    byte_cost : int
-        Bytes of memory that a pixel or node of such a map takes.
-    needs : str or None
-        Library of the extra ``export``.
-    options : tuple of str
-        Options of :class:`ExportParams` that mean something for some formats, and for this one.
-    note : str
-        What has to be known when the files are used.
-    """
-
-    title: str
-    writer: str
-    holds: tuple[Holds, ...] = ("maps",)
-    suffixes: tuple[str, ...]
+    title: str  # its name in messages and documents
+    writer: str  # the function that writes it: ``module:function`` of this package
+    holds: tuple[Holds, ...] = ("maps",)  # the first is what is meant where nothing else is asked for
+    suffixes: tuple[str, ...]  # ends of the names of its files, the usual one first; none: it is always a folder
+    # Of one that is always a folder: ends of the files of a registration. Those behind the first one are there only
+    # where no affine map is all of it.
     endings: tuple[str, ...] = ()
-    is_folder: bool = False
-    stack: bool = False
-    apart: bool = True
-    shows_limits: bool = False
-    gives: str
-    opens: str
-    missing: str = "NaN"
-    most: int | None = None
-    byte_cost: int = 0
-    needs: str | None = None
-    options: tuple[str, ...] = ()
-    note: str = ""
+    is_folder: bool = False  # whether what has such a name is a folder
+    stack: bool = False  # whether one file holds several maps
+    apart: bool = True  # whether a folder gets a file for each map, or each direction of a registration
+    shows_limits: bool = False  # whether its file says between which limits a map is shown first
+    gives: str  # for the documents: what is written,
+    opens: str  # programs that open it,
+    missing: str = "NaN"  # and how a missing value is written
+    most: int | None = None  # largest map in pixels, or surface in nodes, where all of it is held in memory
+    byte_cost: int = 0  # bytes of memory that a pixel or node of such a map takes
+    needs: str | None = None  # library of the extra ``export``
+    options: tuple[str, ...] = ()  # options of :class:`ExportParams` that mean something for some formats, and for this
+    note: str = ""  # what has to be known when the files are used
 
     @property
     def counts(self) -> str:
@@ -222,13 +189,7 @@ def formats_with(option: str) -> str:
 
 
 def writer_of(name: str) -> Callable[..., Any]:
-    """Import the function that writes a format.
-
-    Raises
-    ------
-    InputError
-        If it needs a library that is not installed.
-    """
+    """Import the function that writes a format; InputError where it needs a library that is not installed."""
     form = FORMATS[name]
     if form.needs is not None:
         try:
@@ -245,10 +206,7 @@ def writer_of(name: str) -> Callable[..., Any]:
 def is_file(name: str, out: Path) -> bool:
     """Tell whether a path asks for one file of a format; otherwise it is a folder of such files.
 
-    Raises
-    ------
-    FileError
-        If it ends as files of another format do, or any file.
+    FileError where it ends as files of another format do, or any file.
     """
     form, low = FORMATS[name], out.name.lower()
     endings = [(end, other) for other in FORMATS for end in FORMATS[other].suffixes if low.endswith(end)]

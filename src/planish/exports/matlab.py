@@ -30,12 +30,7 @@ def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) 
 
     ``x_um`` and ``y_um`` (rows; ``u_um`` and ``v_um`` of flat maps) are the middles of the pixels, ``pixel_um`` their
     size (y, x), ``units`` and ``titles`` structures with the maps' names, ``history`` a text. Maps are (rows, columns);
-    truth values are logical.
-
-    Raises
-    ------
-    ResourceError
-        Version 5 was asked for, and the maps take 2 GB or more.
+    truth values are logical. ResourceError where version 5 was asked for, and the maps take 2 GB or more.
     """
     metadata: dict[str, Any] = {f"{axis}_um": um[None, :] for axis, um in zip(maps.dims, maps.at_um, strict=True)}
     metadata |= {

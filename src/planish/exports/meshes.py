@@ -29,49 +29,23 @@ SURFACES = ("top", "bottom", "interface_top", "interface_bottom", "centre")
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """A surface of the sheet and what it carries.
+    """A surface of the sheet and what it carries."""
 
-    Attributes
-    ----------
-    data : Dataset, dims (y, x)
-        Heights and maps on the columns of the volume, in um; the frame in its attributes.
-    name : str
-        One of `SURFACES`.
-    maps : tuple of str
-        Maps that its nodes carry; the first one is their colour where the format has a colour only.
-    scales : dict of Scale
-        Limits and colours of maps, by name.
-    """
-
-    data: xr.Dataset
-    name: str
-    maps: tuple[str, ...]
-    scales: Mapping[str, Scale]
+    data: xr.Dataset  # heights and maps (y, x) on the columns of the volume, in um; the frame in its attributes
+    name: str  # one of `SURFACES`
+    maps: tuple[str, ...]  # that its nodes carry; the first one is their colour where the format has a colour only
+    scales: Mapping[str, Scale]  # limits and colours of maps, by name
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceMesh:
-    """A mesh.
+    """A mesh."""
 
-    Attributes
-    ----------
-    points : (n, 3) float32
-        x, y, z in um.
-    quads : (m, 4) int32
-        Nodes of each cell; seen from outside of the sheet they run anticlockwise.
-    maps : dict of (n,) float32
-        Maps, by name and unit (``coating_top_um``); NaN is missing.
-    colours : (n, 3) uint8 or None
-        Red, green, blue of the first map.
-    description : str
-        What places and colours are, in one line.
-    """
-
-    points: NDArray[np.float32]
-    quads: NDArray[np.int32]
-    maps: dict[str, NDArray[np.float32]]
-    colours: NDArray[np.uint8] | None
-    description: str
+    points: NDArray[np.float32]  # (n, 3): x, y, z in um
+    quads: NDArray[np.int32]  # (m, 4): nodes of each cell; seen from outside of the sheet they run anticlockwise
+    maps: dict[str, NDArray[np.float32]]  # (n,), by name and unit (``coating_top_um``); NaN is missing
+    colours: NDArray[np.uint8] | None  # (n, 3): red, green, blue of the first map
+    description: str  # what places and colours are, in one line
 
 
 def write_ply(surface: Surface, path: Path, history: ExportHistory, params: ExportParams) -> None:
@@ -179,10 +153,7 @@ def _write_vtk_array(file: IO[str], name: str, array: NDArray[Any]) -> None:
 def mesh_of(surface: Surface, params: ExportParams) -> SurfaceMesh:
     """Make the mesh of a surface; a cell is there where all four of its corners are.
 
-    Raises
-    ------
-    StudyError
-        ``mesh_um`` is less than the pitch of the columns, or so large that no cell is left.
+    StudyError where ``mesh_um`` is less than the pitch of the columns, or so large that no cell is left.
     """
     frame = Frame.of(surface.data)
     row_step, col_step = steps_of(surface.data, params.mesh_um)

@@ -54,13 +54,7 @@ def history_of(run: Run) -> ExportHistory:
 
 
 def map_group(run: Run, name: str | None) -> str:
-    """Choose the group of maps: as named, or the linked maps, or those of the sheet.
-
-    Raises
-    ------
-    InputError
-        If there is none of that name.
-    """
+    """Choose the group of maps: as named, or the linked maps, or those of the sheet; InputError where there is none."""
     layer_groups = [group for group in run.groups if group.startswith("layers/") and group.count("/") == 1]
     map_groups = [k for k in ("linked", "maps", "refined", "surfaces", "flat") if k in run.groups] + layer_groups
     group = name or next((group for group in ("linked", "maps") if group in map_groups), None)
@@ -73,13 +67,7 @@ def map_group(run: Run, name: str | None) -> str:
 
 
 def map_names(run: Run, group: str, requested: Sequence[str]) -> list[str]:
-    """Choose the maps of a group: all where none is named, and the image on the flat sheet.
-
-    Raises
-    ------
-    InputError
-        If there is no map of a name.
-    """
+    """Choose the maps of a group: all where none is named, and the image on the flat sheet."""
     names = [str(name) for name, variable in run.groups[group].data_vars.items() if variable.ndim == 2]
     if group == "maps" and "linked" in run.groups and len(run.results.moving) == 1:
         names.append(IMAGE)
@@ -130,12 +118,7 @@ def straightened_volume(
 ) -> xr.DataArray:
     """The volume along the normals, on the pixels of the flat maps; worked out where it is asked for.
 
-    Raises
-    ------
-    InputError
-        If the run holds no sheet of its own.
-    FileError
-        If the volume is gone, or another file has its place.
+    InputError where the run holds no sheet of its own; FileError as of :func:`volume_params`.
     """
     facts = sheet_facts(run)
     if facts is None or "maps" not in run.groups:
@@ -153,13 +136,7 @@ def straightened_volume(
 
 
 def volume_params(run: Run, facts: LayerFacts, progress: Progress) -> VolumeParams:
-    """Give the place of the sheet's volume, and how it is read.
-
-    Raises
-    ------
-    FileError
-        If it is gone, or another file has its place.
-    """
+    """Give the place of the sheet's volume, and how it is read; FileError where it is gone, or another one is there."""
     params = _mapped_layer(run, facts.name).volume
     assert params is not None
     path = find_place(params.path).path
@@ -200,13 +177,7 @@ def _mapped_layer(run: Run, name: str) -> LayerParams:
 
 
 def registered_layers(run: Run, group: str | None) -> list[LayerFacts]:
-    """Choose the moving layers with a registration: all of them, or the one of a name.
-
-    Raises
-    ------
-    InputError
-        If nothing is registered, or no layer of that name is.
-    """
+    """Choose the moving layers with a registration: all, or the one of a name; InputError where there is none."""
     moving = list(run.results.moving)
     if not moving:
         raise InputError("The run is that of one sheet: nothing is registered. Give a run of 'planish link'.")

@@ -47,12 +47,7 @@ def write_points(maps: Maps, path: Path, history: ExportHistory, params: ExportP
 
     A point is the mean over its valid pixels, weighted by area; it stands in the table where half of it is valid, as in
     the correlations. Without a map ``valid`` every pixel that has a value counts. Pixels stand there where any map
-    has a value, with ``valid`` as it is.
-
-    Raises
-    ------
-    StudyError
-        A point is smaller than a pixel.
+    has a value, with ``valid`` as it is. StudyError where a point is smaller than a pixel.
     """
     point_um = params.point_um or 0.0
     if point_um and point_um < max(maps.pixel_um) * (1 - 1e-9):

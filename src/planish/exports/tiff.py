@@ -28,16 +28,9 @@ MOST = 2**32 - 2**20
 def write_imagej(content: Maps | xr.DataArray, path: Path, history: ExportHistory, _params: ExportParams) -> None:
     """Write maps (channels), or a volume (z, y, x), in one file for ImageJ.
 
-    Notes
-    -----
     ImageJ reads the unit from the description and the pixel size from the resolution, which is a fraction: sizes with
     up to six digits come back exactly. Positions count from the middle of the first pixel there; where that lies in the
-    sheet stands in the history.
-
-    Raises
-    ------
-    ResourceError
-        If the values take more than a TIFF of ImageJ holds: places in it are counted in 32 bits.
+    sheet stands in the history. ResourceError where the values take more than it holds: places are counted in 32 bits.
     """
     stack = _Stack.of(content)
     stack_bytes = 4 * math.prod(stack.shape)

@@ -24,28 +24,14 @@ _CORNERS = [(rows, cols) for rows in (slice(None, -1), slice(1, None)) for cols 
 
 @dataclass(frozen=True, slots=True)
 class DirectedTransform:
-    """A transformation from one layer to another.
-
-    Attributes
-    ----------
-    source, target : str
-        Names of the layers.
-    function : callable
-        Takes points (..., 2), (x, y) in um, of the source to the target; NaN where it has none.
-    grid : Grid
-        Pixels of the source.
-    affine : Affine
-        The affine map that is closest at the middle of the marks.
-    exact : bool
-        Whether the affine map is all of it.
-    """
+    """A transformation from one layer to another."""
 
     source: str
     target: str
-    function: Callable[[Floats], Floats]
-    grid: Grid
-    affine: Affine
-    exact: bool
+    function: Callable[[Floats], Floats]  # takes points (..., 2), (x, y) in um, of the source to the target, or NaN
+    grid: Grid  # pixels of the source
+    affine: Affine  # the affine map that is closest at the middle of the marks
+    exact: bool  # whether the affine map is all of it
 
     @property
     def name(self) -> str:
@@ -64,27 +50,13 @@ class TransformPair:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DisplacementField:
-    """Displacements on a regular grid, between whose nodes they are linear.
+    """Displacements on a regular grid, between whose nodes they are linear."""
 
-    Attributes
-    ----------
-    vectors : (rows, cols, 2)
-        Displacement along x and y in um.
-    origin_um : (float, float)
-        Place of the first node, (x, y).
-    pitch_um : float
-        Distance of nodes.
-    error_um : float
-        Largest error in the middle of a cell, over the source layer.
-    n_filled : int
-        Nodes at which the transformation has no value, so that the affine map stands there.
-    """
-
-    vectors: Floats
-    origin_um: tuple[float, float]
-    pitch_um: float
-    error_um: float
-    n_filled: int
+    vectors: Floats  # (rows, cols, 2): displacement along x and y in um
+    origin_um: tuple[float, float]  # place of the first node, (x, y)
+    pitch_um: float  # distance of nodes
+    error_um: float  # largest error in the middle of a cell, over the source layer
+    n_filled: int  # nodes at which the transformation has no value, so that the affine map stands there
 
     @property
     def shape(self) -> tuple[int, int]:

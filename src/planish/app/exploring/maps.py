@@ -34,32 +34,16 @@ _ZLIB_LEVEL = 6  # a higher one takes five times as long and saves 2 %
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Packed:
-    """A packed map.
+    """A packed map."""
 
-    Attributes
-    ----------
-    text : str
-        The differences of the codes, deflated, in base64.
-    shape : (rows, cols)
-    bits : {8, 16}
-    order : {1, 2}
-        Differences along the rows, or along the rows and then down the columns.
-    low, step : float
-        Value of code 2, and from one code to the next.
-    beyond : int
-        Values outside of the range.
-    exact : bool
-        Whether every value is that of its code, as with the whole numbers of a camera.
-    """
-
-    text: str
+    text: str  # the differences of the codes, deflated, in base64
     shape: tuple[int, int]
-    bits: int
-    order: int
-    low: float
-    step: float
-    beyond: int
-    exact: bool
+    bits: int  # 8 or 16
+    order: int  # differences along the rows (1), or along the rows and then down the columns (2)
+    low: float  # value of code 2
+    step: float  # from one code to the next
+    beyond: int  # values outside of the range
+    exact: bool  # whether every value is that of its code, as with the whole numbers of a camera
 
     @property
     def error(self) -> float:
@@ -147,52 +131,27 @@ _MAX_PIXELS = 1_500_000  # of a map: what a browser colours anew in some millise
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PageMap:
-    """One map of the page.
-
-    Attributes
-    ----------
-    layer, name, title, units : str
-        ``units`` typeset.
-    packed : Packed
-    scale : Scale
-        Colours and their limits, those of the report.
-    scatter_limits : (float, float)
-        What the scatter spans.
-    group_index : int
-        Which of the masks of valid pixels is its own.
-    trust : Trust
-        What the checks leave of it, by those in ``check_names``.
-    """
+    """One map of the page."""
 
     layer: str
     name: str
     title: str
-    units: str
+    units: str  # typeset
     packed: Packed
-    scale: Scale
-    scatter_limits: tuple[float, float]
-    group_index: int
-    trust: Trust
-    check_names: tuple[str, ...]
+    scale: Scale  # colours and their limits, those of the report
+    scatter_limits: tuple[float, float]  # what the scatter spans
+    group_index: int  # which of the masks of valid pixels is its own
+    trust: Trust  # what the checks leave of it
+    check_names: tuple[str, ...]  # those that doubt it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Group:
-    """What the maps of one layer, or of a sheet and an image, have in common.
+    """What the maps of one layer, or of a sheet and an image, have in common."""
 
-    Attributes
-    ----------
-    valid : Packed or None
-        Where pixels count.
-    coordinates : dict of Packed
-        Places in the volume by axis; empty of an image.
-    sheet : str
-        Name of the sheet, empty where there is none.
-    """
-
-    valid: Packed | None
-    coordinates: dict[str, Packed]
-    sheet: str
+    valid: Packed | None  # where pixels count
+    coordinates: dict[str, Packed]  # places in the volume by axis; empty of an image
+    sheet: str  # name of the sheet, empty where there is none
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -217,13 +176,7 @@ class MapsOfPage:
 
 
 def maps_of(run: Run) -> MapsOfPage:
-    """Read and pack the maps of a run, halved until they fit into the budget.
-
-    Raises
-    ------
-    InputError
-        If the run holds no maps.
-    """
+    """Read and pack the maps of a run, halved until they fit into the budget; InputError where it holds none."""
     map_names = _map_names(run)
     shape = Grid.of(run.groups[map_names[0][0]]).shape
     n_maps = sum(len(names) for _, names in map_names)

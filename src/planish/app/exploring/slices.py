@@ -37,29 +37,17 @@ _MAX_SLICES, _MAX_COLS, _MAX_ROWS, _MAX_POINTS = 320, 1600, 300, 600  # pixels o
 class Stack:
     """The slices of one sheet, each with its top side up.
 
-    Attributes
-    ----------
-    spec : dict
-        What the script has to know: ``sheet``; the axes ``rows`` across the slices, ``cols`` along them and ``through``
-        the sheet; ``sign``, which makes the top the larger height; where each slice lies along ``rows`` (``at``), the
-        height of its upper edge (``top``), turned by ``sign``, and its start along ``cols``; width and height of a
-        picture (``size``), where each ends in all of them, their format (``kind``), first point and pitch of the lines.
-        All in um.
-    pictures : tuple of str
-        In base64.
-    lines : dict of Packed
-        Heights of the surfaces (slices, points), turned by ``sign``.
-    measured : Packed
-        Where the columns were measured.
-    note : str
-        Which slices there are, in words.
+    ``spec`` is what the script has to know, in um: ``sheet``; the axes ``rows`` across the slices, ``cols`` along them
+    and ``through`` the sheet; ``sign``, which makes the top the larger height; where each slice lies along ``rows``
+    (``at``), the height of its upper edge (``top``), turned by ``sign``, and its start along ``cols``; width and height
+    of a picture (``size``), where each ends in all of them, their format (``kind``), first point and pitch of lines.
     """
 
     spec: dict[str, Any]
-    pictures: tuple[str, ...]
-    lines: dict[str, Packed]
-    measured: Packed
-    note: str
+    pictures: tuple[str, ...]  # in base64
+    lines: dict[str, Packed]  # heights of the surfaces (slices, points), turned by ``sign``
+    measured: Packed  # where the columns were measured
+    note: str  # which slices there are, in words
 
     def letters(self) -> int:
         """Size of all that is packed."""
