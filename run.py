@@ -118,7 +118,8 @@ def docs(options: list[str]) -> int:
     doctrees = str(ROOT / "docs" / "_build" / "doctrees")
     build = [python, "-m", "sphinx", "-b", "html", "-E", "-a", "-W", "--keep-going", "-q", "-d", doctrees]
     build += [*options, "docs", site]
-    for command in ([python, "-m", "planish.cli.docs"], build, [python, "docs/_ext/check_site.py", "docs/_build/html"]):
+    pages, check = [python, "docs/_ext/program_pages.py"], [python, "docs/_ext/check_site.py", "docs/_build/html"]
+    for command in (pages, build, check):
         if code := call(command):
             return code
     return 0

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import console
-from planish.cli import docs
+import program_pages as docs
 from planish.results import Results
 from planish.series_results import SeriesResults
 

@@ -2,7 +2,7 @@
 
 ``main`` is the group and turns errors into exit codes; ``options`` are made of the parameter models. ``runs``,
 ``stages``, ``series``, ``files``, ``marks``, ``export``, ``validate`` and ``setup`` hold the commands; ``show`` and
-``console`` what a terminal shows; ``docs`` writes the pages made from the program.
+``console`` what a terminal shows.
 """
 
 import os

@@ -51,21 +51,10 @@ class AreaMeans:
 
 
 def area_mean(values: Rows, factor: Pair, *, least_share: float = 0.5) -> Floats:
-    """Mean of ``values`` (rows, cols) over cells of ``factor`` pixels, which need not be whole numbers.
+    """Mean of ``values`` (rows, cols), NaN where missing, over cells as of :class:`AreaMeans`.
 
-    Parameters
-    ----------
-    values : (rows, cols)
-        NaN is missing.
-    factor : (float, float)
-        Height and width of a cell in pixels, at least 1.
-    least_share : float
-        A cell is NaN unless so much of its area is known.
-
-    Returns
-    -------
-    (int(rows / factor), int(cols / factor))
-        Cells as of :class:`AreaMeans`.
+    ``factor`` is height and width of a cell in pixels, at least 1 and not always whole numbers: there are
+    (int(rows / factor), int(cols / factor)) cells.
     """
     if not values.shape[0]:
         return np.empty((0, int(values.shape[1] / factor[1] + 1e-9)))

@@ -39,11 +39,8 @@ IMAGE = ArrayKind("image", ("y", "x"), "pixel_um")
 def check_volume(volume: object, call_format: str) -> tuple[float, ...]:
     """Return the voxel size (z, y, x) in um of a volume with coordinates.
 
-    Raises
-    ------
-    InputError
-        If it is something else; a VolumeError where it has other axes or values, a SizeError where it has no size,
-        contradicts itself, or its coordinates are not in um, not regular, or descend.
+    InputError if it is something else, VolumeError where it has other axes or values, SizeError where it has no size,
+    contradicts itself, or its coordinates are not in um, not regular, or descend.
     """
     return _checked_size(volume, VOLUME, call_format)
 

@@ -82,27 +82,36 @@ _CUT_SHORT = re.compile(r"\d+ requested and \d+ written")  # numpy's words where
 
 
 def write_whole(path: Path, data: bytes, *, over: bool = False) -> None:
-    """Write a file that is not there yet, or over an older one of planish's own; where that fails, nothing is left.
-
-    Raises
-    ------
-    FileError
-        If the file is there already or cannot be written.
-    ResourceError
-        If the disk is full.
-    """
+    """Write a file as :func:`new_file` does; its name is one that every system takes."""
     check_name(path)
-    if not over and (path.exists() or path.is_symlink()):
-        raise FileError(f"{path} is already there; nothing is overwritten. Choose another name.")
+    with new_file(path, needed=len(data), over=over) as partial:
+        partial.write_bytes(data)
+
+
+@contextmanager
+def new_file(
+    path: Path, *, needed: int | None = None, over: bool = False, with_parents: bool = False
+) -> Generator[Path]:
+    """Give a hidden path to write a file to; it becomes ``path`` when the block ends well, else nothing is left.
+
+    ``needed`` is about how many bytes it takes; ``over``, whether an older file of planish's own is written over;
+    ``with_parents``, whether its folder is made where it is not there. FileError if the file is there already or cannot
+    be written, ResourceError if the disk is full.
+    """
     partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
-    with writing(path, needed=len(data)):
+    with writing(path, needed=needed):
+        if with_parents:
+            path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            partial.write_bytes(data)
+            yield partial
+            with partial.open("rb+") as file:
+                os.fsync(file.fileno())
+            if not over and (path.exists() or path.is_symlink()):
+                raise FileError(f"{path} is already there; nothing is overwritten. Choose another name.")
             move(partial, path, over=over)
-        except BaseException:
+        finally:
             with suppress(OSError):  # held open; the error that matters is the first
                 partial.unlink(missing_ok=True)
-            raise
 
 
 def free_path(path: Path) -> Path:
@@ -196,35 +205,3 @@ def disk_full(path: Path, needed: int | None = None) -> DiskFull:
         f"The disk is full while writing {path}: {free_text}{needed_text}. Nothing was kept of it. Free some space, or "
         "give --out on another disk."
     )
-
-
-@contextmanager
-def new_file(path: Path, *, needed: int | None = None) -> Generator[Path]:
-    """Give a hidden path to write a file to, part by part; it becomes ``path`` when the block ends well.
-
-    Parameters
-    ----------
-    path : Path
-        It must not exist; its folder is made where it is not there.
-    needed : int, optional
-        About how many bytes it takes.
-
-    Raises
-    ------
-    FileError
-        If the file is there already or cannot be written.
-    ResourceError
-        If the disk is full.
-    """
-    partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
-    with writing(path, needed=needed):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            yield partial
-            with partial.open("rb+") as file:
-                os.fsync(file.fileno())
-            if path.exists() or path.is_symlink():
-                raise FileError(f"{path} is already there; nothing is overwritten. Choose another name.")
-            partial.rename(path)
-        finally:
-            partial.unlink(missing_ok=True)

@@ -16,19 +16,11 @@ from planish.core.typing import Bools, Floats, Ints, Pair
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Grid:
-    """Pixels of a map or an image: what layers are brought to.
+    """Pixels of a map or an image: what layers are brought to."""
 
-    Attributes
-    ----------
-    y_um, x_um : (rows,) and (cols,)
-        Where the middles of the pixels lie.
-    step_um : (float, float) or None
-        Pitch of rows and columns; from the first two coordinates where None.
-    """
-
-    y_um: Floats
-    x_um: Floats
-    step_um: Pair | None = None
+    y_um: Floats  # (rows,), where the middles of the pixels lie
+    x_um: Floats  # (cols,)
+    step_um: Pair | None = None  # pitch of rows and columns; from the first two coordinates where None
 
     @classmethod
     def regular(cls, shape: tuple[int, int], pixel_um: float | Pair, origin_um: Pair = (0.0, 0.0)) -> Grid:

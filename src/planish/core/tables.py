@@ -150,28 +150,11 @@ class CsvTable:
 def parse_table(
     text: str, name: str, *, needed: Sequence[str], error: type[PlanishError], advice: str = ""
 ) -> CsvTable:
-    """Make a table of a text with a header.
+    """Make a table of a text with a header; ``name`` is that of its file.
 
-    Parameters
-    ----------
-    text, name : str
-        Of :func:`read_text`, and the name of the file.
-    needed : sequence of str
-        Columns that have to be there; others may be.
-    error : type
-        Class of the error for what is no such table.
-    advice : str
-        What the table has to look like, one sentence; made of `needed` where not given.
-
-    Returns
-    -------
-    CsvTable
-        With the faults of header and rows, which :meth:`CsvTable.check` raises together with those found later.
-
-    Raises
-    ------
-    PlanishError
-        Of the class `error`, if the table is empty.
+    Columns that are ``needed`` have to be there; others may be. ``advice`` is one sentence that says what the table has
+    to look like. Faults of header and rows are raised by :meth:`CsvTable.check`, together with those found later; an
+    empty table is an ``error`` at once.
     """
     advice = advice or f"The first row has to name the columns {', '.join(needed)}."
     content = split_rows(text)

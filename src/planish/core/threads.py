@@ -26,10 +26,7 @@ _limits: list[int] = []
 def limit_threads(number: int | None) -> Generator[int]:
     """Limit all pools of this process, and those of the libraries that have a setting, to ``number`` threads.
 
-    Parameters
-    ----------
-    number : int or None
-        As many as :func:`available` says, eight at most, where None and nothing was set further out.
+    As many as :func:`available` says, eight at most, where None and nothing was set further out.
     """
     count = count_threads(number)
     _limits.append(count)

@@ -65,27 +65,13 @@ def tiles_of(shape: tuple[int, int], size: tuple[int, int]) -> list[Tile]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Engine:
-    """Threads, memory or cluster that tiles are worked on with; no result depends on it.
+    """Threads, memory or cluster that tiles are worked on with; no result depends on it."""
 
-    Attributes
-    ----------
-    threads : int or None
-        Local threads; as :func:`planish.core.threads.count_threads` says where not given.
-    memory_bytes : int
-        What the tiles that are in memory at the same time may take.
-    executor : Executor or None
-        Another executor than local threads, such as that of a cluster.
-    workers : int or None
-        Tiles that this executor works on at a time.
-    folder : Path or None
-        Folder for the results of single tiles. A run that finds one there does not work it out again.
-    """
-
-    threads: int | None = None
-    memory_bytes: int = 2**31
-    executor: Executor | None = None
-    workers: int | None = None
-    folder: Path | None = None
+    threads: int | None = None  # local ones; as :func:`planish.core.threads.count_threads` says where not given
+    memory_bytes: int = 2**31  # what the tiles that are in memory at the same time may take
+    executor: Executor | None = None  # another one than local threads, such as that of a cluster
+    workers: int | None = None  # tiles that this executor works on at a time
+    folder: Path | None = None  # for the results of single tiles: what a run finds there it does not work out again
 
     @property
     def at_once(self) -> int:
@@ -97,17 +83,10 @@ class Engine:
     def map(
         self, step: str, work: Callable[[Job, Tile], Result], job: Callable[[Tile], Job], tiles: Sequence[Tile]
     ) -> Iterator[tuple[Tile, Result]]:
-        """Give every tile and its result, in the order of ``tiles``.
+        """Give every tile and its result, in the order of ``tiles``; ``step`` names the results that are kept.
 
-        Parameters
-        ----------
-        step : str
-            Names the results that are kept.
-        work : callable
-            A function of a module; it gets the job of a tile and the tile, and returns one array.
-        job : callable
-            Gives what ``work`` needs to know for a tile. For an executor of other processes it is sent there.
-        tiles : sequence of Tile
+        ``work``, a function of a module, gets the tile and what it needs to know for it, which ``job`` gives and which
+        is sent to an executor of other processes; it returns one array.
         """
         waiting: deque[tuple[Tile, Future[Result] | Result]] = deque()
 

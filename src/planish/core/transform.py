@@ -14,24 +14,12 @@ from planish.core.typing import Floats, Pair
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Similarity:
-    """A map ``p -> scale * R(rotation) * M * p + shift`` of points ``(x, y)`` in um.
+    """A map ``p -> scale * R(rotation) * M * p + shift`` of points ``(x, y)`` in um."""
 
-    Attributes
-    ----------
-    scale : float
-        Ratio of lengths, target over source; positive.
-    rotation_rad : float
-        Angle that turns the x axis towards the y axis (clockwise on screen, where y runs down).
-    shift_um : tuple of float
-        ``(x, y)`` of the image of the origin.
-    mirrored : bool
-        Whether the source's x axis is reversed first (``M = diag(-1, 1)``).
-    """
-
-    scale: float = 1.0
-    rotation_rad: float = 0.0
-    shift_um: Pair = (0.0, 0.0)
-    mirrored: bool = False
+    scale: float = 1.0  # ratio of lengths, target over source; positive
+    rotation_rad: float = 0.0  # turns the x axis towards the y axis (clockwise on screen, where y runs down)
+    shift_um: Pair = (0.0, 0.0)  # ``(x, y)`` of the image of the origin
+    mirrored: bool = False  # whether the source's x axis is reversed first (``M = diag(-1, 1)``)
 
     @property
     def similarity(self) -> Similarity:
@@ -128,19 +116,11 @@ class NearSimilarity(ABC):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Affine(NearSimilarity):
-    """A map ``p -> linear @ (p - source) + target`` of points ``(x, y)`` in um.
+    """A map ``p -> linear @ (p - source) + target`` of points ``(x, y)`` in um."""
 
-    Attributes
-    ----------
-    linear : tuple of tuple of float
-        The 2 x 2 linear part, row by row.
-    source, target : tuple of float, in um
-        A point, by custom the middle of the marks, and its image.
-    """
-
-    linear: tuple[Pair, Pair]
-    source: Pair = (0.0, 0.0)
-    target: Pair = (0.0, 0.0)
+    linear: tuple[Pair, Pair]  # the 2 x 2 linear part, row by row
+    source: Pair = (0.0, 0.0)  # a point, by custom the middle of the marks
+    target: Pair = (0.0, 0.0)  # and its image
 
     def matrix(self) -> Floats:
         """Return the 2 x 2 linear part."""
@@ -167,15 +147,8 @@ class Projective(NearSimilarity):
 
     ``(a, b, c) = homography @ (x', y', 1)`` and the image is ``target + target_size * (a / c, b / c)``, with
     ``(x', y') = (p - source) / source_size``. Points from which ``c`` is not positive lie behind the camera: NaN.
-
-    Attributes
-    ----------
-    homography : tuple of tuple of float
-        The 3 x 3 matrix in scaled coordinates, row by row.
-    source, target : tuple of float, in um
-        Middle of the marks on either side.
-    source_size, target_size : float, in um
-        Their rms distances from it.
+    ``homography`` is the 3 x 3 matrix in scaled coordinates, row by row; ``source`` and ``target`` are the middle of
+    the marks on either side, in um, and the sizes their rms distances from it.
     """
 
     homography: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]

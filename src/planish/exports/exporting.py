@@ -278,7 +278,8 @@ def export(
             if file_format.is_folder and isinstance(file.content, xr.DataArray):
                 request.write(file.content, out)  # a store, which goes on where it was killed
             else:
-                with new_folder(out) if file_format.is_folder or "run" in file_format.holds else new_file(out) as path:
+                is_folder = file_format.is_folder or "run" in file_format.holds
+                with new_folder(out) if is_folder else new_file(out, with_parents=True) as path:
                     request.write(file.content, path)
             return [out]
         with new_folder(out) as folder:

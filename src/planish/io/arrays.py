@@ -114,7 +114,7 @@ def image(
     picture = DecodedPicture(values=stored_values, colour=colour, bits=64, stated=(), orientation=1)
     values, long_name = pick_channel(picture, channel, file_name="The array")
     attrs = {
-        "full_scale": picture.full_scale,
+        "full_scale": full_scale(stored_values.dtype, 64),
         "channel": channel,
         "stored_dtype": str(stored_values.dtype),
         "orientation": 1,

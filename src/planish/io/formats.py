@@ -79,14 +79,6 @@ def find_place(path: str | Path) -> Place:
 
     A name that exists as it stands is never split, nor is the letter of a Windows drive.
 
-    Parameters
-    ----------
-    path : path
-
-    Returns
-    -------
-    Place
-
     Examples
     --------
     >>> place = find_place("scan.h5:/entry/data")
@@ -163,11 +155,6 @@ class LoadedVolume(NamedTuple):
     def file_bytes(self) -> int:
         """Size of all files."""
         return sum(file.stat().st_size for file in dict.fromkeys(self.files))
-
-    @property
-    def full_scale(self) -> int | None:
-        """Largest value the file can store; None for floating point."""
-        return full_scale(self.values.dtype, self.bits)
 
 
 def full_scale(dtype: np.dtype[Any], bits: int) -> int | None:

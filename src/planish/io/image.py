@@ -14,7 +14,7 @@ from planish.core.errors import FileError, InputError, check_choice
 from planish.core.facts import SIDES, Side
 from planish.core.lazy import labelled
 from planish.core.typing import Pair
-from planish.io.formats import COLOURS, LUMINANCE
+from planish.io.formats import COLOURS, LUMINANCE, full_scale
 from planish.io.guard import check_memory, size_of_file
 from planish.io.picture import DecodedPicture, load_picture
 from planish.io.sizes import PIXEL, Stated, agreed_size
@@ -96,7 +96,7 @@ def read_image(
         "pixel_um": list(size),
         "pixel_um_source": source,
         "channel": channel,
-        "full_scale": picture.full_scale,
+        "full_scale": full_scale(picture.values.dtype, picture.bits),
         "stored_dtype": str(picture.values.dtype),
         "orientation": picture.orientation,
         "file_name": path.name,

@@ -23,7 +23,7 @@ from planish.core.memory import (
     bytes_to_map,
 )
 from planish.core.typing import Pair
-from planish.io.formats import SLICES, TIFF, Place, check_channel, find_place, format_of, loader
+from planish.io.formats import SLICES, TIFF, Place, check_channel, find_place, format_of, full_scale, loader
 from planish.io.guard import size_of_file
 from planish.io.image import across, pick_channel
 from planish.io.inspection import declared_facts, inspect_values
@@ -39,7 +39,7 @@ from planish.io.volume import load_volume
 USUAL_VOXEL_UM = (0.3, 20.0)
 
 Agreed = Callable[..., tuple[tuple[float, ...], str]]  # finds the size and its source, or raises SizeError
-Look = Callable[[Values], None]
+ValueFacts = Callable[[Values, int | None, tuple[str, ...], bool], dict[str, Any]]
 
 
 def describe(
@@ -92,33 +92,42 @@ def describe(
     place = find_place(path)
     memory_bytes = LOOK_BYTES if memory_bytes is None else memory_bytes
     options: dict[str, Any] = {"override": override_size, "unusual": True}
+    named_options = options | {"file_name": place.path.name}
     warnings: list[str] = []
+
+    def value_facts(shown: Values, largest: int | None, dims: tuple[str, ...], is_read: bool) -> dict[str, Any]:
+        if is_read:
+            facts = inspect_values(shown, largest, warnings, dims=dims)
+            if look is not None:
+                look(shown)
+            return facts
+        if values:
+            size_gb = math.prod(shown.shape) * shown.dtype.itemsize / 1e9
+            warnings.append(f"Its {size_gb:.2g} GB can only be decoded whole, so no grey was looked at.")
+        return declared_facts(shown, dims)
+
+    # What can be read of the values only by decoding more than that, is not.
+    most_bytes = memory_bytes if values else None
     if is_section_folder(place.path):
         kind, sections = "sections", open_sections(place.path, channel=channel, memory_bytes=memory_bytes)
         facts = _describe_sections(sections, partial(sections.agreed_size, voxel_um, **options), warnings)
     elif is_image(place):
-        kind, options = "image", options | {"file_name": place.path.name, "asked": PIXEL, "user_um": pixel_um}
-        facts = _describe_image(place.path, partial(agreed_size, **options), memory_bytes, look, values, warnings)
+        find_size = partial(agreed_size, asked=PIXEL, user_um=pixel_um, **named_options)
+        kind, facts = "image", _describe_image(place.path, find_size, most_bytes, value_facts, warnings)
     else:
-        kind, options = "volume", options | {"file_name": place.path.name, "asked": VOXEL, "user_um": voxel_um}
-        find_size = partial(agreed_size, **options)
-        facts = _describe_volume(place, find_size, channel, memory_bytes, look, values, warnings)
+        find_size = partial(agreed_size, asked=VOXEL, user_um=voxel_um, **named_options)
+        kind, facts = "volume", _describe_volume(place, find_size, channel, most_bytes, value_facts, warnings)
     return {"kind": kind, "file_name": place.path.name, **facts, "warnings": warnings}
 
 
 def _describe_volume(
-    place: Place,
-    find_size: Agreed,
-    channel: str | None,
-    memory_bytes: int,
-    look: Look | None,
-    is_wanted: bool,
+    place: Place, find_size: Agreed, channel: str | None, most_bytes: int | None, value_facts: ValueFacts,
     warnings: list[str],
-) -> dict[str, Any]:
-    """Report what a volume holds; of its values, if they are wanted and can be read within the memory."""
+) -> dict[str, Any]:  # fmt: skip
+    """Report what a volume holds; of its values, if they can be read within ``most_bytes``."""
     loaded = None
     with suppress(ResourceError):
-        loaded = load_volume(place, channel=channel, memory_bytes=memory_bytes) if is_wanted else None
+        loaded = None if most_bytes is None else load_volume(place, channel=channel, memory_bytes=most_bytes)
     is_read = loaded is not None
     # Of what does not fit into the memory, the values are not read.
     loaded = loaded or loader(format_of(place))(place, check_channel(channel), None)
@@ -130,7 +139,7 @@ def _describe_volume(
             warnings.append(
                 f"The slices are numbered in steps of {number_step}: the z size must be that of {number_step} slices."
             )
-    facts = _value_facts(grey_values, loaded.full_scale, warnings, VOXEL.axes, look, is_read, is_wanted)
+    facts = value_facts(grey_values, full_scale(grey_values.dtype, loaded.bits), VOXEL.axes, is_read)
     size_facts = _size_facts(partial(find_size, loaded.stated), grey_values.shape, warnings, ("Voxels", USUAL_VOXEL_UM))
     window = loaded.attrs.get("attenuation_window")
     if window is not None and is_read and grey_values.dtype == np.uint8:
@@ -176,17 +185,19 @@ def _describe_sections(sections: Sections, find_size: Agreed, warnings: list[str
     if missing_total := n_missing.sum():
         subject_text = f"{missing_total} section is" if missing_total == 1 else f"{missing_total} sections are"
         warnings.append(f"{subject_text} missing between the others, at most {n_missing.max()} in a row.")
-    facts = inspect_values(sections.values, sections.full_scale, warnings, dims=VOXEL.axes)
+    facts = inspect_values(
+        sections.values, full_scale(sections.values.dtype, sections.first.bits), warnings, dims=VOXEL.axes
+    )
     return {"bytes": sections.file_bytes, **facts, **size_facts}
 
 
 def _describe_image(
-    path: Path, find_size: Agreed, memory_bytes: int, look: Look | None, is_wanted: bool, warnings: list[str]
+    path: Path, find_size: Agreed, most_bytes: int | None, value_facts: ValueFacts, warnings: list[str]
 ) -> dict[str, Any]:
     """Report what an image holds; its values are those of the luminance, or of channel 0 where there is none."""
     picture = None
     with suppress(ResourceError):
-        picture = load_picture(path, memory_bytes=memory_bytes) if is_wanted else None
+        picture = None if most_bytes is None else load_picture(path, memory_bytes=most_bytes)
     is_read = picture is not None
     picture = picture or load_picture(path, decode=False)
     full_values, shape = picture.values, picture.values.shape[:2]
@@ -205,7 +216,7 @@ def _describe_image(
     if picture.orientation != 1:
         warnings.append(f"An orientation tag ({picture.orientation}) asks viewers to turn the image; planish does not.")
     shown_values = channel_values if is_read else full_values
-    facts = _value_facts(shown_values, picture.full_scale, warnings, PIXEL.axes, look, is_read, is_wanted)
+    facts = value_facts(shown_values, full_scale(full_values.dtype, picture.bits), PIXEL.axes, is_read)
     if is_read and stride > 1:
         facts["sampled"] = f"every {stride} rows and columns"
     size_facts = _size_facts(partial(find_size, across(picture.stated)), shape, warnings, ("Pixels", PIXEL.usual_um))
@@ -230,26 +241,6 @@ def is_image(place: Place) -> bool:
         return True
     with open_series(place.path, error=FileError, advice="Give one volume or one image.") as (_, series):
         return is_picture(series)
-
-
-def _value_facts(
-    values: Values,
-    full_scale: int | None,
-    warnings: list[str],
-    dims: tuple[str, ...],
-    look: Look | None,
-    is_read: bool,
-    is_wanted: bool,
-) -> dict[str, Any]:
-    if is_read:
-        facts = inspect_values(values, full_scale, warnings, dims=dims)
-        if look is not None:
-            look(values)
-        return facts
-    if is_wanted:
-        size_gb = math.prod(values.shape) * values.dtype.itemsize / 1e9
-        warnings.append(f"Its {size_gb:.2g} GB can only be decoded whole, so no grey was looked at.")
-    return declared_facts(values, dims)
 
 
 def _size_facts(

@@ -20,43 +20,6 @@ from planish.io.slice_volume import first_few
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
 
 
-class _Statistics:
-    """Statistics of the values, collected plane by plane."""
-
-    def __init__(self, full_scale: int | None, stride: int) -> None:
-        self.full_scale, self.stride = full_scale, stride
-        self.low, self.high = math.inf, -math.inf
-        self.count = self.finite = self.bottom = self.saturated = 0
-        self.constant: list[int] = []
-        self.copies: list[int] = []
-        self.sample: list[NDArray[Any]] = []
-        self.digests: set[bytes] = set()
-
-    def add(self, number: int, plane: NDArray[Any], *, sampled: bool) -> None:
-        """Add one plane."""
-        finite_values = plane if plane.dtype.kind != "f" else plane[np.isfinite(plane)]
-        self.count += plane.size
-        self.finite += finite_values.size
-        low = high = math.nan
-        if finite_values.size:
-            low, high = float(finite_values.min()), float(finite_values.max())
-            self.low, self.high = min(self.low, low), max(self.high, high)
-        if self.full_scale is not None:
-            self.saturated += int(np.count_nonzero(plane == self.full_scale))
-            self.bottom += int(np.count_nonzero(plane == 0))
-        if sampled:
-            sample = plane[(slice(None, None, self.stride),) * plane.ndim].ravel()
-            self.sample.append(sample[np.isfinite(sample)])
-        # Slices with fewer pixels may well be alike, or of one grey.
-        if plane.ndim == 2 and plane.size >= 1000:
-            digest = hashlib.blake2b(np.ascontiguousarray(plane).data, digest_size=16).digest()
-            if not low < high:
-                self.constant.append(number)
-            elif digest in self.digests:
-                self.copies.append(number)
-            self.digests.add(digest)
-
-
 def inspect_values(
     values: Values, full_scale: int | None, warnings: list[str], *, dims: tuple[str, ...]
 ) -> dict[str, Any]:
@@ -69,46 +32,68 @@ def inspect_values(
             plane_numbers = [int(n) for n in np.linspace(0, n_planes - 1, n_sampled).round()]
     share = len(plane_numbers) / n_planes
     stride = max(1, math.ceil((math.prod(values.shape) * share / SAMPLE_VALUES) ** (1 / values.ndim)))
-    statistics = _Statistics(full_scale, stride)
+    low, high, n_values, n_finite, n_bottom, n_saturated = math.inf, -math.inf, 0, 0, 0, 0
+    constant_numbers, copy_numbers = list[int](), list[int]()
+    samples, digests = list[NDArray[Any]](), set[bytes]()
     for index, number in enumerate(plane_numbers):
-        statistics.add(number, np.asarray(values[number]), sampled=index % stride == 0)
+        plane = np.asarray(values[number])
+        finite_values = plane if plane.dtype.kind != "f" else plane[np.isfinite(plane)]
+        n_values, n_finite = n_values + plane.size, n_finite + finite_values.size
+        plane_low = plane_high = math.nan
+        if finite_values.size:
+            plane_low, plane_high = float(finite_values.min()), float(finite_values.max())
+            low, high = min(low, plane_low), max(high, plane_high)
+        if full_scale is not None:
+            n_saturated += int(np.count_nonzero(plane == full_scale))
+            n_bottom += int(np.count_nonzero(plane == 0))
+        if index % stride == 0:
+            sample = plane[(slice(None, None, stride),) * plane.ndim].ravel()
+            samples.append(sample[np.isfinite(sample)])
+        # Slices with fewer pixels may well be alike, or of one grey.
+        if plane.ndim == 2 and plane.size >= 1000:
+            digest = hashlib.blake2b(np.ascontiguousarray(plane).data, digest_size=16).digest()
+            if not plane_low < plane_high:
+                constant_numbers.append(number)
+            elif digest in digests:
+                copy_numbers.append(number)
+            digests.add(digest)
     facts: dict[str, Any] = declared_facts(values, dims) | {
-        "nan_share": 1 - statistics.finite / statistics.count,
-        "saturated_share": statistics.saturated / statistics.count,
-        "bottom_share": statistics.bottom / statistics.count,
+        "nan_share": 1 - n_finite / n_values,
+        "saturated_share": n_saturated / n_values,
+        "bottom_share": n_bottom / n_values,
         "sampled": None if len(plane_numbers) == n_planes else f"{len(plane_numbers)} of {n_planes} slices",
     }
-    if not statistics.finite:
+    if not n_finite:
         warnings.append("There is no number in it, all values are missing.")
         facts["percentiles"] = dict.fromkeys(map(str, PERCENTILES))
     else:
-        sample = np.sort(np.concatenate(statistics.sample))
+        sample = np.sort(np.concatenate(samples))
         if not sample.size:  # the grid met no number
             planes = (np.asarray(values[number]) for number in plane_numbers)
             sample = np.sort(np.concatenate([plane[np.isfinite(plane)] for plane in planes]))
         facts["percentiles"] = {str(p): float(np.percentile(sample, p)) for p in PERCENTILES}
-        facts |= {"min": statistics.low, "max": statistics.high}
+        facts |= {"min": low, "max": high}
         n_levels = int(np.count_nonzero(np.diff(sample)) + 1)
-        if statistics.low == statistics.high:
-            warnings.append(f"All values are {statistics.low:g}.")
+        if low == high:
+            warnings.append(f"All values are {low:g}.")
         elif values.dtype.kind in "ui" and n_levels < 16:
             warnings.append(f"It has {n_levels} grey levels only. Is it a segmentation? planish needs the grey values.")
     if facts["nan_share"] > 0:
         warnings.append(f"{100 * facts['nan_share']:.3g} % of the values are missing (NaN or infinite).")
-    if statistics.low == statistics.high:
+    if low == high:
         return facts
     # Above this share of values at the end of the range, grey levels were lost.
     if facts["saturated_share"] > 0.001:
         cut_text = f"are at {full_scale}, the largest the file can store: grey levels were cut there."
         warnings.append(f"{100 * facts['saturated_share']:.3g} % of the values {cut_text}")
-    if statistics.constant:
+    if constant_numbers:
         warnings.append(
-            f"{len(statistics.constant)} slices have one grey value only (black or empty), z "
-            f"{first_few(statistics.constant)}: the scan ended there, or files were damaged."
+            f"{len(constant_numbers)} slices have one grey value only (black or empty), z "
+            f"{first_few(constant_numbers)}: the scan ended there, or files were damaged."
         )
-    if statistics.copies:
-        place_text = f"as a slice before them, z {first_few(statistics.copies)}: were they copied to fill gaps?"
-        warnings.append(f"{len(statistics.copies)} slices hold the same values {place_text}")
+    if copy_numbers:
+        place_text = f"as a slice before them, z {first_few(copy_numbers)}: were they copied to fill gaps?"
+        warnings.append(f"{len(copy_numbers)} slices hold the same values {place_text}")
     return facts
 
 

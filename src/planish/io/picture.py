@@ -15,7 +15,6 @@ from PIL import BmpImagePlugin, ImageFile, JpegImagePlugin, PngImagePlugin
 from tifffile import PHOTOMETRIC, TiffPageSeries
 
 from planish.core.errors import FileError
-from planish.io.formats import full_scale
 from planish.io.guard import check_blown_up, check_memory, head_of, reading
 from planish.io.sizes import Stated, stated_by_tiff, stated_density
 from planish.io.tiff import has_rgb, is_tiff, long_axes, map_or_decode, mapped_from, open_series, shape_words
@@ -38,11 +37,6 @@ class DecodedPicture(NamedTuple):
     bits: int  # of a sample, if it is a whole number
     stated: tuple[Stated, ...]  # size along z (which a slice of a stack may know), y, x in the metadata
     orientation: int  # the tag, 1 to 8; values stay as stored, whatever it says
-
-    @property
-    def full_scale(self) -> int | None:
-        """Largest value the file can store; None for floating point."""
-        return full_scale(self.values.dtype, self.bits)
 
     @property
     def in_colour(self) -> bool:

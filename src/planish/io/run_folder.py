@@ -121,10 +121,7 @@ def acquire_lock(lock_file: Path, path: Path) -> FileLock:
 def claim_folder(folder: Path, marker_name: str, marker_text: str, *, for_what: Path) -> None:
     """Make a folder that carries a marker from its first moment, or leave the one that is there.
 
-    Raises
-    ------
-    FileError
-        If a link or a file stands at ``folder``: a link is never followed.
+    FileError where a link or a file stands at ``folder``: a link is never followed.
     """
     if is_link(folder) or folder.is_file():
         kind = "a link" if is_link(folder) else "a file"

@@ -99,7 +99,7 @@ def read_section_stack(
     attrs: dict[str, Any] = {
         "voxel_um": list(size),
         "voxel_um_source": source,
-        "full_scale": sections.full_scale,
+        "full_scale": full_scale(sections.values.dtype, sections.first.bits),
         "file_name": sections.folder.name,
         "file_bytes": sections.file_bytes,
         "section_kind": sections.kind,
@@ -122,11 +122,6 @@ class Sections(NamedTuple):
     positions_um: Floats
     kind: str
     file_bytes: int
-
-    @property
-    def full_scale(self) -> int | None:
-        """Largest value the files can store; None for floating point."""
-        return full_scale(self.values.dtype, self.first.bits)
 
     def agreed_size(
         self, voxel_um: float | Sequence[float] | None, *, override: bool, unusual: bool

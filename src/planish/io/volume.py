@@ -10,7 +10,17 @@ from planish.core.arrays import check_path
 from planish.core.errors import VolumeError
 from planish.core.frame import Axis, End, Frame
 from planish.core.lazy import labelled
-from planish.io.formats import ADVICE, LoadedVolume, Place, check_channel, check_type, find_place, format_of, loader
+from planish.io.formats import (
+    ADVICE,
+    LoadedVolume,
+    Place,
+    check_channel,
+    check_type,
+    find_place,
+    format_of,
+    full_scale,
+    loader,
+)
 from planish.io.lazy import read_if_small
 from planish.io.sizes import VOXEL, agreed_size
 from planish.io.tiff import damaged, size_words
@@ -90,7 +100,7 @@ def read_volume(
         "long_name": "Grey value",
         "voxel_um": list(size),
         "voxel_um_source": source,
-        "full_scale": loaded.full_scale,
+        "full_scale": full_scale(loaded.values.dtype, loaded.bits),
         "file_name": name,
         "file_bytes": loaded.file_bytes,
         **loaded.attrs,

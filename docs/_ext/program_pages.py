@@ -1,4 +1,7 @@
-"""Write what the program makes of its documents: commands, options of properties, formats, schema of the results."""
+"""Pages that the program writes: commands, options of properties, formats of exports, schema of the results.
+
+``python docs/_ext/program_pages.py`` puts them into the docs folder of the checkout, the schema also into the package.
+"""
 
 from __future__ import annotations
 
@@ -60,9 +63,9 @@ def schema(results: type[BaseModel]) -> str:
 
 
 def main() -> None:
-    """Write the pages into the docs folder of the checkout, the schema also into the package."""
-    package = Path(__file__).resolve().parents[1]
-    docs = package.parents[1] / "docs"
+    """Write them all."""
+    docs = Path(__file__).resolve().parents[1]
+    package = docs.parent / "src" / "planish"
     properties, formats = ((docs / name).read_text(encoding="utf-8") for name in ("properties.md", "export.md"))
     for path, text in (
         (docs / "cli.md", page()),
