@@ -4,10 +4,10 @@ import re
 from importlib.resources import files
 from pathlib import Path
 
+import program_pages as docs
 import pytest
 
 import console
-import program_pages as docs
 from planish.results import Results
 from planish.series_results import SeriesResults
 

@@ -70,11 +70,6 @@ class Mark(Part):
     moving: OneEnd | None = None
     fixed: OneEnd | None = None
 
-    @property
-    def is_paired(self) -> bool:
-        """Whether it lies in both planes."""
-        return self.moving is not None and self.fixed is not None
-
 
 class CorrectedPoint(Part):
     """A place of a face in the volume, in um."""

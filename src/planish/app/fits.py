@@ -33,15 +33,9 @@ _CLEAR_SDS = 4.0  # standard deviations of one coordinate
 
 
 def find_outliers(moving: Floats, fixed: Floats, mirrored: bool, *, tolerance_um: float) -> Bools:
-    """Pairs that the others do not expect, shape (n,).
+    """Pairs (n,) of ``moving`` and ``fixed`` (n, 2), in um, that the others do not expect.
 
-    Parameters
-    ----------
-    moving, fixed : ndarray, shape (n, 2), in um
-    mirrored : bool
-        Whether the moving x axis runs in the opposite direction.
-    tolerance_um : float
-        Two marks farther apart do not match, however few there are to tell.
+    Two marks farther apart than ``tolerance_um`` do not match, however few there are to tell.
 
     Notes
     -----
@@ -188,7 +182,7 @@ def fitted(
     squares to all marks in use. ``mirrored``: whether the two planes show opposite sides; None for whichever fits
     better. ``quick``: only what takes some milliseconds; of another model than `QUICK`, a similarity instead.
     """
-    pairs = tuple(mark for mark in marks if mark.is_paired)
+    pairs = tuple(mark for mark in marks if mark.moving and mark.fixed)
     moving, fixed = (_points(pairs, plane) for plane in PLANES)
     is_used = np.array([mark.used for mark in pairs], dtype=np.bool_)
     is_mirrored = bool(mirrored)

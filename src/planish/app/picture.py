@@ -105,16 +105,11 @@ class PlanePicture:
         """Pixels of full resolution."""
         return Grid.of(self.full)
 
-    @property
-    def is_mask(self) -> bool:
-        """Whether it holds truth values."""
-        return self.full.dtype == np.bool_
-
     @cached_property
     def codes(self) -> Codes:
         """How tiles hold its values: room for single pixels, which vary more than the parts that were looked at."""
         values = np.concatenate([self._coarse, self._sample])
-        if self.is_mask or values.size == 0:
+        if self.full.dtype == np.bool_ or values.size == 0:
             return Codes(0.0, 1.0)
         low, high = float(values.min()), float(values.max())
         span = max(high - low, 1e-6 * max(abs(low), abs(high)), 1e-30)
@@ -125,7 +120,7 @@ class PlanePicture:
     def range(self) -> tuple[float, float]:
         """2nd to 98th percentile."""
         values = self._coarse if self._coarse.size else self._sample
-        if self.is_mask or values.size == 0:
+        if self.full.dtype == np.bool_ or values.size == 0:
             return 0.0, 1.0
         low, high = map(float, np.percentile(values, [2, 98]))
         if self.around_zero:

@@ -72,14 +72,9 @@ def _on_pixels(cells: xr.DataArray, coordinates: tuple[xr.DataArray, xr.DataArra
 def strains(
     run: Path, coordinates: Mapping[str, Sequence[xr.DataArray]]
 ) -> Iterator[tuple[str, StrainDisplay, list[xr.DataArray]]]:
-    """Each strain of a run that is known on its flat map: name, title and units, and values at every level.
+    """Each strain of a run of one sheet that is known on its flat map: name, title, units, and values at every level.
 
-    Parameters
-    ----------
-    run : Path
-        A run of one sheet.
-    coordinates : mapping
-        ``volume_x``, ``volume_y``, ``volume_z`` of the flat map at every level, um.
+    ``coordinates`` are ``volume_x``, ``volume_y``, ``volume_z`` of the flat map at every level, um.
     """
     strain = read_group(run / MAPS, "strain")
     frame = Frame.of(stored_group(run / MAPS, "surfaces"))

@@ -100,12 +100,8 @@ def wrapped(text: str, width: int) -> str:
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print a table on standard output: in columns, or one row below the other where the terminal is too narrow.
 
-    Parameters
-    ----------
-    title : str
-    columns : sequence of str
-        Headings; one may be ``unit``, that of all numbers of the row but counts, others may end with a unit.
-    rows : sequence of sequence of str
+    One of the headings, ``columns``, may be ``unit``, that of all numbers of the row but counts; others may end with a
+    unit.
     """
     rows = [[printable(cell) for cell in row] for row in rows]
     widths = [max(len(cell) for cell in cells) for cells in zip(columns, *rows, strict=True)]

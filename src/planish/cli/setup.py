@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -46,34 +47,13 @@ def doctor(as_json: bool) -> int:
 
 SHELLS = ("bash", "zsh", "fish", "powershell")
 
-_POWERSHELL = """\
-Register-ArgumentCompleter -Native -CommandName %(prog_name)s -ScriptBlock {
-    param($wordToComplete, $commandAst, $cursorPosition)
-    $before = $commandAst.CommandElements | Where-Object { $_.Extent.StartOffset -lt $cursorPosition }
-    $env:COMP_WORDS = ($before | ForEach-Object { $_.ToString() }) -join "`n"
-    $env:COMP_CWORD = $wordToComplete
-    $env:%(complete_var)s = "powershell_complete"
-    try {
-        & %(prog_name)s | ForEach-Object {
-            $type, $value, $help = $_ -split "`t", 3
-            if ($type -eq "plain") {
-                if (-not $help) { $help = $value }
-                [System.Management.Automation.CompletionResult]::new($value, $value, "ParameterValue", $help)
-            }
-        }
-    } finally {
-        Remove-Item Env:COMP_WORDS, Env:COMP_CWORD, Env:%(complete_var)s -ErrorAction SilentlyContinue
-    }
-}
-"""
-
 
 @add_completion_class
 class PowerShellComplete(ShellComplete):
     """Completion for PowerShell, which completes names of files by itself where the program gives nothing."""
 
     name: ClassVar[str] = "powershell"
-    source_template: ClassVar[str] = _POWERSHELL
+    source_template: ClassVar[str] = (files("planish.cli") / "completion.ps1").read_text(encoding="utf-8")
 
     def get_completion_args(self) -> tuple[list[str], str]:
         """Words of the command line before the cursor, and the one at it."""

@@ -158,14 +158,8 @@ def move(source: Path, target: Path, *, over: bool = False) -> None:
     """Rename a file or folder; over a file that is there only with ``over``.
 
     Windows refuses it while another program has the file, or one in the folder, open: virus scanners, indexers and
-    programs that keep folders in step with a server do so for moments after a file was written.
-
-    Raises
-    ------
-    FileError
-        If it is still refused after some three seconds.
-    OSError
-        Whatever else keeps it from being renamed.
+    programs that keep folders in step with a server do so for moments after a file was written. FileError if it is
+    still refused after some three seconds; OSError whatever else keeps it from being renamed.
     """
     _retry(lambda: (source.replace if over else source.rename)(target), target)
 

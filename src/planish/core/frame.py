@@ -90,10 +90,7 @@ class Frame:
     def asked(cls, volume: xr.DataArray, frame: Frame | None, through: Axis | None, top: End | None) -> Frame:
         """The frame of a call: as given, in one piece or in words, or as the volume says.
 
-        Raises
-        ------
-        InputError
-            If it is given twice, or as something else.
+        InputError if it is given twice, or as something else.
         """
         keywords = {name: value for name, value in (("through", through), ("top", top)) if value is not None}
         if frame is None:
@@ -108,12 +105,8 @@ class Frame:
 def likely_through(values: NDArray[Any] | LazyArray | xr.Variable) -> Axis | None:
     """Name the axis along which the mean grey changes most; None where two do, as with a round field of view.
 
-    A sheet fills some of the planes across its normal and none of the others; the planes along it are all alike.
-
-    Parameters
-    ----------
-    values : array (z, y, x)
-        Some slices of it are read.
+    A sheet fills some of the planes across its normal and none of the others; the planes along it are all alike. Some
+    slices of ``values`` (z, y, x) are read.
     """
     import numpy as np
 

@@ -71,10 +71,7 @@ def is_version_5(head: bytes) -> bool:
 def variables(file: BinaryIO) -> list[Variable]:
     """List the variables of a file of any version, without their values.
 
-    Raises
-    ------
-    Damaged
-        If a length or a type does not fit. What h5py raises for version 7.3 passes.
+    Damaged if a length or a type does not fit. What h5py raises for version 7.3 passes.
     """
     file.seek(0)
     head = file.read(520)
@@ -89,10 +86,7 @@ def variables(file: BinaryIO) -> list[Variable]:
 def values(file: BinaryIO, variable: Variable) -> NDArray[Any]:
     """Read the values of a full real array that :func:`variables` listed, in its class and the order of MATLAB.
 
-    Raises
-    ------
-    Damaged
-        If the values are not there.
+    Damaged if the values are not there.
     """
     if not variable.real:
         raise ValueError(f"{variable.name} is no full real array")

@@ -34,10 +34,7 @@ P = TypeVar("P", bound=Params)
 def params_of(model: type[P], options: P | Mapping[str, Any] | None, call_name: str = "") -> P:
     """Options of a function: its model, or a dict with some of its fields, or the words of the command line for them.
 
-    Raises
-    ------
-    StudyError
-        If it is something else, or has fields that are unknown or out of range; all faults are named.
+    StudyError if it is something else, or has fields that are unknown or out of range; all faults are named.
     """
     if options is None or isinstance(options, model):
         return options or model()
@@ -75,20 +72,11 @@ def option(
     default: Any = ..., *, help: str, cli: str | None = "", metavar: str | None = None, repeat: bool = False,
     **limits: Any,
 ) -> Any:  # fmt: skip
-    """Make a field of a :class:`Params` model.
+    """Make a field of a :class:`Params` model; without a default it is required.
 
-    Parameters
-    ----------
-    default : value
-        Where the field is not given; without one the field is required.
-    help : str
-        One sentence: what it is, with its unit and when it is needed.
-    cli : str or None
-        Flag of the command line, such as ``"--property"``; made of the field's name where empty, none where None.
-    metavar, repeat
-        As in :class:`Shown`.
-    **limits
-        ``gt``, ``ge``, ``lt``, ``le``, ``min_length`` ..., as for :func:`pydantic.Field`.
+    ``help`` is one sentence: what it is, with its unit and when it is needed. ``cli`` is the flag of the command line,
+    such as ``"--property"``: made of the field's name where empty, none where None; ``metavar`` and ``repeat`` as in
+    :class:`Shown`. ``limits`` are ``gt``, ``ge``, ``lt``, ``le``, ``min_length`` ..., as for :func:`pydantic.Field`.
     """
     extra: Any = None if cli is None else {"planish": {"flags": cli, "metavar": metavar, "repeat": repeat}}
     return Field(default, description=help, json_schema_extra=extra, **limits)

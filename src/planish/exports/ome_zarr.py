@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import zarr
 from numpy.typing import NDArray
-from zarr.codecs import BloscCodec, Crc32cCodec
 
 from planish.core.area import halved_values, overview_count
 from planish.core.bands import BAND, bands
 from planish.exports.content import ExportHistory, Maps, percentile_limits
 from planish.exports.formats import ExportParams
+from planish.io.map_store import CODECS
 from planish.io.store import multiscale
 
 
@@ -32,11 +32,10 @@ def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams)
     for _ in range(overview_count(maps.shape)):
         shapes.append(((shapes[-1][0] + 1) // 2, (shapes[-1][1] + 1) // 2))
     channel_dims = (len(names),) if has_channels else ()
-    codecs = (BloscCodec(cname="lz4", clevel=1, shuffle="shuffle"), Crc32cCodec())
     arrays: list[Any] = [
         group.create_array(
             str(level), shape=(*channel_dims, *shape), dtype=np.float32,
-            chunks=(*(1 for _ in channel_dims), *(min(n, BAND) for n in shape)), fill_value=np.nan, compressors=codecs,
+            chunks=(*(1 for _ in channel_dims), *(min(n, BAND) for n in shape)), fill_value=np.nan, compressors=CODECS,
             dimension_names=[*("c" for _ in channel_dims), "y", "x"], config={"write_empty_chunks": True},
         )
         for level, shape in enumerate(shapes)

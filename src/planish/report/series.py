@@ -23,21 +23,6 @@ from planish.report.colours import image_uri, limits
 from planish.report.draw import ACCENT, HALF, INK, POINT, SMALL, SOFT, Canvas, Picture, ShownMap, multiples, reduced
 from planish.series_results import SeriesResults, SeriesSpecimen
 
-_SOURCES = (
-    ("Intervals over sheets", "Student's t over the means of sheets; two papers after Welch (1947), Biometrika 34, 28, "
-     "doi:10.1093/biomet/34.1-2.28; the same sheets before and after by the differences of single sheets."),
-    ("Several differences", "p of all differences of the series are put right together: Holm (1979), Scand. J. "
-     "Statist. 6, 65."),
-    ("Between and within sheets", "Analysis of variance with unweighted means: Thomas and Hultquist (1978), Ann. "
-     "Statist. 6, 582, doi:10.1214/aos/1176344202."),
-    ("Correlation over sheets", "Mean over sheets of Fisher's z, in which every sheet counts alike. Heterogeneity: "
-     "Cochran's Q, and I² of Higgins and Thompson (2002), Statist. Med. 21, 1539, doi:10.1002/sim.1186; the variance "
-     "of one field's z is 1 over its independent points less 3."),
-    ("Equivalence", "Two one-sided tests at 5 %: Schuirmann (1987), J. Pharmacokinet. Biopharm. 15, 657, "
-     "doi:10.1007/BF01068419."),
-    ("Two instruments", "Bias and limits of agreement: Bland and Altman (1986), Lancet 327, 307, with intervals that "
-     "count independent points; waves in common by Fourier ring correlation."),
-)  # fmt: skip
 _ROW, _TOP, _LETTER = 30.0, 14.0, 6.3  # pixels: of a group, above the first, of a letter
 _WIDEST_NAME = 190.0
 _WIDE = 150.0  # CSS pixels of the widest small map
@@ -62,7 +47,7 @@ def series_page(results: SeriesResults, maps: Sequence[SmallMap]) -> str:
     columns = list(range(min(len(results.quantities), 8)))  # quantities of the table of specimens, and of figures
     factors = [name for name in results.factors if any(name in member.factors for member in results.members)]
     page = text.template("planish.report", "series.html.j2").render(
-        results=results, words=words, statement=statement, text=text, sources=_SOURCES, factors=factors,
+        results=results, words=words, statement=statement, text=text, factors=factors,
         columns=columns, lines=[_specimen_line(specimen, factors, columns, results) for specimen in results.specimens],
         orders=_specimen_orders(results, factors),
         pictures=[picture for k in columns if (picture := draw_groups(results, k))],

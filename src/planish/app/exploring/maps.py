@@ -164,11 +164,6 @@ class MapsOfPage:
     halvings: int
     headline: NDArray[np.float32]
 
-    @property
-    def titles(self) -> dict[tuple[str, str], str]:
-        """Titles by layer and name."""
-        return {(m.layer, m.name): m.title for m in self.maps}
-
     def letters(self) -> int:
         """Size of all that is packed."""
         grids = [grid for group in self.groups for grid in (group.valid, *group.coordinates.values())]

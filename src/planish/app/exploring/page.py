@@ -48,7 +48,8 @@ def render(results: Results, maps: MapsOfPage, stacks: Sequence[Stack], notes: S
     factor = max(1.0, max(maps.headline.shape) / 640)
     headline_image = area_mean(maps.headline, (factor, factor)) if factor > 1 else maps.headline
     page = template(_PACKAGE, "explore.html.j2").render(
-        results=results, layers=results.layers, titles=maps.titles, summary=summary, maps=maps.maps, lead=maps.maps[0],
+        results=results, layers=results.layers, summary=summary, maps=maps.maps, lead=maps.maps[0],
+        titles={(m.layer, m.name): m.title for m in maps.maps},
         still=image_uri(headline_image, maps.maps[0].scale), notes=notes, stacks=stacks, style=style, script=script,
         policy=policy, data=data_json, blocks=blocks,
     )  # fmt: skip
