@@ -101,9 +101,9 @@ def test_tiles_of_all_levels_are_the_maps_and_their_overviews(stored, maps):
 def test_a_tile_reads_its_chunk_and_no_more(stored, monkeypatch):
     assert stored["p0"].codes  # learnt before: from the smallest copy
     read = []
-    whole = map_store._StoredArray.read
+    whole = map_store.PartCache.part
     monkeypatch.setattr(
-        map_store._StoredArray, "read", lambda self, where: read.append(part := whole(self, where)) or part
+        map_store.PartCache, "part", lambda self, *where: read.append(part := whole(self, *where)) or part
     )
     tiles = Tiles(stored)
     for tile in ((0, 0), (0, 1), (1, 0), (1, 1)):

@@ -19,7 +19,7 @@ T = TypeVar("T")
 Where = tuple[slice, ...]  # one slice an axis: start, stop just behind the last place, step above 0
 
 
-class LazyArray:
+class LazyArray(BackendArray):
     """An array of which parts are read with integers and slices; several threads may read at the same time.
 
     ``read`` gives a part in the type ``dtype``, which is in the byte order of the machine.
@@ -30,11 +30,6 @@ class LazyArray:
 
     def __init__(self, shape: tuple[int, ...], dtype: np.dtype[Any], read: Callable[[Where], NDArray[Any]]) -> None:
         self.shape, self.dtype, self._read = shape, dtype, read
-
-    @property
-    def ndim(self) -> int:
-        """Number of axes."""
-        return len(self.shape)
 
     @property
     def nbytes(self) -> int:
@@ -50,7 +45,9 @@ class LazyArray:
         return nullcontext()
 
     def __getitem__(self, key: Any) -> NDArray[Any]:
-        """Read what integers and slices select."""
+        """Read what integers and slices select, or what xarray asks for."""
+        if isinstance(key, ExplicitIndexer):
+            return explicit_indexing_adapter(key, self.shape, IndexingSupport.BASIC, self.__getitem__)
         keys = key if isinstance(key, tuple) else (key,)
         if Ellipsis in keys:
             ellipsis_axis = keys.index(Ellipsis)
@@ -118,18 +115,7 @@ def read_box(volume: xr.DataArray, box: Mapping[str, slice]) -> NDArray[Any]:
 
 def variable_data(values: NDArray[Any] | LazyArray) -> Any:
     """Wrap values for a variable: an array, or a lazy one that stays one."""
-    return LazilyIndexedArray(_LazyBackend(values)) if isinstance(values, LazyArray) else values
-
-
-class _LazyBackend(BackendArray):
-    """A lazy array, as xarray indexes it."""
-
-    def __init__(self, lazy: LazyArray) -> None:
-        self.lazy, self.shape, self.dtype = lazy, lazy.shape, lazy.dtype
-
-    def __getitem__(self, key: ExplicitIndexer) -> Any:
-        """Read a part."""
-        return explicit_indexing_adapter(key, self.shape, IndexingSupport.BASIC, self.lazy.__getitem__)
+    return LazilyIndexedArray(values) if isinstance(values, LazyArray) else values
 
 
 class ReadOnDemand(Mapping[str, T]):

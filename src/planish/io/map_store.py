@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterable, Mapping
 from contextlib import contextmanager
+from functools import partial
 from itertools import count, takewhile
 from pathlib import Path
 from typing import Any
@@ -135,9 +136,9 @@ def stored_group(path: Path, name: str, cache: PartCache | None = None) -> xr.Da
             dims = tuple(map(str, array.metadata.dimension_names or ()))
             attrs = {k: v for k, v in array.attrs.items() if k not in ("_FillValue", "coordinates")}
             other_coords |= {*str(array.attrs.get("coordinates", "")).split()}
-            (coords if dims == (key,) else variables)[key] = xr.Variable(
-                dims, variable_data(_StoredArray(path, array, cache)) if array.ndim == 2 else array[...], attrs
-            )
+            values = LazyArray(array.shape, np.dtype(array.dtype), partial(_read_part, path, array, cache))
+            values = variable_data(values) if array.ndim == 2 else array[...]
+            (coords if dims == (key,) else variables)[key] = xr.Variable(dims, values, attrs)
         coords |= {key: variables.pop(key) for key in other_coords & variables.keys()}
         return xr.Dataset(variables, coords=coords, attrs=dict(group.attrs))
 
@@ -170,15 +171,9 @@ class PartCache:
         return values
 
 
-class _StoredArray(LazyArray):
-    def __init__(self, path: Path, array: Any, cache: PartCache) -> None:
-        self._path, self._array, self._cache = path, array, cache
-        self.shape, self.dtype = array.shape, np.dtype(array.dtype)
-
-    def read(self, where: Where) -> NDArray[Any]:
-        """Read a part."""
-        with readable(self._path):
-            return self._cache.part(self._array, where)
+def _read_part(path: Path, array: Any, cache: PartCache, where: Where) -> NDArray[Any]:
+    with readable(path):
+        return cache.part(array, where)
 
 
 @contextmanager

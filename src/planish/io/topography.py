@@ -35,12 +35,8 @@ def read_topography(
         SUR, X3P, SDF, GWY, OPD, PLUx and the like.
     pixel_um : float or (y, x), optional
         Pixel size in um; not needed where the file states it.
-    override_size : bool
-        Whether `pixel_um` is taken although the file states another size.
-    unusual_size : bool
-        Whether a size is taken that paper does not have, from 0.1 nm to 1 mm.
-    memory_bytes : int, optional
-        Largest decoded size; default: three quarters of the memory available.
+    override_size, unusual_size, memory_bytes
+        As for :func:`planish.read_image`.
 
     Returns
     -------
