@@ -56,15 +56,15 @@ class Stale(InputError):
 class Session:
     """What one server serves."""
 
-    folder: Path  # the run; a map where ``image_params`` is given
+    folder: Path  #: the run; a map where ``image_params`` is given
     study: Study
     results: Results
-    registrations: dict[str, Registration]  # by the moving layer; empty for a map and an image that were never linked
-    image_params: ImageParams | None  # of a link that was refused at the marks
+    registrations: dict[str, Registration]  #: by the moving layer; empty for a map and an image that were never linked
+    image_params: ImageParams | None  #: of a link that was refused at the marks
     journal: Journal
-    reason: str  # why nothing can be changed; empty where it can
-    version: int = 0  # lines of the journal, and one more for everything since that a window has to show
-    changed_at: int = 0  # version of the last change: what was asked for before is stale
+    reason: str  #: why nothing can be changed; empty where it can
+    version: int = 0  #: lines of the journal, and one more for everything since that a window has to show
+    changed_at: int = 0  #: version of the last change: what was asked for before is stale
     _states: list[State] = field(default_factory=list[State])
     _position: int = 0
     _lock: threading.RLock = field(default_factory=threading.RLock)

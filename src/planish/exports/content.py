@@ -24,10 +24,10 @@ from planish.report.colours import Scale
 class ExportHistory:
     """Origin of an export, which travels with every file as one line of JSON."""
 
-    planish: str  # version that made the run
-    exported_by: str  # version that exports it
-    study_sha256: str  # of ``run.toml``
-    inputs: tuple[Mapping[str, Any], ...]  # of each layer its name, the name of its file, and the file's SHA-256
+    planish: str  #: version that made the run
+    exported_by: str  #: version that exports it
+    study_sha256: str  #: of ``run.toml``
+    inputs: tuple[Mapping[str, Any], ...]  #: of each layer its name, the name of its file, and the file's SHA-256
 
     def json(self, **more: Any) -> str:
         """Return it as JSON, with what else is to be known of a file: one line of ASCII, always the same."""
@@ -48,10 +48,10 @@ class Maps:
     """
 
     data: xr.Dataset
-    group: str  # its name in the run
-    # By name, where they are chosen: limits and colours with which maps are shown.
+    group: str  #: its name in the run
+    #: By name, where they are chosen: limits and colours with which maps are shown.
     scales: Mapping[str, Scale] = field(default_factory=dict[str, Scale])
-    # By name, where they are there: folders in a zarr store of a map's array and its overviews, the finest first.
+    #: By name, where they are there: folders in a zarr store of a map's array and its overviews, the finest first.
     levels: Mapping[str, Sequence[Path]] = field(default_factory=dict[str, Sequence[Path]])
 
     @property

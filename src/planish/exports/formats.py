@@ -28,25 +28,27 @@ Holds = Literal["maps", "volume", "surface", "registration", "marks", "run"]
 class ExportFormat:
     """A format of an export."""
 
-    title: str  # its name in messages and documents
-    writer: str  # the function that writes it: ``module:function`` of this package
-    holds: tuple[Holds, ...] = ("maps",)  # the first is what is meant where nothing else is asked for
-    suffixes: tuple[str, ...]  # ends of the names of its files, the usual one first; none: it is always a folder
-    # Of one that is always a folder: ends of the files of a registration. Those behind the first one are there only
-    # where no affine map is all of it.
+    title: str  #: its name in messages and documents
+    writer: str  #: the function that writes it: ``module:function`` of this package
+    holds: tuple[Holds, ...] = ("maps",)  #: the first is what is meant where nothing else is asked for
+    suffixes: tuple[str, ...]  #: ends of the names of its files, the usual one first; none: it is always a folder
+    #: Of one that is always a folder: ends of the files of a registration. Those behind the first one are there only
+    #: where no affine map is all of it.
     endings: tuple[str, ...] = ()
-    is_folder: bool = False  # whether what has such a name is a folder
-    stack: bool = False  # whether one file holds several maps
-    apart: bool = True  # whether a folder gets a file for each map, or each direction of a registration
-    shows_limits: bool = False  # whether its file says between which limits a map is shown first
-    gives: str  # for the documents: what is written,
-    opens: str  # programs that open it,
-    missing: str = "NaN"  # and how a missing value is written
-    most: int | None = None  # largest map in pixels, or surface in nodes, where all of it is held in memory
-    byte_cost: int = 0  # bytes of memory that a pixel or node of such a map takes
-    needs: str | None = None  # library of the extra ``export``
-    options: tuple[str, ...] = ()  # options of :class:`ExportParams` that mean something for some formats, and for this
-    note: str = ""  # what has to be known when the files are used
+    is_folder: bool = False  #: whether what has such a name is a folder
+    stack: bool = False  #: whether one file holds several maps
+    apart: bool = True  #: whether a folder gets a file for each map, or direction of a registration, not one for all
+    shows_limits: bool = False  #: whether its file says between which limits a map is shown first
+    gives: str  #: for the documents: what is written
+    opens: str  #: for the documents: programs that open it
+    missing: str = "NaN"  #: for the documents: how a missing value is written
+    most: int | None = None  #: largest map in pixels, or surface in nodes, held in memory; None: written part by part
+    byte_cost: int = 0  #: bytes of memory that a pixel or node of such a map takes
+    needs: str | None = None  #: library of the extra ``export``
+    options: tuple[
+        str, ...
+    ] = ()  #: options of :class:`ExportParams` that mean something for some formats, and for this
+    note: str = ""  #: what has to be known when the files are used
 
     @property
     def counts(self) -> str:

@@ -31,10 +31,10 @@ SURFACES = ("top", "bottom", "interface_top", "interface_bottom", "centre")
 class Surface:
     """A surface of the sheet and what it carries."""
 
-    data: xr.Dataset  # heights and maps (y, x) on the columns of the volume, in um; the frame in its attributes
-    name: str  # one of `SURFACES`
-    maps: tuple[str, ...]  # that its nodes carry; the first one is their colour where the format has a colour only
-    scales: Mapping[str, Scale]  # limits and colours of maps, by name
+    data: xr.Dataset  #: heights and maps (y, x) on the columns of the volume, in um; the frame in its attributes
+    name: str  #: one of `SURFACES`
+    maps: tuple[str, ...]  #: that its nodes carry; the first one is their colour where the format has a colour only
+    scales: Mapping[str, Scale]  #: limits and colours of maps, by name
 
 
 @dataclass(frozen=True, slots=True, eq=False)

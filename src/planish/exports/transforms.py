@@ -28,10 +28,10 @@ class DirectedTransform:
 
     source: str
     target: str
-    function: Callable[[Floats], Floats]  # takes points (..., 2), (x, y) in um, of the source to the target, or NaN
-    grid: Grid  # pixels of the source
-    affine: Affine  # the affine map that is closest at the middle of the marks
-    exact: bool  # whether the affine map is all of it
+    function: Callable[[Floats], Floats]  #: takes points (..., 2), (x, y) in um, of the source to the target, or NaN
+    grid: Grid  #: pixels of the source
+    affine: Affine  #: the affine map that is closest at the middle of the marks
+    exact: bool  #: whether the affine map is all of it
 
     @property
     def name(self) -> str:
