@@ -29,7 +29,7 @@ from planish.io.image import across, pick_channel
 from planish.io.inspection import declared_facts, inspect_values
 from planish.io.lazy import FileArray, Values, unmapped
 from planish.io.picture import is_picture, kind_of, load_picture
-from planish.io.sections import Sections, is_section_folder, open_sections
+from planish.io.sections import SectionStack, is_section_folder, open_sections
 from planish.io.sizes import PIXEL, VOXEL, agreed_size
 from planish.io.slice_volume import list_slices, slice_numbers, slice_step
 from planish.io.tiff import open_series
@@ -174,7 +174,7 @@ def _describe_volume(
     }
 
 
-def _describe_sections(sections: Sections, find_size: Agreed, warnings: list[str]) -> dict[str, Any]:
+def _describe_sections(sections: SectionStack, find_size: Agreed, warnings: list[str]) -> dict[str, Any]:
     """Report what a folder of sections with its counter holds, as photographed."""
     steps_um = np.diff(sections.positions_um)
     pitch_um = float(np.median(steps_um))

@@ -5,10 +5,10 @@ The counter is ``sections.csv`` with the columns ``file`` and ``position_um``, a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,21 +29,48 @@ COLUMNS = ("file", "position_um")
 KINDS = ("block-face", "cut")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SectionStack:
+class SectionStack(NamedTuple):
     """Sections as photographed: neither aligned nor evenly spaced.
 
     The values, dims (section, row, col), are in the type of the files, float16 as float32; colour as luminance, rounded
-    in integers. Photographs that do not fit into the memory stay in their files: ``values[i]`` decodes one. Attributes:
-    ``voxel_um`` (z, y, x) with the median step of the counter as z, ``voxel_um_source``, ``full_scale``, ``file_name``,
-    ``file_bytes``, ``section_kind``; ``channel`` and ``colour`` where the files are in colour.
+    in integers. Photographs that do not fit into the memory stay in their files: ``values[i]`` decodes one. Attributes,
+    none as long as the size is not settled: ``voxel_um`` (z, y, x) with the median step of the counter as z,
+    ``voxel_um_source``, ``full_scale``, ``file_name``, ``file_bytes``, ``section_kind``; ``channel`` and ``colour``
+    where the files are in colour.
     """
 
+    folder: Path
     values: Values
+    first: DecodedPicture  # the first photograph: one pixel of it, and what its file says
     positions_um: Floats  # along the cut, increasing; missing sections are gaps
-    pixel_um: Pair  # (row, col)
     kind: str  # "block-face", "cut", or empty where the counter does not say
-    attrs: dict[str, Any]
+    file_bytes: int
+    attrs: Mapping[str, Any] = MappingProxyType({})
+
+    @property
+    def pixel_um(self) -> Pair:
+        """Size of a pixel (row, col)."""
+        _, row_um, col_um = self.attrs["voxel_um"]
+        return row_um, col_um
+
+    def agreed_size(
+        self, voxel_um: float | Sequence[float] | None, *, override: bool, unusual: bool
+    ) -> tuple[tuple[float, ...], str]:
+        """Join the median step of the counter with the pixel size of metadata and user."""
+        name = self.folder.name
+        pitch_um = float(np.median(np.diff(self.positions_um)))
+        if voxel_um is not None:
+            axis_sizes = size_per_axis(voxel_um, VOXEL)
+            is_single = isinstance(voxel_um, (int, float)) or len(voxel_um) == 1
+            if not is_single and not agree(axis_sizes[0], pitch_um):
+                raise SizeError(
+                    f"{name}: {VOXEL.option} gives z {axis_sizes[0]:g} um, but the median step of {COUNTER} is "
+                    f"{pitch_um:g} um. Correct the counter, or give the pixel size alone."
+                )
+            voxel_um = (pitch_um, axis_sizes[1], axis_sizes[2])
+        photograph_sizes = [s._replace(um=(None, *s.um[1:])) for s in self.first.stated]
+        stated = [Stated("the cut counter", (pitch_um, None, None)), *photograph_sizes]
+        return agreed_size(stated, voxel_um, file_name=name, asked=VOXEL, override=override, unusual=unusual)
 
 
 def is_section_folder(path: str | Path) -> bool:
@@ -104,46 +131,10 @@ def read_section_stack(
         "file_bytes": sections.file_bytes,
         "section_kind": sections.kind,
     } | colour_attrs(check_channel(channel), sections.folder, in_colour=sections.first.in_colour)
-    return SectionStack(
-        values=sections.values,
-        positions_um=sections.positions_um,
-        pixel_um=(size[1], size[2]),
-        kind=sections.kind,
-        attrs=attrs,
-    )
+    return sections._replace(attrs=attrs)
 
 
-class Sections(NamedTuple):
-    """Sections whose size is not settled; `first` is the first photograph."""
-
-    folder: Path
-    values: Values
-    first: DecodedPicture
-    positions_um: Floats
-    kind: str
-    file_bytes: int
-
-    def agreed_size(
-        self, voxel_um: float | Sequence[float] | None, *, override: bool, unusual: bool
-    ) -> tuple[tuple[float, ...], str]:
-        """Join the median step of the counter with the pixel size of metadata and user."""
-        name = self.folder.name
-        pitch_um = float(np.median(np.diff(self.positions_um)))
-        if voxel_um is not None:
-            axis_sizes = size_per_axis(voxel_um, VOXEL)
-            is_single = isinstance(voxel_um, (int, float)) or len(voxel_um) == 1
-            if not is_single and not agree(axis_sizes[0], pitch_um):
-                raise SizeError(
-                    f"{name}: {VOXEL.option} gives z {axis_sizes[0]:g} um, but the median step of {COUNTER} is "
-                    f"{pitch_um:g} um. Correct the counter, or give the pixel size alone."
-                )
-            voxel_um = (pitch_um, axis_sizes[1], axis_sizes[2])
-        photograph_sizes = [s._replace(um=(None, *s.um[1:])) for s in self.first.stated]
-        stated = [Stated("the cut counter", (pitch_um, None, None)), *photograph_sizes]
-        return agreed_size(stated, voxel_um, file_name=name, asked=VOXEL, override=override, unusual=unusual)
-
-
-def open_sections(folder: Path, *, channel: str | None, memory_bytes: int | None) -> Sections:
+def open_sections(folder: Path, *, channel: str | None, memory_bytes: int | None) -> SectionStack:
     """Read the cut counter of a folder, compare it with the pictures there, and read these."""
     if not folder.is_dir():
         raise FileError(f"{folder.name} is not a folder. Check the name.")
@@ -182,7 +173,8 @@ def open_sections(folder: Path, *, channel: str | None, memory_bytes: int | None
     kind, channel = _kind_of_sections(table), check_channel(channel)
     values, picture = load_pictures(files, channel=channel, memory_bytes=memory_bytes, photographs=True)
     file_bytes = sum(size_of_file(file) for file in [*files, counter_file])
-    return Sections(folder, values, picture, positions, kind, file_bytes)
+    first = picture._replace(values=picture.values[:1, :1].copy())
+    return SectionStack(folder, values, first, positions, kind, file_bytes)
 
 
 def _kind_of_sections(table: CsvTable) -> str:
