@@ -146,8 +146,7 @@ class _Stack:
         )  # fmt: skip
         with tifffile.TiffFile(path) as file:
             data_offset = file.series[0].dataoffset
-        if data_offset is None:
-            raise AssertionError("the planes of the file are not contiguous")
+        assert data_offset is not None  # the planes are contiguous
         row_bytes = self.shape[-1] * self.dtype.itemsize
         with path.open("rb+") as file:
             for plane, first_row, band in self.parts():
