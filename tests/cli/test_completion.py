@@ -103,7 +103,7 @@ def shell_answers(program, *arguments, home):
     folder = home / "bin"
     folder.mkdir()
     command = folder / "planish"
-    command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m planish.cli "$@"\n', encoding="utf-8", newline="\n")
+    command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m planish "$@"\n', encoding="utf-8", newline="\n")
     command.chmod(0o755)
     env = os.environ | {"PATH": f"{folder}{os.pathsep}{os.environ['PATH']}", "HOME": str(home)}
     return subprocess.run([found, *arguments], env=env, capture_output=True, text=True, check=True, timeout=60).stdout

@@ -116,7 +116,7 @@ def test_no_line_ends_between_a_number_and_its_unit(width):
 # --- letters ---------------------------------------------------------------------------------------------------------
 def run(*arguments: str, cwd: Path, **environment: str) -> tuple[int, bytes, bytes]:
     found = subprocess.run(
-        [sys.executable, "-m", "planish.cli", *arguments], cwd=cwd, capture_output=True, check=False,
+        [sys.executable, "-m", "planish", *arguments], cwd=cwd, capture_output=True, check=False,
         env=os.environ | environment,
     )  # fmt: skip
     return found.returncode, found.stdout, found.stderr
