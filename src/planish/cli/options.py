@@ -126,6 +126,10 @@ def _is_params(field_type: Any) -> bool:
     return isinstance(field_type, type) and issubclass(field_type, Params)
 
 
+def _none_if_empty(_context: Any, _option: Any, values: tuple[str, ...]) -> tuple[str, ...] | None:
+    return values or None  # not given is other than an empty choice
+
+
 def _option(name: str, field: FieldInfo, option_display: Shown, group: str) -> Command:
     types = kinds_of(field.annotation)
     settings: dict[str, Any] = {"help": field.description, "group": group, "required": field.is_required()}
@@ -138,8 +142,7 @@ def _option(name: str, field: FieldInfo, option_display: Shown, group: str) -> C
         texts = (f"{value:.7g}" if isinstance(value, float) else str(value) for value in values)
         settings["help"] += f"  [default: {','.join(texts)}]"
     if types == [tuple[str, ...]]:
-        settings["callback"] = lambda _context, _option, words: words or None  # not given is other than none
-        return option(multiple=True, metavar=option_display.metavar, **settings)
+        return option(multiple=True, metavar=option_display.metavar, callback=_none_if_empty, **settings)
     if len(types) == 1 and get_origin(types[0]) is Literal:
         return option(type=click.Choice([str(word) for word in get_args(types[0])]), **settings)
     metavar = (unit_of(name) or "").upper() or None if types == [float] else None
