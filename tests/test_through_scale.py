@@ -196,7 +196,7 @@ def test_thickness_tells_a_spacing_from_a_stretch():
     seen = sheet(0.5, slope=0.8, grain=0.05)
     found, _ = checked(seen, slope=0.8)
     slope = through_scale.scale_from_thickness(seen)
-    doubtful = type(found)(**{k: getattr(found, k) for k in found.__slots__} | {"over_stretch": 0.0})
+    doubtful = found.model_copy(update={"over_stretch": 0.0})
     check = through_scale.judge_marks(BY_MARKS, RegisteredSheet(measured=seen, flat=None, fit=None), doubtful, slope)
     assert check.state == "fail"
     assert "Thickness against slope asks for the same" in check.sentence

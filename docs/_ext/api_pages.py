@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import inspect
+import re
 import textwrap
 from importlib import import_module
+from types import FunctionType
 from typing import Any
 
 from public_names import about_constant, objects, sources
@@ -50,6 +52,7 @@ def words_of_type(annotation: Any) -> str:
     text = inspect.formatannotation(annotation)
     for prefix in ("typing.", "collections.abc.", "pathlib."):
         text = text.replace(prefix, "")
+    text = re.sub(r"numpy\.ndarray\[tuple\[Any, \.\.\.\], numpy\.dtype\[numpy\.(\w+)\]\]", r"ndarray of \1", text)
     return text.removesuffix(" | None")
 
 
@@ -75,9 +78,13 @@ def _entry(package: str, name: str, found: Any) -> str:
         about = textwrap.indent(about_constant(sources(package)[name], name), "   ")
         directive = f".. py:data:: {full}\n\n{about}"
     elif inspect.isclass(found):
-        plain = issubclass(found, (BaseModel, BaseException))
-        members = not plain and any(not member.startswith("_") for member in vars(found))
-        directive = f".. autoclass:: {full}" + ("\n   :members:" if members else "")
+        own = {k: v for k, v in vars(found).items() if not k.startswith("_")}
+        directive = f".. autoclass:: {full}"
+        if issubclass(found, BaseModel):  # whose fields stand in the table
+            methods = [k for k, v in own.items() if isinstance(v, (FunctionType, property)) and v.__doc__]
+            directive += f"\n   :members: {', '.join(methods)}" if methods else ""
+        elif own and not issubclass(found, BaseException):
+            directive += "\n   :members:"
     else:
         directive = f".. autofunction:: {full}"
     text = f"## {name}\n\n```{{eval-rst}}\n{directive}\n```"

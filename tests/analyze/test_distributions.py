@@ -1,4 +1,4 @@
-"""The small set of quantiles and tails against scipy's distributions."""
+"""The small set of tails and ranks against scipy's distributions."""
 
 import numpy as np
 import pytest
@@ -9,12 +9,15 @@ from planish.analyze import distributions
 
 @pytest.mark.parametrize("share", [1e-6, 0.01, 0.5, 0.975, 1 - 1e-9])
 @pytest.mark.parametrize("free", [2.5, 8, 57.3, 1e5])
-def test_quantiles_and_tails_are_those_of_the_distributions(share, free):
-    assert distributions.normal_quantile(share) == pytest.approx(stats.norm.ppf(share), rel=1e-12)
-    assert distributions.student_quantile(share, free) == pytest.approx(stats.t.ppf(share, free), rel=1e-9, abs=1e-12)
+def test_tails_are_those_of_the_distributions(share, free):
     value = stats.norm.ppf(share)
     assert distributions.normal_tail(value) == pytest.approx(stats.norm.sf(value), rel=1e-12)
     assert distributions.student_tail(value, free) == pytest.approx(stats.t.sf(value, free), rel=1e-9)
+
+
+@pytest.mark.parametrize("free", [2.5, 8, 57.3, 1e5])
+def test_t_95_is_the_quantile_of_students_distribution(free):
+    assert distributions.t_95(free) == pytest.approx(stats.t.ppf(0.975, free), rel=1e-9)
 
 
 def test_equal_values_share_their_mean_rank():

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -131,23 +130,15 @@ def bland_altman(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pix
     return Agreement(**estimates, sd=sd, limits=(bias - LIMIT * sd, bias + LIMIT * sd), n_eff=n_eff, n_eff_sd=n_eff_sd)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Deming:
-    """Line through two measured quantities that both have errors: ``y = slope x + intercept``.
+class Deming(ResultModel):
+    """Line through two measured quantities that both have errors: ``y = slope x + intercept``."""
 
-    Attributes
-    ----------
-    slope, intercept : float
-    interval : (float, float)
-        In which the slope lies with 95 %; (NaN, NaN) where n_eff is below 10 or any direction fits.
-    error_ratio : float
-        Variance of the errors of y over that of x, as given.
-    """
-
-    slope: float
-    intercept: float
-    interval: Pair
-    error_ratio: float
+    slope: float = Field(description="Of the line.")
+    intercept: float = Field(description="Of the line.")
+    interval: Pair = Field(
+        description="In which the slope lies with 95 %; (NaN, NaN) where n_eff is below 10 or any direction fits."
+    )
+    error_ratio: float = Field(description="Variance of the errors of y over that of x, as given.")
 
 
 def deming(x: Array, y: Array, *, error_ratio: float | None, n_eff: float | None) -> Deming:
@@ -269,38 +260,24 @@ def say_twice(agreement: Twice, evidence: EvidenceFacts, _: PairWords) -> Iterat
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Instruments:
-    """Measurements a and b of one quantity on one field.
+class Instruments(ResultModel):
+    """Measurements a and b of one quantity on one field."""
 
-    Attributes
-    ----------
-    point_um : float
-        Edge of the points that bias, limits and lines are of.
-    agreement : Agreement
-        Bias, limits of agreement and both lines of least squares, with intervals; b less a.
-    correlation : Correlation
-        Of both, over the same points.
-    rings : RingCorrelation or None
-        Of waves, at the pixel; None where ``notes`` says why.
-    shared_um : float or None
-        Both show the same in waves of this length and longer; None where the rings do not tell (``rings.sentence``).
-    line : Deming or None
-        Between two measurements that both have errors; None without ``error_ratio``, or where ``notes`` says why.
-    difference : ndarray, shape (rows, cols)
-        b less a at every pixel, NaN where one is missing.
-    notes : tuple of str
-        What could not be told, and why.
-    """
-
-    point_um: float
-    agreement: Agreement
-    correlation: Correlation
-    rings: RingCorrelation | None
-    shared_um: float | None
-    line: Deming | None
-    difference: Floats
-    notes: tuple[str, ...] = ()
+    point_um: float = Field(description="Edge of the points that bias, limits and lines are of.")
+    agreement: Agreement = Field(
+        description="Bias, limits of agreement and both lines of least squares, with intervals; b less a."
+    )
+    correlation: Correlation = Field(description="Of both, over the same points.")
+    rings: RingCorrelation | None = Field(description="Of waves, at the pixel; None where `notes` says why.")
+    shared_um: float | None = Field(
+        description="Both show the same in waves of this length and longer; None where the rings do not tell."
+    )
+    line: Deming | None = Field(
+        description="Between two measurements that both have errors; None without `error_ratio`, or where `notes` says "
+        "why."
+    )
+    difference: Floats = Field(description="b less a at every pixel, (rows, cols); NaN where one is missing.")
+    notes: tuple[str, ...] = Field(default=(), description="What could not be told, and why.")
 
 
 def compare_instruments(

@@ -11,7 +11,7 @@ from pydantic import Field
 from scipy import optimize, special
 
 from planish.analyze.differences import holm
-from planish.analyze.distributions import student_quantile, student_tail, t_95
+from planish.analyze.distributions import student_tail, t_95
 from planish.analyze.sheets import Fields, all_alike, spread_of, too_few
 from planish.core.errors import InputError
 from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, optional
@@ -178,7 +178,7 @@ def equivalence(shift: SheetDifference, *, margin: float) -> Equivalence:
         raise InputError(f"The margin is {margin}. Give the largest difference that does not matter, above 0.")
     if shift.reason:
         return Equivalence(margin=margin, verdict="unknown")
-    width = student_quantile(0.95, shift.free) * shift.standard_error
+    width = float(special.stdtrit(shift.free, 0.95)) * shift.standard_error
     low, high = shift.difference - width, shift.difference + width
     p = max(student_tail((margin + s * shift.difference) / shift.standard_error, shift.free) for s in (-1, 1))
     inside, beyond = -margin < low and high < margin, low > margin or high < -margin

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pydantic import Field
 from scipy import fft
 
 from planish.analyze.correlation import check_varying, valid_pixels
@@ -15,6 +15,7 @@ from planish.analyze.covariance import Lags, covariance_of
 from planish.analyze.split_half import reliability_of, say_reliability
 from planish.core.bands import thinned
 from planish.core.errors import InputError
+from planish.core.facts import ResultModel
 from planish.core.typing import Array, Bools, Floats, Pixel
 
 if TYPE_CHECKING:
@@ -24,23 +25,12 @@ if TYPE_CHECKING:
 _QUANTILES = 16  # of the errors of a map
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Ceiling:
-    """Largest r that could be seen.
+class Ceiling(ResultModel):
+    """Largest r that could be seen."""
 
-    Attributes
-    ----------
-    r : float
-        Product of what follows.
-    position : float
-        What misplacement leaves.
-    noise : float
-        What the noise of the map leaves; 1 where it is not known.
-    """
-
-    r: float
-    position: float
-    noise: float = 1.0
+    r: float = Field(description="Product of what follows.")
+    position: float = Field(description="What misplacement leaves.")
+    noise: float = Field(default=1.0, description="What the noise of the map leaves; 1 where it is not known.")
 
     @property
     def sentence(self) -> str:

@@ -134,8 +134,8 @@ class _Variant(NamedTuple):
         """Bring a field of the sheet to some pixels of the image, where it is ``linked_map`` of the run."""
         if self.mesh is None:
             return linked_map
-        mesh_part = self.mesh.under(grid_part)
-        return resample(sheet_map[mesh_part.nodes], mesh_part.places)
+        nodes, places = self.mesh.under(grid_part)
+        return resample(sheet_map[nodes], places)
 
 
 def comparison_rows(

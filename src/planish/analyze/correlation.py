@@ -12,10 +12,11 @@ from typing import Any, Self
 import numpy as np
 import xarray as xr
 from pydantic import Field
+from scipy import special
 
 from planish.analyze.covariance import Lags, PairCovariances
 from planish.analyze.detrend import shared_trend
-from planish.analyze.distributions import normal_quantile, ranks, student_tail, t_95
+from planish.analyze.distributions import ranks, student_tail, t_95
 from planish.core.area import AreaMeans
 from planish.core.arrays import step_um
 from planish.core.bands import Rows, read_bands
@@ -385,7 +386,7 @@ def _certainty(
             f"The maps do not vary alike everywhere, which makes the interval {error_ratio:.1f} times as wide. Look at "
             "them, and mask what does not belong."
         )
-    variance_of_z, quantile = error_ratio**2 * pair.variance_of_z(r, sums.variances), normal_quantile(0.975)
+    variance_of_z, quantile = error_ratio**2 * pair.variance_of_z(r, sums.variances), float(special.ndtri(0.975))
     width = quantile / math.sqrt(n_eff - 3)
     if 0 < variance_of_z < 1 / 3:  # the quantile needs degrees of freedom above 1
         width = max(width, t_95(1 / variance_of_z - 2) * math.sqrt(variance_of_z))

@@ -90,39 +90,20 @@ class EvidenceFacts(ResultModel):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ComparedMaps:
-    """The maps that stand for two layers, on one mask, and what a run knows of them.
+    """The maps that stand for two layers, on one mask, and what a run knows of them."""
 
-    Attributes
-    ----------
-    a, b : (str, str)
-        Layer and map.
-    units : (str, str)
-    x, y : ndarray, shape (rows, cols)
-        Both maps, averaged to at most 65 536 cells; NaN where one of them is missing.
-    lags : Lags
-        Of the cells that count, ``lags.is_valid``.
-    params : CorrelateParams
-    layers : (Dataset, Dataset)
-        All maps of both layers, on the pixels of ``grid``.
-    columns : mapping of str to SheetColumns
-        Those of each sheet.
-    md_deg : float or None
-        Machine direction on the reference.
-    repeated_points : [ndarray, ndarray] or None
-        Means over the larger points, straight from the pixels, where both are sheets and the maps of one quantity.
-    """
-
-    a: tuple[str, str]
+    a: tuple[str, str]  # layer and map
     b: tuple[str, str]
     units: tuple[str, str]
-    x: Floats
+    x: Floats  # both maps (rows, cols), averaged to at most 65 536 cells; NaN where one of them is missing
     y: Floats
-    lags: Lags
+    lags: Lags  # of the cells that count, ``lags.is_valid``
     params: CorrelateParams
-    layers: tuple[xr.Dataset, xr.Dataset]
+    layers: tuple[xr.Dataset, xr.Dataset]  # all maps of both, on the pixels of ``grid``
     grid: Grid
-    columns: Mapping[str, SheetColumns] = field(default_factory=dict[str, SheetColumns])
-    md_deg: float | None = None
+    columns: Mapping[str, SheetColumns] = field(default_factory=dict[str, SheetColumns])  # those of each sheet
+    md_deg: float | None = None  # machine direction on the reference
+    # Means over the larger points, straight from the pixels, where both are sheets and the maps of one quantity.
     repeated_points: list[Floats] | None = None
 
     @property

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import ConfigDict, Field
+from pydantic import Field
 from scipy import fft, ndimage, optimize, special
 
 from planish.analyze.correlation import LEAST_CLAIMED, check_varying, on_one_grid
@@ -56,8 +56,6 @@ class CorrelogramProfiles(ResultModel):
 
 class Correlogram(CorrelogramProfiles):
     """Correlation of map a with map b, moved by each lag; shape (lags along y, lags along x)."""
-
-    model_config = ConfigDict(arbitrary_types_allowed=True)
 
     r: Floats = Field(exclude=True, description="Of the pairs a[p], b[p + lag]; NaN where few pairs are left.")
     lag_y_um: Floats = Field(exclude=True, description="Lags of its rows.")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,23 +26,15 @@ if TYPE_CHECKING:
     from planish.analyze.correlation_evidence import ComparedMaps, EvidenceFacts, PairWords
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class IndependentPoints:
-    """Independent points of y over x; NaN where the maps do not tell.
+class IndependentPoints(ResultModel):
+    """Independent points of y over x; NaN where the maps do not tell."""
 
-    Attributes
-    ----------
-    n_eff : float
-        Of the slope: Dutilleul's number for x and what the straight line leaves of y.
-    n_eff_square : float
-        Of the bend: the same for ``(x - mean)^2``, which varies faster than x.
-    n_eff_level : float
-        Of the mean of y at the mean of x: only what the line leaves counts, so there are fewer than of the slope.
-    """
-
-    n_eff: float
-    n_eff_square: float
-    n_eff_level: float
+    n_eff: float = Field(description="Of the slope: Dutilleul's number for x and what the straight line leaves of y.")
+    n_eff_square: float = Field(description="Of the bend: the same for `(x - mean)^2`, which varies faster than x.")
+    n_eff_level: float = Field(
+        description="Of the mean of y at the mean of x: only what the line leaves counts, so there are fewer than of "
+        "the slope."
+    )
 
 
 def independent_points(x: Array, y: Array, *, pixel_um: Pixel, mask: Bools | None = None) -> IndependentPoints:

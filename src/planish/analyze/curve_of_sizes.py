@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy import special
 
 from planish.analyze.correlation import Correlation, PointsCorrelation, correlate, valid_pixels
-from planish.analyze.distributions import normal_quantile
 from planish.core.area import AreaMeans
 from planish.core.errors import SizeError
 from planish.core.facts import Interval, optional
@@ -98,7 +98,7 @@ def _wider(tile_sums: list[Floats]) -> float:
     power, vectors = np.linalg.eigh(np.nan_to_num(np.corrcoef(np.stack([p[:n_tiles] for p in tile_sums]))))
     drawn = np.random.default_rng(20090502).normal(size=(20_000, len(tile_sums)))
     drawn = drawn @ (vectors * np.sqrt(np.maximum(power, 0.0))).T
-    return float(np.quantile(np.abs(drawn).max(axis=1), 0.95) / normal_quantile(0.975))
+    return float(np.quantile(np.abs(drawn).max(axis=1), 0.95) / special.ndtri(0.975))
 
 
 def answer_sizes(pair: ComparedMaps) -> dict[str, Any]:

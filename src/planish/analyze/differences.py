@@ -4,34 +4,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
+from pydantic import Field
 
 from planish.analyze.correlation import LEAST_CLAIMED, Correlation, on_one_grid, pearson
 from planish.analyze.covariance import Lags, variance_of_products
 from planish.analyze.distributions import t_95
 from planish.core.errors import InputError
+from planish.core.facts import ResultModel
 from planish.core.typing import Array, Bools, Pair, Pixel
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Difference:
-    """Difference of two correlations, the second minus the first.
+class Difference(ResultModel):
+    """Difference of two correlations, the second minus the first."""
 
-    Attributes
-    ----------
-    r : (float, float)
-        The two that are compared.
-    difference : float
-        Of r.
-    interval : (float, float)
-        In which it lies with 95 %; (NaN, NaN) where fewer than 10 independent points say nothing.
-    """
-
-    r: Pair
-    difference: float
-    interval: Pair = (math.nan, math.nan)
+    r: Pair = Field(description="The two that are compared.")
+    difference: float = Field(description="Of r.")
+    interval: Pair = Field(
+        default=(math.nan, math.nan),
+        description="In which it lies with 95 %; (NaN, NaN) where fewer than 10 independent points say nothing.",
+    )
 
     @property
     def distinguishable(self) -> bool | None:
@@ -85,7 +78,7 @@ def paired_difference(
     lags = Lags(is_valid, pixel)
     products = lags.own_products(scores[1] - scores[0])
     if not products[0, 0] > 0:  # the same pair twice
-        return replace(without_interval, interval=(r[1] - r[0], r[1] - r[0]))
+        return without_interval.model_copy(update={"interval": (r[1] - r[0], r[1] - r[0])})
     covariance = lags.covariance(products, lags.until_zero(products))
     product_terms: list[tuple[int, int, float]] = []
     for sign, pair_r, (a, b) in ((-1.0, r[0], (0, 1)), (1.0, r[1], (2, 3))):

@@ -11,24 +11,14 @@ from scipy import optimize, special
 from planish.core.typing import Floats
 
 
-def normal_quantile(share: float) -> float:
-    """The value below which a share of the standard normal distribution lies."""
-    return float(special.ndtri(share))
-
-
 def normal_tail(value: float) -> float:
     """The share of the standard normal distribution above a value."""
     return float(special.ndtr(-value))
 
 
-def student_quantile(share: float, df: float) -> float:
-    """The value below which a share of Student's distribution with ``df`` degrees of freedom lies."""
-    return float(special.stdtrit(df, share))
-
-
 def t_95(df: float) -> float:
     """Standard errors within which 95 % of Student's distribution with ``df`` degrees of freedom lie."""
-    return student_quantile(0.975, df)
+    return float(special.stdtrit(df, 0.975))
 
 
 def student_tail(value: float, df: float) -> float:

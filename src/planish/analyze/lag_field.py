@@ -2,41 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+from pydantic import Field
 
 from planish.analyze.ncc import MARGIN, MaskedNcc, covariance_of, find_peak, within
 from planish.core.errors import SizeError
+from planish.core.facts import ResultModel
 from planish.core.typing import Bools, Floats, Pair
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LagField:
-    """Lags of tiles, one row each; tiles of which less than half is known are left out.
+class LagField(ResultModel):
+    """Lags of tiles, one row each; tiles of which less than half is known are left out."""
 
-    Attributes
-    ----------
-    at_um : ndarray, shape (n, 2)
-        Middle of the tiles, ``(x, y)`` from the middle of the first pixel.
-    lag_um : ndarray, shape (n, 2)
-        ``(x, y)``; NaN where the peak is not distinct.
-    covariance_um2 : ndarray, shape (n, 2, 2)
-    r : ndarray, shape (n,)
-        Correlation at the peak of each tile, a searched one.
-    distinct : ndarray of bool, shape (n,)
-        Whether the peak is a summit above what 99 % of tiles of unrelated maps reach.
-    tile_um : float
-        Side of a tile.
-    """
-
-    at_um: Floats
-    lag_um: Floats
-    covariance_um2: Floats
-    r: Floats
-    distinct: Bools
-    tile_um: float
+    at_um: Floats = Field(description="Middle of the tiles, (n, 2): `(x, y)` from the middle of the first pixel.")
+    lag_um: Floats = Field(description="(n, 2): `(x, y)`; NaN where the peak is not distinct.")
+    covariance_um2: Floats = Field(description="Of the lags, (n, 2, 2).")
+    r: Floats = Field(description="Correlation at the peak of each tile, a searched one.")
+    distinct: Bools = Field(
+        description="Whether the peak is a summit above what 99 % of tiles of unrelated maps reach."
+    )
+    tile_um: float = Field(description="Side of a tile.")
 
     def linear(self) -> tuple[Floats, Floats, Floats] | None:
         """Lag at the middle of the map and its change with place, and the standard errors of the latter.

@@ -3,49 +3,33 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from pydantic import Field
 from scipy import fft
 
 from planish.analyze.between_sheets import check_power, power_of_shift, welch_free
 from planish.analyze.correlation import LEAST_CLAIMED
 from planish.analyze.sheets import LEAST_SHEETS
 from planish.core.errors import InputError, SizeError
+from planish.core.facts import ResultModel
 from planish.core.typing import Floats, Pair, Pixel
 
 _PARTS = 8  # of the edge of a point, over which its mean is taken
 _MOST_POINTS = 2_000_000
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StudyDesign:
-    """What a study of so many sheets and fields can see.
+class StudyDesign(ResultModel):
+    """What a study of so many sheets and fields can see."""
 
-    Attributes
-    ----------
-    sheets, fields : int
-        Sheets, of each paper where two are compared, and fields of each sheet.
-    n_eff : float
-        Independent points of a field.
-    r2 : (float, float)
-        The two that are to be told apart.
-    paired : bool
-        Whether both are of the same sheets.
-    standard_error : float
-        Of the difference of r.
-    power : float
-        How often such a study distinguishes them at 5 %.
-    """
-
-    sheets: int
-    fields: int
-    n_eff: float
-    r2: Pair
-    paired: bool
-    standard_error: float
-    power: float
+    sheets: int = Field(description="Of each paper where two are compared.")
+    fields: int = Field(description="Of each sheet.")
+    n_eff: float = Field(description="Independent points of a field.")
+    r2: Pair = Field(description="The two that are to be told apart.")
+    paired: bool = Field(description="Whether both are of the same sheets.")
+    standard_error: float = Field(description="Of the difference of r.")
+    power: float = Field(description="How often such a study distinguishes them at 5 %.")
 
 
 def power_of_study(

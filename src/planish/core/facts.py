@@ -77,7 +77,9 @@ Trust = Literal["ok", "doubtful", "withheld"]  # what the checks leave of a figu
 class ResultModel(BaseModel):
     """A frozen part of the results."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, protected_namespaces=(), validate_default=True)
+    model_config = ConfigDict(
+        arbitrary_types_allowed=True, extra="forbid", frozen=True, protected_namespaces=(), validate_default=True
+    )
 
     @classmethod
     def holding(cls, *models: ResultModel, **fields: Any) -> Self:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
 from typing import Any
 
+from pydantic import Field
+
+from planish.core.facts import ResultModel, optional
 from planish.core.frame import Axis
 from planish.core.options import Params, option
 
@@ -39,117 +41,59 @@ class CorrectParams(Params):
         return tuple(name for name in ("rings", "cupping") if getattr(self, name))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RingArtefact:
-    """One ring that was found.
+class RingArtefact(ResultModel):
+    """One ring that was found."""
 
-    Attributes
-    ----------
-    radius_um, width_um : float
-        Of the crest, and its full width at half height.
-    height : float
-        In grey; negative where the ring is darker.
-    share, share_se : float
-        The same as a share of the sheet's contrast to air, and its standard error.
-    share_after : float
-        What is left at this radius after the correction.
-    least, most : float
-        Factor on the height along the axis; 1 and 1 where it does not vary beyond its noise.
-    """
-
-    radius_um: float
-    width_um: float
-    height: float
-    share: float
-    share_se: float
-    share_after: float = float("nan")
-    least: float = 1.0
-    most: float = 1.0
+    radius_um: float = Field(description="Of the crest.")
+    width_um: float = Field(description="Full width at half height.")
+    height: float = Field(description="In grey; negative where the ring is darker.")
+    share: float = Field(description="The height as a share of the sheet's contrast to air.")
+    share_se: float = Field(description="Standard error of the share.")
+    share_after: float = Field(default=float("nan"), description="What is left at this radius after the correction.")
+    least: float = Field(
+        default=1.0, description="Least factor on the height along the axis; 1 where it does not vary beyond its noise."
+    )
+    most: float = Field(default=1.0, description="Largest such factor.")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Trend:
-    """Loss of grey in the middle against the edge of the sheet, from one material.
+class Trend(ResultModel):
+    """Loss of grey in the middle against the edge of the sheet, from one material."""
 
-    Attributes
-    ----------
-    material : str
-        ``base`` or ``coating``.
-    before, after : float
-        In per cent of the material's grey above air; positive where the middle is fainter.
-    se : float
-        Standard error of one of them.
-    """
-
-    material: str
-    before: float
-    se: float
-    after: float | None = None
+    material: str = Field(description="``base`` or ``coating``.")
+    before: float = Field(
+        description="In per cent of the material's grey above air; positive where the middle is fainter."
+    )
+    se: float = Field(description="Standard error of one of them.")
+    after: float | None = optional("The same after the correction.")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Cupping:
-    """The cupping that was corrected.
+class Cupping(ResultModel):
+    """The cupping that was corrected."""
 
-    Attributes
-    ----------
-    percent, se : float
-        Loss in the middle against the sheet's largest radius.
-    powers : tuple of float
-        One factor, on (radius / reach)², relative to the middle.
-    reach_um : float
-        Largest radius at which there is sheet; beyond it the factor stays.
-    """
-
-    percent: float
-    se: float
-    powers: tuple[float, ...]
-    reach_um: float
+    percent: float = Field(description="Loss in the middle against the sheet's largest radius.")
+    se: float = Field(description="Standard error of that.")
+    powers: tuple[float, ...] = Field(description="One factor, on (radius / reach)², relative to the middle.")
+    reach_um: float = Field(description="Largest radius at which there is sheet; beyond it the factor stays.")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CorrectionRecord:
-    """What was found, and what was changed.
+class CorrectionRecord(ResultModel):
+    """What was found, and what was changed."""
 
-    Attributes
-    ----------
-    axis : {"z", "y", "x"}
-        Axis of rotation.
-    centre_um : (float, float)
-        Where it stands along the two other axes, in array order.
-    asked : tuple of str
-        ``rings``, ``cupping``.
-    air, sheet : float or None
-        Greys; None where no sheet stands out.
-    rings : tuple of RingArtefact
-        Those that were corrected.
-    ring_limit : float or None
-        Median over the radii of the height that would have been found, as a share of the contrast.
-    cupping : Cupping or None
-        None where nothing was corrected.
-    trends : tuple of Trend
-        Of each material against the radius, before and after.
-    clipped : float
-        Share of voxels that left the range of their type.
-    slices, length : int
-        Slices looked at, of so many.
-    sentences : tuple of str
-        What was done or not done, and why.
-    """
-
-    axis: Axis
-    centre_um: tuple[float, float]
-    asked: tuple[str, ...]
-    air: float | None = None
-    sheet: float | None = None
-    rings: tuple[RingArtefact, ...] = ()
-    ring_limit: float | None = None
-    cupping: Cupping | None = None
-    trends: tuple[Trend, ...] = ()
-    clipped: float = 0.0
-    slices: int = 0
-    length: int = 0
-    sentences: tuple[str, ...] = ()
+    axis: Axis = Field(description="Axis of rotation.")
+    centre_um: tuple[float, float] = Field(description="Where it stands along the two other axes, in array order.")
+    asked: tuple[str, ...] = Field(description="``rings``, ``cupping``.")
+    air: float | None = optional("Grey of the air; None where no sheet stands out.")
+    sheet: float | None = optional("Grey of the sheet; None where none stands out.")
+    rings: tuple[RingArtefact, ...] = Field(default=(), description="Those that were corrected.")
+    ring_limit: float | None = optional(
+        "Median over the radii of the height that would have been found, as a share of the contrast."
+    )
+    cupping: Cupping | None = optional("None where nothing was corrected.")
+    trends: tuple[Trend, ...] = Field(default=(), description="Of each material against the radius, before and after.")
+    clipped: float = Field(default=0.0, description="Share of voxels that left the range of their type.")
+    slices: int = Field(default=0, description="Slices looked at.")
+    length: int = Field(default=0, description="Slices there are.")
+    sentences: tuple[str, ...] = Field(default=(), description="What was done or not done, and why.")
 
     @property
     def changes(self) -> bool:
@@ -158,7 +102,7 @@ class CorrectionRecord:
 
     def to_json(self) -> dict[str, Any]:
         """Return it as plain lists, numbers and text; numbers have six digits, None where one is not known."""
-        return _plain(asdict(self))
+        return _plain(self.model_dump())
 
 
 def _plain(value: Any) -> Any:

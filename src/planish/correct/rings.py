@@ -5,7 +5,6 @@ A ring shows alike in every part of the turn, along the axis and in every materi
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -115,7 +114,7 @@ def remaining_rings(before: RingFit, after: RingFit) -> tuple[RingArtefact, ...]
         is_ring = (shape != 0) & np.isfinite(after.profile)
         norm = float(np.sum(shape[is_ring] ** 2))
         factor = float(np.sum(shape[is_ring] * after.profile[is_ring])) / norm if norm else float("nan")
-        remaining.append(replace(ring, share_after=ring.share * factor))
+        remaining.append(ring.model_copy(update={"share_after": ring.share * factor}))
     return tuple(remaining)
 
 

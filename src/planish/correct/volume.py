@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -153,9 +153,10 @@ def correct_volume(
     # A first look at some slices.
     levels = find_levels([values for _, values in slices(max_slices=24)], np.hypot(*turning.offsets_um(rows, cols)))
     if levels is None:
-        record = replace(record, sentences=("No sheet stands out from the air: nothing was corrected.",))
+        sentences = ("No sheet stands out from the air: nothing was corrected.",)
+        record = record.model_copy(update={"sentences": sentences})
         return Corrected(volume=_with_record(volume, record), record=record, turning=turning)
-    record = replace(record, air=levels.air, sheet=levels.sheet)
+    record = record.model_copy(update={"air": levels.air, "sheet": levels.sheet})
 
     def sums(slices: Iterator[tuple[int, Slice]], task_text: str) -> Sums:
         if progress is not None:
@@ -165,7 +166,8 @@ def correct_volume(
     before = sums(slices(), "rings and cupping")
     change, record = _find_change(before, turning, levels, record)
     if not record.changes:
-        record = replace(record, trends=tuple(replace(t, after=t.before) for t in record.trends))
+        trends = tuple(t.model_copy(update={"after": t.before}) for t in record.trends)
+        record = record.model_copy(update={"trends": trends})
         return Corrected(volume=_with_record(volume, record), record=record, turning=turning, before=before)
     clipped = [0, 0]
 
@@ -179,12 +181,12 @@ def correct_volume(
     after = sums(changed(), "what is left")
     rings_after = find_rings(after, turning, levels.contrast)
     losses_after = {t.material: t.before for t in find_cupping(after, turning, levels, rings_after.mean)[1]}
-    record = replace(
-        record,
-        rings=() if change.rings is None else remaining_rings(change.rings, rings_after),
-        trends=tuple(replace(t, after=losses_after.get(t.material)) for t in record.trends),
-        clipped=clipped[0] / clipped[1],
-    )
+    changes = {
+        "rings": () if change.rings is None else remaining_rings(change.rings, rings_after),
+        "trends": tuple(t.model_copy(update={"after": losses_after.get(t.material)}) for t in record.trends),
+        "clipped": clipped[0] / clipped[1],
+    }
+    record = record.model_copy(update=changes)
     corrected = _with_record(computed(volume, partial(_read_corrected, volume.variable, change)), record)
     return Corrected(volume=corrected, record=record, turning=turning, before=before, after=after, change=change)
 
@@ -201,7 +203,7 @@ def _find_change(
     ring_fit = find_rings(sums_before, turning, levels.contrast)
     cupping, trends, cupping_text = find_cupping(sums_before, turning, levels, ring_fit.mean)
     if "rings" in record.asked:
-        record = replace(record, rings=ring_fit.rings, ring_limit=ring_fit.limit)
+        record = record.model_copy(update={"rings": ring_fit.rings, "ring_limit": ring_fit.limit})
         limit_text = f"one of {100 * ring_fit.limit:.1f} % of the sheet's contrast would have been found"
         sentence = f"Rings: no rings above noise ({limit_text}), nothing was corrected."
         if ring_fit.rings:
@@ -212,7 +214,8 @@ def _find_change(
         sentences.append(cupping_text)
     else:
         cupping = None
-    record = replace(record, slices=sums_before.slices, cupping=cupping, trends=trends, sentences=tuple(sentences))
+    found = {"slices": sums_before.slices, "cupping": cupping, "trends": trends, "sentences": tuple(sentences)}
+    record = record.model_copy(update=found)
     change = Change(
         turning=turning,
         levels=levels,

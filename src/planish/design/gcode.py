@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
 from planish.core.errors import MarkError
+from planish.core.facts import ResultModel
 from planish.core.typing import Floats, Ints, Pair
 from planish.design.params import StageParams
 from planish.design.pattern import Pattern
@@ -158,29 +160,18 @@ _KNOWN = f"{', '.join(_COMMANDS)} with X, Y, F, P, S"
 _OFF = {"M3": "M5", "M64": "M65"}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DryRun:
-    """Shots, path and times of a program.
+class DryRun(ResultModel):
+    """Shots, path and times of a program."""
 
-    Attributes
-    ----------
-    fired_um : (n, 2)
-        Positions of the shots in the order in which they are fired.
-    pulse_s : (n,)
-        How long the laser is on at each.
-    path_um : (m, 2)
-        Corners of the path, from the first position the program names.
-    least_pause_s : float
-        Shortest time that the laser is off between two shots; NaN for a single shot.
-    time_s : float
-        Moves at the speed of the program and all waits; the stage's acceleration adds to it.
-    """
-
-    fired_um: Floats
-    pulse_s: Floats
-    path_um: Floats
-    least_pause_s: float
-    time_s: float
+    fired_um: Floats = Field(description="(n, 2): positions of the shots in the order in which they are fired.")
+    pulse_s: Floats = Field(description="(n,): how long the laser is on at each.")
+    path_um: Floats = Field(description="(m, 2): corners of the path, from the first position the program names.")
+    least_pause_s: float = Field(
+        description="Shortest time that the laser is off between two shots; NaN for a single shot."
+    )
+    time_s: float = Field(
+        description="Moves at the speed of the program and all waits; the stage's acceleration adds to it."
+    )
 
     @property
     def length_um(self) -> float:

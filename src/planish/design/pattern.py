@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat
 
 from planish.core.errors import MarkError
+from planish.core.facts import ResultModel
 from planish.core.tables import naming_faults, parse_table, read_text, table_text
 from planish.core.typing import Floats, Pair
 from planish.design.params import DesignParams, ImagingParams
@@ -41,27 +41,7 @@ class PatternHole(BaseModel):
 
 
 class Pattern(BaseModel):
-    """Holes in the order in which they lie around the field, counter-clockwise from the empty corner.
-
-    Attributes
-    ----------
-    field_um : (width, height)
-        Region whose maps are compared.
-    margin_um : (x, y)
-        From the field's edge to the centres of the holes.
-    border_um : float
-        From the centres to the end of the view.
-    origin_um : (x, y)
-        The view's lower left corner in stage coordinates; the stage program ends there.
-    spacing_um : float
-        Least distance of two holes that was asked for.
-    diameter_um, rim_um : float
-        Nominal diameter of a hole, and width of the burnt rim around it.
-    pulse_s, pause_s : float
-        Length of the laser's pulse, and the rest after it.
-    holes : tuple of PatternHole
-        Centres in stage coordinates.
-    """
+    """Holes in the order in which they lie around the field, counter-clockwise from the empty corner."""
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
@@ -70,17 +50,21 @@ class Pattern(BaseModel):
     name: str
     layout: Literal["coded", "line", "own"]
     axes: str = "stage, as the laser sees the sheet: x to the right, y up"
-    field_um: tuple[PositiveFloat, PositiveFloat]
-    margin_um: Pair
-    border_um: float
-    origin_um: Pair
-    spacing_um: float
-    diameter_um: PositiveFloat
-    rim_um: NonNegativeFloat
-    pulse_s: PositiveFloat
-    pause_s: NonNegativeFloat
+    field_um: tuple[PositiveFloat, PositiveFloat] = Field(
+        description="Region whose maps are compared, (width, height)."
+    )
+    margin_um: Pair = Field(description="From the field's edge to the centres of the holes, (x, y).")
+    border_um: float = Field(description="From the centres to the end of the view.")
+    origin_um: Pair = Field(
+        description="The view's lower left corner in stage coordinates, (x, y); the stage program ends there."
+    )
+    spacing_um: float = Field(description="Least distance of two holes that was asked for.")
+    diameter_um: PositiveFloat = Field(description="Nominal diameter of a hole.")
+    rim_um: NonNegativeFloat = Field(description="Width of the burnt rim around a hole.")
+    pulse_s: PositiveFloat = Field(description="Length of the laser's pulse.")
+    pause_s: NonNegativeFloat = Field(description="The rest after a pulse.")
     seed: int
-    holes: Annotated[tuple[PatternHole, ...], Field(min_length=3)] = ()
+    holes: tuple[PatternHole, ...] = Field(default=(), min_length=3, description="Centres in stage coordinates.")
 
     def with_holes(self, points_um: Floats, lines: Sequence[str]) -> Self:
         """Return the pattern with other holes, (n, 2) in stage coordinates, numbered from 1."""
@@ -254,25 +238,17 @@ def read_pattern(path: str | Path, *, field_um: Pair | None = None, diameter_um:
 P95 = float(np.sqrt(-np.log(0.05)))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Predicted:
+class Predicted(ResultModel):
     """Error that a pattern allows.
 
     At a distance r from the centroid of N holes with the rms radius f, for a similarity: ``TRE**2 = FLE**2 / N *
     (1 + r**2 / f**2)`` (J. M. Fitzpatrick, J. B. West, C. R. Maurer, IEEE Transactions on Medical Imaging 17 (1998)
     694-702, https://doi.org/10.1109/42.736021; with a free scale the second term of two dimensions doubles).
-
-    Attributes
-    ----------
-    fle_um : float
-        Error of one hole's position in one map against the other, rms in the plane.
-    holes_um, field_um : ndarray, (n, 2) and (5, 2)
-        Holes, and the middle and corners of the field, stage coordinates.
     """
 
-    fle_um: float
-    holes_um: Floats
-    field_um: Floats
+    fle_um: float = Field(description="Error of one hole's position in one map against the other, rms in the plane.")
+    holes_um: Floats = Field(description="(n, 2), stage coordinates.")
+    field_um: Floats = Field(description="Middle and corners of the field, (5, 2).")
 
     @property
     def radius_um(self) -> float:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from pydantic import Field
 from scipy import ndimage
@@ -28,56 +26,19 @@ class CurvatureVerdict(ResultModel):
     verdict: str = Field(description="The same in a sentence.")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CurvatureCheck:
-    """The strain by which a surface differs from one that paper can have.
+class CurvatureCheck(CurvatureVerdict):
+    """The strain by which a surface differs from one that paper can have, at each node (rows, cols)."""
 
-    Attributes
-    ----------
-    curvature : (rows, cols)
-        Gaussian curvature averaged over a patch about each node, 1/um2; NaN where less than half of the patch is known.
-    strain : (rows, cols)
-        In-plane strain by which a patch of that curvature has to be stretched and squeezed to be flat,
-        abs(curvature) patch_um^2 / 16.
-    patch_um : float
-        Half the side of the patch.
-    limit : float
-        Strain that paper carries.
-    share : float
-        Share of the surface, by area, on which ``strain`` is above the limit; NaN where no patch is known.
-    largest : float
-        Largest ``strain``.
-    """
-
-    curvature: Floats
-    strain: Floats
-    patch_um: float
-    limit: float
-    share: float
-    largest: float
-
-    @property
-    def verdict(self) -> str:
-        """One sentence: what was found and what it says about the surface."""
-        patch = f"a patch of {2 * self.patch_um / 1000:.3g} mm"
-        largest, limit = (f"{100 * max(k, 1e-4):.2g} %" for k in (self.largest, self.limit))
-        if np.isnan(self.share):
-            return f"The curvature cannot be judged: the surface is smaller than {patch}."
-        if self.share == 0:
-            return (
-                f"The surface can be a sheet of paper: to be flat, {patch} has to be strained by {largest} or less, "
-                f"and paper carries {limit}."
-            )
-        return (
-            f"On {100 * self.share:.3g} % of the surface {patch} would have to be strained by more than {limit}, by up "
-            f"to {largest}, to be flat, and paper does not carry that: look for slices that drift or jitter, and for "
-            "errors of the segmentation."
-        )
-
-    @property
-    def saved(self) -> CurvatureVerdict:
-        """What stands in the results of a run."""
-        return CurvatureVerdict(**{name: getattr(self, name) for name in CurvatureVerdict.model_fields})
+    curvature: Floats = Field(
+        exclude=True,
+        description="Gaussian curvature averaged over a patch about each node, 1/um2; NaN where less than half of the "
+        "patch is known.",
+    )
+    strain: Floats = Field(
+        exclude=True,
+        description="In-plane strain by which a patch of that curvature has to be stretched and squeezed to be flat, "
+        "abs(curvature) patch_um^2 / 16.",
+    )
 
 
 def curvature_check(points: Floats, *, patch_um: float = 1000.0) -> CurvatureCheck:
@@ -131,7 +92,26 @@ def curvature_check(points: Floats, *, patch_um: float = 1000.0) -> CurvatureChe
         share_above = float(area[strain > _LIMIT].sum() / area[has_strain].sum())
         largest = float(strain[has_strain].max())
     return CurvatureCheck(
-        curvature=curvature, strain=strain, patch_um=patch_um, limit=_LIMIT, share=share_above, largest=largest
+        curvature=curvature, strain=strain, patch_um=patch_um, limit=_LIMIT, share=share_above, largest=largest,
+        verdict=_verdict(patch_um, share_above, largest),
+    )  # fmt: skip
+
+
+def _verdict(patch_um: float, share_above: float, largest: float) -> str:
+    """Say what was found and what it says about the surface."""
+    patch = f"a patch of {2 * patch_um / 1000:.3g} mm"
+    strain, limit = (f"{100 * max(k, 1e-4):.2g} %" for k in (largest, _LIMIT))
+    if np.isnan(share_above):
+        return f"The curvature cannot be judged: the surface is smaller than {patch}."
+    if share_above == 0:
+        return (
+            f"The surface can be a sheet of paper: to be flat, {patch} has to be strained by {strain} or less, "
+            f"and paper carries {limit}."
+        )
+    return (
+        f"On {100 * share_above:.3g} % of the surface {patch} would have to be strained by more than {limit}, by up "
+        f"to {strain}, to be flat, and paper does not carry that: look for slices that drift or jitter, and for "
+        "errors of the segmentation."
     )
 
 

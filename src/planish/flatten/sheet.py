@@ -140,7 +140,7 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
         springs=relaxed.springs,
         straight_share=relaxed.straight_share,
         distortion=distortion,
-        curvature=curvature.saved,
+        curvature=CurvatureVerdict.holding(curvature),
         largest_move_um=float(np.nanmax(moves)),
     )
     return Flattened(flat=flat, strain=strain.assign(_progress(relaxed)), quality=quality)

@@ -23,24 +23,12 @@ Kernel = Callable[[Floats], Floats]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bent(NearSimilarity):
-    """``(1, p') @ affine + sum_i U(|p' - node_i|) bend_i`` with ``p' = (p - source) / size``, for one or more ``U``.
+    """``(1, p') @ affine + sum_i U(|p' - node_i|) bend_i`` with ``p' = (p - source) / size``, for one or more ``U``."""
 
-    Attributes
-    ----------
-    source : (float, float), in um
-        Middle of the marks.
-    size : float, in um
-        Their rms distance from it.
-    nodes : ndarray, shape (n, 2)
-        Places of the marks, scaled.
-    affine : ndarray, shape (3, 2), in um
-        Constant and linear part.
-    """
-
-    source: Pair
-    size: float
-    nodes: Floats
-    affine: Floats
+    source: Pair  # middle of the marks, in um
+    size: float  # their rms distance from it, in um
+    nodes: Floats  # places of the marks (n, 2), scaled
+    affine: Floats  # constant and linear part (3, 2), in um
     # True where the local changes end beside the marks, so that the inverse has a meaning far from them.
     everywhere: ClassVar[bool]
 

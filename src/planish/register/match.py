@@ -9,12 +9,13 @@ sides which share few marks can be matched, and a symmetry that one side alone s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
 from planish.core.errors import CannotRegister, MarkError
+from planish.core.facts import ResultModel, optional
 from planish.core.transform import Similarity
 from planish.core.typing import Floats, Ints
 from planish.register.match_choose import BestMatch, choose, self_likeness
@@ -33,36 +34,23 @@ _WRONG_SIDE = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Matched:
-    """Marks that belong together.
+class Matched(ResultModel):
+    """Marks that belong together."""
 
-    Attributes
-    ----------
-    pairs : ndarray of int, shape (k, 2)
-        Row in ``moving``, row in ``fixed``; sorted by the first.
-    transform : Similarity
-        Least-squares fit through the pairs, moving to fixed; through the design where it identified fewer than four
-        holes on both sides.
-    mirrored : bool
-        Whether the moving side had to be turned over.
-    second_best : int
-        Marks of the second-best match.
-    sentence : str
-        Counts, rotation, scale and residual.
-    labels : tuple of str
-        Of the rows of ``pairs``: names of the holes in the design, or ``hole 1``, ``hole 2`` ...
-    design : str or None
-        The design in a sentence, and whether it had to be turned over to match the fixed side.
-    """
-
-    pairs: Ints
-    transform: Similarity
-    mirrored: bool
-    second_best: int
-    sentence: str
-    labels: tuple[str, ...]
-    design: str | None = None
+    pairs: Ints = Field(description="(k, 2): row in `moving`, row in `fixed`; sorted by the first.")
+    transform: Similarity = Field(
+        description="Least-squares fit through the pairs, moving to fixed; through the design where it identified "
+        "fewer than four holes on both sides."
+    )
+    mirrored: bool = Field(description="Whether the moving side had to be turned over.")
+    second_best: int = Field(description="Marks of the second-best match.")
+    sentence: str = Field(description="Counts, rotation, scale and residual.")
+    labels: tuple[str, ...] = Field(
+        description="Of the rows of `pairs`: names of the holes in the design, or `hole 1`, `hole 2` ..."
+    )
+    design: str | None = optional(
+        "The design in a sentence, and whether it had to be turned over to match the fixed side."
+    )
 
 
 def match_marks(

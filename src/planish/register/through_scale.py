@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy import special
 from scipy.interpolate import make_interp_spline
 from scipy.linalg import block_diag
 
+from planish.core.facts import ResultModel
 from planish.core.typing import Floats
 from planish.register.pairs import Pairs, as_complex, inverse_of
 from planish.register.similarity import affine_columns, similarity_columns
@@ -21,39 +22,26 @@ _MOST = 80  # marks: evenly spaced ones of more; the scale is certain long befor
 _STEPS = 181
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ThroughScale:
-    """A scale of heights that marks ask for.
+class ThroughScale(ResultModel):
+    """A scale of heights that marks ask for."""
 
-    Attributes
-    ----------
-    scale, error : float
-        The factor on the heights and its standard error; infinite where the marks exclude no scale. With few marks it
-        is larger as their own error is not known well: three errors have the same meaning with any number of them.
-    evidence, limit : float
-        By how many variances scale 1 fits worse; what right marks exceed three times in a thousand.
-    without_any : float
-        The same, the mark that speaks most for the scale left out.
-    stretch : float
-        By how much the linear map that fits best at scale 1 stretches one direction against the other.
-    stretch_deg : float
-        That direction in the moving plane, from u towards v.
-    over_stretch : float
-        By how many variances the stretch fits worse than the scale, with a logarithm of their number for the parameter
-        that it has more (Schwarz 1978, doi:10.1214/aos/1176344136); below zero where it fits better.
-    marks : int
-        Those that were used.
-    """
-
-    scale: float
-    error: float
-    evidence: float
-    limit: float
-    without_any: float
-    stretch: float
-    stretch_deg: float
-    over_stretch: float
-    marks: int
+    scale: float = Field(description="The factor on the heights; infinite where the marks exclude no scale.")
+    error: float = Field(
+        description="Standard error of the factor; infinite where the marks exclude no scale. With few marks it is "
+        "larger as their own error is not known well: three errors have the same meaning with any number of them."
+    )
+    evidence: float = Field(description="By how many variances scale 1 fits worse.")
+    limit: float = Field(description="What right marks exceed three times in a thousand.")
+    without_any: float = Field(description="`evidence` with the mark that speaks most for the scale left out.")
+    stretch: float = Field(
+        description="By how much the linear map that fits best at scale 1 stretches one direction against the other."
+    )
+    stretch_deg: float = Field(description="That direction in the moving plane, from u towards v.")
+    over_stretch: float = Field(
+        description="By how many variances the stretch fits worse than the scale, with a logarithm of their number for "
+        "the parameter that it has more (Schwarz 1978, doi:10.1214/aos/1176344136); below zero where it fits better."
+    )
+    marks: int = Field(description="Those that were used.")
 
     @property
     def excludes_one(self) -> bool:

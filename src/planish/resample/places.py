@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from pydantic import Field
 
 from planish.core.errors import SurfaceError
+from planish.core.facts import ResultModel
 from planish.core.grid import Grid
 from planish.core.threads import count_threads, map_threads
 from planish.core.transform import Pair
@@ -29,33 +31,26 @@ _SEGMENT = 32  # quads whose extent is known together: passed over at once where
 _LEAST_ROWS = 32  # of a band: below that, starting a thread takes longer than the work
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Places:
-    """The place of each pixel of a regular grid in the mesh; good for any number of fields.
+class Places(ResultModel):
+    """The place of each pixel of a regular grid in the mesh; good for any number of fields."""
 
-    Attributes
-    ----------
-    triangle : (rows * fine, cols * fine) int32
-        Number of the triangle a sub-pixel lies in; -1 outside. Triangle 2 n + t is the first (t = 0) or second half of
-        the quad whose first corner is node n, unless ``corners`` numbers them.
-    weight : (2, rows * fine, cols * fine)
-        Weights of the triangle's second and third corner, the first one has the rest of 1; anything outside.
-    corners : (triangles, 3) int32
-        Nodes of each triangle, for Delaunay's; without rows for the quads.
-    mesh : (int, int)
-        Rows and columns of the mesh.
-    fine : int
-        Sub-pixels per pixel and axis; values are means over them.
-    overlaps : int
-        Sub-pixels covered by more than one quad: 0 unless the mesh is folded, and always 0 for Delaunay.
-    """
-
-    triangle: Indices
-    weight: Floats
-    corners: Indices
-    mesh: tuple[int, int]
-    fine: int
-    overlaps: int
+    triangle: Indices = Field(
+        description="(rows * fine, cols * fine) int32: number of the triangle a sub-pixel lies in; -1 outside. "
+        "Triangle 2 n + t is the first (t = 0) or second half of the quad whose first corner is node n, unless "
+        "`corners` numbers them."
+    )
+    weight: Floats = Field(
+        description="(2, rows * fine, cols * fine): weights of the triangle's second and third corner, the first one "
+        "has the rest of 1; anything outside."
+    )
+    corners: Indices = Field(
+        description="(triangles, 3) int32: nodes of each triangle, for Delaunay's; without rows for the quads."
+    )
+    mesh: tuple[int, int] = Field(description="Rows and columns of the mesh.")
+    fine: int = Field(description="Sub-pixels per pixel and axis; values are means over them.")
+    overlaps: int = Field(
+        description="Sub-pixels covered by more than one quad: 0 unless the mesh is folded, and always 0 for Delaunay."
+    )
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -138,8 +133,8 @@ class Mesh:
         low, high = np.minimum(low[:, :-1], low[:, 1:]), np.maximum(high[:, :-1], high[:, 1:])
         return cls(uv=uv, least_um=least_um, _low=low, _high=high)
 
-    def under(self, grid: Grid) -> Under:
-        """Locate the pixels of a grid."""
+    def under(self, grid: Grid) -> tuple[tuple[slice, slice], Places]:
+        """Return the nodes that lie under the pixels of a grid, and where each pixel lies among them."""
         touched = np.ones(self._low.shape[1:], dtype=bool)
         for k, (centres_um, pixel) in enumerate(((grid.x_um, grid.pixel_um[1]), (grid.y_um, grid.pixel_um[0]))):
             touched &= (self._low[k] <= centres_um[-1] + pixel) & (self._high[k] >= centres_um[0] - pixel)
@@ -149,14 +144,7 @@ class Mesh:
         else:
             last = min((segments[-1] + 1) * _SEGMENT, self.uv.shape[1] - 1)
             nodes = slice(int(rows[0]), int(rows[-1]) + 2), slice(int(segments[0]) * _SEGMENT, int(last) + 1)
-        return Under(nodes, find_places(self.uv[nodes], grid, least_um=self.least_um))
-
-
-class Under(NamedTuple):
-    """The nodes of a mesh that lie under some pixels, and where each pixel lies among them."""
-
-    nodes: tuple[slice, slice]
-    places: Places
+        return nodes, find_places(self.uv[nodes], grid, least_um=self.least_um)
 
 
 def covering_grid(uv: Floats, pixel_um: float) -> Grid:

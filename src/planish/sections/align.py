@@ -6,12 +6,12 @@ bend of the sheet cannot be told from a drift of the stage, stay, unless somethi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from pydantic import Field
 from scipy.ndimage import gaussian_filter1d
 
 from planish.core.errors import VolumeError
+from planish.core.facts import ResultModel
 from planish.core.threads import map_threads
 from planish.core.transform import Pair
 from planish.core.typing import Bools, Floats
@@ -24,40 +24,34 @@ _CUTOFF_PITCHES = 50.0  # corrections with longer wavelengths are not applied
 _SURER = 0.5  # sigma of fine over that of coarse pairs of neighbours, above which the fine ones show noise
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Alignment:
+class Alignment(ResultModel):
     """Places of the sections against their neighbours.
 
     What belongs at (row, col) of section i is found at (row, col) + ``shift_um[i]`` / pixel, turned about the middle
     of the section by ``rotation_rad[i]``: with x, y the distances from the middle along the columns and rows, in um,
     the row is larger by ``rotation x`` and the column smaller by ``rotation y``.
-
-    Attributes
-    ----------
-    shift_um : ndarray (sections, 2)
-        Along (row, col), in um; 0 where a section could not be aligned.
-    rotation_rad : ndarray (sections,)
-        Shortened by the share that is its own error.
-    aligned : ndarray of bool (sections,)
-        False for a section with less than two good pairs: torn, blurred, or not of this sheet.
-    jitter_left_um : ndarray (2,)
-        Standard deviation of what is left of the quick errors along (row, col), from solutions that leave out one
-        sixth of the columns each (jackknife). What all columns share is not in it.
-    pairs_used, pairs_refused : int
-    cutoff_um : float
-        Waves longer than this along the cut were left alone, except where something fixed shows them.
-    fixed : tuple of bool
-        Whether (row, col, rotation) were held by something fixed, slow waves included.
     """
 
-    shift_um: Floats
-    rotation_rad: Floats
-    aligned: Bools
-    jitter_left_um: Floats
-    pairs_used: int
-    pairs_refused: int
-    cutoff_um: float
-    fixed: tuple[bool, ...] = (False, False, False)
+    shift_um: Floats = Field(
+        description="(sections, 2): along (row, col), in um; 0 where a section could not be aligned."
+    )
+    rotation_rad: Floats = Field(description="(sections,), shortened by the share that is its own error.")
+    aligned: Bools = Field(
+        description="(sections,), False for one with less than two good pairs: torn, blurred, or not of this sheet."
+    )
+    jitter_left_um: Floats = Field(
+        description="Standard deviation of what is left of the quick errors along (row, col), from solutions that "
+        "leave out one sixth of the columns each (jackknife). What all columns share is not in it."
+    )
+    pairs_used: int = Field(description="Pairs of sections that were used.")
+    pairs_refused: int = Field(description="Pairs that were refused.")
+    cutoff_um: float = Field(
+        description="Waves longer than this along the cut were left alone, except where something fixed shows them."
+    )
+    fixed: tuple[bool, ...] = Field(
+        default=(False, False, False),
+        description="Whether (row, col, rotation) were held by something fixed, slow waves included.",
+    )
 
 
 def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Alignment:

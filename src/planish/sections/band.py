@@ -7,15 +7,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy.ndimage import distance_transform_edt, gaussian_filter, gaussian_filter1d, label, median_filter
 
 from planish.core.errors import VolumeError
+from planish.core.facts import ResultModel
 from planish.core.lazy import LazyArray
-from planish.core.robust import mad_sd
+from planish.core.robust import mad_sd, otsu_borders
 from planish.core.threads import map_threads
 from planish.core.typing import Bools, Floats
 from planish.sections.network import slow_part
@@ -24,29 +26,20 @@ Stack = NDArray[Any] | LazyArray
 """Sections (section, row, col): an array, or photographs that are decoded when they are asked for."""
 
 
-class SheetBand(NamedTuple):
-    """Course of the sheet.
+class SheetBand(ResultModel):
+    """Course of the sheet."""
 
-    Attributes
-    ----------
-    row : ndarray (sections, blocks)
-        Middle of the sheet, in pixels along the rows; smooth along both axes.
-    at_col : ndarray (blocks,)
-        Middle column of each block, in pixels.
-    jump : ndarray (sections,)
-        By how many rows the sheet lies off the smooth surface in this section: a first guess of its shift.
-    half_um : float
-        Half the sheet's thickness across the rows, in um.
-    background, contrast : ndarray (sections,)
-        Rough grey level off the sheet, and that of the sheet less that of the background.
-    """
-
-    row: Floats
-    at_col: Floats
-    jump: Floats
-    half_um: float
-    background: Floats
-    contrast: Floats
+    row: Floats = Field(
+        description="(sections, blocks): middle of the sheet, in pixels along the rows; smooth along both axes."
+    )
+    at_col: Floats = Field(description="(blocks,): middle column of each block, in pixels.")
+    jump: Floats = Field(
+        description="(sections,): by how many rows the sheet lies off the smooth surface in this section: a first "
+        "guess of its shift."
+    )
+    half_um: float = Field(description="Half the sheet's thickness across the rows, in um.")
+    background: Floats = Field(description="(sections,): rough grey level off the sheet.")
+    contrast: Floats = Field(description="(sections,): that of the sheet less that of the background.")
 
     def heights(self, section: int, cols: int) -> NDArray[np.float32]:
         """Row of the sheet in each of ``cols`` columns of a section, in pixels."""
@@ -159,13 +152,9 @@ def _find_sheet(blocks: NDArray[np.float32], background: Floats) -> tuple[Bools,
     smoothed_difference: Floats = gaussian_filter(difference, 1.0)
     sample = smoothed_difference[:: max(1, len(blocks) // 200)].ravel()
     bin_counts, bin_edges = np.histogram(sample, 512)
-    # Otsu's threshold separates two groups best: the variance between them is largest.
-    n_below = np.cumsum(bin_counts)[:-1]
-    n_above, running_sum = sample.size - n_below, np.cumsum(bin_counts * (0.5 * (bin_edges[1:] + bin_edges[:-1])))
-    mean_below = running_sum[:-1] / np.maximum(n_below, 1)
-    mean_above = (running_sum[-1] - running_sum[:-1]) / np.maximum(n_above, 1)
-    threshold = bin_edges[1 + int(np.argmax(n_below.astype(np.float64) * n_above * (mean_above - mean_below) ** 2))]
-    labels, n_labels = label(smoothed_difference > float(threshold))
+    of_bins = (bin_counts, bin_counts * (0.5 * (bin_edges[1:] + bin_edges[:-1])))
+    (border,) = otsu_borders(*(np.concatenate([[0.0], np.cumsum(values)]) for values in of_bins), classes=2)
+    labels, n_labels = label(smoothed_difference > float(bin_edges[border]))
     if n_labels == 0:
         raise VolumeError("No sheet found in the sections: all grey levels are alike. Check the files.")
     largest_label = 1 + int(np.argmax(np.bincount(labels.ravel())[1:]))
@@ -202,20 +191,12 @@ def _smooth_surface(middle_row: Floats, away_um: Floats) -> Floats:
 _MOST = 50_000  # pixels for a level: the noise of a pixel is divided by 200
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Gains:
-    """Corrections that make the grey levels of all sections equal: gain x grey + offset.
+class Gains(ResultModel):
+    """Corrections that make the grey levels of all sections equal: gain x grey + offset."""
 
-    Attributes
-    ----------
-    gain, offset : ndarray (sections,)
-        1 and 0 where the levels could not be measured.
-    measured : ndarray of bool (sections,)
-    """
-
-    gain: Floats
-    offset: Floats
-    measured: Bools
+    gain: Floats = Field(description="(sections,); 1 where the levels could not be measured.")
+    offset: Floats = Field(description="(sections,); 0 where the levels could not be measured.")
+    measured: Bools = Field(description="(sections,).")
 
 
 def normalise_sections(series: SectionSeries) -> Gains:

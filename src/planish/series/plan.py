@@ -5,14 +5,15 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from planish.core.errors import FileError, InputError, StudyError
 from planish.core.files import fault_of_name
+from planish.core.options import Params
 from planish.core.parameter_faults import fault_texts, key_lines
 from planish.core.tables import parse_table, raise_faults, read_text
 from planish.io import find_place
@@ -28,26 +29,18 @@ _LONGEST_NAME = 80
 _EXAMPLES = {"set": '["volume.top=low"]', "layers": '["ct=scan", "image.tif"]'}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlannedSpecimen:
-    """One specimen as the table has it.
+class PlannedSpecimen(Params):
+    """One specimen as the table has it."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the specimen and of the folder of its run.
-    files : tuple of str
-        Volume and image, or layers with the reference last; absolute, ``NAME=PATH`` where a layer has a name.
-    factors : dict
-        Text by factor, in the order of the table; empty cells are left out.
-    changes : tuple of str
-        Options of this specimen alone, ``SECTION.NAME=VALUE``.
-    """
-
-    name: str
-    files: tuple[str, ...]
-    factors: dict[str, str] = field(default_factory=dict[str, str])
-    changes: tuple[str, ...] = ()
+    name: str = Field(description="Name of the specimen and of the folder of its run.")
+    files: tuple[str, ...] = Field(
+        description="Volume and image, or layers with the reference last; absolute, `NAME=PATH` where a layer has a "
+        "name."
+    )
+    factors: dict[str, str] = Field(
+        default={}, description="Text by factor, in the order of the table; empty cells are left out."
+    )
+    changes: tuple[str, ...] = Field(default=(), description="Options of this specimen alone, `SECTION.NAME=VALUE`.")
 
     @property
     def member(self) -> Member:
@@ -55,31 +48,17 @@ class PlannedSpecimen:
         return Member(name=self.name, factors=self.factors)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Plan:
-    """A series as its file describes it.
-
-    Attributes
-    ----------
-    specimens : tuple of PlannedSpecimen
-    home : Path
-        Folder of the file, to which paths in it are relative.
-    sections : dict
-        Options of all specimens, by section, as in a study file.
-    declared : Declared
-        What is compared, of the table ``compare``.
-    watch : dict
-        The table ``watch``, empty where there is none.
-    changes : tuple of str
-        Options of all specimens, ``SECTION.NAME=VALUE``.
-    """
+class Plan(Params):
+    """A series as its file describes it."""
 
     specimens: tuple[PlannedSpecimen, ...]
-    home: Path
-    sections: dict[str, dict[str, Any]] = field(default_factory=dict[str, dict[str, Any]])
-    declared: Declared = field(default_factory=Declared)
-    watch: dict[str, Any] = field(default_factory=dict[str, Any])
-    changes: tuple[str, ...] = ()
+    home: Path = Field(description="Folder of the file, to which paths in it are relative.")
+    sections: dict[str, dict[str, Any]] = Field(
+        default={}, description="Options of all specimens, by section, as in a study file."
+    )
+    declared: Declared = Field(default=Declared(), description="What is compared, of the table `compare`.")
+    watch: dict[str, Any] = Field(default={}, description="The table `watch`, empty where there is none.")
+    changes: tuple[str, ...] = Field(default=(), description="Options of all specimens, `SECTION.NAME=VALUE`.")
 
     def study(self, specimen: PlannedSpecimen) -> Study:
         """The study of one specimen.
@@ -106,7 +85,7 @@ def read_plan(path: Path, changes: Sequence[str] = ()) -> Plan:
         ``.toml``, or a table with the columns ``volume`` and ``image`` (or ``layers``), ``name`` and factors. A column
         with a point in its name, such as ``volume.through``, is an option of each specimen.
     changes : sequence of str
-        Options of all specimens, ``SECTION.NAME=VALUE``.
+        Options of all specimens, `SECTION.NAME=VALUE`.
 
     Raises
     ------
@@ -193,7 +172,7 @@ def _of_toml(path: Path, text: str, plan: Plan) -> Plan:
             for row in rows:
                 if not row.layers:
                     row.cells.setdefault(kind, str(common))
-    return _checked(path, rows, replace(plan, sections=sections, declared=declared, watch=watch))
+    return _checked(path, rows, plan.model_copy(update={"sections": sections, "declared": declared, "watch": watch}))
 
 
 def _check_common(path: Path, text: str, sections: Mapping[str, Any]) -> None:
@@ -245,7 +224,7 @@ def _checked(path: Path, rows: Sequence[_TableRow], plan: Plan) -> Plan:
             f"{path}: compare names {compared}, and no specimen has that factor; there are "
             f"{', '.join(factors) or 'none'}. Add a column {compared}, or name another one."
         )
-    return replace(plan, specimens=tuple(specimens))
+    return plan.model_copy(update={"specimens": tuple(specimens)})
 
 
 def _names(rows: Sequence[_TableRow], home: Path) -> list[str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,12 +16,9 @@ from planish.report.draw import ACCENT, FAINT, HALF, INK, SOFT, Canvas, Picture,
 from planish.report.text import template
 from planish.synthetic.presets import NUISANCES, PRESETS
 from planish.validate import table as tables
-from planish.validate.certify import Certificate, Sensitivity
+from planish.validate.certify import Certificate, Entry, Sensitivity
 from planish.validate.scenario import FIGURES, STAGES
 from planish.validate.truth import Comparison, mean_of, percentile
-
-if TYPE_CHECKING:
-    from planish.validate.certify import Entry
 
 _NAMES = {"coating_top": "coating thickness", "thickness": "sheet thickness"}
 _DOT_MARGIN = 6.0
