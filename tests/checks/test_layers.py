@@ -9,7 +9,7 @@ from scipy import ndimage
 
 from planish.checks import CHECKS, check_scan, sheets
 from planish.checks.greys import clipping, level_jump, noise_width
-from planish.checks.scan import voxels_through
+from planish.checks.scan import core_places, voxels_through
 from planish.checks.windows import window_of
 from planish.measure import Greys
 
@@ -177,6 +177,29 @@ def test_a_filter_is_seen_in_the_noise_of_the_air(sigma, state, through):
     found = judged("blur of the scan", volume=tall, measured=moved, greys=GREYS)  # the coating has 15 um
     assert found.state == state
     assert found.sentence.startswith("The noise is smoothed over ")
+
+
+def test_tiles_of_a_large_sheet_are_whole_squares():
+    """120 x 120 tiles of five columns of 12 um: a sixth of them, in squares, each tile where its numbers say."""
+    um = np.arange(600) * 12.0
+    volume = xr.DataArray(
+        np.broadcast_to(np.uint8(0), (40, 600, 600)), dims=("z", "y", "x"),
+        coords={"z": np.arange(40) * 12.0, "y": um, "x": um}, attrs={"voxel_um": [12.0] * 3},
+    )  # fmt: skip
+    heights = {"top": 300.0, "bottom": 150.0, "interface_top": np.nan, "interface_bottom": np.nan, "status": 0.0}
+    measured = xr.Dataset(
+        {name: (("y", "x"), np.full((600, 600), value)) for name, value in heights.items()},
+        coords={"y": um, "x": um}, attrs={"through": "z", "top_side": "high", "blur_um": 10.0},
+    )  # fmt: skip
+    core = core_places(volume, measured)
+    row, col = core.tiles
+    points = core.points.reshape(*core.shape, 3)
+    assert 0.9 * 2400 < row.size < 1.1 * 2400
+    assert (points[..., 1] // 5 == row[:, None, None]).all()
+    assert (points[..., 2] // 5 == col[:, None, None]).all()
+    is_chosen = np.zeros((120, 120), bool)
+    is_chosen[row, col] = True
+    assert np.unique(ndimage.label(is_chosen)[0], return_counts=True)[1].min() >= 100
 
 
 @pytest.mark.parametrize(

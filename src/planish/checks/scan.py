@@ -16,7 +16,7 @@ from planish.core.typing import Array, Bools, Floats, Ints, Pair
 from planish.measure.registry import Greys
 
 TILE_UM = 60.0
-_TILES, _SQUARE = 2500, 5  # tiles at most, about; tiles along an edge of a square
+_TILES, _SQUARE = 2500, 10  # tiles at most, about; tiles along an edge of a square
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
