@@ -20,7 +20,8 @@ FILM = FilmParams(film_um=30.0, gap_um=25.0, share=0.6)
 
 def scanned(*, film=None, scanner=SCANNER):
     specimen = make_specimen(SpecimenParams(
-        size_um=(900.0, 800.0), paper=PAPER, scanner=scanner, film=film, holes=BurnParams(pattern="irregular", count=1), seed=4
+        size_um=(900.0, 800.0), paper=PAPER, scanner=scanner, film=film, seed=4,
+        holes=BurnParams(pattern="irregular", count=1),
     ))  # fmt: skip
     surfaces = find_surfaces(specimen.volume)
     return specimen.volume, measure_properties(surfaces, volume=specimen.volume)

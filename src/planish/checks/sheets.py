@@ -241,7 +241,7 @@ def find_particles(coating: Floats, face: Floats, pitch_um: Pair) -> Particles:
         return Particles(np.zeros(coating.shape, bool), 0, 0.0, area_mm2)
     excess, face_excess = (values - _median_around(values, pitch_um) for values in (coating, face))
     limit = 5.0 * max(mad_sd(excess), 1e-6)
-    labels, n = ndimage.label((excess > limit) & (face_excess > limit))
+    labels, n = ndimage.label((excess > limit) & (face_excess > 0.5 * excess))
     is_large = np.bincount(labels.ravel(), minlength=n + 1) * cell_um2 >= 400.0  # um2
     is_large[0] = False
     count = int(is_large.sum())
