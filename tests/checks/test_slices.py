@@ -34,8 +34,8 @@ def judged_window(window, through="z"):
     return rule(SimpleNamespace(windows={"z": window}, through=through, assembled_axes=()))
 
 
-def judged(values):
-    return judged_window(window_of(np.clip(values, 0, 255).astype(np.uint8)))
+def judged(values, through="z"):
+    return judged_window(window_of(np.clip(values, 0, 255).astype(np.uint8)), through)
 
 
 def at(k, n):
@@ -49,6 +49,24 @@ def test_right_slices_pass(make, axis):
         check = judged(np.moveaxis(make(seed=seed), axis, 0))
         assert check.state == "pass", check.sentence
         assert check.value == 0
+
+
+@pytest.mark.parametrize("axis", [1, 2])
+def test_gains_of_sections_across_the_sheet_are_no_fault(axis):
+    for seed in range(3):
+        values = np.moveaxis(sheet(seed=seed), axis, 0)
+        gain = 1 + 0.03 * np.random.default_rng(seed).standard_normal((len(values), 1, 1))
+        check = judged(values * gain, through="y")
+        assert check.state == "pass", check.sentence
+
+
+def test_order_is_seen_whatever_the_gain_of_each_slice():
+    values = body() * (1 + 0.03 * np.random.default_rng(0).standard_normal((80, 1, 1)))
+    assert judged(values[[*at(0, 30), 31, 30, *at(32, 48)]], through="y").sentence.startswith(
+        "Slices 30 and 31 along z are exchanged."
+    )
+    copied = judged(values[[*at(0, 43), *at(38, 42)]], through="y").sentence
+    assert copied.startswith("Slices 43-47 along z are copies of 38-42.")
 
 
 N = at(0, 80)

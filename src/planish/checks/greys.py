@@ -8,18 +8,22 @@ from itertools import product
 
 import numpy as np
 import xarray as xr
+from scipy import ndimage
 
 from planish.checks.scan import GreyScan
 from planish.checks.windows import Window
 from planish.core.checks import PROPERTIES, Check, CheckRule
 from planish.core.facts import SIDES
 from planish.core.frame import Frame
-from planish.core.typing import Array
-from planish.measure.registry import Greys
+from planish.core.typing import Array, Floats
+from planish.measure.registry import FWHM, Greys
 
 SPIKE, SHARE = 3.0, 2e-4  # height of the spike over what the histogram leads to; least share of the voxels
 _LAST_BIN = 6  # of those that the histogram is continued from
 SHADED = 0.15  # of base - air: change of the base's grey across the sheet
+_JUMP = 0.1  # of the contrast: moves a face by an eighth of the blur's standard deviation
+_COATING, _ALIKE = 0.25, 0.75  # least contrast of a coating to the base: of the base's to the air, of the other side's
+_RESOLVED = 2.0  # widths of the blur: balls of such chords keep 0.8 of their volume above half of their contrast
 _EDGE, _DEPTH = 32, 8  # voxels along the edge of a block of air; along the axis through the sheet
 _GAP = 6  # voxels between the sheet and a block
 _LAGS = 12  # voxels
@@ -107,7 +111,7 @@ def steady_grey(rule: CheckRule, scan: GreyScan) -> Check:
     jumps = {axis: level_jump(w) / contrast for axis, w in scan.windows.items() if axis not in other_axes}
     axis, jump_share = max(jumps.items(), key=lambda jump: jump[1], default=("z", 0.0))
     return rule.at_most(
-        jump_share, look=0.03,
+        jump_share, look=_JUMP,
         sentence=f"From slice to slice along {axis}, grey levels jump by {100 * jump_share:.1f} % of the contrast "
         "between air and sheet.",
         advice="Slices were probably scaled one by one. Export all of them with one grey window.",
@@ -129,24 +133,23 @@ def shading(rule: CheckRule, scan: GreyScan) -> Check:
     Along each axis of the sheet a parabola is fitted to the tiles' grey.
     """
     core, grey, contrast = scan.core, scan.core_grey, abs(scan.greys.base - scan.greys.air)
-    voxels = core.points.reshape(*core.shape, 3)
     is_seen = np.any(np.isfinite(grey).all(axis=2), axis=1)
     if np.count_nonzero(is_seen) < 20 or not contrast > 0:
         return rule.check(
             "unknown", f"The base is seen in {np.count_nonzero(is_seen)} tiles only, too few to follow its grey."
         )
-    tile_greys = np.nanmedian(grey[is_seen], axis=(1, 2))
+    tile_greys, frame = np.nanmedian(grey[is_seen], axis=(1, 2)), Frame.of(scan.measured)
     grey_change, share_limit, shaded_axis = 0.0, SHADED, ""
-    for k, axis in enumerate("zyx"):
-        if axis == scan.through:
+    for axis, numbers in zip((frame.rows, frame.cols), core.tiles, strict=True):
+        _, strip = np.unique(numbers[is_seen], return_inverse=True)
+        if strip.max() < 3:
             continue
-        positions = np.nanmean(np.where(core.is_base[is_seen], voxels[is_seen, :, 0, k], np.nan), axis=1)
-        if np.unique(positions).size < 4:
-            continue
-        fit = np.polynomial.Polynomial.fit(positions, tile_greys, 2)
+        fit = np.polynomial.Polynomial.fit(numbers[is_seen], tile_greys, 2)
         change_share = float(np.ptp(fit(fit.linspace(41)[0]))) / contrast
-        # Chance makes no range of a fitted parabola of 9 standard errors of a mean.
-        chance_share = 9.0 * float(np.std(tile_greys - fit(positions))) / contrast / np.sqrt(tile_greys.size)
+        # Chance makes no range of a fitted parabola of 9 standard errors of a mean. Tiles beside each other are of one
+        # floc: the strips across the axis show how far their greys go together.
+        strip_means = np.bincount(strip, tile_greys - fit(numbers[is_seen])) / np.bincount(strip)
+        chance_share = 9.0 * float(np.std(strip_means)) / contrast / np.sqrt(strip_means.size)
         if not shaded_axis or change_share - max(SHADED, chance_share) > grey_change - share_limit:
             grey_change, share_limit, shaded_axis = change_share, max(SHADED, chance_share), axis
     return rule.at_most(
@@ -154,6 +157,58 @@ def shading(rule: CheckRule, scan: GreyScan) -> Check:
         sentence=f"Along {shaded_axis}, the grey of the base changes by {100 * grey_change:.2g} % of its contrast to "
         "the air.",
         advice="The beam or the light faded, or the scan is shaded. Correct it by a flat field, or scan again.",
+    )  # fmt: skip
+
+
+def coating_grey(rule: CheckRule, scan: GreyScan) -> Check | None:
+    """Judge whether what was learnt as a coating can be one; None where no side has a coating."""
+    greys, sample = scan.greys, scan.sample[np.isfinite(scan.sample)]
+    levels = {side: greys.coating(side) for side in SIDES if greys.coated(side)}
+    if not levels:
+        return None
+    end_grey = float(sample.max() if greys.polarity > 0 else sample.min())
+    contrasts = {side: greys.polarity * (level - greys.base) for side, level in levels.items()}
+    contrast_ratio = min(contrasts.values()) / max(contrasts.values())
+    faults = [
+        f"The grey of the {side} coating lies beyond all greys of the volume, which end at {end_grey:.4g}."
+        for side, level in levels.items() if greys.polarity * (level - end_grey) > 0
+    ] + [
+        f"On the {side} side no layer shows that is denser than the base."
+        for side in levels if contrasts[side] < _COATING * abs(greys.base - greys.air)
+    ]  # fmt: skip
+    if contrast_ratio < _ALIKE:
+        faults.append(f"One coating has {100 * contrast_ratio:.0f} % of the other's contrast to the base.")
+    levels_text = " and ".join(f"{level:.4g} ({side})" for side, level in levels.items())
+    return rule.check(
+        "look" if faults else "pass", value=contrast_ratio, limit=_ALIKE, units="share",
+        sentence=" ".join([f"Grey of the coating: {levels_text}; of the base: {greys.base:.4g}.", *faults]),
+        advice="Film, tape or fringes may have been taken for a coating. Look at the slices; crop the volume to the "
+        "sheet, or give --coating-grey." if faults else "",
+    )  # fmt: skip
+
+
+def filler(rule: CheckRule, scan: GreyScan) -> Check | None:
+    """Judge whether grains of filler are larger than the blur; None where filler was not measured."""
+    greys, core = scan.greys, scan.core
+    if "filler" not in scan.measured or not core.is_base.any():
+        return None
+    if (level := scan.measured.attrs.get("filler_grey")) is None:
+        level = 0.5 * (greys.base + np.nanmean([greys.coating_top, greys.coating_bottom]))
+    columns = (greys.polarity * (scan.core_grey - level) > 0)[core.is_base]
+    labels, _ = ndimage.label(columns, [[0, 0, 0], [1, 1, 1], [0, 0, 0]])  # along each column by itself
+    sizes = np.bincount(labels.ravel())
+    sizes[labels[:, [0, -1]]] = sizes[0] = 0  # what reaches the end of a column is coating that has run in
+    k = "zyx".index(scan.through)
+    depths = core.points.reshape(*core.shape, 3)[core.is_base][..., k]
+    step_um = float(scan.volume.attrs["voxel_um"][k] * np.mean(np.ptp(depths, axis=1)) / (core.shape[2] - 1))
+    grain_um = step_um * float(np.median(sizes[sizes > 0])) if sizes.any() else 0.0
+    blur_um = FWHM * greys.blur_um
+    return rule.at_least(
+        grain_um, look=_RESOLVED * blur_um, units="um",
+        sentence=f"Bright grains in the base measure {grain_um:.2g} um through the sheet; the blur is {blur_um:.3g} um "
+        "wide." if grain_um else "No grain of filler is seen in the base.",
+        advice="Grains below a voxel or below the blur are lost, and with them most of the filler. Scan with smaller "
+        "voxels, or weigh the ash.",
     )  # fmt: skip
 
 
@@ -169,8 +224,7 @@ def blur(rule: CheckRule, scan: GreyScan) -> Check | None:
     thinnest_um = min((float(np.nanmedian(m)) for m in coatings if np.isfinite(m).any()), default=None)
     if thinnest_um is None:
         return None
-    # The full width of a Gaussian, from its standard deviation.
-    edge_um, noise_um = 2.3548 * float(measured.attrs["blur_um"]), noise_width(scan.volume, measured)
+    edge_um, noise_um = FWHM * float(measured.attrs["blur_um"]), noise_width(scan.volume, measured)
     width_um = max(edge_um, noise_um) if np.isfinite(noise_um) else edge_um
     cause_text = "An edge is blurred" if width_um == edge_um else "The noise is smoothed"
     return rule.at_most(
@@ -196,7 +250,7 @@ def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
         return float("nan")
     # Rows and columns of four blocks along either axis that are spread over the sheet.
     block_starts = (np.unique(np.linspace(0, k.size - _EDGE, 6)[1:-1].astype(int)).tolist() for k in plane_coordinates)
-    lags = np.zeros(_LAGS)
+    block_lags: list[Floats] = []
     for row, col in product(*([slice(k, k + _EDGE) for k in side] for side in block_starts)):
         block_um = (axis_um[voxels] for axis_um, voxels in zip(plane_coordinates, (row, col), strict=True))
         is_inside = [
@@ -217,10 +271,12 @@ def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
             if np.isfinite(variance) and variance > 0.5**2 * (volume.dtype.kind != "f"):
                 # Mean products with the neighbours at 0, 1, 2 ... voxels along the two axes of the sheet.
                 turned = grey, grey.swapaxes(0, 1)
-                lags += np.array(
-                    [[float(np.mean(v[k:] * v[: len(v) - k])) for v in turned] for k in range(_LAGS)], dtype=np.float64
-                ).mean(axis=1)
-    if not lags[0] > lags[-1]:
+                block_lags.append(np.mean(
+                    [[np.mean(v[k:] * v[: len(v) - k]) for v in turned] for k in range(_LAGS)], axis=1
+                ))  # fmt: skip
+    # Blocks that hold more than air, such as a part of a film, vary more.
+    lags = np.sum([lags for lags in block_lags if lags[0] < 2 * min(block_lags, key=lambda k: k[0])[0]], axis=0)
+    if not (block_lags and lags[0] > lags[-1]):
         return float("nan")
     # What goes on farther is no noise but streaks and shading.
     correlation = (lags - lags[-1]) / (lags[0] - lags[-1])

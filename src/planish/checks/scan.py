@@ -16,6 +16,7 @@ from planish.core.typing import Array, Bools, Floats, Ints, Pair
 from planish.measure.registry import Greys
 
 TILE_UM = 60.0
+_TILES, _SQUARE = 2500, 10  # tiles at most, about; tiles along an edge of a square
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,6 +27,7 @@ class Core:
     points: NDArray[np.signedinteger[Any]]
     shape: tuple[int, int, int]  # tiles, columns, depths
     is_base: Bools  # (tiles, columns)
+    tiles: tuple[Ints, Ints]  # row and column number of each tile among all tiles of the sheet
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,7 +96,7 @@ def core_places(volume: xr.DataArray, measured: xr.Dataset) -> Core:
     frame = Frame.of(measured)
     high, low = (_base_end(measured, side) for side in ("top", "bottom"))
     has_base = (measured["status"].values == 0) & np.isfinite(high) & np.isfinite(low)
-    r, c = _tile_columns(has_base.shape, pitch(measured))
+    r, c, tiles = _tile_columns(has_base.shape, pitch(measured))
     step_um = float(volume.attrs["voxel_um"]["zyx".index(frame.through)])
     thickness = float(np.nanmedian(np.abs(high - low)[has_base])) if has_base.any() else 0.0
     # Within 2.5 widths of the blur it mixes in what lies beside the base.
@@ -114,7 +116,7 @@ def core_places(volume: xr.DataArray, measured: xr.Dataset) -> Core:
         depth_index = np.rint((height - heights[0]) / step_um).astype(np.int32)
         points[..., k, "zyx".index(frame.through)] = np.clip(depth_index, 0, heights.size - 1)
     points[~is_base] = 0
-    return Core(points=points.reshape(-1, 3), shape=(*r.shape, depths), is_base=is_base)
+    return Core(points=points.reshape(-1, 3), shape=(*r.shape, depths), is_base=is_base, tiles=tiles)
 
 
 def _base_end(measured: xr.Dataset, side: str) -> Floats:
@@ -124,14 +126,16 @@ def _base_end(measured: xr.Dataset, side: str) -> Floats:
     return np.where(np.isfinite(interface), interface, face) if is_coated else face
 
 
-def _tile_columns(shape: tuple[int, ...], pitch_um: Pair) -> tuple[Ints, Ints]:
-    """Choose tiles of the sheet and columns in each: row and column numbers, (tiles, columns)."""
+def _tile_columns(shape: tuple[int, ...], pitch_um: Pair) -> tuple[Ints, Ints, tuple[Ints, Ints]]:
+    """Choose tiles of the sheet and columns in each: row and column numbers, (tiles, columns), and those of tiles."""
     columns: list[Ints] = []  # (tiles, columns) along one axis, 7 at most
     for n, step_um in zip(shape, pitch_um, strict=True):
         tile_edge = max(round(TILE_UM / step_um), 1)
         offsets = np.unique(np.linspace(0, tile_edge - 1, min(tile_edge, 7)).round().astype(np.intp))
         columns.append(np.minimum(np.arange(max(n // tile_edge, 1))[:, None] * tile_edge + offsets, n - 1))
     rows, cols = columns
-    tile_number = np.arange(len(rows) * len(cols))
-    row, col = np.divmod(tile_number[:: max(-(-tile_number.size // 2500), 1)], len(cols))
-    return np.repeat(rows[row], cols.shape[1], axis=1), np.tile(cols[col], rows.shape[1])
+    row, col = np.divmod(np.arange(len(rows) * len(cols)), len(cols))
+    # Of a large sheet squares of tiles, so that what lies side by side is seen side by side.
+    is_chosen = (row // _SQUARE + col // _SQUARE) % -(-row.size // _TILES) == 0
+    row, col = row[is_chosen], col[is_chosen]
+    return np.repeat(rows[row], cols.shape[1], axis=1), np.tile(cols[col], rows.shape[1]), (row, col)

@@ -41,6 +41,8 @@ CHECKS = (
     CheckRule("slices along y", ScannedSheet, _ALL, partial(slice_order, axis="y")),
     CheckRule("slices along x", ScannedSheet, _ALL, partial(slice_order, axis="x")),
     CheckRule("clipped grey", GreyScan, ("coating_top", "coating_bottom", *_BASE), greys.clipped_grey),
+    CheckRule("grey of the coating", GreyScan, ("coating_top", "coating_bottom", *_BASE), greys.coating_grey),
+    CheckRule("filler", GreyScan, ("filler", "filler_weight"), greys.filler),
     CheckRule("grey of the slices", GreyScan, (PROPERTIES,), greys.steady_grey),
     CheckRule("grey across the sheet", GreyScan, (PROPERTIES,), greys.shading),
     CheckRule("one sheet", GreyScan, (PROPERTIES, POSITION), sheets.one_sheet),
