@@ -135,16 +135,16 @@ def _quantile(values: Image, finite_counts: Ints, quantile: float) -> Image:
     return np.take_along_axis(np.sort(values, axis=-1), ranks[..., None], axis=-1)[..., 0]
 
 
-def texture(raster: Raster, diameter_um: float, circles: Floats) -> LocalLevels:
-    """Give the texture around each place, outside circles ``x, y, radius`` (um); 0 where little is left."""
-    masked, (row_um, col_um) = raster.image.copy(), raster.pixel_um
+def outside(raster: Raster, circles: Floats) -> Raster:
+    """Give the image without circles ``x, y, radius`` (um), NaN there."""
+    image, (row_um, col_um) = raster.image.copy(), raster.pixel_um
     for x, y, radius in circles:
         i0, i1 = (max(0, int((y + side * radius) / row_um) + (side > 0)) for side in (-1, 1))
         j0, j1 = (max(0, int((x + side * radius) / col_um) + (side > 0)) for side in (-1, 1))
-        window = masked[i0:i1, j0:j1]
+        window = image[i0:i1, j0:j1]
         dy_squared = (np.arange(i0, i0 + window.shape[0])[:, None] * row_um - y) ** 2
         window[dy_squared + (np.arange(j0, j0 + window.shape[1]) * col_um - x) ** 2 <= radius**2] = np.nan
-    return local_deviation(raster._replace(image=masked), diameter_um, 0.5)
+    return raster._replace(image=image)
 
 
 def local_deviation(raster: Raster, diameter_um: float, quantile: float) -> LocalLevels:
@@ -256,3 +256,13 @@ def _strongest_by_tile(places: Floats, radius: float) -> Bools:
     rank = np.empty(len(places), np.int64)
     rank[order] = np.arange(len(places)) - np.repeat(np.cumsum(count) - count, count)
     return rank < TILE**2 / np.pi
+
+
+def dark_spots(raster: Raster, sign: float, level: float, radius: float) -> Floats:
+    """Return places (n, 2), ``x, y`` in um, around which most is darker than a level: a third or more."""
+    coarse = reduce_to(raster, 2 * radius / ACROSS_COARSE)
+    is_dark = (sign * coarse.image < level).astype(np.float32)
+    dark_share = ndimage.gaussian_filter(is_dark, [0.5 * radius / size for size in coarse.pixel_um])
+    reach = [2 * max(1, round(0.5 * radius / size)) + 1 for size in coarse.pixel_um]
+    is_top = (dark_share == ndimage.maximum_filter(dark_share, reach)) & (dark_share > 1 / 3)
+    return np.argwhere(is_top)[:, ::-1] * coarse.pixel_um[::-1] + (coarse.origin_um - raster.origin_um)
