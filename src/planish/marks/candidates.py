@@ -259,10 +259,11 @@ def _strongest_by_tile(places: Floats, radius: float) -> Bools:
 
 
 def dark_spots(raster: Raster, sign: float, level: float, radius: float) -> Floats:
-    """Return places (n, 2), ``x, y`` in um, around which most is darker than a level: a third or more."""
+    """Return places (n, 2), ``x, y`` in um, around which most is darker than a level but not all, as beside a sheet."""
     coarse = reduce_to(raster, 2 * radius / ACROSS_COARSE)
     is_dark = (sign * coarse.image < level).astype(np.float32)
     dark_share = ndimage.gaussian_filter(is_dark, [0.5 * radius / size for size in coarse.pixel_um])
     reach = [2 * max(1, round(0.5 * radius / size)) + 1 for size in coarse.pixel_um]
-    is_top = (dark_share == ndimage.maximum_filter(dark_share, reach)) & (dark_share > 1 / 3)
+    # Within a disc of the radius it is 0.86.
+    is_top = (dark_share == ndimage.maximum_filter(dark_share, reach)) & (dark_share > 0.33) & (dark_share < 0.98)
     return np.argwhere(is_top)[:, ::-1] * coarse.pixel_um[::-1] + (coarse.origin_um - raster.origin_um)

@@ -22,6 +22,8 @@ LARGEST_UNEVENNESS = 0.2
 LEAST_OTHERS = 3
 LIKE_FLOORS = (0.02, 0.08)
 LEAST_SHARE_OF_MEDIAN = 0.5
+# A floor like those of the others is a hole's where the sheet around is so dark that this share of their depth is left.
+LEAST_DEPTH_OF_FLOOR = 0.3
 # Where less than this share of the sheet is as dark as floors that are alike, they are holes in any texture: of hole
 # patterns in the strongest mottle 0.022 at most, of printed dots and letters from 0.07 on.
 RARE = 0.03
@@ -267,7 +269,7 @@ def select_resembling(marks: Floats, holes: Floats, pixel_um: Pair) -> Floats:
             & (marks[:, k.UNEVENNESS] < LARGEST_UNEVENNESS * typical.depth)
             & (marks[:, k.FLATNESS] < LARGEST_FLATNESS * typical.depth)
             & (floor_difference < np.clip(4 * typical.floor_scatter, *LIKE_FLOORS) * typical.depth)
-            & (depth(marks) > LEAST_SHARE_OF_MEDIAN * typical.depth)
+            & (depth(marks) > LEAST_DEPTH_OF_FLOOR * typical.depth)
             & (np.abs(np.log(marks[:, k.RADIUS] / typical.radius)) < np.log(1.35))
             & ~typical.is_unburnt(marks)
         )
