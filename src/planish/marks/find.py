@@ -168,7 +168,7 @@ def _detect(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> lis
     spreads = [s._replace(values=np.maximum(s.values, 0.25 * float(np.median(s.values)))) for s in spreads]
     detections: list[_Detection] = []
     for sign in signs:
-        coarse_points, peak_ratios, shares, dropped_count = candidates.peaks(responses, sign, faintest_levels, spreads)
+        coarse_points, shares, dropped_count = candidates.peaks(responses, sign, faintest_levels, spreads)
         # Before a rim is measured its place may be some pixels off, and faint marks are counted: less contrast will do.
         thresholds = (
             0.6 * shares * criteria.LEAST_CONTRAST * quiet_texture.at_points(coarse_points),
@@ -176,11 +176,10 @@ def _detect(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> lis
         )
         positions = coarse_points + coarse.origin_um
         marks = _measure(raster, positions, sign, radius_range, thresholds)
-        marks[:, k.STANDING] = peak_ratios
         # In mottle as strong as the holes are deep, what is left is that their floors are black, flat and alike.
         is_alike = criteria.share_floor(marks, raster.pixel_um, radius_range)
         if is_alike.any() and criteria.is_rare(marks[is_alike], sign * _sheet(coarse, marks[is_alike]).image):
-            marks[is_alike, k.STANDING] = np.inf
+            marks[is_alike, k.ALIKE] = 1.0
         # The sheet's own texture is what is left when everything that looks like a hole is taken out, with its char.
         holes = marks[criteria.is_hole(marks, raster.pixel_um, radius_range)]
         texture = candidates.local_deviation(_sheet(coarse, holes), diameter, 0.5)

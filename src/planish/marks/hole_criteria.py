@@ -62,10 +62,7 @@ def met_criteria(marks: Floats, pixel_um: Pair, radius_range: Pair) -> dict[str,
             "too_small": radius >= max(radius_range[0], 3.0 * max(pixel_um)),
             "too_large": radius <= radius_range[1],
             "not_round": is_round(marks, pixel_um),
-            # The height of the answer to a disc, in standard deviations of the same answer all over the sheet, makes
-            # a hole even where dots, lines or fibres make a large texture: nothing regular reaches 10. Infinite where
-            # a rare floor is shared.
-            "too_faint": (depths > LEAST_CONTRAST * marks[:, k.TEXTURE]) | (marks[:, k.STANDING] > 10.0),
+            "too_faint": (depths > LEAST_CONTRAST * marks[:, k.TEXTURE]) | (marks[:, k.ALIKE] == 1.0),
             "no_rim": has_rim
             & (is_sharp | ((rim_steps > 0.36 * marks[:, k.FAR_STEP]) & is_flat))
             & (marks[:, k.FLATNESS] < LARGEST_FLATNESS * depths)
