@@ -86,7 +86,7 @@ def make_photograph(number: int, look: str) -> Photograph:
     is_paper, share = rim > 100.0, np.clip(rim / pixel + 0.5, 0, 1)
     weights, lengths = rng.dirichlet([1, 1, 1]), rng.uniform(50, 600, 3)
     mottle = np.tensordot(weights, [gauss(rng, shape, length, pixel, 1.0) for length in lengths], axes=1)
-    r2, texture = rng.uniform(0.1, 0.5), rng.uniform(0.05, 0.35)
+    r2, texture = rng.uniform(0.05, 0.5), rng.uniform(0.05, 0.42)
     coating, mottle = ((field - field[is_paper].mean()) / field[is_paper].std() for field in (coating, mottle))
     paper = np.maximum(1 + texture * (np.sqrt(r2) * coating + np.sqrt(1 - r2) * mottle), 0.12)
     if look in ("shives", "transmitted"):
