@@ -82,9 +82,9 @@ def find_holes(
     c cos 2 + d sin 2`` with Tukey weights, which is an ellipse to first order. The roughness of a rim has a first
     wave, too, which moves the centre and does not show in the residuals; the covariance of a centre follows from the
     next waves, half those of the rim itself and half those of all rims. Two images of one hole share the rim, so it is
-    on the safe side. In mottle as strong as the holes are deep, three or more floors that are flat, alike and darker than
-    97 % of the sheet stand for contrast. Holes cut by the border of the image or of the data are left out, as
-    are holes closed over more than 30 % of their rim.
+    on the safe side. In mottle as strong as the holes are deep, three or more floors that are flat, alike and darker
+    than 97 % of the sheet stand for contrast. Holes cut by the border of the image or of the data are left out, as are
+    holes closed over more than 30 % of their rim.
 
     References
     ----------

@@ -28,7 +28,8 @@ OTHER_SIDE = ("through", "closed", "unclear")
 THROUGH, CLOSED, UNCLEAR = range(3)
 # How much material in the middle of a hole closes it.
 MATERIAL = 0.5
-# Width of the Gaussian that takes noise out of a layer: it moves the rim of a hole of 150 um by less than 1 um.
+# Standard deviation of the Gaussian that takes noise out of a layer. It moves a rim of radius R by its square over 2 R,
+# 0.7 um in a hole of 150 um.
 NOISE_UM = 10.0
 
 
