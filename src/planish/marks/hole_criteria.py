@@ -180,11 +180,11 @@ class TypicalHole(NamedTuple):
     def is_unburnt(self, marks: Floats) -> Bools:
         """Return which marks are not burnt while the others are, by more than this share of the step.
 
-        The level around is known to a third of its texture.
+        What the sheet is like at a rim is known to its texture.
         """
         # In transmitted light char is darker than the sheet and holes are brighter: its share is negative.
         burnt_steps = np.sign(self.burnt_share) * marks[:, k.BURNT]
-        least_steps = 0.5 * abs(self.burnt_share) * depth(marks) - 0.3 * marks[:, k.TEXTURE]
+        least_steps = 0.5 * abs(self.burnt_share) * depth(marks) - marks[:, k.TEXTURE]
         return (abs(self.burnt_share) > 0.15) & (burnt_steps < least_steps)
 
 
