@@ -16,6 +16,7 @@ _ALL = (
     "matching",
     "optics",
     "holes",
+    "holes_on_fibres",
     "properties",
     "registration",
     "specimens",

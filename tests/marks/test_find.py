@@ -100,6 +100,21 @@ def test_a_sheet_without_holes_gives_an_empty_dataset(length_um):
         assert (found.sizes, set(found.data_vars)) == ({"mark": 0}, NAMES)
 
 
+@pytest.mark.parametrize("length_um", [80, 150])
+def test_mottle_as_strong_as_the_holes_are_deep_hides_none(length_um):
+    """The holes are less than three standard deviations of the sheet deep; nothing of it is as black and as flat."""
+    counts = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        holes = [make_hole(rng, *p, 175.0) for p in place(rng, 8, (2000.0, 2500.0), 200.0, 500.0)]
+        sheet = scene(rng, shape=(400, 500), pixel=5.0, holes=holes, mottle=0.3, length_um=length_um, noise=0.01)
+        counts.append(compare(find_holes(sheet.image, pixel_um=5.0), sheet.centres))
+    hits, false, missed, errors = zip(*counts, strict=True)
+    assert sum(false) == 0
+    assert sum(hits) >= 0.95 * (sum(hits) + sum(missed))
+    assert np.sqrt(np.mean(np.concatenate(errors) ** 2)) <= 0.1 * 5.0 + 1.0
+
+
 @pytest.mark.parametrize("image", [
     np.zeros((50, 60)), np.full((40, 40), np.nan), np.ones((3, 400)), np.empty((0, 0)), np.ones((1, 1), bool),
     np.full((300, 300), 255, np.uint8),

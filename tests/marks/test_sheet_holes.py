@@ -116,6 +116,15 @@ def test_holes_that_are_half_through_or_not_round_are_counted():
     assert (found.attrs["through"], found.attrs["closed"], found.attrs["unclear"]) == (4, 0, 2)
 
 
+def test_noise_of_a_sheet_that_is_hardly_brighter_than_its_holes_hides_none():
+    """As in resin: its noise is a third of the contrast, and alone makes the floors of the holes uneven."""
+    rng = np.random.default_rng(5)
+    maps = [np.clip(0.25 + 0.6 * m + rng.normal(0, 0.2, m.shape), 0, 1) for m in layer_maps([0.0, 0.0])]
+    found = find_sheet_holes(dataset(*maps))
+    assert (found.sizes["mark"], found.attrs["through"], found.attrs["openings"]) == (6, 6, 0)
+    assert np.abs(xy(found) - CENTRES).max() < 2.0
+
+
 def test_leans_that_differ_are_a_spread():
     leans = np.array([(0.0, 4.0), (20.0, -4.0), (-20.0, 2.0), (10.0, 0.0), (-10.0, -2.0), (2.0, 0.0)])
     found = find_sheet_holes(dataset(*layer_maps(leans)))

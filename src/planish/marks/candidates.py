@@ -135,16 +135,16 @@ def _quantile(values: Image, finite_counts: Ints, quantile: float) -> Image:
     return np.take_along_axis(np.sort(values, axis=-1), ranks[..., None], axis=-1)[..., 0]
 
 
-def texture(raster: Raster, diameter_um: float, circles: Floats) -> LocalLevels:
-    """Give the texture around each place, outside circles ``x, y, radius`` (um); 0 where little is left."""
-    masked, (row_um, col_um) = raster.image.copy(), raster.pixel_um
+def outside(raster: Raster, circles: Floats) -> Raster:
+    """Give the image without circles ``x, y, radius`` (um), NaN there."""
+    image, (row_um, col_um) = raster.image.copy(), raster.pixel_um
     for x, y, radius in circles:
         i0, i1 = (max(0, int((y + side * radius) / row_um) + (side > 0)) for side in (-1, 1))
         j0, j1 = (max(0, int((x + side * radius) / col_um) + (side > 0)) for side in (-1, 1))
-        window = masked[i0:i1, j0:j1]
+        window = image[i0:i1, j0:j1]
         dy_squared = (np.arange(i0, i0 + window.shape[0])[:, None] * row_um - y) ** 2
         window[dy_squared + (np.arange(j0, j0 + window.shape[1]) * col_um - x) ** 2 <= radius**2] = np.nan
-    return local_deviation(raster._replace(image=masked), diameter_um, 0.5)
+    return raster._replace(image=image)
 
 
 def local_deviation(raster: Raster, diameter_um: float, quantile: float) -> LocalLevels:
@@ -197,36 +197,30 @@ def _block_means(image: Image, factors: tuple[int, int]) -> tuple[Image, Image]:
 
 def peaks(
     responses: dict[float, Raster], sign: float, faintest_levels: LocalLevels, spreads: list[LocalLevels]
-) -> tuple[Floats, Floats, Floats, int]:
+) -> tuple[Floats, Floats, int]:
     """Return places that may be holes, the extremes over place and scale, strongest first.
 
     They are stronger than ``faintest_levels``, the response that the least contrast makes, or `WORTH_MEASURING` times
-    that of ``spreads``, the usual one of each radius. Returns ``x, y`` in um, (n, 2); the largest response in units of
-    the usual one; the weakest one searched here over ``faintest_levels``; how many lie beyond the limit of their part.
+    that of ``spreads``, the usual one of each radius. Returns ``x, y`` in um, (n, 2); the weakest one searched here
+    over ``faintest_levels``; how many lie beyond the limit of their part.
     """
     pairs = zip(responses.items(), spreads, strict=True)
     candidates = np.concatenate(
         [_peaks_of_radius(*response, sign, faintest_levels, spread) for response, spread in pairs]
     )
-    candidates = candidates[np.argsort(-candidates[:, 3], kind="stable")]
-    # Of places that share a cell the strongest stays, with the largest height over the usual one.
+    candidates = candidates[np.argsort(-candidates[:, 2], kind="stable")]
+    # Of places that share a cell the strongest stays.
     smallest_radius = min(responses)
     cell_indices = np.floor(candidates[:, :2] / (0.5 * smallest_radius)).astype(np.int64)
-    _, first_rows, cell = np.unique(cell_indices, axis=0, return_index=True, return_inverse=True)
-    largest_ratios = np.full(len(first_rows), -np.inf)
-    np.maximum.at(largest_ratios, cell.ravel(), candidates[:, 2])
-    candidates = candidates[first_rows]
-    candidates[:, 2] = largest_ratios
-    candidates = candidates[np.argsort(first_rows)]
-    is_strong = _strongest_by_tile(candidates, smallest_radius)
-    strong_peaks = candidates[is_strong]
-    return strong_peaks[:, :2], strong_peaks[:, 2], strong_peaks[:, 4], len(candidates) - len(strong_peaks)
+    candidates = candidates[np.sort(np.unique(cell_indices, axis=0, return_index=True)[1])]
+    strong_peaks = candidates[_strongest_by_tile(candidates, smallest_radius)]
+    return strong_peaks[:, :2], strong_peaks[:, 3], len(candidates) - len(strong_peaks)
 
 
 def _peaks_of_radius(
     radius: float, response: Raster, sign: float, faintest_levels: LocalLevels, spread: LocalLevels
 ) -> Floats:
-    """Find the peaks of one response: ``x, y`` (um), height over the usual one, height, share of the least contrast."""
+    """Find the peaks of one response: ``x, y`` (um), height, share of the least contrast."""
     signed = response.image if sign > 0 else -response.image
     reach = [max(1, round(0.5 * radius / size)) for size in response.pixel_um]
     lowest_threshold = max(0.0, min(float(faintest_levels.values.min()), WORTH_MEASURING * float(spread.values.min())))
@@ -239,10 +233,10 @@ def _peaks_of_radius(
         rows, cols = rows[is_top], cols[is_top]
     points = np.stack([cols * response.pixel_um[1], rows * response.pixel_um[0]], axis=1) + response.origin_um
     heights = signed[rows, cols].astype(np.float64)
-    noise_sd, faintest_heights = spread.at_points(points), faintest_levels.at_points(points)
-    thresholds = np.minimum(faintest_heights, WORTH_MEASURING * noise_sd)
+    faintest_heights = faintest_levels.at_points(points)
+    thresholds = np.minimum(faintest_heights, WORTH_MEASURING * spread.at_points(points))
     threshold_shares = np.where(faintest_heights > 0, thresholds / np.maximum(faintest_heights, 1e-30), 1.0)
-    candidates = np.column_stack([points, heights / np.maximum(noise_sd, 1e-30), heights, threshold_shares])
+    candidates = np.column_stack([points, heights, threshold_shares])
     return candidates[heights > np.maximum(thresholds, 0.0)]
 
 
@@ -256,3 +250,14 @@ def _strongest_by_tile(places: Floats, radius: float) -> Bools:
     rank = np.empty(len(places), np.int64)
     rank[order] = np.arange(len(places)) - np.repeat(np.cumsum(count) - count, count)
     return rank < TILE**2 / np.pi
+
+
+def dark_spots(raster: Raster, sign: float, level: float, radius: float) -> Floats:
+    """Return places (n, 2), ``x, y`` in um, around which most is darker than a level but not all, as beside a sheet."""
+    coarse = reduce_to(raster, 2 * radius / ACROSS_COARSE)
+    is_dark = (sign * coarse.image < level).astype(np.float32)
+    dark_share = ndimage.gaussian_filter(is_dark, [0.5 * radius / size for size in coarse.pixel_um])
+    reach = [2 * max(1, round(0.5 * radius / size)) + 1 for size in coarse.pixel_um]
+    # Within a disc of the radius it is 0.86.
+    is_top = (dark_share == ndimage.maximum_filter(dark_share, reach)) & (dark_share > 0.33) & (dark_share < 0.98)
+    return np.argwhere(is_top)[:, ::-1] * coarse.pixel_um[::-1] + (coarse.origin_um - raster.origin_um)

@@ -82,8 +82,9 @@ def find_holes(
     c cos 2 + d sin 2`` with Tukey weights, which is an ellipse to first order. The roughness of a rim has a first
     wave, too, which moves the centre and does not show in the residuals; the covariance of a centre follows from the
     next waves, half those of the rim itself and half those of all rims. Two images of one hole share the rim, so it is
-    on the safe side. Holes cut by the border of the image or of the data are left out, as
-    are holes closed over more than 30 % of their rim.
+    on the safe side. In mottle as strong as the holes are deep, three or more floors that are flat, alike and darker
+    than 97 % of the sheet stand for contrast. Holes cut by the border of the image or of the data are left out, as are
+    holes closed over more than 30 % of their rim.
 
     References
     ----------
@@ -168,7 +169,7 @@ def _detect(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> lis
     spreads = [s._replace(values=np.maximum(s.values, 0.25 * float(np.median(s.values)))) for s in spreads]
     detections: list[_Detection] = []
     for sign in signs:
-        coarse_points, peak_ratios, shares, dropped_count = candidates.peaks(responses, sign, faintest_levels, spreads)
+        coarse_points, shares, dropped_count = candidates.peaks(responses, sign, faintest_levels, spreads)
         # Before a rim is measured its place may be some pixels off, and faint marks are counted: less contrast will do.
         thresholds = (
             0.6 * shares * criteria.LEAST_CONTRAST * quiet_texture.at_points(coarse_points),
@@ -176,18 +177,26 @@ def _detect(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> lis
         )
         positions = coarse_points + coarse.origin_um
         marks = _measure(raster, positions, sign, radius_range, thresholds)
-        marks[:, k.STANDING] = peak_ratios
+        # In mottle as strong as the holes are deep, what is left is that their floors are black, flat and alike.
+        is_alike = criteria.share_floor(marks, raster.pixel_um, radius_range)
+        if is_alike.any() and criteria.is_rare(marks[is_alike], sign * _sheet(coarse, marks[is_alike]).image):
+            marks[is_alike, k.ALIKE] = 1.0
         # The sheet's own texture is what is left when everything that looks like a hole is taken out, with its char.
         holes = marks[criteria.is_hole(marks, raster.pixel_um, radius_range)]
-        # Beyond a rim this much may be burnt.
-        circles = np.stack([*(holes[:, k.X : k.Y + 1] - coarse.origin_um).T, holes[:, k.RADIUS] + 60.0], axis=1)
-        texture = candidates.texture(coarse, diameter, circles)
+        texture = candidates.local_deviation(_sheet(coarse, holes), diameter, 0.5)
         marks = marks[np.isfinite(marks[:, k.RADIUS])]
         _raise_texture(marks, texture)
         holes = criteria.deepest_disjoint(marks[criteria.is_hole(marks, raster.pixel_um, radius_range)])
         holes = criteria.drop_unlike(holes[criteria.is_whole(holes, raster.image.shape, raster.pixel_um)], sign)
         detections.append(_Detection(sign, holes, marks, positions, texture, dropped_count))
     return detections
+
+
+def _sheet(raster: Raster, holes: Floats) -> Raster:
+    """Give the image without holes; beyond a rim 60 um may be burnt."""
+    return candidates.outside(
+        raster, np.stack([*(holes[:, k.X : k.Y + 1] - raster.origin_um).T, holes[:, k.RADIUS] + 60.0], axis=1)
+    )
 
 
 def _count_rejected(detection: _Detection, holes: Floats, raster: Raster, radius_range: Pair) -> dict[str, int]:
@@ -230,9 +239,11 @@ def _measure(
 def _floors(raster: Raster, sign: float, positions: Floats, holes: Floats) -> Floats:
     """Measure floors where no clear hole is."""
     typical = criteria.typical_hole(holes)
-    positions = positions[_is_outside(positions, holes[~criteria.is_doubtful(holes)], 1.0)]
     depth_shares = (0.2, 0.08, 0.13, 0.27, 0.35)  # of the depth of the holes, at which a floor may end
     level = typical.floor_level + depth_shares[0] * typical.depth
+    # Once the level of the floors is known, mottle that hid a place from the search hides it no longer.
+    positions = np.concatenate([positions, candidates.dark_spots(raster, sign, level, typical.radius)])
+    positions = positions[_is_outside(positions, holes[~criteria.is_doubtful(holes)], 1.0)]
     floor_centres = k.middles_of_floors(*_kernel_arguments(raster, positions), sign, typical.radius, level)
     floor_centres = floor_centres[np.isfinite(floor_centres[:, 0])]
     # Places beside each other lead to one hole.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from planish.core.robust import mad_sd
@@ -21,6 +22,11 @@ LARGEST_UNEVENNESS = 0.2
 LEAST_OTHERS = 3
 LIKE_FLOORS = (0.02, 0.08)
 LEAST_SHARE_OF_MEDIAN = 0.5
+# A floor like those of the others is a hole's where the sheet around is so dark that this share of their depth is left.
+LEAST_DEPTH_OF_FLOOR = 0.3
+# Where less than this share of the sheet is as dark as floors that are alike, they are holes in any texture: of hole
+# patterns in the strongest mottle 0.022 at most, of printed dots and letters from 0.07 on.
+RARE = 0.03
 # How much better than an outline a floor has to be. The quality is the share of the rim less its roughness over its
 # radius.
 BETTER = 0.015
@@ -56,9 +62,7 @@ def met_criteria(marks: Floats, pixel_um: Pair, radius_range: Pair) -> dict[str,
             "too_small": radius >= max(radius_range[0], 3.0 * max(pixel_um)),
             "too_large": radius <= radius_range[1],
             "not_round": is_round(marks, pixel_um),
-            # The height of the answer to a disc, in standard deviations of the same answer all over the sheet, makes
-            # a hole even where dots, lines or fibres make a large texture: nothing regular reaches 10.
-            "too_faint": (depths > LEAST_CONTRAST * marks[:, k.TEXTURE]) | (marks[:, k.STANDING] > 10.0),
+            "too_faint": (depths > LEAST_CONTRAST * marks[:, k.TEXTURE]) | (marks[:, k.ALIKE] == 1.0),
             "no_rim": has_rim
             & (is_sharp | ((rim_steps > 0.36 * marks[:, k.FAR_STEP]) & is_flat))
             & (marks[:, k.FLATNESS] < LARGEST_FLATNESS * depths)
@@ -69,6 +73,25 @@ def met_criteria(marks: Floats, pixel_um: Pair, radius_range: Pair) -> dict[str,
 def is_hole(marks: Floats, pixel_um: Pair, radius_range: Pair) -> Bools:
     """Return which marks look like a hole, each by itself; ``radius_range`` in um."""
     return np.all(list(met_criteria(marks, pixel_um, radius_range).values()), axis=0)
+
+
+def share_floor(marks: Floats, pixel_um: Pair, radius_range: Pair) -> Bools:
+    """Return which marks are holes but for their contrast and have the darkest floor that `LEAST_OTHERS` share."""
+    criteria_met = met_criteria(marks, pixel_um, radius_range)
+    is_like = np.all([is_met for fault, is_met in criteria_met.items() if fault != "too_faint"], axis=0)
+    disjoint = marks[is_like][best_rims(marks[is_like])]
+    if len(disjoint) < LEAST_OTHERS:
+        return np.zeros(len(marks), bool)
+    floors, tolerance = np.sort(disjoint[:, k.INSIDE]), LIKE_FLOORS[0] * float(np.median(depth(disjoint)))
+    is_shared = floors[LEAST_OTHERS - 1 :] - floors[: 1 - LEAST_OTHERS] < tolerance
+    level = floors[int(np.argmax(is_shared)) + LEAST_OTHERS // 2] if is_shared.any() else np.nan
+    return is_like & (np.abs(marks[:, k.INSIDE] - level) < tolerance)
+
+
+def is_rare(holes: Floats, signed_sheet: NDArray[np.floating]) -> bool:
+    """Return whether hardly anything of the sheet, its grey times sign, is as dark as the floors of holes."""
+    level = np.median(holes[:, k.INSIDE] + LIKE_FLOORS[1] * depth(holes))
+    return bool(np.count_nonzero(signed_sheet < level) < RARE * np.count_nonzero(np.isfinite(signed_sheet)))
 
 
 def is_round(marks: Floats, pixel_um: Pair) -> Bools:
@@ -155,10 +178,14 @@ class TypicalHole(NamedTuple):
         return self.floor_level + self.floor_slope * (outside - self.sheet_level)
 
     def is_unburnt(self, marks: Floats) -> Bools:
-        """Return which marks are not burnt while the others are, by more than this share of the step."""
+        """Return which marks are not burnt while the others are, by more than this share of the step.
+
+        What the sheet is like at a rim is known to its texture.
+        """
         # In transmitted light char is darker than the sheet and holes are brighter: its share is negative.
         burnt_steps = np.sign(self.burnt_share) * marks[:, k.BURNT]
-        return (abs(self.burnt_share) > 0.15) & (burnt_steps < 0.5 * abs(self.burnt_share) * depth(marks))
+        least_steps = 0.5 * abs(self.burnt_share) * depth(marks) - marks[:, k.TEXTURE]
+        return (abs(self.burnt_share) > 0.15) & (burnt_steps < least_steps)
 
 
 def typical_hole(marks: Floats) -> TypicalHole:
@@ -239,7 +266,7 @@ def select_resembling(marks: Floats, holes: Floats, pixel_um: Pair) -> Floats:
             & (marks[:, k.UNEVENNESS] < LARGEST_UNEVENNESS * typical.depth)
             & (marks[:, k.FLATNESS] < LARGEST_FLATNESS * typical.depth)
             & (floor_difference < np.clip(4 * typical.floor_scatter, *LIKE_FLOORS) * typical.depth)
-            & (depth(marks) > LEAST_SHARE_OF_MEDIAN * typical.depth)
+            & (depth(marks) > LEAST_DEPTH_OF_FLOOR * typical.depth)
             & (np.abs(np.log(marks[:, k.RADIUS] / typical.radius)) < np.log(1.35))
             & ~typical.is_unburnt(marks)
         )
