@@ -225,6 +225,8 @@ class Side:
     level: Floats  # of face, thickness, grey of the coating (or of what lies outside), grey of the base
     spread: Floats  # of the same; only those of the greys are used
     coated: bool
+    # Grey of a fibre's wall above the air, where no coating covers a base of walls and pores; 0 elsewhere.
+    wall_level: float = 0.0
 
 
 Sides = dict[bool, Side]  # by whether they lie at the high end of the columns

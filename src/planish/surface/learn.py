@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from scipy import optimize
+from scipy.special import ndtri
 
 from planish.core.errors import VolumeError
 from planish.core.robust import mad_sd
@@ -23,6 +24,7 @@ from planish.surface.sample import Sample, Sampler, Samples, cost_limit
 from planish.surface.survey import Survey
 
 _WIDTHS = np.geomspace(0.35, 3.2, 14)  # blur along a column that is tried, in voxels
+_POROUS = 0.35  # spread of the core's grey over its median: where it is less, no pores show
 _PLAIN, _PLAIN_SHARE = 5.5, 0.05  # widths of the blur, and share of columns: such a layer shows its grey beyond doubt
 
 
@@ -44,6 +46,14 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
         sides = {k: learner.first_side(sample, base_level, base_sd, is_separated) for k, sample in samples.items()}
     else:
         sides = dict.fromkeys(samples, learner.preset_side(params.coating_grey, base_level, base_sd))
+    wall_levels: dict[bool, float] = {}
+    if survey.surroundings == "air" and not any(side.coated for side in sides.values()):
+        wall_levels = {k: learner.wall_level(sample) for k, sample in samples.items()}
+        if all(wall_levels.values()):
+            # A wall thinner than the blur must not be blurred further than the noise asks for.
+            learner.calm(min(wall_levels.values()))
+            samples = {from_high: learner.sample(from_high=from_high) for from_high in (True, False)}
+            wall_levels = {k: learner.wall_level(sample) for k, sample in samples.items()}
     preset_fringe = 0.0 if isinstance(params.fringe, str) else params.fringe
     edge = Edge(width=learner.blur(samples, sides, preset_fringe), fringe=preset_fringe)
     has_fringe = params.fringe == "auto" and learner.undershoots(samples, sides, edge)
@@ -61,7 +71,7 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
         if is_preset and not float(np.nanmedian(learner.fit(sample, side, edge)[1])) > 0.15 * edge.width:
             level, spread = np.array([0.0, 0.0, 0.0, base_level]), np.array([0.0, 0.0, -1.0, side.spread[3]])
             side = learner.narrowed(sample, Side(level=level, spread=spread, coated=False), edge, True)
-        narrowed_sides[from_high] = side
+        narrowed_sides[from_high] = replace(side, wall_level=wall_levels.get(from_high, 0.0))
     return Priors(
         scale=learner.scale, noise=learner.noise, single_noise=learner.single_noise, scatter=learner.scatter,
         base_level=base_level, edge=edge, search_px=learner.search_px, embedded_level=learner.embedded_level,
@@ -83,16 +93,35 @@ class _Learner(Sampler):
 
     def base_level(self, sample: Sample) -> tuple[float, float]:
         """Level of the base above the air, and how much it varies from place to place."""
+        core_grey = self._core_grey(sample)
+        level = float(np.median(core_grey))
+        if level <= 0:
+            raise VolumeError("The core of the sheet is not brighter than the air around it. Check --sheet-grey.")
+        return level, float(np.sqrt(max(mad_sd(core_grey) ** 2 - self.noise**2, (0.05 * level) ** 2)))
+
+    def _core_grey(self, sample: Sample) -> Floats:
+        """Grey at places of the sheet's core that are known."""
         depth_shares = np.linspace(*CORE, 9)
         outer, opposite = sample.outer[0][:, None], sample.opposite[0][:, None]
         depth_index = np.rint(outer + (opposite - outer) * depth_shares).astype(int)
         depth_index = np.clip(depth_index, 0, sample.grey.shape[2] - 1)
         core_grey = np.take_along_axis(sample.grey[0], depth_index, axis=1).astype(np.float64)
-        core_grey = core_grey[np.isfinite(core_grey)]
-        level = float(np.median(core_grey))
-        if level <= 0:
-            raise VolumeError("The core of the sheet is not brighter than the air around it. Check --sheet-grey.")
-        return level, float(np.sqrt(max(mad_sd(core_grey) ** 2 - self.noise**2, (0.05 * level) ** 2)))
+        return core_grey[np.isfinite(core_grey)]
+
+    def wall_level(self, sample: Sample) -> float:
+        """Grey of a fibre's wall above the air; 0 where the base has no pores that show.
+
+        The more of the core is void, the fewer of its places show nothing but wall: its median does where it is even,
+        its brightest where a third is void.
+        """
+        base_level, base_sd = self.base_level(sample)
+        if base_sd < _POROUS * base_level:
+            return 0.0
+        core_grey = self._core_grey(sample)
+        void_share = float(np.mean(core_grey < 0.3 * np.percentile(core_grey, 99)))
+        share = 0.88 + 0.116 * min(void_share / 0.35, 1.0)
+        median, brightest = np.quantile(core_grey, [0.5, share])
+        return float(median + np.sqrt(max((brightest - median) ** 2 - (ndtri(share) * self.noise) ** 2, 0.0)))
 
     def preset_side(self, coating_grey: float, base_level: float, base_sd: float) -> Side:
         """Take the grey of the coating as it was set."""
