@@ -17,7 +17,7 @@ from planish.core.errors import VolumeError
 from planish.core.frame import Frame
 from planish.core.robust import otsu_borders
 from planish.core.tiles import Engine, Tile, tiles_of
-from planish.core.typing import Bools, Floats, Pair
+from planish.core.typing import Floats, Pair
 from planish.surface.assemble import assemble
 from planish.surface.columns import Columns, Guide, Priors, join_tiles, make_guide, oriented
 from planish.surface.faces import Faces, FitJob, crossing, faces_from_depths, first_where

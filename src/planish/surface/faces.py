@@ -18,7 +18,7 @@ from planish.surface.columns import Columns, Guide, Priors, join_tiles, oriented
 
 _FLOATS = 3.0  # voxels outside the coarse sheet: two of air and one for its own inaccuracy
 _MOST_OF = 0.8
-_LEVEL_DOUBT = 0.12  # of a wall's grey: what filler and walls thinner than the blur leave open
+_LEVEL_DOUBT = 0.14  # of a wall's grey: what filler and walls thinner than the blur leave open
 
 FitJob = tuple[Columns, Guide, Priors, Floats | None]
 """Of a tile's fit: the guide is that of the tile and its halo; of (2, rows, cols), where given, only columns with a
@@ -84,14 +84,18 @@ def find_faces(columns: Columns, guide: Guide, priors: Priors, engine: Engine, p
 
 
 def faces_from_depths(
-    depths: Floats, columns: Columns, coated: tuple[bool, bool], *, cleaned: tuple[bool, bool] = (False, False),
+    depths: Floats,
+    columns: Columns,
+    coated: tuple[bool, bool],
+    *,
+    cleaned: tuple[bool, bool] = (False, False),
     particles: int = 0,
 ) -> Faces:
     """Turn depths into heights.
 
-    ``depths`` (4, rows, cols): depth of the face and thickness of the coating, counted from the high end, then from the
-    low end, in voxels; ``coated`` in the same order. ``cleaned``: take off spikes and attached particles;
-    ``particles`` were removed before.
+    ``depths`` (4 or 6, rows, cols): depth of the face and thickness of the coating, counted from the high end, then
+    from the low end, in voxels, and how far either face moves with the wall's grey; ``coated`` and ``cleaned`` in the
+    same order. ``cleaned``: take off spikes and attached particles; ``particles`` were removed before.
     """
     first_um, step_um, last_index = float(columns.depth_um[0]), columns.pitch[2], columns.shape[2] - 1
     below_particle = np.zeros(depths.shape[1:], dtype=bool)
@@ -163,7 +167,7 @@ def _share(mask: Bools, labels: NDArray[np.integer], count: int) -> Floats:
 def _fit_tile(job: FitJob, tile: Tile) -> Floats:
     """Face and coating thickness seen from the high end, then from the low end, in voxels, (4, rows, cols).
 
-    Where a base of walls and pores lies bare, two more: how far each face moves where the wall's grey is as far off as it may be.
+    Where a base of walls and pores lies bare, two more: how far each face moves where the wall's grey is a little off.
     """
     columns, guide, priors, search_depths = job
     edge = priors.edge
