@@ -159,7 +159,7 @@ def _with_errors(measured: xr.Dataset, noise_um: float) -> xr.Dataset:
                 added_um = np.nan_to_num(added_se.values.astype(np.float64))
                 errors |= {k: np.hypot(errors[k], added_um) for k in (f"coating_{side}", "base_thickness", "thickness")}
                 level_um += float(added_se.attrs.get("common_um", 0.0))
-    common |= {name: float(np.hypot(common[name], level_um)) for name in ("base_thickness", "thickness")}
+    common = {**common, **{k: float(np.hypot(common[k], level_um)) for k in ("base_thickness", "thickness")}}
     variables: dict[str, xr.Variable] = {}
     for name in ("coating_top", "coating_bottom", "base_thickness", "thickness"):
         se = np.where(np.isfinite(measured[name].values), errors[name], np.nan).astype(np.float32)

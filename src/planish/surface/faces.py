@@ -198,7 +198,7 @@ def _planes(priors: Priors) -> int:
     return 6 if any(side.wall_level for side in priors.sides.values()) else 4
 
 
-def outermost_crossing(grey: Floats, start: Floats, stop: Floats, level: float) -> Floats:
+def outermost_crossing(grey: NDArray[np.floating], start: Floats, stop: Floats, level: float) -> Floats:
     """Depth (...) at which ``grey`` (..., depth), read from outside, first passes level; NaN for nowhere."""
     inside = first_where(grey > level, np.where(np.isfinite(start), np.maximum(np.floor(start), 1), grey.shape[-1]))
     is_found = inside <= np.minimum(stop, grey.shape[-1] - 1)
@@ -212,7 +212,7 @@ def first_where(mask: Bools, start: NDArray[Any]) -> NDArray[np.intp]:
     return np.where(candidates.any(axis=-1), candidates.argmax(axis=-1), mask.shape[-1])
 
 
-def crossing(grey: Floats, first_sample: NDArray[np.intp], level: float) -> Floats:
+def crossing(grey: NDArray[np.floating], first_sample: NDArray[np.intp], level: float) -> Floats:
     """Share of the way from one sample of ``grey`` (..., depth) to the next at which level is passed."""
     next_sample = np.minimum(first_sample + 1, grey.shape[-1] - 1)
     a, b = (np.take_along_axis(grey, k[..., None], axis=-1)[..., 0] for k in (first_sample, next_sample))
