@@ -246,6 +246,7 @@ class Priors:
     search_px: float  # how far outside the expected face the search starts, in voxels
     embedded_level: float  # grey that separates a sheet from other material; 0 where air lies beside the sheet
     sides: Sides
+    covers_px: dict[bool, float]  # thickness of tape or film that touches, by whether at the high end; 0 for none
 
     @property
     def coated(self) -> tuple[bool, bool]:
@@ -265,4 +266,8 @@ class Priors:
             "averaged_columns": self.scale.blend_sd, "base_texture_um": self.base_texture * pitch_um,
             "polarity": polarity, "blur_um": edge.width * pitch_um, "fringe": edge.fringe,
             "fringe_um": edge.fringe_width * pitch_um if edge.fringe else 0.0,
+            **{
+                f"cover_{'top' if from_high == (frame.top == 'high') else 'bottom'}_um": cover_px * pitch_um
+                for from_high, cover_px in self.covers_px.items() if cover_px
+            },
         }  # fmt: skip

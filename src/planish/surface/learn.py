@@ -24,6 +24,7 @@ from planish.surface.sample import Sample, Sampler, Samples, cost_limit
 from planish.surface.survey import Survey
 
 _WIDTHS = np.geomspace(0.35, 3.2, 14)  # blur along a column that is tried, in voxels
+_LEAST_COVER_UM = 15.0  # from a face to a brighter layer: a coating's brightest place is nearer
 _BELOW_FACE = 0.45  # of the core's variance: the solid below a face is denser, 83 against 55 %
 _POROUS = 0.35  # spread of the core's grey over its median: where it is less, no pores show
 _PLAIN, _PLAIN_SHARE = 5.5, 0.05  # widths of the blur, and share of columns: such a layer shows its grey beyond doubt
@@ -42,9 +43,10 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
     learner.calm(base_level)
     samples = {from_high: learner.sample(from_high=from_high) for from_high in (True, False)}
     # Coarse profile per side: is there a coating, how bright, how much does it vary?
+    profiles = {k: learner.profile(sample, base_level) for k, sample in samples.items()}
     is_separated = params.sheet_grey is not None or survey.surroundings == "material"
     if params.coating_grey is None:
-        sides = {k: learner.first_side(sample, base_level, base_sd, is_separated) for k, sample in samples.items()}
+        sides = {k: learner.first_side(profile, base_level, base_sd, is_separated) for k, profile in profiles.items()}
     else:
         sides = dict.fromkeys(samples, learner.preset_side(params.coating_grey, base_level, base_sd))
     wall_levels: dict[bool, float] = {}
@@ -78,6 +80,7 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
         base_level=base_level, base_texture=learner.base_texture(samples[True]), edge=edge,
         search_px=learner.search_px, embedded_level=learner.embedded_level,
         sides=narrowed_sides,
+        covers_px={} if learner.embedded_level else {k: learner.cover(profile) for k, profile in profiles.items()},
     )  # fmt: skip
 
 
@@ -151,8 +154,8 @@ class _Learner(Sampler):
         spread = np.array([0.0, 0.0, 0.02 * coating_level, max(base_sd, 0.25 * base_level)])
         return Side(level=np.array([0.0, 0.0, coating_level, base_level]), spread=spread, coated=True)
 
-    def first_side(self, sample: Sample, base_level: float, base_sd: float, is_separated: bool) -> Side:
-        """Look for a coating in the median profile below the face; wide spreads."""
+    def profile(self, sample: Sample, base_level: float) -> Floats:
+        """Median grey inwards from the first sample above the air, to the middle of the sheet."""
         grey, outer, search_px, embedded_level = sample.grey[0], sample.outer[0], self.search_px, self.embedded_level
         start_index = np.array([
             _fit_kernels.nearest(g, e, search_px, embedded_level) if embedded_level
@@ -162,7 +165,25 @@ class _Learner(Sampler):
         has_start = start_index > 0
         half_depth = int(np.median(sample.opposite[0] - outer)) // 2
         depth_index = np.clip(start_index[has_start][:, None] + np.arange(max(half_depth, 2)), 0, grey.shape[1] - 1)
-        profile = np.nanmedian(np.take_along_axis(grey[has_start], depth_index, axis=1), axis=0)
+        return np.nanmedian(np.take_along_axis(grey[has_start], depth_index, axis=1), axis=0)
+
+    def cover(self, profile: Floats) -> float:
+        """Thickness in voxels of what covers a side: an even layer with a brighter one below it; 0 for none.
+
+        Tape, film or a mount that touches is of one grey; no coating lies below a dimmer layer.
+        """
+        brightest = int(np.argmax(profile))
+        plateau = profile[2 : max(brightest - 2, 2)]
+        plateau = plateau[: int(0.8 * plateau.size)]  # the blur of the layer below is left out
+        if brightest * self.columns.pitch[2] < _LEAST_COVER_UM or plateau.size < 3:
+            return 0.0
+        is_even = float(np.ptp(plateau)) < 0.15 * float(np.median(plateau))
+        passes = np.flatnonzero(profile > 0.5 * (np.median(plateau) + profile[brightest]))
+        return float(passes[0]) if is_even and np.median(plateau) < 0.8 * profile[brightest] else 0.0
+
+    def first_side(self, profile: Floats, base_level: float, base_sd: float, is_separated: bool) -> Side:
+        """Look for a coating in the median profile below the face; wide spreads."""
+        half_depth, embedded_level = profile.size, self.embedded_level
         peak_level = float(profile[: max(2, int(0.8 * half_depth))].max())
         solid_level = base_level + 1.28 * min(base_sd, 0.3 * base_level)
         # A layer is a coating when it stands out from the base by more than a quarter.
