@@ -152,10 +152,14 @@ def _with_errors(measured: xr.Dataset, noise_um: float) -> xr.Dataset:
             # A crossing of half the step uses one place of the edge, a fit all of it.
             crossing_factor = np.sqrt(max(1.0, np.sqrt(np.pi) * greys.blur_um / through_um))
             errors = {name: se * crossing_factor for name, se in errors.items()}
+    level_um = 0.0  # what a wrong grey of the walls does to all columns alike, on both sides
     for side in SIDES:
-        if (correction_se := measured.get(f"correction_{side}_error")) is not None:
-            added_um = np.nan_to_num(correction_se.values.astype(np.float64))
-            errors |= {k: np.hypot(errors[k], added_um) for k in (f"coating_{side}", "base_thickness", "thickness")}
+        for name in (f"correction_{side}_error", f"level_{side}_error"):
+            if (added_se := measured.get(name)) is not None:
+                added_um = np.nan_to_num(added_se.values.astype(np.float64))
+                errors |= {k: np.hypot(errors[k], added_um) for k in (f"coating_{side}", "base_thickness", "thickness")}
+                level_um += float(added_se.attrs.get("common_um", 0.0))
+    common = {**common, **{k: float(np.hypot(common[k], level_um)) for k in ("base_thickness", "thickness")}}
     variables: dict[str, xr.Variable] = {}
     for name in ("coating_top", "coating_bottom", "base_thickness", "thickness"):
         se = np.where(np.isfinite(measured[name].values), errors[name], np.nan).astype(np.float32)

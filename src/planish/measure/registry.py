@@ -51,6 +51,7 @@ class Greys:
     blur_um: float  # standard deviation of the blur across the faces
     padding: float  # value outside the field of view; NaN where there is none
     single_noise: float = float("nan")  # that of a column before it is averaged with its neighbours
+    texture_um: float = 0.0  # variance of the integral over one um of the base's grey, from walls and pores; grey^2 um
     averaged: float = 0.0  # standard deviation of the Gaussian over neighbouring columns that the fit saw, in columns
 
     @classmethod
@@ -64,6 +65,7 @@ class Greys:
         return cls(
             **{key.removeprefix("grey_"): float(attrs[key]) for key in keys},
             padding=float(attrs.get("padding", np.nan)), averaged=float(attrs.get("averaged_columns", 0.0)),
+            texture_um=float(attrs.get("base_texture_um", 0.0)),
             single_noise=float(attrs.get("grey_noise_single", attrs["grey_noise"])),
         )  # fmt: skip
 

@@ -137,7 +137,9 @@ def layer_errors(thickness: Floats, greys: Greys, noise_um: float, side: Side) -
     levels, which vary by 5 % (coating) and 10 % (base) of their contrast from place to place. Where a side has no
     coating there are h and b only. As t goes to 0, h and t cannot be told apart and the matrix becomes singular; below
     the thickness that equals its own standard error, that error is given. It says nothing about a wrong model: fringes,
-    burnt rims, fillers at the interface.
+    burnt rims, fillers at the interface. Walls and pores of the base are no part of the staircase either: what they
+    scatter beyond the noise below an interface is added as it acts on the fit, F^-1 (F + G) F^-1 with G the same
+    integral of their surplus.
 
     Parameters
     ----------
@@ -152,13 +154,15 @@ def layer_errors(thickness: Floats, greys: Greys, noise_um: float, side: Side) -
     # Without any noise the matrix has no inverse; a hundred-thousandth of the contrast is nothing.
     noise_um = max(noise_um, 1e-10 * (base_level - greys.air) ** 2 * blur_um)
     if not np.isfinite(coating_level):
+        # A face has air on one side, walls and pores on the other.
+        noise_um = 0.5 * (noise_um + max(noise_um, greys.texture_um))
         face_se = float(np.sqrt(noise_um * 2 * np.sqrt(np.pi) * blur_um)) / abs(base_level - greys.air)
         face_map = np.full(thickness.shape, face_se)
         return face_map, np.full(thickness.shape, np.nan), face_map
     # Layers thicker than 12 blurs have two edges that know nothing of each other.
     nodes_um = np.linspace(0.02, 12.0, _NODES) * blur_um
     levels = coating_level - greys.air, base_level - greys.air
-    se_table = np.array([_layer_errors_at(t, blur_um, *levels, noise_um) for t in nodes_um])
+    se_table = np.array([_layer_errors_at(t, blur_um, *levels, noise_um, greys.texture_um) for t in nodes_um])
     se_table[:] = se_table[np.maximum(np.arange(_NODES), int(np.argmax(se_table[:, 1] <= nodes_um)))]
     layer_um = np.clip(thickness, 0.0, nodes_um[-1])
     face_se, thickness_se, interface_se = (np.interp(layer_um, nodes_um, se_table[:, k]) for k in range(3))
@@ -166,7 +170,9 @@ def layer_errors(thickness: Floats, greys: Greys, noise_um: float, side: Side) -
     return tuple(np.where(is_missing, np.nan, v) for v in (face_se, thickness_se, interface_se))  # type: ignore[return-value]
 
 
-def _layer_errors_at(t: float, w: float, c: float, b: float, noise_um: float) -> tuple[float, float, float]:
+def _layer_errors_at(
+    t: float, w: float, c: float, b: float, noise_um: float, texture_um: float
+) -> tuple[float, float, float]:
     step_um = 0.05 * w
     s: Floats = np.arange(-6 * w, t + 20 * w, step_um)
 
@@ -180,6 +186,9 @@ def _layer_errors_at(t: float, w: float, c: float, b: float, noise_um: float) ->
     fisher = gradient @ gradient.T * step_um / noise_um
     fisher[2, 2] += 1 / (_LEVELS[0] * c) ** 2
     fisher[3, 3] += 1 / (_LEVELS[1] * b) ** 2
-    covariance = np.linalg.inv(fisher)
+    # The fit weighs all samples alike, but below the interface walls and pores scatter more than the noise.
+    surplus = gradient * np.where(s > t, np.sqrt(max(texture_um - noise_um, 0.0)), 0.0) / noise_um
+    inverse = np.linalg.inv(fisher)
+    covariance = inverse @ (fisher + surplus @ surplus.T * step_um) @ inverse
     interface_variance = covariance[0, 0] + covariance[1, 1] + 2 * covariance[0, 1]
     return tuple(float(np.sqrt(max(v, 0.0))) for v in (covariance[0, 0], covariance[1, 1], interface_variance))  # type: ignore[return-value]

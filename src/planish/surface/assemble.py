@@ -91,6 +91,9 @@ def assemble(
         )
     centre, cutoff_used = centre_surface(face_mean, in_outline, pitch, params)
     variables = {name: _variable(height, _TITLES[name]) for name, height in heights.items()}
+    for side, (level_error, mean_um) in faces.level_errors.items():
+        title = f"Standard error of the {side} face from the wall's grey"
+        variables[f"level_{side}_error"] = _variable(level_error.astype(np.float32), title, common_um=mean_um)
     variables["centre"] = _variable(centre, "Centre surface")
     if params.envelope_um is not None:
         variables |= _envelopes(heights, columns.frame.sign, pitch, params.envelope_um)

@@ -17,10 +17,10 @@ from planish.core.errors import VolumeError
 from planish.core.frame import Frame
 from planish.core.robust import otsu_borders
 from planish.core.tiles import Engine, Tile, tiles_of
-from planish.core.typing import Bools, Floats, Pair
+from planish.core.typing import Floats, Pair
 from planish.surface.assemble import assemble
 from planish.surface.columns import Columns, Guide, Priors, join_tiles, make_guide, oriented
-from planish.surface.faces import Faces, FitJob, faces_from_depths
+from planish.surface.faces import Faces, FitJob, crossing, faces_from_depths, first_where
 from planish.surface.params import LabelParams, SurfaceParams
 from planish.surface.regions import doubtful
 from planish.surface.survey import survey_labels
@@ -68,12 +68,6 @@ def _fit_slices(job: FitJob, tile: Tile) -> Floats:
     return depths
 
 
-def first_where(mask: Bools, start: NDArray[Any]) -> NDArray[np.intp]:
-    """First index from ``start`` (...) on at which ``mask`` (..., depth) is set; the depth where there is none."""
-    candidates = mask & (np.arange(mask.shape[-1]) >= start[..., None])
-    return np.where(candidates.any(axis=-1), candidates.argmax(axis=-1), mask.shape[-1])
-
-
 def _outer_boundaries(
     grey: Floats, expected: Floats, opposite: Floats, start: Floats, paper: float, coating: float
 ) -> tuple[Floats, Floats]:
@@ -93,20 +87,12 @@ def _outer_boundaries(
     is_outside = ~is_above & (np.arange(depth) < d[:, None])
     d = np.where(is_outside.any(axis=1), depth - is_outside[:, ::-1].argmax(axis=1), 1)
     d = np.minimum(first_where(is_above, d), depth - 2)
-    face = d - 1 + _crossing(grey, d - 1, paper)
+    face = d - 1 + crossing(grey, d - 1, paper)
     first = np.minimum(first_where(is_bright, d), np.maximum(np.minimum(middle, d + 4), d))
     last = np.minimum(first_where(~is_bright, first) - 1, np.maximum(np.minimum(middle, depth - 2), first))
     is_coated = is_bright[np.arange(cols), first]
-    thickness = np.where(is_coated, np.maximum(last + _crossing(grey, last, coating) - face, 0.0), 0.0)
+    thickness = np.where(is_coated, np.maximum(last + crossing(grey, last, coating) - face, 0.0), 0.0)
     return np.where(has_face, face, np.nan), np.where(has_face, thickness, np.nan)
-
-
-def _crossing(grey: Floats, first_sample: NDArray[np.intp], level: float) -> Floats:
-    """Share of the way from one sample to the next at which level is passed."""
-    column = np.arange(first_sample.size)
-    a, b = grey[column, first_sample], grey[column, np.minimum(first_sample + 1, grey.shape[1] - 1)]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(b != a, np.clip((level - a) / (b - a), 0.0, 1.0), 0.5)
 
 
 def otsu(grey: Floats, classes: int) -> Pair:

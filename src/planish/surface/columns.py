@@ -225,6 +225,8 @@ class Side:
     level: Floats  # of face, thickness, grey of the coating (or of what lies outside), grey of the base
     spread: Floats  # of the same; only those of the greys are used
     coated: bool
+    # Grey of a fibre's wall above the air, where no coating covers a base of walls and pores; 0 elsewhere.
+    wall_level: float = 0.0
 
 
 Sides = dict[bool, Side]  # by whether they lie at the high end of the columns
@@ -239,10 +241,12 @@ class Priors:
     single_noise: float  # that of a column that is not averaged with its neighbours
     scatter: float  # standard deviation by which the fit takes a sample to differ from its model: the noise or more
     base_level: float  # level of the base above the air
+    base_texture: float  # variance of the base's grey along a column, per voxel
     edge: Edge  # blur and fringe
     search_px: float  # how far outside the expected face the search starts, in voxels
     embedded_level: float  # grey that separates a sheet from other material; 0 where air lies beside the sheet
     sides: Sides
+    covers_px: dict[bool, float]  # thickness of tape or film that touches, by whether at the high end; 0 for none
 
     @property
     def coated(self) -> tuple[bool, bool]:
@@ -259,7 +263,11 @@ class Priors:
         return {
             "grey_air": air_grey, "grey_base": polarity * self.base_level + air_grey, "grey_coating_top": top,
             "grey_coating_bottom": bottom, "grey_noise": self.noise, "grey_noise_single": self.single_noise,
-            "averaged_columns": self.scale.blend_sd, "polarity": polarity,
-            "blur_um": edge.width * pitch_um, "fringe": edge.fringe,
+            "averaged_columns": self.scale.blend_sd, "base_texture_um": self.base_texture * pitch_um,
+            "polarity": polarity, "blur_um": edge.width * pitch_um, "fringe": edge.fringe,
             "fringe_um": edge.fringe_width * pitch_um if edge.fringe else 0.0,
+            **{
+                f"cover_{'top' if from_high == (frame.top == 'high') else 'bottom'}_um": cover_px * pitch_um
+                for from_high, cover_px in self.covers_px.items() if cover_px
+            },
         }  # fmt: skip

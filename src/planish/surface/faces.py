@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.grid import filled
-from planish.core.robust import mad_sd
+from planish.core.robust import mad_sd, masked_gaussian
 from planish.core.tiles import Engine, Tile
 from planish.core.typing import Bools, Floats
 from planish.surface import _fit_kernels
@@ -17,6 +18,7 @@ from planish.surface.columns import Columns, Guide, Priors, join_tiles, oriented
 
 _FLOATS = 3.0  # voxels outside the coarse sheet: two of air and one for its own inaccuracy
 _MOST_OF = 0.8
+_LEVEL_DOUBT = 0.14  # of a wall's grey: what filler and walls thinner than the blur leave open
 
 FitJob = tuple[Columns, Guide, Priors, Floats | None]
 """Of a tile's fit: the guide is that of the tile and its halo; of (2, rows, cols), where given, only columns with a
@@ -34,6 +36,9 @@ class Faces:
     heights: dict[str, Floats]
     below_particle: Bools
     particles: int
+    # By side without a coating, in um: how far the face moves where the wall's grey is a little off, in each column
+    # (rows, cols) and in the mean of all.
+    level_errors: dict[str, tuple[Floats, float]] = field(default_factory=dict)
 
 
 def find_faces(columns: Columns, guide: Guide, priors: Priors, engine: Engine, particles: int = 0) -> Faces:
@@ -44,7 +49,7 @@ def find_faces(columns: Columns, guide: Guide, priors: Priors, engine: Engine, p
         return columns, guide.part(priors.scale.grown(tile, shape)), priors, None
 
     tiles = columns.tiles(engine)
-    depths = join_tiles(engine.map("faces", _fit_tile, job, tiles), np.empty((4, *shape)))
+    depths = join_tiles(engine.map("faces", _fit_tile, job, tiles), np.empty((_planes(priors), *shape)))
     if not priors.embedded_level:
         # The coarse sheet is one connected object: what is seen far outside it hangs on nothing, and the face is looked
         # for again below it. Where the gap is so narrow that the coarse search saw one object, a plate with a step all
@@ -64,7 +69,7 @@ def find_faces(columns: Columns, guide: Guide, priors: Priors, engine: Engine, p
 
         tiles = [t for t in tiles if is_floating[:, t.rows, t.cols].any()]
         depths_by_tile = engine.map("faces_below", _fit_tile, job_below, tiles)
-        depths_below = join_tiles(depths_by_tile, np.full((4, *shape), np.nan))
+        depths_below = join_tiles(depths_by_tile, np.full((_planes(priors), *shape), np.nan))
         for k, plate_labels in enumerate(plates_by_end):
             is_better = is_floating[k] & np.isfinite(depths_below[2 * k])
             # A plate floats when there is a face below most of it.
@@ -72,26 +77,36 @@ def find_faces(columns: Columns, guide: Guide, priors: Priors, engine: Engine, p
             particles += int(np.count_nonzero(is_floating_plate))
             is_better &= (plate_labels == 0) | is_floating_plate[plate_labels]
             depths[2 * k][is_floating_plate[plate_labels] & ~is_better] = np.nan
-            depths[2 * k : 2 * k + 2, is_better] = depths_below[2 * k : 2 * k + 2, is_better]
-    return faces_from_depths(depths, columns, priors.coated, cleaned=True, particles=particles)
+            for plane in (2 * k, 2 * k + 1, *([4 + k] if len(depths) > 4 else [])):
+                depths[plane, is_better] = depths_below[plane, is_better]
+    cleaned = not priors.sides[True].wall_level, not priors.sides[False].wall_level
+    return faces_from_depths(depths, columns, priors.coated, cleaned=cleaned, particles=particles)
 
 
 def faces_from_depths(
-    depths: Floats, columns: Columns, coated: tuple[bool, bool], *, cleaned: bool = False, particles: int = 0
+    depths: Floats,
+    columns: Columns,
+    coated: tuple[bool, bool],
+    *,
+    cleaned: tuple[bool, bool] = (False, False),
+    particles: int = 0,
 ) -> Faces:
     """Turn depths into heights.
 
-    ``depths`` (4, rows, cols): depth of the face and thickness of the coating, counted from the high end, then from the
-    low end, in voxels; ``coated`` in the same order. ``cleaned``: take off spikes and attached particles;
-    ``particles`` were removed before.
+    ``depths`` (4 or 6, rows, cols): depth of the face and thickness of the coating, counted from the high end, then
+    from the low end, in voxels, and how far either face moves with the wall's grey; ``coated`` and ``cleaned`` in the
+    same order. ``cleaned``: take off spikes and attached particles; ``particles`` were removed before.
     """
     first_um, step_um, last_index = float(columns.depth_um[0]), columns.pitch[2], columns.shape[2] - 1
     below_particle = np.zeros(depths.shape[1:], dtype=bool)
     heights: dict[str, Floats] = {}
+    level_errors: dict[str, tuple[Floats, float]] = {}
     for k, side in enumerate(("top", "bottom") if columns.frame.top == "high" else ("bottom", "top")):
         outer, thickness = depths[2 * k : 2 * k + 2]
+        if len(depths) > 4:
+            level_errors[side] = step_um * _rms_around(depths[4 + k]), step_um * float(np.nanmean(depths[4 + k]))
         is_finite = np.isfinite(outer)
-        if cleaned and is_finite.any():
+        if cleaned[k] and is_finite.any():
             # Columns whose face stands far off its neighbours' are dust, or fits that went astray.
             deviation_px = np.abs(outer - ndimage.median_filter(filled(outer), size=5, mode="nearest"))
             limit_px = max(8.0 * mad_sd(deviation_px[is_finite]) + 1.0, 3.0 / step_um, 3.0)  # 3 um or voxels
@@ -108,7 +123,13 @@ def faces_from_depths(
         interface = np.where(np.isfinite(outer) & coated[k], outer + thickness, np.nan)
         for name, depth in ((side, outer), (f"interface_{side}", interface)):
             heights[name] = first_um + step_um * (last_index - depth if k == 0 else depth)
-    return Faces(heights=heights, below_particle=below_particle, particles=particles)
+    return Faces(heights=heights, below_particle=below_particle, particles=particles, level_errors=level_errors)
+
+
+def _rms_around(values: Floats) -> Floats:
+    """Root mean square of the known values near each column: whether a wall is seen or not is chance in one column."""
+    mean_square, weight = masked_gaussian(values**2, np.isfinite(values), [3.0, 3.0], truncate=3.0)
+    return np.sqrt(mean_square / np.maximum(weight, 1e-9))
 
 
 def _plates(outward: Floats, pitch: tuple[float, float, float]) -> tuple[NDArray[np.int32], Floats]:
@@ -144,20 +165,56 @@ def _share(mask: Bools, labels: NDArray[np.integer], count: int) -> Floats:
 
 
 def _fit_tile(job: FitJob, tile: Tile) -> Floats:
-    """Face and coating thickness seen from the high end, then from the low end, in voxels, (4, rows, cols)."""
+    """Face and coating thickness seen from the high end, then from the low end, in voxels, (4, rows, cols).
+
+    Where a base of walls and pores lies bare, two more: how far each face moves where the wall's grey is a little off.
+    """
     columns, guide, priors, search_depths = job
     edge = priors.edge
     grey, guide = oriented(columns, tile, guide, priors.scale)
     cos_tilt = np.ascontiguousarray(guide.cos_tilt)
-    depths, fit = np.empty((4, *tile.shape)), np.empty((5, *tile.shape))
+    depths, fit = np.zeros((_planes(priors), *tile.shape)), np.empty((5, *tile.shape))
     for k, from_high in enumerate((True, False)):
         outer, opposite = (np.ascontiguousarray(a) for a in guide.faces(grey.shape[2], from_high=from_high))
-        side, embedded_level = priors.sides[from_high], priors.embedded_level
+        side, embedded_level, search_px = priors.sides[from_high], priors.embedded_level, priors.search_px
         if search_depths is not None:
             outer, embedded_level = np.ascontiguousarray(search_depths[k]), 0.5 * priors.base_level
+        if side.wall_level:
+            start = outer - (1.0 if search_depths is not None else search_px) / cos_tilt
+            inward_grey = grey[..., ::-1] if from_high else grey
+            levels = [0.5 * side.wall_level * (1.0 + doubt) for doubt in (0.0, -_LEVEL_DOUBT, _LEVEL_DOUBT)]
+            face, outwards, inwards = (outermost_crossing(inward_grey, start, opposite, level) for level in levels)
+            depths[2 * k], depths[4 + k] = face, 0.5 * (inwards - outwards)
+            continue
         _fit_kernels.fit_faces(
             grey, outer, opposite, cos_tilt, 0.0, edge.width, priors.scatter, side.level, side.spread, side.coated,
-            priors.search_px, fit, 0.0, embedded_level, edge.fringe or None, edge.ratio, from_high,
+            search_px, fit, 0.0, embedded_level, edge.fringe or None, edge.ratio, from_high,
         )  # fmt: skip
         depths[2 * k : 2 * k + 2] = fit[:2]
     return depths
+
+
+def _planes(priors: Priors) -> int:
+    return 6 if any(side.wall_level for side in priors.sides.values()) else 4
+
+
+def outermost_crossing(grey: NDArray[np.floating], start: Floats, stop: Floats, level: float) -> Floats:
+    """Depth (...) at which ``grey`` (..., depth), read from outside, first passes level; NaN for nowhere."""
+    inside = first_where(grey > level, np.where(np.isfinite(start), np.maximum(np.floor(start), 1), grey.shape[-1]))
+    is_found = inside <= np.minimum(stop, grey.shape[-1] - 1)
+    outside = np.where(is_found, inside - 1, 0)
+    return np.where(is_found, outside + crossing(grey, outside, level), np.nan)
+
+
+def first_where(mask: Bools, start: NDArray[Any]) -> NDArray[np.intp]:
+    """First index from ``start`` (...) on at which ``mask`` (..., depth) is set; the depth where there is none."""
+    candidates = mask & (np.arange(mask.shape[-1]) >= start[..., None])
+    return np.where(candidates.any(axis=-1), candidates.argmax(axis=-1), mask.shape[-1])
+
+
+def crossing(grey: NDArray[np.floating], first_sample: NDArray[np.intp], level: float) -> Floats:
+    """Share of the way from one sample of ``grey`` (..., depth) to the next at which level is passed."""
+    next_sample = np.minimum(first_sample + 1, grey.shape[-1] - 1)
+    a, b = (np.take_along_axis(grey, k[..., None], axis=-1)[..., 0] for k in (first_sample, next_sample))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(b != a, np.clip((level - a) / (b - a), 0.0, 1.0), 0.5)

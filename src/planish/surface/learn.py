@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from scipy import optimize
+from scipy.special import ndtri
 
 from planish.core.errors import VolumeError
 from planish.core.robust import mad_sd
@@ -23,6 +24,9 @@ from planish.surface.sample import Sample, Sampler, Samples, cost_limit
 from planish.surface.survey import Survey
 
 _WIDTHS = np.geomspace(0.35, 3.2, 14)  # blur along a column that is tried, in voxels
+_LEAST_COVER_UM = 15.0  # from a face to a brighter layer: a coating's brightest place is nearer
+_BELOW_FACE = 0.45  # of the core's variance: the solid below a face is denser, 83 against 55 %
+_POROUS = 0.35  # spread of the core's grey over its median: where it is less, no pores show
 _PLAIN, _PLAIN_SHARE = 5.5, 0.05  # widths of the blur, and share of columns: such a layer shows its grey beyond doubt
 
 
@@ -39,11 +43,20 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
     learner.calm(base_level)
     samples = {from_high: learner.sample(from_high=from_high) for from_high in (True, False)}
     # Coarse profile per side: is there a coating, how bright, how much does it vary?
+    profiles = {k: learner.profile(sample, base_level) for k, sample in samples.items()}
     is_separated = params.sheet_grey is not None or survey.surroundings == "material"
     if params.coating_grey is None:
-        sides = {k: learner.first_side(sample, base_level, base_sd, is_separated) for k, sample in samples.items()}
+        sides = {k: learner.first_side(profile, base_level, base_sd, is_separated) for k, profile in profiles.items()}
     else:
         sides = dict.fromkeys(samples, learner.preset_side(params.coating_grey, base_level, base_sd))
+    wall_levels: dict[bool, float] = {}
+    if survey.surroundings == "air" and not any(side.coated for side in sides.values()):
+        wall_levels = {k: learner.wall_level(sample) for k, sample in samples.items()}
+        if all(wall_levels.values()):
+            # A wall thinner than the blur must not be blurred further than the noise asks for.
+            learner.calm(min(wall_levels.values()))
+            samples = {from_high: learner.sample(from_high=from_high) for from_high in (True, False)}
+            wall_levels = {k: learner.wall_level(sample) for k, sample in samples.items()}
     preset_fringe = 0.0 if isinstance(params.fringe, str) else params.fringe
     edge = Edge(width=learner.blur(samples, sides, preset_fringe), fringe=preset_fringe)
     has_fringe = params.fringe == "auto" and learner.undershoots(samples, sides, edge)
@@ -61,11 +74,13 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
         if is_preset and not float(np.nanmedian(learner.fit(sample, side, edge)[1])) > 0.15 * edge.width:
             level, spread = np.array([0.0, 0.0, 0.0, base_level]), np.array([0.0, 0.0, -1.0, side.spread[3]])
             side = learner.narrowed(sample, Side(level=level, spread=spread, coated=False), edge, True)
-        narrowed_sides[from_high] = side
+        narrowed_sides[from_high] = replace(side, wall_level=wall_levels.get(from_high, 0.0))
     return Priors(
         scale=learner.scale, noise=learner.noise, single_noise=learner.single_noise, scatter=learner.scatter,
-        base_level=base_level, edge=edge, search_px=learner.search_px, embedded_level=learner.embedded_level,
+        base_level=base_level, base_texture=learner.base_texture(samples[True]), edge=edge,
+        search_px=learner.search_px, embedded_level=learner.embedded_level,
         sides=narrowed_sides,
+        covers_px={} if learner.embedded_level else {k: learner.cover(profile) for k, profile in profiles.items()},
     )  # fmt: skip
 
 
@@ -83,16 +98,48 @@ class _Learner(Sampler):
 
     def base_level(self, sample: Sample) -> tuple[float, float]:
         """Level of the base above the air, and how much it varies from place to place."""
+        core_grey = self._core_grey(sample)
+        level = float(np.median(core_grey))
+        if level <= 0:
+            raise VolumeError("The core of the sheet is not brighter than the air around it. Check --sheet-grey.")
+        return level, float(np.sqrt(max(mad_sd(core_grey) ** 2 - self.noise**2, (0.05 * level) ** 2)))
+
+    def _core_grey(self, sample: Sample) -> Floats:
+        """Grey at places of the sheet's core that are known."""
         depth_shares = np.linspace(*CORE, 9)
         outer, opposite = sample.outer[0][:, None], sample.opposite[0][:, None]
         depth_index = np.rint(outer + (opposite - outer) * depth_shares).astype(int)
         depth_index = np.clip(depth_index, 0, sample.grey.shape[2] - 1)
         core_grey = np.take_along_axis(sample.grey[0], depth_index, axis=1).astype(np.float64)
-        core_grey = core_grey[np.isfinite(core_grey)]
-        level = float(np.median(core_grey))
-        if level <= 0:
-            raise VolumeError("The core of the sheet is not brighter than the air around it. Check --sheet-grey.")
-        return level, float(np.sqrt(max(mad_sd(core_grey) ** 2 - self.noise**2, (0.05 * level) ** 2)))
+        return core_grey[np.isfinite(core_grey)]
+
+    def base_texture(self, sample: Sample) -> float:
+        """Variance of the base's grey along a column, as that of a sample whose neighbours vary by themselves.
+
+        From means of three samples side by side, in the core; what is brighter or darker as a whole does not count.
+        The solid below a face is denser than the core, and varies by so much less.
+        """
+        first = np.rint(0.5 * (sample.outer + sample.opposite))[0].astype(int)[:, None] + np.arange(-3, 3)
+        grey = np.take_along_axis(sample.grey[0], np.clip(first, 0, sample.grey.shape[2] - 1), axis=1)
+        means = grey.astype(np.float64).reshape(-1, 2, 3).mean(axis=2)
+        difference = means[:, 1] - means[:, 0]
+        difference = difference[np.isfinite(difference)]
+        return _BELOW_FACE * 3.0 * 0.5 * float(np.var(np.clip(difference, *np.percentile(difference, [1, 99]))))
+
+    def wall_level(self, sample: Sample) -> float:
+        """Grey of a fibre's wall above the air; 0 where the base has no pores that show.
+
+        The more of the core is void, the fewer of its places show nothing but wall: its median does where it is even,
+        its brightest where a third is void.
+        """
+        base_level, base_sd = self.base_level(sample)
+        if base_sd < _POROUS * base_level:
+            return 0.0
+        core_grey = self._core_grey(sample)
+        void_share = float(np.mean(core_grey < 0.3 * np.percentile(core_grey, 99)))
+        share = 0.88 + 0.116 * min(void_share / 0.35, 1.0)
+        median, brightest = np.quantile(core_grey, [0.5, share])
+        return float(median + np.sqrt(max((brightest - median) ** 2 - (ndtri(share) * self.noise) ** 2, 0.0)))
 
     def preset_side(self, coating_grey: float, base_level: float, base_sd: float) -> Side:
         """Take the grey of the coating as it was set."""
@@ -107,8 +154,8 @@ class _Learner(Sampler):
         spread = np.array([0.0, 0.0, 0.02 * coating_level, max(base_sd, 0.25 * base_level)])
         return Side(level=np.array([0.0, 0.0, coating_level, base_level]), spread=spread, coated=True)
 
-    def first_side(self, sample: Sample, base_level: float, base_sd: float, is_separated: bool) -> Side:
-        """Look for a coating in the median profile below the face; wide spreads."""
+    def profile(self, sample: Sample, base_level: float) -> Floats:
+        """Median grey inwards from the first sample above the air, to the middle of the sheet."""
         grey, outer, search_px, embedded_level = sample.grey[0], sample.outer[0], self.search_px, self.embedded_level
         start_index = np.array([
             _fit_kernels.nearest(g, e, search_px, embedded_level) if embedded_level
@@ -118,7 +165,25 @@ class _Learner(Sampler):
         has_start = start_index > 0
         half_depth = int(np.median(sample.opposite[0] - outer)) // 2
         depth_index = np.clip(start_index[has_start][:, None] + np.arange(max(half_depth, 2)), 0, grey.shape[1] - 1)
-        profile = np.nanmedian(np.take_along_axis(grey[has_start], depth_index, axis=1), axis=0)
+        return np.nanmedian(np.take_along_axis(grey[has_start], depth_index, axis=1), axis=0)
+
+    def cover(self, profile: Floats) -> float:
+        """Thickness in voxels of what covers a side: an even layer with a brighter one below it; 0 for none.
+
+        Tape, film or a mount that touches is of one grey; no coating lies below a dimmer layer.
+        """
+        brightest = int(np.argmax(profile))
+        plateau = profile[2 : max(brightest - 2, 2)]
+        plateau = plateau[: int(0.8 * plateau.size)]  # the blur of the layer below is left out
+        if brightest * self.columns.pitch[2] < _LEAST_COVER_UM or plateau.size < 3:
+            return 0.0
+        is_even = float(np.ptp(plateau)) < 0.15 * float(np.median(plateau))
+        passes = np.flatnonzero(profile > 0.5 * (np.median(plateau) + profile[brightest]))
+        return float(passes[0]) if is_even and np.median(plateau) < 0.8 * profile[brightest] else 0.0
+
+    def first_side(self, profile: Floats, base_level: float, base_sd: float, is_separated: bool) -> Side:
+        """Look for a coating in the median profile below the face; wide spreads."""
+        half_depth, embedded_level = profile.size, self.embedded_level
         peak_level = float(profile[: max(2, int(0.8 * half_depth))].max())
         solid_level = base_level + 1.28 * min(base_sd, 0.3 * base_level)
         # A layer is a coating when it stands out from the base by more than a quarter.

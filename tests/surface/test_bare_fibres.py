@@ -1,0 +1,89 @@
+"""Faces of a bare base of walls and pores: laid ribbons of another maker against the definition of its face."""
+
+import numpy as np
+import xarray as xr
+from scipy import ndimage
+
+from planish.measure import measure_properties
+from planish.surface import find_surfaces
+from planish.surface.faces import outermost_crossing
+
+WALL, AIR = 100.0, 40.0
+LATERAL, VOXEL, FWHM = 2, 3, 4.0  # um: cells of the structure are 2 x 2 x 1
+
+
+def laid(seed, ribbons, thickness):
+    """Occupancy (y, x, z) of stiff ribbons, each laid on the highest place below it."""
+    rng = np.random.default_rng(seed)
+    side, room = 210, 160
+    solid, top = np.zeros((side, side, room), np.float32), np.full((side, side), 30)
+    for _ in range(ribbons):
+        length, width = rng.integers(30, 80), rng.integers(8, 15)
+        rows, cols = (length, width) if rng.random() < 0.5 else (width, length)
+        r, c = rng.integers(-rows, side, 2)[0], rng.integers(-cols, side)
+        place = slice(max(r, 0), r + rows), slice(max(c, 0), c + cols)
+        if r + rows <= 0 or c + cols <= 0:
+            continue
+        base = int(np.percentile(top[place], 60))  # it gives way to the highest places
+        if base + thickness > room - 30:
+            continue
+        solid[(*place, slice(base, base + thickness))] = 1.0
+        top[place] = np.maximum(top[place], base + thickness)
+    return solid
+
+
+def scanned(solid, noise, seed):
+    """The volume of a structure, and the true thickness at each of its columns."""
+    sigma = FWHM / np.sqrt(8 * np.log(2))
+    blurred = ndimage.gaussian_filter(solid, (sigma / LATERAL, sigma / LATERAL, sigma))
+    n_rows, n_cols, n_cells = (
+        int(n * size / VOXEL) for n, size in zip(solid.shape, (LATERAL, LATERAL, 1), strict=True)
+    )
+    rows, cols, cells = (
+        (np.arange(n) + 0.5) * VOXEL / size - 0.5
+        for n, size in zip((n_rows, n_cols, n_cells), (LATERAL, LATERAL, 1), strict=True)
+    )
+    at = np.meshgrid(rows, cols, np.arange(solid.shape[2]), indexing="ij")
+    fine = ndimage.map_coordinates(blurred, at, order=1, mode="nearest")
+    passes = fine >= 0.5
+    true = np.where(
+        passes.any(axis=2), passes.shape[2] - passes[..., ::-1].argmax(axis=2) - passes.argmax(axis=2) - 1.0, np.nan
+    )
+    at = np.meshgrid(rows, cols, cells, indexing="ij")
+    grey = AIR + (WALL - AIR) * ndimage.map_coordinates(blurred, at, order=1, mode="nearest")
+    grey += noise * np.random.default_rng(seed).standard_normal(grey.shape)
+    coords = {axis: np.arange(n) * float(VOXEL) for axis, n in zip("zyx", (n_cells, n_rows, n_cols), strict=True)}
+    attrs = {"voxel_um": [float(VOXEL)] * 3}
+    values = np.rint(np.moveaxis(grey, 2, 0)).clip(0, 255).astype(np.uint8)
+    return xr.DataArray(values, coords, ("z", "y", "x"), attrs=attrs), true
+
+
+def test_faces_of_laid_ribbons_are_those_of_half_a_wall():
+    volume, true = scanned(laid(3, 700, 7), 6.0, 4)
+    found = measure_properties(find_surfaces(volume), volume=volume)
+    values, stated = found["thickness"].values, found["thickness_se"].values
+    inside = np.isfinite(true)
+    inside[:8], inside[-8:], inside[:, :8], inside[:, -8:] = False, False, False, False
+    assert np.isfinite(values[inside]).mean() > 0.97
+    error = (values - true)[inside & np.isfinite(values)]
+    spread = error.std() / np.sqrt(np.mean(stated[inside & np.isfinite(values)] ** 2))
+    print(f"true {true[inside].mean():.1f} um, off {error.mean():+.2f}, sd {error.std():.2f}, {spread:.2f} stated")
+    assert abs(error.mean()) < 1.5
+    assert 0.5 < spread < 1.5
+    assert float(found["level_top_error"].attrs["common_um"]) > 0
+
+
+def test_the_outermost_crossing_is_that_of_a_plain_loop():
+    rng = np.random.default_rng(0)
+    grey = ndimage.gaussian_filter1d(rng.standard_normal((300, 40)), 1.5, axis=1)
+    start, stop = rng.uniform(-3, 12, 300), rng.uniform(15, 45, 300)
+    start[::37] = np.nan
+    found = outermost_crossing(grey, start, stop, 0.2)
+    for column, depth, first, last in zip(grey, found, start, stop, strict=True):
+        true = np.nan
+        for k in range(max(int(np.floor(first)), 1), 40) if np.isfinite(first) else ():
+            if column[k] > 0.2:
+                a, b = column[k - 1], column[k]
+                true = k - 1 + min(max((0.2 - a) / (b - a), 0.0), 1.0) if k <= min(last, 39) else np.nan
+                break
+        np.testing.assert_allclose(depth, true, atol=1e-12)
