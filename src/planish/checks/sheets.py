@@ -64,7 +64,15 @@ def missing_voxels(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
 
 
 def film(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
-    """Name what was left out beside the sheet, such as the film it lies on; None where nothing was."""
+    """Name film or tape beside the sheet: what was left out, and what touches and was measured; None for neither."""
+    covers = {side: float(sheet.measured.attrs.get(f"cover_{side}_um", 0.0)) for side in SIDES}
+    if covers_text := " and ".join(f"on the {side} side some {um:.0f} um" for side, um in covers.items() if um):
+        return rule.check(
+            "fail", f"An even layer covers a brighter one, {covers_text} thick: tape, film or a mount that touches.",
+            value=max(covers.values()), limit=0.0, units="um",
+            advice="It is measured as if it were the sheet's: thickness and coatings are wrong there. Take it off, or "
+            "fill it with the grey of the air, and scan or map again.",
+        )  # fmt: skip
     if not (beside_text := sheet.measured.attrs.get("beside")):
         return None
     gap_um = float(sheet.measured.attrs["beside_gap_um"])
