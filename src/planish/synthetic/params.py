@@ -177,7 +177,6 @@ class FibreParams(Strict):
     lumen_um: tuple[float, float] = (0.0, 3.0)  # to 10 in bulky sheets
     fines: float = 0.75  # share by number
     flexibility: tuple[float, float] = (0.12, 0.2)  # steepest slope of a fibre over those below it
-    press: float = 1.0  # factor on the faces' roughness that the press before any coating leaves
     fuzz_per_mm2: float = 0.0  # fibres that stand up, on each side; 6 to 10 without coating
     fuzz_um: tuple[float, float] = (8.0, 40.0)  # how high their ends stand
     void_floor: float = 0.02  # share of a void that the press leaves

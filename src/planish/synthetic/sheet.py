@@ -309,8 +309,8 @@ def make_sheet(
         pit_depth = 0.0
         if paper.fibres and mean:
             # Coating colour does not flow into a pore that is narrower than this.
-            closed = ndimage.grey_closing(inner, footprint=_DISC)
-            inner, pit_depth = closed, closed - inner
+            pit_depth = ndimage.grey_closing(inner, footprint=_DISC) - inner
+            inner += pit_depth - pit_depth.mean()  # the paper's base reaches to its coating
         pit_depths.append(pit_depth)
         coating = _coating(paper, inner, mean, side, seed)
         outer = inner + coating
