@@ -23,6 +23,7 @@ from planish.synthetic.params import (
     Warp,
 )
 
+
 def _of_fibres(paper: PaperParams, **fibres: Any) -> PaperParams:
     """Make the base of single fibres, as many as weigh what the paper says less its filler."""
     g_per_m2 = paper.base_um * paper.base_g_per_cm3 * (1 - paper.filler)
@@ -102,7 +103,7 @@ class Nuisance(NamedTuple):
 NUISANCES: dict[str, Nuisance] = {
     name: Nuisance(title, section, off)
     for name, title, section, off in (
-        ("base_texture", "grey of fibres and voids", "paper", {"base_density_sd": 0.0, "filler": 0.0}),
+        ("base_texture", "grey of fibres and voids", "paper", {"base_density_sd": 0.0, "filler": 0.0, "fibres": None}),
         ("coating_density", "density of the coating", "paper", {"coating_density_sd": 0.0}),
         ("stage", "stage of the laser", "holes", {"stage_um": 0.0}),
         ("hole_shape", "shape of the holes", "holes", {"axis_ratio": 1.0, "rim_um": 0.0, "diameter_sd_um": 0.0}),
@@ -195,8 +196,8 @@ class SpecimenOptions(Params):
         # A field of a millimetre has no room for the coded pattern.
         holes = BurnParams(pattern="irregular", count=3) if self.size == "T0" else BurnParams()
         paper = PRESETS[self.preset][1]
-        if self.size == "T3":  # no voxels show fibres
-            paper = replace(paper, fibres=None)
+        if self.size == "T3":  # without voxels no fibre is seen
+            paper = paper.as_slab()
         params = SpecimenParams(
             size_um=SIZES_UM[self.size], paper=paper, holes=holes,
             scanner=replace(MICRO_CT, voxel_um=self.voxel_um, grey=_WALL_GREYS), seed=self.seed,
