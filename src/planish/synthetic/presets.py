@@ -79,12 +79,13 @@ MICRO_CT = ScannerParams(
 )
 """A scanner as scanners are: the plain one of the defaults has only blur and noise."""
 
-_WALL_GREYS = (40.0, 110.0, 190.0)  # of a scan that shows single fibres: half of what lies between them is air
+FIBRE_CT = replace(MICRO_CT, grey=(40.0, 110.0, 190.0))
+"""The same with the grey of a fibre's wall in place of that of a whole base, half of which is air."""
 
 DEMO = SpecimenParams(
     size_um=(1800.0, 1300.0),
     paper=PRESETS["wfc135"][1],
-    scanner=ScannerParams(fwhm_um=4.0, grey=_WALL_GREYS),
+    scanner=ScannerParams(fwhm_um=4.0, grey=FIBRE_CT.grey),
     holes=BurnParams(pattern="irregular", count=6),
     warp=Warp(wavelength_um=2000.0),
     camera=CameraParams(shading=0.003, nuisance_sd=0.004),
@@ -200,6 +201,6 @@ class SpecimenOptions(Params):
             paper = paper.as_slab()
         params = SpecimenParams(
             size_um=SIZES_UM[self.size], paper=paper, holes=holes,
-            scanner=replace(MICRO_CT, voxel_um=self.voxel_um, grey=_WALL_GREYS), seed=self.seed,
+            scanner=replace(FIBRE_CT, voxel_um=self.voxel_um), seed=self.seed,
         )  # fmt: skip
         return params if self.nuisance is None else with_only(params, set(self.nuisance) - {"none"})
