@@ -170,6 +170,7 @@ class SpecimenOptions(Params):
     size: Literal["T0", "T1", "T2", "T3"] = option(
         "T1", help="0.8 x 0.6, 3 x 2, 8 x 6 or 20 x 15 mm; the last has no voxels."
     )
+    slab: bool = option(False, help="A base of one grey with exact faces, in place of single fibres.")
     seed: int = option(0, ge=0, help="Another one, another specimen.")
     instrument: tuple[str, ...] = option(
         ("ct", "sections", "image", "print"), metavar="|".join(INSTRUMENTS),
@@ -197,10 +198,10 @@ class SpecimenOptions(Params):
         # A field of a millimetre has no room for the coded pattern.
         holes = BurnParams(pattern="irregular", count=3) if self.size == "T0" else BurnParams()
         paper = PRESETS[self.preset][1]
-        if self.size == "T3":  # without voxels no fibre is seen
+        if self.slab or self.size == "T3":  # without voxels no fibre is seen
             paper = paper.as_slab()
         params = SpecimenParams(
             size_um=SIZES_UM[self.size], paper=paper, holes=holes,
-            scanner=replace(FIBRE_CT, voxel_um=self.voxel_um), seed=self.seed,
+            scanner=replace(FIBRE_CT if paper.fibres else MICRO_CT, voxel_um=self.voxel_um), seed=self.seed,
         )  # fmt: skip
         return params if self.nuisance is None else with_only(params, set(self.nuisance) - {"none"})
