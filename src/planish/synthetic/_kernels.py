@@ -183,25 +183,16 @@ def paint(
                 solid = _ramp(rim / step)
                 in_sheet = _ramp((top - s) / step) * _ramp((s - low) / step)
                 in_base = _ramp((inner_top - s) / step) * _ramp((s - inner_low) / step)
-                crack_value = 0.0
-                if crack > 0.0:
-                    crack_value = grey[2] * _ramp((s - top) / step) * _ramp((top + crack - s) / step)
-                elif crack < 0.0:
-                    crack_value = grey[2] * _ramp((low - s) / step) * _ramp((s - low - crack) / step)
+                outside = s - top if crack > 0.0 else low - s
+                in_crack = _ramp(outside / step) * _ramp((abs(crack) - outside) / step) if crack != 0.0 else 0.0
                 if has_cells:
                     coat_share = max(in_sheet - in_base, 0.0)
                     fibre = 0.0
                     if coat_share < 1.0:
-                        fibre = (1.0 - coat_share) * _cells_between(
-                            structure,
-                            r,
-                            c,
-                            fy,
-                            fx,
-                            (s - structure_low - 0.5 * step) / cell,
-                            (s - structure_low + 0.5 * step) / cell,
-                        )
-                    value = fibre * grey[0] + coat_share * grey[1] * (at[6] * at[7]) + crack_value
+                        height, half = (s - structure_low) / cell, 0.5 * step / cell
+                        density = _cells_between(structure, r, c, fy, fx, height - half, height + half)
+                        fibre = (1.0 - coat_share) * density
+                    value = fibre * grey[0] + coat_share * grey[1] * (at[6] * at[7]) + in_crack * grey[2]
                     slab[i, j, k] = value * (1.0 if s < film else solid)
                     continue
                 depth = min(max((s - inner_low) / max(inner_top - inner_low, 1e-6), 0.0), 1.0) * (layers - 1)
@@ -211,7 +202,7 @@ def paint(
                 above_it = _bilinear(fields, r, c, fy, fx, _SINGLE + 1 + layer)
                 density = under_it * (1 - f) + above_it * f
                 value = in_base * grey[0] * density + max(in_sheet - in_base, 0.0) * grey[1] * (at[6] * at[7])
-                slab[i, j, k] = (value + crack_value) * solid
+                slab[i, j, k] = (value + in_crack * grey[2]) * solid
 
 
 @njit(cache=True, nogil=True)
