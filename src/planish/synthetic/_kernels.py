@@ -6,7 +6,7 @@ A warp travels as one flat array ``w`` and one table ``curve`` (see :meth:`plani
 ``curve[i] = (X, Z, X', Z')`` of the profile curve at arc length ``p0 + i * dp``.
 """
 
-from math import cos, exp, floor, sin, sqrt
+from math import cos, exp, floor, sin, sqrt, tanh
 
 import numpy as np
 
@@ -36,7 +36,7 @@ def frame_at(w, curve, u, v):
     big_x = h00 * curve[i, 0] + h10 * h * curve[i, 2] + h01 * curve[i + 1, 0] + h11 * h * curve[i + 1, 2]
     big_z = h00 * curve[i, 1] + h10 * h * curve[i, 3] + h01 * curve[i + 1, 1] + h11 * h * curve[i + 1, 3]
     psi = w[14] + w[2] * sin(w[3] * p + w[4])
-    psi += w[15] / (1.0 + exp((w[16] - p) / w[17])) if w[15] != 0.0 else 0.0
+    psi += 0.5 * w[15] * (1.0 + tanh((p - w[16]) / (2.0 * w[17]))) if w[15] != 0.0 else 0.0
     c, s = cos(psi), sin(psi)
     du, dv = u - w[11], v - w[12]
     bump = w[10] * exp(-(du * du + dv * dv) / (2 * w[13] * w[13])) if w[10] != 0.0 else 0.0

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Literal
 from zlib import crc32
 
 import numpy as np
-from scipy.special import expit
+from numpy.typing import NDArray
 
 from planish.core.typing import Floats
 
@@ -71,8 +71,8 @@ class Warp(Strict):
 
     The sheet is rolled along the direction ``ruling_deg`` from the u axis: its profile curve turns by
     ``psi(p) = tilt + atan(slope) sin(2 pi p / wavelength + phase)`` at arc length ``p``, so that lengths in the sheet
-    are exactly those in ``(u, v)``. A curl at a border adds ``curl / (1 + exp((curl_p - p) / curl_width))`` to the
-    angle. The bump is added in height and stretches the sheet.
+    are exactly those in ``(u, v)``. A curl at a border adds ``curl (1 + tanh((p - curl_p) / (2 curl_width))) / 2``
+    to the angle. The bump is added in height and stretches the sheet.
 
     Attributes
     ----------
@@ -151,8 +151,9 @@ def _packed(warp: Warp) -> tuple[Floats, Floats]:
     psi, k, tilt = np.arctan(warp.slope), 2 * np.pi / warp.wavelength_um, np.deg2rad(warp.tilt_deg)
     curl = np.deg2rad(warp.curl_deg)
 
-    def turn_at(p: Floats) -> Floats:
-        return tilt + psi * np.sin(k * p + warp.phase_rad) + curl * expit((p - warp.curl_p_um) / warp.curl_width_um)
+    def turn_at(p: NDArray[Any]) -> Floats:
+        curled = 0.5 * (1 + np.tanh((p - warp.curl_p_um) / (2 * warp.curl_width_um)))
+        return tilt + psi * np.sin(k * p + warp.phase_rad) + curl * curled
 
     count = int(np.ceil(2 * 1.5 * warp.reach_um / _STEP_UM)) + 1
     p0 = -(count // 2) * _STEP_UM
