@@ -38,8 +38,9 @@ def main(size: str = "T2", seed: int | str = 1) -> int:
     found: dict[str, list[Correlation]] = {light: [] for light, _ in _LIGHTS}
     for name, preset, r2 in _CASES:
         params = SpecimenParams(
-            size_um=SIZES_UM[size], paper=PRESETS[preset][1], scanner=replace(MICRO_CT, voxel_um=3.0), seed=int(seed)
-        )
+            size_um=SIZES_UM[size], paper=PRESETS[preset][1].as_slab(), seed=int(seed),
+            scanner=replace(MICRO_CT, voxel_um=3.0),
+        )  # fmt: skip
         params = replace(params, camera=replace(params.camera, oracle_r2=r2))
         with tempfile.TemporaryDirectory() as place:
             folder = Path(place)

@@ -181,13 +181,18 @@ def main(*arguments: str | int) -> int:
     for name in asked.kinds or KINDS:
         for k in range(asked.first, asked.first + asked.count):
             start = time.perf_counter()
-            specimen = make_specimen(KINDS[name].draw(np.random.default_rng([crc32(name.encode()), k])))
+            specimen = drawn(name, k)
             try:
                 rows = [sized.line() for sized in measured(specimen, KINDS[name].names)]
             except PlanishError as error:
                 rows = [f"{type(error).__name__}: {error}"]
             print(f"{name} {k} ({time.perf_counter() - start:.0f} s)", *rows, sep="\n    ", flush=True)
     return 0
+
+
+def drawn(name: str, number: int) -> Specimen:
+    """Draw a specimen of a kind."""
+    return make_specimen(KINDS[name].draw(np.random.default_rng([crc32(name.encode()), number])))
 
 
 def measured(specimen: Specimen, names: tuple[str, ...]) -> list[Sized]:

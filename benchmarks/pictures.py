@@ -22,6 +22,7 @@ from scipy import ndimage
 from tests import console
 
 import planish as pl
+from benchmarks import paper
 from benchmarks.evidence import field
 
 mpl.use("Agg")
@@ -179,6 +180,36 @@ def stored(drawn: Path, folder: Path) -> None:
         picture.convert("RGB").quantize(200, dither=Image.Dither.NONE).save(folder / drawn.name, optimize=True)
 
 
+_FACES = {"top": "#ff9f1c", "interface_top": "#2ec4b6", "interface_bottom": "#2ec4b6", "bottom": "#ff9f1c"}
+
+
+def real_paper(path: Path, folder: Path) -> None:
+    """A slice of the first specimen of each kind of paper, with the faces found in it."""
+    for name in paper.KINDS:
+        volume = paper.drawn(name, 0).volume
+        voxel_um = float(volume["x"][1])
+        row = volume.sizes["y"] // 2
+        figure, axes = plt.subplots(2, 1, figsize=(8, 4.4), layout="constrained", sharex=True, sharey=True)
+        for ax in axes:
+            extent = tuple(voxel_um * (edge - 0.5) for edge in (0, volume.sizes["x"], 0, volume.sizes["z"]))
+            ax.imshow(volume[:, row], cmap="gray", vmin=0, vmax=255, origin="lower", extent=extent)
+        try:
+            surfaces = pl.find_surfaces(volume).isel(y=row)
+            for face, colour in _FACES.items():
+                axes[1].plot(surfaces["x"], surfaces[face], color=colour, linewidth=0.8)
+            heights = np.concatenate([surfaces["top"].values, surfaces["bottom"].values])
+        except pl.PlanishError:
+            axes[1].set_title("refused", fontsize=9)
+            heights = volume["z"].values
+        low, high = max(float(np.nanmin(heights)) - 100.0, 0.0), float(np.nanmax(heights)) + 50.0
+        axes[0].set(xlim=(300.0, 1200.0), ylim=(low, high), ylabel="z / µm")
+        axes[1].set(xlabel="x / µm", ylabel="z / µm")
+        drawn = folder / f"paper-{name.replace(' ', '-')}.png"
+        figure.savefig(drawn, dpi=100)
+        plt.close(figure)
+        stored(drawn, path.parent)
+
+
 SIZES = {
     "fig-06": "full", "fig-07": "full", "fig-09": "full", "fig-11": "full", "flattening": "full", "design": "full",
     "large": "full",
@@ -197,7 +228,7 @@ def studies(path: Path, folder: Path) -> None:
 
 PICTURES: dict[str, Callable[[Path, Path], None]] = {
     "linked": linked, "tutorial-page": tutorial, "first-pages": first_pages, "examples": gallery,
-    "studies": studies,
+    "studies": studies, "real-paper": real_paper,
 }  # fmt: skip
 
 

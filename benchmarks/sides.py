@@ -152,7 +152,8 @@ def our_sheets(count: int) -> Iterator[Drawn]:
         params = draw_params(params)
         pixel = float(np.exp(np.random.default_rng(seed).uniform(np.log(3.0), np.log(12.0))))
         params = replace(
-            params, paper=PRESETS[_COATED[seed % len(_COATED)]][1], scanner=replace(params.scanner, voxel_um=4.0),
+            params, paper=PRESETS[_COATED[seed % len(_COATED)]][1].as_slab(),
+            scanner=replace(params.scanner, voxel_um=4.0),
             camera=replace(params.camera, pixel_um=pixel, turn_deg=0.0, oracle_r2=None),
         )  # fmt: skip
         with tempfile.TemporaryDirectory() as folder:

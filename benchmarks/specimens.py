@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from planish.synthetic import (
-    MICRO_CT,
+    FIBRE_CT,
     PRESETS,
     BurnParams,
     CameraParams,
@@ -46,7 +46,7 @@ def draw(name: str, seed: int, path: Path) -> None:
         paper=PRESETS[name][1],
         holes=BurnParams(pattern="irregular", count=3),
         warp=Warp(slope=0.25, wavelength_um=1800.0),
-        scanner=replace(MICRO_CT, voxel_um=1.37),
+        scanner=replace(FIBRE_CT, voxel_um=1.37),
         sections=SectionsParams(colour=True),
         camera=CameraParams(pixel_um=2.6, turn_range_deg=0.0, shift_range_um=0.0),
         seed=seed,
@@ -91,7 +91,7 @@ def draw(name: str, seed: int, path: Path) -> None:
     figure.savefig(path, dpi=100)
     plt.close(figure)
     # Few colours are enough, and keep the file small.
-    Image.open(path).convert("RGB").quantize(256).save(path, optimize=True)
+    Image.open(path).convert("RGB").quantize(256, method=Image.Quantize.MAXCOVERAGE).save(path, optimize=True)
 
 
 if __name__ == "__main__":

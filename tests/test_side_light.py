@@ -19,7 +19,7 @@ def seen(paper: str, shading: float, seed: int):
     """True coating and face on the pixels of an image, the image, and where they count; no marks, so no errors."""
     camera = CameraParams(shading=shading, oracle_r2=0.2, pixel_um=PIXEL_UM)
     params = SpecimenParams(
-        size_um=(3000.0, 2200.0), paper=PRESETS[paper][1], warp=Warp(bump_um=0.0), camera=camera, seed=seed
+        size_um=(3000.0, 2200.0), paper=PRESETS[paper][1].as_slab(), warp=Warp(bump_um=0.0), camera=camera, seed=seed
     )
     made = make_specimen(params)
     sheet, (u, v) = made.sheet, image_material(made.pose, made.image.shape, PIXEL_UM)

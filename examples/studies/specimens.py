@@ -68,7 +68,7 @@ def base(paper: str, seed: int, size: Size, full_um: tuple[float, float], voxel_
     else:
         camera, scanner, field_um, holes = DIFFUSE, replace(MICRO_CT, voxel_um=voxel_um), full_um, BurnParams()
     return SpecimenParams(
-        size_um=field_um, paper=PRESETS[paper][1], holes=holes, camera=camera, scanner=scanner, seed=seed
+        size_um=field_um, paper=PRESETS[paper][1].as_slab(), holes=holes, camera=camera, scanner=scanner, seed=seed
     )
 
 

@@ -54,7 +54,10 @@ IMAGEJ = next((path for path in (Path("/usr/share/java/ij.jar"),) if path.exists
 # What the newcomer types, and the document that it is copied from. The first two have made what these tests run in.
 SET_UP = (("README.md", "python3 run.py demo"), ("README.md", "source .venv/bin/activate"))
 COMMANDS = (
-    ("tutorial.md", "planish specimen --size T1 --seed 3 --voxel-um 6 --instrument ct --instrument image --out sheet"),
+    (
+        "tutorial.md",
+        "planish specimen --size T1 --slab --seed 3 --voxel-um 6 --instrument ct --instrument image --out sheet",
+    ),
     ("tutorial.md", "planish info sheet/scan --picture look.png"),
     ("tutorial.md", "planish info sheet/image.ome.tif"),
     (

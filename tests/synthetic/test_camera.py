@@ -48,6 +48,7 @@ def sheet_of(coating_um, *, holes=HOLES, rough_um=1.0, closed=False):
         "char": 1 - 0.5 * np.exp(-np.maximum(rim, 0) / 20.0),
         "coating_density": np.ones(shape),
         "base_mass": np.ones(shape),
+        "crack_um": np.zeros(shape),
         "holes": holes,
     }
     given = {k: value.astype(np.float32) if isinstance(value, np.ndarray) else value for k, value in given.items()}

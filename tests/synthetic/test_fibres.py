@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from planish.synthetic import PRESETS
 from planish.synthetic.fibres import WALL_G_PER_CM3, Structure
 from planish.synthetic.params import BurnParams, FibreParams, FilmParams, PaperParams, SpecimenParams
 from planish.synthetic.sheet import PITCH_UM, make_sheet
@@ -43,6 +44,18 @@ def test_a_base_has_the_mass_of_its_fibres_and_the_voids_of_paper(sheet):
     assert 0.35 < void < 0.6  # 40 to 55 % in papers of 50 to 135 g/m2
     near = in_base & (z > sheet.faces[1][..., None] - 5.0)
     assert structure.density[near].mean() > structure.density[in_base].mean() + 10  # the face is a face of fibres
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_papers_by_name_have_their_thickness_and_keep_all_their_fibres(name):
+    paper = PRESETS[name][1]
+    sheet = sheet_of(replace(paper, filler=0.0), seed=2, size_um=600.0)
+    top, inner, lower, bottom = (float(face.mean()) for face in sheet.faces)
+    wanted = (paper.coating_top_um, paper.base_um, paper.coating_bottom_um)
+    np.testing.assert_allclose((top - inner, inner - lower, lower - bottom), wanted, atol=0.3)
+    structure = sheet.structure
+    mass = structure.density.sum(axis=2).mean() / 100 * structure.cell_um * WALL_G_PER_CM3
+    assert mass == pytest.approx(paper.fibres.g_per_m2, rel=0.08)
 
 
 def test_the_coating_lies_on_every_fibre_and_its_faces_bound_the_walls(sheet):

@@ -19,6 +19,7 @@ from .params import draw_params as draw_params
 from .pose import CameraPose as CameraPose
 from .pose import draw_pose as draw_pose
 from .presets import DEMO as DEMO
+from .presets import FIBRE_CT as FIBRE_CT
 from .presets import MICRO_CT as MICRO_CT
 from .presets import NUISANCES as NUISANCES
 from .presets import PRESETS as PRESETS

@@ -2,18 +2,18 @@
 """Compiled inner loops of the synthetic specimen: the warp and its inverse, voxels, fibres.
 
 A warp travels as one flat array ``w`` and one table ``curve`` (see :meth:`planish.synthetic.params.Warp.packed`):
-``w = [cos a, sin a, psi, k, phase, p0, dp, x0, y0, z0, bump, bump_u, bump_v, bump_r, tilt]`` and
+``w = [cos a, sin a, psi, k, phase, p0, dp, x0, y0, z0, bump, bump_u, bump_v, bump_r, tilt, curl, curl_p, curl_width]``;
 ``curve[i] = (X, Z, X', Z')`` of the profile curve at arc length ``p0 + i * dp``.
 """
 
-from math import cos, exp, floor, sin, sqrt
+from math import cos, exp, floor, sin, sqrt, tanh
 
 import numpy as np
 
 from planish.core.jit import njit
 
 _MAX_STEPS = 25
-_SINGLE = 8  # fields of a node that are not layers of the base
+_SINGLE = 9  # fields of a node that are not layers of the base
 _CLOSE_UM = 1e-3  # the step after it is smaller by the curvature times the distance, a twentieth
 
 
@@ -36,6 +36,7 @@ def frame_at(w, curve, u, v):
     big_x = h00 * curve[i, 0] + h10 * h * curve[i, 2] + h01 * curve[i + 1, 0] + h11 * h * curve[i + 1, 2]
     big_z = h00 * curve[i, 1] + h10 * h * curve[i, 3] + h01 * curve[i + 1, 1] + h11 * h * curve[i + 1, 3]
     psi = w[14] + w[2] * sin(w[3] * p + w[4])
+    psi += 0.5 * w[15] * (1.0 + tanh((p - w[16]) / (2.0 * w[17]))) if w[15] != 0.0 else 0.0
     c, s = cos(psi), sin(psi)
     du, dv = u - w[11], v - w[12]
     bump = w[10] * exp(-(du * du + dv * dv) / (2 * w[13] * w[13])) if w[10] != 0.0 else 0.0
@@ -135,8 +136,9 @@ def paint(
     With ``z = (first + k) * step`` and x', z' counted from ``middle`` (x, z), the voxel (i, j, k) shows the point
     ``(xs[j] + shift_x[i] - turn[i] * z', ys[i], z + shift_z[i] + turn[i] * x')``.
     ``fields`` (fr, fc, n): s_T, s_TI, s_BI, s_B, the distances to the rim at both faces, the coating's burn and
-    density, then the base's density through its depth; ``origin`` (u, v) of their first node; ``under``
-    (rows, cols, 3): material below each column, a first guess; ``grey`` of base and coating, less that of air.
+    density, the width of a crack over the top face (below the bottom one where negative), then the density of a slab
+    through its depth; ``origin`` (u, v) of their first node; ``under`` (rows, cols, 3): material below each column, a
+    first guess; ``grey`` of base, coating and crack, less that of air.
     Each boundary is averaged over ``step`` along the normal, the width of a voxel. ``structure`` (fr, fc, cells), where
     it has cells, is the density of the base instead, in hundredths, from ``structure_low`` um on in cells of ``cell``;
     below ``film`` um it has no holes.
@@ -169,7 +171,9 @@ def paint(
                 fx -= c
                 fy -= r
                 top, low = _bilinear(fields, r, c, fy, fx, 0), _bilinear(fields, r, c, fy, fx, 3)
-                if s > max(top, structure_high) + step or s < (min(low, structure_low) if has_cells else low) - step:
+                crack = _bilinear(fields, r, c, fy, fx, 8)
+                high = max(top + max(crack, 0.0), structure_high)
+                if s > high + step or s < (min(low, structure_low) if has_cells else low) + min(crack, 0.0) - step:
                     continue
                 for n in range(_SINGLE):
                     at[n] = _bilinear(fields, r, c, fy, fx, n)
@@ -179,20 +183,16 @@ def paint(
                 solid = _ramp(rim / step)
                 in_sheet = _ramp((top - s) / step) * _ramp((s - low) / step)
                 in_base = _ramp((inner_top - s) / step) * _ramp((s - inner_low) / step)
+                outside = s - top if crack > 0.0 else low - s
+                in_crack = _ramp(outside / step) * _ramp((abs(crack) - outside) / step) if crack != 0.0 else 0.0
                 if has_cells:
                     coat_share = max(in_sheet - in_base, 0.0)
                     fibre = 0.0
                     if coat_share < 1.0:
-                        fibre = (1.0 - coat_share) * _cells_between(
-                            structure,
-                            r,
-                            c,
-                            fy,
-                            fx,
-                            (s - structure_low - 0.5 * step) / cell,
-                            (s - structure_low + 0.5 * step) / cell,
-                        )
-                    value = fibre * grey[0] + coat_share * grey[1] * (at[6] * at[7])
+                        height, half = (s - structure_low) / cell, 0.5 * step / cell
+                        density = _cells_between(structure, r, c, fy, fx, height - half, height + half)
+                        fibre = (1.0 - coat_share) * density
+                    value = fibre * grey[0] + coat_share * grey[1] * (at[6] * at[7]) + in_crack * grey[2]
                     slab[i, j, k] = value * (1.0 if s < film else solid)
                     continue
                 depth = min(max((s - inner_low) / max(inner_top - inner_low, 1e-6), 0.0), 1.0) * (layers - 1)
@@ -202,7 +202,7 @@ def paint(
                 above_it = _bilinear(fields, r, c, fy, fx, _SINGLE + 1 + layer)
                 density = under_it * (1 - f) + above_it * f
                 value = in_base * grey[0] * density + max(in_sheet - in_base, 0.0) * grey[1] * (at[6] * at[7])
-                slab[i, j, k] = value * solid
+                slab[i, j, k] = (value + in_crack * grey[2]) * solid
 
 
 @njit(cache=True, nogil=True)

@@ -19,10 +19,10 @@ from planish.synthetic.params import FilmParams, PaperParams, generator
 
 WALL_G_PER_CM3 = 1.5
 _FILLER_G_PER_CM3, _FILLER_UM3 = 2.7, 4.2  # of calcite; volume of a grain of 2 um
-_GRAIN = 110  # what a grain adds to its cell, where 100 is wall: a grain fills half of it and is twice as bright
+_GRAIN = 110  # what a grain adds to a cell of 1 um, where 100 is wall: it fills half of it and is twice as bright
 _TRIES = 6  # places of a fibre, of which it takes the lowest
 _FACE_ROWS = 64
-_DEEPEST = 6  # heights of a sheet before the press over its solid thickness
+_DEEPEST = (2.5, 10.5)  # height of a sheet before the press over its solid thickness, and more with hollow fibres
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,7 +133,9 @@ class FibreMat:
         middles -= 0.5 * lengths[:, None, None]
         starts = middles - 0.5 * lengths[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)[:, None]
         flexibility = rng.uniform(*p.flexibility, n_fibres) * pitch
-        shares = np.zeros((*shape, int(_DEEPEST * solid_um / p.cell_um) + 8), dtype=np.uint8)
+        hollow_share = 0.5 * sum(p.lumen_um) / sum(p.wall_um)
+        n_cells = int((_DEEPEST[0] + _DEEPEST[1] * hollow_share) * solid_um / p.cell_um) + 8
+        shares = np.zeros((*shape, n_cells), dtype=np.uint8)
         top = ground.copy()
         _fibre_kernels.lay_ribbons(
             shares, top, ground, starts, angles - 0.5 * curls * lengths, lengths, widths, curls, walls, lumens,
@@ -192,7 +194,7 @@ class FibreMat:
             is_grain = (
                 (rng.random(top.shape, dtype=np.float32) < grain_probability) & (height < top) & (height > bottom)
             )
-            density[..., k] += (_GRAIN * is_grain).astype(np.uint8)
+            density[..., k] += (_GRAIN / p.cell_um * is_grain).astype(np.uint8)
         for sign, outward_face in ((1.0, top), (-1.0, -bottom)) if p.fuzz_per_mm2 else ():
             rng = generator(self._seed, "fuzz", str(sign))
             n = max(int(p.fuzz_per_mm2 * top.size * self._pitch**2 * 1e-6), 1)

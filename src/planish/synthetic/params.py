@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Literal
 from zlib import crc32
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planish.core.typing import Floats
 
@@ -70,7 +71,8 @@ class Warp(Strict):
 
     The sheet is rolled along the direction ``ruling_deg`` from the u axis: its profile curve turns by
     ``psi(p) = tilt + atan(slope) sin(2 pi p / wavelength + phase)`` at arc length ``p``, so that lengths in the sheet
-    are exactly those in ``(u, v)``. The bump is added in height and stretches the sheet.
+    are exactly those in ``(u, v)``. A curl at a border adds ``curl (1 + tanh((p - curl_p) / (2 curl_width))) / 2``
+    to the angle. The bump is added in height and stretches the sheet.
 
     Attributes
     ----------
@@ -82,6 +84,8 @@ class Warp(Strict):
         Of the profile curve; the rulings stand perpendicular to ``ruling_deg``.
     bump_um, bump_u_um, bump_v_um, bump_radius_um : float
         Height, centre and Gaussian radius of the bump.
+    curl_deg, curl_p_um, curl_width_um : float
+        Angle by which the sheet turns at a border, where on the profile, and how softly.
     shift_um : (float, float, float)
         Added to (x, y, z).
     reach_um : float
@@ -97,6 +101,9 @@ class Warp(Strict):
     bump_u_um: float = 0.0
     bump_v_um: float = 0.0
     bump_radius_um: float = drawn(800.0, 1500.0, 3000.0)
+    curl_deg: float = 0.0
+    curl_p_um: float = 0.0
+    curl_width_um: float = 50.0
     shift_um: tuple[float, float, float] = (0.0, 0.0, 0.0)
     reach_um: float = 8000.0
 
@@ -106,8 +113,8 @@ class Warp(Strict):
 
     @property
     def steepest(self) -> float:
-        """Steepest slope of the profile, with the tilt."""
-        return float(np.tan(abs(np.deg2rad(self.tilt_deg)) + np.arctan(abs(self.slope))))
+        """Steepest slope of the profile, with tilt and curl."""
+        return float(np.tan(np.deg2rad(abs(self.tilt_deg) + abs(self.curl_deg)) + np.arctan(abs(self.slope))))
 
     def points(self, u: Floats, v: Floats) -> Floats:
         """Return ``m(u, v)`` as (..., 3) in the order x, y, z, in um."""
@@ -142,18 +149,25 @@ class Warp(Strict):
 def _packed(warp: Warp) -> tuple[Floats, Floats]:
     angle = np.deg2rad(warp.ruling_deg)
     psi, k, tilt = np.arctan(warp.slope), 2 * np.pi / warp.wavelength_um, np.deg2rad(warp.tilt_deg)
+    curl = np.deg2rad(warp.curl_deg)
+
+    def turn_at(p: NDArray[Any]) -> Floats:
+        curled = 0.5 * (1 + np.tanh((p - warp.curl_p_um) / (2 * warp.curl_width_um)))
+        return tilt + psi * np.sin(k * p + warp.phase_rad) + curl * curled
+
     count = int(np.ceil(2 * 1.5 * warp.reach_um / _STEP_UM)) + 1
     p0 = -(count // 2) * _STEP_UM
     # Gauss-Legendre on every step: exact to rounding, because psi is smooth over a step.
     p = p0 + _STEP_UM * (np.arange(count - 1)[:, None] + 0.5 * (1 + _GAUSS_X))
-    turn = tilt + psi * np.sin(k * p + warp.phase_rad)
+    turn = turn_at(p)
     steps = 0.5 * _STEP_UM * np.stack([np.cos(turn) @ _GAUSS_W, np.sin(turn) @ _GAUSS_W], axis=1)
     curve = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
     curve -= curve[count // 2]
-    turn = tilt + psi * np.sin(k * (p0 + _STEP_UM * np.arange(count)) + warp.phase_rad)
+    turn = turn_at(p0 + _STEP_UM * np.arange(count))
     curve = np.concatenate([curve, np.cos(turn)[:, None], np.sin(turn)[:, None]], axis=1)
     parameters = [np.cos(angle), np.sin(angle), psi, k, warp.phase_rad, p0, _STEP_UM, *warp.shift_um]
     parameters += [warp.bump_um, warp.bump_u_um, warp.bump_v_um, warp.bump_radius_um, tilt]
+    parameters += [curl, warp.curl_p_um, warp.curl_width_um]
     return np.array(parameters, dtype=np.float64), curve
 
 
@@ -177,7 +191,6 @@ class FibreParams(Strict):
     lumen_um: tuple[float, float] = (0.0, 3.0)  # to 10 in bulky sheets
     fines: float = 0.75  # share by number
     flexibility: tuple[float, float] = (0.12, 0.2)  # steepest slope of a fibre over those below it
-    press: float = 1.0  # factor on the faces' roughness that the press before any coating leaves
     fuzz_per_mm2: float = 0.0  # fibres that stand up, on each side; 6 to 10 without coating
     fuzz_um: tuple[float, float] = (8.0, 40.0)  # how high their ends stand
     void_floor: float = 0.02  # share of a void that the press leaves
@@ -210,6 +223,10 @@ class PaperParams(Strict):
     filler: float = drawn(0.12, 0.05, 0.15)  # share of the base's mass: grains of 2 um, denser in the middle
     fibres: FibreParams | None = None  # the base as single fibres; where None, a slab with a soft texture
     least_coating_um: float = 0.0  # left on the highest fibres; 0.3 to 1
+
+    def as_slab(self) -> PaperParams:
+        """The same paper with a soft texture in place of single fibres: every face is exact, and nothing is void."""
+        return replace(self, fibres=None, least_coating_um=0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -247,7 +264,7 @@ class ScannerParams(Strict):
 
     voxel_um: float = drawn(3.0, 2.4, 3.2)
     fwhm_um: float = drawn(5.9, 3.0, 5.0)  # of the point spread; 3 to 5 on a good scan with 1.37 um voxels
-    grey: tuple[float, float, float] = (40.0, 90.0, 200.0)  # air, base, coating, in units of dtype
+    grey: tuple[float, float, float] = (40.0, 90.0, 200.0)  # air, base (of fibres: their wall), coating; of dtype
     dtype: Literal["uint8", "uint16", "float32"] = "uint8"
     noise: float = drawn(0.04, 0.03, 0.1)  # 0.08 with 1.37 um voxels
     noise_px: float = drawn(0.0, 0.0, 2.0)  # correlation length of the noise in voxels; reconstructions have about 2
@@ -322,6 +339,7 @@ class SpecimenParams(Strict):
     paper: PaperParams = field(default_factory=PaperParams)
     holes: BurnParams = field(default_factory=BurnParams)
     film: FilmParams | None = None
+    crack_um: float = 0.0  # sd of the width of cracks between faces and resin, on some third of the faces
     warp: Warp = field(default_factory=Warp)
     scanner: ScannerParams = field(default_factory=ScannerParams)
     sections: SectionsParams = field(default_factory=SectionsParams)

@@ -16,41 +16,60 @@ from planish.synthetic.params import (
     SIZES_UM,
     BurnParams,
     CameraParams,
+    FibreParams,
     PaperParams,
     ScannerParams,
     SpecimenParams,
     Warp,
 )
 
+
+def _of_fibres(paper: PaperParams, **fibres: Any) -> PaperParams:
+    """Make the base of single fibres, as many as weigh what the paper says less its filler."""
+    g_per_m2 = paper.base_um * paper.base_g_per_cm3 * (1 - paper.filler)
+    return replace(paper, fibres=FibreParams(g_per_m2=g_per_m2, **fibres), least_coating_um=0.5)
+
+
+_UNCOATED = PaperParams(coating_top_um=0.0, coating_bottom_um=0.0, coating_sd_um=0.0)
 _WFC135 = PaperParams(base_um=59.5)  # section 3.3.1, before calendering: base 59.5, coating 17.4 um
 
 PRESETS: dict[str, tuple[str, PaperParams]] = {
     "wfc90": (
         "wood-free coated, 90 g/m2, section 3.4",
-        PaperParams(base_um=50.0, coating_top_um=10.0, coating_bottom_um=10.0, coating_sd_um=3.8, roughness_um=3.2),
+        _of_fibres(PaperParams(
+            base_um=50.0, coating_top_um=10.0, coating_bottom_um=10.0, coating_sd_um=3.8, roughness_um=3.2
+        )),
     ),
     "wfc118": (
         "wood-free coated, 118 g/m2, section 3.3.2",
-        PaperParams(base_um=55.0, coating_top_um=14.5, coating_bottom_um=14.5, coating_sd_um=4.3),
+        _of_fibres(PaperParams(base_um=55.0, coating_top_um=14.5, coating_bottom_um=14.5, coating_sd_um=4.3)),
     ),
-    "wfc135": ("wood-free coated, 135 g/m2, before calendering, section 3.3.1", _WFC135),
+    "wfc135": ("wood-free coated, 135 g/m2, before calendering, section 3.3.1", _of_fibres(_WFC135)),
     "wfc135-calendered": (
         "the same after calendering: base 50.5, coating 16.6 um, outer faces half as rough",
-        replace(_WFC135, base_um=50.5, coating_top_um=16.6, coating_bottom_um=16.6, calendering=0.5),
+        _of_fibres(replace(
+            _WFC135, base_um=50.5, coating_top_um=16.6, coating_bottom_um=16.6, calendering=0.5,
+        )),
     ),
     "sc50": (
         "supercalendered, uncoated, filled, 50 g/m2, section 2.1",
-        PaperParams(
-            base_um=42.0, coating_top_um=0.0, coating_bottom_um=0.0, coating_sd_um=0.0, roughness_um=2.0,
-            base_fibre_sd_um=2.2, base_floc_sd_um=1.8, base_g_per_cm3=1.15, filler=0.30, calendering=0.5,
-        ),
+        _of_fibres(replace(
+            _UNCOATED, base_um=42.0, roughness_um=2.0, base_fibre_sd_um=2.2, base_floc_sd_um=1.8, base_g_per_cm3=1.15,
+            filler=0.30, calendering=0.5,
+        ), fuzz_per_mm2=4.0),
+    ),
+    "copy80": (
+        "copy paper, uncoated, bulky, 80 g/m2",
+        _of_fibres(replace(
+            _UNCOATED, base_um=105.0, roughness_um=6.0, base_fibre_sd_um=4.0, base_floc_sd_um=4.0, filler=0.10,
+        ), lumen_um=(0.0, 10.0), fuzz_per_mm2=8.0),
     ),
     "board": (
         "folding boxboard, coated on its top side only, about 230 g/m2",
-        PaperParams(
+        _of_fibres(PaperParams(
             base_um=330.0, base_fibre_sd_um=6.0, base_floc_sd_um=8.0, roughness_um=6.0, coating_top_um=20.0,
             coating_bottom_um=0.0, coating_sd_um=5.5, base_g_per_cm3=0.60,
-        ),
+        ), lumen_um=(0.0, 10.0), cell_um=3.0),
     ),
 }  # fmt: skip
 """Papers by name: what they are, and their parameters."""
@@ -60,8 +79,13 @@ MICRO_CT = ScannerParams(
 )
 """A scanner as scanners are: the plain one of the defaults has only blur and noise."""
 
+FIBRE_CT = replace(MICRO_CT, grey=(40.0, 110.0, 190.0))
+"""The same with the grey of a fibre's wall in place of that of a whole base, half of which is air."""
+
 DEMO = SpecimenParams(
     size_um=(1800.0, 1300.0),
+    paper=PRESETS["wfc135"][1],
+    scanner=ScannerParams(fwhm_um=4.0, grey=FIBRE_CT.grey),
     holes=BurnParams(pattern="irregular", count=6),
     warp=Warp(wavelength_um=2000.0),
     camera=CameraParams(shading=0.003, nuisance_sd=0.004),
@@ -80,7 +104,7 @@ class Nuisance(NamedTuple):
 NUISANCES: dict[str, Nuisance] = {
     name: Nuisance(title, section, off)
     for name, title, section, off in (
-        ("base_texture", "grey of fibres and voids", "paper", {"base_density_sd": 0.0, "filler": 0.0}),
+        ("base_texture", "grey of fibres and voids", "paper", {"base_density_sd": 0.0, "filler": 0.0, "fibres": None}),
         ("coating_density", "density of the coating", "paper", {"coating_density_sd": 0.0}),
         ("stage", "stage of the laser", "holes", {"stage_um": 0.0}),
         ("hole_shape", "shape of the holes", "holes", {"axis_ratio": 1.0, "rim_um": 0.0, "diameter_sd_um": 0.0}),
@@ -146,6 +170,7 @@ class SpecimenOptions(Params):
     size: Literal["T0", "T1", "T2", "T3"] = option(
         "T1", help="0.8 x 0.6, 3 x 2, 8 x 6 or 20 x 15 mm; the last has no voxels."
     )
+    slab: bool = option(False, help="A base of one grey with exact faces, in place of single fibres.")
     seed: int = option(0, ge=0, help="Another one, another specimen.")
     instrument: tuple[str, ...] = option(
         ("ct", "sections", "image", "print"), metavar="|".join(INSTRUMENTS),
@@ -172,8 +197,11 @@ class SpecimenOptions(Params):
         """Parameters of the specimen."""
         # A field of a millimetre has no room for the coded pattern.
         holes = BurnParams(pattern="irregular", count=3) if self.size == "T0" else BurnParams()
+        paper = PRESETS[self.preset][1]
+        if self.slab or self.size == "T3":  # without voxels no fibre is seen
+            paper = paper.as_slab()
         params = SpecimenParams(
-            size_um=SIZES_UM[self.size], paper=PRESETS[self.preset][1], holes=holes,
-            scanner=replace(MICRO_CT, voxel_um=self.voxel_um), seed=self.seed,
+            size_um=SIZES_UM[self.size], paper=paper, holes=holes,
+            scanner=replace(FIBRE_CT if paper.fibres else MICRO_CT, voxel_um=self.voxel_um), seed=self.seed,
         )  # fmt: skip
         return params if self.nuisance is None else with_only(params, set(self.nuisance) - {"none"})

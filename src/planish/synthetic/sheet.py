@@ -205,7 +205,7 @@ _DISC = np.hypot(*np.mgrid[-3:4, -3:4]) < 3.5  # nodes: 20 um
 _MIDDLE_UM = 3.0  # sd of the height of the middle of a base of fibres
 Field = NDArray[np.float32]
 LAYERS = 10  # of the base's texture, from its bottom to its top: a collapsed fibre is some 5 um thick
-_FLOC_UM, _STREAK_UM, _DEPOSIT_UM = 1500.0, 2000.0, 100.0  # correlation lengths
+_FLOC_UM, _STREAK_UM, _DEPOSIT_UM, _CRACK_UM = 1500.0, 2000.0, 100.0, 300.0  # correlation lengths
 _LOOSE_PER_MM2 = 6.0
 _FILLER_CONTRAST = 2.2  # grey of the filler over that of fibres, less 1
 
@@ -226,6 +226,8 @@ class DrawnSheet:
         Relative, with a mean of 1.
     holes : (n, 2)
         True centres (u, v) at the top face, in um.
+    crack_um : (rows, cols)
+        Width of a crack in the resin over the top face; below the bottom one where negative.
     structure : Structure or None
         Density of a base of single fibres, and a film below it; None for a slab.
     """
@@ -238,6 +240,7 @@ class DrawnSheet:
     char: Field
     coating_density: Field
     base_mass: Field
+    crack_um: Field
     holes: Floats
     structure: Structure | None = None
 
@@ -261,7 +264,7 @@ class DrawnSheet:
     @cached_property
     def reach_um(self) -> float:
         """Largest distance of a face from the centre surface."""
-        reach = float(max(self.faces.max(), -self.faces.min()))
+        reach = float(max(self.faces.max(), -self.faces.min())) + float(np.abs(self.crack_um).max())
         return reach if self.structure is None else max(reach, self.structure.high_um, -self.structure.low_um)
 
     @cached_property
@@ -279,18 +282,20 @@ class DrawnSheet:
 
     @cached_property
     def packed(self) -> Field:
-        """All that a renderer needs of a node side by side, (rows, cols, 8 + LAYERS)."""
-        return np.stack([*self.faces, *self.rim_um, self.char, self.coating_density, *self.texture], axis=-1)
+        """All that a renderer needs of a node side by side: (rows, cols, 9), and LAYERS more for a slab."""
+        texture = self.texture if self.structure is None else ()
+        fields = [*self.faces, *self.rim_um, self.char, self.coating_density, self.crack_um, *texture]
+        return np.stack(fields, axis=-1)
 
 
 def make_sheet(
     paper: PaperParams, holes: BurnParams, *, low: Floats, high: Floats, centres: Floats, seed: int,
-    stiffness: float = 0.0, film: FilmParams | None = None,
+    stiffness: float = 0.0, film: FilmParams | None = None, crack_um: float = 0.0,
 ) -> DrawnSheet:  # fmt: skip
     """Draw one sheet that covers the material rectangle from ``low`` to ``high`` (u, v) in um.
 
     ``stiffness``: of the coatings over the base's; it says where the surface lies that keeps its lengths. ``film`` lies
-    below a base of single fibres.
+    below a base of single fibres; ``crack_um``: spread of the width of cracks between the faces and resin.
     """
     shape = (int(np.ceil((high[1] - low[1]) / PITCH_UM)) + 2, int(np.ceil((high[0] - low[0]) / PITCH_UM)) + 2)
     fibre_mat = None
@@ -309,8 +314,8 @@ def make_sheet(
         pit_depth = 0.0
         if paper.fibres and mean:
             # Coating colour does not flow into a pore that is narrower than this.
-            closed = ndimage.grey_closing(inner, footprint=_DISC)
-            inner, pit_depth = closed, closed - inner
+            pit_depth = ndimage.grey_closing(inner, footprint=_DISC) - inner
+            inner += pit_depth - pit_depth.mean()  # the paper's base reaches to its coating
         pit_depths.append(pit_depth)
         coating = _coating(paper, inner, mean, side, seed)
         outer = inner + coating
@@ -319,6 +324,7 @@ def make_sheet(
         faces += [outer, outer - coating]
     depth_um = float(np.mean(faces[0] + faces[2]))
     rim, char = burn(holes, centres, shape, (float(low[0]), float(low[1])), depth_um, seed)
+    crack = noise(shape, _CRACK_UM, generator(seed, "cracks")) if crack_um else np.zeros(shape)
     density = noise(shape, 300.0, generator(seed, "grain"))
     density = 0.3 * (mass - mass.mean()) / mass.std() + np.sqrt(1 - 0.09) * density
     top, bottom = (float(np.mean(faces[k] - faces[k + 1])) for k in (0, 2))
@@ -335,6 +341,7 @@ def make_sheet(
         char=char,
         coating_density=(1 + paper.coating_density_sd * density).astype(np.float32),
         base_mass=mass.astype(np.float32),
+        crack_um=(crack_um * np.sign(crack) * np.maximum(np.abs(crack) - 1.0, 0.0)).astype(np.float32),
         holes=centres,
         structure=structure,
     )

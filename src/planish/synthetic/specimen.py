@@ -228,7 +228,7 @@ def make_specimen(
         centres = hole_pattern(params.holes, inner_low, inner_high, params.seed)
         sheet = make_sheet(
             params.paper, params.holes, low=low, high=high, centres=centres, seed=params.seed,
-            stiffness=params.stiffness, film=params.film,
+            stiffness=params.stiffness, film=params.film, crack_um=params.crack_um,
         )  # fmt: skip
     elif not sheet.covers(field_uv[:2], field_uv[2:]):
         raise ValueError("the given sheet does not reach as far as the volume shows it; bend it more or make it larger")

@@ -178,7 +178,7 @@ class Scenario(Params):
         """Parameters of the specimen of ``seed``; ``nuisances`` replaces the scenario's own choice."""
         chosen = self.nuisances if nuisances is None else nuisances
         size = SIZES_UM[self.size] if isinstance(self.size, str) else self.size
-        params = amended(SpecimenParams(size_um=size, paper=PRESETS[self.preset][1]), self.specimen)
+        params = amended(SpecimenParams(size_um=size, paper=PRESETS[self.preset][1].as_slab()), self.specimen)
         params = replace(params, seed=params.seed + seed)
         if self.drawn:
             params = draw_params(params)
