@@ -175,9 +175,10 @@ def coating_grey(rule: CheckRule, scan: GreyScan) -> Check | None:
     ] + [
         f"On the {side} side no layer shows that is denser than the base."
         for side in levels if contrasts[side] < _COATING * abs(greys.base - greys.air)
+    ] + [
+        f"One coating has {100 * contrast_ratio:.0f} % of the other's contrast to the base."
+        for _ in range(contrast_ratio < _ALIKE)
     ]  # fmt: skip
-    if contrast_ratio < _ALIKE:
-        faults.append(f"One coating has {100 * contrast_ratio:.0f} % of the other's contrast to the base.")
     levels_text = " and ".join(f"{level:.4g} ({side})" for side, level in levels.items())
     return rule.check(
         "look" if faults else "pass", value=contrast_ratio, limit=_ALIKE, units="share",
