@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 
@@ -242,39 +243,16 @@ def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
 
     It is that of the noise's autocorrelation over the root of two.
     """
-    frame = Frame.of(measured)
-    coordinates = {k: np.asarray(volume.coords[k].values, dtype=np.float64) for k in ("z", "y", "x")}
-    heights = coordinates[frame.through]
-    faces = np.stack([measured["top"].values, measured["bottom"].values]).astype(np.float64)
-    plane_coordinates = coordinates[frame.rows], coordinates[frame.cols]
-    if min(k.size for k in plane_coordinates) < _EDGE:
-        return float("nan")
-    # Rows and columns of four blocks along either axis that are spread over the sheet.
-    block_starts = (np.unique(np.linspace(0, k.size - _EDGE, 6)[1:-1].astype(int)).tolist() for k in plane_coordinates)
     block_lags: list[Floats] = []
-    for row, col in product(*([slice(k, k + _EDGE) for k in side] for side in block_starts)):
-        block_um = (axis_um[voxels] for axis_um, voxels in zip(plane_coordinates, (row, col), strict=True))
-        is_inside = [
-            (measured[k].values >= um[0]) & (measured[k].values <= um[-1]) for k, um in zip("yx", block_um, strict=True)
-        ]
-        block_faces = faces[:, is_inside[0]][:, :, is_inside[1]]
-        if not np.isfinite(block_faces).any():
-            continue
-        low, high = (np.searchsorted(heights, f(block_faces)) for f in (np.nanmin, np.nanmax))
-        for start, stop in ((high + _GAP, high + _GAP + _DEPTH), (low - _GAP - _DEPTH, low - _GAP)):
-            if start < 0 or stop > heights.size:
-                continue
-            block = volume.isel({frame.through: slice(start, stop), frame.rows: row, frame.cols: col})
-            grey = np.asarray(block.transpose(frame.rows, frame.cols, frame.through).values, dtype=np.float64)
-            grey -= grey.mean()
-            variance = float(np.mean(grey**2))
-            # Noise below half a step of the grey scale is that of rounding.
-            if np.isfinite(variance) and variance > 0.5**2 * (volume.dtype.kind != "f"):
-                # Mean products with the neighbours at 0, 1, 2 ... voxels along the two axes of the sheet.
-                turned = grey, grey.swapaxes(0, 1)
-                block_lags.append(np.mean(
-                    [[np.mean(v[k:] * v[: len(v) - k]) for v in turned] for k in range(_LAGS)], axis=1
-                ))  # fmt: skip
+    for grey in _air_blocks(volume, measured):
+        grey -= grey.mean()
+        variance = float(np.mean(grey**2))
+        # Noise below half a step of the grey scale is that of rounding.
+        if np.isfinite(variance) and variance > 0.5**2 * (volume.dtype.kind != "f"):
+            # Mean products with the neighbours at 0, 1, 2 ... voxels along the two axes of the sheet.
+            turned = grey, grey.swapaxes(0, 1)
+            products = [[np.mean(v[k:] * v[: len(v) - k]) for v in turned] for k in range(_LAGS)]
+            block_lags.append(np.mean(products, axis=1))
     # Blocks that hold more than air, such as a part of a film, vary more.
     lags = np.sum([lags for lags in block_lags if lags[0] < 2 * min(block_lags, key=lambda k: k[0])[0]], axis=0)
     if not (block_lags and lags[0] > lags[-1]):
@@ -284,6 +262,31 @@ def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
     k = int(np.argmax(correlation < 0.5))
     half_width_px = k - (0.5 - correlation[k]) / (correlation[k - 1] - correlation[k])
     return np.sqrt(2.0) * half_width_px * float(np.cbrt(np.prod([float(v) for v in volume.attrs["voxel_um"]])))
+
+
+def _air_blocks(volume: xr.DataArray, measured: xr.Dataset) -> Iterator[Floats]:
+    """Yield the grey (rows, cols, depth) of blocks above and below the sheet, four along either axis of it."""
+    frame = Frame.of(measured)
+    rows_um, cols_um, heights = (
+        np.asarray(volume.coords[axis].values, dtype=np.float64) for axis in (frame.rows, frame.cols, frame.through)
+    )
+    faces = np.stack([measured["top"].values, measured["bottom"].values]).astype(np.float64)
+    if min(rows_um.size, cols_um.size) < _EDGE:
+        return
+    starts = (np.unique(np.linspace(0, um.size - _EDGE, 6)[1:-1].astype(int)).tolist() for um in (rows_um, cols_um))
+    for row, col in product(*([slice(k, k + _EDGE) for k in side] for side in starts)):
+        is_inside = [
+            (measured[axis].values >= um[0]) & (measured[axis].values <= um[-1])
+            for axis, um in zip("yx", (rows_um[row], cols_um[col]), strict=True)
+        ]
+        block_faces = faces[:, is_inside[0]][:, :, is_inside[1]]
+        if not np.isfinite(block_faces).any():
+            continue
+        low, high = (np.searchsorted(heights, f(block_faces)) for f in (np.nanmin, np.nanmax))
+        for start, stop in ((high + _GAP, high + _GAP + _DEPTH), (low - _GAP - _DEPTH, low - _GAP)):
+            if start >= 0 and stop <= heights.size:
+                block = volume.isel({frame.through: slice(start, stop), frame.rows: row, frame.cols: col})
+                yield np.array(block.transpose(frame.rows, frame.cols, frame.through).values, dtype=np.float64)
 
 
 # --- of an image -----------------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,22 +31,74 @@ def inspect_values(
         n_sampled = max(8, SAMPLE_BYTES // (values.nbytes // n_planes))
         if n_sampled < n_planes:
             plane_numbers = [int(n) for n in np.linspace(0, n_planes - 1, n_sampled).round()]
-    share = len(plane_numbers) / n_planes
+    seen = _look(values, plane_numbers, full_scale)
+    facts: dict[str, Any] = declared_facts(values, dims) | {
+        "nan_share": 1 - seen.n_finite / seen.n_values,
+        "saturated_share": seen.n_saturated / seen.n_values,
+        "bottom_share": seen.n_bottom / seen.n_values,
+        "sampled": None if len(plane_numbers) == n_planes else f"{len(plane_numbers)} of {n_planes} slices",
+    }
+    if not seen.n_finite:
+        warnings.append("There is no number in it, all values are missing.")
+        facts["percentiles"] = dict.fromkeys(map(str, PERCENTILES))
+    else:
+        facts["percentiles"] = {str(p): float(np.percentile(seen.sample, p)) for p in PERCENTILES}
+        facts |= {"min": seen.low, "max": seen.high}
+        n_levels = int(np.count_nonzero(np.diff(seen.sample)) + 1)
+        if seen.low == seen.high:
+            warnings.append(f"All values are {seen.low:g}.")
+        elif values.dtype.kind in "ui" and n_levels < 16:
+            warnings.append(f"It has {n_levels} grey levels only. Is it a segmentation? planish needs the grey values.")
+    if facts["nan_share"] > 0:
+        warnings.append(f"{100 * facts['nan_share']:.3g} % of the values are missing (NaN or infinite).")
+    if seen.low == seen.high:
+        return facts
+    # Above this share of values at the end of the range, grey levels were lost.
+    if facts["saturated_share"] > 0.001:
+        cut_text = f"are at {full_scale}, the largest the file can store: grey levels were cut there."
+        warnings.append(f"{100 * facts['saturated_share']:.3g} % of the values {cut_text}")
+    if seen.constant_numbers:
+        warnings.append(
+            f"{len(seen.constant_numbers)} slices have one grey value only (black or empty), z "
+            f"{first_few(seen.constant_numbers)}: the scan ended there, or files were damaged."
+        )
+    if seen.copy_numbers:
+        place_text = f"as a slice before them, z {first_few(seen.copy_numbers)}: were they copied to fill gaps?"
+        warnings.append(f"{len(seen.copy_numbers)} slices hold the same values {place_text}")
+    return facts
+
+
+@dataclass(kw_only=True)
+class _Seen:
+    """What the values of some planes are."""
+
+    low: float = math.inf
+    high: float = -math.inf
+    n_values: int = 0
+    n_finite: int = 0
+    n_bottom: int = 0
+    n_saturated: int = 0
+    constant_numbers: list[int] = field(default_factory=list)  # of planes
+    copy_numbers: list[int] = field(default_factory=list)
+    sample: NDArray[Any] = field(default_factory=lambda: np.empty(0))  # finite, sorted
+
+
+def _look(values: Values, plane_numbers: list[int], full_scale: int | None) -> _Seen:
+    share = len(plane_numbers) / values.shape[0]
     stride = max(1, math.ceil((math.prod(values.shape) * share / SAMPLE_VALUES) ** (1 / values.ndim)))
-    low, high, n_values, n_finite, n_bottom, n_saturated = math.inf, -math.inf, 0, 0, 0, 0
-    constant_numbers, copy_numbers = list[int](), list[int]()
-    samples, digests = list[NDArray[Any]](), set[bytes]()
+    seen, samples, digests = _Seen(), list[NDArray[Any]](), set[bytes]()
     for index, number in enumerate(plane_numbers):
         plane = np.asarray(values[number])
         finite_values = plane if plane.dtype.kind != "f" else plane[np.isfinite(plane)]
-        n_values, n_finite = n_values + plane.size, n_finite + finite_values.size
+        seen.n_values += plane.size
+        seen.n_finite += finite_values.size
         plane_low = plane_high = math.nan
         if finite_values.size:
             plane_low, plane_high = float(finite_values.min()), float(finite_values.max())
-            low, high = min(low, plane_low), max(high, plane_high)
+            seen.low, seen.high = min(seen.low, plane_low), max(seen.high, plane_high)
         if full_scale is not None:
-            n_saturated += int(np.count_nonzero(plane == full_scale))
-            n_bottom += int(np.count_nonzero(plane == 0))
+            seen.n_saturated += int(np.count_nonzero(plane == full_scale))
+            seen.n_bottom += int(np.count_nonzero(plane == 0))
         if index % stride == 0:
             sample = plane[(slice(None, None, stride),) * plane.ndim].ravel()
             samples.append(sample[np.isfinite(sample)])
@@ -53,48 +106,15 @@ def inspect_values(
         if plane.ndim == 2 and plane.size >= 1000:
             digest = hashlib.blake2b(np.ascontiguousarray(plane).data, digest_size=16).digest()
             if not plane_low < plane_high:
-                constant_numbers.append(number)
+                seen.constant_numbers.append(number)
             elif digest in digests:
-                copy_numbers.append(number)
+                seen.copy_numbers.append(number)
             digests.add(digest)
-    facts: dict[str, Any] = declared_facts(values, dims) | {
-        "nan_share": 1 - n_finite / n_values,
-        "saturated_share": n_saturated / n_values,
-        "bottom_share": n_bottom / n_values,
-        "sampled": None if len(plane_numbers) == n_planes else f"{len(plane_numbers)} of {n_planes} slices",
-    }
-    if not n_finite:
-        warnings.append("There is no number in it, all values are missing.")
-        facts["percentiles"] = dict.fromkeys(map(str, PERCENTILES))
-    else:
-        sample = np.sort(np.concatenate(samples))
-        if not sample.size:  # the grid met no number
-            planes = (np.asarray(values[number]) for number in plane_numbers)
-            sample = np.sort(np.concatenate([plane[np.isfinite(plane)] for plane in planes]))
-        facts["percentiles"] = {str(p): float(np.percentile(sample, p)) for p in PERCENTILES}
-        facts |= {"min": low, "max": high}
-        n_levels = int(np.count_nonzero(np.diff(sample)) + 1)
-        if low == high:
-            warnings.append(f"All values are {low:g}.")
-        elif values.dtype.kind in "ui" and n_levels < 16:
-            warnings.append(f"It has {n_levels} grey levels only. Is it a segmentation? planish needs the grey values.")
-    if facts["nan_share"] > 0:
-        warnings.append(f"{100 * facts['nan_share']:.3g} % of the values are missing (NaN or infinite).")
-    if low == high:
-        return facts
-    # Above this share of values at the end of the range, grey levels were lost.
-    if facts["saturated_share"] > 0.001:
-        cut_text = f"are at {full_scale}, the largest the file can store: grey levels were cut there."
-        warnings.append(f"{100 * facts['saturated_share']:.3g} % of the values {cut_text}")
-    if constant_numbers:
-        warnings.append(
-            f"{len(constant_numbers)} slices have one grey value only (black or empty), z "
-            f"{first_few(constant_numbers)}: the scan ended there, or files were damaged."
-        )
-    if copy_numbers:
-        place_text = f"as a slice before them, z {first_few(copy_numbers)}: were they copied to fill gaps?"
-        warnings.append(f"{len(copy_numbers)} slices hold the same values {place_text}")
-    return facts
+    if seen.n_finite and not sum(sample.size for sample in samples):  # the grid met no number
+        planes = (np.asarray(values[number]) for number in plane_numbers)
+        samples = [plane[np.isfinite(plane)] for plane in planes]
+    seen.sample = np.sort(np.concatenate(samples))
+    return seen
 
 
 def declared_facts(values: Values, dims: tuple[str, ...]) -> dict[str, Any]:

@@ -90,10 +90,7 @@ def assemble(
             "Is the voxel size in um? Check --voxel-um, --rim-um and --sheet-grey."
         )
     centre, cutoff_used = centre_surface(face_mean, in_outline, pitch, params)
-    variables = {name: _variable(height, _TITLES[name]) for name, height in heights.items()}
-    for side, (level_error, mean_um) in faces.level_errors.items():
-        title = f"Standard error of the {side} face from the wall's grey"
-        variables[f"level_{side}_error"] = _variable(level_error.astype(np.float32), title, common_um=mean_um)
+    variables = {name: _variable(height, _TITLES[name]) for name, height in heights.items()} | _level_errors(faces)
     variables["centre"] = _variable(centre, "Centre surface")
     if params.envelope_um is not None:
         variables |= _envelopes(heights, columns.frame.sign, pitch, params.envelope_um)
@@ -130,6 +127,14 @@ def assemble(
     return xr.Dataset(
         variables, {axis: (axis, um, {"units": "um"}) for axis, um in zip("yx", lateral_um, strict=True)}, attrs
     )
+
+
+def _level_errors(faces: Faces) -> dict[str, Variable]:
+    variables: dict[str, Variable] = {}
+    for side, (level_error, mean_um) in faces.level_errors.items():
+        title = f"Standard error of the {side} face from the wall's grey"
+        variables[f"level_{side}_error"] = _variable(level_error.astype(np.float32), title, common_um=mean_um)
+    return variables
 
 
 def _envelopes(heights: dict[str, Floats], up_sign: float, pitch: Pair, radius_um: float) -> dict[str, Variable]:

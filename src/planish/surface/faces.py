@@ -107,23 +107,28 @@ def faces_from_depths(
             level_errors[side] = step_um * _rms_around(depths[4 + k]), step_um * float(np.nanmean(depths[4 + k]))
         is_finite = np.isfinite(outer)
         if cleaned[k] and is_finite.any():
-            # Columns whose face stands far off its neighbours' are dust, or fits that went astray.
-            deviation_px = np.abs(outer - ndimage.median_filter(filled(outer), size=5, mode="nearest"))
-            limit_px = max(8.0 * mad_sd(deviation_px[is_finite]) + 1.0, 3.0 / step_um, 3.0)  # 3 um or voxels
-            outer = np.where(is_finite & (deviation_px <= limit_px), outer, np.nan)
-            # What stands 6 um or 3 voxels out of the face, and by more than its roughness, in a narrow place.
-            is_finite, filled_face = np.isfinite(outer), filled(-outer)
-            rows, cols = (max(int(15.0 / p), 1) + 1 for p in columns.pitch[:2])  # an attached particle is narrower
-            top_hat = filled_face - _opened(filled_face, (rows, cols))
-            limit_px = max(8.0 * mad_sd(top_hat[is_finite]) + 1.0, 6.0 / step_um, 3.0)
-            is_particle = is_finite & (top_hat > limit_px)
+            outer, is_particle = _cleaned(outer, columns.pitch)
             particles += int(ndimage.label(is_particle, np.ones((3, 3)))[1])
             below_particle |= is_particle
-            outer = np.where(is_particle, np.nan, outer)
         interface = np.where(np.isfinite(outer) & coated[k], outer + thickness, np.nan)
         for name, depth in ((side, outer), (f"interface_{side}", interface)):
             heights[name] = first_um + step_um * (last_index - depth if k == 0 else depth)
     return Faces(heights=heights, below_particle=below_particle, particles=particles, level_errors=level_errors)
+
+
+def _cleaned(outer: Floats, pitch: tuple[float, float, float]) -> tuple[Floats, Bools]:
+    """Take spikes and attached particles off a face, and tell where the particles were."""
+    # Columns whose face stands far off its neighbours' are dust, or fits that went astray.
+    is_finite, step_um = np.isfinite(outer), pitch[2]
+    deviation_px = np.abs(outer - ndimage.median_filter(filled(outer), size=5, mode="nearest"))
+    limit_px = max(8.0 * mad_sd(deviation_px[is_finite]) + 1.0, 3.0 / step_um, 3.0)  # 3 um or voxels
+    outer = np.where(is_finite & (deviation_px <= limit_px), outer, np.nan)
+    # What stands 6 um or 3 voxels out of the face, and by more than its roughness, in a narrow place.
+    is_finite, filled_face = np.isfinite(outer), filled(-outer)
+    rows, cols = (max(int(15.0 / p), 1) + 1 for p in pitch[:2])  # an attached particle is narrower
+    top_hat = filled_face - _opened(filled_face, (rows, cols))
+    is_particle = is_finite & (top_hat > max(8.0 * mad_sd(top_hat[is_finite]) + 1.0, 6.0 / step_um, 3.0))
+    return np.where(is_particle, np.nan, outer), is_particle
 
 
 def _rms_around(values: Floats) -> Floats:

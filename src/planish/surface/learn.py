@@ -137,7 +137,7 @@ class _Learner(Sampler):
             return 0.0
         core_grey = self._core_grey(sample)
         void_share = float(np.mean(core_grey < 0.3 * np.percentile(core_grey, 99)))
-        share = 0.88 + 0.116 * min(void_share / 0.35, 1.0)
+        share = 0.88 + 0.119 * min(void_share / 0.35, 1.0)
         median, brightest = np.quantile(core_grey, [0.5, share])
         return float(median + np.sqrt(max((brightest - median) ** 2 - (ndtri(share) * self.noise) ** 2, 0.0)))
 

@@ -108,21 +108,7 @@ class FibreMat:
 
         p, pitch = self._fibres, self._pitch
         solid_um = 0.5 * p.g_per_m2 / WALL_G_PER_CM3
-        area = float(shape[0] * shape[1]) * pitch**2
-        lengths, widths, walls, lumens = (np.empty(0) for _ in range(4))
-        volume_um3 = 0.0
-        batches: list[tuple[Floats, Floats, Floats, Floats]] = []
-        # A fibre begins outside as often as inside: the field grows by its length, which its middle may lie in.
-        while volume_um3 < 1.1 * solid_um * area:  # more than is needed: the last ones are not laid
-            is_fine = rng.random(512) < p.fines
-            lengths = np.where(is_fine, rng.uniform(60.0, 250.0, 512), rng.uniform(*p.length_um, 512))
-            widths = np.where(is_fine, rng.uniform(6.0, 15.0, 512), rng.uniform(*p.width_um, 512))
-            walls = rng.uniform(*p.wall_um, 512)
-            lumens = np.where(is_fine, 0.0, rng.uniform(*p.lumen_um, 512))
-            share_in_field = area / ((shape[0] * pitch + lengths) * (shape[1] * pitch + lengths))
-            batches.append((lengths, widths, walls, lumens))
-            volume_um3 += float(np.sum(lengths * widths * 2 * walls * 0.86 * share_in_field))
-        lengths, widths, walls, lumens = (np.concatenate(samples) for samples in zip(*batches, strict=True))
+        lengths, widths, walls, lumens = self._drawn(shape, solid_um, rng)
         n_fibres = lengths.size
         angles = (
             rng.vonmises(0.0, 0.5 * np.log(self._paper.anisotropy), n_fibres) / 2 + rng.integers(0, 2, n_fibres) * np.pi
@@ -142,6 +128,23 @@ class FibreMat:
             flexibility, p.cell_um, solid_um * shape[0] * shape[1],
         )  # fmt: skip
         return shares, np.minimum(top, ground + shares.shape[2] * p.cell_um)
+
+    def _drawn(self, shape: tuple[int, int], solid_um: float, rng: np.random.Generator) -> tuple[Floats, ...]:
+        """Draw lengths, widths, walls and lumens of more fibres than are laid."""
+        p, pitch = self._fibres, self._pitch
+        area = float(shape[0] * shape[1]) * pitch**2
+        volume_um3, batches = 0.0, list[tuple[Floats, ...]]()
+        # A fibre begins outside as often as inside: the field grows by its length, which its middle may lie in.
+        while volume_um3 < 1.1 * solid_um * area:
+            is_fine = rng.random(512) < p.fines
+            lengths = np.where(is_fine, rng.uniform(60.0, 250.0, 512), rng.uniform(*p.length_um, 512))
+            widths = np.where(is_fine, rng.uniform(6.0, 15.0, 512), rng.uniform(*p.width_um, 512))
+            walls = rng.uniform(*p.wall_um, 512)
+            lumens = np.where(is_fine, 0.0, rng.uniform(*p.lumen_um, 512))
+            share_in_field = area / ((shape[0] * pitch + lengths) * (shape[1] * pitch + lengths))
+            batches.append((lengths, widths, walls, lumens))
+            volume_um3 += float(np.sum(lengths * widths * 2 * walls * 0.86 * share_in_field))
+        return tuple(np.concatenate(samples) for samples in zip(*batches, strict=True))
 
     def calendered(self) -> tuple[Floats, Floats]:
         """Heights of both faces, outwards, with the mean thickness and roughness of the paper.
