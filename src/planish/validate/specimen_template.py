@@ -58,21 +58,13 @@ def like_run(folder: Path) -> SpecimenTemplate:
 
 
 class SpecimenTemplate:
-    """Specimens like a real run: parameters, and where each of them comes from.
-
-    Attributes
-    ----------
-    params : SpecimenParams
-    study : dict
-        Options of the run that do not belong to its files, for the runs on the specimens.
-    derived, assumed : list of str
-        Sentences.
-    """
+    """Specimens like a real run: parameters, and where each of them comes from."""
 
     def __init__(self, run: Run) -> None:
         self.run, self.params = run, SpecimenParams()
+        # Options of the run that do not belong to its files, for the runs on the specimens.
         self.study: dict[str, dict[str, Any]] = {}
-        self.derived: list[str] = []
+        self.derived: list[str] = []  # sentences, as those assumed
         self.assumed: list[str] = []
         self.layer, self.sheet = next((layer, layer.sheet) for layer in run.results.layers if layer.sheet is not None)
 

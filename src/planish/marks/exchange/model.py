@@ -35,21 +35,11 @@ _TITLES = {"moving": "on the flattened map", "volume": "in the volume", "fixed":
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MarkPlaces:
-    """Places of the marks in one layer.
+    """Places of the marks in one layer."""
 
-    Attributes
-    ----------
-    um : ndarray, shape (n, 2) or (n, 3), in um
-        ``x, y`` or ``x, y, z``; NaN where a mark is not in this layer.
-    source : sequence of str, length n, or one str for all
-        ``detected``, ``clicked``, ``predicted`` or ``imported``.
-    extras : mapping of str to ndarray, shape (n,)
-        Any of `EXTRAS`; NaN where not known.
-    """
-
-    um: Floats
-    source: str | Sequence[str] = "imported"
-    extras: Mapping[str, Floats] = field(default_factory=dict[str, Floats])
+    um: Floats  #: (n, 2) ``x, y`` or (n, 3) ``x, y, z``, in um; NaN where a mark is not in this layer
+    source: str | Sequence[str] = "imported"  #: (n,) or one: ``detected``, ``clicked``, ``predicted``, ``imported``
+    extras: Mapping[str, Floats] = field(default_factory=dict[str, Floats])  #: of `EXTRAS`, (n,); NaN where not known
 
     @classmethod
     def of_holes(cls, holes: xr.Dataset, rows: Ints, source: str = "detected") -> MarkPlaces:
