@@ -130,19 +130,10 @@ class Rays:
 
 
 def meet(surfaces: xr.Dataset, rays: Direction) -> tuple[dict[str, Floats], dict[str, Floats]]:
-    """Find where the rays meet the faces.
+    """Find where the rays meet the faces; SurfaceError where a surface is missing or the top lies below the bottom.
 
-    Returns
-    -------
-    heights
-        Of ``centre`` and the faces (rows, cols), um, up towards the top.
-    faces
-        Signed distances along the rays; an interface of a side without a coating is its face, the same array.
-
-    Raises
-    ------
-    SurfaceError
-        If a surface is missing or the top lies below the bottom.
+    Gives the heights of ``centre`` and the faces (rows, cols), um, up towards the top, and the signed distances of the
+    faces along the rays. An interface of a side without a coating is its face, the same array.
     """
     if lacking := [name for name in (*FACES, "centre", "status") if name not in surfaces]:
         raise SurfaceError(f"The surfaces lack {', '.join(lacking)}. Make them with 'planish surface'.")

@@ -199,12 +199,9 @@ def _registers(kind: Literal["rays", "sheet"]):
         name: str, *, units: str, long_name: str, support_um: Length | None = None, check: Check | None = None,
         when: When | None = None, halo_um: Length = 0.0, **more: Any,
     ) -> Callable[[Answer], Property]:  # fmt: skip
-        """Register a function of rays, or of whole maps, as a property; :class:`Property` explains the arguments.
+        """Register a function of rays, or of whole maps, as a property, as :class:`Property` explains the arguments.
 
-        Raises
-        ------
-        CannotMeasure
-            If the name is taken.
+        CannotMeasure if the name is taken.
         """
         return lambda function: _add(
             Property(name=name, units=units, long_name=long_name, kind=kind, function=function, support_um=support_um,
@@ -248,13 +245,7 @@ def registered() -> dict[str, Property]:
 
 
 def find_property(name: str | Property) -> Property:
-    """Return a property by name.
-
-    Raises
-    ------
-    CannotMeasure
-        If there is none; the message lists those there are.
-    """
+    """Return a property by name; CannotMeasure if there is none: the message lists those there are."""
     if isinstance(name, Property):
         return name
     if name not in _REGISTERED:

@@ -31,8 +31,6 @@ _STEPS = 100
 class FreeForm:
     """A map ``p -> p + sum of coefficients x cubic B-splines`` of points ``(x, y)`` in um.
 
-    Notes
-    -----
     Outside the mesh a point moves as the nearest point of its border.
     """
 

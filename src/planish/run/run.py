@@ -186,10 +186,7 @@ def open_run(path: str | Path) -> Run:
 def open_sheet(path: str | Path) -> Layer:
     """The sheet that was mapped in a run folder; what it was linked to is not read.
 
-    Raises
-    ------
-    FileError
-        If it is no run, holds no sheet of its own, or a file of it is missing or damaged.
+    FileError if it is no run, holds no sheet of its own, or a file of it is missing or damaged.
     """
     folder = Path(path)
     results, study = open_results(folder), read_study(folder / RUN_TOML)

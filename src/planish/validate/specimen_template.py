@@ -22,23 +22,9 @@ _LEAST_HOLES, _BORDER_UM, _HOLE_UM2 = 5, 260.0, 75_000.0  # holes, their distanc
 
 
 def like_run(folder: Path) -> SpecimenTemplate:
-    """Read a run folder and find the parameters of specimens that are like it.
+    """Find the parameters of specimens that are like the run, of one volume, with or without an image, in a folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Run of one volume, with or without an image.
-
-    Returns
-    -------
-    SpecimenTemplate
-
-    Raises
-    ------
-    FileError
-        If a file of the run is missing or damaged.
-    InputError
-        If the run does not hold what is needed.
+    FileError if a file of it is missing or damaged; InputError if it does not hold what is needed.
     """
     run = open_run(folder)
     volumes = [layer for layer in run.study.layers if layer.kind == "volume"]

@@ -206,15 +206,8 @@ def holes_of(marks: xr.Dataset, layer: str) -> xr.Dataset:
 def with_holes(marks: xr.Dataset, holes: xr.Dataset, layer: str, *, usual_um: float) -> xr.Dataset:
     """Give marks the diameters of the holes that they lie in, and add the holes in which none of them lies.
 
-    Parameters
-    ----------
-    marks : Dataset, dims (mark)
-        A diameter that is known stays.
-    holes : Dataset, dims (mark)
-        Marks of the layer, with diameters.
-    layer : str
-    usual_um : float
-        Diameter of a mark that lies in no hole.
+    ``holes`` are marks of the layer, with diameters. A diameter of ``marks`` that is known stays; that of a mark in no
+    hole is ``usual_um``.
     """
     holes = holes.isel(mark=np.flatnonzero(in_layers(holes, [layer])))
     name, hole_count = f"{layer}_diameter", holes.sizes["mark"]
