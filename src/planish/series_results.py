@@ -195,13 +195,7 @@ class SeriesResults(ResultModel):
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """Read ``results.json`` of a series.
-
-        Raises
-        ------
-        FileError
-            If it cannot be read, or is not of a series.
-        """
+        """Read ``results.json`` of a series; FileError if it cannot be read, or is not of a series."""
         remedy = "Give the folder that 'planish study' or 'planish compare --out' made."
         with naming_faults(f"{path} is no results file of a series", remedy, error=FileError):
             return cls.model_validate_json(read_text(path, what="results of a series"))

@@ -34,19 +34,11 @@ _LOW, _HIGH = np.array([0.0, 0.0]), np.array([1e6, 1.0])
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ScatteringLayer:
-    """One layer of a stack.
+    """One layer of a stack."""
 
-    Attributes
-    ----------
-    weight : array_like
-        kg/m2, or thickness in um; NaN is missing.
-    scattering, absorption : array_like
-        Coefficients in m2/kg, or per um.
-    """
-
-    weight: ArrayLike
-    scattering: ArrayLike
-    absorption: ArrayLike = 0.0
+    weight: ArrayLike  #: kg/m2, or thickness in um; NaN is missing
+    scattering: ArrayLike  #: m2/kg, or per um
+    absorption: ArrayLike = 0.0  #: as ``scattering``
 
 
 def reflectance(weight: ArrayLike, *, scattering: ArrayLike, absorption: ArrayLike = 0.0, backing: ArrayLike) -> Floats:

@@ -19,14 +19,10 @@ MARGIN = 4  # pixels of r that have to be known around the lags that are searche
 class MaskedNcc:
     """Normalised cross-correlation with a map that stays, for many maps that come.
 
-    Notes
-    -----
     At the lag ``l``, r is that of the pairs ``a[p], b[p + l]`` where both are known: sums, squares and products over
     these pairs are correlations of maps and masks (Padfield 2012), so mean and variance are those of the overlap. The
     maps are padded by ``reach``: nothing wraps around.
 
-    References
-    ----------
     Padfield (2012), IEEE Trans. Image Process. 21, 2706, doi:10.1109/TIP.2011.2181402.
     """
 
@@ -133,8 +129,6 @@ def rival_of(share: Floats, peak: Peak, allowed: Bools) -> float:
 def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Bools) -> Floats:
     """Covariance of the peak's place, (2, 2) in pixels squared, from the textures of what the maps do not share.
 
-    Notes
-    -----
     At the peak the slope of r is the mean of ``u v`` over the pairs, with ``u = a - r b`` and ``v`` the gradient of
     ``b`` (both maps standardised). For stationary Gaussian maps ``var(sum u v) = sum over h of R_u R_v / n +
     R_uv(h) R_uv(-h) / n`` with the sums of products R at the lag h and the number n of their pairs. The peak moves by

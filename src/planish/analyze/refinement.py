@@ -261,12 +261,8 @@ def refine_link(
     """Refine a link by its headline property and the image, and correlate without the bias of that.
 
     What the refinement changed stands beside r over tiles that it has not seen; where the map is too small for such
-    tiles, beside r after the search and what the search reaches on unrelated maps.
-
-    Raises
-    ------
-    CannotRegister
-        If SimpleITK is missing, or the refinement folds the map or leaves what the marks allow.
+    tiles, beside r after the search and what the search reaches on unrelated maps. CannotRegister where SimpleITK is
+    missing, or the refinement folds the map or leaves what the marks allow.
     """
     pixel, valid = grid.pixel_um, linked["valid"].values
     a, b = (_detail(linked[name].values, valid, pixel) for name in (headline, "image"))

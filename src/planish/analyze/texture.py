@@ -131,15 +131,11 @@ def relate(a: Floats, b: Floats, is_valid: Bools, pixel_um: Pair, *, of: Floats 
 
     ``of`` is the texture whose spread ``part`` is a share of, where that is not b.
 
-    Notes
-    -----
     The standard deviation is the larger of two. Textures that are alike everywhere: ``var(r) = sum over h of R_a(h)
     R_b(h) / n³`` with the sums of products R at the lag h, which is the variance over all surrogates of random phases
     (Theiler et al. 1992), put right for the mask (Clifford et al. 1989). Others: from the scatter of what tiles of
     250 um add to r, so that one stain in both maps is one event (Conley 1999).
 
-    References
-    ----------
     Theiler et al. (1992), Physica D 58, 77, doi:10.1016/0167-2789(92)90102-S.
     Clifford, Richardson and Hémon (1989), Biometrics 45, 123, doi:10.2307/2532039.
     Conley (1999), J. Econometrics 92, 1, doi:10.1016/S0304-4076(98)00084-0.

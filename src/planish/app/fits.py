@@ -37,15 +37,11 @@ def find_outliers(moving: Floats, fixed: Floats, mirrored: bool, *, tolerance_um
 
     Two marks farther apart than ``tolerance_um`` do not match, however few there are to tell.
 
-    Notes
-    -----
     A least trimmed squares fit of a similarity: of those through two of the pairs, the one that the best two thirds of
     all marks follow most closely, improved by refits to these. So wrong marks that agree with each other do not hide,
     unless they are more than a third. Of the rest are named those that are off by more than the tolerance and four
     standard deviations, and those that lie farther off than chance puts one of so many that were chosen from.
 
-    References
-    ----------
     Rousseeuw and Van Driessen (2006), Data Min. Knowl. Discov. 12, 29, doi:10.1007/s10618-005-0024-4.
     """
     n = len(moving)

@@ -8,21 +8,14 @@ from planish.core.jit import njit
 
 @njit(cache=True, nogil=True)
 def add_slices(part, block, skip, square, product, sums):
-    """Add what a part of a window tells of how slices differ.
+    """Add what a part of a window, (slices, rows, cols) float32, tells of how slices differ.
 
-    Parameters
-    ----------
-    part : (slices, rows, cols) float32
-    block : int
-        Voxels along the edge of a block.
-    skip : int
-        First slices that belong to the part before.
-    square : (slices - 1,)
-        Sums of (a[k + 1] - a[k])²; added to.
-    product : (slices - 2,)
-        Sums of (a[k + 1] - a[k]) (a[k + 2] - a[k + 1]); added to.
-    sums : (slices - skip, block rows, block cols)
-        Sums over the blocks; added to. What is left over at the far ends is left out.
+    block   : voxels along the edge of a block
+    skip    : first slices that belong to the part before
+    square  : (slices - 1,), sums of (a[k + 1] - a[k])²; added to
+    product : (slices - 2,), sums of (a[k + 1] - a[k]) (a[k + 2] - a[k + 1]); added to
+    sums    : (slices - skip, block rows, block cols), over the blocks; added to. What is left over at the far ends is
+              left out
     """
     slices, rows, cols = part.shape
     across = sums.shape[2]

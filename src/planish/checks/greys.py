@@ -72,10 +72,7 @@ def denser_coating(greys: Greys) -> float | None:
 def clipping(sample: Array, greys: Greys) -> tuple[float, float, float]:
     """Look for a spike in the histogram at the sheet's end of the grey scale, whatever type and level.
 
-    Returns
-    -------
-    float, float, float
-        Height of the spike over what the bins beside it lead to; share of the voxels in it; its grey.
+    Gives its height over what the bins beside it lead to, the share of the voxels in it, and its grey.
     """
     # Whole numbers are counted once: a large part of a volume is looked at.
     is_integer = sample.dtype.kind != "f"

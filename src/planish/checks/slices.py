@@ -136,8 +136,6 @@ def find_faults(window: Window, *, assembled: bool = False, levelled: bool = Tru
     ``assembled``: slices were put together from others, or are labels; only their order is looked at. ``levelled``:
     where slices differ in brightness, each is brought to the mean and spread of its neighbourhood first.
 
-    Notes
-    -----
     Nothing is found at either end, nor a missing slice where the body hardly changes along the axis, or
     in strong noise.
     """

@@ -61,17 +61,11 @@ class SlopeScale:
 def scale_from_thickness(measured: xr.Dataset) -> SlopeScale:
     """Scale of heights at which the mean thickness does not depend on the slope.
 
-    Parameters
-    ----------
-    measured : Dataset, dims (y, x), in um
-        ``centre``, ``thickness``, ``status``.
-
-    Notes
-    -----
-    Where heights are s times what they should be and m is the slope as it is seen, a sheet of thickness T has, along
-    the normals as they are seen, t = T / s sqrt((1 + s² m²) / (1 + m²)): T / s where it is flat, T where it is steep.
-    So t² (1 + m²) is linear in m², with s² the slope over the intercept. A drift of the thickness across the sheet is
-    free; the error comes from leaving out each of 36 blocks of the sheet.
+    ``measured`` holds ``centre``, ``thickness``, ``status`` (y, x), in um. Where heights are s times what they should
+    be and m is the slope as it is seen, a sheet of thickness T has, along the normals as they are seen,
+    t = T / s sqrt((1 + s² m²) / (1 + m²)): T / s where it is flat, T where it is steep. So t² (1 + m²) is linear in m²,
+    with s² the slope over the intercept. A drift of the thickness across the sheet is free; the error comes from
+    leaving out each of 36 blocks of the sheet.
     """
     steps = pitch(measured)
     down, across = np.gradient(measured["centre"].values, *steps)

@@ -59,22 +59,11 @@ def read_windows(
     volume: xr.DataArray, *, through: Axis, sheet_slices: tuple[int, int], points: Places | None = None,
     fill_grey: float = 0.0, threads: int | None = None,
 ) -> WindowReading:  # fmt: skip
-    """Read a window along each of a volume's three axes.
+    """Read a window along each of a volume's three axes (z, y, x).
 
-    Parameters
-    ----------
-    volume : DataArray, dims (z, y, x)
-        May be lazy: parts are read along z, whole chunks of the file where it has some.
-    through : {"z", "y", "x"}
-        Axis through the sheet.
-    sheet : (int, int)
-        First and last slice along it that hold the sheet.
-    points : (n, 3) of int, optional
-        Voxels (z, y, x) whose grey is asked for.
-    missing : float
-        Takes the place of NaN.
-    threads : int, optional
-        The sums do not depend on it.
+    A lazy volume is read in parts along z, whole chunks of the file where it has some; the sums do not depend on
+    ``threads``. ``sheet_slices``: first and last along ``through`` that hold the sheet. ``points``: (n, 3) of int,
+    voxels (z, y, x) whose grey is asked for. ``fill_grey`` takes the place of NaN.
     """
     axes: tuple[Axis, ...] = ("z", "y", "x")
     boxes: dict[Axis, dict[str, slice]] = {axis: _place(volume, axis, through, sheet_slices) for axis in axes}

@@ -9,19 +9,9 @@ from planish.core.jit import njit
 def rolled(height, pitch_um, radius_um):
     """Close a height field from above with a ball, taken as the paraboloid of its curvature.
 
-    Where gaps are narrower than half the radius it differs from the ball by less than 2 % of what is bridged.
-
-    Parameters
-    ----------
-    height : (rows, cols)
-        um, outwards; NaN where unknown: the ball may dip there.
-    pitch_um : (float, float)
-    radius_um : float
-
-    Returns
-    -------
-    (rows, cols)
-        um: the lowest that the ball reaches; NaN where ``height`` is.
+    Where gaps are narrower than half the radius it differs from the ball by less than 2 % of what is bridged. Of
+    ``height``, (rows, cols) in um, outwards, and NaN where unknown, where the ball may dip, with a ``pitch_um`` along
+    rows and columns: the lowest that the ball reaches, (rows, cols) in um; NaN where ``height`` is.
     """
     rises = [p * p / (2 * radius_um) for p in pitch_um]
     known = np.isfinite(height)

@@ -31,18 +31,10 @@ _LATERAL: dict[str, tuple[Axis, Axis]] = {"z": ("y", "x"), "y": ("z", "x"), "x":
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Frame:
-    """Pose of the sheet in the array.
+    """Pose of the sheet in the array."""
 
-    Attributes
-    ----------
-    through : {"z", "y", "x"}
-        Axis that runs through the sheet.
-    top : {"high", "low"}
-        End of that axis at which the sheet's top side lies.
-    """
-
-    through: Axis = "z"
-    top: End = "high"
+    through: Axis = "z"  #: axis that runs through the sheet
+    top: End = "high"  #: end of that axis at which the sheet's top side lies
 
     def __post_init__(self) -> None:
         """Refuse other axes and ends."""

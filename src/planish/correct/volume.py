@@ -75,25 +75,15 @@ def _read_corrected(volume: xr.Variable, change: Change, where: Where) -> NDArra
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Corrected:
-    """A corrected volume, and what was done to it.
+    """A corrected volume, and what was done to it."""
 
-    Attributes
-    ----------
-    volume : DataArray, dims (z, y, x)
-        Of the same type; the one that was given where nothing had to be changed. Its attribute ``corrections`` holds
-        the record.
-    record : CorrectionRecord
-    turning : Turning
-    before, after : Sums or None
-        For the figure; None where no sheet stands out.
-    change : Change or None
-    """
-
+    #: (z, y, x), of the same type; the one that was given where nothing had to be changed; its attribute
+    #: ``corrections`` holds the record.
     volume: xr.DataArray
     record: CorrectionRecord
     turning: Turning
-    before: Sums | None = None
-    after: Sums | None = None
+    before: Sums | None = None  #: for the figure; None where no sheet stands out
+    after: Sums | None = None  #: as ``before``
     change: Change | None = None
 
 

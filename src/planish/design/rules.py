@@ -199,28 +199,15 @@ _RULES: dict[str, tuple[Sense, str, str, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """One rule, applied to one pattern.
-
-    Attributes
-    ----------
-    name : str
-    value, limit : float
-        Measured, and allowed.
-    sense : {"at least", "at most"}
-        What the value has to be against the limit.
-    unit : str
-        Of value and limit.
-    meaning, remedy : str
-        What is measured, and what to change where the rule is broken.
-    """
+    """One rule, applied to one pattern."""
 
     name: str
-    value: float
-    limit: float
-    sense: Sense
-    unit: str
-    meaning: str
-    remedy: str
+    value: float  #: measured
+    limit: float  #: allowed
+    sense: Sense  #: what the value has to be against the limit
+    unit: str  #: of value and limit
+    meaning: str  #: what is measured
+    remedy: str  #: what to change where the rule is broken
 
     @property
     def passed(self) -> bool:

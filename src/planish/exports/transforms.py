@@ -126,8 +126,6 @@ UNITS = {"um": 1.0, "mm": 1e-3}
 def write_itk(transform: DirectedTransform, path: Path, history: ExportHistory, params: ExportParams) -> None:
     """Write an affine transform as text, or a composite of one with a displacement field before it.
 
-    Notes
-    -----
     A composite applies its last transform first. Points are those of planish, x and y in the unit asked for; images
     whose first pixel lies elsewhere than at 0 need their origin.
     """
@@ -158,8 +156,6 @@ def write_itk(transform: DirectedTransform, path: Path, history: ExportHistory, 
 def write_elastix(transform: DirectedTransform, path: Path, history: ExportHistory, params: ExportParams) -> None:
     """Write transform parameters for ``transformix -tp``; a field before the affine map stands in ``NAME_local.txt``.
 
-    Notes
-    -----
     elastix takes fixed points to moving points: ``image_to_sheet.txt`` brings maps of the sheet onto the image, and
     moves points of the image into the sheet. A B-spline of first order is linear between its nodes, whose coefficients
     are the displacements there.

@@ -8,19 +8,10 @@ from planish.core.jit import njit
 
 @njit(cache=True, nogil=True)
 def inscribed(distance, step):
-    """Radius of the largest sphere inside the void that holds each of its samples.
+    """Radius of the largest sphere inside the void that holds each of its samples, um; 0 in the solid.
 
-    Parameters
-    ----------
-    distance : (rows, cols, samples) float32
-        To the nearest solid sample, um.
-    step : (float, float, float)
-        um.
-
-    Returns
-    -------
-    (rows, cols, samples) float32
-        um; 0 in the solid.
+    ``distance``, (rows, cols, samples) float32 as the result: to the nearest solid sample, um. ``step``: along the
+    three axes, um.
     """
     rows, cols, count = distance.shape
     out = distance.copy()

@@ -46,12 +46,8 @@ def height_at(field, r, c):
 def along_normals(surface, centre, normal_r, normal_c, normal_h, pitch_r, pitch_c):
     """Signed distance (rows, cols) from a centre surface to another along unit vectors, um; NaN where it is not met.
 
-    Parameters
-    ----------
-    surface, centre, normal_r, normal_c, normal_h : (rows, cols)
-        Heights in um; unit vectors along rows, columns and height.
-    pitch_r, pitch_c : float
-        um.
+    ``surface`` and ``centre``, (rows, cols): heights in um. ``normal_r``, ``normal_c``, ``normal_h``, (rows, cols): the
+    unit vectors along rows, columns and height. Pitches in um.
     """
     rows, cols = centre.shape
     out = np.full((rows, cols), np.nan)
@@ -81,29 +77,18 @@ def along_normals(surface, centre, normal_r, normal_c, normal_h, pitch_r, pitch_
 
 @njit(cache=True, nogil=True)
 def resample_rays(block, corner, first, wide, depth, step_r, step_c, step_d, wanted, low, ds, padding, padded, out):
-    """Trilinear grey along rays through a part of the volume.
+    """Trilinear grey along rays through a part of the volume; ``wanted`` ones only.
 
-    Parameters
-    ----------
-    block : (rows, cols, depth)
-        Part of the volume.
-    corner : (3,) int
-        Index in the volume of the block's first voxel.
-    first : int
-        Row of the sheet that the first row of rays belongs to.
-    wide : int
-        Voxels along the edge of a column; its ray starts in the middle of them.
-    depth : (ray rows, cols)
-        Index along the axis through the sheet at which a ray has s = 0.
-    step_r, step_c, step_d : (ray rows, cols)
-        Voxels per um along the ray.
-    wanted : (ray rows, cols) bool
-    low, ds : int, float
-        Sample k lies at s = (low + k) ds, um.
-    padding, padded : float, bool
-        Value of what lies outside the field of view, where there is one.
-    out : (ray rows, cols, samples)
-        Set; NaN outside the block, and beside what is missing.
+    block           : (rows, cols, depth), the part of the volume
+    corner          : (3,) int, index in the volume of the block's first voxel
+    first           : row of the sheet that the first row of rays belongs to
+    wide            : voxels along the edge of a column; its ray starts in the middle of them
+    depth           : (ray rows, cols), index along the axis through the sheet at which a ray has s = 0
+    step_r, _c, _d  : (ray rows, cols), voxels per um along the ray
+    wanted          : (ray rows, cols) bool
+    low, ds         : sample k lies at s = (low + k) ds, um; low is an int
+    padding, padded : value of what lies outside the field of view, where (bool) there is one
+    out             : (ray rows, cols, samples), set; NaN outside the block, and beside what is missing
     """
     rows, cols, count = out.shape
     height, width, deep = block.shape
@@ -183,23 +168,11 @@ def _piece(g, x0, x1, least, most):
 
 @njit(cache=True, nogil=True)
 def pieces(grey, s0, ds, lower, upper, least, most):
-    """Integral and phase between two places on each ray.
+    """Integral and phase between two places, ``lower`` and ``upper`` (rows, cols) in um, on each ray.
 
-    Parameters
-    ----------
-    grey : (rows, cols, samples)
-    s0, ds : float
-        First sample and step, um.
-    lower, upper : (rows, cols)
-        um.
-    least, most : float
-        The phase's grey range.
-
-    Returns
-    -------
-    integral, length, ends : (rows, cols)
-        Grey times um, um with least <= grey <= most, and the number of its ends; 0 where upper lies below lower, NaN
-        where the ray is not known in between.
+    ``grey``: (rows, cols, samples), from ``s0`` in steps of ``ds``, um. Gives, each (rows, cols), grey times um, um of
+    the phase with least <= grey <= most, and the number of its ends; 0 where upper lies below lower, NaN where the ray
+    is not known in between.
     """
     rows, cols, _ = grey.shape
     integral, length = np.empty((rows, cols)), np.empty((rows, cols))
@@ -215,29 +188,16 @@ def pieces(grey, s0, ds, lower, upper, least, most):
 def layers(grey, s0, ds, face, inward, level, polarity, reach, gap, limit):
     """Outermost connected layer of what lies beyond a grey level, from the face inwards.
 
-    Parameters
-    ----------
-    grey : (rows, cols, samples)
-    face : (rows, cols)
-        Place of the face, um.
-    inward : float
-        -1 from the top, +1 from the bottom.
-    level, polarity : float
-        The layer is where polarity (grey - level) > 0.
-    reach : (rows, cols)
-        um below the face within which the layer must begin.
-    gap : float
-        um: a shorter gap does not end the layer.
-    limit : (rows, cols)
-        Place on the ray at which the search ends, um.
+    grey            : (rows, cols, samples)
+    face            : (rows, cols), place of the face, um
+    inward          : -1 from the top, +1 from the bottom
+    level, polarity : the layer is where polarity (grey - level) > 0
+    reach           : (rows, cols), um below the face within which the layer must begin
+    gap             : um: a shorter gap does not end the layer
+    limit           : (rows, cols), place on the ray at which the search ends, um
 
-    Returns
-    -------
-    summed, envelope : (rows, cols)
-        Summed length and distance from the face to the layer's inner end, um; the blurred flank between the face and
-        the first crossing counts as layer. 0 where it does not begin.
-    ends : (rows, cols)
-        Crossings inside the layer.
+    Gives, each (rows, cols), summed length and distance from the face to the layer's inner end, um, 0 where it does not
+    begin (the blurred flank between the face and the first crossing counts as layer), and crossings inside the layer.
     """
     rows, cols, count = grey.shape
     summed, envelope = np.empty((rows, cols)), np.empty((rows, cols))
@@ -307,21 +267,9 @@ def layers(grey, s0, ds, face, inward, level, polarity, reach, gap, limit):
 def depths_of_shares(grey, s0, ds, face, limit, least, most, shares):
     """Depth below the face within which given shares of a phase's length lie.
 
-    Parameters
-    ----------
-    face, limit : (rows, cols)
-        From the face down to the limit, um; the limit lies below.
-    least, most : float
-        The phase's grey range.
-    shares : (n,)
-        Of the length between face and limit, ascending.
-
-    Returns
-    -------
-    depth : (n, rows, cols)
-        um; NaN where there is no such phase.
-    total : (rows, cols)
-        Length of the phase, um.
+    The phase, ``least`` <= grey <= ``most``, counts from ``face`` down to ``limit`` (rows, cols), um, which lies below;
+    ``shares`` (n,), of its length, ascend. Gives the depths (n, rows, cols) in um, NaN where there is no such phase,
+    and the length of the phase, (rows, cols) in um.
     """
     rows, cols, _ = grey.shape
     depth = np.full((shares.size, rows, cols), np.nan)

@@ -55,13 +55,7 @@ class Densities(Params):
         return self.coat_weight_top_g_m2 if side == "top" else self.coat_weight_bottom_g_m2
 
     def need(self, quantity: str, *names: str) -> float:
-        """Return the first of ``names`` that is known.
-
-        Raises
-        ------
-        CannotMeasure
-            If none is.
-        """
+        """Return the first of ``names`` that is known; CannotMeasure if none is."""
         for name in names:
             if (number := getattr(self, name)) is not None:
                 return number

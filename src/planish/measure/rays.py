@@ -32,53 +32,25 @@ class Rays:
     """Grey values along the rays of some rows of the centre surface.
 
     Lengths are in um; ``s`` is the signed distance from the centre surface, the top is positive.
-
-    Attributes
-    ----------
-    grey : (rows, cols, s) float32
-        NaN outside the volume, beside missing voxels, and on rays without a status of 0.
-    s_um : (s,)
-        The same for all rays, in equal steps.
-    top, bottom, interface_top, interface_bottom : (rows, cols)
-        Places of the faces and interfaces; an interface of a side without a coating is its face.
-    normals : (rows, cols, 3)
-        Directions of the rays along rows, columns and height.
-    stretch : (rows, cols, 2)
-        Length of a step of one um along rows and columns, measured in the centre surface.
-    slope : (rows, cols, 2)
-        Of the centre surface along rows and columns, up towards the top.
-    oblique : (rows, cols)
-        Length of ray for one um along the normal: 1 on normals, 1 / cos of the tilt on vertical rays.
-    status : (rows, cols) uint8
-    pitch_um : (float, float)
-        Between rows and between columns, in projection.
-    voxel_um : float
-        Voxel size along the axis through the sheet.
-    greys : Greys
-    params : MeasureParams
-    noise_um : float
-        Variance of the grey's integral over one um of ray, from the noise alone.
-    mirrored : bool
-        Whether the array shows the sheet as a mirror does.
     """
 
-    grey: Grey
-    s_um: Floats
-    top: Floats
-    bottom: Floats
-    interface_top: Floats
-    interface_bottom: Floats
-    normals: Floats
-    stretch: Floats
-    slope: Floats
-    oblique: Floats
-    status: NDArray[np.uint8]
-    pitch_um: Pair
-    voxel_um: float
+    grey: Grey  #: (rows, cols, s) float32; NaN outside the volume, beside missing voxels, on rays without a status of 0
+    s_um: Floats  #: (s,), the same for all rays, in equal steps
+    top: Floats  #: place of the face, (rows, cols)
+    bottom: Floats  #: as ``top``
+    interface_top: Floats  #: place of the interface, (rows, cols); of a side without a coating its face
+    interface_bottom: Floats  #: as ``interface_top``
+    normals: Floats  #: (rows, cols, 3), directions of the rays along rows, columns and height
+    stretch: Floats  #: (rows, cols, 2), length in the centre surface of a step of one um along rows and columns
+    slope: Floats  #: (rows, cols, 2), of the centre surface along rows and columns, up towards the top
+    oblique: Floats  #: (rows, cols), um of ray for one along the normal: 1 on normals, 1 / cos(tilt) on vertical rays
+    status: NDArray[np.uint8]  #: (rows, cols)
+    pitch_um: Pair  #: between rows and between columns, in projection
+    voxel_um: float  #: along the axis through the sheet
     greys: Greys
     params: MeasureParams
-    noise_um: float
-    mirrored: bool
+    noise_um: float  #: variance of the grey's integral over one um of ray, from the noise alone
+    mirrored: bool  #: whether the array shows the sheet as a mirror does
     mean_stretch: Pair
     _cache: dict[str, object] = field(default_factory=lambda: {}, init=False)
 
@@ -158,19 +130,10 @@ class Rays:
 
 
 def meet(surfaces: xr.Dataset, rays: Direction) -> tuple[dict[str, Floats], dict[str, Floats]]:
-    """Find where the rays meet the faces.
+    """Find where the rays meet the faces; SurfaceError where a surface is missing or the top lies below the bottom.
 
-    Returns
-    -------
-    heights
-        Of ``centre`` and the faces (rows, cols), um, up towards the top.
-    faces
-        Signed distances along the rays; an interface of a side without a coating is its face, the same array.
-
-    Raises
-    ------
-    SurfaceError
-        If a surface is missing or the top lies below the bottom.
+    Gives the heights of ``centre`` and the faces (rows, cols), um, up towards the top, and the signed distances of the
+    faces along the rays. An interface of a side without a coating is its face, the same array.
     """
     if lacking := [name for name in (*FACES, "centre", "status") if name not in surfaces]:
         raise SurfaceError(f"The surfaces lack {', '.join(lacking)}. Make them with 'planish surface'.")

@@ -122,21 +122,11 @@ def face_length(faces: Mapping[str, Floats], name: str) -> Floats:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measured:
-    """Values of a property with what is known of them.
+    """Values of a property with what is known of them."""
 
-    Attributes
-    ----------
-    values : (rows, cols)
-        NaN where there is no answer.
-    se : (rows, cols) or NaN
-        Standard error in the same unit; NaN where it cannot be stated.
-    reason : (rows, cols) uint8 or 0
-        1, 2, ... for the property's own reasons where ``values`` is NaN.
-    """
-
-    values: Floats
-    se: Floats | float = np.nan
-    reason: NDArray[np.uint8] | int = 0
+    values: Floats  #: (rows, cols); NaN where there is no answer
+    se: Floats | float = np.nan  #: standard error (rows, cols) in the same unit; NaN where it cannot be stated
+    reason: NDArray[np.uint8] | int = 0  #: (rows, cols): 1, 2, ... of the property's own where ``values`` is NaN
 
     def times(self, factor: float) -> Measured:
         """Return the same in another unit."""
@@ -145,18 +135,10 @@ class Measured:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sheet:
-    """What a property of whole maps is given.
+    """What a property of whole maps is given."""
 
-    Attributes
-    ----------
-    frame : RayFrame
-        Faces along the rays, centre surface, status, pitch and parameters.
-    maps : mapping of Measured
-        The properties that were named with ``after``.
-    """
-
-    frame: RayFrame
-    maps: Mapping[str, Measured]
+    frame: RayFrame  #: faces along the rays, centre surface, status, pitch and parameters
+    maps: Mapping[str, Measured]  #: the properties that were named with ``after``
 
     @property
     def params(self) -> MeasureParams:
@@ -191,42 +173,22 @@ Answer = Callable[..., "Floats | Measured"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Property:
-    """One property; made by :func:`ray_property` and :func:`sheet_property`.
-
-    Attributes
-    ----------
-    name, units, long_name : str
-    kind : {"rays", "sheet"}
-    function : callable
-        From :class:`~planish.measure.rays.Rays`, or from :class:`Sheet`.
-    halo_um : float or callable
-        Rows beyond a tile that a ray's answer depends on, as a length.
-    support_um : float or callable or None
-        Width of what one value speaks for; None: one ray, with what the blur adds.
-    reasons : tuple of str
-        The property's own reasons for a missing value.
-    after : tuple of str, or callable
-        Properties that this one is made from, or a function from the parameters and the grey levels to them.
-    check : callable or None
-        From parameters and grey levels; raises CannotMeasure, before anything is read, where a number is missing.
-    when : callable or None
-        From parameters and grey levels; whether the property is measured without being named, as its numbers are given.
-    together : tuple of str
-        Properties that are measured with it where it is named.
-    """
+    """One property; made by :func:`ray_property` and :func:`sheet_property`."""
 
     name: str
     units: str
     long_name: str
     kind: Literal["rays", "sheet"]
-    function: Answer
-    halo_um: Length = 0.0
-    support_um: Length | None = None
-    reasons: tuple[str, ...] = ()
-    after: After = ()
+    function: Answer  #: of :class:`~planish.measure.rays.Rays`, or of :class:`Sheet`
+    halo_um: Length = 0.0  #: rows beyond a tile that a ray's answer depends on, as a length
+    support_um: Length | None = None  #: width of what one value speaks for; None: one ray, with what the blur adds
+    reasons: tuple[str, ...] = ()  #: the property's own reasons for a missing value
+    after: After = ()  #: properties that this is made from, or a function from parameters and grey levels to them
+    #: Of parameters and grey levels; CannotMeasure, before anything is read, where a number is missing.
     check: Check | None = None
+    #: Of parameters and grey levels: whether it is measured without being named, as its numbers are given.
     when: Callable[..., bool] | None = None
-    together: tuple[str, ...] = ()
+    together: tuple[str, ...] = ()  #: properties that are measured with it where it is named
 
 
 _REGISTERED: dict[str, Property] = {}
@@ -237,12 +199,9 @@ def _registers(kind: Literal["rays", "sheet"]):
         name: str, *, units: str, long_name: str, support_um: Length | None = None, check: Check | None = None,
         when: When | None = None, halo_um: Length = 0.0, **more: Any,
     ) -> Callable[[Answer], Property]:  # fmt: skip
-        """Register a function of rays, or of whole maps, as a property; :class:`Property` explains the arguments.
+        """Register a function of rays, or of whole maps, as a property, as :class:`Property` explains the arguments.
 
-        Raises
-        ------
-        CannotMeasure
-            If the name is taken.
+        CannotMeasure if the name is taken.
         """
         return lambda function: _add(
             Property(name=name, units=units, long_name=long_name, kind=kind, function=function, support_um=support_um,
@@ -286,13 +245,7 @@ def registered() -> dict[str, Property]:
 
 
 def find_property(name: str | Property) -> Property:
-    """Return a property by name.
-
-    Raises
-    ------
-    CannotMeasure
-        If there is none; the message lists those there are.
-    """
+    """Return a property by name; CannotMeasure if there is none: the message lists those there are."""
     if isinstance(name, Property):
         return name
     if name not in _REGISTERED:

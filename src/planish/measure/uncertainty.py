@@ -135,19 +135,12 @@ def layer_errors(thickness: Floats, greys: Greys, noise_um: float, side: Side) -
 
     for the four unknowns h, t, c, b: F_ij = integral of (dg/dp_i)(dg/dp_j) ds / noise_um, plus 1 / spread^2 for the
     levels, which vary by 5 % (coating) and 10 % (base) of their contrast from place to place. Where a side has no
-    coating there are h and b only. As t goes to 0, h and t cannot be told apart and the matrix becomes singular; below
-    the thickness that equals its own standard error, that error is given. It says nothing about a wrong model: fringes,
+    coating there are h and b only, and ``thickness``, (rows, cols) of the layer in um, is ignored. ``noise_um`` is as
+    from :func:`ray_noise`. As t goes to 0, h and t cannot be told apart and the matrix becomes singular; below the
+    thickness that equals its own standard error, that error is given. It says nothing about a wrong model: fringes,
     burnt rims, fillers at the interface. Walls and pores of the base are no part of the staircase either: what they
     scatter beyond the noise below an interface is added as it acts on the fit, F^-1 (F + G) F^-1 with G the same
     integral of their surplus.
-
-    Parameters
-    ----------
-    thickness : (rows, cols)
-        Of the layer, um; ignored without a coating.
-    noise_um : float
-        As from :func:`ray_noise`.
-    side : {"top", "bottom"}
     """
     blur_um = max(greys.blur_um, 1e-3)
     coating_level, base_level = greys.coating(side), greys.base

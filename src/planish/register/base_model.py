@@ -21,30 +21,14 @@ Frame = tuple[Floats, float]
 
 
 class Model(ABC):
-    """A kind of transformation. A new one is a subclass and an entry in :mod:`planish.register.models`.
+    """A kind of transformation. A new one is a subclass and an entry in :mod:`planish.register.models`."""
 
-    Attributes
-    ----------
-    name : str
-        In options and files.
-    words : str
-        In tables and on the page.
-    purpose : str
-        When to take it.
-    transform : type
-        Dataclass of the transformation: its fields are what is written to JSON.
-    parameters : int
-        Free ones.
-    least : int
-        Pairs that fix it.
-    """
-
-    name: ClassVar[str]
-    words: ClassVar[str]
-    purpose: ClassVar[str]
-    transform: ClassVar[type[Any]]
-    parameters: ClassVar[int]
-    least: ClassVar[int]
+    name: ClassVar[str]  # in options and files
+    words: ClassVar[str]  # in tables and on the page
+    purpose: ClassVar[str]  # when to take it
+    transform: ClassVar[type[Any]]  # dataclass of the transformation: its fields are what is written to JSON
+    parameters: ClassVar[int]  # free ones
+    least: ClassVar[int]  # pairs that fix it
 
     @abstractmethod
     def fit(self, pairs: Pairs, mirrored: bool, /) -> Any:
@@ -98,10 +82,7 @@ class ParametricModel(Model):
 def least_squares(whitening: Floats, design: Floats, target: Floats, name: str) -> Floats:
     """Weighted least squares by QR: parameters (p,) from design (n, 2, p) and target (n, 2).
 
-    Raises
-    ------
-    CannotRegister
-        If the marks leave a parameter free.
+    CannotRegister if the marks leave a parameter free.
     """
     q, r = whitened_qr(whitening, design, name)
     return np.asarray(np.linalg.solve(r, q.T @ (whitening @ target[..., None]).reshape(-1)), dtype=np.float64)

@@ -190,10 +190,7 @@ class LocalStrain(NamedTuple):
 def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrain:
     """Strain inside the hull of the marks, looked at on a grid of 65 x 65 over their extent and at the marks.
 
-    Raises
-    ------
-    CannotRegister
-        Where the map folds, or changes its handedness against what was declared.
+    CannotRegister where the map folds, or changes its handedness against what was declared.
     """
     worst_place = marks.mean(axis=0)
     if isinstance(transform, Similarity):

@@ -69,19 +69,13 @@ class _KernelFit(NamedTuple):
 class DeviationField:
     """Map and errors that pairs make likely.
 
-    Attributes
-    ----------
-    mixture : ndarray, shape (kernels, affine ratios, field ratios)
-        Probability of each assumption.
-    mark_variance : float
-        Variance of one coordinate of a pair with information 1, in um**2; NaN where no residual is left.
-    group : ndarray, shape (n,)
-        Which marks were taken together; more than `MOST` are.
+    ``mixture`` (kernels, affine ratios, field ratios) is the probability of each assumption; ``mark_variance``, in
+    um**2, is the variance of one coordinate of a pair with information 1, NaN where no residual is left.
     """
 
     def __init__(self, pairs: Pairs, mirrored: bool, mixture: Floats | None = None) -> None:
         self._all_pairs, self.mirrored = pairs, mirrored
-        self.group = _groups(pairs.fixed, MOST)
+        self.group = _groups(pairs.fixed, MOST)  # (n,), which marks were taken together; more than `MOST` are
         self._pairs = pairs = pairs if len(pairs) <= MOST else _grouped_pairs(pairs, self.group)
         self.middle, self.size = pairs.frame()
         self.nodes = (pairs.moving - self.middle) / self.size

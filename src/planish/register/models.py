@@ -79,13 +79,7 @@ MODELS: dict[str, Model] = {
 
 
 def model_named(name: str) -> Model:
-    """Return a model by its name.
-
-    Raises
-    ------
-    MarkError
-        If there is none of that name.
-    """
+    """Return a model by its name; MarkError if there is none of that name."""
     if name not in MODELS:
         raise MarkError(f"The model is {name!r}; it has to be one of {', '.join(MODELS)} or auto.")
     return MODELS[name]

@@ -82,15 +82,11 @@ def as_complex(points: Floats, mirrored: bool) -> Complexes:
 
 
 def check_pairs(moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None) -> tuple[Pairs, Ints]:
-    """Bring marks and weights into one form, or name all their faults.
+    """Bring marks and weights into one form; MarkError names all their faults.
 
-    A pair that is given again counts once: the others have no information, and their numbers are returned.
-
-    Raises
-    ------
-    MarkError
-        Wrong shapes, unequal counts, values that are not finite, weights that are no weights, fewer than two pairs,
-        a mark with two partners, or all marks at one place.
+    Those are wrong shapes, unequal counts, values that are not finite, weights that are no weights, fewer than two
+    pairs, a mark with two partners, or all marks at one place. A pair that is given again counts once: the others have
+    no information, and their numbers are returned.
     """
     from scipy.spatial import KDTree
 
@@ -181,10 +177,7 @@ def _information(weights: ArrayLike | None, n: int, faults: list[str]) -> Floats
 def choose_hand(pairs: Pairs, mirrored: bool | None) -> bool:
     """Return ``mirrored``, or, where it is None, whether the marks fit better if one side is turned over.
 
-    Raises
-    ------
-    MarkError
-        If the marks only fit with the other handedness: columns swapped on one side, or an undeclared mirror.
+    MarkError where they only fit with the other handedness: columns swapped on one side, or an undeclared mirror.
     """
     w = as_complex(pairs.fixed, False)
     w = w - pairs.share @ w

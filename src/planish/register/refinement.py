@@ -31,8 +31,6 @@ _STEPS = 100
 class FreeForm:
     """A map ``p -> p + sum of coefficients x cubic B-splines`` of points ``(x, y)`` in um.
 
-    Notes
-    -----
     Outside the mesh a point moves as the nearest point of its border.
     """
 
@@ -125,27 +123,13 @@ class Refined(ResultModel):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RefineOptions:
-    """Options of a refinement by the maps.
+    """Options of a refinement by the maps."""
 
-    Attributes
-    ----------
-    model : {"affine", "bspline"}
-        6 parameters, or a cubic B-spline on a mesh.
-    metric : {"correlation", "mutual information"}
-        Squared correlation, of either sign, or Mattes' mutual information.
-    grid_um : float
-        Mesh of the B-spline, made a little smaller to fit the map.
-    most : float
-        Largest displacement that is accepted, in expected errors of the marks at the place.
-    bounded : bool
-        False returns what goes too far or folds, with a warning. Only for the null of a search, whose maps are
-        unrelated.
-    """
-
-    model: Refinement = "affine"
-    metric: Metric = "correlation"
-    grid_um: float = 2000.0
-    most: float = 3.0
+    model: Refinement = "affine"  #: 6 parameters, or a cubic B-spline on a mesh
+    metric: Metric = "correlation"  #: squared correlation, of either sign, or Mattes' mutual information
+    grid_um: float = 2000.0  #: mesh of the B-spline, made a little smaller to fit the map
+    most: float = 3.0  #: largest displacement that is accepted, in expected errors of the marks at the place
+    #: False returns what goes too far or folds, with a warning; only for a search's null, whose maps are unrelated.
     bounded: bool = True
 
 

@@ -28,36 +28,18 @@ class FittedTransform:
     """A transformation fitted to marks, and its errors.
 
     Call it with points ``(..., 2)``, ``(x, y)`` in um of the moving frame to get points of the fixed frame.
-
-    Attributes
-    ----------
-    transform : Transform
-        The fitted map, moving to fixed. All have ``scale``, ``rotation_rad``, ``shift_um`` and ``mirrored``, those of
-        the closest similarity.
-    model : str
-        Name of the model; ``rigid`` keeps scale 1.
-    moving, fixed : ndarray, shape (n, 2), in um
-        The marks as given.
-    information : ndarray, shape (n, 2, 2)
-        Inverse covariances of the pairs up to one factor, those of marks in doubt weighted down.
-    robust_weights : ndarray, shape (n,)
-        1, or 0 for marks that do not agree with the others and were left out.
-    residuals_um : ndarray, shape (n, 2), in um
-        ``fixed - transform(moving)``, in the fixed frame.
-    sentence : str
-        Model and residuals.
-    warnings : tuple of str
-        Marks left out or given twice, few marks, a model that leaves structure, a scale far from 1, strain above 1 %.
     """
 
+    #: Moving to fixed, with ``scale``, ``rotation_rad``, ``shift_um`` and ``mirrored`` of the closest similarity.
     transform: Transform
-    model: str
-    moving: Floats
-    fixed: Floats
-    information: Floats
-    robust_weights: Floats
-    residuals_um: Floats
-    sentence: str
+    model: str  #: its name; ``rigid`` keeps scale 1
+    moving: Floats  #: the marks as given, (n, 2) in um
+    fixed: Floats  #: as ``moving``
+    information: Floats  #: (n, 2, 2), inverse covariances up to one factor, those of marks in doubt weighted down
+    robust_weights: Floats  #: (n,): 1, or 0 for marks that do not agree with the others and were left out
+    residuals_um: Floats  #: (n, 2), ``fixed - transform(moving)`` in the fixed frame
+    sentence: str  #: model and residuals
+    #: Marks left out or given twice, few marks, a model that leaves structure, a scale far from 1, strain above 1 %.
     warnings: tuple[str, ...] = ()
     likely: DeviationField | None = None  # where it is there already
 
@@ -217,18 +199,13 @@ class Chain:
 
     Call it with points ``(..., 2)``, ``(x, y)`` in um of the first map to get points of the last one.
 
-    Attributes
-    ----------
-    fits : tuple of FittedTransform
-        The first is applied first; at least one.
-
     Raises
     ------
     CannotRegister
         Without a link.
     """
 
-    fits: tuple[FittedTransform, ...]
+    fits: tuple[FittedTransform, ...]  #: the first is applied first; at least one
 
     def __post_init__(self) -> None:
         """Refuse an empty chain."""

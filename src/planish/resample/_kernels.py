@@ -29,27 +29,18 @@ def _place(number, wb, wc, cols):
 def locate(uv, first, pitch, segment, low, high, triangle, weight, twice, begin, end):
     """Find, for every pixel of a regular grid, the triangle of a quad mesh that it lies in.
 
-    Parameters
-    ----------
-    uv : (rows, cols, 2)
-        Flat coordinates of the nodes; not finite where there is none.
-    first, pitch : (2)
-        (u, v) of the centre of the target's first pixel, and from one pixel to the next.
-    segment, low, high : int, (rows, segments), (rows, segments)
-        Extent of the nodes ``s * segment`` to ``(s + 1) * segment``, both included, of each row, in rows of the target.
-    triangle : (rows_out, cols_out) int32
-        Set to the number of the triangle; -1 where there is no quad. Where quads overlap, the first one stays.
-    weight : (2, rows_out, cols_out)
-        Set to the weights of the triangle's second and third corner; the first one has what is left of 1.
-    twice : (rows_out, cols_out) uint8, zeros
-        Set to 1 where more than one quad lies.
-    begin, end : int
-        Rows of the target to do.
+    uv                 : (rows, cols, 2), flat coordinates of the nodes; not finite where there is none
+    first, pitch       : (2), (u, v) of the centre of the target's first pixel, and from one pixel to the next
+    segment, low, high : int, (rows, segments), (rows, segments): extent of the nodes ``s * segment`` to ``(s + 1) *
+                         segment``, both included, of each row, in rows of the target
+    triangle           : (rows_out, cols_out) int32, set to the number of the triangle; -1 where there is no quad. Where
+                         quads overlap, the first one stays
+    weight             : (2, rows_out, cols_out), set to the weights of the triangle's second and third corner; the
+                         first one has what is left of 1
+    twice              : (rows_out, cols_out) uint8, zeros; set to 1 where more than one quad lies
+    begin, end         : rows of the target to do
 
-    Returns
-    -------
-    int
-        Number of pixels on which more than one quad lies.
+    Gives the number of pixels on which more than one quad lies.
     """
     rows, cols = uv.shape[:2]
     width = triangle.shape[1]
@@ -151,20 +142,13 @@ def _value(field, a, b, c, wb, wc):
 def sample(field, cols, triangle, weight, corners, fine, out, share, begin, end):
     """Set ``out`` to the mean of a field over the known sub-pixels of each pixel and ``share`` to their share.
 
-    Parameters
-    ----------
-    field : (rows * cols)
-        Values at the nodes of a mesh with ``cols`` columns; NaN is missing.
-    triangle, weight : (rows_out * fine, cols_out * fine), (2, rows_out * fine, cols_out * fine)
-        As :func:`locate` sets them.
-    corners : (triangles, 3) int32
-        Nodes of each triangle; without rows for the triangles of the quads.
-    fine : int
-        Sub-pixels per pixel and axis.
-    out, share : (rows_out, cols_out)
-        ``out`` is NaN where less than half of the sub-pixels are known; ``share`` may be empty.
-    begin, end : int
-        Rows of ``out`` to do.
+    field      : (rows * cols), values at the nodes of a mesh with ``cols`` columns; NaN is missing
+    triangle   : (rows_out * fine, cols_out * fine), as :func:`locate` sets it
+    weight     : (2, rows_out * fine, cols_out * fine), as :func:`locate` sets it
+    corners    : (triangles, 3) int32, nodes of each triangle; without rows for the triangles of the quads
+    fine       : sub-pixels per pixel and axis
+    out, share : (rows_out, cols_out); ``out`` NaN where less than half the sub-pixels are known; ``share`` may be empty
+    begin, end : rows of ``out`` to do
     """
     for y in range(begin, end):
         for x in range(out.shape[1]):
@@ -189,17 +173,10 @@ def sample(field, cols, triangle, weight, corners, fine, out, share, begin, end)
 def interpolate(image, nodes, down, across, least, out):
     """Set ``out`` to bilinear values of an image at places that are polynomials of third degree in each direction.
 
-    Parameters
-    ----------
-    image : (height, width)
-        What is not finite is missing.
-    nodes : (4, 4, 2)
-        Places, (x, y) in pixels of the image, that the polynomials go through.
-    down, across : (rows, 4), (cols, 4)
-        Weights of the nodes for each row and each column of ``out``.
-    least : float
-        Share of the weight of the pixels around a place that has to be known; otherwise NaN.
-    out : (rows, cols)
+    image        : (height, width); what is not finite is missing
+    nodes        : (4, 4, 2), places, (x, y) in pixels of the image, that the polynomials go through
+    down, across : (rows, 4), (cols, 4), weights of the nodes for each row and each column of ``out``, (rows, cols)
+    least        : share of the weight of the pixels around a place that has to be known; otherwise NaN
     """
     height, width = image.shape
     for r in range(out.shape[0]):

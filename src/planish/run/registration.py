@@ -41,33 +41,17 @@ class Registration:
     """How a layer, the moving one, comes to another one, the fixed one.
 
     Call it with points ``(..., 2)``, ``(x, y)`` in um of the moving layer to get points of the fixed one.
-
-    Attributes
-    ----------
-    fit : FittedTransform
-        The transformation with its errors.
-    marks : Dataset (mark)
-        All marks of both layers, matched or not: ``label``, ``used``, ``moving_x``, ``moving_y``, ``fixed_x``,
-        ``fixed_y`` in um (NaN where a mark is not in a layer), diameters, covariances, sources, residuals.
-    source : str
-        ``found``, or the format of the file that the marks came from.
-    sentence : str or None
-        How the marks were matched.
-    second_best : int or None
-        Marks that the second-best match has in common.
-    design : str or None
-        What the designed pattern says.
-    tilt : HoleTiltFacts or None
-        What the holes look like through the sheet.
     """
 
-    fit: FittedTransform
+    fit: FittedTransform  #: the transformation with its errors
+    #: Dims (mark,): all marks of both layers, matched or not: ``label``, ``used``, ``moving_x``, ``moving_y``,
+    #: ``fixed_x``, ``fixed_y`` in um (NaN where a mark is not in a layer), diameters, covariances, sources, residuals.
     marks: xr.Dataset
-    source: str = "found"
-    sentence: str | None = None
-    second_best: int | None = None
-    design: str | None = None
-    tilt: HoleTiltFacts | None = None
+    source: str = "found"  #: ``found``, or the format of the file that the marks came from
+    sentence: str | None = None  #: how the marks were matched
+    second_best: int | None = None  #: marks that the second-best match has in common
+    design: str | None = None  #: what the designed pattern says
+    tilt: HoleTiltFacts | None = None  #: what the holes look like through the sheet
 
     def __call__(self, points: Any) -> Floats:
         """Take points from the moving to the fixed layer, in um."""

@@ -33,38 +33,21 @@ _SHEET_GROUPS = (*_OF_A_SHEET, "sections")  # of serial sections
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """All that a run gives.
+    """All that a run gives."""
 
-    Attributes
-    ----------
-    study : Study
-        The parameters, with the sizes and pitches that were used.
-    results : Results
-        Every number, as ``results.json`` has it.
-    groups : mapping of name to Dataset
-        Of one sheet: ``surfaces`` and ``flat`` (y, x), ``strain`` (row, col), ``maps`` (v, u), ``slices``, and
-        ``sections`` of serial sections. Of a sheet linked to an image also ``linked`` (y, x of the image), and
-        ``refined``. Of other links ``layers/NAME`` on the pixels of the reference.
-    registrations : mapping of name to Registration
-        By the name of the moving layer.
-    unchanged : dict of Path
-        Groups that stand in the store of another run with the same bytes, and that store.
-    sheets : dict of Layer
-        Sheets that were mapped on the way to a link of other layers than one sheet and one image.
-    regions : Regions or None
-        Declared artefacts, in um of the reference of a link.
-    folder : Path or None
-        Where it was read from.
-    """
-
-    study: Study
-    results: Results
+    study: Study  #: the parameters, with the sizes and pitches that were used
+    results: Results  #: every number, as ``results.json`` has it
+    #: Of one sheet: ``surfaces`` and ``flat`` (y, x), ``strain`` (row, col), ``maps`` (v, u), ``slices``, and
+    #: ``sections`` of serial sections. Of a sheet linked to an image also ``linked`` (y, x of the image), and
+    #: ``refined``. Of other links ``layers/NAME`` on the pixels of the reference.
     groups: Mapping[str, xr.Dataset]
-    registrations: Mapping[str, Registration] = field(default_factory=dict[str, Registration])
+    registrations: Mapping[str, Registration] = field(default_factory=dict[str, Registration])  #: by the moving layer
+    #: Sheets that were mapped on the way to a link of other layers than one sheet and one image.
     sheets: dict[str, Layer] = field(default_factory=dict[str, Layer])
-    regions: Regions | None = None
+    regions: Regions | None = None  #: declared artefacts, in um of the reference of a link
+    #: Groups that stand in the store of another run with the same bytes, and that store.
     unchanged: dict[str, Path] = field(default_factory=dict[str, Path])
-    folder: Path | None = None
+    folder: Path | None = None  #: where it was read from
 
     @property
     def maps(self) -> xr.Dataset:
@@ -203,10 +186,7 @@ def open_run(path: str | Path) -> Run:
 def open_sheet(path: str | Path) -> Layer:
     """The sheet that was mapped in a run folder; what it was linked to is not read.
 
-    Raises
-    ------
-    FileError
-        If it is no run, holds no sheet of its own, or a file of it is missing or damaged.
+    FileError if it is no run, holds no sheet of its own, or a file of it is missing or damaged.
     """
     folder = Path(path)
     results, study = open_results(folder), read_study(folder / RUN_TOML)

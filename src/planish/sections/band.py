@@ -50,23 +50,16 @@ class SheetBand(ResultModel):
 class SectionSeries:
     """Photographs of serial sections, in order.
 
-    Attributes
-    ----------
-    stack : ndarray or LazyArray, dims (section, row, col)
-        Grey values of any integer or real type; NaN is missing. The sheet is a band along the columns.
-    positions_um : ndarray (sections,)
-        True places along the cut in um, monotonic; missing sections are gaps.
-    pixel_um : (row, col)
-
     Raises
     ------
     VolumeError
         If the stack is none, or positions are not monotonic; of :attr:`band` if no sheet is found.
     """
 
+    #: (section, row, col), of any integer or real type; NaN is missing; the sheet is a band along the columns.
     stack: Stack
-    positions_um: Floats
-    pixel_um: tuple[float, float]
+    positions_um: Floats  #: (sections,), true places along the cut, monotonic; missing sections are gaps
+    pixel_um: tuple[float, float]  #: (row, col)
 
     def __post_init__(self) -> None:
         """Check dims, types and numbers."""

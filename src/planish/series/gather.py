@@ -25,49 +25,28 @@ _STATES: tuple[State, ...] = ("fail", "look", "unknown")
 
 @dataclass(frozen=True, slots=True)
 class FigureRow:
-    """One figure of one specimen.
+    """One figure of one specimen."""
 
-    Attributes
-    ----------
-    quantity : str
-        ``mean``, ``sd``, ``p5``, ``median``, ``p95``, ``columns``, ``n_independent``, ``mean_standard_error``,
-        ``support_um``, ``thin_share``, ``sa``, ``sq``, ``measured_share``; ``r``, ``r2``, ``slope``, ``points``,
-        ``n_eff``, ``n_eff_interval``, ``bias``, ``limit_low``, ``limit_high``, ``shared_um``;
-        ``marks_used``, ``residual``, ``leave_one_out``, ``expected_error``, ``largest_expected_error``;
-        ``coefficient_of_variation``; ``checks_fail``, ``checks_look``, ``checks_unknown``, ``checks_pass``.
-    value : float or None
-        None where it is withheld, or cannot be stated.
-    unit : str
-    specimen : str
-    factors : mapping of str
-    layer, map : str
-        What it is of; empty where it is of the whole run, and ``map`` where it is of a registration.
-    other_layer, other_map : str
-        The second of two maps that were compared.
-    at_um : float or None
-        Limit of a thin share, edge of the points of a correlation, longest wave of an octave.
-    low, high : float or None
-        Ends of its 95 % interval, where it has one.
-    trust : {"ok", "doubtful", "withheld"}
-    checks : str
-        Names of the checks that doubt or refute it.
-    """
-
+    #: ``mean``, ``sd``, ``p5``, ``median``, ``p95``, ``columns``, ``n_independent``, ``mean_standard_error``,
+    #: ``support_um``, ``thin_share``, ``sa``, ``sq``, ``measured_share``; ``r``, ``r2``, ``slope``, ``points``,
+    #: ``n_eff``, ``n_eff_interval``, ``bias``, ``limit_low``, ``limit_high``, ``shared_um``; ``marks_used``,
+    #: ``residual``, ``leave_one_out``, ``expected_error``, ``largest_expected_error``; ``coefficient_of_variation``;
+    #: ``checks_fail``, ``checks_look``, ``checks_unknown``, ``checks_pass``.
     quantity: str
-    value: float | None
+    value: float | None  #: None where it is withheld, or cannot be stated
     unit: str = "1"
     _: KW_ONLY
     specimen: str
     factors: Mapping[str, str] = field(default_factory=dict[str, str])
-    layer: str = ""
-    map: str = ""
-    other_layer: str = ""
-    other_map: str = ""
-    at_um: float | None = None
-    low: float | None = None
-    high: float | None = None
+    layer: str = ""  #: what it is of; empty where it is of the whole run
+    map: str = ""  #: likewise; empty also where it is of a registration
+    other_layer: str = ""  #: of the second of two maps that were compared
+    other_map: str = ""  #: the second of two maps that were compared
+    at_um: float | None = None  #: limit of a thin share, edge of the points of a correlation, longest wave of an octave
+    low: float | None = None  #: end of its 95 % interval, where it has one
+    high: float | None = None  #: as ``low``
     trust: Trust = "ok"
-    checks: str = ""
+    checks: str = ""  #: names of those that doubt or refute it
 
 
 MakeRow = Callable[..., FigureRow]
@@ -89,20 +68,11 @@ class RunSummary:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gathered:
-    """Specimens of a series as their runs are now.
+    """Specimens of a series as their runs are now."""
 
-    Attributes
-    ----------
-    members : tuple of Member
-        With the state of the run that was read; ``damaged`` where it could not be.
-    rows : list of FigureRow
-    runs : dict of RunSummary
-        By name, of the members whose run could be read.
-    """
-
-    members: tuple[Member, ...]
+    members: tuple[Member, ...]  #: with the state of the run that was read; ``damaged`` where it could not be
     rows: list[FigureRow] = field(default_factory=list[FigureRow])
-    runs: dict[str, RunSummary] = field(default_factory=dict[str, RunSummary])
+    runs: dict[str, RunSummary] = field(default_factory=dict[str, RunSummary])  #: by name, of runs that could be read
 
     def rows_of_series(self) -> list[FigureRow]:
         """Rows in which the only sheet and the only image of each specimen, which need no name, have none."""

@@ -50,23 +50,16 @@ def _misfit(g, lo, hi, w, at, other, fringe, ratio):
 def draw_edges(columns, expected, error, band, other, rides, sign, width, noise, least, gain, fringe, ratio, result):
     """Find one edge of every column near the place where it is expected.
 
-    Parameters
-    ----------
-    columns : (n, depth) float32
-        Grey above the air, read from outside to inside.
-    expected, error, band : (n,)
-        Depth in voxels, its standard error, and how far from it the edge is sought.
-    other : (n,)
-        The second edge of the staircase: its distance where it ``rides`` on the first one, else its depth; NaN: none.
-    sign : float
-        -1 where the grey falls at the edge.
-    width : (n,)
-        Standard deviation of the blur along the column, in voxels.
-    noise, least, gain : float
-        What a sample differs by from its staircase, the smallest step that counts, and by how much the sum of squared
-        misfits over the noise has to fall.
-    result : (n,)
-        Set to the depth of the edge; NaN where the image shows none there.
+    columns  : (n, depth) float32, grey above the air, read from outside to inside
+    expected : (n,), depth in voxels; ``error``, its standard error; ``band``, how far from it the edge is sought
+    other    : (n,), the second edge of the staircase: its distance where it ``rides`` on the first one, else its depth;
+               NaN: none
+    sign     : -1 where the grey falls at the edge
+    width    : (n,), standard deviation of the blur along the column, in voxels
+    noise    : what a sample differs by from its staircase
+    least    : smallest step that counts
+    gain     : by how much the sum of squared misfits over the noise has to fall
+    result   : (n,), set to the depth of the edge; NaN where the image shows none there
     """
     for k in range(columns.shape[0]):
         result[k] = np.nan

@@ -277,34 +277,22 @@ def fit_faces(
 ):
     """Fit the outer face and the interface of every column of a slab, read from outside to inside.
 
-    Parameters
-    ----------
-    slab : (rows, cols, depth) float32
-        Grey, oriented so that the sheet is brighter than the air.
-    expected, other : (rows, cols)
-        Depth in voxels of this face and of the opposite one, from the coarse search; NaN where there is no sheet.
-    tilt : (rows, cols)
-        Cosine of the sheet's tilt: the blur along the column is ``width`` / tilt, in voxels.
-    air, noise : float
-        Level and standard deviation of a voxel.
-    prior, spread : (4,)
-        Of (h, t, c, b); those of h are not used. c is the coating, or without one the level outside.
-    coated : bool
-    search : float
-        How far outside the expected face the search starts, in voxels.
-    result : (5, rows, cols)
-        Set to h, t, c, b and cost; NaN where nothing is found.
-    window : float
-        Width after which the samples that are fitted are chosen, where it is not ``width``: costs of several widths
-        can be compared only over the same samples.
-    amid : float
-        Above 0: the sheet lies amid other material, from which it was separated at this grey. The face is then sought
-        next to where it is expected, and no sample beyond the darkest one of the gap counts.
-    fringe, ratio : float
-        Size of the phase-contrast fringe, and width of the blur over that of the fringe. None is compiled apart, which
-        makes the fit of an edge without a fringe as quick as if there were none.
-    reverse : bool
-        Whether the slab is read from its far end; ``expected`` and ``other`` are counted from there.
+    slab          : (rows, cols, depth) float32, grey, oriented so that the sheet is brighter than the air
+    expected      : (rows, cols), depth in voxels of this face, and ``other`` of the opposite one, from the coarse
+                    search; NaN where there is no sheet
+    tilt          : (rows, cols), cosine of the sheet's tilt: the blur along the column is ``width`` / tilt, in voxels
+    air, noise    : level and standard deviation of a voxel
+    prior, spread : (4,), of (h, t, c, b); those of h are not used. c is the coating, or without one (not ``coated``)
+                    the level outside
+    search        : how far outside the expected face the search starts, in voxels
+    result        : (5, rows, cols), set to h, t, c, b and cost; NaN where nothing is found
+    window        : width after which the samples that are fitted are chosen, where it is not ``width``: costs of
+                    several widths can be compared only over the same samples
+    amid          : above 0: the sheet lies amid other material, from which it was separated at this grey. The face is
+                    then sought next to where it is expected, and no sample beyond the darkest one of the gap counts
+    fringe, ratio : size of the phase-contrast fringe, and width of the blur over that of the fringe. None is compiled
+                    apart, which makes the fit of an edge without a fringe as quick as if there were none
+    reverse       : whether the slab is read from its far end; ``expected`` and ``other`` are counted from there
     """
     rows, cols, depth = slab.shape
     matrix = np.zeros((4, 4))

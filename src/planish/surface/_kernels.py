@@ -14,17 +14,10 @@ _ABREAST = 16  # columns whose means are worked out together
 def follow(inside, row, col, start, stop, most, low, high, merged):
     """Follow a sheet from the run of one column to overlapping runs of its neighbours.
 
-    Parameters
-    ----------
-    inside : (rows, cols, depth) bool
-    row, col, start, stop : int
-        Column of the seed and first and last index of its run.
-    most : float
-        A longer run belongs to two sheets that touch, or to one that folds back: it is marked and not followed.
-    low, high : (rows, cols) int64
-        Set to the first and last index of the run; they come as -1.
-    merged : (rows, cols) bool
-        Set where a run is too long.
+    ``row``, ``col``, ``start``, ``stop`` are the column of the seed and the first and last index of its run in
+    ``inside``, (rows, cols, depth) bool. ``low`` and ``high``, (rows, cols) int64, are set to the first and last index
+    of the run; they come as -1. A run longer than ``most`` belongs to two sheets that touch, or to one that folds back:
+    it is marked in ``merged``, (rows, cols) bool, and not followed.
     """
     rows, cols, depth = inside.shape
     queue = np.empty((rows * cols, 2), dtype=np.int64)
@@ -77,15 +70,11 @@ def blend(grey, slope, weights, down, right, out):
     Without the move a sheet at 40 degrees would be blurred by 0.8 voxels a column. Between voxels Keys' cubic is used:
     it passes parabolas, and so adds nothing to the width of an edge.
 
-    Parameters
-    ----------
-    grey, out : (rows, cols, depth) float32
-    slope : (rows, cols)
-        Rise of the sheet from one column to the next in this direction, in voxels.
-    weights : (n,) float32
-        Of the column itself and of its neighbours on either side; the border's column stands for those beyond it.
-    down, right : int
-        1, 0 or 0, 1.
+    grey, out   : (rows, cols, depth) float32
+    slope       : (rows, cols), rise of the sheet from one column to the next in this direction, in voxels
+    weights     : (n,) float32, of the column itself and of its neighbours on either side; the border's column stands
+                  for those beyond it
+    down, right : 1, 0 or 0, 1
     """
     rows, cols, depth = grey.shape
     reach = len(weights) - 1
@@ -161,20 +150,13 @@ def trilinear(flat, shape, first, deep, r, c, d, fr, fc):
 def presence(slab, first, deep, lead_r, lead_c, centre, normal_r, normal_c, normal_d, offsets, layers, air, base, out):
     """Share of material along each normal, layer by layer: mean of (g - air) / (base - air), cut to 0..1.
 
-    Parameters
-    ----------
-    slab : (rows + halo, cols + halo, depth) float32
-        Contiguous. Carries ``lead_r`` more rows and ``lead_c`` more columns before the first of the maps.
-    first, deep : int
-        Depth index of its first voxel, and length of the whole columns.
-    centre, normal_r, normal_c, normal_d : (rows, cols)
-        Height of the centre surface and the normal, per um, all in voxels.
-    offsets : (n,)
-        Distances from the centre surface along the normal, in um.
-    layers : (m, k) int64
-        Which of the offsets each layer is the mean of.
-    out : (m, rows, cols)
-        Set; NaN where the normal leaves the slab.
+    slab           : (rows + halo, cols + halo, depth) float32, contiguous; carries ``lead_r`` more rows and ``lead_c``
+                     more columns before the first of the maps
+    first, deep    : depth index of its first voxel, and length of the whole columns
+    centre, normal : (rows, cols), height of the centre surface and the normal, per um, all in voxels
+    offsets        : (n,), distances from the centre surface along the normal, in um
+    layers         : (m, k) int64, which of the offsets each layer is the mean of
+    out            : (m, rows, cols), set; NaN where the normal leaves the slab
     """
     rows, cols = centre.shape
     flat = slab.reshape(-1)
@@ -203,18 +185,11 @@ def presence(slab, first, deep, lead_r, lead_c, centre, normal_r, normal_c, norm
 def block_sums(voxels, wide, missing, sums, bad):
     """Sums over blocks of columns, in the order in which the voxels lie in memory.
 
-    Parameters
-    ----------
-    voxels : (a, b, c)
-        As they lie in memory, the last axis without jumps; one of the axes is the depth.
-    wide : (int, int, int)
-        Voxels of a block along each axis, 1 along the depth. The last block of an axis takes what is left over.
-    missing : float
-        Value that counts as missing; NaN where there is none.
-    sums : (blocks along a, b, c)
-        Zeros before; NaN where a voxel is missing.
-    bad : (blocks along a, b, c)
-        Zeros before; how many voxels are not finite.
+    voxels    : (a, b, c), as they lie in memory, the last axis without jumps; one of the axes is the depth
+    wide      : voxels of a block along each axis, 1 along the depth. The last block of an axis takes what is left over
+    missing   : value that counts as missing; NaN where there is none
+    sums, bad : (blocks along a, b, c), zeros before; ``sums`` NaN where a voxel is missing, ``bad`` how many voxels are
+                not finite
     """
     last = np.array([n - 1 for n in sums.shape])
     total, lost = np.empty(voxels.shape[2]), np.empty(voxels.shape[2])
@@ -242,15 +217,10 @@ def block_sums(voxels, wide, missing, sums, bad):
 def mean_columns(voxels, step, slope_r, slope_c, missing, out):
     """Means of ``step`` x ``step`` columns of voxels, each moved along its depth by the sheet's slope.
 
-    Parameters
-    ----------
-    voxels : (rows * step, cols * step, depth)
-    slope_r, slope_c : (rows, cols)
-        Rise of the sheet in voxels of depth, from one voxel row and column to the next.
-    missing : float
-        Value that counts as missing; NaN where there is none.
-    out : (rows, cols, depth) float32
-        Set; NaN where a voxel is missing. Beyond the ends of a column its last voxel counts.
+    ``voxels``: (rows * step, cols * step, depth). ``slope_r``, ``slope_c``: (rows, cols), rise of the sheet in voxels
+    of depth, from one voxel row and column to the next. ``missing``: value that counts as missing; NaN where there is
+    none. ``out``: (rows, cols, depth) float32, set; NaN where a voxel is missing. Beyond the ends of a column its last
+    voxel counts.
     """
     rows, cols, depth = out.shape
     share = np.float32(1.0 / (step * step))

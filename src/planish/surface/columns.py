@@ -75,14 +75,9 @@ class Columns:
     ) -> NDArray[np.float32]:
         """Grey of the columns of a tile, (rows, cols, depth); NaN is missing.
 
-        Parameters
-        ----------
-        tile : Tile
-        slope : two (rows, cols), optional
-            How far the sheet rises along the column from one voxel row to the next, and from one voxel column to the
-            next, in voxels. The voxels that a column is the mean of are moved by it to the nearest voxel.
-        depth : slice, optional
-            Part of the depth; not together with ``slope``.
+        ``slope``, two (rows, cols): how far the sheet rises along the column from one voxel row to the next, and from
+        one voxel column to the next, in voxels; the voxels that a column is the mean of are moved by it to the nearest
+        voxel. ``depth``: part of the depth; not together with ``slope``.
         """
         stored = self.voxels(tile, depth)
         if self.step > 1:

@@ -33,10 +33,7 @@ _PLAIN, _PLAIN_SHARE = 5.5, 0.05  # widths of the blur, and share of columns: su
 def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: SurfaceParams) -> Priors:
     """Learn the grey levels, the blur and the fringe from a sample of columns.
 
-    Raises
-    ------
-    VolumeError
-        If the core of the sheet does not stand out from the air.
+    VolumeError if the core of the sheet does not stand out from the air.
     """
     learner = _Learner(columns, guide, survey)
     base_level, base_sd = learner.base_level(learner.sample(from_high=True))

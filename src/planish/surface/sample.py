@@ -76,13 +76,7 @@ class Sampler:
         return np.ascontiguousarray(grey[:, ::-1]) if from_high else grey
 
     def sample(self, *, from_high: bool) -> Sample:
-        """Columns read from one end.
-
-        Raises
-        ------
-        VolumeError
-            If no column shows both faces.
-        """
+        """Columns read from one end; VolumeError if none shows both faces."""
         columns_per_row = max(1, 3000 // len(self.rows))  # columns that are fitted
         row_samples: list[Sample] = []
         for row_number, tile in enumerate(self.rows):

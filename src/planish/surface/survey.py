@@ -39,13 +39,7 @@ class Survey:
 
 
 def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Survey:
-    """Find the sheet roughly.
-
-    Raises
-    ------
-    VolumeError
-        If the volume holds no sheet, several, or one that fills it from end to end.
-    """
+    """Find the sheet roughly; VolumeError if there is none, several, or one that fills the volume from end to end."""
     depth = columns.shape[2]
     block, stride = _block(columns)
     profiles = _sampled(columns, stride, engine).reshape(-1, depth)
@@ -76,10 +70,7 @@ def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Surv
 def survey_labels(columns: Columns, params: SurfaceParams, engine: Engine) -> tuple[CoarseSheet, float]:
     """Find the sheet roughly where every voxel is labelled as sheet (1) or not (0); and the share of empty columns.
 
-    Raises
-    ------
-    VolumeError
-        As :func:`take_survey`.
+    VolumeError as of :func:`take_survey`.
     """
     block = _block(columns)[0]
     shares = _blocks(columns, block, engine)[1]

@@ -25,22 +25,13 @@ _VOLUMES: dict[str, Instrument] = {"ct": "scanner", "sections": "sections", "sta
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InstrumentFiles:
-    """Paths of the files, and the pose of their axes in space.
-
-    Attributes
-    ----------
-    voxel_um : (float, float, float)
-        Along slices, rows and columns.
-    through : {"z", "y"}
-        Axis of the file that runs through the sheet.
-    to_physical : callable
-        From points (n, 3) of the file (column, row, slice) in um to points (x, y, z) in space. A second argument holds
-        what a run found out about the sections: ``position``, ``shift_row``, ``shift_col`` in um, ``rotation``.
-    """
+    """Paths of the files, and the pose of their axes in space."""
 
     volume: Path
-    voxel_um: tuple[float, float, float]
-    through: Literal["z", "y"]
+    voxel_um: tuple[float, float, float]  #: along slices, rows and columns
+    through: Literal["z", "y"]  #: axis of the file that runs through the sheet
+    #: From points (n, 3) of the file (column, row, slice) in um to points (x, y, z) in space. A second argument holds
+    #: what a run found out about the sections: ``position``, ``shift_row``, ``shift_col`` in um, ``rotation``.
     to_physical: Callable[..., Floats]
     image: Path | None = None
 

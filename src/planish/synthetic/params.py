@@ -73,39 +73,22 @@ class Warp(Strict):
     ``psi(p) = tilt + atan(slope) sin(2 pi p / wavelength + phase)`` at arc length ``p``, so that lengths in the sheet
     are exactly those in ``(u, v)``. A curl at a border adds ``curl (1 + tanh((p - curl_p) / (2 curl_width))) / 2``
     to the angle. The bump is added in height and stretches the sheet.
-
-    Attributes
-    ----------
-    slope : float
-        Steepest slope of the profile against its mean plane (tangent of the angle).
-    tilt_deg : float
-        Tilt of the whole sheet along the profile.
-    wavelength_um, phase_rad, ruling_deg : float
-        Of the profile curve; the rulings stand perpendicular to ``ruling_deg``.
-    bump_um, bump_u_um, bump_v_um, bump_radius_um : float
-        Height, centre and Gaussian radius of the bump.
-    curl_deg, curl_p_um, curl_width_um : float
-        Angle by which the sheet turns at a border, where on the profile, and how softly.
-    shift_um : (float, float, float)
-        Added to (x, y, z).
-    reach_um : float
-        Largest ``|u|`` and ``|v|`` that are asked for.
     """
 
-    slope: float = drawn(0.5, 0.0, 0.42)
-    tilt_deg: float = drawn(0.0, -7.0, 7.0)
-    wavelength_um: float = drawn(3000.0, 2500.0, 15000.0)
-    phase_rad: float = drawn(0.6, 0.0, 6.28)
-    ruling_deg: float = drawn(20.0, -90.0, 90.0)
-    bump_um: float = drawn(0.0, of=(0.0, 0.0, 50.0, 100.0, 150.0))
-    bump_u_um: float = 0.0
-    bump_v_um: float = 0.0
-    bump_radius_um: float = drawn(800.0, 1500.0, 3000.0)
-    curl_deg: float = 0.0
-    curl_p_um: float = 0.0
-    curl_width_um: float = 50.0
-    shift_um: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    reach_um: float = 8000.0
+    slope: float = drawn(0.5, 0.0, 0.42)  #: steepest of the profile against its mean plane (tangent of the angle)
+    tilt_deg: float = drawn(0.0, -7.0, 7.0)  #: of the whole sheet along the profile
+    wavelength_um: float = drawn(3000.0, 2500.0, 15000.0)  #: of the profile curve
+    phase_rad: float = drawn(0.6, 0.0, 6.28)  #: of the profile curve
+    ruling_deg: float = drawn(20.0, -90.0, 90.0)  #: of the profile curve; the rulings stand perpendicular to it
+    bump_um: float = drawn(0.0, of=(0.0, 0.0, 50.0, 100.0, 150.0))  #: height of the bump
+    bump_u_um: float = 0.0  #: centre of the bump
+    bump_v_um: float = 0.0  #: centre of the bump
+    bump_radius_um: float = drawn(800.0, 1500.0, 3000.0)  #: Gaussian radius of the bump
+    curl_deg: float = 0.0  #: angle by which the sheet turns at a border
+    curl_p_um: float = 0.0  #: where on the profile it turns
+    curl_width_um: float = 50.0  #: how softly it turns
+    shift_um: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: added to (x, y, z)
+    reach_um: float = 8000.0  #: largest ``|u|`` and ``|v|`` that are asked for
 
     def packed(self) -> tuple[Floats, Floats]:
         """Return the parameters and the profile curve as the kernels take them."""

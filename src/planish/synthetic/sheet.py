@@ -212,37 +212,20 @@ _FILLER_CONTRAST = 2.2  # grey of the filler over that of fibres, less 1
 
 @dataclass(frozen=True, kw_only=True)
 class DrawnSheet:
-    """Fields on nodes ``origin + pitch * (col, row)``, all (rows, cols) float32.
-
-    Attributes
-    ----------
-    faces : (4, rows, cols)
-        Signed distance in um from the surface that keeps its lengths where the sheet is bent: s_T, s_TI, s_BI, s_B.
-    rim_um : (2, rows, cols)
-        Signed distance to the nearest hole's rim at the top and the bottom face, negative inside.
-    char : (rows, cols)
-        Factor on the coating's grey: 1 = untouched, 0.5 at the rim of a hole.
-    coating_density, base_mass : (rows, cols)
-        Relative, with a mean of 1.
-    holes : (n, 2)
-        True centres (u, v) at the top face, in um.
-    crack_um : (rows, cols)
-        Width of a crack in the resin over the top face; below the bottom one where negative.
-    structure : Structure or None
-        Density of a base of single fibres, and a film below it; None for a slab.
-    """
+    """Fields on nodes ``origin + pitch * (col, row)``, all (rows, cols) float32."""
 
     params: PaperParams
     seed: int
     origin: tuple[float, float]
+    #: (4, rows, cols), signed um from the surface that keeps its lengths where the sheet is bent: s_T, s_TI, s_BI, s_B.
     faces: Field
-    rim_um: Field
-    char: Field
-    coating_density: Field
-    base_mass: Field
-    crack_um: Field
-    holes: Floats
-    structure: Structure | None = None
+    rim_um: Field  #: (2, rows, cols), signed distance to the nearest hole's rim at top and bottom face, negative inside
+    char: Field  #: factor on the coating's grey: 1 = untouched, 0.5 at the rim of a hole
+    coating_density: Field  #: relative, with a mean of 1
+    base_mass: Field  #: relative, with a mean of 1
+    crack_um: Field  #: width of a crack in the resin over the top face; below the bottom one where negative
+    holes: Floats  #: (n, 2), true centres (u, v) at the top face, in um
+    structure: Structure | None = None  #: density of a base of single fibres, and a film below it; None for a slab
 
     def covers(self, low: Floats, high: Floats) -> bool:
         """Return True if the fields reach from (u, v) = ``low`` to ``high``, in um."""

@@ -31,28 +31,15 @@ _BEYOND_UM = 150.0  # of the sheet around what the instruments see
 
 @dataclass(frozen=True, kw_only=True)
 class Specimen:
-    """A sheet in space and the poses of its instruments; pictures are rendered when they are asked for.
-
-    Attributes
-    ----------
-    warp : Warp
-        From material (u, v, s) to space (x, y, z); the volume begins at the origin.
-    pose : CameraPose
-        From (u, v) to the image.
-    extent_um : (float, float, float)
-        Of the volume along x, y, z.
-    image_shape : (int, int)
-    files : InstrumentFiles or None
-        Where the files of its instruments are, if they were written.
-    """
+    """A sheet in space and the poses of its instruments; pictures are rendered when they are asked for."""
 
     params: SpecimenParams
-    warp: Warp
+    warp: Warp  #: from material (u, v, s) to space (x, y, z); the volume begins at the origin
     sheet: DrawnSheet
-    pose: CameraPose
-    extent_um: tuple[float, float, float]
+    pose: CameraPose  #: from (u, v) to the image
+    extent_um: tuple[float, float, float]  #: of the volume along x, y, z
     image_shape: tuple[int, int]
-    files: InstrumentFiles | None = None
+    files: InstrumentFiles | None = None  #: where the files of its instruments are, if they were written
 
     def __repr__(self) -> str:
         """Sizes of sheet, volume and image."""

@@ -238,12 +238,8 @@ def sensitivity(
 ) -> Sensitivity:
     """Run a scenario without nuisances, with each alone, and with all; figures are rms over the seeds.
 
-    Where the single errors do not sum up to the whole, each nuisance is also left out in turn.
-
-    Raises
-    ------
-    InputError
-        If the scenario is no line of stages, has no nuisance, or is refused by the program without any of them.
+    Where the single errors do not sum up to the whole, each nuisance is also left out in turn. InputError if the
+    scenario is no line of stages, has no nuisance, or is refused by the program without any of them.
     """
     if scenario.kind != "line":
         raise InputError(f"The scenario {scenario.name} has no nuisances. Give one that runs the whole line.")

@@ -22,23 +22,9 @@ _LEAST_HOLES, _BORDER_UM, _HOLE_UM2 = 5, 260.0, 75_000.0  # holes, their distanc
 
 
 def like_run(folder: Path) -> SpecimenTemplate:
-    """Read a run folder and find the parameters of specimens that are like it.
+    """Find the parameters of specimens that are like the run, of one volume, with or without an image, in a folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Run of one volume, with or without an image.
-
-    Returns
-    -------
-    SpecimenTemplate
-
-    Raises
-    ------
-    FileError
-        If a file of the run is missing or damaged.
-    InputError
-        If the run does not hold what is needed.
+    FileError if a file of it is missing or damaged; InputError if it does not hold what is needed.
     """
     run = open_run(folder)
     volumes = [layer for layer in run.study.layers if layer.kind == "volume"]
@@ -58,21 +44,13 @@ def like_run(folder: Path) -> SpecimenTemplate:
 
 
 class SpecimenTemplate:
-    """Specimens like a real run: parameters, and where each of them comes from.
-
-    Attributes
-    ----------
-    params : SpecimenParams
-    study : dict
-        Options of the run that do not belong to its files, for the runs on the specimens.
-    derived, assumed : list of str
-        Sentences.
-    """
+    """Specimens like a real run: parameters, and where each of them comes from."""
 
     def __init__(self, run: Run) -> None:
         self.run, self.params = run, SpecimenParams()
+        # Options of the run that do not belong to its files, for the runs on the specimens.
         self.study: dict[str, dict[str, Any]] = {}
-        self.derived: list[str] = []
+        self.derived: list[str] = []  # sentences, as those assumed
         self.assumed: list[str] = []
         self.layer, self.sheet = next((layer, layer.sheet) for layer in run.results.layers if layer.sheet is not None)
 

@@ -136,24 +136,16 @@ class PointList:
 class LayerPixels:
     """Pixels of one layer, as far as they are known.
 
-    Attributes
-    ----------
-    pixel_um : float or sequence of float, in um, optional
-        One size, ``(y, x)``, or ``(z, y, x)`` for a volume; kept as a tuple.
-    origin_um : (float, float), in um, optional
-        ``(x, y)`` of the centre of the first pixel, from which other programs count.
-    shape : (int, int), optional
-        Rows and columns.
-
     Raises
     ------
     SizeError
         If a size is no positive number, or an origin no finite one.
     """
 
-    pixel_um: Any = None
+    pixel_um: Any = None  #: one size, ``(y, x)``, or ``(z, y, x)`` for a volume, in um; kept as a tuple
+    #: ``(x, y)`` of the centre of the first pixel, from which other programs count, in um.
     origin_um: Sequence[float] | None = None
-    shape: Sequence[int] | None = None
+    shape: Sequence[int] | None = None  #: rows and columns
 
     def __post_init__(self) -> None:
         """Check sizes and origin."""

@@ -35,21 +35,11 @@ _TITLES = {"moving": "on the flattened map", "volume": "in the volume", "fixed":
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MarkPlaces:
-    """Places of the marks in one layer.
+    """Places of the marks in one layer."""
 
-    Attributes
-    ----------
-    um : ndarray, shape (n, 2) or (n, 3), in um
-        ``x, y`` or ``x, y, z``; NaN where a mark is not in this layer.
-    source : sequence of str, length n, or one str for all
-        ``detected``, ``clicked``, ``predicted`` or ``imported``.
-    extras : mapping of str to ndarray, shape (n,)
-        Any of `EXTRAS`; NaN where not known.
-    """
-
-    um: Floats
-    source: str | Sequence[str] = "imported"
-    extras: Mapping[str, Floats] = field(default_factory=dict[str, Floats])
+    um: Floats  #: (n, 2) ``x, y`` or (n, 3) ``x, y, z``, in um; NaN where a mark is not in this layer
+    source: str | Sequence[str] = "imported"  #: (n,) or one: ``detected``, ``clicked``, ``predicted``, ``imported``
+    extras: Mapping[str, Floats] = field(default_factory=dict[str, Floats])  #: of `EXTRAS`, (n,); NaN where not known
 
     @classmethod
     def of_holes(cls, holes: xr.Dataset, rows: Ints, source: str = "detected") -> MarkPlaces:
@@ -216,15 +206,8 @@ def holes_of(marks: xr.Dataset, layer: str) -> xr.Dataset:
 def with_holes(marks: xr.Dataset, holes: xr.Dataset, layer: str, *, usual_um: float) -> xr.Dataset:
     """Give marks the diameters of the holes that they lie in, and add the holes in which none of them lies.
 
-    Parameters
-    ----------
-    marks : Dataset, dims (mark)
-        A diameter that is known stays.
-    holes : Dataset, dims (mark)
-        Marks of the layer, with diameters.
-    layer : str
-    usual_um : float
-        Diameter of a mark that lies in no hole.
+    ``holes`` are marks of the layer, with diameters. A diameter of ``marks`` that is known stays; that of a mark in no
+    hole is ``usual_um``.
     """
     holes = holes.isel(mark=np.flatnonzero(in_layers(holes, [layer])))
     name, hole_count = f"{layer}_diameter", holes.sizes["mark"]
