@@ -29,8 +29,17 @@ from planish.core.typing import Bools, Floats
 from planish.measure import measure_properties
 from planish.run.facts import property_facts
 from planish.surface import find_surfaces
-from planish.synthetic import BurnParams, PaperParams, ScannerParams, Specimen, SpecimenParams, Warp, make_specimen
-from planish.synthetic.params import FibreParams, FilmParams
+from planish.synthetic import (
+    BurnParams,
+    FibreParams,
+    FilmParams,
+    PaperParams,
+    ScannerParams,
+    Specimen,
+    SpecimenParams,
+    Warp,
+    make_specimen,
+)
 from planish.synthetic.sheet import PITCH_UM
 
 _CLASSES_UM = (0.0, 3.0, 6.0, 10.0, 15.0, math.inf)

@@ -7,8 +7,15 @@ from scipy import ndimage
 from planish.checks import check_scan
 from planish.measure import measure_properties
 from planish.surface import find_surfaces
-from planish.synthetic import BurnParams, PaperParams, ScannerParams, SpecimenParams, make_specimen
-from planish.synthetic.params import FibreParams, FilmParams
+from planish.synthetic import (
+    BurnParams,
+    FibreParams,
+    FilmParams,
+    PaperParams,
+    ScannerParams,
+    SpecimenParams,
+    make_specimen,
+)
 
 PAPER = PaperParams(
     base_um=52.0, coating_top_um=11.0, coating_bottom_um=13.0, coating_sd_um=4.0, roughness_um=3.5, filler=0.1,

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planish.synthetic import PRESETS
+from planish.synthetic import PRESETS, BurnParams, FibreParams, FilmParams, PaperParams, SpecimenParams
 from planish.synthetic.fibres import WALL_G_PER_CM3, Structure
-from planish.synthetic.params import BurnParams, FibreParams, FilmParams, PaperParams, SpecimenParams
 from planish.synthetic.sheet import PITCH_UM, make_sheet
 from planish.synthetic.specimen import make_specimen
 

@@ -14,6 +14,7 @@ from planish.core.errors import FileError
 from planish.core.threads import limit_threads
 from planish.synthetic import (
     BurnParams,
+    FibreParams,
     PaperParams,
     ScannerParams,
     SectionsParams,
@@ -23,7 +24,6 @@ from planish.synthetic import (
     make_specimen,
     with_only,
 )
-from planish.synthetic.params import FibreParams
 
 module = importlib.import_module("planish.synthetic.specimen")
 SMALL = SpecimenParams(size_um=(700.0, 600.0), holes=BurnParams(pattern="irregular", count=1))

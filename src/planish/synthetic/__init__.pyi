@@ -9,6 +9,8 @@ from .files import write_truth as write_truth
 from .params import SIZES_UM as SIZES_UM
 from .params import BurnParams as BurnParams
 from .params import CameraParams as CameraParams
+from .params import FibreParams as FibreParams
+from .params import FilmParams as FilmParams
 from .params import PaperParams as PaperParams
 from .params import PrintParams as PrintParams
 from .params import ScannerParams as ScannerParams
