@@ -93,7 +93,8 @@ class Sampler:
 
     def calm(self, base_level: float) -> None:
         """Choose how far columns are averaged with their neighbours, and what noise and scatter that leaves."""
-        self._blend(0.0)
+        if self.scale.blend_sd:
+            self._blend(0.0)
         self.scatter = self.single_noise = self.noise = self._voxel_noise
         air_noise = self._air_noise()
         if air_noise > 1.15 * self.noise:
