@@ -108,8 +108,8 @@ def lay(made: Specimen, sheet: Sheet, uv: Array, model: str, noise: Array) -> La
     at = (place[shown] / NODES_UM).T[::-1]
     moving = np.stack([ndimage.map_coordinates(uv[..., k], at, order=1) for k in (0, 1)], axis=1)
     fit = fit_transform(moving + noise[: len(moving)], made.pose(holes[shown]), model=model, robust=False)
-    under = Mesh.of(fit(uv.reshape(-1, 2)).reshape(uv.shape), least_um=NODES_UM / 2).under(Grid.of(made.image))
-    return Laid(resample(sheet.coating[under.nodes], under.places), fit.rms_um)
+    nodes, places = Mesh.of(fit(uv.reshape(-1, 2)).reshape(uv.shape), least_um=NODES_UM / 2).under(Grid.of(made.image))
+    return Laid(resample(sheet.coating[nodes], places), fit.rms_um)
 
 
 def gains(maps: dict[str, Array], image: Array, pixel_um: tuple[float, float]) -> str:
