@@ -43,10 +43,7 @@ def rough_sheet(voxel, noise, seed):
 
 
 def test_z_scores_of_another_makers_sheets():
-    """Pooled over sheets with partial volume: rms 0.78 to 1.2, and two standard errors hold 93 %.
-
-    Errors are stated for a base of fibres; pores of a voxel, as here, leave less.
-    """
+    """Pooled over sheets with partial volume: rms 0.85 to 1.2, and two standard errors hold 93 %."""
     scores = {name: [] for name in NAMES}
     for voxel, noise, seed in ((3.0, 0.04, 0), (2.5, 0.09, 1)):
         volume, true = rough_sheet(voxel, noise, seed)
@@ -57,7 +54,7 @@ def test_z_scores_of_another_makers_sheets():
     pooled = {name: np.concatenate(parts) for name, parts in scores.items()}
     rms = {name: float(np.sqrt(np.mean(z**2))) for name, z in pooled.items()}
     print({n: f"rms {rms[n]:.2f}, within 2: {100 * np.mean(np.abs(z) < 2):.1f} %" for n, z in pooled.items()})
-    assert all(0.78 < r < 1.2 for r in rms.values())
+    assert all(0.85 < r < 1.2 for r in rms.values())
     assert np.mean(np.abs(np.concatenate([*pooled.values()])) < 2) >= 0.93
 
 
