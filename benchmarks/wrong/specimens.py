@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.paper import KINDS
 from benchmarks.wrong import maker
 from planish.synthetic import (
     MICRO_CT,
@@ -78,6 +79,7 @@ class Draw:
     large: bool = False
     coated: bool = True
     steep: bool = False
+    fibres: str = ""  # kind of benchmarks.paper whose sheet is laid fibre by fibre; a slab where empty
     holes: int | None = None
     slope: float | None = None
     program: int | None = None  # seed of the hole pattern, where two specimens share the laser's program
@@ -94,6 +96,17 @@ def _kept(order: Draw) -> Right:
 
 
 def _ours(order: Draw) -> Right:
+    params = _of_fibres(order) if order.fibres else _slab(order)
+    if order.program is not None:  # the pattern of another specimen: the same seed for the holes, another for the paper
+        return _reprogrammed(params, order)
+    while True:
+        try:
+            return _right(make_specimen(params), order)
+        except ValueError:  # so many holes do not fit
+            params = replace(params, holes=replace(params.holes, count=params.holes.count - 2))
+
+
+def _slab(order: Draw) -> SpecimenParams:
     rng = np.random.default_rng([7, order.seed])
     thin = {name: paper for name, (_, paper) in PRESETS.items() if paper.base_um < 80.0}  # for a quick run
     names = [name for name, paper in thin.items() if (paper.coating_top_um > 0) == order.coated]
@@ -107,7 +120,7 @@ def _ours(order: Draw) -> Right:
         streak=float(rng.uniform(0, 0.02)),
     )  # fmt: skip
     count = order.holes or int(rng.integers(6, 9) if not order.large else rng.integers(8, 13))
-    params = SpecimenParams(
+    return SpecimenParams(
         size_um=size, paper=paper, seed=order.seed, scanner=scanner,
         sections=SectionsParams(pixel_um=2.5, section_um=4.0),
         holes=BurnParams(pattern="irregular", count=count, diameter_um=float(rng.uniform(115, 140)), char_um=20.0),
@@ -115,19 +128,29 @@ def _ours(order: Draw) -> Right:
             slope=float(slope), wavelength_um=float(rng.uniform(1800, 4000)), phase_rad=float(rng.uniform(0, 6.28)),
             ruling_deg=float(rng.uniform(-90, 90)), tilt_deg=float(rng.uniform(-4, 4)),
         ),
-        camera=CameraParams(
-            pixel_um=float(rng.uniform(4.0, 5.5)), shading=0.004, nuisance_sd=0.005, radial=float(rng.uniform(0, 4e-4)),
-            vignetting=float(rng.uniform(0, 0.04)), scale_range=0.005,
-        ),
+        camera=_camera(rng),
         stiffness=float(np.random.default_rng([9, order.seed]).uniform(0, 3)),
     )  # fmt: skip
-    if order.program is not None:  # the pattern of another specimen: the same seed for the holes, another for the paper
-        return _reprogrammed(params, order)
-    while True:
-        try:
-            return _right(make_specimen(params), order)
-        except ValueError:  # so many holes do not fit
-            params = replace(params, holes=replace(params.holes, count=params.holes.count - 2))
+
+
+def _of_fibres(order: Draw) -> SpecimenParams:
+    """A sheet of single fibres with as many holes, and a camera, as the slabs have."""
+    rng = np.random.default_rng([11, order.seed])
+    params = KINDS[order.fibres].draw(rng)
+    count = order.holes or int(rng.integers(8, 13) if order.large else rng.integers(6, 9))
+    holes = BurnParams(pattern="irregular", count=count, diameter_um=float(rng.uniform(115, 140)), char_um=20.0)
+    warp = params.warp if order.slope is None else replace(params.warp, slope=order.slope)
+    return replace(
+        params, size_um=LARGE_UM if order.large else SIZE_UM, holes=holes, warp=warp, camera=_camera(rng),
+        sections=SectionsParams(pixel_um=2.5, section_um=4.0),
+    )  # fmt: skip
+
+
+def _camera(rng: np.random.Generator) -> CameraParams:
+    return CameraParams(
+        pixel_um=float(rng.uniform(4.0, 5.5)), shading=0.004, nuisance_sd=0.005, radial=float(rng.uniform(0, 4e-4)),
+        vignetting=float(rng.uniform(0, 0.04)), scale_range=0.005,
+    )  # fmt: skip
 
 
 def _reprogrammed(params: SpecimenParams, order: Draw) -> Right:
