@@ -118,7 +118,8 @@ class Sized:
 
 
 def _r(one: Floats, other: Floats) -> float:
-    return float(np.corrcoef(one, other)[0, 1])
+    is_seen = np.isfinite(other)
+    return float(np.corrcoef(one[is_seen], other[is_seen])[0, 1])
 
 
 class Kind(NamedTuple):
@@ -326,11 +327,14 @@ def measured(specimen: Specimen, names: tuple[str, ...]) -> tuple[xr.Dataset, li
 
 
 def _image_at(specimen: Specimen, columns: xr.Dataset) -> Floats:
-    """Reflectance of the top side at the true place of each column."""
+    """Reflectance of the top side at the true place of each column; NaN outside of the image."""
     u, v = _uv(specimen, columns)
     at, image = specimen.pose(np.stack([u, v], axis=-1)), specimen.image
     return ndimage.map_coordinates(
-        image.values.astype(np.float64), [at[..., 1] / float(image.y[1]), at[..., 0] / float(image.x[1])], order=1
+        image.values.astype(np.float64),
+        [at[..., 1] / float(image.y[1]), at[..., 0] / float(image.x[1])],
+        order=1,
+        cval=math.nan,
     )
 
 
