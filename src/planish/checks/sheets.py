@@ -161,16 +161,21 @@ def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
         few_text = f"The base is seen in {np.count_nonzero(is_seen)} tiles of {TILE_UM:g} um only, too few to tell one"
         return rule.check("unknown", f"{few_text} sheet from two.")
     profiles = profiles[is_seen]
-    n_columns = np.isfinite(profiles).sum(axis=1)
-    median_profiles = np.nanmedian(profiles, axis=1)
-    # What the scatter of a tile's columns leaves open of their median, 3 standard errors: strong noise is no gap.
-    # 1.86 is 1.4826 of the median deviation, 1.253 of the median.
-    profiles -= median_profiles[:, None]
-    deviation, median = np.nanmedian(np.abs(profiles, out=profiles), axis=1), median_profiles.astype(np.float64)
-    uncertainty = 3.0 * 1.86 * deviation / np.sqrt(n_columns)
-    base_grey = float(np.median(median))
-    is_dark = ((base_grey - median - uncertainty) / (base_grey - greys.air)).max(axis=1) > 0.6
+    root_n = np.sqrt(np.isfinite(profiles).sum(axis=1))
+    # Air all over a tile is a gap. Pores of some of its columns are none: the mean tells, its 3 standard errors left out.
+    mean = np.nanmean(profiles, axis=1, dtype=np.float64)
+    mean_grey = float(np.median(mean))
+    inwards = np.copysign(1.0, mean_grey - greys.air)
+    doubt = 3.0 * np.nanstd(profiles, axis=1, dtype=np.float64) / root_n
+    is_dark = ((inwards * (mean_grey - mean) - doubt) / abs(mean_grey - greys.air)).max(axis=1) > 0.5
     n_dark = _largest_cluster(*(numbers[is_seen][is_dark] for numbers in core.tiles))
+    median_profiles = np.nanmedian(profiles, axis=1)
+    # What the scatter of a tile's columns leaves open of their median, 3 standard errors: 1.86 is 1.4826 of the median
+    # deviation, 1.253 of the median.
+    profiles -= median_profiles[:, None]
+    uncertainty = 3.0 * 1.86 * np.nanmedian(np.abs(profiles, out=profiles), axis=1) / root_n
+    median = median_profiles.astype(np.float64)
+    base_grey = float(np.median(median))
     # A second sheet whose coatings lie in the middle may be learnt as base; what is brighter is then told by the air.
     coating_grey = denser_coating(greys)
     coating_contrast = (2 * base_grey - greys.air if coating_grey is None else coating_grey) - base_grey

@@ -303,6 +303,8 @@ def fit_faces(
     local = spread.copy()
     local[0] = 0.0
     base_level = air + 0.5 * (prior[3] - air)
+    if coated:  # where the noise is as strong as half of the base, the coating or a wall passes more
+        base_level = max(base_level, air + min(2.5 * noise, 0.25 * (prior[2] - air)))
     for i in range(rows):
         for j in range(cols):
             for n in range(5):
@@ -318,13 +320,14 @@ def fit_faces(
             w = width / tilt[i, j]
             v = window / tilt[i, j] if window > 0.0 else w
             middle = 0.5 * (e + other[i, j])
+            deepest = e + 0.75 * (other[i, j] - e) if coated else middle
             start = int(floor(e - search / tilt[i, j]))
             stop = int(floor(min(e + search / tilt[i, j], middle))) + 1
             d0 = nearest(g, e, search, amid) if amid > 0.0 else outermost(g, start, stop, base_level)
             if d0 < 0:
                 continue
             gap = darkest(g, d0, int(4.0 * v) + 2, noise) if amid > 0.0 else 0
-            h0, thick = _guess(g, d0, g[gap] if amid > 0.0 else air, w, middle, prior, coated)
+            h0, thick = _guess(g, d0, g[gap] if amid > 0.0 else air, w, deepest, prior, coated)
             cost = 1e300
             lo = hi = 0
             for attempt in range(2 if coated else 1):
@@ -335,7 +338,7 @@ def fit_faces(
                         continue
                 lo = max(int(floor(h0 - 3.0 * v)), gap)
                 hi = min(int(floor(h0 + thick + 3.0 * v)) + 1, depth - 1)
-                hi = max(min(hi, int(middle) + 1), min(int(h0 + 2.0 * v) + 2, depth - 1))
+                hi = max(min(hi, int(deepest) + 1), min(int(h0 + 2.0 * v) + 2, depth - 1))
                 if amid > 0.0:  # few samples are left where the gap is narrow
                     hi = max(hi, min(lo + 5, int(middle) + 1, depth - 1))
                 fine = True
@@ -344,7 +347,13 @@ def fit_faces(
                 # Near an end of the column two widths of the blur must be left.
                 if not fine or hi - lo < 4 or h0 < 2.0 * v or h0 + thick > depth - 1 - 2.0 * v:
                     continue
+                local[3] = spread[3]
                 now = fit_column(g, lo, hi, air, noise, w, p, prior, local, coated, matrix, step, fringe, ratio)
+                if coated and p[3] > 0.5 * (prior[2] + prior[3]):
+                    # No base is as bright: this is coating in a valley that the blur dims from the sides.
+                    local[3] = -1.0
+                    p[0], p[1], p[2], p[3] = h0, thick, prior[2], prior[3]
+                    now = fit_column(g, lo, hi, air, noise, w, p, prior, local, coated, matrix, step, fringe, ratio)
                 if now < cost:
                     cost = now
                     best[0], best[1], best[2], best[3] = p[0], p[1], p[2], p[3]

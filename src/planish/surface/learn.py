@@ -28,6 +28,7 @@ _LEAST_COVER_UM = 15.0  # from a face to a brighter layer: a coating's brightest
 # Of the core's variance, what acts on a face: the solid below it is denser. By drawn fibres, and pores of a voxel.
 _BELOW_FACE = 0.3
 _POROUS = 0.35  # spread of the core's grey over its median: where it is less, no pores show
+_OF_COATING = 0.45  # share of a coating's grey that has to stand out from the noise where the base has pores
 _PLAIN, _PLAIN_SHARE = 5.5, 0.05  # widths of the blur, and share of columns: such a layer shows its grey beyond doubt
 
 
@@ -50,11 +51,15 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
     wall_levels: dict[bool, float] = {}
     if survey.surroundings == "air" and not any(side.coated for side in sides.values()):
         wall_levels = {k: learner.wall_level(sample) for k, sample in samples.items()}
-        if all(wall_levels.values()):
-            # A wall thinner than the blur must not be blurred further than the noise asks for.
-            learner.calm(min(wall_levels.values()))
-            samples = {from_high: learner.sample(from_high=from_high) for from_high in (True, False)}
-            wall_levels = {k: learner.wall_level(sample) for k, sample in samples.items()}
+    clear_level = min(wall_levels.values(), default=0.0)
+    if all(side.coated for side in sides.values()) and base_sd >= _POROUS * base_level:
+        clear_level = _OF_COATING * min(side.level[2] for side in sides.values())
+    if clear_level > base_level:
+        # A wall thinner than the blur, or coating in a valley between fibres, must not be blurred further than its own
+        # noise asks for.
+        learner.calm(clear_level)
+        samples = {from_high: learner.sample(from_high=from_high) for from_high in (True, False)}
+        wall_levels = {k: learner.wall_level(samples[k]) for k in wall_levels}
     preset_fringe = 0.0 if isinstance(params.fringe, str) else params.fringe
     edge = Edge(width=learner.blur(samples, sides, preset_fringe), fringe=preset_fringe)
     has_fringe = params.fringe == "auto" and learner.undershoots(samples, sides, edge)
