@@ -16,12 +16,15 @@ from planish.checks.windows import Window
 from planish.core.checks import PROPERTIES, Check, CheckRule
 from planish.core.facts import SIDES
 from planish.core.frame import Frame
+from planish.core.robust import mad_sd
 from planish.core.typing import Array, Floats
 from planish.measure.registry import FWHM, Greys
+from planish.surface.learn import POROUS
 
 SPIKE, SHARE = 3.0, 2e-4  # height of the spike over what the histogram leads to; least share of the voxels
 _LAST_BIN = 6  # of those that the histogram is continued from
 SHADED = 0.15  # of base - air: change of the base's grey across the sheet
+_WALL = 0.95  # of the greys of a base with pores lie below that of a wall
 _JUMP = 0.1  # of the contrast: moves a face by an eighth of the blur's standard deviation
 _COATING, _ALIKE = 0.25, 0.75  # least contrast of a coating to the base: of the base's to the air, of the other side's
 _RESOLVED = 2.0  # widths of the blur: balls of such chords keep 0.8 of their volume above half of their contrast
@@ -128,10 +131,17 @@ def level_jump(window: Window) -> float:
 def shading(rule: CheckRule, scan: GreyScan) -> Check:
     """Judge whether the base has one grey from one border of the sheet to the other.
 
-    Along each axis of the sheet a parabola is fitted to the tiles' grey.
+    Along each axis of the sheet a parabola is fitted to the tiles' grey. Its change counts by the contrast of the base
+    to the air; where pores make much of the base's grey, and are never as many everywhere, by that of the walls.
     """
-    core, grey, contrast = scan.core, scan.core_grey, abs(scan.greys.base - scan.greys.air)
+    core, grey, greys = scan.core, scan.core_grey, scan.greys
+    contrast, name = abs(greys.base - greys.air), "its contrast"
     is_seen = np.any(np.isfinite(grey).all(axis=2), axis=1)
+    if is_seen.any():
+        spread = np.sqrt(max(mad_sd(grey[is_seen]) ** 2 - greys.single_noise**2, 0.0))
+        if spread > POROUS * contrast:
+            wall_share = _WALL if greys.polarity > 0 else 1.0 - _WALL
+            contrast, name = abs(float(np.nanquantile(grey[is_seen], wall_share)) - greys.air), "the contrast of a wall"
     if np.count_nonzero(is_seen) < 20 or not contrast > 0:
         return rule.check(
             "unknown", f"The base is seen in {np.count_nonzero(is_seen)} tiles only, too few to follow its grey."
@@ -152,7 +162,7 @@ def shading(rule: CheckRule, scan: GreyScan) -> Check:
             grey_change, share_limit, shaded_axis = change_share, max(SHADED, chance_share), axis
     return rule.at_most(
         grey_change, look=share_limit, units="share",
-        sentence=f"Along {shaded_axis}, the grey of the base changes by {100 * grey_change:.2g} % of its contrast to "
+        sentence=f"Along {shaded_axis}, the grey of the base changes by {100 * grey_change:.2g} % of {name} to "
         "the air.",
         advice="The beam or the light faded, or the scan is shaded. Correct it by a flat field, or scan again.",
     )  # fmt: skip

@@ -162,7 +162,7 @@ def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
         return rule.check("unknown", f"{few_text} sheet from two.")
     profiles = profiles[is_seen]
     root_n = np.sqrt(np.isfinite(profiles).sum(axis=1))
-    # Air all over a tile is a gap. Pores of some of its columns are none: the mean tells, its 3 standard errors left out.
+    # Air all over a tile is a gap, pores of some of its columns are none: its mean tells, 3 standard errors left out.
     mean = np.nanmean(profiles, axis=1, dtype=np.float64)
     mean_grey = float(np.median(mean))
     inwards = np.copysign(1.0, mean_grey - greys.air)

@@ -27,7 +27,7 @@ _WIDTHS = np.geomspace(0.35, 3.2, 14)  # blur along a column that is tried, in v
 _LEAST_COVER_UM = 15.0  # from a face to a brighter layer: a coating's brightest place is nearer
 # Of the core's variance, what acts on a face: the solid below it is denser. By drawn fibres, and pores of a voxel.
 _BELOW_FACE = 0.3
-_POROUS = 0.35  # spread of the core's grey over its median: where it is less, no pores show
+POROUS = 0.35  # spread of the core's grey over its median: where it is less, no pores show
 _OF_COATING = 0.45  # share of a coating's grey that has to stand out from the noise where the base has pores
 _PLAIN, _PLAIN_SHARE = 5.5, 0.05  # widths of the blur, and share of columns: such a layer shows its grey beyond doubt
 
@@ -52,7 +52,7 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
     if survey.surroundings == "air" and not any(side.coated for side in sides.values()):
         wall_levels = {k: learner.wall_level(sample) for k, sample in samples.items()}
     clear_level = min(wall_levels.values(), default=0.0)
-    if all(side.coated for side in sides.values()) and base_sd >= _POROUS * base_level:
+    if all(side.coated for side in sides.values()) and base_sd >= POROUS * base_level:
         clear_level = _OF_COATING * min(side.level[2] for side in sides.values())
     if clear_level > base_level:
         # A wall thinner than the blur, or coating in a valley between fibres, must not be blurred further than its own
@@ -138,7 +138,7 @@ class _Learner(Sampler):
         its brightest where a third is void.
         """
         base_level, base_sd = self.base_level(sample)
-        if base_sd < _POROUS * base_level:
+        if base_sd < POROUS * base_level:
             return 0.0
         core_grey = self._core_grey(sample)
         void_share = float(np.mean(core_grey < 0.3 * np.percentile(core_grey, 99)))
