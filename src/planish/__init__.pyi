@@ -18,6 +18,7 @@ from .run import link as link
 from .run import map_sheet as map_sheet
 from .run import open_run as open_run
 from .run import register_marks as register_marks
+from .run import register_texture as register_texture
 from .run import resample_maps as resample_maps
 from .series import open_study as open_study
 from .surface import find_surfaces as find_surfaces

@@ -56,9 +56,9 @@ class LagField(ResultModel):
 
 def lag_field(
     a: Floats, b: Floats, is_valid: Bools, pixel_um: Pair, *, reach: tuple[int, int], tile_um: float,
-    unrelated: list[Floats],
+    unrelated: list[Floats], overlapping: bool = True,
 ) -> LagField:  # fmt: skip
-    """Find the lag of every tile of a within b, by positive correlation; tiles overlap by half.
+    """Find the lag of every tile of a within b, by positive correlation; tiles overlap by half, or not at all.
 
     The maps are without trend, and 0 where they are not valid. The peaks of the unrelated maps, of the texture of b, in
     all tiles together are the null, each put to the tile's size. Tiles that are no larger than twice the reach, or
@@ -74,7 +74,8 @@ def lag_field(
     step = np.array([pixel_um[1], pixel_um[0]])
     tiles: list[tuple[Floats, Floats, Floats, float, float]] = []
     null_z: list[float] = []
-    for row, col in product(*(range(0, n - s + 1, max(s // 2, 1)) for n, s in zip(a.shape, side_px, strict=True))):
+    starts = (range(0, n - s + 1, max(s // (1 + overlapping), 1)) for n, s in zip(a.shape, side_px, strict=True))
+    for row, col in product(*starts):
         # The tile of a, and b around it as far as the search goes: every lag keeps its pairs.
         rows = slice(max(row - wide[0], 0), row + side_px[0] + wide[0])
         cols = slice(max(col - wide[1], 0), col + side_px[1] + wide[1])

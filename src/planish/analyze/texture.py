@@ -73,8 +73,8 @@ class Relation:
         return f"r = {self.r:.2f}, z = {self.z:.1f}"
 
 
-def textures(maps: Mapping[str, Rows], valid: Bools, pixel_um: Pair) -> Textures:
-    """Keep the waves of 15 to 250 um of maps, with the same spread everywhere.
+def textures(maps: Mapping[str, Rows], valid: Bools, pixel_um: Pair, *, band_um: Pair = BAND_UM) -> Textures:
+    """Keep the waves of a band of maps, 15 to 250 um where not given, with the same spread everywhere.
 
     Parameters
     ----------
@@ -85,6 +85,8 @@ def textures(maps: Mapping[str, Rows], valid: Bools, pixel_um: Pair) -> Textures
         Pixels that may be looked at.
     pixel_um : (float, float)
         Along y and x. Maps of more than 300 000 pixels are averaged to larger ones first.
+    band_um : (float, float), optional
+        Shortest and longest wave.
 
     Returns
     -------
@@ -105,10 +107,10 @@ def textures(maps: Mapping[str, Rows], valid: Bools, pixel_um: Pair) -> Textures
     """
     if any(m.shape != valid.shape for m in maps.values()):
         raise CannotMeasure("The maps and the mask do not lie on one grid. Link them first.")
-    if not 4 * max(pixel_um) <= BAND_UM[1]:
+    if not 4 * max(pixel_um) <= band_um[1]:
         raise SizeError(
-            f"The pixel of {max(pixel_um):g} um is too large for the texture below {BAND_UM[1]:g} um. An image with "
-            f"pixels of {BAND_UM[1] / 4:g} um or less is needed."
+            f"The pixel of {max(pixel_um):g} um is too large for the texture below {band_um[1]:g} um. An image with "
+            f"pixels of {band_um[1] / 4:g} um or less is needed."
         )
     factor = math.ceil(math.sqrt(valid.size / 300_000))
     if factor > 1:
@@ -122,7 +124,7 @@ def textures(maps: Mapping[str, Rows], valid: Bools, pixel_um: Pair) -> Textures
     shown = {k: m for k, m in shown.items() if count[k] >= max(0.7 * most, 1)}
     if not shown:
         return Textures(maps={}, known=np.zeros(valid.shape, dtype=bool), pixel_um=pixel_um)
-    band = _Band(np.logical_and.reduce([np.isfinite(m) for m in shown.values()]), pixel_um)
+    band = _Band(np.logical_and.reduce([np.isfinite(m) for m in shown.values()]), pixel_um, band_um)
     return Textures(maps={k: band(m) for k, m in shown.items()}, known=band.is_valid, pixel_um=pixel_um)
 
 
@@ -197,16 +199,16 @@ def tile_sums(values: Floats, pixel_um: Pair, tile_um: float = 250.0) -> Floats:
 class _Band:
     """The band of maps with one mask; its filters' weights are computed once."""
 
-    def __init__(self, shown: Bools, pixel_um: Pair) -> None:
-        self._pixel_um = pixel_um
+    def __init__(self, shown: Bools, pixel_um: Pair, band_um: Pair) -> None:
+        self._pixel_um, self._band_um = pixel_um, band_um
         # The neighbourhood of 1 mm in which all maps are given the same spread.
         self._local = [max(round(500.0 / p), 1) for p in pixel_um]
-        self._shown, self._fine = shown, low_pass(shown.astype(np.float64), BAND_UM[0], pixel_um)
+        self._shown, self._fine = shown, low_pass(shown.astype(np.float64), band_um[0], pixel_um)
         # Single missing pixels are bridged.
         self.is_valid: Bools = self._fine >= 0.5
         weight = self.is_valid.astype(np.float64)
         self._weights = [
-            np.maximum(m, 1e-9) for m in (low_pass(weight, BAND_UM[1], pixel_um), self._neighbourhood(weight))
+            np.maximum(m, 1e-9) for m in (low_pass(weight, band_um[1], pixel_um), self._neighbourhood(weight))
         ]
         # Around holes, the mean at each distance up to 300 um is taken off.
         distance = ndimage.distance_transform_edt(self.is_valid, sampling=pixel_um)
@@ -215,9 +217,9 @@ class _Band:
 
     def __call__(self, values: Floats) -> Floats:
         is_valid = self.is_valid
-        out = low_pass(standard(values, self._shown), BAND_UM[0], self._pixel_um)
+        out = low_pass(standard(values, self._shown), self._band_um[0], self._pixel_um)
         out = standard(np.divide(out, self._fine, out=out, where=is_valid), is_valid)
-        slow = low_pass(out, BAND_UM[1], self._pixel_um) / self._weights[0]
+        slow = low_pass(out, self._band_um[1], self._pixel_um) / self._weights[0]
         out = standard(np.where(is_valid, out - slow, 0.0), is_valid)
         spread = np.sqrt(np.maximum(self._neighbourhood(out * out) / self._weights[1], 0.3**2))
         # A stain is one event, however dark it is.

@@ -27,7 +27,7 @@ Id = Annotated[str, Field(pattern=r"^[a-z][0-9]{1,9}(-[0-9]{1,6})?$")]
 Text = Annotated[str, Field(max_length=LONGEST_TEXT)]
 Label = Annotated[str, Field(min_length=1, max_length=200)]
 Layer = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=40)]
-Source = Literal["detected", "clicked", "predicted", "imported"]
+Source = Literal["detected", "clicked", "predicted", "imported", "tile"]
 
 
 class ChangeError(InputError):

@@ -21,6 +21,11 @@ class RegistrationParams(Params):
         metavar="FILE",
         help="Pairs of points from planish or another program (docs/marks-files.md), instead of finding the holes.",
     )
+    by: Literal["auto", "holes", "texture"] = option(
+        "auto",
+        help="What the layers are registered by. auto takes holes, and the texture of sheet and image where there are "
+        "fewer than 3 holes in either.",
+    )
     design: str | None = option(
         None,
         metavar="FILE",

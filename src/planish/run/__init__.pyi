@@ -28,4 +28,5 @@ from .study import read_study as read_study
 from .study import with_values as with_values
 from .study import write_study as write_study
 from .study_template import draft_study as draft_study
+from .texture_registration import register_texture as register_texture
 from .volume import read_whole as read_whole

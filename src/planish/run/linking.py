@@ -26,6 +26,7 @@ from planish.run.regions import regions_on
 from planish.run.registration import Link, Registration, check_marks, register_layers
 from planish.run.run import Run, open_sheet
 from planish.run.study import LayerParams, Study, changed
+from planish.run.texture_registration import register_layers_by_texture, uses_texture
 
 
 class LinkInputs(NamedTuple):
@@ -88,7 +89,8 @@ def read_inputs(study: Study, regions: Regions | None, progress: Progress) -> Li
     for k, params in enumerate(study.layers[:-1]):
         fixed_name = names[k + 1] if study.chain else names[-1]
         marks = params.marks or study.registration.marks
-        check_marks(layers.get(params.name, params.name), layers.get(fixed_name, fixed_name), holes, marks)
+        pair = layers.get(params.name, params.name), layers.get(fixed_name, fixed_name)
+        check_marks(*pair, holes, marks, needed=study.registration.by == "holes")
     reference = layers.get(names[-1])
     if reference is not None and regions is not None:
         regions = regions_on(regions, reference.grid, study.correlate.regions)
@@ -116,7 +118,8 @@ def _register(layers: list[Layer], holes: LayerHoles, study: Study, progress: Pr
     registrations = dict[str, Registration]()
     for layer, fixed, *_ in paths:
         progress("register", f"{layer.name} to {fixed.name}")
-        registrations[layer.name] = register_layers(layer, fixed, holes, study)
+        register = register_layers_by_texture if uses_texture(layer, fixed, holes, study) else register_layers
+        registrations[layer.name] = register(layer, fixed, holes, study)
     chains = [Chain(fits=tuple(registrations[layer.name].fit for layer in path[:-1])) for path in paths]
     return {
         path[0].name: Link(path, registrations[path[0].name], chain) for path, chain in zip(paths, chains, strict=True)

@@ -122,6 +122,9 @@ def hole_circles(
     that its border cuts are included.
     """
     holes = holes_of(marks, side)
+    if "diameter" not in holes:  # tiles of texture are no holes
+        holes = holes.assign(diameter=("mark", np.full(holes.sizes["mark"], np.nan)))
+    holes = holes.isel(mark=np.flatnonzero(np.isfinite(holes["diameter"].values)))
     hole_sets = [holes] if image is None else [holes, cut_holes(image, holes)]
     circles = np.concatenate(
         [np.stack([h["x"].values, h["y"].values, 0.5 * h["diameter"].values], axis=1) for h in hole_sets]

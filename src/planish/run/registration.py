@@ -150,14 +150,14 @@ def register_marks(
         pattern = read_pattern(fit_params.design)
         designed = DesignedHoles(name=pattern.name, places_um=pattern.imaged_um, labels=tuple(pattern.labels))
     fit, match = match_and_fit(moving, fixed, params=fit_params, pattern=designed, hole_um=hole_um)
-    marks = _with_residuals(join_holes(moving, fixed, match.pairs, match.labels), fit)
+    marks = with_residuals(join_holes(moving, fixed, match.pairs, match.labels), fit)
     return Registration(
         fit=fit, marks=marks, sentence=match.sentence, second_best=match.second_best, design=match.design,
         tilt=hole_tilt(moving),
     )  # fmt: skip
 
 
-def _with_residuals(marks: xr.Dataset, fit: FittedTransform) -> xr.Dataset:
+def with_residuals(marks: xr.Dataset, fit: FittedTransform) -> xr.Dataset:
     """The marks with what the fit leaves of each."""
     is_paired = paired(marks)
     for name, pair_values_um in (("residual", np.hypot(*fit.residuals_um.T)), ("leave_one_out", fit.leave_one_out_um)):
@@ -192,7 +192,7 @@ def register_layers(layer: Layer, fixed: Layer, holes: LayerHoles, study: Study)
             hole_marks = hole_marks.assign(label=("mark", labels))
             marks = with_holes(marks, hole_marks, side, usual_um=float(np.mean(holes.params.hole_um)))
     source = str(marks.attrs.get("read_from", {}).get("format", "file"))
-    return Registration(fit=fit, marks=_with_residuals(marks, fit), source=source)
+    return Registration(fit=fit, marks=with_residuals(marks, fit), source=source)
 
 
 def fit_marks(marks: xr.Dataset, *, params: RegistrationParams, mirrored: bool | None) -> FittedTransform:
@@ -201,16 +201,19 @@ def fit_marks(marks: xr.Dataset, *, params: RegistrationParams, mirrored: bool |
     return fit_pairs(holes_of(pairs, "moving"), holes_of(pairs, "fixed"), params=params, mirrored=mirrored)
 
 
-def check_marks(layer: Layer | str, fixed: Layer | str, holes: LayerHoles, path: str | None) -> None:
+def check_marks(
+    layer: Layer | str, fixed: Layer | str, holes: LayerHoles, path: str | None, *, needed: bool = True
+) -> None:
     """Refuse what cannot be registered, before a volume is mapped: too few holes in an image, or marks of no use.
 
     ``layer`` and ``to`` are names where they are volumes that were not read yet; ``path`` is the file of their marks.
+    Holes are not needed where the texture can take their place.
     """
     if path is not None:
         read_given(path, layer, fixed)
         return
     for image in (layer, fixed):
-        if not isinstance(image, str) and image.kind == "image":
+        if needed and not isinstance(image, str) and image.kind == "image":
             need_holes(holes.of(image, image), holes.params.hole_um)
 
 

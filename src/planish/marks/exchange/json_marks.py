@@ -52,7 +52,7 @@ class _Place(Part):
     diameter_um: PositiveFloat | None = None
     axis_ratio: Annotated[float, Field(ge=1)] | None = None
     arc_coverage: Annotated[float, Field(ge=0, le=1)] | None = None
-    source: Literal["detected", "clicked", "predicted", "imported"]
+    source: Literal["detected", "clicked", "predicted", "imported", "tile"]
 
 
 class _Mark(Part):

@@ -38,7 +38,8 @@ class MarkPlaces:
     """Places of the marks in one layer."""
 
     um: Floats  #: (n, 2) ``x, y`` or (n, 3) ``x, y, z``, in um; NaN where a mark is not in this layer
-    source: str | Sequence[str] = "imported"  #: (n,) or one: ``detected``, ``clicked``, ``predicted``, ``imported``
+    source: str | Sequence[str] = "imported"  #: (n,) or one: ``detected``, ``clicked``, ``predicted``, ``imported``,
+    #: or ``tile`` of a texture
     extras: Mapping[str, Floats] = field(default_factory=dict[str, Floats])  #: of `EXTRAS`, (n,); NaN where not known
 
     @classmethod
