@@ -315,7 +315,7 @@ def measured(specimen: Specimen, names: tuple[str, ...]) -> tuple[xr.Dataset, li
     image = _image_at(specimen, properties)
     sized: list[Sized] = []
     for name in names:
-        if name not in properties:  # a tape hides the coating below it
+        if f"{name}_se" not in properties:  # a tape hides the coating below it
             continue
         values = properties[name].values.astype(np.float64)
         has_value = is_clear & np.isfinite(values) & np.isfinite(true[name])

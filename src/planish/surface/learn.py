@@ -49,10 +49,12 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
     else:
         sides = dict.fromkeys(samples, learner.preset_side(params.coating_grey, base_level, base_sd))
     wall_levels: dict[bool, float] = {}
-    if survey.surroundings == "air" and not any(side.coated for side in sides.values()):
+    has_pores = base_sd >= POROUS * base_level
+    if has_pores and survey.surroundings == "air" and not any(side.coated for side in sides.values()):
         wall_levels = {k: learner.wall_level(sample) for k, sample in samples.items()}
     clear_level = min(wall_levels.values(), default=0.0)
-    if all(side.coated for side in sides.values()) and base_sd >= POROUS * base_level:
+    is_plain = not learner.embedded_level  # amid other material, a face is sought by the darkest place beside it
+    if has_pores and is_plain and all(side.coated for side in sides.values()):
         clear_level = _OF_COATING * min(side.level[2] for side in sides.values())
     if clear_level > base_level:
         # A wall thinner than the blur, or coating in a valley between fibres, must not be blurred further than its own
@@ -132,14 +134,11 @@ class _Learner(Sampler):
         return _BELOW_FACE * 3.0 * 0.5 * float(np.var(np.clip(difference, *np.percentile(difference, [1, 99]))))
 
     def wall_level(self, sample: Sample) -> float:
-        """Grey of a fibre's wall above the air; 0 where the base has no pores that show.
+        """Grey of a fibre's wall above the air, in a base with pores.
 
         The more of the core is void, the fewer of its places show nothing but wall: its median does where it is even,
         its brightest where a third is void.
         """
-        base_level, base_sd = self.base_level(sample)
-        if base_sd < POROUS * base_level:
-            return 0.0
         core_grey = self._core_grey(sample)
         void_share = float(np.mean(core_grey < 0.3 * np.percentile(core_grey, 99)))
         share = 0.88 + 0.119 * min(void_share / 0.35, 1.0)
