@@ -16,7 +16,7 @@ from planish.analyze.correlation_evidence import EvidenceFacts
 from planish.analyze.image_values import ImageFacts
 from planish.analyze.lag import LagNumbers
 from planish.analyze.mottle import Mottle
-from planish.analyze.refinement import RefinementFacts
+from planish.analyze.refinement import RefinementFacts, RefinementR
 from planish.core.checks import Check, State
 from planish.core.errors import FileError
 from planish.core.facts import HoleTiltFacts, InputFile, Number, Pair, ResultModel, SheetNumbers, Side, Trust, optional
@@ -152,7 +152,7 @@ class RegistrationFacts(ResultModel):
 
     to: str = Field(description="Layer that it was registered to.")
     path: tuple[str, ...] = Field(description="Layers from this one to the reference.")
-    source: str = Field(description="'found', or the kind of file that the marks came from.")
+    source: str = Field(description="'found', 'texture', or the kind of file that the marks came from.")
     found_moving: int = Field(description="Marks found in the moving layer.")
     found_fixed: int = Field(description="Marks found in the fixed layer.")
     matched: int = Field(description="Pairs in use.")
@@ -172,6 +172,8 @@ class RegistrationFacts(ResultModel):
     mirrored: bool = Field(description="Whether the transform mirrors.")
     orientation: OrientationFacts = Field(description="Side, hand and machine direction.")
     lag: LagNumbers | None = optional("The image-based check; of a sheet on an image only.")
+    false_probability: Number = optional("Of a place found by texture: that unrelated layers would have been linked.")
+    held_out: RefinementR | None = optional("r that a place found by texture was not tuned on.")
 
 
 class LayerFacts(ResultModel):

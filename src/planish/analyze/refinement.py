@@ -17,6 +17,8 @@ from planish.analyze.correlation import correlate, pearson
 from planish.analyze.detrend import PhaseSurrogate, Plane, correlation_length_um, in_band
 from planish.analyze.differences import paired_difference
 from planish.analyze.distributions import largest_tail
+from planish.analyze.texture import textures
+from planish.analyze.texture_search import BAND_UM, tuned_place
 from planish.core.errors import CannotMeasure
 from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.grid import Grid
@@ -31,6 +33,7 @@ Tune = Callable[[Floats, Bools], Floats]
 It must look at a at these pixels only; NaN is missing in what it returns.
 """
 
+_TUNED_UM = 10.0  # by which a place found by texture may be off at the corners of the map
 _COARSEST_UM = 1000.0  # slower variations are taken off both maps: they make tiles and guards as large as they are
 
 
@@ -284,6 +287,38 @@ def refine_link(
         warnings=fine.warnings, sentence=fine.sentence, longest_wave_um=_COARSEST_UM, correlation=of_r,
     )  # fmt: skip
     return RefinedTransform(marks=Chain(fits=(fit,)), refined=fine), facts
+
+
+def held_out_r(a: Floats, b: Floats, face: Floats | None, valid: Bools, pixel_um: Pair) -> RefinementR:
+    """Correlate a map with an image (rows, cols) where a place found by their texture was not tuned on them.
+
+    A similarity is tuned on every other tile and r read off the rest; where the map is too small for such tiles, r
+    stands beside what the same tuning reaches on unrelated maps. The slopes of ``face``, heights, take up light from
+    one side.
+    """
+    a, b = (_detail(values, valid, pixel_um) for values in (a, b))
+    is_known = valid & np.isfinite(b)
+    fixed = textures({"image": b}, is_known, pixel_um, band_um=BAND_UM)
+    rows, cols = np.indices(b.shape)
+    points = np.stack([cols * pixel_um[1], rows * pixel_um[0]], axis=-1)
+    # A linear interpolation would take noise off the image, and raise r by that alone.
+    spline = np.asarray(ndimage.spline_filter(np.where(is_known, b, 0.0)), dtype=np.float64)
+    step, b_known = np.array(pixel_um), is_known.astype(np.float64)
+
+    def tune(other: Floats, look: Bools) -> Floats:
+        maps = {"map": other} if face is None else {"map": other, "face": face}
+        moving, light = textures(maps, look & np.isfinite(other), pixel_um, band_um=BAND_UM), ()
+        if face is not None:
+            moving, light = moving.with_slopes("face"), ("face_x", "face_y")
+        place = tuned_place(moving, fixed, "map", Similarity(), reach_um=_TUNED_UM, light=light)
+        at = np.moveaxis(place(points)[..., ::-1] / step, -1, 0)
+        is_seen = ndimage.map_coordinates(b_known, at, order=1) >= 0.99
+        return np.where(is_seen, ndimage.map_coordinates(spline, at, order=3, prefilter=False), np.nan)
+
+    try:
+        return cross_fitted(a, b, tune, valid=valid, pixel_um=pixel_um)
+    except CannotMeasure:
+        return searched_null(a, tune, valid=valid, surrogates=19)
 
 
 def _detail(values: Floats, valid: Bools, pixel_um: Pair) -> Floats:

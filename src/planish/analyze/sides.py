@@ -12,6 +12,7 @@ import xarray as xr
 from planish.analyze import lag
 from planish.analyze.lag import LagNumbers
 from planish.analyze.texture import Relation, Textures, relate, textures, unexplained
+from planish.analyze.texture_search import FALSE
 from planish.core.bands import any_finite, rms_of, thinned
 from planish.core.checks import CORRELATION, POSITION, Check, State
 from planish.core.errors import SizeError
@@ -296,6 +297,16 @@ def texture_of(
         text = f"{check.sentence} Moved by {offset.length_um:.0f} um they do go together (position by texture)."
         check = check.model_copy(update={"sentence": text})
     return TextureFound(offset.numbers(source_maps[0], expected_um), (check, offset.check(expected_um)))
+
+
+def found_by_texture(sentence: str, false_probability: float) -> tuple[Check, Check]:
+    """Judge layers that were registered by their texture: by the search, for what it made large is no evidence."""
+    check = Check(
+        name=NAME, state="pass", sentence=f"{sentence} So both show one specimen.", value=false_probability,
+        limit=FALSE, units="probability",
+    )  # fmt: skip
+    text = "Image-based check: not made, because the place was found by the texture that it compares."
+    return check, Check(name=lag.NAME, state="unknown", sentence=text, figures=(POSITION,))
 
 
 def _coated(sheet: xr.Dataset) -> list[Side]:

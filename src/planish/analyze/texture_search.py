@@ -8,6 +8,7 @@ the best of so many wrong places gets is read off the best of every rotation but
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Literal, NamedTuple
@@ -23,6 +24,8 @@ from planish.analyze.texture import Textures, relate, standard
 from planish.core.transform import Similarity, nearest_similarity
 from planish.core.typing import Bools, Floats
 
+BAND_UM = (18.0, 150.0)
+"""Waves that a scan and an image share: shorter ones are noise, longer ones light and print."""
 FALSE = 4e-4
 """Largest probability, of an image that shows nothing of the sheet, to be linked all the same."""
 _OVERLAP = 0.4  # least share of the map that lies in the image
@@ -30,7 +33,7 @@ _NEAR_DEG, _NEAR_UM = 8.0, 150.0  # of a place, within which another one is the 
 _STEP = 2500.0  # um degrees: rotations are tried in steps of this over the size of the map
 _SCALE_STEP = 30.0  # um: scales in steps of this over the size of the map
 _CANDIDATES = 5
-_LEAST_PIXELS = 100  # that both layers show
+_LEAST_PIXELS, _MOST_PIXELS = 100, 15_000  # that both layers show; of them, used for tuning
 _REACH_UM = 25.0  # of a tile about the place of the whole
 _TILE_Z = 7.0  # standard deviations of chance by which a tile should stand out
 
@@ -117,10 +120,11 @@ def search_place(
     cells: list[list[_Peak]] = []
     for hand, rotation in product(hands, np.deg2rad(rotations).tolist()):
         cell: list[_Peak] = []
+        pairs = scanner.pairs(Similarity(rotation_rad=rotation, mirrored=hand))
+        enough = scanner.enough(pairs)
         for scale in scales:
             turn = Similarity(scale=float(scale), rotation_rad=rotation, mirrored=hand)
-            products, pairs = scanner.all_shifts(turn)
-            enough = scanner.enough(pairs)
+            products = scanner.products(turn)
             for name, values in products.items():
                 height = np.where(enough, values / np.sqrt(np.maximum(pairs, 1.0)), 0.0)
                 square_sums[name] += float(np.vdot(height, height))
@@ -189,12 +193,16 @@ class _Scanner:
         self._shape = tuple(fft.next_fast_len(n + reach, real=True) for n in fixed.known.shape)
         self._image, self._known = (self._transform(m.astype(np.float32)) for m in (fixed.maps["image"], fixed.known))
 
-    def all_shifts(self, turn: Similarity) -> tuple[dict[str, Slab], Slab]:
-        """Sums of products of each map with the image, and numbers of pairs, by the pixel of the map's middle."""
-        maps, mask = self._turned(turn)
-        half = (mask.shape[0] // 2, mask.shape[1] // 2)
-        pairs = np.maximum(self._lags(self._known, mask, half), 0.0)
-        return {k: self._lags(self._image, m, half) for k, m in maps.items()}, pairs
+    def products(self, turn: Similarity) -> dict[str, Slab]:
+        """Sums of products of each map with the image, by the pixel at which the map's middle lies."""
+        half, sampled = self._on_image(turn)
+        mask = self._turned_mask(sampled)
+        return {k: self._lags(self._image, sampled(s, 3) * mask, half) for k, s in self._splines.items()}
+
+    def pairs(self, turn: Similarity) -> Slab:
+        """Numbers of pixels that lie on known ones of the image, by the pixel at which the map's middle lies."""
+        half, sampled = self._on_image(turn)
+        return np.maximum(self._lags(self._known, self._turned_mask(sampled), half), 0.0)
 
     def enough(self, pairs: Slab) -> Bools:
         """Shifts at which as much of the map as needed lies in the image."""
@@ -204,8 +212,8 @@ class _Scanner:
         """Transformation that puts the middle of the map on a pixel of the image."""
         return nearest_similarity(turn.matrix(), self.middle_um, np.array(at[::-1]) * self._fixed_px)
 
-    def _turned(self, turn: Similarity) -> tuple[dict[str, Slab], Slab]:
-        """Maps and mask on pixels of the image, no larger than they have to be."""
+    def _on_image(self, turn: Similarity) -> tuple[tuple[int, int], Callable[[Slab, Literal[1, 3]], Slab]]:
+        """Half the size, and the sampling, of a map on pixels of the image, no larger than it has to be."""
         matrix = turn.matrix()
         corners = np.array([*product((-0.5, 0.5), repeat=2)]) * self._size_um @ matrix.T
         half = np.ceil(np.abs(corners).max(axis=0) / self._fixed_px).astype(int)
@@ -219,8 +227,10 @@ class _Scanner:
                 output=np.float32,
             )  # fmt: skip
 
-        mask = (sampled(self._mask, 1) >= 0.5).astype(np.float32)
-        return {k: sampled(s, 3) * mask for k, s in self._splines.items()}, mask
+        return (shape[0] // 2, shape[1] // 2), sampled
+
+    def _turned_mask(self, sampled: Callable[[Slab, Literal[1, 3]], Slab]) -> Slab:
+        return (sampled(self._mask, 1) >= 0.5).astype(np.float32)
 
     def _transform(self, values: Slab) -> NDArray[np.complex64]:
         return np.asarray(fft.rfft2(values, self._shape, workers=2), dtype=np.complex64)
@@ -231,11 +241,19 @@ class _Scanner:
         return lags[np.ix_(rows % self._shape[0], cols % self._shape[1])]
 
 
-def tuned_place(moving: Textures, fixed: Textures, name: str, start: Similarity, *, reach_um: float) -> Similarity:
-    """Climb from a place to the summit of |r| of a map; ``reach_um`` is about as far off as the map's corners are."""
+def tuned_place(
+    moving: Textures, fixed: Textures, name: str, start: Similarity, *, reach_um: float, light: tuple[str, ...] = ()
+) -> Similarity:  # fmt: skip
+    """Climb from a place to where a map, with the slopes of the face that ``light`` names, explains most of the image.
+
+    ``reach_um`` is about how far off the corners of the map are at the start.
+    """
     rows, cols = np.nonzero(moving.known)
+    every = max(rows.size // _MOST_PIXELS, 1)  # neighbours say the same
+    rows, cols = rows[::every], cols[::every]
     points = np.stack([cols * moving.pixel_um[1], rows * moving.pixel_um[0]], axis=1)
-    values, middle, image = moving.maps[name][rows, cols], points.mean(axis=0), _Sampled(fixed)
+    maps = np.stack([moving.maps[k][rows, cols] for k in (name, *light)])
+    middle, image = points.mean(axis=0), _Sampled(fixed)
     arm_um = float(np.sqrt(np.mean(np.sum((points - middle) ** 2, axis=1))))
 
     def placed(p: Floats) -> Similarity:
@@ -244,15 +262,17 @@ def tuned_place(moving: Textures, fixed: Textures, name: str, start: Similarity,
         )
         return nearest_similarity(turn.matrix(), middle, start(middle) + p[:2])
 
-    def correlation(place: Similarity) -> float:
+    def unexplained(place: Similarity) -> float:
         grey, is_known = image(place(points))
         if np.count_nonzero(is_known) < _LEAST_PIXELS:
-            return 0.0
-        return float(np.corrcoef(values[is_known], grey[is_known])[0, 1])
+            return 1.0
+        centred = maps[:, is_known] - maps[:, is_known].mean(axis=1, keepdims=True)
+        grey = grey[is_known] - grey[is_known].mean()
+        products = centred @ grey
+        return 1.0 - float(products @ np.linalg.pinv(centred @ centred.T) @ products / (grey @ grey))
 
-    sign = math.copysign(1.0, correlation(start))
     found = optimize.minimize(
-        lambda p: -sign * correlation(placed(p)), np.zeros(4), method="Nelder-Mead", options={
+        lambda p: unexplained(placed(p)), np.zeros(4), method="Nelder-Mead", options={
             "initial_simplex": np.concatenate([np.zeros((1, 4)), 0.5 * reach_um * np.eye(4)]), "xatol": 0.05,
             "fatol": 1e-6, "maxfev": 400,
         },

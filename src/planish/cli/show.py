@@ -109,6 +109,10 @@ def _registration(layer: LayerFacts) -> None:
         f"{number(r.leave_one_out_rms_um, 2)} um{error_text}; {r.model}, scale {r.scale:.4f}, rotation "
         f"{r.rotation_deg:.2f} deg{', mirrored' if r.mirrored else ''}"
     )
+    if r.source == "texture" and r.match_sentence:
+        notes = (r.match_sentence, *notes)
+    if r.held_out is not None:
+        notes = (*notes, f"Held out from the place: {r.held_out.sentence}.")
     for note in (*notes, r.orientation.sentence):
         sentence(f"  {note}")
 

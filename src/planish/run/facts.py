@@ -134,6 +134,7 @@ def _registration_facts(layer: Layer, link: Link, maps: xr.Dataset, lag: LagNumb
         ) if error.size else None,
         rotation_deg=float(np.rad2deg(fit.transform.rotation_rad)), shift_um=fit.transform.shift_um,
         orientation=_orientation_facts(layer, link.path[1], fit), lag=lag,
+        false_probability=registration.false_probability,
     )  # fmt: skip
 
 

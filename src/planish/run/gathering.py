@@ -15,8 +15,8 @@ from planish import __version__
 from planish.analyze.compare import comparison_rows, correlate_layers
 from planish.analyze.correlation_evidence import EvidenceFacts, correlation_diagnostics
 from planish.analyze.mottle import mottle_of
-from planish.analyze.refinement import refine_link
-from planish.analyze.sides import TextureFound, texture_of
+from planish.analyze.refinement import held_out_r, refine_link
+from planish.analyze.sides import TextureFound, found_by_texture, texture_of
 from planish.analyze.split_half import SheetColumns
 from planish.checks import (
     DetectedHoles,
@@ -116,6 +116,7 @@ def gather_link(linked: LinkedLayers) -> Run:
             correlate.headline,
         ) for layer in layers
     )  # fmt: skip
+    facts = tuple(_with_held_out(layer, linked) for layer in facts)
     checks = [*_checks(linked, facts, textures)]
     result_fields["evidence"] = [*_evidence(linked, facts)]
     if correlate.mottle:
@@ -222,7 +223,26 @@ def _checks(linked: LinkedLayers, facts: tuple[LayerFacts, ...], textures: Textu
     for (a, b), texture in textures.items():
         # Where two layers lie is judged where one of them is the reference.
         checks = texture.checks if b == reference.name else texture.checks[:1]
+        link = linked.links.get(a)
+        if link is not None and link.registration.source == "texture" and link.path[1].name == b:
+            checks = found_by_texture(link.registration.sentence or "", link.registration.false_probability or 0.0)
         yield from run_checks(TextureChecks(*checks), a, b)
+
+
+def _with_held_out(layer: LayerFacts, linked: LinkedLayers) -> LayerFacts:
+    """What a layer is, with r that its place by texture was not tuned on."""
+    if (registration := layer.registration) is None or registration.source != "texture":
+        return layer
+    sheet, reference, grid = linked.maps[layer.name], linked.maps[registration.path[-1]], linked.reference.grid
+    name, fixed_name = layer.headline, "image"
+    if name not in sheet or fixed_name not in reference:
+        return layer
+    valid = sheet["valid"].values & reference["valid"].values
+    a, b = sheet[name].values.astype(np.float64), reference[fixed_name].values.astype(np.float64)
+    face = f"topography_{linked.reference.side}"
+    heights = sheet[face].values.astype(np.float64) if face in sheet else None
+    held_out = held_out_r(a, b, heights, valid, grid.pixel_um)
+    return layer.model_copy(update={"registration": registration.model_copy(update={"held_out": held_out})})
 
 
 def _registration_checks(linked: LinkedLayers, layer: Layer, facts: LayerFacts) -> Iterator[Check]:

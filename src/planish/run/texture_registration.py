@@ -9,10 +9,10 @@ import numpy as np
 import xarray as xr
 
 from planish.analyze.texture import Textures, textures
-from planish.analyze.texture_search import FALSE, PlaceSearch, search_place, tile_places, tuned_place
+from planish.analyze.texture_search import BAND_UM, FALSE, PlaceSearch, search_place, tile_places, tuned_place
 from planish.core.area import common_means
 from planish.core.errors import CannotRegister, InputError
-from planish.core.facts import SIDES
+from planish.core.facts import Side
 from planish.core.grid import Grid
 from planish.core.options import params_of
 from planish.core.transform import Similarity
@@ -23,11 +23,9 @@ from planish.run.layers import Layer, LayerHoles
 from planish.run.registration import Registration, with_residuals
 from planish.run.study import Study
 
-BAND_UM = (18.0, 150.0)  # waves that a scan and an image share: shorter ones are noise, longer ones light and print
 _SEARCH_UM, _FINE_UM = 20.0, 8.0  # pixels: at 36 um a weak texture is at chance
 _TUNED_UM = 25.0  # by which the search may be off at the corners of the map
 _LEAST_TILES = 4
-_ROUNDS = 3
 
 
 class _Layer(NamedTuple):
@@ -39,16 +37,16 @@ class _Layer(NamedTuple):
     grid: Grid
 
     @classmethod
-    def of(cls, layer: xr.Dataset | xr.DataArray) -> _Layer:
-        """Take the maps that may show in an image from flat maps, or an image."""
+    def of(cls, layer: xr.Dataset | xr.DataArray, side: Side = "top") -> _Layer:
+        """Take the maps that may show in an image of a side, or an image."""
         if isinstance(layer, xr.DataArray):
             return cls({"image": layer.values}, {}, np.isfinite(layer.values), Grid.of(layer))
-        names = [f"coating_{side}" for side in SIDES] + ["base_thickness", "thickness"]
+        names = (f"coating_{side}", "base_thickness", "thickness")
         maps = {name: layer[name].values for name in names if name in layer and np.isfinite(layer[name].values).any()}
         if not maps:
             raise InputError("The maps hold no thickness whose texture could be searched. Measure one (--property).")
         valid = layer["valid"].values if "valid" in layer else np.isfinite(layer["thickness"].values)
-        faces = {name: layer[name].values for name in (f"topography_{side}" for side in SIDES) if name in layer}
+        faces = {name: layer[name].values for name in (f"topography_{side}",) if name in layer}
         return cls(maps, faces, valid, Grid.of(layer))
 
     def texture(self, pixel_um: float, face: str = "") -> tuple[Textures, Floats]:
@@ -108,7 +106,7 @@ def register_texture(
     either sign, in pixels of 20 um; the best place is tuned and tiles are placed in pixels of 8 um.
     """
     fit_params = params_of(RegistrationParams, params, "pl.register_texture")
-    layers = _Layer.of(moving), _Layer.of(fixed)
+    layers = _Layer.of(moving, "bottom" if mirrored else "top"), _Layer.of(fixed)
     (moving_texture, moving_first), (fixed_texture, fixed_first) = (layer.texture(_SEARCH_UM) for layer in layers)
     search = search_place(
         moving_texture, fixed_texture, mirrored=None if fit_params.mirror else mirrored,
@@ -118,18 +116,13 @@ def register_texture(
         raise CannotRegister(_undecided(search, fixed_first, moving_texture))
     best = search.best
     place = _moved(best.place, moving_first, fixed_first)
-    face = f"topography_{'bottom' if mirrored else 'top'}"
-    face = face if face in layers[0].faces else ""
+    face = next(iter(layers[0].faces), "")
     moving_texture, moving_first = layers[0].texture(_FINE_UM, face)
     fixed_texture, fixed_first = layers[1].texture(_FINE_UM)
     place = _moved(place, -moving_first, -fixed_first)
-    place = tuned_place(moving_texture, fixed_texture, best.name, place, reach_um=_TUNED_UM)
     light = (f"{face}_x", f"{face}_y") if face else ()
+    place = tuned_place(moving_texture, fixed_texture, best.name, place, reach_um=_TUNED_UM, light=light)
     tiles = tile_places(moving_texture, fixed_texture, best.name, place, light=light)
-    for _ in range(_ROUNDS if light else 0):  # the light is known the better, the nearer the place
-        lag_um = np.median(tiles.fixed_um - place(tiles.moving_um), axis=0)
-        place = replace(place, shift_um=tuple((np.array(place.shift_um) + lag_um).tolist()))
-        tiles = tile_places(moving_texture, fixed_texture, best.name, place, light=light)
     if len(tiles.moving_um) < _LEAST_TILES:
         raise CannotRegister(
             f"The texture shows the place of the sheet, but {len(tiles.moving_um)} parts of it by themselves, and "
@@ -148,8 +141,9 @@ def register_texture(
     for side in ("moving", "fixed"):
         marks[f"{side}_source"] = marks[f"{side}_source"].copy(data=np.where(is_tile, "tile", "detected"))
     return Registration(
-        fit=fit, marks=with_residuals(marks, fit), source="texture", sentence=_decided(search, tiles.r, count)
-    )
+        fit=fit, marks=with_residuals(marks, fit), source="texture", sentence=_decided(search, tiles.r, count),
+        false_probability=search.false_probability,
+    )  # fmt: skip
 
 
 def uses_texture(layer: Layer, fixed: Layer, holes: LayerHoles, study: Study) -> bool:

@@ -1,0 +1,92 @@
+"""A sheet in an image by texture alone: fields of known rotation, scale and place, and fields that share nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy import ndimage
+
+import planish as pl
+from planish.core.errors import CannotRegister, InputError
+from planish.core.transform import Similarity, nearest_similarity
+
+PIXEL_UM = 6.0
+
+
+def field(shape, seed):
+    """A field whose correlation falls to half within some 15 um."""
+    rng = np.random.default_rng(seed)
+    smooth = ndimage.gaussian_filter(rng.standard_normal(shape), 2.2) + 0.3 * ndimage.gaussian_filter(
+        rng.standard_normal(shape), 8.0
+    )
+    return (smooth - smooth.mean()) / smooth.std()
+
+
+def pair(*, place, r, seed=1, shape=(200, 250), image_shape=(330, 360)):
+    """Flat maps of a sheet and an image in which it lies at a place, with a correlation of its textures."""
+    sheet = field(shape, seed)
+    y, x = (np.arange(n) * PIXEL_UM for n in image_shape)
+    xy = place.inverse(np.stack(np.meshgrid(x, y), axis=-1))
+    at = np.moveaxis(xy / PIXEL_UM, -1, 0)[::-1]
+    seen = ndimage.map_coordinates(sheet, at, order=3, mode="constant", cval=np.nan)
+    noise = field(image_shape, seed + 100)
+    image = np.where(np.isfinite(seen), r * np.nan_to_num(seen) + np.sqrt(1 - r**2) * noise, noise)
+    v, u = (np.arange(n) * PIXEL_UM for n in shape)
+    maps = xr.Dataset({"thickness": (("v", "u"), 80 + 5 * sheet)}, coords={"v": v, "u": u})
+    maps["valid"] = (("v", "u"), np.ones(shape, bool))
+    attrs = {"pixel_um": [PIXEL_UM] * 2}
+    return maps, xr.DataArray(100 + 10 * image, coords={"y": y, "x": x}, dims=("y", "x"), attrs=attrs)
+
+
+def placed(rotation_deg, *, scale=1.0, mirrored=False, at=(1060.0, 980.0)):
+    turn = Similarity(scale=scale, rotation_rad=np.deg2rad(rotation_deg), mirrored=mirrored)
+    return nearest_similarity(turn.matrix(), np.array([747.0, 597.0]), np.array(at))
+
+
+CORNERS = np.array([[100.0, 100.0], [1400.0, 100.0], [100.0, 1100.0], [1400.0, 1100.0]])
+
+
+@pytest.mark.parametrize(
+    ("place", "r", "limit_um"),
+    [
+        (placed(0.0), 0.6, 3.5),
+        (placed(137.0, scale=1.018), 0.6, 3.5),
+        (placed(-61.0, scale=0.985, mirrored=True), -0.6, 3.5),
+        (placed(203.0, at=(820.0, 800.0)), 0.35, 6.0),
+    ],
+)
+def test_the_place_is_found_at_any_rotation_hand_and_scale_and_with_either_sign(place, r, limit_um):
+    maps, image = pair(place=place, r=r)
+    found = pl.register_texture(maps, image, mirrored=place.mirrored)
+    off_um = np.linalg.norm(found(CORNERS) - place(CORNERS), axis=1)
+    stated_um = found.fit.expected_error_um(CORNERS)
+    assert off_um.max() < limit_um
+    assert np.sqrt(np.mean(off_um**2)) < 3.0 * np.sqrt(np.mean(stated_um**2))
+    assert found.source == "texture"
+    assert found.false_probability < 1e-6
+    assert set(found.marks["moving_source"].values) == {"tile"}
+    assert "moving_diameter" not in found.marks
+
+
+@pytest.mark.parametrize("seed", [2, 3, 4])
+def test_an_image_of_something_else_is_refused_with_its_best_places(seed):
+    maps, _ = pair(place=placed(20.0), r=0.6, seed=seed)
+    _, image = pair(place=placed(20.0), r=0.6, seed=seed + 50)
+    with pytest.raises(CannotRegister, match="No place of the sheet in the image stands out") as refused:
+        pl.register_texture(maps, image)
+    assert "standard deviations of chance" in str(refused.value)
+
+
+def test_the_other_hand_is_found_only_where_it_is_asked_for():
+    maps, image = pair(place=placed(40.0, mirrored=True), r=0.6)
+    with pytest.raises(CannotRegister):
+        pl.register_texture(maps, image)
+    found = pl.register_texture(maps, image, params=pl.RegistrationParams(mirror=True))
+    assert found.fit.mirrored
+
+
+def test_maps_without_a_thickness_are_refused():
+    maps, image = pair(place=placed(0.0), r=0.6)
+    with pytest.raises(InputError, match="no thickness"):
+        pl.register_texture(maps.rename(thickness="gloss"), image)
