@@ -10,6 +10,7 @@ from scipy import ndimage
 import planish as pl
 from planish.core.errors import CannotRegister, InputError
 from planish.core.transform import Similarity, nearest_similarity
+from planish.register import RegistrationParams
 
 PIXEL_UM = 6.0
 
@@ -82,7 +83,7 @@ def test_the_other_hand_is_found_only_where_it_is_asked_for():
     maps, image = pair(place=placed(40.0, mirrored=True), r=0.6)
     with pytest.raises(CannotRegister):
         pl.register_texture(maps, image)
-    found = pl.register_texture(maps, image, params=pl.RegistrationParams(mirror=True))
+    found = pl.register_texture(maps, image, params=RegistrationParams(mirror=True))
     assert found.fit.mirrored
 
 
