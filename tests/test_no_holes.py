@@ -1,0 +1,71 @@
+"""A sheet of fibres without holes, linked by its texture as a user would; and an image of another sheet, refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import planish as pl
+from planish.core.errors import CannotRegister
+from planish.synthetic import DEMO, make_specimen, write_instruments
+
+pytestmark = pytest.mark.study
+
+
+def written(folder, seed):
+    """Files of a specimen of the demo without holes, turned by any angle under the camera."""
+    holes, camera = replace(DEMO.holes, count=0), replace(DEMO.camera, turn_range_deg=180.0)
+    size = replace(DEMO, seed=seed, size_um=(1500.0, 1200.0), holes=holes, camera=camera)
+    specimen = make_specimen(size)
+    return specimen, write_instruments(specimen, folder, volume="stack")
+
+
+@pytest.fixture(scope="module")
+def linked(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("no_holes")
+    specimen, files = written(folder / "files", 5)
+    return specimen, files, pl.link(files.volume, files.image)
+
+
+def test_a_sheet_without_holes_is_linked_and_says_how_well(linked):
+    specimen, _, run = linked
+    maps, truth = run.groups["linked"], specimen.truth
+    off_um = np.hypot(maps["volume_x"] - truth["volume_x"], maps["volume_y"] - truth["volume_y"]).values
+    valid = maps["valid"].values
+    stated_um = maps["expected_error"].values[valid]
+    assert np.median(off_um[valid]) < 2.5
+    assert np.percentile(off_um[valid], 95) < 6.0
+    assert np.sqrt(np.mean(off_um[valid] ** 2)) < 2.0 * np.sqrt(np.mean(stated_um**2))
+    facts = run.results.layers[0].registration
+    assert (facts.source, facts.false_probability < 1e-6) == ("texture", True)
+    assert "Found by texture" in facts.match_sentence
+
+
+def test_checks_rest_on_the_search_and_r_is_held_out(linked):
+    _, _, run = linked
+    states = {check.name: check.state for check in run.results.checks}
+    assert (states["side and specimen"], states["position by texture"]) == ("pass", "unknown")
+    assert "fail" not in states.values()
+    held_out = run.results.layers[0].registration.held_out
+    assert held_out.registration in ("refined (cross-fitted)", "refined (searched null)")
+    assert 0.3 < held_out.r < 0.95
+
+
+def test_marks_are_tiles_and_are_read_again(linked, tmp_path):
+    _, _, run = linked
+    registration = run.registrations["sheet"]
+    registration.save(tmp_path / "marks.json")
+    read = pl.Registration.read(tmp_path / "marks.json")
+    assert set(read.marks["moving_source"].values) == {"tile"}
+    np.testing.assert_allclose(read([[500.0, 400.0]]), registration([[500.0, 400.0]]), atol=1e-6)
+
+
+def test_an_image_of_another_sheet_is_refused(linked, tmp_path):
+    _, files, run = linked
+    _, other = written(tmp_path / "other", 6)
+    with pytest.raises(CannotRegister, match="stands out by its texture"):
+        pl.register_texture(run.groups["maps"], pl.read_image(other.image))
+    with pytest.raises(CannotRegister, match="No hole found"):
+        pl.link(files.volume, other.image, registration={"by": "holes"})
