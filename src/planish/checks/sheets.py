@@ -167,7 +167,7 @@ def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
     mean_grey = float(np.median(mean))
     inwards = np.copysign(1.0, mean_grey - greys.air)
     doubt = 3.0 * np.nanstd(profiles, axis=1, dtype=np.float64) / root_n
-    is_dark = ((inwards * (mean_grey - mean) - doubt) / abs(mean_grey - greys.air)).max(axis=1) > 0.5
+    is_dark = ((inwards * (mean_grey - mean) - doubt) / abs(mean_grey - greys.air)).max(axis=1) > 0.4
     n_dark = _largest_cluster(*(numbers[is_seen][is_dark] for numbers in core.tiles))
     median_profiles = np.nanmedian(profiles, axis=1)
     # What the scatter of a tile's columns leaves open of their median, 3 standard errors: 1.86 is 1.4826 of the median
