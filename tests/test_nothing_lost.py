@@ -53,7 +53,7 @@ def test_too_few_holes_or_useless_marks_are_refused_before_the_volume_is_mapped(
     two = image_with(tmp_path / "two.tif", [(300, 300), (900, 600)])
     maps = tmp_path / "run-map"
     then = (f"planish map {specimen_files[0]} --out {maps}", f"planish view {maps} {two}")
-    refuses("link", specimen_files[0], two, words=("Only 2 holes found in the image", *then))
+    refuses("link", specimen_files[0], two, "--by", "holes", words=("Only 2 holes found in the image", *then))
     rows = ["label,volume_x_um,volume_y_um,volume_z_um,fixed_x_um,fixed_y_um", "a,1,1,1,1,1", "b,9,9,9,9,9"]
     (tmp_path / "m.csv").write_text("\n".join(rows))
     refuses("link", *specimen_files, "--marks", tmp_path / "m.csv", words="2 pairs of marks in use")

@@ -18,7 +18,7 @@ from planish.core.options import params_of
 from planish.core.transform import Similarity
 from planish.core.typing import Array, Bools, Floats
 from planish.marks.exchange.model import join_holes
-from planish.register import RegistrationParams, fit_pairs
+from planish.register import RegistrationParams, fit_pairs, need_holes
 from planish.run.layers import Layer, LayerHoles
 from planish.run.registration import Registration, with_residuals
 from planish.run.study import Study
@@ -156,17 +156,25 @@ def uses_texture(layer: Layer, fixed: Layer, holes: LayerHoles, study: Study) ->
 
 def register_layers_by_texture(layer: Layer, fixed: Layer, holes: LayerHoles, study: Study) -> Registration:
     """Register one layer of a link to another one by the texture of both; what holes there are is masked."""
-    if fixed.image is None:
-        raise CannotRegister(
-            f"The texture is searched in an image, and {fixed.name} is a sheet. Give the image as the last layer, or "
-            "marks (--marks)."
-        )
-    moving, image = layer.groups["maps"] if layer.image is None else layer.shown, fixed.shown
-    assert isinstance(moving, xr.Dataset | xr.DataArray)
-    assert isinstance(image, xr.DataArray)
     pair = holes.of(layer, fixed), holes.of(fixed, layer)
-    is_mirrored = layer.side != fixed.side
-    return register_texture(moving, image, params=study.registration, mirrored=is_mirrored, holes=pair)
+    try:
+        if fixed.image is None:
+            raise CannotRegister(
+                f"The texture is searched in an image, and {fixed.name} is a sheet. Give the image as the last layer, "
+                "or marks (--marks)."
+            )
+        moving, image = layer.groups["maps"] if layer.image is None else layer.shown, fixed.shown
+        assert isinstance(moving, xr.Dataset | xr.DataArray)
+        assert isinstance(image, xr.DataArray)
+        is_mirrored = layer.side != fixed.side
+        return register_texture(moving, image, params=study.registration, mirrored=is_mirrored, holes=pair)
+    except CannotRegister as error:
+        for layer_holes in pair if study.registration.by == "auto" else ():
+            try:
+                need_holes(layer_holes, holes.params.hole_um)
+            except CannotRegister as too_few:
+                raise CannotRegister(f"{too_few.text} {error.text}") from error
+        raise
 
 
 def _tiles(um: Floats, covariance_um2: Floats, holes: xr.Dataset | None, layer: str) -> xr.Dataset:
