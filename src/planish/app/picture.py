@@ -55,10 +55,7 @@ def layer_run(run: Path, layer: str) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class Codes:
-    """Values as whole numbers of 16 bits: 0 is missing, k from 1 on is ``offset + scale * (k - 1)``.
-
-    The first and the last code also stand for all values beyond them.
-    """
+    """Values in 16 bits: 0 is missing, k from 1 on ``offset + scale * (k - 1)``; the ends stand for all beyond, too."""
 
     offset: float
     scale: float

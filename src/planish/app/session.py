@@ -125,10 +125,7 @@ class Session:
         return "image" if facts is None else facts.to
 
     def shown_by(self, layer: str, plane: Plane) -> tuple[Plane, str]:
-        """Plane and layer of the pictures on which the ends of a layer's marks lie.
-
-        In a chain a layer is registered to the next one, on that one's own plane.
-        """
+        """Plane and layer of the pictures on which ends of a layer's marks lie: in a chain, the next layer's own."""
         if plane == "moving":
             return "moving", layer
         target_layer = self.target(layer)
@@ -256,7 +253,6 @@ class Session:
                 ) from error
 
     def _original_state(self) -> State:
-        """The run as it was."""
         regions: list[DrawnRegion] = []
         for region in read_regions(self.folder / REGIONS).declared if self.results.regions else ():
             for polygon, *holes in ([*map(_ring, rings)] for rings in region.polygons):

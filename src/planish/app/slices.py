@@ -91,10 +91,7 @@ class SlicedSheet:
 
     @classmethod
     def open(cls, name: str, params: VolumeParams, store: Path) -> Self:
-        """Open the volume and the surfaces of a sheet.
-
-        FileError where the volume is not there any more, is damaged, or is a folder of serial sections.
-        """
+        """Open volume and surfaces of a sheet; FileError where the volume is gone, damaged, or serial sections."""
         path = find_place(params.path).path
         if is_section_folder(path):
             raise FileError(
@@ -258,7 +255,6 @@ class SlicedSheet:
         return slice(voxels.start // self.step, min(-(-voxels.stop // self.step), self._columns_um(axis).size))
 
     def _surfaces_in(self, rows: slice, cols: slice, names: Sequence[str] | None = None) -> xr.Dataset:
-        """A window of the surfaces, in memory."""
         all_names = [str(name) for name in self.surfaces.data_vars]
         names = names or [name for name in all_names if name in _READ_NAMES or name.startswith(_READ_PREFIXES)]
         return self.surfaces[list(names)].isel(y=rows, x=cols).load()

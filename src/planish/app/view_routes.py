@@ -102,7 +102,6 @@ def _picture(request: Request, key: str) -> PlanePicture:
 
 
 def _picture_pair(request: Request) -> tuple[PlanePicture, PlanePicture]:
-    """Two pictures on the same pixels."""
     a, b = _picture(request, "a"), _picture(request, "b")
     if b not in _tiles(request).pictures.on_same_pixels(a):
         raise InputError(f"{a.name} and {b.name} do not lie on the same pixels. Choose two layers of one plane.")

@@ -67,8 +67,7 @@ class Option(click.Option):
 class Value(click.ParamType[Any]):
     """A value of a field's own type, checked by its limits.
 
-    Several numbers are separated by commas; one stands for all of them where ``repeat`` is set, and the word none for
-    no number where any count will do.
+    Commas separate numbers; with ``repeat`` one stands for all; the word none is for no number where any will do.
     """
 
     name = "value"

@@ -242,7 +242,6 @@ def compare(
 
 
 def _show(results: SeriesResults) -> None:
-    """Print the specimens, the means over sheets and the differences."""
     from planish.report import series_words as words
 
     quantities = results.quantities

@@ -206,10 +206,7 @@ def writer_of(name: str) -> Callable[..., Any]:
 
 
 def is_file(name: str, out: Path) -> bool:
-    """Tell whether a path asks for one file of a format; otherwise it is a folder of such files.
-
-    FileError where it ends as files of another format do, or any file.
-    """
+    """Tell whether a path asks for one file of a format and no folder; FileError where it ends as other files do."""
     form, low = FORMATS[name], out.name.lower()
     endings = [(end, other) for other in FORMATS for end in FORMATS[other].suffixes if low.endswith(end)]
     longest = max((len(end) for end, _ in endings), default=0)

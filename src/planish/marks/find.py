@@ -45,8 +45,7 @@ def find_holes(
     Parameters
     ----------
     image : array-like, shape (rows, columns)
-        A photograph of the sheet on any grey scale, or a presence map (about 1 where there is sheet, about 0 in holes).
-        NaN where there is no data.
+        A photograph of the sheet on any grey scale, or a presence map (about 1 in sheet, 0 in holes); NaN: no data.
     pixel_um : float or (float, float), in um
         Pixel size, one value or ``(y, x)``; pixel ``i`` has its centre at ``i * pixel_um``.
     diameter_um : tuple of float, in um

@@ -155,9 +155,8 @@ def _overlapping(marks: Floats, holes: Floats) -> Ints:
 class TypicalHole(NamedTuple):
     """Typical figures of the holes of one image; levels are times the sign of the holes.
 
-    ``floor_slope``: how much the floor brightens with the sheet around; ``floor_scatter``: robust standard deviation of
-    the floors, share of the depth; ``burnt_share``, ``rim_share``: shares of the depth that the burnt sheet takes, that
-    remain at the rim.
+    ``floor_slope``: how the floor brightens with the sheet around; ``floor_scatter``: robust sd of the floors, share of
+    the depth; ``burnt_share``, ``rim_share``: shares of the depth that the burnt sheet takes, that remain at the rim.
     """
 
     floor_level: float

@@ -67,8 +67,7 @@ class MapPair:
 def block_means(a: xr.DataArray, b: xr.DataArray, *, point_um: float, valid: Sequence[xr.DataArray] = ()) -> Points:
     """Average two maps (y, x) on one grid over points of ``point_um``, over the pixels that are known in both.
 
-    ``valid`` are masks of pixels that count. Points that are less than half known do not count; there are none where
-    they would be smaller than pixels.
+    ``valid`` are masks of pixels that count. Points less than half known do not count; none are smaller than pixels.
     """
     factors = [point_um / pitch(a[axis].values) for axis in ("y", "x")]
     if min(factors) < 1 - 1e-9:

@@ -80,8 +80,7 @@ def find_places(uv: Floats, grid: Grid, *, least_um: float | None = None, method
     Raises
     ------
     SurfaceError
-        The grid is empty or too large, the mesh is not (rows, cols, 2) or has more than 2^30 nodes, or there is
-        nothing to triangulate.
+        The grid is empty or too large, the mesh is not (rows, cols, 2), has over 2^30 nodes or no triangle.
 
     Notes
     -----

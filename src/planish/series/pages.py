@@ -66,9 +66,7 @@ def write_series(members: Sequence[Member], home: Path, declared: Declared, out:
     FileError, ResourceError
         If a file cannot be written.
 
-    Notes
-    -----
-    The same runs give the same bytes, on every machine and in any order of work; those of the Parquet file hold for one
+    Notes ----- The same runs give the same bytes, on every machine and in any order of work; the Parquet file, for one
     version of pyarrow.
     """
     gathered = gather(members, home)
@@ -126,9 +124,6 @@ def _read_map(store: Path, kind: RunKind, quantity: Quantity) -> xr.DataArray | 
                 values = np.where(data["valid"].values.astype(bool), values, np.nan)
             return data[name].copy(data=values)
     return None
-
-
-# --- tables ----------------------------------------------------------------------------------------------------------
 
 
 def factor_columns(factors: Sequence[str], columns: Sequence[str] = ("specimen", *_OF_A_ROW)) -> list[str]:

@@ -27,10 +27,7 @@ _DEEPEST = (2.5, 10.5)  # height of a sheet before the press over its solid thic
 
 @dataclass(frozen=True, kw_only=True)
 class Structure:
-    """Density of a base (rows, cols, cells) uint8, wall 100, in cells of ``cell_um`` whose lowest begins at ``low_um``.
-
-    Heights count as those of the sheet's faces.
-    """
+    """Density of a base (rows, cols, cells) uint8, wall 100, in cells of ``cell_um`` from ``low_um`` up, as faces."""
 
     density: NDArray[np.uint8]
     low_um: float
@@ -130,7 +127,6 @@ class FibreMat:
         return shares, np.minimum(top, ground + shares.shape[2] * p.cell_um)
 
     def _drawn(self, shape: tuple[int, int], solid_um: float, rng: np.random.Generator) -> tuple[Floats, ...]:
-        """Draw lengths, widths, walls and lumens of more fibres than are laid."""
         p, pitch = self._fibres, self._pitch
         area = float(shape[0] * shape[1]) * pitch**2
         volume_um3, batches = 0.0, list[tuple[Floats, ...]]()

@@ -41,9 +41,8 @@ def write_instruments(
 ) -> InstrumentFiles:
     """Write a volume as ``volume`` says, and an image: ``image.tif``.
 
-    "stack": ``volume.tif`` with ImageJ's calibration; "scanner": slices and a log file as NRecon writes them, across
-    the axis of rotation, so that their rows run through the sheet; "sections": photographs with the microtome's
-    counter.
+    "stack": ``volume.tif`` with ImageJ's calibration; "scanner": slices and a log as NRecon writes them, across the
+    axis of rotation, so their rows run through the sheet; "sections": photographs with the microtome's counter.
     """
     folder.mkdir(parents=True, exist_ok=True)
     write = {"stack": _write_stack, "scanner": _write_scan, "sections": _write_sections}[volume]

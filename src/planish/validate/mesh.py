@@ -18,10 +18,7 @@ _FEW_STEPS = 5000  # three times what the right reading needs to come to rest
 
 
 def mesh_values(seed: int, *, once: bool) -> Values:
-    """Figures of the mesh for one random deformation; with ``once`` also those that no seed changes.
-
-    Errors are shares of the true size in per cent, places are in pitches.
-    """
+    """Figures of one random deformation, sizes in %, places in pitches; ``once``: also those that no seed changes."""
     start, rest = deformed(seed)
     flat = grid(ROWS, COLS)
     if once:  # the first call compiles, which is no part of the time

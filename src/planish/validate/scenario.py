@@ -74,10 +74,7 @@ _KNOWN: dict[str, tuple[Mapping[str, Any], str]] = {
 
 
 class Limit(Params, populate_by_name=True):
-    """Bound of a figure: ``limit`` holds its absolute value from above, ``least`` the value itself from below.
-
-    ``from`` names where the bound comes from.
-    """
+    """Bound of a figure: ``limit`` of its absolute value from above, ``least`` of it from below; ``from``: origin."""
 
     limit: float | None = None
     least: float | None = None
