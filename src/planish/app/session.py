@@ -156,9 +156,7 @@ class Session:
     @cached_property
     def image(self) -> xr.DataArray | None:
         """The image of a link that was refused, as the link reads it; None for a run."""
-        if self.image_params is None:
-            return None
-        return read_image(self.image_params.path, **self.image_params.how)
+        return self.image_params and read_image(self.image_params.path, **self.image_params.how)
 
     def holes(self, layer: str) -> dict[Plane, xr.Dataset]:
         """All holes that were found in both planes, matched or not: ``x``, ``y``, ``diameter`` in um, covariances."""

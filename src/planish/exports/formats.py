@@ -32,9 +32,7 @@ class ExportFormat:
     writer: str  #: the function that writes it: ``module:function`` of this package
     holds: tuple[Holds, ...] = ("maps",)  #: the first is what is meant where nothing else is asked for
     suffixes: tuple[str, ...]  #: ends of the names of its files, the usual one first; none: it is always a folder
-    #: Of one that is always a folder: ends of the files of a registration. Those behind the first one are there only
-    #: where no affine map is all of it.
-    endings: tuple[str, ...] = ()
+    endings: tuple[str, ...] = ()  #: of files of a registration; all but the first only where it is not affine
     is_folder: bool = False  #: whether what has such a name is a folder
     stack: bool = False  #: whether one file holds several maps
     apart: bool = True  #: whether a folder gets a file for each map, or direction of a registration, not one for all
@@ -45,9 +43,7 @@ class ExportFormat:
     most: int | None = None  #: largest map in pixels, or surface in nodes, held in memory; None: written part by part
     byte_cost: int = 0  #: bytes of memory that a pixel or node of such a map takes
     needs: str | None = None  #: library of the extra ``export``
-    options: tuple[
-        str, ...
-    ] = ()  #: options of :class:`ExportParams` that mean something for some formats, and for this
+    options: tuple[str, ...] = ()  #: those of :class:`ExportParams` that are for some formats, and for this
     note: str = ""  #: what has to be known when the files are used
 
     @property

@@ -101,7 +101,7 @@ class Level:
         return self.inside(is_held)
 
 
-def of_springs(nodes: NDArray[Any], pair: Callable[..., Any], out: NDArray[Any]) -> NDArray[Any]:
+def of_springs(nodes: NDArray[Any], pair: Callable[[Any, Any], Any], out: NDArray[Any]) -> NDArray[Any]:
     """Set ``out`` (4, rows, cols) to ``pair`` of the two ends of each spring."""
     out[0, :, :-1] = pair(nodes[:, :-1], nodes[:, 1:])
     out[1, :-1] = pair(nodes[:-1], nodes[1:])

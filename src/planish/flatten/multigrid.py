@@ -213,8 +213,7 @@ class Multigrid:
         # The level below is corrected twice where it counts: else its own errors, and those below it, add up.
         level = self.levels[k]
         if depth > 1 and k >= self._first_small:
-            # ``descend`` takes eight levels, the last one repeated: another number would be compiled anew. No mesh has
-            # more that are the work of one thread.
+            # ``descend`` takes eight levels, the last repeated, lest it is compiled anew; one thread has no more.
             n_coarser = len(self.levels) - 1 - k
             descent_levels = [*self.levels[k:], *self.levels[-1:] * (7 - n_coarser)]
             array_names = ("near", "stiff", "ease", "force", "move", "alone", "cols")

@@ -31,10 +31,7 @@ _LEFT, _RIGHT = 85.0, 635.0
 
 @dataclass(frozen=True)
 class MapPair:
-    """Two maps (y, x) on one grid, their correlations from the pixel to the largest points, and masks of valid pixels.
-
-    ``density`` (g/cm3) turns map a, a thickness, into g/m2 where it is drawn.
-    """
+    """Two maps (y, x) on one grid, correlations from the pixel up, masks; ``density`` (g/cm3) turns map a into g/m2."""
 
     a: xr.DataArray
     b: xr.DataArray

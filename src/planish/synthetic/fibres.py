@@ -127,6 +127,7 @@ class FibreMat:
         return shares, np.minimum(top, ground + shares.shape[2] * p.cell_um)
 
     def _drawn(self, shape: tuple[int, int], solid_um: float, rng: np.random.Generator) -> tuple[Floats, ...]:
+        """Draw lengths, widths, walls and lumens of more fibres than are laid."""
         p, pitch = self._fibres, self._pitch
         area = float(shape[0] * shape[1]) * pitch**2
         volume_um3, batches = 0.0, list[tuple[Floats, ...]]()

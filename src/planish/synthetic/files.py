@@ -180,10 +180,7 @@ def write_specimen(options: SpecimenOptions, folder: Path, *, progress: Callable
 
 
 def write_nodes(specimen: Specimen, path: Path) -> None:
-    """Write nodes of the centre surface as ``.npz``: a specimen that is too large for voxels.
-
-    ``points`` (rows, cols, 3) as x, y, z, ``u`` and ``v`` of each, and ``coating_top``; all in um.
-    """
+    """Write ``.npz`` for a sheet too large for voxels: ``points`` (rows, cols, 3), ``u, v``, ``coating_top``; um."""
     x, y, _ = specimen.extent_um
     columns = specimen.warp.columns(np.arange(0.0, y, _NODES_UM), np.arange(0.0, x, _NODES_UM))
     u, v = columns[..., 0], columns[..., 1]

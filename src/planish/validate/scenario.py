@@ -112,8 +112,7 @@ class Scenario(Params):
 
     name: str
     title: str
-    # {"line", "pair", "mesh"}: the whole line through files; two volumes of one sheet, linked; or the relaxation of
-    # the spring mesh alone.
+    # {"line", "pair", "mesh"}: the line through files; two linked volumes of one sheet; the spring mesh alone.
     kind: Literal["line", "pair", "mesh"] = "line"
     preset: str = "wfc135"  # paper, a key of :data:`planish.synthetic.presets.PRESETS`
     # ``T0`` to ``T3``, or the lateral extent (x, y) in um.
