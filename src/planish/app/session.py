@@ -59,11 +59,11 @@ class Session:
     folder: Path  #: the run; a map where ``image_params`` is given
     study: Study
     results: Results
-    registrations: dict[str, Registration]  #: by the moving layer; empty for a map and an image that were never linked
+    registrations: dict[str, Registration]  #: by the moving layer; empty where none was ever linked
     image_params: ImageParams | None  #: of a link that was refused at the marks
     journal: Journal
     reason: str  #: why nothing can be changed; empty where it can
-    version: int = 0  #: lines of the journal, and one more for everything since that a window has to show
+    version: int = 0  #: lines of the journal, and all since that a window has to show
     changed_at: int = 0  #: version of the last change: what was asked for before is stale
     _states: list[State] = field(default_factory=list[State])
     _position: int = 0

@@ -55,7 +55,7 @@ class SliceFacts(ResultModel):
     """A slice and what was found in it; a value of 16 bits stands for ``offset + scale * value``."""
 
     layer: str
-    direction: Direction  # axis across the slice; or straightened along the normals of the centre surface
+    direction: Direction  # axis across the slice; or straightened along normals
     normal: Axis  # along which slices of this direction follow each other
     index: int
     at_um: float  # place along the normal
@@ -64,7 +64,7 @@ class SliceFacts(ResultModel):
     scale: float
     offset: float
     missing: int  # value of voxels that are missing; -1 where there are none
-    lines: tuple[str, ...] = ()  # names of the lines, float32 each, one value a column of the surfaces
+    lines: tuple[str, ...] = ()  # names; float32 each, one value a column of the surfaces
     columns: AxisFacts | None = None  # these columns along ``across``
     segments: dict[str, int] = Field(default_factory=dict[str, int])  # of each contour of a slice along the sheet
 

@@ -29,18 +29,18 @@ class ExportFormat:
     """A format of an export."""
 
     title: str  #: its name in messages and documents
-    writer: str  #: the function that writes it: ``module:function`` of this package
+    writer: str  #: ``module:function`` of this package
     holds: tuple[Holds, ...] = ("maps",)  #: the first is what is meant where nothing else is asked for
     suffixes: tuple[str, ...]  #: ends of the names of its files, the usual one first; none: it is always a folder
     endings: tuple[str, ...] = ()  #: of files of a registration; all but the first only where it is not affine
     is_folder: bool = False  #: whether what has such a name is a folder
     stack: bool = False  #: whether one file holds several maps
-    apart: bool = True  #: whether a folder gets a file for each map, or direction of a registration, not one for all
+    apart: bool = True  #: whether a folder gets a file for each map, or direction, not one for all
     shows_limits: bool = False  #: whether its file says between which limits a map is shown first
     gives: str  #: for the documents: what is written
     opens: str  #: for the documents: programs that open it
     missing: str = "NaN"  #: for the documents: how a missing value is written
-    most: int | None = None  #: largest map in pixels, or surface in nodes, held in memory; None: written part by part
+    most: int | None = None  #: most pixels or nodes held in memory; None: written part by part
     byte_cost: int = 0  #: bytes of memory that a pixel or node of such a map takes
     needs: str | None = None  #: library of the extra ``export``
     options: tuple[str, ...] = ()  #: those of :class:`ExportParams` that are for some formats, and for this

@@ -30,7 +30,7 @@ class Surface:
 
     data: xr.Dataset  #: heights and maps (y, x) on the columns of the volume, in um; the frame in its attributes
     name: str  #: one of `SURFACES`
-    maps: tuple[str, ...]  #: that its nodes carry; the first one is their colour where the format has a colour only
+    maps: tuple[str, ...]  #: that its nodes carry; the first is their colour where there is one
     scales: Mapping[str, Scale]  #: limits and colours of maps, by name
 
 
@@ -39,7 +39,7 @@ class SurfaceMesh:
     """A mesh."""
 
     points: NDArray[np.float32]  # (n, 3): x, y, z in um
-    quads: NDArray[np.int32]  # (m, 4): nodes of each cell; seen from outside of the sheet they run anticlockwise
+    quads: NDArray[np.int32]  # (m, 4): nodes of each cell, anticlockwise as seen from outside
     maps: dict[str, NDArray[np.float32]]  # (n,), by name and unit (``coating_top_um``); NaN is missing
     colours: NDArray[np.uint8] | None  # (n, 3): red, green, blue of the first map
     description: str  # what places and colours are, in one line

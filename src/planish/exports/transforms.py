@@ -56,7 +56,7 @@ class DisplacementField:
     origin_um: tuple[float, float]  # place of the first node, (x, y)
     pitch_um: float  # distance of nodes
     error_um: float  # largest error in the middle of a cell, over the source layer
-    n_filled: int  # nodes at which the transformation has no value, so that the affine map stands there
+    n_filled: int  # nodes without a value, where the affine map stands
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -27,7 +27,7 @@ Indices = NDArray[np.int32]
 Method = Literal["quads", "delaunay"]
 Result = TypeVar("Result")
 
-_SEGMENT = 32  # quads whose extent is known together: passed over at once where they do not touch a band of pixels
+_SEGMENT = 32  # quads whose extent is known together, passed over where they touch no band of pixels
 _LEAST_ROWS = 32  # of a band: below that, starting a thread takes longer than the work
 
 

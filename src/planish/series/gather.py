@@ -39,7 +39,7 @@ class FigureRow:
     map: str = ""  #: likewise; empty also where it is of a registration
     other_layer: str = ""  #: of the second of two maps that were compared
     other_map: str = ""  #: the second of two maps that were compared
-    at_um: float | None = None  #: limit of a thin share, edge of the points of a correlation, longest wave of an octave
+    at_um: float | None = None  #: limit of a thin share, edge of points, longest wave of an octave
     low: float | None = None  #: end of its 95 % interval, where it has one
     high: float | None = None  #: as ``low``
     trust: Trust = "ok"
