@@ -32,7 +32,7 @@ class ExportFormat:
     writer: str  #: ``module:function`` of this package
     holds: tuple[Holds, ...] = ("maps",)  #: the first is what is meant where nothing else is asked for
     suffixes: tuple[str, ...]  #: ends of the names of its files, the usual one first; none: it is always a folder
-    endings: tuple[str, ...] = ()  #: of files of a registration; all but the first only where it is not affine
+    endings: tuple[str, ...] = ()  #: of files of a registration; those after the first only if not affine
     is_folder: bool = False  #: whether what has such a name is a folder
     stack: bool = False  #: whether one file holds several maps
     apart: bool = True  #: whether a folder gets a file for each map, or direction, not one for all

@@ -116,7 +116,7 @@ def sheet_facts(run: Run) -> LayerFacts | None:
 def straightened_volume(
     run: Run, depth_um: tuple[float, float] | None, compute: Compute, progress: Progress
 ) -> xr.DataArray:
-    """The volume along the normals, on pixels of the flat maps; InputError without a sheet, FileError if gone."""
+    """Volume along the normals on the flat maps' pixels; InputError without a sheet, FileError if the file is gone."""
     facts = sheet_facts(run)
     if facts is None or "maps" not in run.groups:
         raise InputError(

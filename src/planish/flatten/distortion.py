@@ -235,8 +235,10 @@ def measure_distortion(
     -------
     Distortion
 
-    Notes ----- Noise makes the surface rough and its lengths longer: white noise s on nodes of pitch p lets the sheet
-    grow by some 2/3 (s / p)^2. Growth that the warp does not explain, anisotropy above all, points to noise or jitter.
+    Notes
+    -----
+    Noise makes the surface rough and its lengths longer: white noise s on nodes of pitch p lets the sheet grow by some
+    2/3 (s / p)^2. Growth that the warp does not explain, anisotropy above all, points to noise or jitter of slices.
     """
     strain = cell_strain(points, uv) if strain is None else strain
     area = strain["signed_area"].values

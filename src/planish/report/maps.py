@@ -141,7 +141,7 @@ def _draw_property(
 def draw_side_by_side(
     maps: tuple[xr.DataArray, xr.DataArray], layers: tuple[str, str], *, same_scale: bool, excluded_text: str = HOLES
 ) -> draw.Picture:
-    """Draw two maps (y, x) side by side, NaN where not valid; ``same_scale`` of colours; ``excluded_text``: mask."""
+    """Draw two maps (y, x) side by side, NaN where not valid; ``excluded_text`` says in words what masks leave out."""
     y, x, map_px = maps[0]["y"].values, maps[0]["x"].values, draw.HALF - draw.MARGIN - draw.BESIDE
     shown_maps = [draw.reduced(data.values, y, x, width=map_px) for data in maps]
     map_size = shown_maps[0].fit(map_px, 480.0)

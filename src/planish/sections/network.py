@@ -84,7 +84,7 @@ def slow_part(at_um: Floats, values: Floats, *, cutoff_um: float, weights: Float
     passes; of one twice as long 99.99 % do, of one half as long 2 %.
 
     Whittaker's smoother with a penalty on the fourth derivative (Eilers 2003, Anal. Chem. 75, 3631), applied again to
-    what it left. That is taken by divided differences at the true places, so a gap neither shifts nor bends anything.
+    what it left. Divided differences at the true places make it, so a gap neither shifts nor bends anything.
     """
     n = values.size
     weights = np.ones(n) if weights is None else weights

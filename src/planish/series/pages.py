@@ -51,8 +51,7 @@ def write_series(members: Sequence[Member], home: Path, declared: Declared, out:
     declared : Declared
     out : path
         Folder that is there: report.html, results.json, specimens.csv (a row for each specimen) and values.csv (a row
-        for each figure) are written into it, each whole, over those of an earlier time; values.parquet, too, where
-        pyarrow is installed.
+        for each figure) are written into it, each whole, over earlier ones; with pyarrow, values.parquet, too.
 
     Returns
     -------
@@ -66,8 +65,9 @@ def write_series(members: Sequence[Member], home: Path, declared: Declared, out:
     FileError, ResourceError
         If a file cannot be written.
 
-    Notes ----- The same runs give the same bytes, on every machine and in any order of work; the Parquet file, for one
-    version of pyarrow.
+    Notes
+    -----
+    The same runs give the same bytes on any machine, in any order of work; the Parquet file per version of pyarrow.
     """
     gathered = gather(members, home)
     results = summary_of(gathered, declared)

@@ -74,7 +74,7 @@ _KNOWN: dict[str, tuple[Mapping[str, Any], str]] = {
 
 
 class Limit(Params, populate_by_name=True):
-    """Bound of a figure: ``limit`` of its absolute value from above, ``least`` of it from below; ``from``: origin."""
+    """Bounds of a figure: ``limit`` of its absolute value, ``least`` of its value from below, ``from`` their origin."""
 
     limit: float | None = None
     least: float | None = None

@@ -204,7 +204,7 @@ def holes_of(marks: xr.Dataset, layer: str) -> xr.Dataset:
 def with_holes(marks: xr.Dataset, holes: xr.Dataset, layer: str, *, usual_um: float) -> xr.Dataset:
     """Give marks the diameters of the holes that they lie in, and add the holes in which none of them lies.
 
-    ``holes`` are marks of the layer, with diameters. Known ones of ``marks`` stay; in no hole it is ``usual_um``.
+    ``holes`` are marks of the layer, with diameters. Those known in ``marks`` stay; without a hole, ``usual_um``.
     """
     holes = holes.isel(mark=np.flatnonzero(in_layers(holes, [layer])))
     name, hole_count = f"{layer}_diameter", holes.sizes["mark"]
@@ -244,7 +244,7 @@ def used_pairs(
     Returns
     -------
     Dataset, dims (mark)
-        ``label``, ``fixed_x``, ``fixed_y`` and ``moving_x``, ``moving_y`` or ``volume_x``, ``_y``, ``_z``, in um.
+        ``label``, ``fixed_x, fixed_y`` and ``moving_x, moving_y`` or ``volume_x, volume_y, volume_z``, in um.
 
     Raises
     ------
