@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def draw_first(run_maps: RunMaps, pairs: Mapping[PairKey, MapPair]) -> list[Picture]:
-    """Draw the two maps that lead, on one grid and mask, and the larger points of ``pairs``; nothing withheld."""
+    """Draw the two maps that lead, on one grid and mask, and larger points of ``pairs``; none that is withheld."""
     rows = lead_pair(run_maps.results)
     shown_pair = MapPair.of(run_maps.drawn, rows) if rows else None
     if shown_pair is None:
