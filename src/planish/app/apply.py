@@ -137,7 +137,6 @@ class Applying:
             _wait_and_close(process)
 
     def _follow_progress(self, process: subprocess.Popen[str], out: Path) -> None:
-        """Follow the progress that a process reports until it ends."""
         assert process.stdout is not None
         last_message: dict[str, Any] = {}
         for line in process.stdout:
@@ -174,7 +173,6 @@ class Applying:
 
 
 def _wait_and_close(process: subprocess.Popen[str]) -> None:
-    """Wait for the end of a process, and close what led to it."""
     process.wait()
     with suppress(OSError), process:
         pass

@@ -96,7 +96,6 @@ def _make_run(order: Mapping[str, Any], send: Any) -> None:
 
 
 def _interrupt_after(stream: TextIO) -> None:
-    """Interrupt the work when a stream ends."""
     main_thread = threading.get_ident()
 
     def watch() -> None:

@@ -224,10 +224,7 @@ class State:
 
 
 def applied(state: State, change: Change) -> State:
-    """The state after a change, which does not change the one before.
-
-    ChangeError where it names a mark, layer, correction or region that is not there, or leaves a mark without a place.
-    """
+    """The state after a change; ChangeError where it names what is not there, or leaves a mark without a place."""
     match change:
         case ChooseModel():
             return replace(state, model=change.model)

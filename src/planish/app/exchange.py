@@ -52,8 +52,7 @@ class MarkFile(Part):
 def imported(session: Session, layer: str, file: MarkFile, fixed_file: MarkFile | None = None) -> Import:
     """The marks of a file, in the planes of a registration, as a change.
 
-    ``fixed_file`` is the fixed layer, where a format has one layer a file. FileError, MarkError and SizeError say what
-    is wrong with a file.
+    ``fixed_file``: the fixed layer, of a format with one a file. FileError, MarkError, SizeError for a faulty one.
     """
     with tempfile.TemporaryDirectory(prefix="planish-") as folder:
         uploads = {"marks": file} | ({"second": fixed_file} if fixed_file else {})
@@ -71,10 +70,7 @@ def imported(session: Session, layer: str, file: MarkFile, fixed_file: MarkFile 
 
 
 def exported(session: Session, layer: str, format_name: str, fitted: Fitted) -> tuple[str, bytes]:
-    """Name and bytes of a file with the marks; a ZIP where the format has a file for each layer.
-
-    ChangeError for an unknown format, MarkError where there is no mark that it can hold.
-    """
+    """Name and bytes of a file of marks, or a ZIP; ChangeError for its format, MarkError where it can hold none."""
     if format_name not in TARGETS:
         raise ChangeError(f"Marks are written as {', '.join(TARGETS)}.")
     marks, row_of = session.state.of(layer), {mark.id: k for k, mark in enumerate(fitted.pairs)}

@@ -90,9 +90,7 @@ class Live:
         version, state = session.version, session.state
         fitted_marks = self.fit(layer)
         row_of = {mark.id: k for k, mark in enumerate(fitted_marks.pairs)}
-        fit, transform = fitted_marks.fit, None
-        if fit is not None:  # by which the page lays one picture onto the other
-            transform = asdict(fit.transform.similarity)
+        fit = fitted_marks.fit
         return {
             "version": version, "layer": layer, "model": state.model,
             "marks": [self._row(mark, fitted_marks, row_of.get(mark.id)) for mark in state.of(layer)],
@@ -101,7 +99,7 @@ class Live:
                 "rms_um": finite_or_none(fit and fit.rms_um),
                 "loo_rms_um": finite_or_none(fit and fit.leave_one_out_rms_um),
                 "follows": fitted_marks.is_pending and state.model not in QUICK,
-                "transform": transform,
+                "transform": fit and asdict(fit.transform.similarity),  # lays one picture onto the other
             } | ({"error": fitted_marks.error} if fitted_marks.error else {}),
             "message": fitted_marks.message,
             "warnings": [warning.model_dump(exclude_none=True) for warning in fitted_marks.warnings],

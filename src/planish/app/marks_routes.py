@@ -12,7 +12,6 @@ import numpy as np
 from anyio.to_thread import run_sync
 from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response, StreamingResponse
-from starlette.routing import Route
 
 from planish.app.apply import Applying, Busy, Progress
 from planish.app.changes import FARTHEST_UM, Change, ChangeError, Id, Layer
@@ -21,7 +20,7 @@ from planish.app.live import Live
 from planish.app.picture import PLANES
 from planish.app.session import Stale
 from planish.app.snap import not_snapped, snapped
-from planish.app.view_routes import required_numbers, session_of
+from planish.app.view_routes import required_numbers, route, session_of
 from planish.core.tables import naming_faults
 from planish.marks.exchange import FORMATS
 from planish.marks.exchange.formats import TARGETS
@@ -74,11 +73,6 @@ def get_session(request: Request) -> Response:
         "export_formats": [{"name": name, "title": FORMATS[name].title} for name in TARGETS],
         "pictures": [picture.described() for picture in session.pictures],
     })  # fmt: skip
-
-
-def get_state(request: Request) -> Response:
-    """Give the state as it stands."""
-    return JSONResponse(_state_of(request))
 
 
 def _layer_name(request: Request) -> str:
@@ -183,11 +177,6 @@ def _progress_response(progress: Progress, status: int = 200, **fields: str) -> 
     return JSONResponse(fields | progress.model_dump(exclude_none=True), status)
 
 
-def get_apply(request: Request) -> Response:
-    """Give the progress of the run that is made."""
-    return _progress_response(_applying(request).progress)
-
-
 def post_apply(request: Request) -> Response:
     """Begin to make a run."""
     applying = _applying(request)
@@ -195,11 +184,6 @@ def post_apply(request: Request) -> Response:
         return _progress_response(applying.start(), 202)
     except Busy as error:
         return _progress_response(applying.progress, 409, error=error.text)
-
-
-def post_cancel(request: Request) -> Response:
-    """Stop, and leave nothing."""
-    return _progress_response(_applying(request).cancel())
 
 
 def get_report(request: Request) -> Response:
@@ -216,25 +200,23 @@ def get_report(request: Request) -> Response:
         return PlainTextResponse("The run is not there any more.", 404)
 
 
-def _post(path: str, endpoint: Callable[..., Any]) -> Route:
-    return Route(path, endpoint, methods=["POST"])
-
-
 ROUTES = [
-    Route("/api/session", get_session),
-    Route("/api/state", get_state),
-    Route("/api/events", get_events),
-    _post(
-        "/api/change", _changing(_ChangeBody, lambda r, body: session_of(r).change(body.change, version=body.version))
+    route("/api/session", get_session),
+    route("/api/state", lambda r: JSONResponse(_state_of(r))),
+    route("/api/events", get_events),
+    route(
+        "/api/change",
+        _changing(_ChangeBody, lambda r, body: session_of(r).change(body.change, version=body.version)),
+        "POST",
     ),
-    _post("/api/undo", _changing(_Body, lambda r, body: session_of(r).undo(version=body.version))),
-    _post("/api/redo", _changing(_Body, lambda r, body: session_of(r).redo(version=body.version))),
-    _post("/api/snap", _changing(_SnapBody, _snap)),
-    Route("/api/predict", get_predict),
-    _post("/api/marks/import", _changing(_ImportBody, _import)),
-    Route("/api/marks/export", get_export),
-    Route("/api/apply", get_apply),
-    _post("/api/apply", post_apply),
-    _post("/api/apply/cancel", post_cancel),
-    Route("/report/{ticket}", get_report),
+    route("/api/undo", _changing(_Body, lambda r, body: session_of(r).undo(version=body.version)), "POST"),
+    route("/api/redo", _changing(_Body, lambda r, body: session_of(r).redo(version=body.version)), "POST"),
+    route("/api/snap", _changing(_SnapBody, _snap), "POST"),
+    route("/api/predict", get_predict),
+    route("/api/marks/import", _changing(_ImportBody, _import), "POST"),
+    route("/api/marks/export", get_export),
+    route("/api/apply", lambda r: _progress_response(_applying(r).progress)),
+    route("/api/apply", post_apply, "POST"),
+    route("/api/apply/cancel", lambda r: _progress_response(_applying(r).cancel()), "POST"),
+    route("/report/{ticket}", get_report),
 ]

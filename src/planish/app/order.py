@@ -27,10 +27,7 @@ STAGING = f"{EDITS}/.apply"
 
 
 def order_of(session: Session, staging: Path) -> tuple[Study, dict[str, str]]:
-    """Give the study of the new run of a session, and texts of files by name, which the study finds in ``staging``.
-
-    Where a session stands as it began, so does the study, and there are no files.
-    """
+    """Give the study of a session's new run, and texts by name of the files that it finds in ``staging``."""
     study, holes = _original_run(session)
     original, state, file_texts = session.first, session.state, dict[str, str]()
     default_diameter_um, is_only_layer = float(np.mean(study.holes.hole_um)), len(state.marks) == 1

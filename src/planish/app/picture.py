@@ -38,7 +38,7 @@ TILE = 256
 
 LAST_CODE = 65535
 
-_WINDOW = 256  # pixels along the edge of the parts of a picture that show which values it has
+_WINDOW = 256  # pixels along the edge of the parts that are sampled
 _FEW, _MANY = 2, 4  # such parts along each side, with and without a coarse level
 
 
@@ -55,10 +55,7 @@ def layer_run(run: Path, layer: str) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class Codes:
-    """Values as whole numbers of 16 bits: 0 is missing, k from 1 on is ``offset + scale * (k - 1)``.
-
-    The first and the last code also stand for all values beyond them.
-    """
+    """Values in 16 bits: 0 is missing, k from 1 on ``offset + scale * (k - 1)``; the ends stand for all beyond, too."""
 
     offset: float
     scale: float
@@ -86,7 +83,7 @@ class PlanePicture:
     name: str  # variable in the store; with the layer before it where several layers have their own
     title: str
     units: str
-    levels: Sequence[xr.DataArray]  # full resolution first, pixels of each next one twice as wide; read when asked for
+    levels: Sequence[xr.DataArray]  # full resolution first, each next half as fine; read when asked for
     around_zero: bool = False  # whether 0 is in the middle of its colours
     id: str = ""  # by which the page asks for it
 

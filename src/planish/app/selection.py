@@ -30,10 +30,7 @@ MOST_SAMPLES = 2000
 
 
 def cursor(tiles: Tiles, picture: PlanePicture, x: float, y: float) -> dict[str, Any]:
-    """Values of all pictures on the pixels of one, at the pixel that holds a point, and its place in the volume in um.
-
-    A value is None where there is none, and so is the place.
-    """
+    """Values at a point of all pictures on the pixels of one, None where missing, and its place in the volume in um."""
     rows, cols, (is_inside,) = _pixels(picture, np.array([[x, y]]), 0)
     pictures = tiles.pictures.on_same_pixels(picture)
     value_of = {p.id: finite_or_none(tiles.values_at(p, 0, rows, cols)[0]) if is_inside else None for p in pictures}
@@ -52,10 +49,7 @@ def cursor(tiles: Tiles, picture: PlanePicture, x: float, y: float) -> dict[str,
 
 
 def profile(tiles: Tiles, pictures: list[PlanePicture], line: tuple[float, float, float, float]) -> dict[str, Any]:
-    """Values of pictures on one grid along the line from (x0, y0) to (x1, y1) in um, each of the pixel it crosses.
-
-    They lie at ``at_um`` from its beginning; the pixels are ``pixel_um`` wide.
-    """
+    """Values of pictures on one grid along a line (x0, y0, x1, y1) in um, at ``at_um``, of pixels ``pixel_um`` wide."""
     x0, y0, x1, y1 = line
     length_um = math.hypot(x1 - x0, y1 - y0)
     if length_um == 0:
@@ -77,10 +71,7 @@ def profile(tiles: Tiles, pictures: list[PlanePicture], line: tuple[float, float
 
 
 def _pixels(picture: PlanePicture, points_um: Floats, level: int) -> tuple[NDArray[np.intp], NDArray[np.intp], Bools]:
-    """Rows and columns of the pixels of a level that hold points (n, 2: x, y), and which lie in the picture.
-
-    Pixels of all levels share one corner.
-    """
+    """Rows and columns of a level's pixels that hold points (n, 2: x, y), and which lie in it; levels share corners."""
     (x0, y0), (dy, dx) = picture.grid.origin_um, picture.grid.pixel_um
     rows = np.floor((points_um[:, 1] - y0) / dy + 0.5).astype(np.intp) >> level
     cols = np.floor((points_um[:, 0] - x0) / dx + 0.5).astype(np.intp) >> level
@@ -156,10 +147,7 @@ def density(tiles: Tiles, a: PlanePicture, b: PlanePicture, region: Rectangle | 
 
 
 def histogram(tiles: Tiles, picture: PlanePicture, region: Rectangle | None = None) -> dict[str, Any]:
-    """Count the values of a picture where they are valid, of pixels of the stated size.
-
-    ``range`` is from the 2nd to the 98th percentile.
-    """
+    """Count the valid values of a picture, of pixels of the stated size; ``range``: the 2nd to the 98th percentile."""
     level, (values,) = _overview(tiles, picture)
     all_finite = values[np.isfinite(values)]
     low, high = _limits(all_finite)

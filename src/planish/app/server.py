@@ -172,10 +172,7 @@ async def _error_response(_request: Request, error: Exception) -> Response:
 
 
 def serve(session: Session, *, host: str, port: int, on_open: Callable[[str], None]) -> None:
-    """Serve a session until the process is interrupted, and close it; any free port where ``port`` is 0.
-
-    ``on_open`` is called with the address, token included. FileError where nothing can listen there.
-    """
+    """Serve a session until interrupted, on any port for 0; ``on_open`` gets the address. FileError: cannot listen."""
     token = secrets.token_urlsafe(32)
     with closing(session):
         try:

@@ -59,11 +59,11 @@ class Session:
     folder: Path  #: the run; a map where ``image_params`` is given
     study: Study
     results: Results
-    registrations: dict[str, Registration]  #: by the moving layer; empty for a map and an image that were never linked
+    registrations: dict[str, Registration]  #: by the moving layer; empty where none was ever linked
     image_params: ImageParams | None  #: of a link that was refused at the marks
     journal: Journal
     reason: str  #: why nothing can be changed; empty where it can
-    version: int = 0  #: lines of the journal, and one more for everything since that a window has to show
+    version: int = 0  #: lines of the journal, and all since that a window has to show
     changed_at: int = 0  #: version of the last change: what was asked for before is stale
     _states: list[State] = field(default_factory=list[State])
     _position: int = 0
@@ -125,10 +125,7 @@ class Session:
         return "image" if facts is None else facts.to
 
     def shown_by(self, layer: str, plane: Plane) -> tuple[Plane, str]:
-        """Plane and layer of the pictures on which the ends of a layer's marks lie.
-
-        In a chain a layer is registered to the next one, on that one's own plane.
-        """
+        """Plane and layer of the pictures on which ends of a layer's marks lie: in a chain, the next layer's own."""
         if plane == "moving":
             return "moving", layer
         target_layer = self.target(layer)
@@ -159,9 +156,7 @@ class Session:
     @cached_property
     def image(self) -> xr.DataArray | None:
         """The image of a link that was refused, as the link reads it; None for a run."""
-        if self.image_params is None:
-            return None
-        return read_image(self.image_params.path, **self.image_params.how)
+        return self.image_params and read_image(self.image_params.path, **self.image_params.how)
 
     def holes(self, layer: str) -> dict[Plane, xr.Dataset]:
         """All holes that were found in both planes, matched or not: ``x``, ``y``, ``diameter`` in um, covariances."""
@@ -256,7 +251,6 @@ class Session:
                 ) from error
 
     def _original_state(self) -> State:
-        """The run as it was."""
         regions: list[DrawnRegion] = []
         for region in read_regions(self.folder / REGIONS).declared if self.results.regions else ():
             for polygon, *holes in ([*map(_ring, rings)] for rings in region.polygons):

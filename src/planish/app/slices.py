@@ -55,7 +55,7 @@ class SliceFacts(ResultModel):
     """A slice and what was found in it; a value of 16 bits stands for ``offset + scale * value``."""
 
     layer: str
-    direction: Direction  # axis across the slice; or straightened along the normals of the centre surface
+    direction: Direction  # axis across the slice; or straightened along normals
     normal: Axis  # along which slices of this direction follow each other
     index: int
     at_um: float  # place along the normal
@@ -64,7 +64,7 @@ class SliceFacts(ResultModel):
     scale: float
     offset: float
     missing: int  # value of voxels that are missing; -1 where there are none
-    lines: tuple[str, ...] = ()  # names of the lines, float32 each, one value a column of the surfaces
+    lines: tuple[str, ...] = ()  # names; float32 each, one value a column of the surfaces
     columns: AxisFacts | None = None  # these columns along ``across``
     segments: dict[str, int] = Field(default_factory=dict[str, int])  # of each contour of a slice along the sheet
 
@@ -91,10 +91,7 @@ class SlicedSheet:
 
     @classmethod
     def open(cls, name: str, params: VolumeParams, store: Path) -> Self:
-        """Open the volume and the surfaces of a sheet.
-
-        FileError where the volume is not there any more, is damaged, or is a folder of serial sections.
-        """
+        """Open volume and surfaces of a sheet; FileError where the volume is gone, damaged, or serial sections."""
         path = find_place(params.path).path
         if is_section_folder(path):
             raise FileError(
@@ -258,7 +255,6 @@ class SlicedSheet:
         return slice(voxels.start // self.step, min(-(-voxels.stop // self.step), self._columns_um(axis).size))
 
     def _surfaces_in(self, rows: slice, cols: slice, names: Sequence[str] | None = None) -> xr.Dataset:
-        """A window of the surfaces, in memory."""
         all_names = [str(name) for name in self.surfaces.data_vars]
         names = names or [name for name in all_names if name in _READ_NAMES or name.startswith(_READ_PREFIXES)]
         return self.surfaces[list(names)].isel(y=rows, x=cols).load()

@@ -56,7 +56,7 @@ def _nearest_hole(holes: xr.Dataset | None, plane: Plane, point_um: tuple[float,
 def _search_holes(session: Session, layer: str, plane: Plane, point_um: tuple[float, float]) -> xr.Dataset | None:
     """Holes in a window around a point, in um of the plane; None where nothing shows holes."""
     params = session.study.holes
-    reach_um = 2.0 * params.hole_um[1]  # half a window, over the largest diameter: holes at its border are left out
+    reach_um = 2.0 * params.hole_um[1]  # half a window: holes at its border are left out
     hole_layers = _hole_layers(session, layer, plane)
     cut = ((name, _window(data, point_um, reach_um)) for name, data in hole_layers.items())
     windows = {name: window for name, window in cut if window is not None}

@@ -88,10 +88,7 @@ def strains(
 
 
 def mesh_lines(run: Path) -> tuple[list[list[tuple[float, float]]], int]:
-    """The mesh in the plane as lines along its rows and columns, (u, v) in um, and which share of them: every n-th.
-
-    Lines end where there is no sheet.
-    """
+    """Every n-th row and column of the mesh in the plane as lines, (u, v) in um, ending where the sheet does; and n."""
     flat, strain = stored_group(run / MAPS, "flat"), read_group(run / MAPS, "strain")
     n_rows, n_cols = strain.sizes["row"], strain.sizes["col"]
     line_step = 1

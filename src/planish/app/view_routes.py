@@ -6,6 +6,7 @@ import json
 import math
 import struct
 import threading
+from collections.abc import Callable
 from typing import Any
 
 import anyio
@@ -50,16 +51,6 @@ def get_profile(request: Request) -> Response:
     return JSONResponse(profile(_tiles(request), pictures, (x0, y0, x1, y1)))
 
 
-def get_density(request: Request) -> Response:
-    """Density of two pictures, or of a region of them."""
-    return JSONResponse(density(_tiles(request), *_picture_pair(request), _region(request)))
-
-
-def get_histogram(request: Request) -> Response:
-    """Histogram of a picture, or of a region of it."""
-    return JSONResponse(histogram(_tiles(request), _picture(request, "id"), _region(request)))
-
-
 async def get_selection(request: Request) -> Response:
     """Pixels of a region or of brushes at full resolution; given up where the page goes away."""
     (a, b), region, tiles = _picture_pair(request), _region(request), _tiles(request)
@@ -102,7 +93,6 @@ def _picture(request: Request, key: str) -> PlanePicture:
 
 
 def _picture_pair(request: Request) -> tuple[PlanePicture, PlanePicture]:
-    """Two pictures on the same pixels."""
     a, b = _picture(request, "a"), _picture(request, "b")
     if b not in _tiles(request).pictures.on_same_pixels(a):
         raise InputError(f"{a.name} and {b.name} do not lie on the same pixels. Choose two layers of one plane.")
@@ -247,15 +237,20 @@ def mesh(request: Request) -> Response:
     return JSONResponse({"lines": lines, "every": line_step})
 
 
+def route(path: str, endpoint: Callable[[Request], Any], method: str = "GET") -> Route:
+    """A route to a function of the request, such as a lambda."""
+    return Route(path, endpoint, methods=[method])
+
+
 ROUTES = [
-    Route("/api/tiles/{id}/{level:int}/{row:int}/{col:int}", get_tile),
-    Route("/api/cursor", get_cursor),
-    Route("/api/profile", get_profile),
-    Route("/api/density", get_density),
-    Route("/api/histogram", get_histogram),
-    Route("/api/selection", get_selection),
-    Route("/api/sheets", get_sheets),
-    Route("/api/slices/{layer}/{direction}/{index:int}", get_slice),
-    Route("/api/flattening", flattening),
-    Route("/api/mesh", mesh),
+    route("/api/tiles/{id}/{level:int}/{row:int}/{col:int}", get_tile),
+    route("/api/cursor", get_cursor),
+    route("/api/profile", get_profile),
+    route("/api/density", lambda r: JSONResponse(density(_tiles(r), *_picture_pair(r), _region(r)))),
+    route("/api/histogram", lambda r: JSONResponse(histogram(_tiles(r), _picture(r, "id"), _region(r)))),
+    route("/api/selection", get_selection),
+    route("/api/sheets", get_sheets),
+    route("/api/slices/{layer}/{direction}/{index:int}", get_slice),
+    route("/api/flattening", flattening),
+    route("/api/mesh", mesh),
 ]

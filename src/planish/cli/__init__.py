@@ -1,8 +1,7 @@
 """The command line: parse, call, show. Everything it does is a function of the package.
 
-``main`` is the group and turns errors into exit codes; ``options`` are made of the parameter models. ``runs``,
-``stages``, ``series``, ``files``, ``marks``, ``export``, ``validate`` and ``setup`` hold the commands; ``show`` and
-``console`` what a terminal shows.
+``main`` is the group; ``options`` are made of parameter models. ``runs``, ``stages``, ``series``, ``files``, ``marks``,
+``export``, ``validate`` and ``setup`` hold the commands; ``show`` and ``console`` what a terminal shows.
 """
 
 import os

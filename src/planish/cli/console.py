@@ -100,8 +100,7 @@ def wrapped(text: str, width: int) -> str:
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print a table on standard output: in columns, or one row below the other where the terminal is too narrow.
 
-    One of the headings, ``columns``, may be ``unit``, that of all numbers of the row but counts; others may end with a
-    unit.
+    One of the headings, ``columns``, may be ``unit``, that of all numbers of the row but counts; others may end in one.
     """
     rows = [[printable(cell) for cell in row] for row in rows]
     widths = [max(len(cell) for cell in cells) for cells in zip(columns, *rows, strict=True)]

@@ -67,8 +67,7 @@ class Option(click.Option):
 class Value(click.ParamType[Any]):
     """A value of a field's own type, checked by its limits.
 
-    Several numbers are separated by commas; one stands for all of them where ``repeat`` is set, and the word none for
-    no number where any count will do.
+    Commas separate numbers; with ``repeat`` one stands for all; the word none is for no number where any will do.
     """
 
     name = "value"
@@ -108,10 +107,7 @@ class Value(click.ParamType[Any]):
 
 
 def options(model: type[Params], group: str, *, only: Sequence[str] = (), without: Sequence[str] = ()) -> Command:
-    """Give a command all options of a model, or some; :func:`build_params` makes the model of their values.
-
-    ``group`` is the heading in the help; ``only`` and ``without`` are names of fields.
-    """
+    """Give a command options of a model for :func:`build_params`, all or some, under the heading ``group``."""
     decorators: list[Command] = []
     for name, field, option_display in options_of(model):
         if name not in without and (not only or name in only):

@@ -181,8 +181,7 @@ def _compare(old_run: Path, new_run: Path) -> None:
         return
     if not (old_run / "results.json").is_file():
         return
-    # Not the hidden note of maps that outlived a refused link: it says what was asked, not what came out. Nor what was
-    # changed since in the browser.
+    # Not the hidden note of maps that outlived a refused link, which says what was asked; nor changes in the browser.
     paths = [p.relative_to(root) for root in (old_run, new_run) for p in root.rglob("*") if p.is_file()]
     paths = [p for p in paths if not p.name.startswith(".") and (p.parts[0] != EDITS or p.name in EDITS_APPLIED)]
     _, differing, unmatched = filecmp.cmpfiles(old_run, new_run, {p.as_posix() for p in paths}, shallow=False)

@@ -162,7 +162,7 @@ def _duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
-_CLOSE_R = 0.995  # r of two measurements of one quantity, of which more decimals are written
+_CLOSE_R = 0.995  # r of which more decimals are written
 
 
 def _margin(_context: click.Context, _parameter: click.Parameter, assignments: tuple[str, ...]) -> dict[str, float]:
@@ -242,7 +242,6 @@ def compare(
 
 
 def _show(results: SeriesResults) -> None:
-    """Print the specimens, the means over sheets and the differences."""
     from planish.report import series_words as words
 
     quantities = results.quantities

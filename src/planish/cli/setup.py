@@ -96,10 +96,7 @@ def completion(shell: str, install: bool) -> None:
 
 
 def install_script(shell: str) -> list[str]:
-    """Write the script and what loads it; return what was done.
-
-    FileError where a file cannot be written, or PowerShell is not there to say which file it reads at its start.
-    """
+    """Write the script and what loads it; return what was done. FileError where a file or PowerShell is missing."""
     home = Path.home()
     data_folder = Path(os.environ.get("XDG_DATA_HOME") or home / ".local" / "share") / "planish"
     config_folder = Path(os.environ.get("XDG_CONFIG_HOME") or home / ".config")

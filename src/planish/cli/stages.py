@@ -1,7 +1,4 @@
-"""Commands that do one stage: read files, call one function, write files and a line.
-
-One after the other they give what ``planish link`` gives, byte by byte.
-"""
+"""Commands of one stage each, from files to files: one after the other they give the bytes of ``planish link``."""
 
 from __future__ import annotations
 

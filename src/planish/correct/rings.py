@@ -54,8 +54,7 @@ class RingFit(NamedTuple):
 def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:
     """Find the rings that stand out from noise and structure; there may be none."""
     bins = sums.count.shape[-1]
-    # A ring lifts the running median beside it, which makes two faint ones of the other sign. So the high ones are
-    # taken off first.
+    # A ring lifts the running median, so that faint ones of the other sign lie beside it: high ones come off first.
     heights = np.zeros(bins)
     residual = weight = np.zeros((0, 0, 0, bins))
     profile = error = heights

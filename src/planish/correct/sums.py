@@ -118,7 +118,7 @@ def _estimate_levels(greys: NDArray[np.float32]) -> Levels | None:
     return Levels(air=air, sheet=bright_level, split=split, middle=middle, padding=np.nan, air_cut=False)
 
 
-SECTORS = 16  # parts of a full turn that are compared: a ring shows in all of them, a structure of the sheet does not
+SECTORS = 16  # parts of a turn: a ring shows in all of them, a structure of the sheet does not
 
 _LEAST_PLANE, _LEAST_LENGTH = 24, 8
 
@@ -225,7 +225,7 @@ class Sums:
     """Sums of one pass; greys are in units of contrast / :data:`UNIT`."""
 
     count: Counts  # (block, sector, material, bin): voxels on each part of a circle
-    total: Counts  # and the sum of their grey, less the mean grey of their material and depth in the same slice
+    total: Counts  # and their grey, less the mean of their material and depth in the slice
     histogram: Counts  # (block, quarter of the turn, COARSE, depth, grey): voxels inside the sheet
     level: Counts  # (material, 2): number of voxels, and the sum of their grey above air
     blocks: Floats  # (block,): middle of each block along the axis, in slices

@@ -208,7 +208,6 @@ def error_page(pattern: Pattern, predicted: Predicted, imaging: ImagingParams, r
 
 
 def _error_map(page: Page, pattern: Pattern, predicted: Predicted) -> None:
-    """Draw the predicted error over the field in colours and contours, with a bar of the colours."""
     axes, field_low = page.plan, pattern.field_low_um
     # 200 pixels along the longer side of the map.
     x_um, y_um = (
@@ -272,7 +271,6 @@ def path_page(run: DryRun, *, title: str = "Path of the stage") -> Page:
 
 
 def _holes(axes: Axes, pattern: Pattern, edge: str) -> None:
-    """Draw field and holes to scale."""
     _box(axes, pattern.field_low_um, pattern.field_um, fill=True, facecolor=GROUND, edgecolor=edge)
     for place in pattern.points_um:
         for radius, colour in ((pattern.burnt_um, BURNT), (0.5 * pattern.diameter_um, INK)):

@@ -146,8 +146,7 @@ def own_pattern(
     points_um : (n, 2)
         Centres, in the order given.
     field_um : (width, height), optional
-        Region whose maps are to be compared, in the middle of the holes; where it is not given, all that lies within
-        the holes.
+        Region whose maps are to be compared, in the middle of the holes; all within them where not given.
     diameter_um : float, optional
         That of a design where not given.
 
@@ -186,8 +185,7 @@ def holes_csv(pattern: Pattern, *, imaged: bool = False) -> str:
     Parameters
     ----------
     imaged : bool
-        Positions as an image of the laser's side shows them, from its upper left corner with y down, instead of
-        those of the stage.
+        Positions as in an image of the laser's side, from its upper left corner with y down, instead of the stage's.
     """
     rows: list[list[str]] = []
     for label, (x, y) in zip(pattern.labels, pattern.imaged_um if imaged else pattern.points_um, strict=True):
@@ -201,8 +199,7 @@ def read_pattern(path: str | Path, *, field_um: Pair | None = None, diameter_um:
     Parameters
     ----------
     path : str or Path
-        A table has the columns ``x_um, y_um`` and may have ``diameter_um``, whose median counts; others are passed
-        over.
+        A table has the columns ``x_um, y_um`` and may have ``diameter_um``, whose median counts, and others.
     field_um : (width, height), optional
         Of a table only: the region in the middle of the holes whose maps are to be compared.
     diameter_um : float, optional

@@ -114,8 +114,7 @@ def design_pattern(params: DesignParams) -> Design:
     Raises
     ------
     MarkError
-        If spacing or margin are too small for the holes, or no pattern keeps the rules: the message names the rule and
-        what helps.
+        If spacing or margin are too small for the holes, or no pattern keeps the rules; the message says which.
 
     Notes
     -----

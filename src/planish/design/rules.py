@@ -23,10 +23,7 @@ _TURN_DEG = 10.0  # what still counts as a half or a quarter turn
 
 
 class Motions(NamedTuple):
-    """Wrong arrangements of a pattern on itself: ``hit`` (motions, n) says which holes meet a hole.
-
-    ``kind`` (motions,) is ``half turn``, ``quarter turn``, ``mirror``, or ``shift`` for all else.
-    """
+    """Wrong arrangements of a pattern: ``hit`` (motions, n), ``kind``: half turn, quarter turn, mirror, else shift."""
 
     hit: Bools
     kind: NDArray[np.str_]

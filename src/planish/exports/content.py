@@ -43,8 +43,7 @@ class ExportHistory:
 class Maps:
     """Maps (rows, cols) on one regular grid, which may stay in their store.
 
-    ``data`` has the dims (y, x) or (v, u), coordinates in um, and variables with ``units`` and ``long_name``; NaN is
-    missing.
+    ``data`` has the dims (y, x) or (v, u), coordinates in um, variables with ``units`` and ``long_name``; NaN: missing.
     """
 
     data: xr.Dataset
@@ -115,10 +114,7 @@ class Maps:
     def bands(
         self, name: str, dtype: np.dtype[Any] | type[np.generic] | None = None
     ) -> Iterator[tuple[slice, NDArray[Any]]]:
-        """Give a map band by band; one is read while the other is worked on.
-
-        ``dtype``: type of the values; the map's own where not given, truth values as bytes.
-        """
+        """Give a map band by band, reading ahead, as ``dtype``: its own where not given, truth values as bytes."""
         pixels = self.data[name]
         target = plain_type(pixels.dtype) if dtype is None else np.dtype(dtype)
         row_slices = list(bands(self.shape[0]))

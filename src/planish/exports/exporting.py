@@ -30,10 +30,7 @@ from planish.run.study import changed
 
 @dataclass(frozen=True, slots=True)
 class ExportRequest:
-    """An export that was asked for, of a run and its ``store`` where this is as the run is.
-
-    ``is_single_file``: ``out`` is one file, and not a folder of files.
-    """
+    """An export that was asked for: of a run, and its ``store`` where this is as the run is, to a file or a folder."""
 
     run: Run
     store: Path | None
@@ -65,10 +62,7 @@ class ExportRequest:
 
 
 class OutputFile(NamedTuple):
-    """One call of a writer: names of its files in a folder, the first of which it is given, and what it writes.
-
-    ``content`` is one of those in :mod:`planish.exports.formats`.
-    """
+    """One call of a writer: names of its files in a folder, the first of which it is given, and what it writes."""
 
     names: list[str]
     content: object
@@ -76,7 +70,6 @@ class OutputFile(NamedTuple):
 
 
 def _output_files(request: ExportRequest) -> list[OutputFile]:
-    """Give the files of an export; a single one where ``out`` is a file."""
     group, file_format = request.params.group, request.file_format
     if "surface" in file_format.holds:
         if group not in (None, "surfaces"):
@@ -237,8 +230,7 @@ def export(
     InputError
         If the run does not hold what is asked for, or a library of the extra ``export`` is missing.
     FileError
-        If ``out`` exists, cannot be written, or ends as another format's files do; or the volume of a straightened
-        one is gone.
+        If ``out`` exists, cannot be written, or ends as another format's files do; or a straightened volume is gone.
     ResourceError
         If a map is larger than the format or the memory holds, or the disk is full.
 

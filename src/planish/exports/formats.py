@@ -29,25 +29,21 @@ class ExportFormat:
     """A format of an export."""
 
     title: str  #: its name in messages and documents
-    writer: str  #: the function that writes it: ``module:function`` of this package
+    writer: str  #: ``module:function`` of this package
     holds: tuple[Holds, ...] = ("maps",)  #: the first is what is meant where nothing else is asked for
     suffixes: tuple[str, ...]  #: ends of the names of its files, the usual one first; none: it is always a folder
-    #: Of one that is always a folder: ends of the files of a registration. Those behind the first one are there only
-    #: where no affine map is all of it.
-    endings: tuple[str, ...] = ()
+    endings: tuple[str, ...] = ()  #: of files of a registration; those after the first only if not affine
     is_folder: bool = False  #: whether what has such a name is a folder
     stack: bool = False  #: whether one file holds several maps
-    apart: bool = True  #: whether a folder gets a file for each map, or direction of a registration, not one for all
+    apart: bool = True  #: whether a folder gets a file for each map, or direction, not one for all
     shows_limits: bool = False  #: whether its file says between which limits a map is shown first
     gives: str  #: for the documents: what is written
     opens: str  #: for the documents: programs that open it
     missing: str = "NaN"  #: for the documents: how a missing value is written
-    most: int | None = None  #: largest map in pixels, or surface in nodes, held in memory; None: written part by part
+    most: int | None = None  #: most pixels or nodes held in memory; None: written part by part
     byte_cost: int = 0  #: bytes of memory that a pixel or node of such a map takes
     needs: str | None = None  #: library of the extra ``export``
-    options: tuple[
-        str, ...
-    ] = ()  #: options of :class:`ExportParams` that mean something for some formats, and for this
+    options: tuple[str, ...] = ()  #: those of :class:`ExportParams` that are for some formats, and for this
     note: str = ""  #: what has to be known when the files are used
 
     @property
@@ -206,10 +202,7 @@ def writer_of(name: str) -> Callable[..., Any]:
 
 
 def is_file(name: str, out: Path) -> bool:
-    """Tell whether a path asks for one file of a format; otherwise it is a folder of such files.
-
-    FileError where it ends as files of another format do, or any file.
-    """
+    """Tell whether a path asks for one file of a format and no folder; FileError where it ends as other files do."""
     form, low = FORMATS[name], out.name.lower()
     endings = [(end, other) for other in FORMATS for end in FORMATS[other].suffixes if low.endswith(end)]
     longest = max((len(end) for end, _ in endings), default=0)

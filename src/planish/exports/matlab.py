@@ -22,7 +22,7 @@ MOST_5 = 2**31 - 2**20
 
 _CHUNK = 512  # pixels along the edge of a chunk: as high as a band, so that each is written once
 _HEAD = 512  # bytes before an HDF5 file of MATLAB
-_TEXT = 116  # bytes of free text in front of both versions; the date that stands there usually is left out
+_TEXT = 116  # bytes of free text in front of both versions; without the usual date
 
 
 def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) -> None:

@@ -1,7 +1,4 @@
-"""A surface of the sheet as a mesh in space, and its files: PLY, OBJ, STL and VTK.
-
-Nodes lie in um of the volume, with quadrilaterals between them, maps and a colour on them.
-"""
+"""A surface of the sheet as a mesh in space, in um of the volume, with maps and a colour: PLY, OBJ, STL and VTK."""
 
 from __future__ import annotations
 
@@ -33,7 +30,7 @@ class Surface:
 
     data: xr.Dataset  #: heights and maps (y, x) on the columns of the volume, in um; the frame in its attributes
     name: str  #: one of `SURFACES`
-    maps: tuple[str, ...]  #: that its nodes carry; the first one is their colour where the format has a colour only
+    maps: tuple[str, ...]  #: that its nodes carry; the first is their colour where there is one
     scales: Mapping[str, Scale]  #: limits and colours of maps, by name
 
 
@@ -42,17 +39,14 @@ class SurfaceMesh:
     """A mesh."""
 
     points: NDArray[np.float32]  # (n, 3): x, y, z in um
-    quads: NDArray[np.int32]  # (m, 4): nodes of each cell; seen from outside of the sheet they run anticlockwise
+    quads: NDArray[np.int32]  # (m, 4): nodes of each cell, anticlockwise as seen from outside
     maps: dict[str, NDArray[np.float32]]  # (n,), by name and unit (``coating_top_um``); NaN is missing
     colours: NDArray[np.uint8] | None  # (n, 3): red, green, blue of the first map
     description: str  # what places and colours are, in one line
 
 
 def write_ply(surface: Surface, path: Path, history: ExportHistory, params: ExportParams) -> None:
-    """Write nodes with colour and all maps as properties, and quadrilaterals; binary.
-
-    What it is, and where it comes from, stands in comments.
-    """
+    """Write nodes with colour and all maps as properties, and quadrilaterals; binary, with its history in comments."""
     mesh = mesh_of(surface, params)
     columns: dict[str, NDArray[Any]] = dict(zip("xyz", mesh.points.T, strict=True))
     if mesh.colours is not None:
@@ -74,10 +68,7 @@ def write_ply(surface: Surface, path: Path, history: ExportHistory, params: Expo
 
 
 def write_obj(surface: Surface, path: Path, history: ExportHistory, params: ExportParams) -> None:
-    """Write nodes as text, and quadrilaterals.
-
-    Colours are three numbers from 0 to 1 behind each node, as MeshLab and Blender read them.
-    """
+    """Write nodes as text, colours behind them as numbers from 0 to 1 (MeshLab, Blender), and quadrilaterals."""
     mesh = mesh_of(surface, params)
     node_values, node_format = mesh.points.astype(np.float64), "v %.9g %.9g %.9g"
     if mesh.colours is not None:
@@ -115,10 +106,7 @@ def write_stl(surface: Surface, path: Path, history: ExportHistory, params: Expo
 
 
 def write_vtu(surface: Surface, path: Path, history: ExportHistory, params: ExportParams) -> None:
-    """Write an unstructured grid: XML with binary arrays, all maps as point data.
-
-    Colours are left to the program, which has all values.
-    """
+    """Write an unstructured grid: XML with binary arrays, all maps as point data, which programs colour themselves."""
     mesh = mesh_of(surface, params)
     n_cells = len(mesh.quads)
     active_scalars = f" Scalars={quoteattr(next(iter(mesh.maps)))}" if mesh.maps else ""

@@ -22,10 +22,7 @@ from planish.io.store import multiscale
 
 
 def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams) -> None:
-    """Write maps as one image: (y, x), or (c, y, x) of several, float32.
-
-    An overview is the mean of the pixels that have a value. Scale and translation place the middle of each pixel in um.
-    """
+    """Write maps as one float32 image (y, x), or (c, y, x), placed in um; overviews are means of known pixels."""
     names, shapes = maps.names, [maps.shape]
     has_channels = len(names) > 1
     group = zarr.open_group(path, mode="w-", zarr_format=3)

@@ -36,10 +36,7 @@ _STYLE: dict[str, Any] = {
 
 
 def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) -> None:
-    """Draw one map as PNG, or as SVG in which lines and text stay lines and text.
-
-    Colours span the limits that are chosen for it, otherwise its 1st to its 99th percentile.
-    """
+    """Draw one map as PNG, or SVG with text as text; colours span its chosen limits or its 1st to 99th percentile."""
     (name,) = maps.names
     pixels, reduction = _reduced(maps, name)
     scale = maps.scales.get(name) or Scale(*percentile_limits(pixels))

@@ -116,10 +116,7 @@ def sheet_facts(run: Run) -> LayerFacts | None:
 def straightened_volume(
     run: Run, depth_um: tuple[float, float] | None, compute: Compute, progress: Progress
 ) -> xr.DataArray:
-    """The volume along the normals, on the pixels of the flat maps; worked out where it is asked for.
-
-    InputError where the run holds no sheet of its own; FileError as of :func:`volume_params`.
-    """
+    """Volume along the normals on the flat maps' pixels; InputError without a sheet, FileError if the file is gone."""
     facts = sheet_facts(run)
     if facts is None or "maps" not in run.groups:
         raise InputError(

@@ -20,10 +20,7 @@ _LEAST = 0.5  # share of a point that has to be valid: as in the correlations
 
 
 def write_matrix(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams) -> None:
-    """Write one map: what it is in lines with ``#``, then a line for each row, with tabs between.
-
-    Numbers read back to the same float32.
-    """
+    """Write one map: lines with ``#`` on what it is, then rows, with tabs; numbers read back to the same float32."""
     (name,) = maps.names
     (dy_um, dx_um), (y0, x0), (y, x) = maps.pixel_um, maps.origin_um, maps.dims
     header_lines = [

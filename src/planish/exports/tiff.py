@@ -83,8 +83,7 @@ def write_ome(content: Maps | xr.DataArray, path: Path, history: ExportHistory, 
 class _Stack:
     """Planes of a file: maps or a volume, float32; one map of codes or truth values alone keeps its bytes.
 
-    ``pixel_um`` and ``origin_um`` are pitch and first place of (y, x), or (z, y, x) of a volume; ``facts`` are for the
-    history.
+    ``pixel_um`` and ``origin_um`` are pitch and first place of (y, x), or (z, y, x); ``facts`` are for the history.
     """
 
     content: Maps | xr.DataArray

@@ -56,7 +56,7 @@ class DisplacementField:
     origin_um: tuple[float, float]  # place of the first node, (x, y)
     pitch_um: float  # distance of nodes
     error_um: float  # largest error in the middle of a cell, over the source layer
-    n_filled: int  # nodes at which the transformation has no value, so that the affine map stands there
+    n_filled: int  # nodes without a value, where the affine map stands
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -74,10 +74,7 @@ def displacement(transform: DirectedTransform) -> DisplacementField:
 
 
 def before_affine(transform: DirectedTransform) -> DisplacementField:
-    """Sample what has to be added to a point of the source before the affine map is applied.
-
-    Beside the field, where programs take 0, the affine map holds alone.
-    """
+    """Sample what is added to a point of the source before the affine map, which holds alone beside the field."""
     return _sampled(transform, transform.affine, transform.affine.inverse.matrix())
 
 
@@ -251,10 +248,7 @@ def _write_lines(path: Path, lines: Iterable[str]) -> None:
 
 
 def write_nrrd(content: DirectedTransform | Maps, path: Path, history: ExportHistory, params: ExportParams) -> None:
-    """Write the displacement (x, y) of every node of a field, or one map.
-
-    Beside the field there is no displacement, so other programs take 0 there.
-    """
+    """Write one map, or the displacement (x, y) of every node of a field, beside which other programs take 0."""
     unit = params.unit
     if isinstance(content, DirectedTransform):
         field = displacement(content)

@@ -57,12 +57,11 @@ def curvature_check(points: Floats, *, patch_um: float = 1000.0) -> CurvatureChe
 
     Notes
     -----
-    A square patch of half-side a and curvature K that is made flat keeps strains of about K a^2 / 16. K is the
-    integral of curvature over the patch divided by its area. By the theorem of Gauss and Bonnet the integral over the
+    A square patch of half-side a and curvature K that is made flat keeps strains of about K a^2 / 16. K is the integral
+    of curvature over the patch divided by its area. By the theorem of Gauss and Bonnet the integral over the
     surroundings of a node is what its triangles' angles lack of a full turn, and it depends on the patch's rim alone:
     roughness inside it cancels, where the mean of a curvature by finite differences would take up its square. The patch
-    is a Gaussian with the second moment of the square and fades towards outline and holes, so that its rim is soft and
-    roughness cancels there too.
+    is a Gaussian with the second moment of the square; it fades towards outline and holes, so that its rim is soft.
 
     Slices shifted along the sheet's thickness imitate Gaussian curvature only where the sheet is bent within the slices
     too; a shift that grows evenly shears the stack, leaves a cylinder a cylinder and is not found here.
@@ -98,7 +97,6 @@ def curvature_check(points: Floats, *, patch_um: float = 1000.0) -> CurvatureChe
 
 
 def _verdict(patch_um: float, share_above: float, largest: float) -> str:
-    """Say what was found and what it says about the surface."""
     patch = f"a patch of {2 * patch_um / 1000:.3g} mm"
     strain, limit = (f"{100 * max(k, 1e-4):.2g} %" for k in (largest, _LIMIT))
     if np.isnan(share_above):

@@ -134,10 +134,7 @@ class StiffnessSolver:
 
 
 def relax_exactly(network: Network, uv: Floats, *, tolerance: float = 1e-10) -> Floats:
-    """Newton's method from ``uv`` (nodes, 2) until no node moves further than ``tolerance``.
-
-    A step is shortened until the energy falls.
-    """
+    """Newton's method from ``uv`` (nodes, 2), with steps that lower the energy, until none is over ``tolerance``."""
     energy = network.energy(uv)
     for _ in range(60):
         move = StiffnessSolver(network, uv, exact=True)(network.forces(uv))

@@ -59,8 +59,7 @@ def geodesic_error(points: Floats, uv: Floats, *, rng: np.random.Generator, pair
         The same nodes in the plane, um.
     rng : Generator
     pairs : int
-        Number of lines. Their ends are random places in random triangles; between nodes of a regular mesh, many lines
-        would run along the mesh.
+        Number of lines. Their ends are random places in random triangles; between nodes, many would run along the mesh.
 
     Returns
     -------
@@ -238,9 +237,8 @@ def measure_distortion(
 
     Notes
     -----
-    Noise makes the surface rough and its lengths longer: white noise s on nodes of pitch p lets the flat sheet grow by
-    some 2/3 (s / p)^2. Growth that the warp does not explain, and anisotropy above all, points to noise or to slices
-    that jitter.
+    Noise makes the surface rough and its lengths longer: white noise s on nodes of pitch p lets the sheet grow by some
+    2/3 (s / p)^2. Growth that the warp does not explain, anisotropy above all, points to noise or jitter of slices.
     """
     strain = cell_strain(points, uv) if strain is None else strain
     area = strain["signed_area"].values

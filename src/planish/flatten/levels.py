@@ -1,7 +1,4 @@
-"""A mesh of springs and its coarser copies: springs and stiffness, the arrays of the compiled passes, threads for rows.
-
-The eight-spring mesh is that of Hirn et al. (2009), section 2.3.1.
-"""
+"""The eight-spring mesh of Hirn et al. (2009), section 2.3.1, its coarser copies, arrays of passes, and threads."""
 
 from __future__ import annotations
 
@@ -69,10 +66,7 @@ def bordered(rows: int, cols: int, dtype: type) -> NDArray[Any]:
 
 @dataclass
 class Level:
-    """One mesh: the arrays of ``_kernels``, sums by rows, and the rows of each thread.
-
-    ``alone`` are the empty rows above and below a mesh that one thread smooths.
-    """
+    """One mesh: arrays of ``_kernels``, sums by rows, rows of threads; ``alone``: empty rows of a one-thread mesh."""
 
     rows: int
     cols: int
@@ -107,7 +101,7 @@ class Level:
         return self.inside(is_held)
 
 
-def of_springs(nodes: NDArray[Any], pair: Callable[..., Any], out: NDArray[Any]) -> NDArray[Any]:
+def of_springs(nodes: NDArray[Any], pair: Callable[[Any, Any], Any], out: NDArray[Any]) -> NDArray[Any]:
     """Set ``out`` (4, rows, cols) to ``pair`` of the two ends of each spring."""
     out[0, :, :-1] = pair(nodes[:, :-1], nodes[:, 1:])
     out[1, :-1] = pair(nodes[:-1], nodes[1:])

@@ -38,7 +38,7 @@ _TWICE = _weights(2, _LOW)
 _FOUR = _weights(4, 0.15)
 
 _STILL = 3e-6  # mean error of places, in pitches, below which a mesh is at rest whatever its energy
-_SLOW = 0.25  # share of the gain of the step before above which the directions of the steps are made conjugate
+_SLOW = 0.25  # share of the gain before, above which steps are made conjugate
 OPEN = 0.02  # share of its area at rest down to which a step may close a cell
 _HALVINGS = 40  # of a step that would close a cell, or raise the energy
 
@@ -213,8 +213,7 @@ class Multigrid:
         # The level below is corrected twice where it counts: else its own errors, and those below it, add up.
         level = self.levels[k]
         if depth > 1 and k >= self._first_small:
-            # ``descend`` takes eight levels, the last one repeated: another number would be compiled anew. No mesh has
-            # more that are the work of one thread.
+            # ``descend`` takes eight levels, the last repeated, lest it is compiled anew; one thread has no more.
             n_coarser = len(self.levels) - 1 - k
             descent_levels = [*self.levels[k:], *self.levels[-1:] * (7 - n_coarser)]
             array_names = ("near", "stiff", "ease", "force", "move", "alone", "cols")

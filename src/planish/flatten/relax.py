@@ -69,8 +69,7 @@ def relax_grid(
         (x, y, z) in any unit of length; not finite where there is no sheet. Neighbours in the grid are neighbours in
         the sheet; the grid need be neither regular nor a height field.
     method : {"multigrid", "relaxation"} or RelaxationParams
-        How the minimum of the spring energy is found: directly, or by the damped motion of Hirn et al. (2009), with
-        their constants or with others.
+        How the least energy is found: directly, or by the damped motion of Hirn et al. (2009), with any constants.
     rest : {"arc", "chord"}
         Rest lengths of the springs: along the surface, or straight through space as in the paper. A chord is too short
         by the square of the surface's normal curvature k, k^2 L^3 / 24; the correction is left out where the
@@ -96,8 +95,7 @@ def relax_grid(
     Raises
     ------
     CannotFlatten
-        If an argument does not fit, there are fewer than two by two nodes, or the sheet falls into unconnected pieces
-        that are no specks.
+        If an argument does not fit, there are fewer than two by two nodes, or unconnected pieces that are no specks.
     """
     points = np.ascontiguousarray(points, dtype=np.float64)
     _check(points, start, weights, tolerance, least_share, method=method, rest=rest)

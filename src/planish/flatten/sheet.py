@@ -70,8 +70,7 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
     """Develop the sheet into the plane: the surface that stays unstrained where it is bent.
 
     That surface is taken at a distance from the centre surface, along its normals: the middle of the base
-    (``base_middle`` in the surfaces), or none for the mean of the faces. A column's place in the plane is that of the
-    point below its centre.
+    (``base_middle``), or none for the mean of the faces. A column's place is that of the point below its centre.
 
     The mesh takes every n-th column (``params.mesh_um``): the centre surface holds no detail below its cut-off of
     400 um, so that a mesh of 12 um loses nothing. Every column is carried along.

@@ -83,8 +83,7 @@ def places_when_scaled(
     scales : (k,)
         Factors on the heights, 1 among them. Those at which the sheet cannot be flattened are left out.
     places : (k, n, 2), in um
-        Those at scale 1 are the points themselves; NaN for points beside the sheet. Each flattening is turned and
-        shifted as a whole.
+        At scale 1 they are the points; NaN for points beside the sheet. Each is turned and shifted as a whole.
 
     Notes
     -----

@@ -92,8 +92,7 @@ def head_of(path: Path, most: int) -> bytes:
 
 def check_blown_up(path: Path, *, decoded_bytes: int, stored_bytes: int) -> None:
     """Refuse compressed data that claim far more than so few bytes can hold."""
-    # Deflate ends at 1032, LZW at about 1400, and scans, which are noisy, far below. A small image does no harm
-    # whatever its ratio: constant ones pass.
+    # Deflate ends at 1032, LZW at about 1400, noisy scans far below. Small images do no harm: constant ones pass.
     if decoded_bytes > 16 * 2**20 and decoded_bytes > 2000 * stored_bytes:
         raise FileError(
             f"{path.name} claims {decoded_bytes} bytes of image in {stored_bytes} stored bytes, more than 2000 to 1. "

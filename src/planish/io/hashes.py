@@ -95,15 +95,13 @@ def fingerprint(path: str | Path) -> str:
     Parameters
     ----------
     path : path
-        A file, a folder of slices, or a store of many files; ``file.h5:/entry/data`` is another volume than
-        ``file.h5:/entry/other``.
+        A file, a folder of slices, or a store of many files; of ``file.h5:/entry/data``, that one volume.
 
     Returns
     -------
     str
         64 hexadecimal digits. For a folder, and for a header with its data: the hash over name and hash of each file,
-        sorted by name; the counter of sections counts, other files in a folder of slices do not, nor does the name of
-        the folder.
+        sorted by name; the counter of sections counts, other files in a folder of slices do not, nor its name.
 
     Raises
     ------

@@ -143,7 +143,7 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
             extent = size_words(dataset.shape or ()) or "one value"
             raise VolumeError(f"{path.name}: {name} is no volume but {extent}. {ADVICE}")
         array, notes = lazy_dataset(dataset, file_path)
-        axes: list[str] = []  # names of the axes that the group or the data set gives; none where they do not fit
+        axes: list[str] = []  # names that the group or data set gives; none where they do not fit
         for owner in (dataset.parent, dataset):
             names = [_word(v) for v in np.ravel(owner.attrs.get("axes", ()))]
             if len(names) == 1:

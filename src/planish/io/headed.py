@@ -77,7 +77,6 @@ def values_behind(header: Header) -> Values:
 
 
 def _unpacked(header: Header) -> NDArray[Any]:
-    """Unpack values that fill a file from an offset to its end."""
     values = np.empty(header.needed_bytes, np.uint8)
     n_unpacked = 0
     for part in unpacked_parts(header):

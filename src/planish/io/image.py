@@ -57,10 +57,9 @@ def read_image(
     Returns
     -------
     DataArray, dims (y, x), float32
-        Coordinates in um, pixel i has its centre at i × size. Attributes: ``units``, ``long_name``, ``pixel_um``
-        (y, x), ``pixel_um_source``, ``channel``, ``stored_dtype``, ``full_scale`` (largest value the file can store,
-        None for floating point), ``orientation`` (the orientation tag), ``file_name``, ``file_bytes``, and ``side``
-        where it is given.
+        Coordinates in um, pixel i has its centre at i × size. Attributes: ``units``, ``long_name``, ``pixel_um`` (y,
+        x), ``pixel_um_source``, ``channel``, ``stored_dtype``, ``full_scale`` (largest value the file can store, None
+        for floating point), ``orientation`` (the tag), ``file_name``, ``file_bytes``, and ``side`` if given.
 
     Raises
     ------

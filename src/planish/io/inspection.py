@@ -140,10 +140,7 @@ class Section(NamedTuple):
 
 
 def middle_sections(values: Values) -> list[Section]:
-    """Sections (z, x), (z, y) and (y, x) through the middle of a volume (z, y, x), or an image (y, x) itself.
-
-    Of a volume in slices, at most 96 of them are read.
-    """
+    """Middle sections (z, x), (z, y), (y, x) of a volume (z, y, x), of at most 96 slices; or an image (y, x) itself."""
     if len(values.shape) == 2:
         return [_section("y", "x", np.asarray(values), (1, 1))]
     depth, rows, cols = values.shape

@@ -41,8 +41,7 @@ Change = Callable[[NDArray[Any]], NDArray[Any]]
 class PagedArray(FileArray):
     """A volume stored page by page, in strips of `unit_rows` rows, the last of which stay decoded.
 
-    ``rows(page, start, stop)`` decodes rows of a page; start and stop lie on borders of strips or at the end of the
-    page.
+    ``rows(page, start, stop)`` decodes rows of a page; both lie on borders of strips or at the page's end.
     """
 
     def __init__(
@@ -80,8 +79,7 @@ class PagedArray(FileArray):
 class StoredArray(FileArray):
     """Planes that lie in files as they are, each in a file from a byte on, in whatever byte order.
 
-    The files are open only while they are read. Mapping them would count all that was ever touched, and its
-    surroundings, as memory in use.
+    The files are open only while they are read: mapped, all that was ever touched would count as memory in use.
     """
 
     def __init__(self, planes: Sequence[tuple[Path, int]], shape: tuple[int, ...], stored_dtype: np.dtype[Any]) -> None:

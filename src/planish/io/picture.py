@@ -122,11 +122,7 @@ def is_picture(series: TiffPageSeries) -> bool:
 
 
 def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> DecodedPicture:
-    """Decode a PNG, JPEG or BMP file.
-
-    The classes of Pillow are called directly: its own limit of pixels, which is a global, does not apply then,
-    and the size is checked here against the memory instead.
-    """
+    """Decode a PNG, JPEG or BMP file by the classes of Pillow: its limit of pixels, a global, does not apply then."""
     kind = kind_of(path)
     with reading(path):
         data = path.read_bytes()

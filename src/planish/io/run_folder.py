@@ -119,10 +119,7 @@ def acquire_lock(lock_file: Path, path: Path) -> FileLock:
 
 
 def claim_folder(folder: Path, marker_name: str, marker_text: str, *, for_what: Path) -> None:
-    """Make a folder that carries a marker from its first moment, or leave the one that is there.
-
-    FileError where a link or a file stands at ``folder``: a link is never followed.
-    """
+    """Make a folder with a marker from its first moment, or leave the one there; FileError at a link or a file."""
     if is_link(folder) or folder.is_file():
         kind = "a link" if is_link(folder) else "a file"
         raise FileError(f"{folder} is {kind}. {_IN_THE_WAY.format(for_what.name)}")
@@ -206,10 +203,7 @@ def refuse_existing(*paths: Path) -> None:
 
 
 def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
-    """Write datasets as groups of one zarr store that ``xarray.open_datatree(path, engine="zarr")`` opens.
-
-    Groups that are in the store already stay.
-    """
+    """Write datasets as groups of a zarr store for ``xarray.open_datatree(path, engine="zarr")``; others in it stay."""
     tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs={COMPLETE: True}), **groups})
     encoding: dict[str, dict[str, dict[str, Any]]] = {}
     for name, group in groups.items():
@@ -224,10 +218,7 @@ def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
 
 
 def take_group(path: Path, source: Path, name: str) -> None:
-    """Put a group of one store into another as it stands, with its smaller copies.
-
-    Chunks become links to the same files where the disk has these, otherwise copies: none is ever written over.
-    """
+    """Put a group of one store into another with its smaller copies; chunks as links where the disk has these."""
     overviews = f"{OVERVIEWS}/{name}"
     for group in (name, overviews) if (source / overviews).is_dir() else (name,):
         shutil.copytree(source / group, path / group, copy_function=_link_or_copy)
@@ -244,10 +235,7 @@ def _link_or_copy(source: str, target: str) -> None:
 
 
 def open_tree(path: Path, among: Iterable[str] | None = None) -> Mapping[str, xr.Dataset]:
-    """Groups of a store by name, each read as by :func:`read_group` when it is asked for; of names ``among`` only.
-
-    Those of half a gigabyte and more come with their smaller copies.
-    """
+    """Groups of a store by name, of ``among`` only, read when asked for; large ones come with their smaller copies."""
     return ReadOnDemand(partial(_group_names, path, among), partial(read_group, path))
 
 

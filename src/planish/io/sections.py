@@ -33,10 +33,9 @@ class SectionStack(NamedTuple):
     """Sections as photographed: neither aligned nor evenly spaced.
 
     The values, dims (section, row, col), are in the type of the files, float16 as float32; colour as luminance, rounded
-    in integers. Photographs that do not fit into the memory stay in their files: ``values[i]`` decodes one. Attributes,
-    none as long as the size is not settled: ``voxel_um`` (z, y, x) with the median step of the counter as z,
-    ``voxel_um_source``, ``full_scale``, ``file_name``, ``file_bytes``, ``section_kind``; ``channel`` and ``colour``
-    where the files are in colour.
+    in integers. Photographs too large for the memory stay in files: ``values[i]`` decodes one. Attributes, once the
+    size is known: ``voxel_um`` (z, y, x) with the median step of the counter as z, ``voxel_um_source``, ``full_scale``,
+    ``file_name``, ``file_bytes``, ``section_kind``; ``channel`` and ``colour`` where the files are in colour.
     """
 
     folder: Path
@@ -94,8 +93,7 @@ def read_section_stack(
     path : path
         The folder: TIFF, PNG, BMP or JPEG, grey or colour, all alike, and ``sections.csv``.
     voxel_um : float or (z, y, x), optional
-        One number is the pixel size in um; of three, z has to be the median step of the counter. Not needed where the
-        metadata state the pixel size.
+        One number is the pixel size in um; of three, z is the counter's median step. Not needed where files state it.
     channel, override_size, unusual_size, memory_bytes
         As in :func:`planish.io.read_volume`. The counter cannot be overridden; more than fits stays in the files.
 
@@ -108,8 +106,7 @@ def read_section_stack(
     FileError
         If the counter or a file is missing, damaged, or no picture.
     VolumeError
-        If counter and folder do not agree, positions do not increase, kinds are mixed, or sections differ in size or
-        type.
+        If counter and folder do not agree, positions do not increase, or sections differ in kind, size or type.
     SizeError
         If the pixel size is missing, contradictory or impossible.
     InputError

@@ -99,8 +99,7 @@ def stated_in(
 def from_density(per_unit: float | None, unit: str) -> float | None:
     """Pixel size in um from pixels per unit of length, or None where nothing is meant by it.
 
-    Exactly 1 pixel per unit, and 72 or 96 pixels per inch in whatever unit, are what programs write when they
-    do not know.
+    Exactly 1 pixel per unit, and 72 or 96 pixels per inch in whatever unit, mean that a program did not know.
     """
     unit_length, density = unit_um(unit), _number(per_unit)
     if density is None or unit_length is None or density == 1:

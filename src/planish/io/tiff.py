@@ -129,10 +129,7 @@ def damaged(path: Path, fault: str) -> FileError:
 
 
 def _check_declared_images(tif: TiffFile, path: Path) -> None:
-    """Compare the images that are declared with what is there, before a list of them is made.
-
-    A file of ImageJ that was cut still has its one table of pages.
-    """
+    """Compare the images declared with those there before they are listed: a cut file of ImageJ still has its table."""
     first, n_pages = tif.pages.first, len(tif.pages)
     for tag in re.findall(r"<(?:\w+:)?Pixels\b[^>]*>", tif.ome_metadata or ""):
         sizes = {k: int(n) for k, n in re.findall(r"\bSize([ZCTYX])\s*=\s*[\"'](\d{1,18})[\"']", tag)}

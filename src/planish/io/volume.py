@@ -79,8 +79,7 @@ def read_volume(
     FileError
         If a file is damaged, cut off, or of another format.
     VolumeError
-        If it is not one grey volume: a single picture, several channels or time points, slices that differ or
-        are missing.
+        If it is not one grey volume: one picture, several channels or times, slices that differ or are missing.
     SizeError
         If the voxel size is missing, contradictory or impossible.
     InputError

@@ -160,8 +160,7 @@ def local_deviation(raster: Raster, diameter_um: float, quantile: float) -> Loca
 def _local_mean(image: Image, pixel_um: Pair, width_um: float, steps: tuple[int, int] = (1, 1)) -> Image:
     """Give the Gaussian mean of what is there; the median of all of it where nothing is near.
 
-    It is so smooth that a quarter of its width is fine enough a raster to compute it on. Every ``steps``-th row and
-    column is given.
+    It is smooth: a raster of a quarter of its width will do. Every ``steps``-th row and column is given.
     """
     block_rows, block_cols = (max(1, int(width_um / 4 / size)) for size in pixel_um)
     # The last blocks may reach beyond the image, where there is no data.

@@ -45,8 +45,7 @@ def find_holes(
     Parameters
     ----------
     image : array-like, shape (rows, columns)
-        A photograph of the sheet on any grey scale, or a presence map (about 1 where there is sheet, about 0 in holes).
-        NaN where there is no data.
+        A photograph of the sheet on any grey scale, or a presence map (about 1 in sheet, 0 in holes); NaN: no data.
     pixel_um : float or (float, float), in um
         Pixel size, one value or ``(y, x)``; pixel ``i`` has its centre at ``i * pixel_um``.
     diameter_um : tuple of float, in um
@@ -107,8 +106,7 @@ def find_holes(
     if signs is None:
         raise MarkError(f"The polarity is {polarity!r}; it has to be 'auto', 'dark' or 'bright'.")
     grey = _grey(image)
-    # Widths of char, walls and blur are those of laser holes; a target of another size is measured as its magnified
-    # picture.
+    # Widths of char, walls and blur are those of laser holes; other targets are measured as a magnified picture.
     magnification = float(USUAL_UM / np.sqrt(low * high))
     magnification = 1.0 if 0.5 <= magnification <= 2.0 else magnification
     sign, holes, counts = signs[0], np.empty((0, k.COLUMNS)), dict.fromkeys(REASONS, 0)

@@ -27,8 +27,7 @@ LEAST_DEPTH_OF_FLOOR = 0.3
 # Where less than this share of the sheet is as dark as floors that are alike, they are holes in any texture: of hole
 # patterns in the strongest mottle 0.022 at most, of printed dots and letters from 0.07 on.
 RARE = 0.03
-# How much better than an outline a floor has to be. The quality is the share of the rim less its roughness over its
-# radius.
+# How much better than an outline a floor has to be; quality is the rim's share less its roughness over its radius.
 BETTER = 0.015
 # A floor that is deeper by this share of the depth is that of the hole, and the other what lies beside it.
 DEEPER = 0.05
@@ -54,8 +53,7 @@ def met_criteria(marks: Floats, pixel_um: Pair, radius_range: Pair) -> dict[str,
         # that its outer edge comes within the wider distance makes less, too; but no slope has a floor so flat.
         is_sharp = rim_steps > 0.45 * marks[:, k.FAR_STEP]
         is_flat = marks[:, k.FLATNESS] < 0.05 * depths
-        # The char around a hole may take two thirds of the step. Darker char leaves less to the rim: enough where it
-        # is sharp and the floor flat.
+        # Char may take two thirds of the step; where it takes more, a sharp rim and a flat floor are enough.
         has_rim = (rim_steps > 0.28 * depths) | ((rim_steps > 0.15 * depths) & is_sharp & is_flat)
         return {
             # Fewer than 6 pixels across a hole cannot distinguish a rim from a slope.
@@ -155,9 +153,8 @@ def _overlapping(marks: Floats, holes: Floats) -> Ints:
 class TypicalHole(NamedTuple):
     """Typical figures of the holes of one image; levels are times the sign of the holes.
 
-    ``floor_slope``: how much the floor brightens with the sheet around; ``floor_scatter``: robust standard deviation of
-    the floors, share of the depth; ``burnt_share``, ``rim_share``: shares of the depth that the burnt sheet takes, that
-    remain at the rim.
+    ``floor_slope``: how the floor brightens with the sheet around; ``floor_scatter``: robust sd of the floors, share of
+    the depth; ``burnt_share``, ``rim_share``: shares of the depth that the burnt sheet takes, that remain at the rim.
     """
 
     floor_level: float
@@ -237,8 +234,7 @@ def drop_unlike(marks: Floats, sign: float) -> Floats:
     log_radius = np.log(marks[:, k.RADIUS])
     size_difference = np.abs(log_radius - np.median(log_radius[is_like]))
     is_like &= size_difference < np.log(1.6)
-    # Char takes a part of the step; what has none and is odd, taking together that it is less deep, less round and of
-    # another size, is ink or dirt.
+    # Char takes a part of the step; what has none and is odd in depth, roundness and size together is ink or dirt.
     qualities = quality(marks)
     quality_deficit = np.minimum(qualities - np.median(qualities[is_like]), 0)
     is_odd = (

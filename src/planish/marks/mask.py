@@ -52,8 +52,7 @@ def cut_holes(image: xr.DataArray, holes: xr.Dataset) -> xr.Dataset:
     -------
     Dataset, dims (mark)
         ``x, y, diameter`` (um) of a circle around each: what touches the border, is beyond half way from the sheet to
-        the floor of the whole holes, and has a tenth of their area or more. What is wider than twice the largest of
-        them is none.
+        the floor of the whole holes, and has a tenth of their area or more. None is wider than twice the largest.
     """
     grid = Grid.of(image)
     centres, radii_um = np.stack([holes["x"].values, holes["y"].values], axis=1), 0.5 * holes["diameter"].values

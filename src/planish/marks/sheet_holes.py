@@ -28,8 +28,7 @@ OTHER_SIDE = ("through", "closed", "unclear")
 THROUGH, CLOSED, UNCLEAR = range(3)
 # How much material in the middle of a hole closes it.
 MATERIAL = 0.5
-# Standard deviation of the Gaussian that takes noise out of a layer. It moves a rim of radius R by its square over 2 R,
-# 0.7 um in a hole of 150 um.
+# Sd of the Gaussian that takes noise out of a layer; its square over 2 R moves a rim: by 0.7 um in a hole of 150 um.
 NOISE_UM = 10.0
 
 

@@ -56,8 +56,7 @@ def limits(
 ) -> Scale:  # fmt: skip
     """Return a colour scale with limits from percentiles, so that single pixels do not flatten the rest.
 
-    ``percent`` of the values lie beyond either limit; ``symmetric`` puts zero in the middle, ``low`` fixes the lower
-    limit.
+    ``percent`` of the values lie beyond either limit; ``symmetric`` puts zero in the middle, ``low`` is the lower one.
     """
     data = np.asarray(values, dtype=np.float64).ravel()
     data = data[np.isfinite(data)]

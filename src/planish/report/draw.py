@@ -1,7 +1,4 @@
-"""What every figure is made of: SVG measured in CSS pixels, maps in it as images, scale bars, colour bars, axes.
-
-Text and lines stay sharp on screen and paper; the same numbers give the same bytes.
-"""
+"""What every figure is made of: SVG in CSS pixels, sharp and the same each time, with maps as images, bars, axes."""
 
 from __future__ import annotations
 
@@ -266,10 +263,7 @@ class Canvas(Axes):
         self, axes: Axes, x_label: str, y_label: str, *, log: bool = False,
         x_ticks: Ticks | None = None,
     ) -> None:  # fmt: skip
-        """Draw the left and the lower axis with round numbers and labels.
-
-        ``log``: y holds powers of ten; ``x_ticks``: places and texts of the ticks along x.
-        """
+        """Draw the left and lower axis with round numbers; ``log``: y in powers of ten; ``x_ticks``: places, texts."""
         x, bottom, (x0, x1, y0, y1) = axes.x, axes.y + axes.height, axes.extent
         self.line([(x, axes.y), (x, bottom), (x + axes.width, bottom)], colour=SOFT, width=0.8)
         y_ticks = _ticks(y0, y1, max_count=axes.height / 44, log=log)
@@ -332,10 +326,7 @@ class Canvas(Axes):
 
 
 def reduced(values: ArrayLike, rows: Array, cols: Array, *, width: float) -> ShownMap:
-    """Bring a map with its coordinates in um to the resolution of axes that are so many pixels wide, by area means.
-
-    Rows may also run upwards (heights).
-    """
+    """Reduce a map with coordinates in um to axes so many pixels wide, by area means; rows may run upwards (height)."""
     data = np.asarray(values, dtype=np.float64)
     steps = (pitch(rows), pitch(cols))
     pixel_um = max(data.shape[1] * steps[1] / (width * 1.35), 1e-12)  # pixels of an image in one CSS pixel

@@ -23,10 +23,7 @@ if TYPE_CHECKING:
 
 
 def draw_first(run_maps: RunMaps, pairs: Mapping[PairKey, MapPair]) -> list[Picture]:
-    """Draw the two maps that lead, on one grid and one mask, and their larger points; nothing where they are missing.
-
-    ``pairs`` may hold the larger points of the two. What is withheld is not drawn as a relation.
-    """
+    """Draw the two maps that lead, on one grid and mask, and larger points of ``pairs``; none that is withheld."""
     rows = lead_pair(run_maps.results)
     shown_pair = MapPair.of(run_maps.drawn, rows) if rows else None
     if shown_pair is None:

@@ -31,7 +31,6 @@ def draw_flattening(
 
 
 def _draw_warp(surfaces: xr.Dataset, flat: xr.Dataset) -> draw.Picture:
-    """Draw the height of the centre surface."""
     y, x = surfaces["y"].values, surfaces["x"].values
     heights = (1.0 if surfaces.attrs["top_side"] == "high" else -1.0) * _from_top(surfaces["centre"].values, flat)
     heights = heights - np.nanmedian(heights)

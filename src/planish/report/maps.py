@@ -141,10 +141,7 @@ def _draw_property(
 def draw_side_by_side(
     maps: tuple[xr.DataArray, xr.DataArray], layers: tuple[str, str], *, same_scale: bool, excluded_text: str = HOLES
 ) -> draw.Picture:
-    """Draw two maps (y, x) on one grid side by side, NaN where not valid.
-
-    ``same_scale``: they have one colour scale; ``excluded_text`` says what the mask of valid pixels leaves out.
-    """
+    """Draw two maps (y, x) side by side, NaN where not valid; ``excluded_text`` says in words what masks leave out."""
     y, x, map_px = maps[0]["y"].values, maps[0]["x"].values, draw.HALF - draw.MARGIN - draw.BESIDE
     shown_maps = [draw.reduced(data.values, y, x, width=map_px) for data in maps]
     map_size = shown_maps[0].fit(map_px, 480.0)
@@ -185,10 +182,7 @@ def _draw_histogram(
 
 
 def draw_outlines(linked: xr.Dataset, *, name: str, thin_um: float, excluded_text: str = HOLES) -> list[draw.Picture]:
-    """Draw property and image side by side, and the image with thin regions outlined (Hirn et al. 2009, Fig. 6).
-
-    ``excluded_text`` says in words what the mask of valid pixels leaves out.
-    """
+    """Draw property and image, and the image with thin regions outlined (Hirn et al. 2009, Fig. 6)."""
     y, x, valid = linked["y"].values, linked["x"].values, linked["valid"].values.astype(bool)
     ground = ground_of(linked["image"], layer="image", valid=valid)
     values = np.where(valid, linked[name].values.astype(np.float64), np.nan)

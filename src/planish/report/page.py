@@ -63,8 +63,7 @@ def write_report(
         ``slices``, as ``layers/NAME/surfaces`` or, where there is one sheet, ``surfaces``. After a link the maps on the
         pixels of the reference (y, x): ``layers/NAME``, or ``linked`` of a sheet and an image.
     marks : mapping of name to Dataset (mark)
-        Pairs of marks of each layer but the reference with their residuals, by its name; ``fixed_*`` in the layer that
-        it was registered to.
+        Pairs of marks, with residuals, of each layer but the reference, by its name; ``fixed_*`` in its own reference.
     results : Results
     figures : path, optional
         Folder to make for the figures, each as SVG and the numbers that it shows as CSV.
@@ -193,10 +192,7 @@ def _registration_pictures(
     layer: LayerFacts, layer_maps: xr.Dataset, reference_map: xr.DataArray, marks: xr.Dataset | None, results: Results,
     map_texts: tuple[str, str],
 ) -> list[Picture]:  # fmt: skip
-    """Draw the residuals of a layer's marks, its expected error, and the lags of its tiles.
-
-    ``map_texts`` are its map and that of the reference in words.
-    """
+    """Draw a layer's residuals, expected error and lags of tiles; ``map_texts``: its map and the reference's."""
     r, reference_layer, has_two_layers = layer.registration, results.reference, len(results.layers) == 2
     assert r is not None
     hole_um = float(sum(results.parameters.get("holes", {}).get("hole_um", (100.0, 300.0))) / 2)

@@ -51,10 +51,7 @@ def ground_of(
     data: xr.DataArray, *, layer: str, valid: NDArray[np.bool_] | None = None, edge: NDArray[np.bool_] | None = None,
     edge_layer: str = "",
 ) -> Ground:  # fmt: skip
-    """Return a map or image (y, x) of the layer ``layer`` as ground, in grey.
-
-    ``valid`` pixels set the grey window; ``edge`` is where the layer ``edge_layer`` lies.
-    """
+    """Return a map or image (y, x) as ground, greys of its ``valid`` pixels; ``edge`` is where ``edge_layer`` lies."""
     values, y, x = data.values.astype(np.float64), data["y"].values, data["x"].values
     window_values = values[valid] if valid is not None and valid.any() else values
     pixels_text = f"{draw.n_of(values)} pixels of {draw.pixel_of(x)}"
@@ -94,10 +91,7 @@ def _draw_arrows(
 def draw_registration(
     r: RegistrationFacts, ground: Ground, marks: xr.Dataset, *, hole_um: float, moving_layer: str, width: float
 ) -> draw.Picture:
-    """Draw a ground with its marks (``fixed_*``), numbered, and the residual of each as an arrow.
-
-    ``hole_um`` is the diameter at which marks are drawn, ``moving_layer`` the layer of their partners.
-    """
+    """Draw a ground with its numbered marks (``fixed_*``), ``hole_um`` wide, and the residual of each as an arrow."""
     canvas, axes = ground.draw(width)
     if ground.edge is not None:
         axes.outline(ground.edge, ground.y, ground.x, colour=EDGE, width=1.6)
@@ -130,7 +124,6 @@ def draw_registration(
 
 
 def _draw_marks(axes: draw.Axes, marks_xy: Array, *, hole_um: float, font_size: float) -> None:
-    """Draw marks as circles with their numbers."""
     angles = np.linspace(0, 2 * np.pi, 49)
     circle = hole_um / 2 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     for k, (x, y) in enumerate(marks_xy, 1):
@@ -145,10 +138,7 @@ def _draw_marks(axes: draw.Axes, marks_xy: Array, *, hole_um: float, font_size: 
 def draw_expected_error(
     error: xr.DataArray, marks: xr.Dataset | None, *, hole_um: float, width: float, reference: str, layer: str
 ) -> draw.Picture | None:
-    """Draw the expected error of each place, with contour lines and the marks; None where nothing is known.
-
-    ``reference`` is the layer whose pixels they are, ``layer`` the one that was brought to them.
-    """
+    """Draw the expected error of ``layer`` on ``reference``, with contour lines and marks; None if unknown."""
     y, x = error["y"].values, error["x"].values
     finite_errors = error.values[np.isfinite(error.values)].astype(np.float64)
     if finite_errors.size == 0:

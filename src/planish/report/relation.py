@@ -31,10 +31,7 @@ _LEFT, _RIGHT = 85.0, 635.0
 
 @dataclass(frozen=True)
 class MapPair:
-    """Two maps (y, x) on one grid, their correlations from the pixel to the largest points, and masks of valid pixels.
-
-    ``density`` (g/cm3) turns map a, a thickness, into g/m2 where it is drawn.
-    """
+    """Two maps (y, x) on one grid, correlations from the pixel up, masks; ``density`` (g/cm3) turns map a into g/m2."""
 
     a: xr.DataArray
     b: xr.DataArray
@@ -67,8 +64,7 @@ class MapPair:
 def block_means(a: xr.DataArray, b: xr.DataArray, *, point_um: float, valid: Sequence[xr.DataArray] = ()) -> Points:
     """Average two maps (y, x) on one grid over points of ``point_um``, over the pixels that are known in both.
 
-    ``valid`` are masks of pixels that count. Points that are less than half known do not count; there are none where
-    they would be smaller than pixels.
+    ``valid`` are masks of pixels that count. Points less than half known do not count; none are smaller than pixels.
     """
     factors = [point_um / pitch(a[axis].values) for axis in ("y", "x")]
     if min(factors) < 1 - 1e-9:

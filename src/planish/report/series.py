@@ -101,9 +101,6 @@ def natural(name: str) -> tuple[tuple[int, int, str], ...]:
     return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part) for part in runs)
 
 
-# --- small maps ------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SmallMap:
     """A map of one specimen, small; None where there is none, or it cannot be read."""
@@ -150,9 +147,6 @@ def _tile_maps(maps: Sequence[SmallMap]) -> dict[str, Any]:
     canvas.text(350, 32, plain(bar_um), size=SMALL)
     bar_picture = canvas.picture(title="Colours and scale of all maps", caption="")
     return {"bar": bar_picture, "images": images, "missing": missing_names}
-
-
-# --- groups ----------------------------------------------------------------------------------------------------------
 
 
 def draw_groups(results: SeriesResults, k: int) -> Picture | None:

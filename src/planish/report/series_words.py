@@ -62,9 +62,6 @@ def light_of(results: SeriesResults) -> str:
     return "pass" if all(is_whole) and not any(g.left_out for g in results.groups) else "look"
 
 
-# --- numbers -------------------------------------------------------------------------------------------------------
-
-
 def value(v: float | None, q: Quantity, limits: tuple[float, float] | None = None) -> str:
     """Write a value of a quantity: a share in per cent, r with two decimals, others by the width of an interval."""
     if v is None or not is_known(v):
@@ -131,9 +128,6 @@ def label(group: Mapping[str, str]) -> str:
 def sheets_text(n: int) -> str:
     """So many sheets."""
     return "1 sheet" if n == 1 else f"{count(n)} sheets"
-
-
-# --- sentences -----------------------------------------------------------------------------------------------------
 
 
 def group_sentence(g: GroupFacts, results: SeriesResults) -> str:

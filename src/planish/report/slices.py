@@ -93,7 +93,6 @@ def draw_slices(slices: xr.Dataset, surfaces: xr.Dataset) -> list[Picture]:
 def _draw_window(
     canvas: Canvas, cut: Slice, window: Window, corner_px: tuple[float, float], zoom: float, scale: Scale, width: float
 ) -> Axes:
-    """Draw a window of a slice with its surfaces."""
     left, right, low, high = window
     width_px = (right - left) * zoom
     axes = canvas.axes(*corner_px, width_px, (high - low) * zoom, window)

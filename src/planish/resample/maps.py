@@ -82,10 +82,7 @@ Names = tuple[list[str], list[str], list[str]]
 
 
 class SheetOnto:
-    """The maps of a sheet on the pixels of a reference, of which parts are asked for one by one.
-
-    ``transform`` leads from the flat sheet to the reference, and has a ``similarity``.
-    """
+    """The maps of a sheet on a reference's pixels, part by part; ``transform``, with a ``similarity``, leads there."""
 
     def __init__(self, surfaces: xr.Dataset, flat: xr.Dataset, *, transform: Any = None) -> None:
         uv, self._surfaces, self._similarity = _flat_coordinates(flat), surfaces, Similarity()
@@ -158,10 +155,7 @@ def image_attrs(image: xr.DataArray) -> dict[str, Any]:
 
 
 class Lattice:
-    """Some of a grid's places, evenly from border to border, between which what varies over millimetres is known.
-
-    ``places`` are (rows, cols, 2), as (x, y) in um, at most some 200 x 200.
-    """
+    """Some of a grid's places, evenly spaced, at most some 200 x 200: ``places`` (rows, cols, 2), (x, y) in um."""
 
     def __init__(self, grid: Grid) -> None:
         self._nodes_um = [np.linspace(v[0], v[-1], min(v.size, 200)) for v in (grid.y_um, grid.x_um)]

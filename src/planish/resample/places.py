@@ -27,7 +27,7 @@ Indices = NDArray[np.int32]
 Method = Literal["quads", "delaunay"]
 Result = TypeVar("Result")
 
-_SEGMENT = 32  # quads whose extent is known together: passed over at once where they do not touch a band of pixels
+_SEGMENT = 32  # quads whose extent is known together, passed over where they touch no band of pixels
 _LEAST_ROWS = 32  # of a band: below that, starting a thread takes longer than the work
 
 
@@ -80,8 +80,7 @@ def find_places(uv: Floats, grid: Grid, *, least_um: float | None = None, method
     Raises
     ------
     SurfaceError
-        The grid is empty or too large, the mesh is not (rows, cols, 2) or has more than 2^30 nodes, or there is
-        nothing to triangulate.
+        The grid is empty or too large, the mesh is not (rows, cols, 2), has over 2^30 nodes or no triangle.
 
     Notes
     -----

@@ -80,12 +80,11 @@ def warp_image(
     Notes
     -----
     Places in the image are right to 0.01 of its pixels, and exact for affine transformations. Values are averaged where
-    the longer side of a pixel is more than 1.1 source pixels long, and interpolated elsewhere; that is decided patch by
-    patch. A pixel's area is the quadrilateral between the images of its four corners, and every source pixel counts
-    with the part of it that lies inside: nothing is sampled, and of whole images the sums are kept. A pixel is known
-    where at least half of its area is. Between the middles of source pixels, a bilinear value is known where all pixels
-    that have weight are, as in :func:`planish.resample.resample`: it ends at the middles of the outermost pixels, half
-    a pixel before the area does.
+    the longer side of a pixel is more than 1.1 source pixels long, and interpolated elsewhere, decided patch by patch.
+    A pixel's area is the quadrilateral between the images of its four corners, and every source pixel counts with its
+    part inside: nothing is sampled, and of whole images the sums are kept. A pixel is known where at least half of its
+    area is. Between the middles of source pixels, a bilinear value is known where all pixels that have weight are, as
+    in :func:`planish.resample.resample`: it ends at the outermost middles, half a pixel before the area does.
 
     Rounding leaves 1e-13 of the largest value nearby in a mean: mark values that stand for missing ones as NaN.
     """

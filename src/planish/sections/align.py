@@ -297,10 +297,7 @@ def _shifted(profiles: Floats, shift: Floats) -> Floats:
 
 
 def _match_template(profiles: Floats, template: Floats) -> tuple[Floats, Floats]:
-    """Match profiles with a template: how much further each lies, in pixels, and its correlation with it.
-
-    A profile is gain x template + offset, moved a little: least squares for the three.
-    """
+    """Fit gain x template + offset, moved, to profiles: how much further each lies, in pixels, and its correlation."""
     gradient = np.gradient(template, axis=1)
     interior = slice(2, -2)
     t, g, f = template[:, interior], gradient[:, interior], profiles[..., interior]

@@ -83,9 +83,8 @@ def slow_part(at_um: Floats, values: Floats, *, cutoff_um: float, weights: Float
     Places increase; values are finite where the weight is not 0. Of the wavelength ``cutoff_um`` half the amplitude
     passes; of one twice as long 99.99 % do, of one half as long 2 %.
 
-    Whittaker's smoother with a penalty on the fourth derivative (Eilers 2003, Anal. Chem. 75, 3631), applied a second
-    time to what the first left. The derivative is taken by divided differences at the true places, so a gap neither
-    shifts nor bends anything.
+    Whittaker's smoother with a penalty on the fourth derivative (Eilers 2003, Anal. Chem. 75, 3631), applied again to
+    what it left. Divided differences at the true places make it, so a gap neither shifts nor bends anything.
     """
     n = values.size
     weights = np.ones(n) if weights is None else weights

@@ -34,8 +34,7 @@ class SectionPairs(NamedTuple):
     """Offsets between pairs of sections: pose of the second less that of the first, along row and col in um, and rad.
 
     Where ``is_sound``, the offset is also known well enough. The offsets follow from ``normal_sums`` (pairs, parts, 13)
-    and ``base_offset`` (pairs, 3), the difference of the poses with which the bands were made; fine bands show no
-    rotation.
+    and ``base_offset`` (pairs, 3), the difference of the bands' poses; fine bands show no rotation.
     """
 
     first: Index

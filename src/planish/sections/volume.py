@@ -47,18 +47,16 @@ def regular_volume(
     Returns
     -------
     DataArray, dims (z, y, x) = (section, row, col)
-        Computed plane by plane when it is read, where the stack is no ndarray. In the type of the stack.
-        Coordinates in um, voxel i has its centre at i × size; z counts from the first
-        section used, and its pitch is the median step of the positions. Attributes as `planish.io.read_volume` gives
-        them, with ``sections``, ``sections_missing`` (planes between sections farther apart than one and a half
-        pitches), ``first_position_um`` and ``jitter_left_um`` (row, col). Pixels that a shift brings in from outside
-        repeat the border.
+        Computed plane by plane when it is read, where the stack is no ndarray. In the type of the stack. Coordinates in
+        um, voxel i has its centre at i × size; z counts from the first section used, and its pitch is the median step
+        of the positions. Attributes as `planish.io.read_volume` gives them, with ``sections``, ``sections_missing``
+        (planes between sections more than 1.5 pitches apart), ``first_position_um`` and ``jitter_left_um`` (row, col).
+        Pixels that a shift brings in from outside repeat the border.
 
     Raises
     ------
     VolumeError
-        If more than `most_missing` sections in a row are missing from an integer stack; in one of real numbers these
-        planes are NaN.
+        If more than `most_missing` sections in a row are missing from integers; of real numbers these planes are NaN.
     """
     stack, real = series.stack, series.stack.dtype.kind == "f"
     n = stack.shape[0]

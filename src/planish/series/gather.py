@@ -1,7 +1,4 @@
-"""Runs of a series read one after the other: of each, its figures as tidy rows and what a table says of it.
-
-No run stays in memory.
-"""
+"""Runs of a series, read one by one and none kept in memory: of each its figures as rows, and what a table says."""
 
 from __future__ import annotations
 
@@ -42,7 +39,7 @@ class FigureRow:
     map: str = ""  #: likewise; empty also where it is of a registration
     other_layer: str = ""  #: of the second of two maps that were compared
     other_map: str = ""  #: the second of two maps that were compared
-    at_um: float | None = None  #: limit of a thin share, edge of the points of a correlation, longest wave of an octave
+    at_um: float | None = None  #: limit of a thin share, edge of points, longest wave of an octave
     low: float | None = None  #: end of its 95 % interval, where it has one
     high: float | None = None  #: as ``low``
     trust: Trust = "ok"
@@ -184,9 +181,6 @@ def _instruments(member: Member, results: Results, e: EvidenceFacts, twice: Twic
         specimen=member.name, a=e.a, b=e.b, map=e.a_map, trust=row.trust, unit=row.units or "1", point_um=row.point_um,
         n=row.n, **figures,
     )  # fmt: skip
-
-
-# --- figures as rows -------------------------------------------------------------------------------------------------
 
 
 def rows_of(member: Member, results: Results) -> list[FigureRow]:

@@ -104,8 +104,7 @@ class SeriesState:
     def look(self, specimen: PlannedSpecimen, compute: Compute) -> Job | Member:
         """What is to be done for a specimen; what became of it where it is done, or cannot be begun.
 
-        A specimen that was refused with the same files and options is not tried again. One that failed for want of
-        memory or disk is.
+        One refused with the same files and options is not tried again; one that lacked memory or disk is.
         """
         try:
             study = self.plan.study(specimen)

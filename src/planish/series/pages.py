@@ -51,8 +51,7 @@ def write_series(members: Sequence[Member], home: Path, declared: Declared, out:
     declared : Declared
     out : path
         Folder that is there: report.html, results.json, specimens.csv (a row for each specimen) and values.csv (a row
-        for each figure) are written into it, each whole, over those of an earlier time; values.parquet, too, where
-        pyarrow is installed.
+        for each figure) are written into it, each whole, over earlier ones; with pyarrow, values.parquet, too.
 
     Returns
     -------
@@ -68,8 +67,7 @@ def write_series(members: Sequence[Member], home: Path, declared: Declared, out:
 
     Notes
     -----
-    The same runs give the same bytes, on every machine and in any order of work; those of the Parquet file hold for one
-    version of pyarrow.
+    The same runs give the same bytes on any machine, in any order of work; the Parquet file per version of pyarrow.
     """
     gathered = gather(members, home)
     results = summary_of(gathered, declared)
@@ -126,9 +124,6 @@ def _read_map(store: Path, kind: RunKind, quantity: Quantity) -> xr.DataArray | 
                 values = np.where(data["valid"].values.astype(bool), values, np.nan)
             return data[name].copy(data=values)
     return None
-
-
-# --- tables ----------------------------------------------------------------------------------------------------------
 
 
 def factor_columns(factors: Sequence[str], columns: Sequence[str] = ("specimen", *_OF_A_ROW)) -> list[str]:

@@ -99,9 +99,6 @@ def read_plan(path: Path, changes: Sequence[str] = ()) -> Plan:
     return _of_toml(path, text, plan) if path.suffix.lower() == ".toml" else _checked(path, _rows_of(path, text), plan)
 
 
-# --- the two forms ---------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, slots=True)
 class _TableRow:
     """One specimen before it is checked, and where it stands."""
@@ -187,9 +184,6 @@ def _check_common(path: Path, text: str, sections: Mapping[str, Any]) -> None:
         if isinstance(table := tables.get(kind, {}), dict):
             tables[kind] = {"path": "x"} | cast("dict[str, Any]", table)
     checked_study(path, text, tables)
-
-
-# --- what both have in common ----------------------------------------------------------------------------------------
 
 
 def _checked(path: Path, rows: Sequence[_TableRow], plan: Plan) -> Plan:

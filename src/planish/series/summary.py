@@ -75,7 +75,6 @@ def summary_of(gathered: Gathered, declared: Declared) -> SeriesResults:
 
 
 def _compared_by(gathered: Gathered, factors: Sequence[str], declared: Declared) -> str | None:
-    """The factor that is compared."""
     name = declared.compare
     if name is None:
         return next((factor for factor in ("treatment", "paper", "side") if _varies(gathered, factor)), None)
@@ -103,7 +102,6 @@ def _varies(gathered: Gathered, factor: str) -> bool:
 def _specimens(
     gathered: Gathered, rows: Sequence[FigureRow], quantities: Sequence[Quantity], declared: Declared
 ) -> list[SeriesSpecimen]:
-    """Specimens with their sheets and figures."""
     rows_by_specimen, first_of_volume = dict[str, list[FigureRow]](), dict[tuple[str, ...], str]()
     for row in rows:
         rows_by_specimen.setdefault(row.specimen, []).append(row)
@@ -138,7 +136,6 @@ def _fields(specimens: Sequence[SeriesSpecimen], k: int, *, with_names: bool = F
 
 
 def _group(specimens: Sequence[SeriesSpecimen], k: int, quantity: Quantity, group: Mapping[str, str]) -> GroupFacts:
-    """State one quantity over the sheets of one group."""
     members = [s for s in specimens if all(s.factor(name) == level for name, level in group.items())]
     fields = _fields(members, k)
     if quantity.what == "r":

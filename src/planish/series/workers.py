@@ -1,7 +1,4 @@
-"""A series from its plan to its runs: jobs on processes of this computer or on a cluster.
-
-A process that dies takes no other job with it.
-"""
+"""A plan's jobs on processes of this computer or on a cluster; a process that dies takes no other job with it."""
 
 from __future__ import annotations
 
@@ -72,7 +69,6 @@ def run_series(
 
 @contextmanager
 def _workers(compute: Compute, jobs: int) -> Generator[_Cluster | _Processes]:
-    """Give the workers of a scheduler, or else processes of this computer."""
     if compute.scheduler is not None:
         with engine(compute) as cluster:
             assert cluster.executor is not None

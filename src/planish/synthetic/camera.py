@@ -59,8 +59,7 @@ def sheet_reflectance(
 ) -> Floats:
     """Reflectance of the sheet's top side: bottom coating, base and top coating over a backing.
 
-    The backing is a pile of the same paper or a black hollow. Density of the coatings and grammage of the base are
-    relative, 1 in the mean.
+    The backing is a pile of the paper or a black hollow; density of coatings and grammage of the base have a mean of 1.
     """
     reflectance = pile_reflectance(paper) if backing == "pile" else 0.0
     reflectance = coated(reflectance, coating_bottom_um, coating_density, paper, outwards=False)

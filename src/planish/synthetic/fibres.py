@@ -19,7 +19,7 @@ from planish.synthetic.params import FilmParams, PaperParams, generator
 
 WALL_G_PER_CM3 = 1.5
 _FILLER_G_PER_CM3, _FILLER_UM3 = 2.7, 4.2  # of calcite; volume of a grain of 2 um
-_GRAIN = 110  # what a grain adds to a cell of 1 um, where 100 is wall: it fills half of it and is twice as bright
+_GRAIN = 110  # what a grain adds to a cell of 1 um; 100 is wall: it fills half and is twice as bright
 _TRIES = 6  # places of a fibre, of which it takes the lowest
 _FACE_ROWS = 64
 _DEEPEST = (2.5, 10.5)  # height of a sheet before the press over its solid thickness, and more with hollow fibres
@@ -27,10 +27,7 @@ _DEEPEST = (2.5, 10.5)  # height of a sheet before the press over its solid thic
 
 @dataclass(frozen=True, kw_only=True)
 class Structure:
-    """Density of a base (rows, cols, cells) uint8, wall 100, in cells of ``cell_um`` whose lowest begins at ``low_um``.
-
-    Heights count as those of the sheet's faces.
-    """
+    """Density of a base (rows, cols, cells) uint8, wall 100, in cells of ``cell_um`` from ``low_um`` up, as faces."""
 
     density: NDArray[np.uint8]
     low_um: float

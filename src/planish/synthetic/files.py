@@ -41,9 +41,8 @@ def write_instruments(
 ) -> InstrumentFiles:
     """Write a volume as ``volume`` says, and an image: ``image.tif``.
 
-    "stack": ``volume.tif`` with ImageJ's calibration; "scanner": slices and a log file as NRecon writes them, across
-    the axis of rotation, so that their rows run through the sheet; "sections": photographs with the microtome's
-    counter.
+    "stack": ``volume.tif`` with ImageJ's calibration; "scanner": slices and a log as NRecon writes them, across the
+    axis of rotation, so their rows run through the sheet; "sections": photographs with the microtome's counter.
     """
     folder.mkdir(parents=True, exist_ok=True)
     write = {"stack": _write_stack, "scanner": _write_scan, "sections": _write_sections}[volume]
@@ -181,10 +180,7 @@ def write_specimen(options: SpecimenOptions, folder: Path, *, progress: Callable
 
 
 def write_nodes(specimen: Specimen, path: Path) -> None:
-    """Write nodes of the centre surface as ``.npz``: a specimen that is too large for voxels.
-
-    ``points`` (rows, cols, 3) as x, y, z, ``u`` and ``v`` of each, and ``coating_top``; all in um.
-    """
+    """Write ``.npz`` for a sheet too large for voxels: ``points`` (rows, cols, 3), ``u, v``, ``coating_top``; um."""
     x, y, _ = specimen.extent_um
     columns = specimen.warp.columns(np.arange(0.0, y, _NODES_UM), np.arange(0.0, x, _NODES_UM))
     u, v = columns[..., 0], columns[..., 1]

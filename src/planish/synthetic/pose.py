@@ -43,10 +43,7 @@ class CameraPose:
         return centre + offset * (1 + self.radial * radius_squared)
 
     def inverse(self, points: ArrayLike) -> Floats:
-        """Carry image points (..., 2), (x, y) in um, back to the sheet: (u, v) in um, exact to 1e-9 um.
-
-        NaN where the lens (``radial`` below 0) shows no point of the sheet.
-        """
+        """Carry image points (..., 2), (x, y) in um, to (u, v) in um, to 1e-9 um; NaN where the lens shows none."""
         middle, centre = np.array(self.middle_um), np.array(self.centre_um)
         offset = np.asarray(points, dtype=np.float64) - centre
         if self.radial != 0:

@@ -137,12 +137,11 @@ NUISANCES: dict[str, Nuisance] = {
     )
 }
 """Every disturbance that can be switched off, by name."""
-_INSTRUMENTS = {"scanner", "sections"}
 
 
 def nuisances_of(params: SpecimenParams, instrument: str) -> list[str]:
     """Names of the nuisances that are on in ``params`` and act on ``instrument`` ("scanner" or "sections")."""
-    other = _INSTRUMENTS - {instrument}
+    other = {"scanner", "sections"} - {instrument}
     return [name for name, n in NUISANCES.items() if n.section not in other and without(params, [name]) != params]
 
 

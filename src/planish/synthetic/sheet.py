@@ -25,10 +25,7 @@ _FIBRE_UM = ((1000.0, 2500.0), (20.0, 35.0))  # length, width of softwood and ha
 
 
 def noise(shape: tuple[int, int], correlation_um: float, rng: np.random.Generator) -> Floats:
-    """Gaussian random field (rows, cols), mean 0 and standard deviation 1.
-
-    Its autocorrelation is ``exp(-(r / correlation_um)^2)``.
-    """
+    """Gaussian random field (rows, cols), mean 0, sd 1, with the autocorrelation ``exp(-(r / correlation_um)^2)``."""
     return _unit(_filtered(rng.standard_normal(_padded(shape)), 0.5 * correlation_um)[: shape[0], : shape[1]])
 
 
@@ -48,10 +45,7 @@ def streaks(shape: tuple[int, int], correlation_um: float, rng: np.random.Genera
 
 
 def fibres(shape: tuple[int, int], per_mm2: float, anisotropy: float, rng: np.random.Generator) -> Floats:
-    """Height of fibres laid at random, 0 to 1, where crossing ones do not add up.
-
-    ``anisotropy`` is the number of fibres along u over those across; angles follow von Mises' distribution.
-    """
+    """Height, 0 to 1, of fibres laid at random; ``anisotropy``: number along u over across, by von Mises' angles."""
     count = max(int(per_mm2 * shape[0] * shape[1] * PITCH_UM**2 * 1e-6), 8)
     (shortest, longest), (narrowest, widest) = _FIBRE_UM
     field = np.zeros(shape)
@@ -98,10 +92,7 @@ _ORDERS = np.arange(2, 25)  # of the waves around the rim, one after the other; 
 
 
 def hole_pattern(params: BurnParams, low: Floats, high: Floats, seed: int) -> Floats:
-    """Centres (n, 2) in um, in the flat rectangle from ``low`` to ``high`` (u, v), with the error of the laser's stage.
-
-    ValueError if the field is too small for the pattern.
-    """
+    """Centres (n, 2) in um from ``low`` to ``high`` (u, v), with the stage's error; ValueError if they do not fit."""
     if params.count == 0:
         return np.zeros((0, 2))
     designed = _coded(params, low, high) if params.pattern == "coded" else _scattered(params, low, high, seed)

@@ -225,8 +225,7 @@ class Sensitivity:
     quiet: dict[str, float]  # stage to that figure without any and with all nuisances
     loud: Values
     rows: tuple[NuisanceRow, ...]
-    # Stage to the sum of squares of the single errors over what all of them together add; None where neither is worth
-    # naming.
+    # Stage to the sum of squares of single errors over what all together add; None where neither is worth naming.
     ratio: Values
     # Stage whose ratio is off to the two nuisances whose leaving out changes most: they do not add as squares.
     together: dict[str, tuple[str, ...]]

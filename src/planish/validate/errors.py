@@ -37,10 +37,7 @@ from planish.validate.truth import (
 
 
 def section_errors(comparison: Comparison) -> Values:
-    """Measure the distances of aligned sections from their true places, about the best straight line.
-
-    A shift and a shear of the whole stack are no error of the sheet's structure: they are taken away.
-    """
+    """Distances of aligned sections from their true places; a shift and a shear of the whole stack are no errors."""
     sections, surfaces = comparison.groups.get("sections"), comparison.surfaces
     frame, sections_um = Frame.of(surfaces), np.asarray(surfaces["y"].values, dtype=np.float64)
     # Through z, a section shows the sheet from above, and its pose has other axes.

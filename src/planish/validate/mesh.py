@@ -9,6 +9,7 @@ import numpy as np
 from planish.core.status import Outcome
 from planish.core.typing import Floats
 from planish.flatten import relax_grid
+from planish.flatten.levels import of_springs
 from planish.flatten.relaxation import RelaxationParams, relax_dynamically
 from planish.validate.truth import Values
 
@@ -18,10 +19,7 @@ _FEW_STEPS = 5000  # three times what the right reading needs to come to rest
 
 
 def mesh_values(seed: int, *, once: bool) -> Values:
-    """Figures of the mesh for one random deformation; with ``once`` also those that no seed changes.
-
-    Errors are shares of the true size in per cent, places are in pitches.
-    """
+    """Figures of one random deformation, sizes in %, places in pitches; ``once``: also those that no seed changes."""
     start, rest = deformed(seed)
     flat = grid(ROWS, COLS)
     if once:  # the first call compiles, which is no part of the time
@@ -63,20 +61,12 @@ def grid(rows: int, cols: int) -> Floats:
 
 def rest_lengths(points: Floats) -> Floats:
     """Rest lengths (4, rows, cols): right, down, and both diagonals; NaN where there is no spring."""
-    rest = np.full((4, *points.shape[:2]), np.nan)
-    rest[0, :, :-1] = np.linalg.norm(points[:, 1:] - points[:, :-1], axis=-1)
-    rest[1, :-1] = np.linalg.norm(points[1:] - points[:-1], axis=-1)
-    rest[2, :-1, :-1] = np.linalg.norm(points[1:, 1:] - points[:-1, :-1], axis=-1)
-    rest[3, :-1, :-1] = np.linalg.norm(points[1:, :-1] - points[:-1, 1:], axis=-1)
-    return rest
+    missing = np.full((4, *points.shape[:2]), np.nan)
+    return of_springs(points, lambda a, b: np.linalg.norm(b - a, axis=-1), missing)
 
 
 def deformed(seed: int, rows: int = ROWS, cols: int = COLS) -> tuple[Floats, Floats]:
-    """Start (rows, cols, 2) and rest lengths after Fig. 5.
-
-    A flat mesh is scaled by 0.85 and 1.10 and sheared by 0.15; whole rows are displaced by a standard deviation of 0.3
-    pitches, single nodes by 0.15.
-    """
+    """Start (rows, cols, 2) and rest lengths after Fig. 5: a flat mesh, scaled, sheared, rows and nodes displaced."""
     rng = np.random.default_rng(seed)
     flat = grid(rows, cols)
     start = flat @ np.array([[0.85, 0.0], [0.15, 1.10]])

@@ -74,10 +74,7 @@ _KNOWN: dict[str, tuple[Mapping[str, Any], str]] = {
 
 
 class Limit(Params, populate_by_name=True):
-    """Bound of a figure: ``limit`` holds its absolute value from above, ``least`` the value itself from below.
-
-    ``from`` names where the bound comes from.
-    """
+    """Bounds of a figure: ``limit`` of its absolute value, ``least`` of its value from below, ``from`` their origin."""
 
     limit: float | None = None
     least: float | None = None
@@ -115,8 +112,7 @@ class Scenario(Params):
 
     name: str
     title: str
-    # {"line", "pair", "mesh"}: the whole line through files; two volumes of one sheet, linked; or the relaxation of
-    # the spring mesh alone.
+    # {"line", "pair", "mesh"}: the line through files; two linked volumes of one sheet; the spring mesh alone.
     kind: Literal["line", "pair", "mesh"] = "line"
     preset: str = "wfc135"  # paper, a key of :data:`planish.synthetic.presets.PRESETS`
     # ``T0`` to ``T3``, or the lateral extent (x, y) in um.

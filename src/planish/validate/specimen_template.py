@@ -22,10 +22,7 @@ _LEAST_HOLES, _BORDER_UM, _HOLE_UM2 = 5, 260.0, 75_000.0  # holes, their distanc
 
 
 def like_run(folder: Path) -> SpecimenTemplate:
-    """Find the parameters of specimens that are like the run, of one volume, with or without an image, in a folder.
-
-    FileError if a file of it is missing or damaged; InputError if it does not hold what is needed.
-    """
+    """Find parameters of specimens like a run of one volume; FileError if it is damaged, InputError if it lacks any."""
     run = open_run(folder)
     volumes = [layer for layer in run.study.layers if layer.kind == "volume"]
     if len(volumes) != 1 or "surfaces" not in run.groups:

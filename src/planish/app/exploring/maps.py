@@ -267,7 +267,6 @@ def _halved_maps(run: Run, group: str, names: list[str], halvings: int) -> xr.Da
 
 
 def _layer_of_map(results: Results, group: str, map_name: str) -> LayerFacts:
-    """The layer that a map of a group is of."""
     if group.startswith("layers/"):
         return results.layer(group.removeprefix("layers/"))
     kind = "image" if map_name == IMAGE else "sheet"

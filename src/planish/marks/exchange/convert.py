@@ -123,8 +123,7 @@ def write_any(
     moving, fixed : LayerPixels
         Pixel sizes, in place of those that the marks hold.
     unit : {"um", "mm", "pixel"}, optional
-        Unit of a BigWarp or elastix file: that of the images as the other program opens them. um for BigWarp and mm for
-        elastix where not given.
+        Unit of a BigWarp (um if not given) or elastix file (mm): that of the images as the other program opens them.
     swap : bool
         Whether the fixed layer is to be the moving one of the other program.
 

@@ -173,10 +173,7 @@ def marks_of_holes(holes: xr.Dataset, *, layer: str, about: Mapping[str, Any] | 
 def join_holes(
     moving: xr.Dataset, fixed: xr.Dataset, pairs: Ints | None = None, labels: Sequence[str] = ()
 ) -> xr.Dataset:
-    """Make marks of the holes of two layers: the pairs, with labels, then the holes of either layer alone.
-
-    ``pairs`` (k, 2) are rows of the moving and of the fixed holes.
-    """
+    """Make marks of two layers' holes: ``pairs`` (k, 2: rows of moving and fixed), with labels, then single holes."""
     paired_rows = np.empty((0, 2), dtype=np.intp) if pairs is None else pairs
     unpaired_rows = [np.setdiff1d(np.arange(h.sizes["mark"]), paired_rows[:, k]) for k, h in enumerate((moving, fixed))]
     names, layers, about = [*labels], dict[str, MarkPlaces](), dict[str, dict[str, Any]]()
@@ -207,8 +204,7 @@ def holes_of(marks: xr.Dataset, layer: str) -> xr.Dataset:
 def with_holes(marks: xr.Dataset, holes: xr.Dataset, layer: str, *, usual_um: float) -> xr.Dataset:
     """Give marks the diameters of the holes that they lie in, and add the holes in which none of them lies.
 
-    ``holes`` are marks of the layer, with diameters. A diameter of ``marks`` that is known stays; that of a mark in no
-    hole is ``usual_um``.
+    ``holes`` are marks of the layer, with diameters. Those known in ``marks`` stay; without a hole, ``usual_um``.
     """
     holes = holes.isel(mark=np.flatnonzero(in_layers(holes, [layer])))
     name, hole_count = f"{layer}_diameter", holes.sizes["mark"]
@@ -248,8 +244,7 @@ def used_pairs(
     Returns
     -------
     Dataset, dims (mark)
-        ``label``, ``fixed_x``, ``fixed_y`` and either ``moving_x``, ``moving_y`` or ``volume_x``, ``volume_y``,
-        ``volume_z``, in um.
+        ``label``, ``fixed_x, fixed_y`` and ``moving_x, moving_y`` or ``volume_x, volume_y, volume_z``, in um.
 
     Raises
     ------

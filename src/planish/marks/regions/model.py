@@ -97,10 +97,7 @@ def ring_of(points: NDArray[np.floating]) -> Ring:
 
 
 def nested(rings: Sequence[Ring]) -> tuple[tuple[Ring, ...], ...]:
-    """Make polygons of borders that do not cross: each outer one with the holes that lie in it.
-
-    ValueError, with the reason, where there are none or too many.
-    """
+    """Make polygons of borders that do not cross, outer ones with their holes; ValueError for none or too many."""
     if not 0 < len(rings) <= MOST_REGIONS:
         raise ValueError(f"it has {len(rings)} borders; 1 to {MOST_REGIONS} are possible")
     lows, highs = np.array([(ring.min(axis=0), ring.max(axis=0)) for ring in rings]).swapaxes(0, 1)
