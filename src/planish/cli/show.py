@@ -112,7 +112,7 @@ def _registration(layer: LayerFacts) -> None:
     if r.source == "texture" and r.match_sentence:
         notes = (r.match_sentence, *notes)
     if r.held_out is not None:
-        notes = (*notes, f"Held out from the place: {r.held_out.sentence}.")
+        notes = (*notes, f"Over tiles that had no part in the place, without waves above 1 mm: {r.held_out.sentence}.")
     for note in (*notes, r.orientation.sentence):
         sentence(f"  {note}")
 

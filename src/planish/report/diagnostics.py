@@ -24,7 +24,9 @@ _LEFT, _RIGHT = 85.0, 635.0
 _ROOM = 1.08
 
 
-def draw_scale(evidence: EvidenceFacts, *, names: tuple[str, str], excluded_text: str = HOLES) -> Picture:
+def draw_scale(
+    evidence: EvidenceFacts, *, names: tuple[str, str], excluded_text: str = HOLES, registered: str = REGISTERED
+) -> Picture:  # fmt: skip
     """Draw r against the size of points with the band that holds the whole curve, and coherence by octaves."""
     canvas = Canvas(FULL, 360)
     _draw_size_curve(canvas, evidence)
@@ -39,7 +41,7 @@ def draw_scale(evidence: EvidenceFacts, *, names: tuple[str, str], excluded_text
             "change of the second map per change of the first in the octave. Larger points average noise away, so r "
             "may rise although nothing more is explained; coherence is of each octave alone. "
             f"n = {count(n)} at the smallest size. Mask: measured, without {excluded_text}. "
-            f"{capital(REGISTERED)}."
+            f"{capital(registered)}."
         ),
         data=_scale_tables(evidence),
     )
@@ -226,6 +228,7 @@ def draw_rings(agreement: Twice, *, name: str, layers: tuple[str, str], excluded
 def draw_kubelka_munk(
     evidence: EvidenceFacts, curve: KubelkaMunk, points: Points, row: CorrelationRow, *, titles: tuple[str, str],
     excluded_text: str = HOLES,
+    registered: str = REGISTERED,
 ) -> Picture:  # fmt: skip
     """Draw the larger points with the straight line, and the curve with what its interval leaves open."""
     unit_x = "g/m²" if evidence.a_map.startswith("coat_weight") else "µm"
@@ -251,7 +254,7 @@ def draw_kubelka_munk(
             "independent. Solid: least squares; dashed: reflectance of a scattering layer over a backing (Kubelka "
             f"1948) with K/S = {curve.ratio:g}; shaded: the curves at both ends of the 95 % interval of S, each with "
             "the backing that fits it best. The curve stands beside the line and is not chosen over it: over the range "
-            f"of one field the two differ little. Mask: measured, without {excluded_text}. {capital(REGISTERED)}."
+            f"of one field the two differ little. Mask: measured, without {excluded_text}. {capital(registered)}."
         ),
         data={
             "curve": {axis_labels[0]: x.tolist(), "Kubelka and Munk": reflectance.tolist()},

@@ -17,7 +17,7 @@ from planish.core.numbers import count, in_words, length, number, percent, plain
 from planish.report import draw
 from planish.report.colours import Array, Scale, colours_of, limits, partner_of
 from planish.report.registration import ARROW, EDGE, ground_of
-from planish.report.text import HOLES, label_of, left_out, title_of, unit_of
+from planish.report.text import HOLES, label_of, left_out, registered_by, title_of, unit_of
 from planish.results import LayerFacts, PropertyFacts, Results
 
 _BESIDE = 162.0  # pixels to the right of a map for the distribution, the colour bar and its numbers
@@ -38,6 +38,11 @@ class RunMaps:
         is_only_sheet = layer.sheet is not None and sum(other.sheet is not None for other in self.results.layers) == 1
         sheet_data = self.data.get(f"layers/{layer.name}/{name}")
         return self.data.get(name) if sheet_data is None and is_only_sheet else sheet_data
+
+    @property
+    def registered(self) -> str:
+        """What the maps were registered by."""
+        return registered_by(self.results)
 
     @cached_property
     def linked(self) -> dict[str, xr.Dataset]:

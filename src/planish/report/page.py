@@ -237,7 +237,7 @@ def _map_pairs(run_maps: maps.RunMaps) -> dict[summary.PairKey, MapPair]:
 def _draw_pair(run_maps: maps.RunMaps, pair: MapPair) -> Picture:
     with_layers = len(run_maps.results.layers) > 2 or pair.coarse.same_quantity
     titles = summary.titles_of(pair.coarse, run_maps.titles, with_layers=with_layers)
-    return draw_pair(pair, names=titles, excluded_text=run_maps.excluded_text)
+    return draw_pair(pair, names=titles, excluded_text=run_maps.excluded_text, registered=run_maps.registered)
 
 
 def _evidence_section(
@@ -248,7 +248,9 @@ def _evidence_section(
     titles_text, pair = summary.names_in_words(e, titles), pairs.get(summary.key_of(e))
     figures: dict[Section, list[Picture]] = {"scale": [], "distance": [], "repeated": [], "light": []}
     if e.sizes or e.bands:
-        figures["scale"].append(diagnostics.draw_scale(e, names=titles_text, excluded_text=excluded_text))
+        figures["scale"].append(diagnostics.draw_scale(
+            e, names=titles_text, excluded_text=excluded_text, registered=run_maps.registered
+        ))  # fmt: skip
     map_keys = [(curve.layer, curve.map) for curve in e.variograms]
     map_titles = tuple(titles.get(key, key[1]) + (f", {key[0]}" if is_same_map else "") for key in map_keys)
     if e.variograms:
@@ -264,7 +266,7 @@ def _evidence_section(
     if e.kubelka_munk is not None and is_known(e.kubelka_munk.scattering) and pair is not None:
         figures["light"].append(diagnostics.draw_kubelka_munk(
             e, e.kubelka_munk, pair.points, pair.coarse, titles=summary.titles_of(e, titles),
-            excluded_text=excluded_text,
+            excluded_text=excluded_text, registered=run_maps.registered,
         ))  # fmt: skip
     point_um = float(run_maps.results.parameters.get("correlate", {}).get("point_um", "nan"))
     pair_words = PairWords(point_um, titles_text[1], map_titles)

@@ -75,7 +75,9 @@ def block_means(a: xr.DataArray, b: xr.DataArray, *, point_um: float, valid: Seq
     return first[is_valid], second[is_valid]
 
 
-def draw_pair(pair: MapPair, *, names: tuple[str, str], excluded_text: str = HOLES) -> Picture:
+def draw_pair(
+    pair: MapPair, *, names: tuple[str, str], excluded_text: str = HOLES, registered: str = REGISTERED
+) -> Picture:  # fmt: skip
     """Draw map b over map a: density of the pixels, and beside it larger points or the difference of the two.
 
     ``excluded_text`` says what the masks leave out. The difference of two maps of the same quantity is drawn over their
@@ -113,13 +115,15 @@ def draw_pair(pair: MapPair, *, names: tuple[str, str], excluded_text: str = HOL
             "the other way round; a perfect relation without errors would lie between them. The left axes span the "
             "0.05th to the 99.95th percentile of the pixels, the right ones the points. Mask: measured, without "
             f"{excluded_text}. n counts points, which resemble their neighbours; the interval rests on independent "
-            f"ones. {capital(REGISTERED)}."
+            f"ones. {capital(registered)}."
         ),
         data={"points": points_table(points, labels)},
     )
 
 
-def draw_points(pair: MapPair, *, names: tuple[str, str], height: float) -> Picture:
+def draw_points(
+    pair: MapPair, *, names: tuple[str, str], height: float, registered: str = REGISTERED
+) -> Picture:  # fmt: skip
     """Draw the larger points of two maps on a third of the page, with both lines of least squares."""
     units = unit_of(pair.a), unit_of(pair.b)
     points, (row,), _, labels = as_drawn(pair.points, (pair.coarse,), names, units, pair.density)
@@ -136,7 +140,7 @@ def draw_points(pair: MapPair, *, names: tuple[str, str], height: float) -> Pict
         caption=(
             f"n = {count(row.n)} squares of {size_text}{n_eff_text}; mask: at least half valid in both maps. Lines of "
             "least squares: solid, of the upward map on the map across; dashed, the other way round. "
-            f"{capital(REGISTERED)}.{doubt_text}"
+            f"{capital(registered)}.{doubt_text}"
         ),
         data={"points": points_table(points, labels)},
     )

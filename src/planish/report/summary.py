@@ -12,7 +12,7 @@ from planish.core.facts import Trust, is_known
 from planish.core.numbers import NONE, capital, count, fixed, in_words, length, number, percent, plain, typeset, unit
 from planish.report.relation import largest, written_difference
 from planish.report.statement import r2_interval_text, r2_text, r_interval_text, r_text
-from planish.report.text import REGISTERED, with_article
+from planish.report.text import registered_by, with_article
 from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results
 
 Titles = Mapping[tuple[str, str], str]  # layer and map -> title of the map
@@ -165,6 +165,9 @@ def _pair_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure
     if rows and rows[0].trust == "ok" and rows[0].same_quantity:
         sentence += _difference_sentence(largest(rows), titles)
     loo_um, marks_text = None, NONE
+    if marks is not None and marks.held_out is not None:
+        r_text_held_out = marks.held_out.sentence.split(";")[0]
+        sentence += f" Over tiles that had no part in the place, without waves above 1 mm, {r_text_held_out}."
     if marks is not None:
         loo_um, marks_text, e = marks.leave_one_out_rms_um, f"rms of {marks.matched} marks", marks.expected_error
         sentence += (
@@ -176,8 +179,8 @@ def _pair_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure
             marks_text += f"; expected error of a pixel {median} (median), {largest_error} at most"
     points_text, pixel_text = (f", points of {point_of(largest(rows))}", f", {point_of(rows[0])}") if rows else ("", "")
     return sentence, [
-        _r_figure(largest(rows) if rows else None, f"r{points_text}"),
-        _r_figure(rows[0] if rows else None, f"r at the pixel{pixel_text}"),
+        _r_figure(results, largest(rows) if rows else None, f"r{points_text}"),
+        _r_figure(results, rows[0] if rows else None, f"r at the pixel{pixel_text}"),
         KeyFigure(number(loo_um, 2), "µm", "leave-one-out error", marks_text),
     ]
 
@@ -201,9 +204,9 @@ def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles
     if is_known(row.n_eff):
         points_text += f", {count(round(row.n_eff))} of them independent"
     if not is_known(row.interval):
-        return f"Nothing is claimed about {first_text} and {second_text}: of {points_text} ({REGISTERED})."
+        return f"Nothing is claimed about {first_text} and {second_text}: of {points_text} ({registered_by(results)})."
     interval = f"a 95 % interval of {r_interval_text(row)}"
-    limits_text = f"r = {r_text(row)} with {interval}, over {points_text} ({REGISTERED})."
+    limits_text = f"r = {r_text(row)} with {interval}, over {points_text} ({registered_by(results)})."
     if not row.direction:
         return f"No relation of {second_text} with {first_text} is certain: {limits_text}"
     comparative = (("brighter", "darker") if is_image else ("larger", "smaller"))[row.direction < 0]
@@ -257,7 +260,7 @@ def _layers_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigu
     sentence += next((text for row in rows if row.trust == "ok" and (text := _difference_sentence(row, titles))), "")
     lead = lead_pair(results)
     weakest_row = largest(lead) if lead else None
-    r_figure = _r_figure(weakest_row, f"weakest r, points of {point_of(weakest_row)}" if weakest_row else "r")
+    r_figure = _r_figure(results, weakest_row, f"weakest r, points of {point_of(weakest_row)}" if weakest_row else "r")
     least_share = min((s for layer in results.moving if (s := layer.share_of_reference) is not None), default=None)
     return sentence, [
         KeyFigure(count(len(results.layers)), "", "layers on one grid", f"{reference} is the reference"),
@@ -267,7 +270,7 @@ def _layers_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigu
     ]
 
 
-def _r_figure(row: CorrelationRow | None, label: str) -> KeyFigure:
+def _r_figure(results: Results, row: CorrelationRow | None, label: str) -> KeyFigure:
     if row is None or row.trust != "ok":
         return KeyFigure(NONE, "", label, f"{row.trust}; see the checks" if row else NONE)
     has_interval = is_known(row.interval)
@@ -276,7 +279,7 @@ def _r_figure(row: CorrelationRow | None, label: str) -> KeyFigure:
         note_text += f"; r² {r2_text(row)}" + (f" ({r2_interval_text(row)})" if has_interval else "")
     if is_known(row.n_eff):
         note_text += f"; {count(round(row.n_eff))} independent points of {count(row.n)}"
-    return KeyFigure(r_text(row), "", label, f"{note_text}; {REGISTERED}")
+    return KeyFigure(r_text(row), "", label, f"{note_text}; {registered_by(results)}")
 
 
 def lag_verdict(lag: LagNumbers | None, *, moving_text: str, reference_text: str) -> LagVerdict | None:

@@ -11,8 +11,17 @@ if TYPE_CHECKING:
     import xarray as xr
     from jinja2 import Template
 
+    from planish.results import Results
+
 REGISTERED = "registration: marks only"  # stands beside every correlation: how its maps were registered
+BY_TEXTURE = "registration: the texture of both maps"
 HOLES = "holes and rims"  # what the mask of valid pixels leaves out where no regions were declared
+
+
+def registered_by(results: Results) -> str:
+    """Say what the maps of a run were registered by: marks, or the texture that is compared as well."""
+    registrations = [layer.registration for layer in results.layers if layer.registration]
+    return BY_TEXTURE if any(r.source == "texture" for r in registrations) else REGISTERED
 
 
 def with_article(layer: str) -> str:
