@@ -17,6 +17,7 @@ _ALL = (
     "optics",
     "holes",
     "holes_on_fibres",
+    "no_holes",
     "properties",
     "registration",
     "specimens",

@@ -311,11 +311,14 @@ def tile_places(
         relation = replace(relation, r=math.copysign(relation.r, weights[0]))
     reach = (max(round(_REACH_UM / pixel_um[0]), 3), max(round(_REACH_UM / pixel_um[1]), 3))
     least_um = 2.2 * max((k + MARGIN) * p for k, p in zip(reach, pixel_um, strict=True))
-    short_um = min(n * p for n, p in zip(moving.known.shape, pixel_um, strict=True))
-    side_um = math.sqrt(moving.n * pixel_um[0] * pixel_um[1]) * _TILE_Z / max(abs(relation.z), 1e-9)
+    short_um = min((n // 2 * 2) * p for n, p in zip(moving.known.shape, pixel_um, strict=True))
+    stands_out = abs(relation.z) / _TILE_Z
+    side_um = math.sqrt(moving.n * pixel_um[0] * pixel_um[1]) / max(stands_out, 1e-9)
+    # Three along the shorter side where that leaves each of them clear of chance, two otherwise.
+    side_um = min(side_um, short_um / (3.0 if stands_out > 1.5 else 2.0))
     field = lag_field(
         math.copysign(1.0, relation.r) * a, b, is_valid, pixel_um, reach=reach, overlapping=False,
-        tile_um=min(max(side_um, least_um), max(0.5 * short_um, least_um)),
+        tile_um=max(side_um, least_um),
         unrelated=[*PhaseSurrogate(b, is_valid).draws(9, np.random.default_rng(20090501))],
     )  # fmt: skip
     at_um, lag_um = field.at_um[field.distinct], field.lag_um[field.distinct]

@@ -1,0 +1,166 @@
+"""How often a sheet without holes is found in an image by texture, how far off, and how often in the wrong image.
+
+``python -m benchmarks no_holes [RIGHT [WRONG [FIRST]]]``
+
+Sheets are laid fibre by fibre. Their maps are the truth with the noise of a scan; images have another pixel, any
+rotation, a scale off by up to 2 %, light from one side, and a mottle that has nothing to do with the sheet, so that the
+texture r, of the leading map and the image at the true place from 18 to 150 um, lies between .15 and .8. A wrong pair
+is the image of another sheet. Printed are, by texture r, the share that is linked, the distance to the truth, and true
+over stated error.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+import xarray as xr
+from scipy import ndimage
+
+from benchmarks.holes import gauss
+from benchmarks.paper import KINDS
+from planish.analyze.texture import textures
+from planish.analyze.texture_search import BAND_UM
+from planish.core.errors import CannotRegister
+from planish.core.typing import Floats
+from planish.run import register_texture
+from planish.synthetic import BurnParams, CameraParams, Specimen, make_specimen
+from planish.synthetic.pose import CameraPose, draw_pose
+
+SHEETS = 8
+_MAP_UM, _LEAST_R, _MOST_R = 4.0, 0.15, 0.8
+_CLASSES = (0.0, 0.15, 0.22, 0.3, 0.45, 1.0)
+
+
+@lru_cache(maxsize=SHEETS)
+def _sheet(number: int) -> Specimen:
+    """A sheet of 1.5 to 2.4 mm: three of four coated."""
+    rng = np.random.default_rng([34, number])
+    params = KINDS["calendered" if number % 4 == 3 else "coated"].draw(rng)
+    width = float(rng.uniform(1500.0, 2400.0))
+    size_um = (width, width * float(rng.uniform(0.65, 0.9)))
+    return make_specimen(replace(params, size_um=size_um, holes=BurnParams(pattern="irregular", count=0)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pair:
+    """Flat maps, an image, the true place, and the texture r there; NaN for a wrong pair."""
+
+    maps: xr.Dataset
+    image: xr.DataArray
+    pose: CameraPose
+    r: float
+
+
+def draw_pair(number: int, *, shown: int | None = None) -> Pair:
+    """Draw maps of a sheet and an image of it, or of the sheet ``shown``."""
+    rng = np.random.default_rng([number, 0 if shown is None else 1])
+    sheet = _sheet(number % SHEETS)
+    specimen = sheet if shown is None else _sheet(shown % SHEETS)
+    return _photographed(sheet, specimen, rng)
+
+
+def _photographed(sheet: Specimen, specimen: Specimen, rng: np.random.Generator) -> Pair:
+    width, height = specimen.params.size_um
+    camera = CameraParams(
+        pixel_um=float(rng.choice([2.6, 4.0, 6.0, 8.0])), turn_range_deg=180.0, scale_range=0.02, nuisance_sd=0.004,
+        shading=float(rng.uniform(0.0, 0.006)), shift_range_um=float(rng.uniform(0.0, 300.0)),
+    )  # fmt: skip
+    shape, pose = draw_pose(camera, 0.5 * np.array([-width, -height, width, height]), rng)
+    shown = replace(
+        specimen, pose=pose, image_shape=shape,
+        params=replace(specimen.params, camera=camera, seed=int(rng.integers(1 << 30))),
+    )  # fmt: skip
+    image = shown.image.copy(data=shown.image.values.astype(np.float64))
+    weights, lengths = rng.dirichlet([1, 1, 1]), np.exp(rng.uniform(np.log(20.0), np.log(200.0), 3))
+    mottle = sum(w * gauss(rng, shape, s, camera.pixel_um, 1.0) for w, s in zip(weights, lengths, strict=True))
+    image += float(rng.uniform(0.0, 2.5)) * float(image.std()) * mottle
+    maps = _maps(sheet, rng)
+    r = math.nan if sheet is not specimen else _texture_r(maps, image, pose)
+    return Pair(maps=maps, image=image, pose=pose, r=r)
+
+
+def _maps(specimen: Specimen, rng: np.random.Generator) -> xr.Dataset:
+    """Flat maps (v, u) as a scan gives them: the truth under its blur, with noise."""
+    width, height = specimen.params.size_um
+    u, v = (np.arange(-0.5 * n + 60.0, 0.5 * n - 60.0, _MAP_UM) for n in (width, height))
+    at = np.meshgrid(u, v)
+    top, inner_top, inner_bottom, bottom = (
+        ndimage.gaussian_filter(specimen.sheet.at(face, *at), 2.0 / _MAP_UM) for face in specimen.sheet.faces
+    )
+    values = {"base_thickness": inner_top - inner_bottom, "thickness": top - bottom, "topography_top": top}
+    if specimen.params.paper.coating_top_um:
+        values["coating_top"] = top - inner_top
+    noise_um = float(rng.uniform(0.5, 1.2))
+    noisy = {k: (("v", "u"), m + rng.normal(0, noise_um, m.shape)) for k, m in values.items()}
+    return xr.Dataset(noisy, coords={"v": v, "u": u}).assign(valid=(("v", "u"), np.ones(top.shape, bool)))
+
+
+def _texture_r(maps: xr.Dataset, image: xr.DataArray, pose: CameraPose) -> float:
+    """Largest |r| of a map and the image at the true place, both band-passed."""
+    points = np.stack(np.meshgrid(maps.u, maps.v), axis=-1)
+    pixel = float(image.x[1])
+    at = np.moveaxis(pose(points)[..., ::-1] / pixel, -1, 0)
+    seen = ndimage.map_coordinates(image.values, at, order=3, cval=np.nan)
+    names = [k for k in ("coating_top", "base_thickness", "thickness") if k in maps]
+    known = np.isfinite(seen)
+    found = textures({k: maps[k].values for k in names} | {"image": seen}, known, (_MAP_UM,) * 2, band_um=BAND_UM)
+    return max(
+        abs(float(np.corrcoef(found.maps[k][found.known], found.maps["image"][found.known])[0, 1])) for k in names
+    )
+
+
+def main(right: int = 60, wrong: int = 120, first: int = 0) -> int:
+    """Print the power by texture r, the errors, and the wrong pairs that were linked; 1 where a limit is missed."""
+    started, off, stated = time.process_time(), list[Floats](), list[Floats]()
+    power: list[tuple[float, bool]] = []
+    for number in sorted(range(first, first + right), key=lambda k: k % SHEETS):
+        pair = draw_pair(number)
+        if not _LEAST_R <= pair.r <= _MOST_R:
+            continue
+        found, words = _linked(pair)
+        if found is not None:
+            errors, expected = found
+            off.append(errors)
+            stated.append(expected)
+            words = f"off {np.median(errors):.2f} (median), {np.percentile(errors, 95):.2f} um (95 %); {words}"
+        power.append((pair.r, found is not None))
+        print(f"right {number}: texture r {pair.r:.2f}: {words}", flush=True)
+    false = 0
+    for number in range(first, first + wrong):
+        shown = number + 1 + (number // SHEETS) % (SHEETS - 1)
+        found, words = _linked(draw_pair(number, shown=shown))
+        false += found is not None
+        if found is not None:
+            print(f"wrong {number}: {words}", flush=True)
+    r = np.array([k for k, _ in power])
+    is_linked = np.array([k for _, k in power])
+    for low, high in pairwise(_CLASSES):
+        inside = (r >= low) & (r < high)
+        if inside.any():
+            print(f"texture r {low:.2f} to {high:.2f}: {is_linked[inside].sum()} of {inside.sum()} linked")
+    medians = np.array([np.median(e) for e in off])
+    rms = np.array([np.sqrt(np.mean(e**2)) for e in off])
+    ratio = rms / np.array([np.sqrt(np.mean(e**2)) for e in stated])
+    far = np.percentile(np.concatenate(off), 95)
+    print(f"place: median {np.median(medians):.2f} um, 95 % of pixels within {far:.2f} um")
+    pooled, within = np.sqrt(np.mean(ratio**2)), np.mean(ratio <= 1.73)
+    print(f"true over stated error {pooled:.2f} pooled, within 1.73: {within:.0%}")
+    print(f"wrong pairs linked: {false} of {wrong}; {time.process_time() - started:.0f} s CPU")
+    strong = is_linked[r >= 0.3]
+    return int(false > max(1.3e-3 * wrong, 0) or (strong.size > 0 and strong.mean() < 0.97))
+
+
+def _linked(pair: Pair) -> tuple[tuple[Floats, Floats] | None, str]:
+    """Distances to the truth over the map and stated errors, in um; None where it was refused."""
+    try:
+        found = register_texture(pair.maps, pair.image)
+    except CannotRegister as error:
+        return None, f"refused: {error.text[:150]}"
+    points = np.stack(np.meshgrid(pair.maps.u[::10], pair.maps.v[::10]), axis=-1).reshape(-1, 2)
+    errors = np.linalg.norm(found(points) - pair.pose(points), axis=1)
+    return (errors, np.asarray(found.fit.expected_error_um(points))), (found.sentence or "").split("(")[-1].rstrip(")")
