@@ -49,7 +49,9 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
     else:
         sides = dict.fromkeys(samples, learner.preset_side(params.coating_grey, base_level, base_sd))
     wall_levels: dict[bool, float] = {}
-    has_pores = base_sd >= POROUS * base_level
+    # Not what streaks and noise that neighbours share add: the air shows them too.
+    texture = base_sd**2 + learner.voxel_noise**2 - learner.single_noise**2
+    has_pores = texture >= (POROUS * base_level) ** 2
     if has_pores and survey.surroundings == "air" and not any(side.coated for side in sides.values()):
         wall_levels = {k: learner.wall_level(sample) for k, sample in samples.items()}
     clear_level = min(wall_levels.values(), default=0.0)

@@ -52,8 +52,8 @@ class Sampler:
         pitch = columns.pitch
         # How far the block's face may lie from a column's own: a block's slope and the roughness.
         self.search_px = 2.0 + 1.5 * survey.coarse.block * max(pitch[:2]) / pitch[2]
-        self._voxel_noise = max(survey.noise / columns.step, 1e-6 * abs(survey.air_grey) + 1e-9)
-        self.scatter = self.single_noise = self.noise = self._voxel_noise
+        self.voxel_noise = max(survey.noise / columns.step, 1e-6 * abs(survey.air_grey) + 1e-9)
+        self.scatter = self.single_noise = self.noise = self.voxel_noise
         has_sheet = np.isfinite(guide.low) & np.isfinite(guide.high)
         row_indices = subsample(np.flatnonzero(has_sheet.any(axis=1)), 24)
         col_count = min(columns.shape[1], 1024)  # columns of each of them
@@ -95,7 +95,7 @@ class Sampler:
         """Choose how far columns are averaged with their neighbours, and what noise and scatter that leaves."""
         if self.scale.blend_sd:
             self._blend(0.0)
-        self.scatter = self.single_noise = self.noise = self._voxel_noise
+        self.scatter = self.single_noise = self.noise = self.voxel_noise
         air_noise = self._air_noise()
         if air_noise > 1.15 * self.noise:
             # Neighbouring voxels share their noise, or streaks lie in the air: averaging helps less, so it is tried.
