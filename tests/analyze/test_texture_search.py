@@ -87,6 +87,13 @@ def test_the_other_hand_is_found_only_where_it_is_asked_for():
     assert found.fit.mirrored
 
 
+@pytest.mark.parametrize("value", [100.0, np.nan])
+def test_a_blank_image_is_refused(value):
+    maps, image = pair(place=placed(0.0), r=0.6)
+    with pytest.raises(CannotRegister, match="texture"):
+        pl.register_texture(maps, image.copy(data=np.full(image.shape, value)))
+
+
 def test_maps_without_a_thickness_are_refused():
     maps, image = pair(place=placed(0.0), r=0.6)
     with pytest.raises(InputError, match="no thickness"):

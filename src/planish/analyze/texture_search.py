@@ -56,17 +56,11 @@ class PlaceSearch:
 
     candidates: tuple[Candidate, ...]
     false_probability: float  # that textures which have nothing in common reach as much at any place
-    tried: int  # rotations and hands
 
     @property
     def best(self) -> Candidate:
         """The best place."""
         return self.candidates[0]
-
-    @property
-    def ratio(self) -> float:
-        """Best over next best."""
-        return self.best.z / self.candidates[1].z if len(self.candidates) > 1 else math.inf
 
     @property
     def is_sure(self) -> bool:
@@ -148,7 +142,7 @@ def search_place(
         if p.turn.mirrored != best.place.mirrored or not _same_turn(p.turn, best.place)
     ])  # fmt: skip
     probability = _exceeded(best.z, others) if others.size >= 20 else 1.0
-    return PlaceSearch(candidates=tuple(candidates), false_probability=probability, tried=len(cells))
+    return PlaceSearch(candidates=tuple(candidates), false_probability=probability)
 
 
 def _same_turn(a: Similarity, b: Similarity) -> bool:
@@ -165,6 +159,8 @@ def _apart(a: Similarity, b: Similarity, middle_um: Floats) -> bool:
 def _exceeded(z: float, others: Floats) -> float:
     """Probability that any of so many rotations, and one more, of unrelated textures reaches z."""
     half, tenth = np.quantile(others, [0.5, 0.9])
+    if not half > 0.0:  # a constant image, or none of it known, is like nothing
+        return 1.0
     # -log(1 - P) = A x exp(-x**2 / 2) with x = z / s, at both quantiles: their logarithms give s, then A.
     drop = math.log(math.log(2.0) / -math.log(0.9))
 
@@ -314,8 +310,7 @@ def tile_places(
     short_um = min((n // 2 * 2) * p for n, p in zip(moving.known.shape, pixel_um, strict=True))
     stands_out = abs(relation.z) / _TILE_Z
     side_um = math.sqrt(moving.n * pixel_um[0] * pixel_um[1]) / max(stands_out, 1e-9)
-    # Three along the shorter side where that leaves each of them clear of chance, two otherwise.
-    side_um = min(side_um, short_um / (3.0 if stands_out > 1.5 else 2.0))
+    side_um = min(side_um, 0.5 * short_um)
     field = lag_field(
         math.copysign(1.0, relation.r) * a, b, is_valid, pixel_um, reach=reach, overlapping=False,
         tile_um=max(side_um, least_um),

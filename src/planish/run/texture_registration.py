@@ -108,6 +108,8 @@ def register_texture(
     fit_params = params_of(RegistrationParams, params, "pl.register_texture")
     layers = _Layer.of(moving, "bottom" if mirrored else "top"), _Layer.of(fixed)
     (moving_texture, moving_first), (fixed_texture, fixed_first) = (layer.texture(_SEARCH_UM) for layer in layers)
+    if not (moving_texture.known.any() and fixed_texture.known.any()):
+        raise CannotRegister("A layer shows no texture: it is empty, or none of it is valid. Check both files.")
     search = search_place(
         moving_texture, fixed_texture, mirrored=None if fit_params.mirror else mirrored,
         scale_tolerance=fit_params.scale_tolerance,
@@ -149,7 +151,9 @@ def register_texture(
 def uses_texture(layer: Layer, fixed: Layer, holes: LayerHoles, study: Study) -> bool:
     """Whether two layers are registered by their texture: where that is asked for, or holes are too few to match."""
     params = study.registration
-    if params.by != "auto" or layer.params.marks or params.marks or params.design:
+    if layer.params.marks or params.marks:
+        return False
+    if params.by != "auto" or params.design:
         return params.by == "texture"
     return any(holes.of(*pair).sizes["mark"] < 3 for pair in ((layer, fixed), (fixed, layer)))
 
