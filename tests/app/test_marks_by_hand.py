@@ -39,7 +39,7 @@ def test_an_image_with_two_holes_is_linked_by_hand(
     size = ("--pixel-um", str(pixel_um))
     instead = (f"planish map {specimen_files[0]} --out {maps}", f"planish view {maps} {image}")
     words = ("Only 2 holes found in the image", *instead)
-    refuses("link", specimen_files[0], image, "--out", out, *size, words=words, out=False)
+    refuses("link", specimen_files[0], image, "--out", out, *size, "--by", "holes", words=words, out=False)
     shutil.copytree(kept, maps)  # that map
 
     # Places from the run of the whole image: its five holes, of which three are gone in this one, and two beside them.

@@ -18,7 +18,8 @@ from planish.analyze.detrend import PhaseSurrogate, Plane, correlation_length_um
 from planish.analyze.differences import paired_difference
 from planish.analyze.distributions import largest_tail
 from planish.analyze.texture import textures
-from planish.analyze.texture_search import BAND_UM, tuned_place
+from planish.analyze.texture_place import tuned_place
+from planish.analyze.texture_search import BAND_UM
 from planish.core.errors import CannotMeasure
 from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.grid import Grid
@@ -310,7 +311,7 @@ def held_out_r(a: Floats, b: Floats, face: Floats | None, valid: Bools, pixel_um
         moving, light = textures(maps, look & np.isfinite(other), pixel_um, band_um=BAND_UM), ()
         if face is not None:
             moving, light = moving.with_slopes("face"), ("face_x", "face_y")
-        place = tuned_place(moving, fixed, "map", Similarity(), reach_um=_TUNED_UM, light=light)
+        place = tuned_place(moving, fixed, ("map", "image"), Similarity(), reach_um=_TUNED_UM, light=light)
         at = np.moveaxis(place(points)[..., ::-1] / step, -1, 0)
         is_seen = ndimage.map_coordinates(b_known, at, order=1) >= 0.99
         return np.where(is_seen, ndimage.map_coordinates(spline, at, order=3, prefilter=False), np.nan)

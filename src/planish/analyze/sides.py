@@ -309,6 +309,21 @@ def found_by_texture(sentence: str, false_probability: float) -> tuple[Check, Ch
     return check, Check(name=lag.NAME, state="unknown", sentence=text, figures=(POSITION,))
 
 
+def holes_and_texture(apart_um: float, expected_um: float) -> Check:
+    """Judge how far apart holes and texture, each fitted by itself, put the middle of a map; both errors are rms."""
+    limit_um = math.sqrt(-math.log(0.05)) * expected_um
+    text = f"Holes and texture, each by itself, put the middle of the map {apart_um:.1f} um apart"
+    judged = Check(
+        name=lag.NAME, state="pass", sentence=f"{text}, which both errors allow (up to {limit_um:.1f} um).",
+        value=apart_um, limit=limit_um, units="um", figures=(POSITION, CORRELATION),
+    )  # fmt: skip
+    if apart_um <= limit_um:
+        return judged
+    text += f", more than both errors allow ({limit_um:.1f} um)."
+    advice = "Light from one side, holes that lean, or marks of another place: compare both by --by holes and texture."
+    return judged.model_copy(update={"state": "look", "sentence": text, "advice": advice})
+
+
 def _coated(sheet: xr.Dataset) -> list[Side]:
     """Sides on which a coating is measured in most of a sheet, and thicker than 3 standard errors."""
     sides: list[Side] = []

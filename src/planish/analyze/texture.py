@@ -15,6 +15,7 @@ from planish.core.errors import CannotMeasure, SizeError
 from planish.core.typing import Bools, Floats, Ints, Pair
 
 BAND_UM = (15.0, 250.0)  # shorter waves are noise, longer ones light, print and too few to count
+MOST_PIXELS = 300_000
 _SPLIT_UM = math.sqrt(BAND_UM[0] * BAND_UM[1])
 
 
@@ -30,6 +31,11 @@ class Textures:
     def n(self) -> int:
         """Pixels that are known."""
         return int(np.count_nonzero(self.known))
+
+    @property
+    def area_um2(self) -> float:
+        """Area that is known."""
+        return self.n * self.pixel_um[0] * self.pixel_um[1]
 
     def with_slopes(self, name: str) -> Textures:
         """Add the slopes of a map along x and y, ``name_x`` and ``name_y``: what light from one side shows of it."""
@@ -73,7 +79,9 @@ class Relation:
         return f"r = {self.r:.2f}, z = {self.z:.1f}"
 
 
-def textures(maps: Mapping[str, Rows], valid: Bools, pixel_um: Pair, *, band_um: Pair = BAND_UM) -> Textures:
+def textures(
+    maps: Mapping[str, Rows], valid: Bools, pixel_um: Pair, *, band_um: Pair = BAND_UM, most_pixels: float = MOST_PIXELS
+) -> Textures:  # fmt: skip
     """Keep the waves of a band of maps, 15 to 250 um where not given, with the same spread everywhere.
 
     Parameters
@@ -84,9 +92,11 @@ def textures(maps: Mapping[str, Rows], valid: Bools, pixel_um: Pair, *, band_um:
     valid : ndarray of bool, shape (rows, cols)
         Pixels that may be looked at.
     pixel_um : (float, float)
-        Along y and x. Maps of more than 300 000 pixels are averaged to larger ones first.
+        Along y and x.
     band_um : (float, float), optional
         Shortest and longest wave.
+    most_pixels : float, optional
+        Maps of more pixels are averaged to larger ones first.
 
     Returns
     -------
@@ -112,7 +122,7 @@ def textures(maps: Mapping[str, Rows], valid: Bools, pixel_um: Pair, *, band_um:
             f"The pixel of {max(pixel_um):g} um is too large for the texture below {band_um[1]:g} um. An image with "
             f"pixels of {band_um[1] / 4:g} um or less is needed."
         )
-    factor = math.ceil(math.sqrt(valid.size / 300_000))
+    factor = math.ceil(math.sqrt(valid.size / most_pixels))
     if factor > 1:
         shown = {k: common_means([m], (factor, factor), masks=[valid])[0] for k, m in maps.items()}
         pixel_um = (factor * pixel_um[0], factor * pixel_um[1])

@@ -8,7 +8,7 @@ the best of so many wrong places gets is read off the best of every rotation but
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Literal, NamedTuple
@@ -17,34 +17,46 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage, optimize
 
-from planish.analyze.detrend import PhaseSurrogate
-from planish.analyze.lag_field import lag_field
-from planish.analyze.ncc import MARGIN
-from planish.analyze.texture import Textures, relate, standard
+from planish.analyze.texture import Textures
 from planish.core.transform import Similarity, nearest_similarity
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Floats, Pair
 
 BAND_UM = (18.0, 150.0)
 """Waves that a scan and an image share: shorter ones are noise, longer ones light and print."""
 FALSE = 4e-4
 """Largest probability, of an image that shows nothing of the sheet, to be linked all the same."""
+RIVAL = 0.85
+"""Share of the best place's height from which on another place is nearly as good, as in a pattern that repeats."""
 _OVERLAP = 0.4  # least share of the map that lies in the image
 _NEAR_DEG, _NEAR_UM = 8.0, 150.0  # of a place, within which another one is the same
-_STEP = 2500.0  # um degrees: rotations are tried in steps of this over the size of the map
-_SCALE_STEP = 30.0  # um: scales in steps of this over the size of the map
+_STEP = 3600.0  # um degrees: rotations are tried in steps of this over the size of the map
+_SCALE_STEP = 45.0  # um: scales in steps of this over the size of the map
 _CANDIDATES = 5
-_LEAST_PIXELS, _MOST_PIXELS = 100, 15_000  # that both layers show; of them, used for tuning
-_REACH_UM = 25.0  # of a tile about the place of the whole
-_TILE_Z = 7.0  # standard deviations of chance by which a tile should stand out
+_LEAST_WINDOW = 384  # pixels of a part of the image that is transformed as a whole
+_LEAST_ROTATIONS = 20  # that show how high chance gets
 
 Slab = NDArray[np.float32]
+Names = tuple[str, str]
+"""A map of the moving layer, and that of the fixed one which it is compared with."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Near:
+    """About where a point of the moving layer lies in the fixed one, ``(x, y)`` in um; the middle where none is given.
+
+    A hole that both show is such a point.
+    """
+
+    fixed_um: Pair
+    radius_um: float
+    moving_um: Pair | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
     """A place of the sheet in the image."""
 
-    name: str  # of the map that leads
+    names: Names  # of the maps that lead
     z: float  # standard deviations of the map's null
     r: float  # correlation over the pixels that both show
     place: Similarity  # from the moving layer to the fixed one, in um
@@ -63,23 +75,34 @@ class PlaceSearch:
         return self.candidates[0]
 
     @property
+    def inverse(self) -> PlaceSearch:
+        """The same places, from the fixed layer to the moving one."""
+        turned = (replace(c, names=(c.names[1], c.names[0]), place=c.place.inverse) for c in self.candidates)
+        return replace(self, candidates=tuple(turned))
+
+    @property
+    def has_rival(self) -> bool:
+        """Whether another place is nearly as good."""
+        return len(self.candidates) > 1 and self.candidates[1].z > RIVAL * self.best.z
+
+    @property
     def is_sure(self) -> bool:
         """Whether the layers can be linked there."""
-        return self.false_probability <= FALSE
+        return self.false_probability <= FALSE and not self.has_rival
 
 
-class _Peak(NamedTuple):
-    """The highest correlation of a map at one rotation, hand and scale."""
-
-    turn: Similarity  # without its shift
-    name: str
-    height: float  # sum of products over the root of the number of pairs
-    r: float
-    at: tuple[int, int]  # pixel of the image at which the middle of the map lies
+def compared(moving: Textures, fixed: Textures) -> tuple[Names, ...]:
+    """Which maps of two layers are compared: all with an image, those of one name of two sheets."""
+    if "image" in moving.maps:
+        return tuple(("image", name) for name in fixed.maps)
+    if "image" in fixed.maps:
+        return tuple((name, "image") for name in moving.maps)
+    return tuple((name, name) for name in moving.maps if name in fixed.maps)
 
 
 def search_place(
-    moving: Textures, fixed: Textures, *, mirrored: bool | None, scale_tolerance: float = 0.02
+    moving: Textures, fixed: Textures, *, mirrored: bool | None, scale_tolerance: float = 0.02,
+    near: Sequence[Near] = (),
 ) -> PlaceSearch:  # fmt: skip
     """Search all places of a sheet in an image.
 
@@ -88,11 +111,13 @@ def search_place(
     moving : Textures
         Maps of the sheet that may show in the image.
     fixed : Textures
-        ``image``, with pixels that are not larger than those of the sheet by much.
+        ``image``, with pixels that are not larger than those of the sheet by much; or the maps of another sheet.
     mirrored : bool, optional
         Whether the layers see each other mirrored; both are tried where not given.
     scale_tolerance : float
         Largest deviation of the scale from 1.
+    near : sequence of Near
+        Search about these places alone, each by itself.
 
     Returns
     -------
@@ -100,49 +125,89 @@ def search_place(
 
     Notes
     -----
+    A search in steps twice as wide finds most places in a quarter of the time; it comes first, and the probability
+    counts both.
+
     Of textures that are unrelated, the correlation at all shifts is a smooth Gaussian field, whose maximum exceeds z
     with a probability near ``A z exp(-z**2 / 2)`` (Adler and Taylor 2007, chapter 14). A, and a factor to z for fields
-    that are not quite Gaussian, are those with which half and one in ten of the rotations exceed what they do.
+    that are not quite Gaussian, are those that make the best of the other rotations most likely.
     """
-    scanner = _Scanner(moving, fixed)
-    size_um = math.sqrt(moving.n * moving.pixel_um[0] * moving.pixel_um[1])
-    rotations = np.linspace(0.0, 360.0, math.ceil(360.0 / (_STEP / size_um)), endpoint=False)
-    count = 2 * math.ceil(scale_tolerance * size_um / _SCALE_STEP - 0.5) + 1
-    scales = 1.0 + scale_tolerance * (count - 1) / max(count, 1) * np.linspace(-1.0, 1.0, count) if count > 1 else [1.0]
+    scanner = _Scanner(moving, fixed, scale_tolerance)
     hands = (False, True) if mirrored is None else (mirrored,)
-    square_sums, shift_counts = dict.fromkeys(moving.maps, 0.0), dict.fromkeys(moving.maps, 0)
-    cells: list[list[_Peak]] = []
-    for hand, rotation in product(hands, np.deg2rad(rotations).tolist()):
-        cell: list[_Peak] = []
-        pairs = scanner.pairs(Similarity(rotation_rad=rotation, mirrored=hand))
-        enough = scanner.enough(pairs)
-        for scale in scales:
-            turn = Similarity(scale=float(scale), rotation_rad=rotation, mirrored=hand)
-            products = scanner.products(turn)
-            for name, values in products.items():
-                height = np.where(enough, values / np.sqrt(np.maximum(pairs, 1.0)), 0.0)
-                square_sums[name] += float(np.vdot(height, height))
-                shift_counts[name] += int(np.count_nonzero(enough))
-                at = divmod(int(np.argmax(np.abs(height))), height.shape[1])
-                cell.append(_Peak(turn, name, float(height[at]), float(values[at] / max(pairs[at], 1.0)), at))
-        cells.append(cell)
-    null_sd = {k: math.sqrt(square_sums[k] / max(shift_counts[k], 1)) or 1.0 for k in moving.maps}
-    best_of_cells = [max(cell, key=lambda p: abs(p.height) / null_sd[p.name]) for cell in cells]
-    candidates: list[Candidate] = []
-    for peak in sorted(best_of_cells, key=lambda p: -abs(p.height) / null_sd[p.name]):
-        place = scanner.place(peak.turn, peak.at)
-        if all(_apart(place, c.place, scanner.middle_um) for c in candidates):
-            z = abs(peak.height) / null_sd[peak.name]
-            candidates.append(Candidate(name=peak.name, z=z, r=peak.r, place=place))
+    windows = near or (None,)
+    for wider in (2.0, 1.0):
+        steps = _Steps.of(scanner.size_um, scale_tolerance, wider)
+        found = _judged(scanner, steps, [[*scanner.cell(turn, steps, windows)] for turn in steps.turns(hands)])
+        if found.is_sure:
+            break
+    return found
+
+
+class _Peak(NamedTuple):
+    """The highest correlation of a map at one rotation, hand and scale."""
+
+    turn: Similarity  # without its shift
+    names: Names
+    height: float  # sum of products over the root of the number of pairs
+    r: float
+    at: tuple[int, int]  # pixel of the image at which the middle of the map lies
+    near: Near | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Steps:
+    """Steps of a search in rotation and scale."""
+
+    deg: float
+    scale: float
+    scales: tuple[float, ...]
+
+    @classmethod
+    def of(cls, size_um: float, scale_tolerance: float, wider: float) -> _Steps:
+        step = wider * _SCALE_STEP / size_um
+        count = 2 * max(math.ceil(scale_tolerance / step - 0.5), 0) + 1
+        most = scale_tolerance * (count - 1) / count
+        scales = np.linspace(1.0 - most, 1.0 + most, count).tolist()
+        return cls(deg=360.0 / math.ceil(360.0 * size_um / (wider * _STEP)), scale=step, scales=tuple(scales))
+
+    def turns(self, hands: tuple[bool, ...]) -> Iterator[Similarity]:
+        """All rotations of all hands."""
+        for hand, k in product(hands, range(round(360.0 / self.deg))):
+            yield Similarity(rotation_rad=math.radians(k * self.deg), mirrored=hand)
+
+    def about(self, turn: Similarity) -> Iterator[tuple[Similarity, tuple[float, ...]]]:
+        """Rotations between those of the search, with scales between its own."""
+        scales = tuple(turn.scale + self.scale * k / 4.0 for k in (-2, -1, 0, 1, 2))
+        for k in (-2, -1, 0, 1, 2):
+            rotation_rad = turn.rotation_rad + math.radians(self.deg) * k / 4.0
+            yield replace(turn, scale=1.0, rotation_rad=rotation_rad), scales
+
+
+def _judged(scanner: _Scanner, steps: _Steps, cells: list[list[_Peak]]) -> PlaceSearch:
+    """The best places of a search, and how probable it is that the best one is chance."""
+    null_sd = scanner.null_sd()
+
+    def z(peak: _Peak) -> float:
+        return abs(peak.height) / null_sd[peak.names]
+
+    def candidate(peak: _Peak) -> Candidate:
+        return Candidate(names=peak.names, z=z(peak), r=peak.r, place=scanner.place(peak.turn, peak.at))
+
+    best_of_cells = sorted((max(cell, key=z) for cell in cells), key=z, reverse=True)
+    best = best_of_cells[0]
+    is_best = [p.turn.mirrored == best.turn.mirrored and _same_turn(p.turn, best.turn) for p in best_of_cells]
+    others = np.array([z(p) for p, same in zip(best_of_cells, is_best, strict=True) if not same])
+    probability = _exceeded(z(best), others) if others.size >= _LEAST_ROTATIONS else 1.0
+    finer = (p for turn, scales in steps.about(best.turn) for p in scanner.peaks(turn, scales, best.near))
+    finest = max((best, *finer), key=lambda p: z(p) if p.names == best.names else 0.0)
+    candidates = [replace(candidate(finest), z=z(best))]
+    for peak in sorted((*best_of_cells[1:], *scanner.rivals(best, _NEAR_UM)), key=z, reverse=True):
+        other = candidate(peak)
+        if all(_apart(other.place, c.place, scanner.middle_um) for c in candidates):
+            candidates.append(other)
         if len(candidates) == _CANDIDATES:
             break
-    best = candidates[0]
-    others = np.array([
-        abs(p.height) / null_sd[p.name] for p in best_of_cells
-        if p.turn.mirrored != best.place.mirrored or not _same_turn(p.turn, best.place)
-    ])  # fmt: skip
-    probability = _exceeded(best.z, others) if others.size >= 20 else 1.0
-    return PlaceSearch(candidates=tuple(candidates), false_probability=probability)
+    return PlaceSearch(candidates=tuple(candidates), false_probability=min(2.0 * probability, 1.0))
 
 
 def _same_turn(a: Similarity, b: Similarity) -> bool:
@@ -158,60 +223,165 @@ def _apart(a: Similarity, b: Similarity, middle_um: Floats) -> bool:
 
 def _exceeded(z: float, others: Floats) -> float:
     """Probability that any of so many rotations, and one more, of unrelated textures reaches z."""
-    half, tenth = np.quantile(others, [0.5, 0.9])
-    if not half > 0.0:  # a constant image, or none of it known, is like nothing
+    if not np.quantile(others, 0.5) > 0.0:  # a constant image, or none of it known, is like nothing
         return 1.0
-    # -log(1 - P) = A x exp(-x**2 / 2) with x = z / s, at both quantiles: their logarithms give s, then A.
-    drop = math.log(math.log(2.0) / -math.log(0.9))
 
-    def miss(log_s: float) -> float:
-        return 0.5 * (tenth**2 - half**2) * math.exp(-2.0 * log_s) - math.log(tenth / half) - drop
+    def rates(x: Floats | float, s: float) -> Floats:
+        return np.asarray(x) / s * np.exp(-0.5 * (np.asarray(x) / s) ** 2)
 
-    low, high = math.log(0.8), math.log(3.0)  # a factor below 0.8 is chance among few rotations
-    s = math.exp(optimize.brentq(miss, low, high)) if miss(low) > 0.0 > miss(high) else 0.8 if miss(low) <= 0.0 else 3.0
-    x_half, x = half / s, z / s
-    log_rate = math.log(math.log(2.0)) + math.log(x / x_half) + 0.5 * (x_half**2 - x**2)
-    return -math.expm1(-(others.size + 1) * math.exp(min(log_rate, 10.0)))
+    def unlikely(log_s: float) -> float:
+        """Minus the log-likelihood of the distribution ``exp(-A x exp(-x**2 / 2))`` of x = z / s, its best A taken."""
+        s = math.exp(log_s)
+        x = np.maximum(others / s, 1.2)
+        return float(np.sum(log_s + 0.5 * x**2 - np.log(x**2 - 1.0))) + others.size * math.log(np.sum(rates(others, s)))
+
+    # A factor below 0.8 is chance among few rotations.
+    found = optimize.minimize_scalar(unlikely, bounds=(math.log(0.8), math.log(3.0)), method="bounded")
+    s = math.exp(float(found.x))
+    rate = others.size / float(np.sum(rates(others, s))) * float(rates(z, s))
+    return -math.expm1(-(others.size + 1) * rate)
+
+
+@dataclass(slots=True, eq=False)
+class _Null:
+    """Sums over all places, of a map's heights."""
+
+    squares: float = 0.0
+    count: int = 0
+
+
+class _Window(NamedTuple):
+    """Part of an image: spectra of its maps and of what is known of it, and where the map's middle may lie in it."""
+
+    first: tuple[int, int]  # row and column of the first middle
+    size: tuple[int, int]
+    maps: dict[str, NDArray[np.complex64]]
+    known: NDArray[np.complex64]
+    shape: tuple[int, int]
 
 
 class _Scanner:
-    """Correlates maps, turned about their middle, with an image at all shifts."""
+    """Correlates maps, turned about their middle, with an image at all shifts or those near a place."""
 
-    def __init__(self, moving: Textures, fixed: Textures) -> None:
-        self._moving, self._fixed = moving, fixed
+    def __init__(self, moving: Textures, fixed: Textures, scale_tolerance: float) -> None:
+        self._fixed, self._names = fixed, compared(moving, fixed)
         self._moving_px, self._fixed_px = (np.array(t.pixel_um[::-1]) for t in (moving, fixed))  # x, y
         shape = np.array(moving.known.shape[::-1])
-        self._size_um, self.middle_um = shape * self._moving_px, 0.5 * (shape - 1) * self._moving_px
-        self._splines = {k: np.asarray(ndimage.spline_filter(m), dtype=np.float32) for k, m in moving.maps.items()}
+        self._extent_um, self.middle_um = shape * self._moving_px, 0.5 * (shape - 1) * self._moving_px
+        self.size_um = math.sqrt(max(moving.area_um2, 1.0))
+        self._splines = {k: np.asarray(ndimage.spline_filter(moving.maps[k]), dtype=np.float32) for k, _ in self._names}
         self._mask = moving.known.astype(np.float32)
         self._most = moving.n * float(np.prod(self._moving_px / self._fixed_px))
-        reach = math.ceil(1.05 * float(np.hypot(*self._size_um)) / float(self._fixed_px.min())) + 2
-        self._shape = tuple(fft.next_fast_len(n + reach, real=True) for n in fixed.known.shape)
-        self._image, self._known = (self._transform(m.astype(np.float32)) for m in (fixed.maps["image"], fixed.known))
+        self._null = {k: _Null() for k in self._names}
+        most_um = 1.05 * (1.0 + scale_tolerance) * float(np.hypot(*self._extent_um))
+        self._margin = math.ceil(0.5 * most_um / float(self._fixed_px.min())) + 2
+        self._whole: list[_Window] = []
 
-    def products(self, turn: Similarity) -> dict[str, Slab]:
-        """Sums of products of each map with the image, by the pixel at which the map's middle lies."""
-        half, sampled = self._on_image(turn)
-        mask = self._turned_mask(sampled)
-        return {k: self._lags(self._image, sampled(s, 3) * mask, half) for k, s in self._splines.items()}
+    def null_sd(self) -> dict[Names, float]:
+        """Standard deviation of the heights so far."""
+        return {k: math.sqrt(null.squares / max(null.count, 1)) or 1.0 for k, null in self._null.items()}
 
-    def pairs(self, turn: Similarity) -> Slab:
-        """Numbers of pixels that lie on known ones of the image, by the pixel at which the map's middle lies."""
-        half, sampled = self._on_image(turn)
-        return np.maximum(self._lags(self._known, self._turned_mask(sampled), half), 0.0)
+    def cell(self, turn: Similarity, steps: _Steps, windows: Sequence[Near | None]) -> Iterator[_Peak]:
+        """Peaks of all maps at one rotation and hand, and all scales."""
+        for near in windows:
+            yield from self.peaks(turn, steps.scales, near)
 
-    def enough(self, pairs: Slab) -> Bools:
-        """Shifts at which as much of the map as needed lies in the image."""
-        return pairs >= _OVERLAP * self._most
+    def peaks(self, turn: Similarity, scales: tuple[float, ...], near: Near | None) -> Iterator[_Peak]:
+        """The highest correlation of each map at each scale."""
+        for scaled, names, values, weight, window in self._heights(turn, scales, near):
+            height = values * weight
+            null = self._null[names]
+            null.squares += float(np.vdot(height, height))
+            null.count += int(np.count_nonzero(weight))
+            yield self._peak(scaled, names, height, weight, window, near)
+
+    def rivals(self, best: _Peak, apart_um: float) -> Iterator[_Peak]:
+        """The highest correlation at the turn of the best one, away from it."""
+        turn, scale = replace(best.turn, scale=1.0), best.turn.scale
+        for scaled, names, values, weight, window in self._heights(turn, (scale,), best.near):
+            if names != best.names:
+                continue
+            rows, cols = (
+                (np.arange(n) + first - at) * um
+                for n, first, at, um in zip(values.shape, window.first, best.at, self._fixed_px[::-1], strict=True)
+            )
+            far = np.hypot(rows[:, None], cols) > apart_um
+            yield self._peak(scaled, names, values * weight * far, weight, window, best.near)
 
     def place(self, turn: Similarity, at: tuple[int, int]) -> Similarity:
         """Transformation that puts the middle of the map on a pixel of the image."""
         return nearest_similarity(turn.matrix(), self.middle_um, np.array(at[::-1]) * self._fixed_px)
 
+    def _peak(
+        self, turn: Similarity, names: Names, height: Slab, weight: Slab, window: _Window, near: Near | None
+    ) -> _Peak:
+        row, col = divmod(int(np.argmax(np.abs(height))), height.shape[1])
+        value = float(height[row, col])
+        at = (row + window.first[0], col + window.first[1])
+        # The weight is one over the root of the number of pairs.
+        return _Peak(turn, names, value, value * float(weight[row, col]), at, near)
+
+    def _heights(
+        self, turn: Similarity, scales: tuple[float, ...], near: Near | None
+    ) -> Iterator[tuple[Similarity, Names, Slab, Slab, _Window]]:
+        """Sums of products by the pixel at which the map's middle lies, and the weights that make heights of them."""
+        windows, middle_scale = self._windows(turn, near), 0.5 * (scales[0] + scales[-1])
+        half, sampled = self._on_image(replace(turn, scale=middle_scale))
+        mask = self._spectrum(self._turned_mask(sampled), windows[0].shape)
+        least_pairs, weights = max(_OVERLAP * self._most * middle_scale**2, 1.0), list[Slab]()
+        for window in windows:
+            pairs = self._lags(window, window.known, mask, half)
+            weights.append(
+                np.where(pairs >= least_pairs, 1.0 / np.sqrt(np.maximum(pairs, 1.0)), 0.0).astype(np.float32)
+            )
+        for scale in scales:
+            scaled = replace(turn, scale=scale)
+            half, sampled = self._on_image(scaled)
+            is_known = self._turned_mask(sampled)
+            for names in self._names:
+                part = self._spectrum(sampled(self._splines[names[0]], 3) * is_known, windows[0].shape)
+                for window, weight in zip(windows, weights, strict=True):
+                    yield scaled, names, self._lags(window, window.maps[names[1]], part, half), weight, window
+
+    def _windows(self, turn: Similarity, near: Near | None) -> list[_Window]:
+        """Parts of the image in which the middle of the map may lie: all, or one near a place."""
+        if near is None:
+            if not self._whole:
+                spans = [_spans(n, max(4 * self._margin, _LEAST_WINDOW)) for n in self._fixed.known.shape]
+                count = spans[0][1] - spans[0][0], spans[1][1] - spans[1][0]
+                self._whole = [self._spectra(first, count) for first in product(spans[0][:-1], spans[1][:-1])]
+            return self._whole
+        arm_um = np.zeros(2) if near.moving_um is None else self.middle_um - np.array(near.moving_um)
+        middle = (np.array(near.fixed_um) + turn.matrix() @ arm_um) / self._fixed_px
+        first = np.floor(middle - near.radius_um / self._fixed_px).astype(int)
+        count = np.ceil(2.0 * near.radius_um / self._fixed_px).astype(int) + 1
+        return [self._spectra((int(first[1]), int(first[0])), (int(count[1]), int(count[0])))]
+
+    def _spectra(self, first: tuple[int, int], count: tuple[int, ...]) -> _Window:
+        (rows, cols), margin = count, self._margin
+        shape = fft.next_fast_len(rows + 2 * margin, real=True), fft.next_fast_len(cols + 2 * margin, real=True)
+
+        def spectrum(values: NDArray[np.generic]) -> NDArray[np.complex64]:
+            part = np.zeros(shape, np.float32)
+            spans = [
+                (max(b - margin, 0), min(b + n + margin, size))
+                for b, n, size in zip(first, count, values.shape, strict=True)
+            ]
+            if all(low < high for low, high in spans):
+                inside = tuple(slice(low, high) for low, high in spans)
+                to = tuple(
+                    slice(low - b + margin, high - b + margin) for (low, high), b in zip(spans, first, strict=True)
+                )
+                part[to] = values[inside]
+            return np.asarray(fft.rfft2(part), dtype=np.complex64)
+
+        maps = {k: spectrum(self._fixed.maps[k]) for k in {fixed for _, fixed in self._names}}
+        return _Window(first, (rows, cols), maps, spectrum(self._fixed.known), shape)
+
     def _on_image(self, turn: Similarity) -> tuple[tuple[int, int], Callable[[Slab, Literal[1, 3]], Slab]]:
         """Half the size, and the sampling, of a map on pixels of the image, no larger than it has to be."""
         matrix = turn.matrix()
-        corners = np.array([*product((-0.5, 0.5), repeat=2)]) * self._size_um @ matrix.T
+        corners = np.array([*product((-0.5, 0.5), repeat=2)]) * self._extent_um @ matrix.T
         half = np.ceil(np.abs(corners).max(axis=0) / self._fixed_px).astype(int)
         to_moving = (np.linalg.inv(matrix) * self._fixed_px) / self._moving_px[:, None]  # of pixels x, y
         offset = self.middle_um / self._moving_px - to_moving @ half
@@ -228,109 +398,21 @@ class _Scanner:
     def _turned_mask(self, sampled: Callable[[Slab, Literal[1, 3]], Slab]) -> Slab:
         return (sampled(self._mask, 1) >= 0.5).astype(np.float32)
 
-    def _transform(self, values: Slab) -> NDArray[np.complex64]:
-        return np.asarray(fft.rfft2(values, self._shape, workers=2), dtype=np.complex64)
+    def _spectrum(self, part: Slab, shape: tuple[int, int]) -> NDArray[np.complex64]:
+        """Conjugate spectrum; the rows that the part does not fill need no transformation along them."""
+        return np.conj(fft.fft(fft.rfft(part, shape[1], axis=1), shape[0], axis=0))
 
-    def _lags(self, image: NDArray[np.complex64], part: Slab, half: tuple[int, int]) -> Slab:
-        lags = np.asarray(fft.irfft2(image * np.conj(self._transform(part)), self._shape, workers=2), dtype=np.float32)
-        rows, cols = (np.arange(n) - h for n, h in zip(self._fixed.known.shape, half, strict=True))
-        return lags[np.ix_(rows % self._shape[0], cols % self._shape[1])]
-
-
-def tuned_place(
-    moving: Textures, fixed: Textures, name: str, start: Similarity, *, reach_um: float, light: tuple[str, ...] = ()
-) -> Similarity:  # fmt: skip
-    """Climb from a place to where a map, with the slopes of the face that ``light`` names, explains most of the image.
-
-    ``reach_um`` is about how far off the corners of the map are at the start.
-    """
-    rows, cols = np.nonzero(moving.known)
-    every = max(rows.size // _MOST_PIXELS, 1)  # neighbours say the same
-    rows, cols = rows[::every], cols[::every]
-    points = np.stack([cols * moving.pixel_um[1], rows * moving.pixel_um[0]], axis=1)
-    maps = np.stack([moving.maps[k][rows, cols] for k in (name, *light)])
-    middle, image = points.mean(axis=0), _Sampled(fixed)
-    arm_um = float(np.sqrt(np.mean(np.sum((points - middle) ** 2, axis=1))))
-
-    def placed(p: Floats) -> Similarity:
-        turn = replace(
-            start, scale=start.scale * math.exp(p[3] / arm_um), rotation_rad=start.rotation_rad + p[2] / arm_um
-        )
-        return nearest_similarity(turn.matrix(), middle, start(middle) + p[:2])
-
-    def unexplained(place: Similarity) -> float:
-        grey, is_known = image(place(points))
-        if np.count_nonzero(is_known) < _LEAST_PIXELS:
-            return 1.0
-        centred = maps[:, is_known] - maps[:, is_known].mean(axis=1, keepdims=True)
-        grey = grey[is_known] - grey[is_known].mean()
-        products = centred @ grey
-        return 1.0 - float(products @ np.linalg.pinv(centred @ centred.T) @ products / (grey @ grey))
-
-    found = optimize.minimize(
-        lambda p: unexplained(placed(p)), np.zeros(4), method="Nelder-Mead", options={
-            "initial_simplex": np.concatenate([np.zeros((1, 4)), 0.5 * reach_um * np.eye(4)]), "xatol": 0.05,
-            "fatol": 1e-6, "maxfev": 400,
-        },
-    )  # fmt: skip
-    return placed(found.x)
+    def _lags(
+        self, window: _Window, image: NDArray[np.complex64], part: NDArray[np.complex64], half: tuple[int, int]
+    ) -> Slab:  # fmt: skip
+        """Sums of products by the pixel at which the middle of the part lies; only the rows that are needed."""
+        along = fft.ifft(image * part, axis=0, overwrite_x=True)
+        row, col = (self._margin - h for h in half)
+        lags = fft.irfft(along[row : row + window.size[0]], window.shape[1], axis=1)
+        return np.ascontiguousarray(lags[:, col : col + window.size[1]], dtype=np.float32)
 
 
-class TilePlaces(NamedTuple):
-    """Places (n, 2), ``(x, y)`` in um, of tiles in both layers; covariances (n, 2, 2) of those in the fixed one."""
-
-    moving_um: Floats
-    fixed_um: Floats
-    covariance_um2: Floats
-    r: float  # of the whole map at the place from which the tiles were sought
-
-
-def tile_places(
-    moving: Textures, fixed: Textures, name: str, place: Similarity, *, light: tuple[str, ...] = ()
-) -> TilePlaces:  # fmt: skip
-    """Find where tiles of a map lie in the image, near the place of the whole.
-
-    Tiles share no pixel. Their side follows from how far the whole stands out from chance: each has to by itself.
-    ``light`` names the slopes of the face: what they explain of the image is taken with the map, so that light from one
-    side moves no tile.
-    """
-    rows, cols = np.indices(moving.known.shape)
-    pixel_um = moving.pixel_um
-    grey, is_known = _Sampled(fixed)(place(np.stack([cols * pixel_um[1], rows * pixel_um[0]], axis=-1)))
-    is_valid = moving.known & is_known
-    a, b = standard(moving.maps[name], is_valid), standard(np.where(is_valid, grey, 0.0), is_valid)
-    relation = relate(a, b, is_valid, pixel_um)
-    if light:
-        shown = np.stack([a, *(standard(moving.maps[k], is_valid) for k in light)])
-        weights = np.linalg.lstsq(shown[:, is_valid].T, b[is_valid], rcond=None)[0]
-        a = standard(math.copysign(1.0, weights[0]) * np.tensordot(weights, shown, 1), is_valid)
-        relation = replace(relation, r=math.copysign(relation.r, weights[0]))
-    reach = (max(round(_REACH_UM / pixel_um[0]), 3), max(round(_REACH_UM / pixel_um[1]), 3))
-    least_um = 2.2 * max((k + MARGIN) * p for k, p in zip(reach, pixel_um, strict=True))
-    short_um = min((n // 2 * 2) * p for n, p in zip(moving.known.shape, pixel_um, strict=True))
-    stands_out = abs(relation.z) / _TILE_Z
-    side_um = math.sqrt(moving.n * pixel_um[0] * pixel_um[1]) / max(stands_out, 1e-9)
-    side_um = min(side_um, 0.5 * short_um)
-    field = lag_field(
-        math.copysign(1.0, relation.r) * a, b, is_valid, pixel_um, reach=reach, overlapping=False,
-        tile_um=max(side_um, least_um),
-        unrelated=[*PhaseSurrogate(b, is_valid).draws(9, np.random.default_rng(20090501))],
-    )  # fmt: skip
-    at_um, lag_um = field.at_um[field.distinct], field.lag_um[field.distinct]
-    covariance = place.matrix() @ field.covariance_um2[field.distinct] @ place.matrix().T
-    return TilePlaces(at_um, place(at_um + lag_um), covariance, relation.r)
-
-
-class _Sampled:
-    """The image of textures between its pixels."""
-
-    def __init__(self, fixed: Textures) -> None:
-        self._pixel_um = np.array(fixed.pixel_um[::-1])
-        self._spline = np.asarray(ndimage.spline_filter(fixed.maps["image"]), dtype=np.float64)
-        self._known = fixed.known.astype(np.float64)
-
-    def __call__(self, points: Floats) -> tuple[Floats, Bools]:
-        """Values at points (..., 2), ``(x, y)`` in um, and which of them are known."""
-        at = np.moveaxis(points / self._pixel_um, -1, 0)[::-1]
-        grey = ndimage.map_coordinates(self._spline, at, order=3, prefilter=False)
-        return grey, ndimage.map_coordinates(self._known, at, order=1) >= 0.5
+def _spans(count: int, most: int) -> list[int]:
+    """Borders of equal parts, the last of which may reach beyond the end."""
+    parts = math.ceil(count / most)
+    return [k * math.ceil(count / parts) for k in range(parts + 1)]

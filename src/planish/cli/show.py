@@ -109,7 +109,7 @@ def _registration(layer: LayerFacts) -> None:
         f"{number(r.leave_one_out_rms_um, 2)} um{error_text}; {r.model}, scale {r.scale:.4f}, rotation "
         f"{r.rotation_deg:.2f} deg{', mirrored' if r.mirrored else ''}"
     )
-    if r.source == "texture" and r.match_sentence:
+    if r.source in ("texture", "both") and r.match_sentence:
         notes = (r.match_sentence, *notes)
     if r.held_out is not None:
         notes = (*notes, f"Over tiles that had no part in the place, without waves above 1 mm: {r.held_out.sentence}.")

@@ -21,10 +21,18 @@ class RegistrationParams(Params):
         metavar="FILE",
         help="Pairs of points from planish or another program (docs/marks-files.md), instead of finding the holes.",
     )
-    by: Literal["auto", "holes", "texture"] = option(
+    by: Literal["auto", "holes", "texture", "both"] = option(
         "auto",
-        help="What the layers are registered by. auto takes holes, and the texture of sheet and image where there are "
-        "fewer than 3 holes in either.",
+        help="What the layers are registered by. auto takes holes, and the texture of both where there are fewer "
+        "than 3 holes in either; both fits holes and texture in one.",
+    )
+    near: tuple[float, ...] | None = option(
+        None,
+        min_length=2,
+        max_length=3,
+        metavar="X,Y[,RADIUS]",
+        help="About where in the fixed layer the middle of the moving one lies, in um, for the search by texture; "
+        "RADIUS is 500 where not given.",
     )
     design: str | None = option(
         None,

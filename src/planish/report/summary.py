@@ -12,7 +12,7 @@ from planish.core.facts import Trust, is_known
 from planish.core.numbers import NONE, capital, count, fixed, in_words, length, number, percent, plain, typeset, unit
 from planish.report.relation import largest, written_difference
 from planish.report.statement import r2_interval_text, r2_text, r_interval_text, r_text
-from planish.report.text import registered_by, with_article
+from planish.report.text import HELD_OUT, registered_by, with_article
 from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results
 
 Titles = Mapping[tuple[str, str], str]  # layer and map -> title of the map
@@ -165,9 +165,9 @@ def _pair_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure
     if rows and rows[0].trust == "ok" and rows[0].same_quantity:
         sentence += _difference_sentence(largest(rows), titles)
     loo_um, marks_text = None, NONE
-    if marks is not None and marks.held_out is not None:
-        r_text_held_out = marks.held_out.sentence.split(";")[0]
-        sentence += f" Over tiles that had no part in the place, without waves above 1 mm, {r_text_held_out}."
+    held_out = None if marks is None else marks.held_out
+    if held_out is not None:
+        sentence = f"{capital(HELD_OUT)}, {held_out.sentence.split(';')[0]}. With the place tuned on them: {sentence}"
     if marks is not None:
         loo_um, marks_text, e = marks.leave_one_out_rms_um, f"rms of {marks.matched} marks", marks.expected_error
         sentence += (
@@ -178,11 +178,15 @@ def _pair_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure
             median, largest_error = length(e.median_um, 2), length(e.largest_um, 2)
             marks_text += f"; expected error of a pixel {median} (median), {largest_error} at most"
     points_text, pixel_text = (f", points of {point_of(largest(rows))}", f", {point_of(rows[0])}") if rows else ("", "")
-    return sentence, [
+    r_figures = [
         _r_figure(results, largest(rows) if rows else None, f"r{points_text}"),
         _r_figure(results, rows[0] if rows else None, f"r at the pixel{pixel_text}"),
-        KeyFigure(number(loo_um, 2), "µm", "leave-one-out error", marks_text),
     ]
+    if held_out is not None and rows and rows[0].trust == "ok":
+        low, high = held_out.interval or (None, None)
+        note = f"95 %: {low:.2f} to {high:.2f}; " if is_known(low) and is_known(high) else ""
+        r_figures = [KeyFigure(number(held_out.r, 2), "", "r that was not tuned", f"{note}{HELD_OUT}"), r_figures[0]]
+    return sentence, [*r_figures, KeyFigure(number(loo_um, 2), "µm", "leave-one-out error", marks_text)]
 
 
 def point_of(row: CorrelationRow) -> str:

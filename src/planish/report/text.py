@@ -15,13 +15,15 @@ if TYPE_CHECKING:
 
 REGISTERED = "registration: marks only"  # stands beside every correlation: how its maps were registered
 BY_TEXTURE = "registration: the texture of both maps"
+BY_BOTH = "registration: marks and the texture of both maps"
+HELD_OUT = "over tiles that had no part in the place, without waves above 1 mm"  # r beside a place by texture
 HOLES = "holes and rims"  # what the mask of valid pixels leaves out where no regions were declared
 
 
 def registered_by(results: Results) -> str:
     """Say what the maps of a run were registered by: marks, or the texture that is compared as well."""
-    registrations = [layer.registration for layer in results.layers if layer.registration]
-    return BY_TEXTURE if any(r.source == "texture" for r in registrations) else REGISTERED
+    sources = {layer.registration.source for layer in results.layers if layer.registration}
+    return BY_TEXTURE if "texture" in sources else BY_BOTH if "both" in sources else REGISTERED
 
 
 def with_article(layer: str) -> str:

@@ -147,9 +147,11 @@ def _orientation_facts(moving: Layer, fixed: Layer, fit: FittedTransform) -> Ori
         x, y = fit.transform.matrix() @ (np.cos(angle_rad), np.sin(angle_rad))
         md_fixed_deg = float(np.rad2deg(np.arctan2(y, x)) % 180.0)
     sentences = [
-        f"Side of the {layer.name} not given; top side assumed (--image-side)."
-        if layer.side_given is None
-        else f"The {layer.name} shows the {layer.side} side of the sheet, as given."
+        f"The {layer.name} shows the {layer.side} side of the sheet, as given."
+        if layer.side_given is not None
+        else f"Side of the {layer.name} not given; its texture was found mirrored, so it shows the bottom side."
+        if layer.side_found is not None
+        else f"Side of the {layer.name} not given; top side assumed (--image-side)."
         for layer in (moving, fixed)
         if layer.kind == "image"
     ]

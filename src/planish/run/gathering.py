@@ -16,7 +16,7 @@ from planish.analyze.compare import comparison_rows, correlate_layers
 from planish.analyze.correlation_evidence import EvidenceFacts, correlation_diagnostics
 from planish.analyze.mottle import mottle_of
 from planish.analyze.refinement import held_out_r, refine_link
-from planish.analyze.sides import TextureFound, found_by_texture, texture_of
+from planish.analyze.sides import TextureFound, found_by_texture, holes_and_texture, texture_of
 from planish.analyze.split_half import SheetColumns
 from planish.checks import (
     DetectedHoles,
@@ -213,7 +213,7 @@ def _checks(linked: LinkedLayers, facts: tuple[LayerFacts, ...], textures: Textu
             yield from _registration_checks(linked, layer, layer_results)
     for name, link in linked.links.items():
         moving, fixed = link.path[:2]
-        if moving.kind == "sheet" and fixed is reference and link.registration.source == "found":
+        if moving.kind == "sheet" and fixed is reference and link.registration.source in ("found", "both"):
             holes = HolesOnSheet(sheet=maps[name], marks=link.registration.marks, layer=name, reference=reference.name)
             yield from run_checks(holes, name, reference.name)
     for layer in layers if any(layer.kind == "sheet" for layer in layers) else ():
@@ -224,23 +224,27 @@ def _checks(linked: LinkedLayers, facts: tuple[LayerFacts, ...], textures: Textu
         # Where two layers lie is judged where one of them is the reference.
         checks = texture.checks if b == reference.name else texture.checks[:1]
         link = linked.links.get(a)
-        if link is not None and link.registration.source == "texture" and link.path[1].name == b:
-            checks = found_by_texture(link.registration.sentence or "", link.registration.false_probability or 0.0)
+        registration = None if link is None or link.path[1].name != b else link.registration
+        if registration is not None and registration.source == "texture":
+            checks = found_by_texture(registration.sentence or "", registration.false_probability or 0.0)
+        elif registration is not None and registration.apart_um is not None:
+            checks = checks[0], holes_and_texture(*registration.apart_um)
         yield from run_checks(TextureChecks(*checks), a, b)
 
 
 def _with_held_out(layer: LayerFacts, linked: LinkedLayers) -> LayerFacts:
     """What a layer is, with r that its place by texture was not tuned on."""
-    if (registration := layer.registration) is None or registration.source != "texture":
+    if (registration := layer.registration) is None or registration.source not in ("texture", "both"):
         return layer
     sheet, reference, grid = linked.maps[layer.name], linked.maps[registration.path[-1]], linked.reference.grid
-    name, fixed_name = layer.headline, "image"
+    name = layer.headline
+    fixed_name = "image" if "image" in reference else name
     if name not in sheet or fixed_name not in reference:
         return layer
     valid = sheet["valid"].values & reference["valid"].values
     a, b = sheet[name].values.astype(np.float64), reference[fixed_name].values.astype(np.float64)
     face = f"topography_{linked.reference.side}"
-    heights = sheet[face].values.astype(np.float64) if face in sheet else None
+    heights = sheet[face].values.astype(np.float64) if face in sheet and fixed_name == "image" else None
     held_out = held_out_r(a, b, heights, valid, grid.pixel_um)
     return layer.model_copy(update={"registration": registration.model_copy(update={"held_out": held_out})})
 
@@ -254,7 +258,7 @@ def _registration_checks(linked: LinkedLayers, layer: Layer, facts: LayerFacts) 
         hole_um=sum(linked.study.holes.hole_um) / 2, pixel_um=max(*layer.grid.pixel_um, *fixed.grid.pixel_um),
     )  # fmt: skip
     yield from run_checks(registered_layer, layer.name, fixed.name)
-    if registration.source == "found":
+    if registration.source in ("found", "both"):
         for searched_layer in (layer, fixed):
             for holes in linked.holes.searched(searched_layer):
                 yield from run_checks(DetectedHoles(searched_layer.name, holes), layer.name, fixed.name)

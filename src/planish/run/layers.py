@@ -41,6 +41,7 @@ class Layer:
     by_this_code: bool = True  # not of a sheet that was read from a run of other code
     facts: SheetFacts | None = None  # of a sheet
     checks: tuple[Check, ...] = ()  # of a sheet and its volume
+    side_found: Side | None = None  # that an image shows, by its texture, where none was given
 
     @property
     def name(self) -> str:
@@ -69,8 +70,8 @@ class Layer:
 
     @property
     def side(self) -> Side:
-        """Side of the sheet that it shows: the top for flat maps, and for an image where nothing is given."""
-        return self.side_given or "top"
+        """Side of the sheet that it shows: the top for flat maps, and for an image of which nothing is known."""
+        return self.side_given or self.side_found or "top"
 
 
 class LayerHoles:

@@ -52,7 +52,8 @@ def link_layers(
     reference = layers[-1]
     if reference.params.kind == "volume" and regions is not None:
         regions = regions_on(regions, reference.grid, study.correlate.regions)
-    links = _register(layers, holes, study, progress)
+    layers, links = _register(layers, holes, study, progress)
+    reference = layers[-1]
     chains = {name: link.chain for name, link in links.items()}
     progress("link", f"{' x '.join(map(str, reference.grid.shape))} pixels of the {reference.name}")
     rims_um = [float(layer.groups["surfaces"].attrs["rim_um"]) for layer in layers if layer.kind == "sheet"]
@@ -112,15 +113,24 @@ def _read_run(params: LayerParams, study: Study) -> Layer:
     return replace(sheet, params=params, md_deg=md_deg)
 
 
-def _register(layers: list[Layer], holes: LayerHoles, study: Study, progress: Progress) -> dict[str, Link]:
-    """Register every layer but the last one, and compose the chains."""
-    paths = [layers[k:] if study.chain else [layers[k], layers[-1]] for k in range(len(layers) - 1)]
-    registrations = dict[str, Registration]()
-    for layer, fixed, *_ in paths:
+def _register(
+    layers: list[Layer], holes: LayerHoles, study: Study, progress: Progress
+) -> tuple[list[Layer], dict[str, Link]]:
+    """Register every layer but the last one, and compose the chains; layers know their side where that was found."""
+    layers, registrations = layers.copy(), dict[str, Registration]()
+    next_of = [k + 1 if study.chain else len(layers) - 1 for k in range(len(layers) - 1)]
+    for k, k_fixed in enumerate(next_of):
+        layer, fixed = layers[k], layers[k_fixed]
         progress("register", f"{layer.name} to {fixed.name}")
         register = register_layers_by_texture if uses_texture(layer, fixed, holes, study) else register_layers
-        registrations[layer.name] = register(layer, fixed, holes, study)
-    chains = [Chain(fits=tuple(registrations[layer.name].fit for layer in path[:-1])) for path in paths]
-    return {
-        path[0].name: Link(path, registrations[path[0].name], chain) for path, chain in zip(paths, chains, strict=True)
-    }
+        registration = registrations[layer.name] = register(layer, fixed, holes, study)
+        is_of_sheet = layer.kind != fixed.kind and registration.source == "texture" and not study.registration.mirror
+        for image_k in (k, k_fixed) if is_of_sheet and registration.fit.mirrored else ():
+            if layers[image_k].kind == "image" and layers[image_k].side_given is None:
+                layers[image_k] = replace(layers[image_k], side_found="bottom")
+    links = dict[str, Link]()
+    for k, k_fixed in enumerate(next_of):
+        path = layers[k:] if study.chain else [layers[k], layers[k_fixed]]
+        chain = Chain(fits=tuple(registrations[layer.name].fit for layer in path[:-1]))
+        links[layers[k].name] = Link(path, registrations[layers[k].name], chain)
+    return layers, links

@@ -1,91 +1,66 @@
-"""The registration of two layers by the texture that both show, without a hole: searched, and fitted to tiles."""
+"""The registration of two layers by the texture that both show, without holes: searched, and fitted to tiles."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 
-from planish.analyze.texture import Textures, textures
-from planish.analyze.texture_search import BAND_UM, FALSE, PlaceSearch, search_place, tile_places, tuned_place
-from planish.core.area import common_means
-from planish.core.errors import CannotRegister, InputError
+from planish.analyze.texture_place import TilePlaces, leading_maps, tile_places, tuned_place
+from planish.analyze.texture_search import FALSE, Names, Near, PlaceSearch, search_place
+from planish.core.errors import CannotRegister
 from planish.core.facts import Side
-from planish.core.grid import Grid
 from planish.core.options import params_of
 from planish.core.transform import Similarity
-from planish.core.typing import Array, Bools, Floats
-from planish.marks.exchange.model import join_holes
+from planish.core.typing import Floats, Ints
+from planish.marks.exchange.model import join_holes, paired, points_of
 from planish.register import RegistrationParams, fit_pairs, need_holes
 from planish.run.layers import Layer, LayerHoles
-from planish.run.registration import Registration, with_residuals
+from planish.run.registration import Registration, register_layers, with_residuals
 from planish.run.study import Study
+from planish.run.texture_layer import TextureLayer
 
 _SEARCH_UM, _FINE_UM = 20.0, 8.0  # pixels: at 36 um a weak texture is at chance
+_SEARCHED_UM = 5000.0  # of the middle of a sheet: it says enough
 _TUNED_UM = 25.0  # by which the search may be off at the corners of the map
+_AROUND_UM = 200.0  # of the image around the sheet
+_HOLE_UM = 60.0  # by which a hole of the sheet may lie off that of the image, at a rotation between two of the search
+_NEAR_UM = 500.0  # of a place that was given without a radius
+_SCALE_GUESS = 1.15  # of an image whose pixel size is hardly known: between two sizes that are tried
+_GUESS_TOLERANCE = 0.08
 _LEAST_TILES = 4
-
-
-class _Layer(NamedTuple):
-    """Maps of a layer that may show in an image, each (rows, cols), where they may be looked at, and their pixels."""
-
-    maps: dict[str, Array]
-    faces: dict[str, Array]  # heights of the faces
-    valid: Bools
-    grid: Grid
-
-    @classmethod
-    def of(cls, layer: xr.Dataset | xr.DataArray, side: Side = "top") -> _Layer:
-        """Take the maps that may show in an image of a side, or an image."""
-        if isinstance(layer, xr.DataArray):
-            return cls({"image": layer.values}, {}, np.isfinite(layer.values), Grid.of(layer))
-        names = (f"coating_{side}", "base_thickness", "thickness")
-        maps = {name: layer[name].values for name in names if name in layer and np.isfinite(layer[name].values).any()}
-        if not maps:
-            raise InputError("The maps hold no thickness whose texture could be searched. Measure one (--property).")
-        valid = layer["valid"].values if "valid" in layer else np.isfinite(layer["thickness"].values)
-        faces = {name: layer[name].values for name in (f"topography_{side}",) if name in layer}
-        return cls(maps, faces, valid, Grid.of(layer))
-
-    def texture(self, pixel_um: float, face: str = "") -> tuple[Textures, Floats]:
-        """Textures on pixels of about a size, with the slopes of a face; the middle in um of the first pixel."""
-        factors = [max(int(pixel_um / p + 1e-6), 1) for p in self.grid.pixel_um]
-        shown: dict[str, Floats] = {}
-        for name, values in (self.maps | {face: self.faces[face]} if face else self.maps).items():
-            known = np.where(self.valid, values, np.nan).astype(np.float64)
-            shown[name] = common_means([known], (factors[0], factors[1]), masks=[self.valid])[0]
-        coarse_um = [f * p for f, p in zip(factors, self.grid.pixel_um, strict=True)]
-        is_known = np.any([np.isfinite(m) for m in shown.values()], axis=0)
-        first = [0.5 * (c - p) for c, p in zip(coarse_um, self.grid.pixel_um, strict=True)]
-        found = textures(shown, is_known, (coarse_um[0], coarse_um[1]), band_um=BAND_UM)
-        return found.with_slopes(face) if face else found, np.array(self.grid.origin_um) + first[::-1]
+_FEW_HOLES = 2  # that fix no place, and narrow the search
 
 
 def register_texture(
     moving: xr.Dataset | xr.DataArray,
-    fixed: xr.DataArray,
+    fixed: xr.Dataset | xr.DataArray,
     *,
     params: RegistrationParams | None = None,
-    mirrored: bool = False,
+    mirrored: bool | None = False,
     holes: tuple[xr.Dataset, xr.Dataset] | None = None,
 ) -> Registration:
     """Find a sheet in an image by the texture that both show, without any hole, and fit the transformation.
 
     Parameters
     ----------
-    moving : Dataset (v, u) or DataArray (y, x)
-        Flat maps of :func:`planish.resample_maps`, or an image of :func:`planish.read_image`.
-    fixed : DataArray (y, x)
-        The image in which the sheet lies, at any rotation, with 40 % of the map or more in it.
+    moving, fixed : Dataset (v, u) or DataArray (y, x)
+        Flat maps of :func:`planish.resample_maps`, or an image of :func:`planish.read_image`. The smaller one lies in
+        the larger one at any rotation, with 40 % of it or more.
     params : RegistrationParams, optional
-        ``scale_tolerance`` limits the scale, ``model`` is fitted to the tiles; with ``mirror`` the other hand is tried
-        as well.
-    mirrored : bool
-        Whether the layers see each other mirrored, as an image of the bottom and a flat map do.
+        ``near`` limits the place and ``scale_tolerance`` the scale, ``model`` is fitted to the tiles; with ``mirror``
+        the other hand is tried as well.
+    mirrored : bool or None
+        Whether the layers see each other mirrored, as an image of the bottom and a flat map do. None tries an image of
+        either side.
     holes : (Dataset, Dataset), optional
-        Laser holes of both layers, of :func:`planish.find_holes`, that are masked and have no part in the fit.
+        Laser holes of both layers, of :func:`planish.find_holes`. They are masked and have no part in the fit; where
+        there are 1 or 2 in both, the places that put one onto another are searched first.
 
     Returns
     -------
@@ -95,57 +70,31 @@ def register_texture(
     Raises
     ------
     CannotRegister
-        If no place stands out so far that an unrelated image would reach it in fewer than 4 of 10 000 cases, or too
-        few tiles by themselves show where they lie.
+        If no place stands out so far that an unrelated image would reach it in fewer than 4 of 10 000 cases, two places
+        are nearly alike, or too few tiles by themselves show where they lie.
     InputError
         If the maps hold no thickness.
 
     Notes
     -----
     Coatings and thicknesses are band-passed (18 to 150 um) and correlated with the image at all rotations and shifts,
-    either sign, in pixels of 20 um; the best place is tuned and tiles are placed in pixels of 8 um.
+    either sign, in pixels of 20 um; the best place is tuned and tiles are placed in pixels of 8 um. Of two sheets the
+    same map is compared.
     """
     fit_params = params_of(RegistrationParams, params, "pl.register_texture")
-    layers = _Layer.of(moving, "bottom" if mirrored else "top"), _Layer.of(fixed)
-    (moving_texture, moving_first), (fixed_texture, fixed_first) = (layer.texture(_SEARCH_UM) for layer in layers)
-    if not (moving_texture.known.any() and fixed_texture.known.any()):
-        raise CannotRegister("A layer shows no texture: it is empty, or none of it is valid. Check both files.")
-    search = search_place(
-        moving_texture, fixed_texture, mirrored=None if fit_params.mirror else mirrored,
-        scale_tolerance=fit_params.scale_tolerance,
-    )  # fmt: skip
-    if not search.is_sure:
-        raise CannotRegister(_undecided(search, fixed_first, moving_texture))
-    best = search.best
-    place = _moved(best.place, moving_first, fixed_first)
-    face = next(iter(layers[0].faces), "")
-    moving_texture, moving_first = layers[0].texture(_FINE_UM, face)
-    fixed_texture, fixed_first = layers[1].texture(_FINE_UM)
-    place = _moved(place, -moving_first, -fixed_first)
-    light = (f"{face}_x", f"{face}_y") if face else ()
-    place = tuned_place(moving_texture, fixed_texture, best.name, place, reach_um=_TUNED_UM, light=light)
-    tiles = tile_places(moving_texture, fixed_texture, best.name, place, light=light)
+    layers, found = _searched_sides(moving, fixed, fit_params, mirrored, holes)
+    if not found.search.is_sure:
+        raise CannotRegister(_undecided(found, layers))
+    tiles = _tiles_near(layers, found.place, found.scaled, found.search.best.names)
     if len(tiles.moving_um) < _LEAST_TILES:
         raise CannotRegister(
             f"The texture shows the place of the sheet, but {len(tiles.moving_um)} parts of it by themselves, and "
             f"{_LEAST_TILES} are needed to say how well. Image or scan a larger field, or give pairs of points "
             "(--marks)."
         )
-    count, no_error = len(tiles.moving_um), np.zeros_like(tiles.covariance_um2)
-    sides = (
-        _tiles(tiles.moving_um + moving_first, no_error, holes[0] if holes else None, "sheet"),
-        _tiles(tiles.fixed_um + fixed_first, tiles.covariance_um2, holes[1] if holes else None, "image"),
-    )
-    rows = np.arange(count)
-    fit = fit_pairs(*(side.isel(mark=rows) for side in sides), params=fit_params, mirrored=place.mirrored)
-    marks = join_holes(*sides, np.stack([rows, rows], axis=1), [f"tile {k + 1}" for k in rows])
-    is_tile = np.arange(marks.sizes["mark"]) < count
-    for side in ("moving", "fixed"):
-        marks[f"{side}_source"] = marks[f"{side}_source"].copy(data=np.where(is_tile, "tile", "detected"))
-    return Registration(
-        fit=fit, marks=with_residuals(marks, fit), source="texture", sentence=_decided(search, tiles.r, count),
-        false_probability=search.false_probability,
-    )  # fmt: skip
+    registration = _fitted(layers, tiles, holes, np.empty((0, 2), dtype=np.intp), fit_params)
+    sentence = _decided(found.search, tiles)
+    return replace(registration, sentence=sentence, false_probability=found.search.false_probability)
 
 
 def uses_texture(layer: Layer, fixed: Layer, holes: LayerHoles, study: Study) -> bool:
@@ -154,26 +103,27 @@ def uses_texture(layer: Layer, fixed: Layer, holes: LayerHoles, study: Study) ->
     if layer.params.marks or params.marks:
         return False
     if params.by != "auto" or params.design:
-        return params.by == "texture"
+        return params.by in ("texture", "both")
     return any(holes.of(*pair).sizes["mark"] < 3 for pair in ((layer, fixed), (fixed, layer)))
 
 
 def register_layers_by_texture(layer: Layer, fixed: Layer, holes: LayerHoles, study: Study) -> Registration:
     """Register one layer of a link to another one by the texture of both; what holes there are is masked."""
-    pair = holes.of(layer, fixed), holes.of(fixed, layer)
+    pair, params = (holes.of(layer, fixed), holes.of(fixed, layer)), study.registration
+    moving, image = (of.groups["maps"] if of.image is None else of.shown for of in (layer, fixed))
+    assert isinstance(moving, xr.Dataset | xr.DataArray)
+    assert isinstance(image, xr.Dataset | xr.DataArray)
+    is_mirrored = layer.side != fixed.side
+    if params.by == "both":
+        known = register_layers(layer, fixed, holes, study)
+        return _with_tiles(known, moving, image, params, pair, "bottom" if is_mirrored else "top")
+    knows_side = layer.kind == fixed.kind or any(of.side_given for of in (layer, fixed) if of.kind == "image")
     try:
-        if fixed.image is None:
-            raise CannotRegister(
-                f"The texture is searched in an image, and {fixed.name} is a sheet. Give the image as the last layer, "
-                "or marks (--marks)."
-            )
-        moving, image = layer.groups["maps"] if layer.image is None else layer.shown, fixed.shown
-        assert isinstance(moving, xr.Dataset | xr.DataArray)
-        assert isinstance(image, xr.DataArray)
-        is_mirrored = layer.side != fixed.side
-        return register_texture(moving, image, params=study.registration, mirrored=is_mirrored, holes=pair)
+        return register_texture(
+            moving, image, params=params, mirrored=is_mirrored if knows_side else None, holes=pair
+        )  # fmt: skip
     except CannotRegister as error:
-        for layer_holes in pair if study.registration.by == "auto" else ():
+        for layer_holes in pair if params.by == "auto" else ():
             try:
                 need_holes(layer_holes, holes.params.hole_um)
             except CannotRegister as too_few:
@@ -181,14 +131,212 @@ def register_layers_by_texture(layer: Layer, fixed: Layer, holes: LayerHoles, st
         raise
 
 
-def _tiles(um: Floats, covariance_um2: Floats, holes: xr.Dataset | None, layer: str) -> xr.Dataset:
+class _Layers(NamedTuple):
+    """Two layers, a sheet before an image; ``swapped`` where the first one is the fixed one."""
+
+    a: TextureLayer
+    b: TextureLayer
+    swapped: bool
+
+    @classmethod
+    def of(cls, moving: xr.Dataset | xr.DataArray, fixed: xr.Dataset | xr.DataArray, side: Side) -> _Layers:
+        first, second = TextureLayer.of(moving, side), TextureLayer.of(fixed, side)
+        is_swapped = second.is_sheet and not first.is_sheet
+        return cls(second, first, is_swapped) if is_swapped else cls(first, second, is_swapped)
+
+
+class _Found(NamedTuple):
+    """A search, the place from the first to the second layer, and by what the second one is larger than stated."""
+
+    search: PlaceSearch
+    place: Similarity
+    scaled: float
+    middles_um: list[Floats]  # of the moving layer, in the fixed one, by the best candidates
+
+
+def _searched_sides(
+    moving: xr.Dataset | xr.DataArray, fixed: xr.Dataset | xr.DataArray, params: RegistrationParams,
+    mirrored: bool | None, holes: tuple[xr.Dataset, xr.Dataset] | None,
+) -> tuple[_Layers, _Found]:  # fmt: skip
+    """Search by the maps of one side or of either, where holes say so first; stop where the place is sure."""
+    tried: list[tuple[_Layers, _Found]] = []
+    for side, hand in _sides(mirrored, params):
+        layers = _Layers.of(moving, fixed, side)
+        for near in _nears(layers, params, holes):
+            tried.append((layers, _searched(layers, params, mirrored=hand, near=near)))
+            if tried[-1][1].search.is_sure:
+                return tried[-1]
+    return min(tried, key=lambda t: t[1].search.false_probability)
+
+
+def _sides(mirrored: bool | None, params: RegistrationParams) -> Iterator[tuple[Side, bool | None]]:
+    """Sides that an image may show, and the hand with which it shows them; None for either."""
+    for is_bottom in (False, True) if mirrored is None else (mirrored,):
+        yield "bottom" if is_bottom else "top", None if params.mirror else is_bottom
+
+
+def _nears(
+    layers: _Layers, params: RegistrationParams, holes: tuple[xr.Dataset, xr.Dataset] | None
+) -> Iterator[Sequence[Near]]:
+    """Where to look, one after the other: about a given place, where a hole lies on a hole, everywhere."""
+    if params.near is not None:
+        x, y, *radius = params.near
+        radius_um = radius[0] if radius else _NEAR_UM
+        if layers.swapped:  # the middle of the second layer lies there in the first one
+            (mx, my) = layers.b.middle_um.tolist()
+            yield [Near(fixed_um=(mx, my), radius_um=radius_um, moving_um=(x, y))]
+        else:
+            yield [Near(fixed_um=(x, y), radius_um=radius_um)]
+        return
+    if holes is not None and all(1 <= h.sizes["mark"] <= _FEW_HOLES for h in holes):
+        places = [np.stack([h["x"].values, h["y"].values], axis=1).tolist() for h in holes]
+        first, second = reversed(places) if layers.swapped else places
+        yield [
+            Near(fixed_um=(b[0], b[1]), radius_um=_HOLE_UM, moving_um=(a[0], a[1])) for a, b in product(first, second)
+        ]
+    yield ()
+
+
+def _searched(layers: _Layers, params: RegistrationParams, *, mirrored: bool | None, near: Sequence[Near]) -> _Found:
+    """Search the smaller layer in the larger one, at all sizes of the second one that the tolerance allows."""
+    half = 0.5 * _SEARCHED_UM
+    a = layers.a.part(layers.a.middle_um - half, layers.a.middle_um + half)
+    (a_texture, a_first), best = a.texture(_SEARCH_UM), None
+    guesses = _guesses(params.scale_tolerance)
+    tolerance = min(params.scale_tolerance, _GUESS_TOLERANCE)
+    for guess in guesses:
+        b = layers.b.scaled(guess)
+        b_texture, b_first = b.texture(_SEARCH_UM)
+        if not (a_texture.known.any() and b_texture.known.any()):
+            raise CannotRegister("A layer shows no texture: it is empty, or none of it is valid. Check both files.")
+        places = [_of_textures(n, a, a_first, b_first, guess) for n in near]
+        if b_texture.area_um2 < a_texture.area_um2:
+            inverse = [
+                Near(fixed_um=n.moving_um or (0, 0), radius_um=n.radius_um, moving_um=n.fixed_um) for n in places
+            ]
+            search = search_place(
+                b_texture, a_texture, mirrored=mirrored, scale_tolerance=tolerance, near=inverse
+            ).inverse  # fmt: skip
+        else:
+            search = search_place(a_texture, b_texture, mirrored=mirrored, scale_tolerance=tolerance, near=places)
+        search = replace(search, false_probability=min(len(guesses) * search.false_probability, 1.0))
+        places_um = [_moved(c.place, a_first, b_first) for c in search.candidates]
+        middles_um = [
+            p.inverse(guess * layers.b.middle_um) if layers.swapped else p(layers.a.middle_um) / guess
+            for p in places_um
+        ]
+        found = _Found(search, places_um[0], guess, middles_um)
+        if best is None or search.false_probability < best.search.false_probability:
+            best = found
+        if best.search.is_sure:
+            break
+    assert best is not None
+    return best
+
+
+def _guesses(tolerance: float) -> list[float]:
+    """Sizes of the second layer that are tried, the stated one first."""
+    count = max(math.ceil(math.log((1.0 + tolerance) / (1.0 + _GUESS_TOLERANCE)) / math.log(_SCALE_GUESS)), 0)
+    return sorted((_SCALE_GUESS**k for k in range(-count, count + 1)), key=lambda g: abs(math.log(g)))
+
+
+def _of_textures(near: Near, a: TextureLayer, a_first: Floats, b_first: Floats, guess: float) -> Near:
+    """A rough place between layers, between their textures, whose first pixels lie elsewhere."""
+    middle = a.middle_um if near.moving_um is None else np.array(near.moving_um)
+    (ax, ay), (bx, by) = (middle - a_first).tolist(), (guess * np.array(near.fixed_um) - b_first).tolist()
+    return Near(fixed_um=(bx, by), radius_um=guess * near.radius_um, moving_um=(ax, ay))
+
+
+def _tiles_near(layers: _Layers, place: Similarity, scaled: float, names: Names | None) -> TilePlaces:
+    """Tune a place of the first layer in the second one, ``scaled``, where it was searched, and find tiles there.
+
+    Their places and covariances are those in the second layer as it is.
+    """
+    a, b = layers.a, layers.b.scaled(scaled)
+    seen = place(a.corners_um)
+    b = b.part(seen.min(axis=0) - _AROUND_UM, seen.max(axis=0) + _AROUND_UM)
+    has_light = not b.is_sheet
+    (moving, moving_first), (fixed, fixed_first) = a.texture(_FINE_UM, slopes=has_light), b.texture(_FINE_UM)
+    light = a.light if has_light else ()
+    place = _moved(place, -moving_first, -fixed_first)
+    if names is None:
+        names = leading_maps(moving, fixed, place)
+    else:
+        place = tuned_place(moving, fixed, names, place, reach_um=_TUNED_UM, light=light)
+    tiles = tile_places(moving, fixed, names, place, light=light)
+    return tiles._replace(
+        moving_um=tiles.moving_um + moving_first, fixed_um=(tiles.fixed_um + fixed_first) / scaled,
+        covariance_um2=tiles.covariance_um2 / scaled**2,
+    )  # fmt: skip
+
+
+def _fitted(
+    layers: _Layers, tiles: TilePlaces, holes: tuple[xr.Dataset, xr.Dataset] | None, pairs: Ints,
+    params: RegistrationParams,
+) -> Registration:  # fmt: skip
+    """Fit the transformation to tiles and, by ``pairs`` of their rows, to holes of the moving and the fixed layer."""
+    count, (a_holes, b_holes) = len(tiles.moving_um), holes or (None, None)
+    if layers.swapped:
+        a_holes, b_holes = b_holes, a_holes
+    sides = [
+        _marks(tiles.moving_um, np.zeros_like(tiles.covariance_um2), a_holes, layers.a),
+        _marks(tiles.fixed_um, tiles.covariance_um2, b_holes, layers.b),
+    ]
+    if layers.swapped:
+        sides.reverse()
+    rows = np.concatenate([np.stack([np.arange(count)] * 2, axis=1), pairs + count])
+    used = [side.isel(mark=rows[:, k]) for k, side in enumerate(sides)]
+    fit = fit_pairs(used[0], used[1], params=params, mirrored=tiles.place.mirrored)
+    labels = [f"tile {k + 1}" for k in range(count)] + [f"{k + 1}" for k in range(len(pairs))]
+    marks = join_holes(sides[0], sides[1], rows, labels)
+    for k, side in enumerate(("moving", "fixed")):
+        sources = np.full(marks.sizes["mark"], "detected", dtype=object)
+        sources[: len(rows)][rows[:, k] < count] = "tile"
+        marks[f"{side}_source"] = marks[f"{side}_source"].copy(data=sources)
+    return Registration(fit=fit, marks=with_residuals(marks, fit), source="texture")
+
+
+def _with_tiles(
+    known: Registration, moving: xr.Dataset | xr.DataArray, fixed: xr.Dataset | xr.DataArray,
+    params: RegistrationParams, holes: tuple[xr.Dataset, xr.Dataset], side: Side,
+) -> Registration:  # fmt: skip
+    """Fit holes and the tiles that are found at the place by holes in one, and say how far apart both lie."""
+    layers = _Layers.of(moving, fixed, side)
+    place = known.fit.transform.similarity
+    tiles = _tiles_near(layers, place.inverse if layers.swapped else place, 1.0, None)
+    if len(tiles.moving_um) < _LEAST_TILES:
+        raise CannotRegister(
+            f"{len(tiles.moving_um)} parts of the texture show where they lie, and {_LEAST_TILES} are needed beside "
+            "the holes. Link by the holes alone (--by holes)."
+        )
+    is_paired = paired(known.marks)
+    pairs = np.stack([
+        np.array([
+            int(np.argmin(np.hypot(h["x"].values - x, h["y"].values - y)))
+            for x, y in points_of(known.marks, layer)[is_paired].tolist()
+        ]) for h, layer in zip(holes, ("moving", "fixed"), strict=True)
+    ], axis=1)  # fmt: skip
+    pairs = pairs[known.fit.weights > 0]
+    alone = _fitted(layers, tiles, None, np.empty((0, 2), dtype=np.intp), params).fit
+    middle = TextureLayer.of(moving, side).middle_um
+    apart_um = float(np.linalg.norm(alone(middle) - known.fit(middle)))
+    expected_um = math.hypot(*(float(f.expected_error_um(middle)) for f in (alone, known.fit)))
+    count = len(tiles.moving_um)
+    return replace(
+        _fitted(layers, tiles, holes, pairs, params), source="both", apart_um=(apart_um, expected_um),
+        sentence=f"{known.sentence or ''} {count} tiles of the texture are fitted with the holes.".strip(),
+        second_best=known.second_best, design=known.design, tilt=known.tilt,
+    )  # fmt: skip
+
+
+def _marks(um: Floats, covariance_um2: Floats, holes: xr.Dataset | None, layer: TextureLayer) -> xr.Dataset:
     """Tiles as marks of a layer, and the holes of it after them."""
     columns = {"x": um[:, 0], "y": um[:, 1], "diameter": np.full(len(um), np.nan)}
     columns |= {f"cov_{axes}": covariance_um2[:, j, k] for axes, j, k in (("xx", 0, 0), ("xy", 0, 1), ("yy", 1, 1))}
     tiles = xr.Dataset({name: ("mark", values) for name, values in columns.items()})
     if holes is not None:
         tiles = xr.concat([tiles, holes[[*columns]]], dim="mark")
-    return tiles.assign_attrs(layer=layer)
+    return tiles.assign_attrs(layer="sheet" if layer.is_sheet else "image")
 
 
 def _moved(place: Similarity, moving_first: Floats, fixed_first: Floats) -> Similarity:
@@ -197,25 +345,39 @@ def _moved(place: Similarity, moving_first: Floats, fixed_first: Floats) -> Simi
     return replace(place, shift_um=(x, y))
 
 
-def _decided(search: PlaceSearch, r: float, tiles: int) -> str:
+def _decided(search: PlaceSearch, tiles: TilePlaces) -> str:
     best = search.best
     probability = f"below {1e-6:g}" if search.false_probability < 1e-6 else f"{search.false_probability:.1g}"
+    next_best = f", the next best place {search.candidates[1].z:.1f}" if len(search.candidates) > 1 else ""
     return (
-        f"Found by texture: {best.name.replace('_', ' ')} and image go together at one place (r = {r:.2f}; "
-        f"{best.z:.0f} standard deviations of chance, the next best place {search.candidates[1].z:.1f}; probability of "
-        f"a false link {probability}). {tiles} tiles give the place."
+        f"Found by texture: {_title(best.names)} go together at one place (r = {tiles.r:.2f}; {best.z:.0f} standard "
+        f"deviations of chance{next_best}; probability of a false link {probability}). {len(tiles.moving_um)} tiles "
+        "give the place."
     )
 
 
-def _undecided(search: PlaceSearch, fixed_first: Floats, moving: Textures) -> str:
-    middle = 0.5 * np.array(moving.known.shape[::-1]) * moving.pixel_um[::-1]
+def _title(names: Names) -> str:
+    a, b = (name.replace("_", " ") for name in names)
+    return f"{a} and {b}" if a != b else f"the {a}s of both" if a != "image" else "both images"
+
+
+def _undecided(found: _Found, layers: _Layers) -> str:
+    search = found.search
     places = [
-        f"turned by {np.rad2deg(c.place.rotation_rad) % 360:.0f} degrees about ({x:.0f}, {y:.0f}) um: {c.z:.1f}"
-        for c in search.candidates[:3] for x, y in [(c.place(middle) + fixed_first).tolist()]
-    ]  # fmt: skip
+        f"turned by {math.degrees((c.place.inverse if layers.swapped else c.place).rotation_rad) % 360:.0f} degrees "
+        f"about ({x:.0f}, {y:.0f}) um: {c.z:.1f}"
+        for c, (x, y) in zip(search.candidates[:3], found.middles_um, strict=False)
+    ]
+    text = f"Best places, in standard deviations of chance: {'; '.join(places)}."
+    if search.has_rival and search.false_probability <= FALSE:
+        return (
+            f"Two places of the sheet in the image are nearly alike. {text} A pattern that repeats, such as a screen "
+            "or wire marks, looks like that: take it off the image (--screen-um), say about where the sheet lies "
+            "(--near), or give marks (--marks)."
+        )
     return (
         f"No place of the sheet in the image stands out by its texture: an unrelated image reaches the best one with a "
-        f"probability of {search.false_probability:.2g}, and {FALSE:g} is allowed. Best places, in standard deviations "
-        f"of chance: {'; '.join(places)}. Is it this piece of paper, this side (--image-side, --mirror), and are the "
-        "pixel sizes right? A larger field helps, and so do marks (--marks)."
+        f"probability of {search.false_probability:.2g}, and {FALSE:g} is allowed. {text} Is it this piece of paper, "
+        "this side (--image-side, --mirror), and are the pixel sizes right (--scale-tolerance)? A larger field helps, "
+        "and so does a rough place (--near) or marks (--marks)."
     )

@@ -1,0 +1,135 @@
+"""The place of a sheet in an image from near it on, by the texture that both show: of the whole, and of tiles."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage, optimize
+
+from planish.analyze.detrend import PhaseSurrogate
+from planish.analyze.lag_field import lag_field
+from planish.analyze.ncc import MARGIN
+from planish.analyze.texture import Textures, relate, standard
+from planish.analyze.texture_search import Names, compared
+from planish.core.transform import Similarity, nearest_similarity
+from planish.core.typing import Bools, Floats
+
+_LEAST_PIXELS, _MOST_PIXELS = 100, 15_000  # that both layers show; of them, used for tuning
+_REACH_UM = 25.0  # of a tile about the place of the whole
+_TILE_Z = 7.0  # standard deviations of chance by which a tile should stand out
+
+
+def tuned_place(
+    moving: Textures, fixed: Textures, names: Names, start: Similarity, *, reach_um: float, light: tuple[str, ...] = ()
+) -> Similarity:  # fmt: skip
+    """Climb from a place to where a map, with the slopes of the face that ``light`` names, explains most of the image.
+
+    ``reach_um`` is about how far off the corners of the map are at the start.
+    """
+    rows, cols = np.nonzero(moving.known)
+    every = max(rows.size // _MOST_PIXELS, 1)  # neighbours say the same
+    rows, cols = rows[::every], cols[::every]
+    points = np.stack([cols * moving.pixel_um[1], rows * moving.pixel_um[0]], axis=1)
+    maps = np.stack([moving.maps[k][rows, cols] for k in (names[0], *light)])
+    middle, image = points.mean(axis=0), _Sampled(fixed, names[1])
+    arm_um = float(np.sqrt(np.mean(np.sum((points - middle) ** 2, axis=1))))
+
+    def placed(p: Floats) -> Similarity:
+        turn = replace(
+            start, scale=start.scale * math.exp(p[3] / arm_um), rotation_rad=start.rotation_rad + p[2] / arm_um
+        )
+        return nearest_similarity(turn.matrix(), middle, start(middle) + p[:2])
+
+    def unexplained(place: Similarity) -> float:
+        grey, is_known = image(place(points))
+        if np.count_nonzero(is_known) < _LEAST_PIXELS:
+            return 1.0
+        centred = maps[:, is_known] - maps[:, is_known].mean(axis=1, keepdims=True)
+        grey = grey[is_known] - grey[is_known].mean()
+        products = centred @ grey
+        return 1.0 - float(products @ np.linalg.pinv(centred @ centred.T) @ products / (grey @ grey))
+
+    found = optimize.minimize(
+        lambda p: unexplained(placed(p)), np.zeros(4), method="Nelder-Mead", options={
+            "initial_simplex": np.concatenate([np.zeros((1, 4)), 0.5 * reach_um * np.eye(4)]), "xatol": 0.05,
+            "fatol": 1e-6, "maxfev": 400,
+        },
+    )  # fmt: skip
+    return placed(found.x)
+
+
+def leading_maps(moving: Textures, fixed: Textures, place: Similarity) -> Names:
+    """The maps that go together most clearly at a place."""
+    rows, cols = np.indices(moving.known.shape)
+    points = place(np.stack([cols * moving.pixel_um[1], rows * moving.pixel_um[0]], axis=-1))
+
+    def z(names: Names) -> float:
+        seen, is_known = _Sampled(fixed, names[1])(points)
+        is_valid = moving.known & is_known
+        return abs(relate(moving.maps[names[0]], np.where(is_valid, seen, 0.0), is_valid, moving.pixel_um).z)
+
+    return max(compared(moving, fixed), key=z)
+
+
+class TilePlaces(NamedTuple):
+    """Places (n, 2), ``(x, y)`` in um, of tiles in both layers; covariances (n, 2, 2) of those in the fixed one."""
+
+    moving_um: Floats
+    fixed_um: Floats
+    covariance_um2: Floats
+    r: float  # of the whole map at the place from which the tiles were sought
+    place: Similarity  # of the whole map
+
+
+def tile_places(
+    moving: Textures, fixed: Textures, names: Names, place: Similarity, *, light: tuple[str, ...] = ()
+) -> TilePlaces:  # fmt: skip
+    """Find where tiles of a map lie in the image, near the place of the whole.
+
+    Tiles share no pixel. Their side follows from how far the whole stands out from chance: each has to by itself.
+    ``light`` names the slopes of the face: what they explain of the image is taken with the map, so that light from one
+    side moves no tile.
+    """
+    rows, cols = np.indices(moving.known.shape)
+    pixel_um = moving.pixel_um
+    grey, is_known = _Sampled(fixed, names[1])(place(np.stack([cols * pixel_um[1], rows * pixel_um[0]], axis=-1)))
+    is_valid = moving.known & is_known
+    a, b = standard(moving.maps[names[0]], is_valid), standard(np.where(is_valid, grey, 0.0), is_valid)
+    relation = relate(a, b, is_valid, pixel_um)
+    if light:
+        shown = np.stack([a, *(standard(moving.maps[k], is_valid) for k in light)])
+        weights = np.linalg.lstsq(shown[:, is_valid].T, b[is_valid], rcond=None)[0]
+        a = standard(math.copysign(1.0, weights[0]) * np.tensordot(weights, shown, 1), is_valid)
+        relation = replace(relation, r=math.copysign(relation.r, weights[0]))
+    reach = (max(round(_REACH_UM / pixel_um[0]), 3), max(round(_REACH_UM / pixel_um[1]), 3))
+    least_um = 2.2 * max((k + MARGIN) * p for k, p in zip(reach, pixel_um, strict=True))
+    short_um = min((n // 2 * 2) * p for n, p in zip(moving.known.shape, pixel_um, strict=True))
+    stands_out = abs(relation.z) / _TILE_Z
+    side_um = math.sqrt(moving.n * pixel_um[0] * pixel_um[1]) / max(stands_out, 1e-9)
+    side_um = min(side_um, 0.5 * short_um)
+    field = lag_field(
+        math.copysign(1.0, relation.r) * a, b, is_valid, pixel_um, reach=reach, overlapping=False,
+        tile_um=max(side_um, least_um),
+        unrelated=[*PhaseSurrogate(b, is_valid).draws(9, np.random.default_rng(20090501))],
+    )  # fmt: skip
+    at_um, lag_um = field.at_um[field.distinct], field.lag_um[field.distinct]
+    covariance = place.matrix() @ field.covariance_um2[field.distinct] @ place.matrix().T
+    return TilePlaces(at_um, place(at_um + lag_um), covariance, relation.r, place)
+
+
+class _Sampled:
+    """A map of textures between its pixels."""
+
+    def __init__(self, fixed: Textures, name: str) -> None:
+        self._pixel_um = np.array(fixed.pixel_um[::-1])
+        self._spline = np.asarray(ndimage.spline_filter(fixed.maps[name]), dtype=np.float64)
+        self._known = fixed.known.astype(np.float64)
+
+    def __call__(self, points: Floats) -> tuple[Floats, Bools]:
+        """Values at points (..., 2), ``(x, y)`` in um, and which of them are known."""
+        at = np.moveaxis(points / self._pixel_um, -1, 0)[::-1]
+        grey = ndimage.map_coordinates(self._spline, at, order=3, prefilter=False)
+        return grey, ndimage.map_coordinates(self._known, at, order=1) >= 0.5

@@ -1,0 +1,95 @@
+"""What a layer shows of its texture: the maps of a sheet, or an image, and parts of them on larger pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import xarray as xr
+
+from planish.analyze.texture import Textures, textures
+from planish.analyze.texture_search import BAND_UM
+from planish.core.area import common_means
+from planish.core.errors import InputError
+from planish.core.facts import Side
+from planish.core.grid import Grid
+from planish.core.typing import Array, Bools, Floats, Pair
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TextureLayer:
+    """Maps of a layer that may show in an image, or the image, each (rows, cols)."""
+
+    maps: dict[str, Array]
+    face: dict[str, Array]  # height of the face that is seen; its slopes show in light from one side
+    valid: Bools | None  # where the maps may be looked at, if not everywhere
+    grid: Grid
+
+    @classmethod
+    def of(cls, layer: xr.Dataset | xr.DataArray, side: Side = "top") -> TextureLayer:
+        """Take the maps that may show in an image of a side, or an image; InputError where there are none."""
+        if isinstance(layer, xr.DataArray):
+            return cls(maps={"image": layer.values}, face={}, valid=None, grid=Grid.of(layer))
+        names = (f"coating_{side}", "base_thickness", "thickness")
+        maps = {name: layer[name].values for name in names if name in layer and np.isfinite(layer[name].values).any()}
+        if not maps:
+            raise InputError("The maps hold no thickness whose texture could be searched. Measure one (--property).")
+        face = {name: layer[name].values for name in (f"topography_{side}",) if name in layer}
+        return cls(maps=maps, face=face, valid=layer["valid"].values if "valid" in layer else None, grid=Grid.of(layer))
+
+    @property
+    def is_sheet(self) -> bool:
+        """Whether it is no image."""
+        return "image" not in self.maps
+
+    @property
+    def light(self) -> tuple[str, ...]:
+        """Names of the slopes of its face."""
+        return tuple(f"{name}_{way}" for name in self.face for way in "xy")
+
+    @property
+    def middle_um(self) -> Floats:
+        """Its middle, ``(x, y)``."""
+        return np.array([0.5 * (a[0] + a[-1]) for a in (self.grid.x_um, self.grid.y_um)])
+
+    @property
+    def corners_um(self) -> Floats:
+        """Its corners, (4, 2)."""
+        x, y = (a[[0, -1]] for a in (self.grid.x_um, self.grid.y_um))
+        return np.stack(np.meshgrid(x, y), axis=-1).reshape(4, 2)
+
+    def scaled(self, factor: float) -> TextureLayer:
+        """The layer with lengths that are larger by a factor."""
+        grid = self.grid
+        return replace(self, grid=Grid(y_um=factor * grid.y_um, x_um=factor * grid.x_um))
+
+    def part(self, low_um: Floats, high_um: Floats) -> TextureLayer:
+        """What lies between two places ``(x, y)``."""
+        rows, cols = (
+            slice(*np.searchsorted(axis, [low, high]).tolist())
+            for axis, low, high in zip((self.grid.y_um, self.grid.x_um), low_um[::-1], high_um[::-1], strict=True)
+        )
+
+        def cut(values: Array) -> Array:
+            return values[rows, cols]
+
+        return TextureLayer(
+            maps={k: cut(m) for k, m in self.maps.items()}, face={k: cut(m) for k, m in self.face.items()},
+            valid=None if self.valid is None else cut(self.valid), grid=self.grid.part(rows, cols),
+        )  # fmt: skip
+
+    def texture(self, pixel_um: float, *, slopes: bool = False) -> tuple[Textures, Floats]:
+        """Textures on pixels of about a size, with the slopes of its face; ``(x, y)`` of the middle of the first."""
+        factors = [max(int(pixel_um / p + 1e-6), 1) for p in self.grid.pixel_um]
+        masks = [] if self.valid is None else [self.valid]
+        shown = {
+            name: common_means([values], (factors[0], factors[1]), masks=masks)[0]
+            for name, values in (self.maps | (self.face if slopes else {})).items()
+        }
+        coarse_um: Pair = factors[0] * self.grid.pixel_um[0], factors[1] * self.grid.pixel_um[1]
+        is_known = np.any([np.isfinite(m) for m in shown.values()], axis=0)
+        first = [0.5 * (c - p) for c, p in zip(coarse_um, self.grid.pixel_um, strict=True)]
+        found = textures(shown, is_known, coarse_um, band_um=BAND_UM, most_pixels=np.inf)
+        for name in self.face if slopes else ():
+            found = found.with_slopes(name)
+        return found, np.array(self.grid.origin_um) + first[::-1]
