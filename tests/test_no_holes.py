@@ -62,6 +62,20 @@ def test_marks_are_tiles_and_are_read_again(linked, tmp_path):
     np.testing.assert_allclose(read([[500.0, 400.0]]), registration([[500.0, 400.0]]), atol=1e-6)
 
 
+def test_holes_and_texture_are_fitted_in_one_and_compared(specimen, specimen_files):
+    run = pl.link(*specimen_files, registration={"by": "both"})
+    facts = run.results.layers[0].registration
+    marks = run.registrations[run.results.layers[0].name].marks
+    assert facts.source == "both"
+    assert {"tile", "detected"} <= set(marks["moving_source"].values)
+    check = next(check for check in run.results.checks if check.name == "position by texture")
+    assert check.state == "pass"
+    assert check.value < check.limit
+    maps, truth = run.groups["linked"], specimen.truth
+    off_um = np.hypot(maps["volume_x"] - truth["volume_x"], maps["volume_y"] - truth["volume_y"]).values
+    assert np.median(off_um[maps["valid"].values]) < 1.0
+
+
 def test_an_image_of_another_sheet_is_refused(linked, tmp_path):
     _, files, run = linked
     _, other = written(tmp_path / "other", 6)

@@ -98,3 +98,77 @@ def test_maps_without_a_thickness_are_refused():
     maps, image = pair(place=placed(0.0), r=0.6)
     with pytest.raises(InputError, match="no thickness"):
         pl.register_texture(maps.rename(thickness="gloss"), image)
+
+
+def test_a_rough_place_makes_the_search_small_and_a_wrong_one_is_refused():
+    place = placed(137.0)
+    maps, image = pair(place=place, r=0.6)
+    found = pl.register_texture(maps, image, params={"near": (1060.0, 980.0, 150.0)})
+    assert np.linalg.norm(found(CORNERS) - place(CORNERS), axis=1).max() < 3.5
+    with pytest.raises(CannotRegister, match="No place"):
+        pl.register_texture(maps, image, params={"near": (1500.0, 980.0, 150.0)})
+
+
+def test_one_hole_in_both_is_enough_to_look_where_they_meet():
+    place = placed(211.0)
+    maps, image = pair(place=place, r=0.6)
+    hole = np.array([300.0, 900.0])
+    holes = tuple(
+        xr.Dataset({"x": ("mark", [x]), "y": ("mark", [y]), "diameter": ("mark", [170.0])}).assign(
+            {f"cov_{k}": ("mark", [float(k[0] == k[1])]) for k in ("xx", "xy", "yy")}
+        )
+        for x, y in (hole, place(hole))
+    )
+    found = pl.register_texture(maps, image, holes=holes)
+    assert np.linalg.norm(found(CORNERS) - place(CORNERS), axis=1).max() < 3.5
+    assert (found.count("moving"), found.fit.moving.shape[0]) == (found.fit.moving.shape[0] + 1, found.count("fixed") - 1)
+
+
+def test_a_size_that_is_hardly_known_is_found():
+    place = placed(-40.0, scale=0.62, at=(1060.0, 980.0))
+    maps, image = pair(place=place, r=0.7)
+    with pytest.raises(CannotRegister, match="scale_tolerance"):
+        pl.register_texture(maps, image)
+    found = pl.register_texture(maps, image, params={"scale_tolerance": 1.0})
+    assert found.fit.transform.scale == pytest.approx(0.62, abs=0.004)
+    assert np.linalg.norm(found(CORNERS) - place(CORNERS), axis=1).max() < 5.0
+
+
+def test_an_image_of_the_bottom_is_found_where_no_side_is_given():
+    place = placed(70.0, mirrored=True)
+    maps, image = pair(place=place, r=0.6)
+    assert pl.register_texture(maps, image, mirrored=None).fit.mirrored
+
+
+@pytest.mark.parametrize("kind", ["sheets", "images"])
+def test_two_sheets_and_two_images_are_registered(kind):
+    place = placed(25.0)
+    maps, image = pair(place=place, r=0.8)
+    if kind == "sheets":
+        moving, valid = maps, xr.full_like(image, True, dtype=bool)
+        fixed = xr.Dataset({"thickness": image, "valid": valid}).rename(x="u", y="v")
+    else:
+        moving = maps["thickness"].rename(u="x", v="y").assign_attrs(pixel_um=[PIXEL_UM] * 2)
+        fixed = image
+    found = pl.register_texture(moving, fixed)
+    assert np.linalg.norm(found(CORNERS) - place(CORNERS), axis=1).max() < 3.5
+    back = pl.register_texture(fixed, moving)
+    assert np.linalg.norm(back(place(CORNERS)) - CORNERS, axis=1).max() < 3.5
+
+
+def test_a_sheet_is_registered_to_a_part_of_it_and_an_image_to_a_sheet():
+    place = placed(310.0)
+    maps, image = pair(place=place, r=0.7)
+    found = pl.register_texture(image, maps)
+    assert np.linalg.norm(found(place(CORNERS)) - CORNERS, axis=1).max() < 3.5
+    part = image.isel(y=slice(60, 250), x=slice(70, 260))
+    assert np.linalg.norm(pl.register_texture(maps, part)(CORNERS) - place(CORNERS), axis=1).max() < 5.0
+
+
+def test_a_pattern_that_repeats_is_refused_by_its_name():
+    maps, image = pair(place=placed(0.0), r=0.6)
+    tile = maps["thickness"].values[:100, :100]
+    maps["thickness"] = (("v", "u"), np.tile(tile, (2, 3))[:, :250])
+    image = image.copy(data=np.tile(tile, (4, 4))[:330, :360])
+    with pytest.raises(CannotRegister, match=r"nearly alike.*repeats"):
+        pl.register_texture(maps, image)

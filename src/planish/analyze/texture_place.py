@@ -11,11 +11,12 @@ from scipy import ndimage, optimize
 
 from planish.analyze.detrend import PhaseSurrogate
 from planish.analyze.lag_field import lag_field
-from planish.analyze.ncc import MARGIN
+from planish.analyze.lag_search import LagSearch
+from planish.analyze.ncc import MARGIN, find_peak, within
 from planish.analyze.texture import Textures, relate, standard
 from planish.analyze.texture_search import Names, compared
 from planish.core.transform import Similarity, nearest_similarity
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Pair
 
 _LEAST_PIXELS, _MOST_PIXELS = 100, 15_000  # that both layers show; of them, used for tuning
 _REACH_UM = 25.0  # of a tile about the place of the whole
@@ -75,11 +76,16 @@ def leading_maps(moving: Textures, fixed: Textures, place: Similarity) -> Names:
 
 
 class TilePlaces(NamedTuple):
-    """Places (n, 2), ``(x, y)`` in um, of tiles in both layers; covariances (n, 2, 2) of those in the fixed one."""
+    """Places (n, 2), ``(x, y)`` in um, of tiles in both layers.
+
+    Of those in the fixed one, covariances (n, 2, 2) by the tiles' own texture, and the covariance (2, 2) of what light
+    from one side does to all of them.
+    """
 
     moving_um: Floats
     fixed_um: Floats
     covariance_um2: Floats
+    shared_um2: Floats
     r: float  # of the whole map at the place from which the tiles were sought
     place: Similarity  # of the whole map
 
@@ -99,8 +105,10 @@ def tile_places(
     is_valid = moving.known & is_known
     a, b = standard(moving.maps[names[0]], is_valid), standard(np.where(is_valid, grey, 0.0), is_valid)
     relation = relate(a, b, is_valid, pixel_um)
+    shared_um2 = np.zeros((2, 2))
     if light:
         shown = np.stack([a, *(standard(moving.maps[k], is_valid) for k in light)])
+        shared_um2 = _shared(shown, b, is_valid, pixel_um)
         weights = np.linalg.lstsq(shown[:, is_valid].T, b[is_valid], rcond=None)[0]
         a = standard(math.copysign(1.0, weights[0]) * np.tensordot(weights, shown, 1), is_valid)
         relation = replace(relation, r=math.copysign(relation.r, weights[0]))
@@ -116,8 +124,19 @@ def tile_places(
         unrelated=[*PhaseSurrogate(b, is_valid).draws(9, np.random.default_rng(20090501))],
     )  # fmt: skip
     at_um, lag_um = field.at_um[field.distinct], field.lag_um[field.distinct]
-    covariance = place.matrix() @ field.covariance_um2[field.distinct] @ place.matrix().T
-    return TilePlaces(at_um, place(at_um + lag_um), covariance, relation.r, place)
+    turn = place.matrix()
+    covariance, shared = turn @ field.covariance_um2[field.distinct] @ turn.T, turn @ shared_um2 @ turn.T
+    return TilePlaces(at_um, place(at_um + lag_um), covariance, shared, relation.r, place)
+
+
+def _shared(shown: Floats, seen: Floats, is_valid: Bools, pixel_um: Pair) -> Floats:
+    """Covariance (2, 2) of a shift of all tiles, ``(x, y)`` in um, that the slopes of the face can be taken for."""
+    reach = (3, 3)
+    search = LagSearch(shown, seen, is_valid, (reach[0] + MARGIN, reach[1] + MARGIN))
+    peak = find_peak(search.share, within(reach))
+    if peak is None or not peak.inner:
+        return np.zeros((2, 2))
+    return search.covariance(peak, pixel_um)[::-1, ::-1] * np.outer(pixel_um[::-1], pixel_um[::-1])
 
 
 class _Sampled:

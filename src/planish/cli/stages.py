@@ -207,22 +207,33 @@ def holes(image: Path, out: Path, **values: Any) -> None:
 @verb(
     "planish register sheet-holes.json image-holes.json -o marks.json",
     "planish register sheet-holes.json image-holes.json -o marks.json --model affine",
+    "planish register maps.zarr image.tif -o marks.json --by texture",
 )
 @existing("moving")
 @existing("fixed")
 @out_option("JSON file to make; a table of the pairs, .csv, is made beside it.")
 @options(RegistrationParams, "Marks and registration", without=("marks", "refine"))
+@options(ImageParams, "Image", without=("dark_grey", "white_grey", "screen_um"))
 def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
-    """Match the holes in MOVING and FIXED, two files of 'planish holes', and fit the transformation."""
+    """Match the holes in MOVING and FIXED, two files of 'planish holes', and fit the transformation.
+
+    With --by texture they are flat maps or images, and no hole is needed.
+    """
     from planish.io.run_folder import refuse_existing
     from planish.marks import read_holes, write_marks
-    from planish.run import register_marks
+    from planish.run import register_marks, register_texture
 
-    table = out.with_suffix(".csv")
+    table, params = out.with_suffix(".csv"), build_params(RegistrationParams, values)
     refuse_existing(table)
-    registration = register_marks(
-        read_holes(moving), read_holes(fixed), params=build_params(RegistrationParams, values)
-    )
+    if params.by == "texture":
+        layers = [
+            _read(p, "maps", "'planish resample'") if p.is_dir() else _image(p, values)[0] for p in (moving, fixed)
+        ]
+        side = build_params(ImageParams, values, path=str(fixed)).side
+        is_mirrored = None if side is None and not params.mirror else side == "bottom"
+        registration = register_texture(layers[0], layers[1], params=params, mirrored=is_mirrored)
+    else:
+        registration = register_marks(read_holes(moving), read_holes(fixed), params=params)
     registration.save(out)
     write_marks(registration.pairs(), table)
     fit = registration.fit

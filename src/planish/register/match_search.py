@@ -81,7 +81,8 @@ def search(
             order = np.argsort(-counts[best_rows].astype(np.intp), kind="stable")
             best_rows = np.sort(best_rows[order[:_MOST_REFINED]])
         refined = _kernels.refine(seeds[best_rows], points, b, reaches, (0.5 * tolerance_um) ** 2, ridge, *cells)
-        is_possible = np.abs(np.abs(refined[2]) - 1.0) <= scale_tolerance + SCALE_SPARE
+        scale = np.abs(refined[2])
+        is_possible = (np.abs(scale - 1.0) <= scale_tolerance + SCALE_SPARE) & (scale >= 0.45)
         hand_arrangements.append(_arrangements(refined, is_possible, points, b, tolerance_um, ridge, hand, tests))
     return Arrangements._make(np.concatenate(columns) for columns in zip(*hand_arrangements, strict=True))
 

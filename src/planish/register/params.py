@@ -43,9 +43,10 @@ class RegistrationParams(Params):
     scale_tolerance: float = option(
         0.03,
         gt=0,
-        lt=0.5,
+        le=1.0,
         metavar="SHARE",
-        help="Largest deviation of the scale from 1 that the calibrations allow, such as 0.05.",
+        help="Largest deviation of the scale from 1 that the calibrations allow, such as 0.05; 1 lets the pixel size "
+        "be twice or half of what was given.",
     )
     tolerance_um: float = option(25.0, gt=0, help="Largest distance in um between two marks that match.")
     mirror: bool = option(

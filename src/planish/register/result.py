@@ -41,6 +41,7 @@ class FittedTransform:
     sentence: str  #: model and residuals
     #: Marks left out or given twice, few marks, a model that leaves structure, a scale far from 1, strain above 1 %.
     warnings: tuple[str, ...] = ()
+    shared_um: float = 0.0  #: error that all marks share and none of them shows, rms, where it is known
     likely: DeviationField | None = None  # where it is there already
 
     def __post_init__(self) -> None:
@@ -153,7 +154,7 @@ class FittedTransform:
         """
         points_um = np.asarray(points, dtype=np.float64)
         flat_points = points_um.reshape(-1, 2)
-        squares_um2 = self.field.expected_square(flat_points, self.transform(flat_points))
+        squares_um2 = self.field.expected_square(flat_points, self.transform(flat_points)) + self.shared_um**2
         return np.sqrt(squares_um2).reshape(points_um.shape[:-1])
 
     def refitted(self, moving: ArrayLike) -> Transform:
@@ -279,6 +280,7 @@ def registration_to_json(fit: FittedTransform) -> dict[str, Any]:
         **{name: _plain(getattr(fit, name)) for name in ("model", "sentence", "warnings")},
         **{name: _plain(getattr(t, name)) for name in ("scale", "rotation_rad", "shift_um", "mirrored")},
         **{name: _plain(getattr(fit, name)) for name in _ERRORS},
+        **({"shared_um": fit.shared_um} if fit.shared_um else {}),
         "transform": {f.name: _plain(getattr(t, f.name)) for f in fields(model_named(fit.model).transform)},
         **{name: _plain(getattr(fit, name)) for name in _ARRAYS},
     }
@@ -302,6 +304,7 @@ def registration_from_json(data: Any) -> FittedTransform:
             model=str(data["model"]),
             sentence=str(data["sentence"]),
             warnings=tuple(str(w) for w in data["warnings"]),
+            shared_um=float(data.get("shared_um", 0.0)),
             **{name: _read(data[name], Floats) for name in _ARRAYS},
         )
     except (ValueError, KeyError, TypeError, IndexError) as fault:

@@ -130,7 +130,7 @@ def _registration_facts(layer: Layer, link: Link, maps: xr.Dataset, lag: LagNumb
         model_sentence=fit.sentence, warnings=fit.warnings, rms_um=fit.rms_um,
         leave_one_out_rms_um=fit.leave_one_out_rms_um, scale=fit.transform.scale, mirrored=fit.mirrored,
         expected_error=ExpectedError(
-            median_um=np.median(error), largest_um=error.max(), shares=error_shares(maps)
+            median_um=np.median(error), largest_um=error.max(), shares=error_shares(maps, has_shared=fit.shared_um > 0)
         ) if error.size else None,
         rotation_deg=float(np.rad2deg(fit.transform.rotation_rad)), shift_um=fit.transform.shift_um,
         orientation=_orientation_facts(layer, link.path[1], fit), lag=lag,

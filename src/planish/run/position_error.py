@@ -94,8 +94,11 @@ class PositionErrors:
         }
 
 
-def error_shares(maps: xr.Dataset) -> ErrorShares | None:
-    """Root mean square of each share over the pixels, which is the largest, and what would lower it."""
+def error_shares(maps: xr.Dataset, *, has_shared: bool = False) -> ErrorShares | None:
+    """Root mean square of each share over the pixels, which is the largest, and what would lower it.
+
+    ``has_shared`` says that the error of the marks holds what all of them share.
+    """
     rms = {k: rms_of(maps[f"error_{k}"]) or 0.0 for k in _SHARES if f"error_{k}" in maps}
     if not rms:
         return None
@@ -106,7 +109,11 @@ def error_shares(maps: xr.Dataset) -> ErrorShares | None:
         share_name, remedy = _SHARES[largest_share]
         percent = 100 * (rms[largest_share] / total_um) ** 2
         sentence += f"{percent:.0f} % of its square is {share_name}; {remedy} would lower it. "
-    sentence += "A shift that all marks share is not in it: no mark can show that, only the maps themselves."
+    sentence += (
+        "What light from one side moves all tiles by is in it."
+        if has_shared
+        else "A shift that all marks share is not in it: no mark can show that, only the maps themselves."
+    )
     return ErrorShares.model_validate(
         {f"{name}_um": value for name, value in rms.items()}
         | {"rms_um": total_um, "largest": largest_share, "sentence": sentence}

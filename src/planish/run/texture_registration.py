@@ -266,7 +266,7 @@ def _tiles_near(layers: _Layers, place: Similarity, scaled: float, names: Names 
     tiles = tile_places(moving, fixed, names, place, light=light)
     return tiles._replace(
         moving_um=tiles.moving_um + moving_first, fixed_um=(tiles.fixed_um + fixed_first) / scaled,
-        covariance_um2=tiles.covariance_um2 / scaled**2,
+        covariance_um2=tiles.covariance_um2 / scaled**2, shared_um2=tiles.shared_um2 / scaled**2,
     )  # fmt: skip
 
 
@@ -293,6 +293,8 @@ def _fitted(
         sources = np.full(marks.sizes["mark"], "detected", dtype=object)
         sources[: len(rows)][rows[:, k] < count] = "tile"
         marks[f"{side}_source"] = marks[f"{side}_source"].copy(data=sources)
+    # Holes show what all tiles share.
+    fit = fit if len(pairs) else replace(fit, shared_um=math.sqrt(float(np.trace(tiles.shared_um2))))
     return Registration(fit=fit, marks=with_residuals(marks, fit), source="texture")
 
 
@@ -322,6 +324,8 @@ def _with_tiles(
     apart_um = float(np.linalg.norm(alone(middle) - known.fit(middle)))
     expected_um = math.hypot(*(float(f.expected_error_um(middle)) for f in (alone, known.fit)))
     count = len(tiles.moving_um)
+    # An error that tiles share does not get smaller with their number.
+    tiles = tiles._replace(covariance_um2=tiles.covariance_um2 + count * tiles.shared_um2)
     return replace(
         _fitted(layers, tiles, holes, pairs, params), source="both", apart_um=(apart_um, expected_um),
         sentence=f"{known.sentence or ''} {count} tiles of the texture are fitted with the holes.".strip(),
