@@ -14,8 +14,8 @@ from app.marks_page import IMAGE, VOLUME, expect, forget_lost, message, settled
 
 pytestmark = pytest.mark.study
 
-SEQUENCES, STEPS = 40, 6
-KILLS = 12
+SEQUENCES, STEPS = 20, 6
+KILLS = 6
 APART_UM = 60.0
 """A click nearer to a mark chooses that one."""
 
@@ -218,7 +218,7 @@ def alone(shown) -> None:
     shown.page.get_by_label("Move views together").uncheck()
 
 
-def test_forty_sequences_of_changes_undo_and_redo_with_reloads_between(serve, window, run_copy):
+def test_twenty_sequences_of_changes_undo_and_redo_with_reloads_between(serve, window, run_copy):
     shown = window(serve(run_copy))
     person = Person(shown, 7)
     for _ in range(SEQUENCES):
@@ -231,7 +231,7 @@ def test_forty_sequences_of_changes_undo_and_redo_with_reloads_between(serve, wi
     person.back_to_the_beginning()
 
 
-def test_twelve_kills_between_clicks_lose_at_most_the_one_in_flight(serve, window, run_copy):
+def test_six_kills_between_clicks_lose_at_most_the_one_in_flight(serve, window, run_copy):
     shown = window(serve(run_copy))
     person, lost, pause = Person(shown, 11), 0, random.Random(12)
     alone(shown)

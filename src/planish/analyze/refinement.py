@@ -311,7 +311,7 @@ def held_out_r(a: Floats, b: Floats, face: Floats | None, valid: Bools, pixel_um
         moving, light = textures(maps, look & np.isfinite(other), pixel_um, band_um=BAND_UM), ()
         if face is not None:
             moving, light = moving.with_slopes("face"), ("face_x", "face_y")
-        place = tuned_place(moving, fixed, ("map", "image"), Similarity(), reach_um=_TUNED_UM, light=light)
+        place = tuned_place(moving, fixed, ("map", "image"), Similarity(), reach_um=_TUNED_UM, beside=light)
         at = np.moveaxis(place(points)[..., ::-1] / step, -1, 0)
         is_seen = ndimage.map_coordinates(b_known, at, order=1) >= 0.99
         return np.where(is_seen, ndimage.map_coordinates(spline, at, order=3, prefilter=False), np.nan)

@@ -12,7 +12,7 @@ from scipy import ndimage, optimize
 from planish.analyze.detrend import PhaseSurrogate
 from planish.analyze.lag_field import lag_field
 from planish.analyze.lag_search import LagSearch
-from planish.analyze.ncc import MARGIN, find_peak, within
+from planish.analyze.ncc import MARGIN, Peak, find_peak, within
 from planish.analyze.texture import Textures, relate, standard
 from planish.analyze.texture_search import Names, compared
 from planish.core.transform import Similarity, nearest_similarity
@@ -20,13 +20,18 @@ from planish.core.typing import Bools, Floats, Pair
 
 _LEAST_PIXELS, _MOST_PIXELS = 100, 15_000  # that both layers show; of them, used for tuning
 _REACH_UM = 25.0  # of a tile about the place of the whole
+_OF_LIGHT = 0.2  # of the shift that slopes take off, by which that may be wrong
 _TILE_Z = 7.0  # standard deviations of chance by which a tile should stand out
 
 
 def tuned_place(
-    moving: Textures, fixed: Textures, names: Names, start: Similarity, *, reach_um: float, light: tuple[str, ...] = ()
+    moving: Textures, fixed: Textures, names: Names, start: Similarity, *, reach_um: float,
+    beside: tuple[str, ...] = (),
 ) -> Similarity:  # fmt: skip
-    """Climb from a place to where a map, with the slopes of the face that ``light`` names, explains most of the image.
+    """Climb from a place to where a map, with those ``beside`` it, explains most of the image.
+
+    What an image shows of other maps, and of the slopes of the face in light from one side, moves the best place of one
+    map by itself.
 
     ``reach_um`` is about how far off the corners of the map are at the start.
     """
@@ -34,7 +39,7 @@ def tuned_place(
     every = max(rows.size // _MOST_PIXELS, 1)  # neighbours say the same
     rows, cols = rows[::every], cols[::every]
     points = np.stack([cols * moving.pixel_um[1], rows * moving.pixel_um[0]], axis=1)
-    maps = np.stack([moving.maps[k][rows, cols] for k in (names[0], *light)])
+    maps = np.stack([moving.maps[k][rows, cols] for k in (names[0], *beside)])
     middle, image = points.mean(axis=0), _Sampled(fixed, names[1])
     arm_um = float(np.sqrt(np.mean(np.sum((points - middle) ** 2, axis=1))))
 
@@ -91,13 +96,14 @@ class TilePlaces(NamedTuple):
 
 
 def tile_places(
-    moving: Textures, fixed: Textures, names: Names, place: Similarity, *, light: tuple[str, ...] = ()
+    moving: Textures, fixed: Textures, names: Names, place: Similarity, *, beside: tuple[str, ...] = (),
+    light: tuple[str, ...] = (),
 ) -> TilePlaces:  # fmt: skip
     """Find where tiles of a map lie in the image, near the place of the whole.
 
     Tiles share no pixel. Their side follows from how far the whole stands out from chance: each has to by itself.
-    ``light`` names the slopes of the face: what they explain of the image is taken with the map, so that light from one
-    side moves no tile.
+    What the maps ``beside`` it and the slopes of the face, ``light``, explain of the image is taken with the map, so
+    that light from one side moves no tile.
     """
     rows, cols = np.indices(moving.known.shape)
     pixel_um = moving.pixel_um
@@ -106,9 +112,9 @@ def tile_places(
     a, b = standard(moving.maps[names[0]], is_valid), standard(np.where(is_valid, grey, 0.0), is_valid)
     relation = relate(a, b, is_valid, pixel_um)
     shared_um2 = np.zeros((2, 2))
-    if light:
-        shown = np.stack([a, *(standard(moving.maps[k], is_valid) for k in light)])
-        shared_um2 = _shared(shown, b, is_valid, pixel_um)
+    if beside or light:
+        shown = np.stack([a, *(standard(moving.maps[k], is_valid) for k in (*beside, *light))])
+        shared_um2 = _shared(shown, b, is_valid, pixel_um, slopes=len(light)) if light else shared_um2
         weights = np.linalg.lstsq(shown[:, is_valid].T, b[is_valid], rcond=None)[0]
         a = standard(math.copysign(1.0, weights[0]) * np.tensordot(weights, shown, 1), is_valid)
         relation = replace(relation, r=math.copysign(relation.r, weights[0]))
@@ -129,14 +135,25 @@ def tile_places(
     return TilePlaces(at_um, place(at_um + lag_um), covariance, shared, relation.r, place)
 
 
-def _shared(shown: Floats, seen: Floats, is_valid: Bools, pixel_um: Pair) -> Floats:
-    """Covariance (2, 2) of a shift of all tiles, ``(x, y)`` in um, that the slopes of the face can be taken for."""
+def _shared(shown: Floats, seen: Floats, is_valid: Bools, pixel_um: Pair, *, slopes: int) -> Floats:
+    """Covariance (2, 2) of a shift of all tiles, ``(x, y)`` in um, by what light from one side leaves.
+
+    ``shown`` are maps, the last ones ``slopes`` of the face. A shift looks like such light, so that the regression
+    leaves some of it undecided; and what the slopes take off is known to a fifth, since no light is quite what they
+    are.
+    """
     reach = (3, 3)
-    search = LagSearch(shown, seen, is_valid, (reach[0] + MARGIN, reach[1] + MARGIN))
-    peak = find_peak(search.share, within(reach))
-    if peak is None or not peak.inner:
+
+    def peak(maps: Floats) -> tuple[LagSearch, Peak | None]:
+        search = LagSearch(maps, seen, is_valid, (reach[0] + MARGIN, reach[1] + MARGIN))
+        return search, find_peak(search.share, within(reach))
+
+    (search, with_slopes), (_, without) = peak(shown), peak(shown[:-slopes])
+    if with_slopes is None or without is None or not with_slopes.inner:
         return np.zeros((2, 2))
-    return search.covariance(peak, pixel_um)[::-1, ::-1] * np.outer(pixel_um[::-1], pixel_um[::-1])
+    taken_off = _OF_LIGHT * (with_slopes.summit_px - without.summit_px)
+    covariance = search.covariance(with_slopes, pixel_um) + np.outer(taken_off, taken_off)
+    return covariance[::-1, ::-1] * np.outer(pixel_um[::-1], pixel_um[::-1])
 
 
 class _Sampled:

@@ -29,11 +29,12 @@ from planish.checks import (
     for_layers,
     run_checks,
 )
-from planish.core.bands import thinned
+from planish.core.bands import read_bands, thinned
 from planish.core.checks import Check
 from planish.core.facts import Side
 from planish.core.source_hash import hash_sources
 from planish.core.transform import Similarity
+from planish.core.typing import Bools
 from planish.io.map_store import StoredMaps, map_tiles
 from planish.resample import SheetOnto
 from planish.results import LayerFacts, Results
@@ -241,12 +242,25 @@ def _with_held_out(layer: LayerFacts, linked: LinkedLayers) -> LayerFacts:
     fixed_name = "image" if "image" in reference else name
     if name not in sheet or fixed_name not in reference:
         return layer
-    valid = sheet["valid"].values & reference["valid"].values
-    a, b = sheet[name].values.astype(np.float64), reference[fixed_name].values.astype(np.float64)
+    seen = _bounds(sheet["valid"])
+    valid = sheet["valid"][seen].values & reference["valid"][seen].values
+    a, b = (data[seen].values.astype(np.float64) for data in (sheet[name], reference[fixed_name]))
     face = f"topography_{linked.reference.side}"
-    heights = sheet[face].values.astype(np.float64) if face in sheet and fixed_name == "image" else None
+    heights = sheet[face][seen].values.astype(np.float64) if face in sheet and fixed_name == "image" else None
     held_out = held_out_r(a, b, heights, valid, grid.pixel_um)
     return layer.model_copy(update={"registration": registration.model_copy(update={"held_out": held_out})})
+
+
+def _bounds(valid: xr.DataArray) -> tuple[slice, slice]:
+    """Rows and columns between which anything is valid."""
+    in_rows, in_cols = list[Bools](), np.zeros(valid.shape[1], dtype=bool)
+    for _, (is_valid,) in read_bands(valid):
+        in_rows.append(is_valid.any(axis=1))
+        in_cols |= is_valid.any(axis=0)
+    rows, cols = (np.flatnonzero(m) for m in (np.concatenate(in_rows), in_cols))
+    return slice(rows[0], rows[-1] + 1) if rows.size else slice(0), slice(
+        cols[0], cols[-1] + 1
+    ) if cols.size else slice(0)
 
 
 def _registration_checks(linked: LinkedLayers, layer: Layer, facts: LayerFacts) -> Iterator[Check]:

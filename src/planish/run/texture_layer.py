@@ -9,6 +9,7 @@ import xarray as xr
 
 from planish.analyze.texture import Textures, textures
 from planish.analyze.texture_search import BAND_UM
+from planish.analyze.white_noise import without_white_noise
 from planish.core.area import common_means
 from planish.core.errors import InputError
 from planish.core.facts import Side
@@ -82,10 +83,12 @@ class TextureLayer:
         """Textures on pixels of about a size, with the slopes of its face; ``(x, y)`` of the middle of the first."""
         factors = [max(int(pixel_um / p + 1e-6), 1) for p in self.grid.pixel_um]
         masks = [] if self.valid is None else [self.valid]
-        shown = {
-            name: common_means([values], (factors[0], factors[1]), masks=masks)[0]
-            for name, values in (self.maps | (self.face if slopes else {})).items()
-        }
+        shown_maps = dict(self.maps)
+        for name, heights in self.face.items() if slopes else ():
+            # With noise on them, slopes would take up less of the light than there is.
+            is_valid = np.isfinite(heights) if self.valid is None else np.isfinite(heights) & self.valid
+            shown_maps[name] = without_white_noise(heights, is_valid)
+        shown = {k: common_means([m], (factors[0], factors[1]), masks=masks)[0] for k, m in shown_maps.items()}
         coarse_um: Pair = factors[0] * self.grid.pixel_um[0], factors[1] * self.grid.pixel_um[1]
         is_known = np.any([np.isfinite(m) for m in shown.values()], axis=0)
         first = [0.5 * (c - p) for c, p in zip(coarse_um, self.grid.pixel_um, strict=True)]

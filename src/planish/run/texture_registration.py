@@ -262,12 +262,17 @@ def _tiles_near(layers: _Layers, place: Similarity, scaled: float, names: Names 
     if names is None:
         names = leading_maps(moving, fixed, place)
     else:
-        place = tuned_place(moving, fixed, names, place, reach_um=_TUNED_UM, light=light)
-    tiles = tile_places(moving, fixed, names, place, light=light)
+        place = tuned_place(moving, fixed, names, place, reach_um=_TUNED_UM, beside=(*_beside(a, b, names), *light))
+    tiles = tile_places(moving, fixed, names, place, beside=_beside(a, b, names), light=light)
     return tiles._replace(
         moving_um=tiles.moving_um + moving_first, fixed_um=(tiles.fixed_um + fixed_first) / scaled,
         covariance_um2=tiles.covariance_um2 / scaled**2, shared_um2=tiles.shared_um2 / scaled**2,
     )  # fmt: skip
+
+
+def _beside(a: TextureLayer, b: TextureLayer, names: Names) -> tuple[str, ...]:
+    """Maps of a sheet that show in an image beside the one that leads; two sheets are compared map by map."""
+    return () if b.is_sheet else tuple(name for name in a.maps if name != names[0])
 
 
 def _fitted(

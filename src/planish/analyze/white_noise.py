@@ -1,0 +1,32 @@
+"""Maps without their white noise, for regressions in which it would make an effect look smaller than it is."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import fft
+
+from planish.core.typing import Array, Bools, Floats
+
+_FLOOR = 0.8  # of the Nyquist frequency, from which on a map holds noise alone
+_RINGS = 64  # of frequencies up to Nyquist's
+
+
+def without_white_noise(values: Array, is_known: Bools) -> Floats:
+    """Best linear estimate of a map (rows, cols) from the map with white noise on it; NaN where it is not known.
+
+    The noise is what the shortest waves have on average. Regressed on the estimate, another quantity keeps its full
+    coefficient (regression calibration; Carroll et al. 2006, Measurement Error in Nonlinear Models, chapter 4), which
+    noise in the map itself makes smaller.
+    """
+    if not is_known.any():
+        return np.full(values.shape, np.nan)
+    filled = np.where(is_known, values, np.mean(values[is_known], dtype=np.float64)).astype(np.float64)
+    waves = np.asarray(fft.dctn(filled, norm="ortho"))
+    down, across = (np.arange(n) / n for n in values.shape)  # in Nyquist frequencies
+    frequency, power = np.hypot(down[:, None], across), waves * waves
+    ring = (frequency * _RINGS).astype(np.intp)
+    mean_power = np.bincount(ring.ravel(), power.ravel()) / np.maximum(np.bincount(ring.ravel()), 1)
+    floor = float(np.mean(power[frequency > _FLOOR]))
+    gain = np.clip(1.0 - floor / np.maximum(mean_power, 1e-30), 0.0, 1.0)
+    gain[0] = 1.0  # the mean
+    return np.where(is_known, np.asarray(fft.idctn(waves * gain[ring], norm="ortho")), np.nan)
