@@ -84,7 +84,7 @@ def register_texture(
     fit_params = params_of(RegistrationParams, params, "pl.register_texture")
     layers, found = _searched_sides(moving, fixed, fit_params, mirrored, holes)
     if not found.search.is_sure:
-        raise CannotRegister(_undecided(found, layers))
+        raise _undecided(found, layers)
     tiles = _tiles_near(layers, found.place, found.scaled, found.search.best.names)
     if len(tiles.moving_um) < _LEAST_TILES:
         raise CannotRegister(
@@ -370,7 +370,8 @@ def _title(names: Names) -> str:
     return f"{a} and {b}" if a != b else f"the {a}s of both" if a != "image" else "both images"
 
 
-def _undecided(found: _Found, layers: _Layers) -> str:
+def _undecided(found: _Found, layers: _Layers) -> CannotRegister:
+    """Say that no place is sure, and what would help."""
     search = found.search
     places = [
         f"turned by {math.degrees((c.place.inverse if layers.swapped else c.place).rotation_rad) % 360:.0f} degrees "
@@ -379,12 +380,12 @@ def _undecided(found: _Found, layers: _Layers) -> str:
     ]
     text = f"Best places, in standard deviations of chance: {'; '.join(places)}."
     if search.has_rival and search.false_probability <= FALSE:
-        return (
+        return CannotRegister(
             f"Two places of the sheet in the image are nearly alike. {text} A pattern that repeats, such as a screen "
             "or wire marks, looks like that: take it off the image (--screen-um), say about where the sheet lies "
             "(--near), or give marks (--marks)."
         )
-    return (
+    return CannotRegister(
         f"No place of the sheet in the image stands out by its texture: an unrelated image reaches the best one with a "
         f"probability of {search.false_probability:.2g}, and {FALSE:g} is allowed. {text} Is it this piece of paper, "
         "this side (--image-side, --mirror), and are the pixel sizes right (--scale-tolerance)? A larger field helps, "
