@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from typing import Literal, NamedTuple
 
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage, optimize
 
 from planish.analyze.texture import Textures
+from planish.core.threads import map_threads
 from planish.core.transform import Similarity, nearest_similarity
 from planish.core.typing import Floats, Pair
 
@@ -137,7 +139,8 @@ def search_place(
     windows = near or (None,)
     for wider in (2.0, 1.0):
         steps = _Steps.of(scanner.size_um, scale_tolerance, wider)
-        found = _judged(scanner, steps, [[*scanner.cell(turn, steps, windows)] for turn in steps.turns(hands)])
+        cells = map_threads(partial(scanner.cell, steps=steps, windows=windows), steps.turns(hands))
+        found = _judged(scanner, steps, cells)
         if found.is_sure:
             break
     return found
@@ -152,6 +155,8 @@ class _Peak(NamedTuple):
     r: float
     at: tuple[int, int]  # pixel of the image at which the middle of the map lies
     near: Near | None
+    squares: float  # sum over all shifts, and how many there are
+    count: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -185,7 +190,11 @@ class _Steps:
 
 def _judged(scanner: _Scanner, steps: _Steps, cells: list[list[_Peak]]) -> PlaceSearch:
     """The best places of a search, and how probable it is that the best one is chance."""
-    null_sd = scanner.null_sd()
+    null_sd: dict[Names, float] = {}
+    for names in {peak.names for peak in cells[0]}:
+        peaks = [peak for cell in cells for peak in cell if peak.names == names]
+        count = sum(peak.count for peak in peaks)
+        null_sd[names] = math.sqrt(sum(peak.squares for peak in peaks) / max(count, 1)) or 1.0
 
     def z(peak: _Peak) -> float:
         return abs(peak.height) / null_sd[peak.names]
@@ -242,14 +251,6 @@ def _exceeded(z: float, others: Floats) -> float:
     return -math.expm1(-(others.size + 1) * rate)
 
 
-@dataclass(slots=True, eq=False)
-class _Null:
-    """Sums over all places, of a map's heights."""
-
-    squares: float = 0.0
-    count: int = 0
-
-
 class _Window(NamedTuple):
     """Part of an image: spectra of its maps and of what is known of it, and where the map's middle may lie in it."""
 
@@ -272,28 +273,20 @@ class _Scanner:
         self._splines = {k: np.asarray(ndimage.spline_filter(moving.maps[k]), dtype=np.float32) for k, _ in self._names}
         self._mask = moving.known.astype(np.float32)
         self._most = moving.n * float(np.prod(self._moving_px / self._fixed_px))
-        self._null = {k: _Null() for k in self._names}
         most_um = 1.05 * (1.0 + scale_tolerance) * float(np.hypot(*self._extent_um))
         self._margin = math.ceil(0.5 * most_um / float(self._fixed_px.min())) + 2
-        self._whole: list[_Window] = []
+        spans = [_spans(n, max(4 * self._margin, _LEAST_WINDOW)) for n in fixed.known.shape]
+        size = spans[0][1] - spans[0][0], spans[1][1] - spans[1][0]
+        self._whole = [self._spectra(first, size) for first in product(spans[0][:-1], spans[1][:-1])]
 
-    def null_sd(self) -> dict[Names, float]:
-        """Standard deviation of the heights so far."""
-        return {k: math.sqrt(null.squares / max(null.count, 1)) or 1.0 for k, null in self._null.items()}
-
-    def cell(self, turn: Similarity, steps: _Steps, windows: Sequence[Near | None]) -> Iterator[_Peak]:
+    def cell(self, turn: Similarity, steps: _Steps, windows: Sequence[Near | None]) -> list[_Peak]:
         """Peaks of all maps at one rotation and hand, and all scales."""
-        for near in windows:
-            yield from self.peaks(turn, steps.scales, near)
+        return [peak for near in windows for peak in self.peaks(turn, steps.scales, near)]
 
     def peaks(self, turn: Similarity, scales: tuple[float, ...], near: Near | None) -> Iterator[_Peak]:
         """The highest correlation of each map at each scale."""
         for scaled, names, values, weight, window in self._heights(turn, scales, near):
-            height = values * weight
-            null = self._null[names]
-            null.squares += float(np.vdot(height, height))
-            null.count += int(np.count_nonzero(weight))
-            yield self._peak(scaled, names, height, weight, window, near)
+            yield self._peak(scaled, names, values * weight, weight, window, near)
 
     def rivals(self, best: _Peak, apart_um: float) -> Iterator[_Peak]:
         """The highest correlation at the turn of the best one, away from it."""
@@ -319,7 +312,8 @@ class _Scanner:
         value = float(height[row, col])
         at = (row + window.first[0], col + window.first[1])
         # The weight is one over the root of the number of pairs.
-        return _Peak(turn, names, value, value * float(weight[row, col]), at, near)
+        r, squares = value * float(weight[row, col]), float(np.vdot(height, height))
+        return _Peak(turn, names, value, r, at, near, squares, int(np.count_nonzero(weight)))
 
     def _heights(
         self, turn: Similarity, scales: tuple[float, ...], near: Near | None
@@ -346,10 +340,6 @@ class _Scanner:
     def _windows(self, turn: Similarity, near: Near | None) -> list[_Window]:
         """Parts of the image in which the middle of the map may lie: all, or one near a place."""
         if near is None:
-            if not self._whole:
-                spans = [_spans(n, max(4 * self._margin, _LEAST_WINDOW)) for n in self._fixed.known.shape]
-                count = spans[0][1] - spans[0][0], spans[1][1] - spans[1][0]
-                self._whole = [self._spectra(first, count) for first in product(spans[0][:-1], spans[1][:-1])]
             return self._whole
         arm_um = np.zeros(2) if near.moving_um is None else self.middle_um - np.array(near.moving_um)
         middle = (np.array(near.fixed_um) + turn.matrix() @ arm_um) / self._fixed_px
