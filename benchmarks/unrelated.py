@@ -54,10 +54,10 @@ def held_out(number: int, r: float) -> tuple[float, tuple[float, float] | None, 
     a, noise = (_field(rng, shape, length_um, _MAP_UM) for _ in range(2))
     b = r * a + np.sqrt(1.0 - r * r) * noise
     found = held_out_r(a, b, None, np.ones(shape, bool), (_MAP_UM, _MAP_UM))
-    if isinstance(found, CrossFitted) and found.r is not None and found.interval is not None:
+    if isinstance(found, CrossFitted):
         low, high = found.interval
         return found.r, (low, high), not low <= 0.0 <= high
-    return found.r or 0.0, None, found.p is not None and found.p <= 0.05
+    return found.r, None, found.p <= 0.05
 
 
 def main(searches: int = 300, fields: int = 40, first: int = 0) -> int:

@@ -156,7 +156,7 @@ class _Peak(NamedTuple):
     at: tuple[int, int]  # pixel of the image at which the middle of the map lies
     near: Near | None
     squares: float  # sum over all shifts, and how many there are
-    count: int
+    shifts: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -193,7 +193,7 @@ def _judged(scanner: _Scanner, steps: _Steps, cells: list[list[_Peak]]) -> Place
     null_sd: dict[Names, float] = {}
     for names in {peak.names for peak in cells[0]}:
         peaks = [peak for cell in cells for peak in cell if peak.names == names]
-        count = sum(peak.count for peak in peaks)
+        count = sum(peak.shifts for peak in peaks)
         null_sd[names] = math.sqrt(sum(peak.squares for peak in peaks) / max(count, 1)) or 1.0
 
     def z(peak: _Peak) -> float:

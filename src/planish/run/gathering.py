@@ -244,6 +244,8 @@ def _with_held_out(layer: LayerFacts, linked: LinkedLayers) -> LayerFacts:
         return layer
     seen = _bounds(sheet["valid"])
     valid = sheet["valid"][seen].values & reference["valid"][seen].values
+    if not valid.any():
+        return layer
     a, b = (data[seen].values.astype(np.float64) for data in (sheet[name], reference[fixed_name]))
     face = f"topography_{linked.reference.side}"
     heights = sheet[face][seen].values.astype(np.float64) if face in sheet and fixed_name == "image" else None
@@ -253,14 +255,17 @@ def _with_held_out(layer: LayerFacts, linked: LinkedLayers) -> LayerFacts:
 
 def _bounds(valid: xr.DataArray) -> tuple[slice, slice]:
     """Rows and columns between which anything is valid."""
-    in_rows, in_cols = list[Bools](), np.zeros(valid.shape[1], dtype=bool)
-    for _, (is_valid,) in read_bands(valid):
-        in_rows.append(is_valid.any(axis=1))
+    in_rows, in_cols = np.zeros(valid.shape[0], dtype=bool), np.zeros(valid.shape[1], dtype=bool)
+    for rows, (is_valid,) in read_bands(valid):
+        in_rows[rows] = is_valid.any(axis=1)
         in_cols |= is_valid.any(axis=0)
-    rows, cols = (np.flatnonzero(m) for m in (np.concatenate(in_rows), in_cols))
-    return slice(rows[0], rows[-1] + 1) if rows.size else slice(0), slice(
-        cols[0], cols[-1] + 1
-    ) if cols.size else slice(0)
+    first_row, last_row, first_col, last_col = (k for m in (in_rows, in_cols) for k in _ends(m))
+    return slice(first_row, last_row), slice(first_col, last_col)
+
+
+def _ends(mask: Bools) -> tuple[int, int]:
+    at = np.flatnonzero(mask)
+    return (int(at[0]), int(at[-1]) + 1) if at.size else (0, 0)
 
 
 def _registration_checks(linked: LinkedLayers, layer: Layer, facts: LayerFacts) -> Iterator[Check]:
