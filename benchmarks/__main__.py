@@ -18,7 +18,7 @@ _ALL = (
     "holes",
     "holes_on_fibres",
     "no_holes",
-    "unrelated",
+    "texture_fields",
     "properties",
     "registration",
     "specimens",

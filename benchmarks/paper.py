@@ -29,6 +29,7 @@ from scipy import ndimage
 from planish.core.errors import PlanishError
 from planish.core.typing import Bools, Floats
 from planish.measure import measure_properties
+from planish.run import map_sheet
 from planish.run.facts import property_facts
 from planish.surface import find_surfaces
 from planish.synthetic import (
@@ -243,8 +244,9 @@ def main(*arguments: str | int) -> int:
             try:
                 surfaces, sized = measured(specimen, KINDS[name].names)
                 rows = [s.line() for s in sized]
-                if specimen.params.film is not None and not specimen.params.film.is_tape:
-                    rows += _beside_none(specimen, surfaces, sized)
+                if specimen.params.film is not None:
+                    of_film = _named if specimen.params.film.is_tape else _beside_none
+                    rows += of_film(specimen, surfaces, sized)
                 all_sized += sized
             except PlanishError as error:
                 rows = [f"{type(error).__name__}: {error}"]
@@ -252,6 +254,12 @@ def main(*arguments: str | int) -> int:
         for words in _summed_up(all_sized):
             print(f"  {name}: {words}", flush=True)
     return 0
+
+
+def _named(specimen: Specimen, surfaces: xr.Dataset, sized: list[Sized]) -> list[str]:  # noqa: ARG001
+    """What the check says of a tape that touches the sheet."""
+    checks = {check.name: check for check in map_sheet(specimen.volume).results.checks}
+    return [f"film: {checks['film'].state}: {checks['film'].sentence}" if "film" in checks else "film: no check"]
 
 
 def _beside_none(specimen: Specimen, surfaces: xr.Dataset, sized: list[Sized]) -> list[str]:
