@@ -60,6 +60,21 @@ def test_marks_are_tiles_and_are_read_again(linked, tmp_path):
     read = pl.Registration.read(tmp_path / "marks.json")
     assert set(read.marks["moving_source"].values) == {"tile"}
     np.testing.assert_allclose(read([[500.0, 400.0]]), registration([[500.0, 400.0]]), atol=1e-6)
+    assert (read.fit.shared_um, read.false_probability) == (registration.fit.shared_um, registration.false_probability)
+
+
+def test_a_run_by_tiles_of_a_file_is_the_run_of_the_search(linked, tmp_path):
+    _, files, run = linked
+    registration = run.registrations["sheet"]
+    registration.save(tmp_path / "marks.json")
+    again = pl.link(files.volume, files.image, registration={"marks": str(tmp_path / "marks.json")})
+    facts = again.results.layers[0].registration
+    assert (facts.source, facts.false_probability) == ("texture", registration.false_probability)
+    assert facts.held_out is not None
+    share = [float(r.groups["linked"]["valid"].mean()) for r in (run, again)]
+    assert share[1] == pytest.approx(share[0], abs=0.01)
+    errors = [r.results.layers[0].registration.expected_error.median_um for r in (run, again)]
+    assert errors[1] == pytest.approx(errors[0], rel=0.02)
 
 
 def test_holes_and_texture_are_fitted_in_one_and_compared(specimen, specimen_files):

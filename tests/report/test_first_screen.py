@@ -150,6 +150,16 @@ def test_what_would_make_it_surer_follows_from_the_results(
     assert says_not not in " ".join(found)
 
 
+def test_more_tiles_of_a_texture_are_not_to_be_had_but_holes_are() -> None:
+    run = a_run()
+    run["results"]["layers"][0]["registration"]["source"] = "texture"
+    for row in run["results"]["correlations"]:
+        row["interval"] = [0.78, 0.82]
+    run["results"]["evidence"] = evidence(ceiling=0.9)
+    (advice, _), *_ = first_screen.recommendations(Results.model_validate(run["results"]))
+    assert advice.startswith("Laser holes as marks, spread over the field")
+
+
 @pytest.mark.parametrize("name", ["link_page", "map_page", "layers_page"])
 def test_boxes_that_scroll_are_reached_with_the_keyboard_and_drawings_have_names(
     name: str, request: pytest.FixtureRequest

@@ -14,7 +14,7 @@ from planish.report import draw, registration, summary
 from planish.report.text import REGISTERED
 from planish.results import RegistrationFacts
 from report.pages import Page
-from report.runs import a_run, lag_of, page_of, registration_of
+from report.runs import Run, a_run, lag_of, page_of, registration_of
 
 MICRO = "\u202fµm"
 SILENT: dict[str, Any] = {"silence": "texture", "agrees": None, "lag_um": None, "se_um": None, "length_um": None,
@@ -123,6 +123,38 @@ def test_page_states_what_is_known_of_the_registration() -> None:
     assert "The check is passed." in text
     # Beside each r: the sentence, two numbers and the scatter of the first page, the figure of the relation, tables.
     assert len(re.findall("registration: marks only", text, flags=re.IGNORECASE)) == 3 + 1 + 1 + 2
+
+
+def tiled(source: str, is_tile: list[bool]) -> Run:
+    """Return the run whose marks are tiles of texture, as far as said."""
+    run = a_run()
+    marks = run["marks"]["volume"]
+    sources = {f"{plane}_source": ("mark", np.where(is_tile, "tile", "detected")) for plane in ("moving", "fixed")}
+    run["marks"]["volume"] = registration.with_tiles_named(marks, marks.assign(sources))
+    run["results"]["layers"][0]["registration"]["source"] = source
+    return run
+
+
+def test_tiles_are_crosses_and_the_texture_that_placed_them_does_not_judge_them() -> None:
+    html = page_of(tiled("texture", [True] * 3))
+    text = Page(html).text()
+    for expected in (
+        "with n = 3 tiles of texture (orange crosses at their middles)",
+        "3 tiles of the texture",
+        "only what light from one side explains is included",
+    ):
+        assert expected in text
+    for wrong in ("orange circles", "from a file", "Lag of the maps", "tile by tile", "all marks share is not"):
+        assert wrong not in text
+    assert '<p class="check ' not in html
+
+
+def test_holes_beside_tiles_keep_their_circles() -> None:
+    text = Page(page_of(tiled("both", [True, False, False]))).text()
+    assert f"3 marks (orange circles of 220{MICRO}, crosses alone at the middles of tiles of texture)" in text
+    assert "3 pairs: holes, and tiles of the texture" in text
+    assert "registered by the holes that they share and by their texture" in text
+    assert "Image-based check, tile by tile." in text
 
 
 def test_what_others_write_stays_text() -> None:

@@ -299,12 +299,16 @@ def texture_of(
     return TextureFound(offset.numbers(source_maps[0], expected_um), (check, offset.check(expected_um)))
 
 
-def found_by_texture(sentence: str, false_probability: float) -> tuple[Check, Check]:
+def found_by_texture(sentence: str, false_probability: float | None) -> tuple[Check, Check]:
     """Judge layers that were registered by their texture: by the search, for what it made large is no evidence."""
-    check = Check(
-        name=NAME, state="pass", sentence=f"{sentence} So both show one specimen.", value=false_probability,
-        limit=FALSE, units="probability",
-    )  # fmt: skip
+    check = _check(
+        "unknown", f"Specimen: inconclusive, because the marks are tiles whose search is not known; {_NO_WORD}."
+    )
+    if false_probability is not None:
+        check = Check(
+            name=NAME, state="pass", sentence=f"{sentence} So both show one specimen.", value=false_probability,
+            limit=FALSE, units="probability",
+        )  # fmt: skip
     text = "Image-based check: not made, because the place was found by the texture that it compares."
     return check, Check(name=lag.NAME, state="unknown", sentence=text, figures=(POSITION,))
 

@@ -70,6 +70,11 @@ class Mark(Part):
     moving: OneEnd | None = None
     fixed: OneEnd | None = None
 
+    @property
+    def is_tile(self) -> bool:
+        """Whether it is a tile of texture, no hole; also where one of its ends was moved by hand."""
+        return any(end is not None and end.source == "tile" for end in (self.moving, self.fixed))
+
 
 class CorrectedPoint(Part):
     """A place of a face in the volume, in um."""

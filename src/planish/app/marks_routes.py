@@ -25,7 +25,6 @@ from planish.core.tables import naming_faults
 from planish.marks.exchange import FORMATS
 from planish.marks.exchange.formats import TARGETS
 from planish.marks.exchange.lists import Part
-from planish.marks.find import USUAL_UM
 from planish.register import RegistrationParams
 
 
@@ -54,11 +53,10 @@ def get_session(request: Request) -> Response:
     session = session_of(request)
     layers: list[dict[str, Any]] = []
     for layer in session.layers:
-        circles: dict[str, list[list[float]]] = {}
-        for plane, holes in session.holes(layer).items():
-            diameter_um = holes["diameter"].values if "diameter" in holes else np.full(holes.sizes["mark"], np.nan)
-            shown_um = np.where(np.isfinite(diameter_um), diameter_um, USUAL_UM)
-            circles[plane] = np.stack([holes["x"].values, holes["y"].values, shown_um], 1).tolist()
+        circles = {
+            plane: np.stack([holes[name].values for name in ("x", "y", "diameter")], axis=1).tolist()
+            for plane, holes in session.holes(layer).items()
+        }
         layers.append({
             "name": layer, "to": session.target(layer), "headline": session.results.layer(layer).headline,
             "holes": circles,

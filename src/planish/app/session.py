@@ -162,7 +162,7 @@ class Session:
         """All holes that were found in both planes, matched or not: ``x``, ``y``, ``diameter`` in um, covariances."""
         if layer not in self.registrations:
             return self._detected_holes
-        return {plane: holes_of(self.registrations[layer].marks, plane) for plane in PLANES}
+        return {plane: holes_of(measured_holes(self.registrations[layer].marks, plane), plane) for plane in PLANES}
 
     @cached_property
     def _detected_holes(self) -> dict[Plane, xr.Dataset]:
@@ -322,6 +322,13 @@ def pairs_of(
         for k, (text, used, moving_end, fixed_end) in enumerate(zip(*columns, strict=True), 1)
         if moving_end is not None and fixed_end is not None
     )
+
+
+def measured_holes(marks: xr.Dataset, plane: Plane) -> xr.Dataset:
+    """Keep the marks that have a diameter in a plane: a tile of texture has none, and is no hole."""
+    name = f"{plane}_diameter"
+    has_diameters = marks if name in marks else marks.assign({name: np.nan * marks[f"{plane}_x"]})
+    return has_diameters.dropna("mark", subset=[name])
 
 
 def dataset_of(marks: Sequence[Mark], **options: Any) -> xr.Dataset:

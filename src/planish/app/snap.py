@@ -19,6 +19,11 @@ REACH = 0.75
 def snapped(session: Session, layer: str, mark: Mark) -> Move:
     """Give the move of a mark's ends into the holes that they lie in; ChangeError where neither end lies in one."""
     ends: dict[Plane, End] = {plane: end for plane in PLANES if (end := getattr(mark, plane))}
+    if mark.is_tile:
+        raise ChangeError(
+            f"{mark.label} is a tile of texture and no hole: there is nothing to snap it to. Take it out of use if it "
+            "is wrong."
+        )
     holes = {plane: hole for plane, end in ends.items() if (hole := hole_at(session, layer, plane, end.xy))}
     if not holes:
         planes_text = " or ".join(WHERE[plane] for plane in ends)
@@ -44,7 +49,7 @@ def hole_at(session: Session, layer: str, plane: Plane, point_um: tuple[float, f
 
 
 def _nearest_hole(holes: xr.Dataset | None, plane: Plane, point_um: tuple[float, float]) -> End | None:
-    if holes is None or not holes.sizes["mark"] or "diameter" not in holes:
+    if holes is None or not holes.sizes["mark"]:
         return None
     distance_um = np.hypot(holes["x"].values - point_um[0], holes["y"].values - point_um[1])
     k = int(np.nanargmin(distance_um))

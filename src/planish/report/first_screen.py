@@ -15,7 +15,7 @@ from planish.report.draw import BELOW, MARGIN, THIRD, Canvas, Picture, n_of, pix
 from planish.report.maps import RunMaps
 from planish.report.relation import MapPair, draw_points, largest
 from planish.report.summary import PairKey, key_of, lead_pair, titles_of
-from planish.report.text import label_of, title_of, with_article
+from planish.report.text import BY_TEXTURE, label_of, registered_by, title_of, with_article
 from planish.results import CorrelationRow, Results
 
 if TYPE_CHECKING:
@@ -103,10 +103,11 @@ def _field_advice(pair_rows: Sequence[CorrelationRow]) -> str:
 
 def _marks_advice(results: Results) -> str:
     """Say what more marks would do to the correlation."""
+    more = "Laser holes as marks" if registered_by(results) == BY_TEXTURE else "More marks"
     r_ceilings = [e.ceiling for e in results.evidence if e.ceiling is not None]
     if r_ceilings and min(r_ceilings) < 0.95:  # r that misplacement leaves of a perfect relation
         return (
-            f"More marks, spread over the field: with the expected error of the place, a perfect relation would show "
+            f"{more}, spread over the field: with the expected error of the place, a perfect relation would show "
             f"r = {fixed(min(r_ceilings), 2)} and no more."
         )
     for layer in results.moving:

@@ -35,7 +35,7 @@ from planish.report import (
 )
 from planish.report.draw import FULL, HALF, Picture
 from planish.report.relation import MapPair, draw_pair
-from planish.results import EvidenceFacts, LayerFacts, Results
+from planish.results import EvidenceFacts, LayerFacts, RegistrationFacts, Results
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -82,7 +82,7 @@ def write_report(
         if not all(hasattr(run, slug) for slug in ("groups", "results", "registrations")):
             raise not_taken(run, "a run", 'pl.write_report("page.html", run)', "pl.write_report")
         groups, results = run.groups, run.results
-        marks = {slug: registration.pairs() for slug, registration in run.registrations.items()}
+        marks = {slug: registration.with_tiles_named(r.pairs(), r.marks) for slug, r in run.registrations.items()}
     assert groups is not None
     assert results is not None
     page, pictures = render_report(groups, marks or {}, results)
@@ -159,7 +159,7 @@ def _sheet_section(run_maps: maps.RunMaps, layer: LayerFacts) -> dict[str, Any] 
 
 def _registration_section(run_maps: maps.RunMaps, layer: LayerFacts, marks: xr.Dataset | None) -> dict[str, Any] | None:
     """Draw all that is shown of the registration of a layer; None where it or a map is missing."""
-    r, results, reference_layer = layer.registration, run_maps.results, run_maps.results.reference
+    r, results, reference_layer = registration.judged(layer.registration), run_maps.results, run_maps.results.reference
     layer_maps, reference_maps = run_maps.drawn.get(layer.name), run_maps.drawn.get(reference_layer.name)
     if r is None or layer_maps is None or reference_maps is None:
         return None
@@ -182,19 +182,18 @@ def _registration_section(run_maps: maps.RunMaps, layer: LayerFacts, marks: xr.D
             excluded_text=run_maps.excluded_text,
         )]  # fmt: skip
     return {
-        "layer": layer, "marks": marks, "linked": linked_pictures, "outlined": is_outlined,
+        "layer": layer, "registration": r, "marks": marks, "linked": linked_pictures, "outlined": is_outlined,
         "check": summary.lag_verdict(r.lag, moving_text=map_texts[0], reference_text=map_texts[1]),
-        "pictures": _registration_pictures(layer, layer_maps, reference_map, marks, results, map_texts),
+        "pictures": _registration_pictures(layer, r, layer_maps, reference_map, marks, results, map_texts),
     }  # fmt: skip
 
 
 def _registration_pictures(
-    layer: LayerFacts, layer_maps: xr.Dataset, reference_map: xr.DataArray, marks: xr.Dataset | None, results: Results,
-    map_texts: tuple[str, str],
+    layer: LayerFacts, r: RegistrationFacts, layer_maps: xr.Dataset, reference_map: xr.DataArray,
+    marks: xr.Dataset | None, results: Results, map_texts: tuple[str, str],
 ) -> list[Picture]:  # fmt: skip
     """Draw a layer's residuals, expected error and lags of tiles; ``map_texts``: its map and the reference's."""
-    r, reference_layer, has_two_layers = layer.registration, results.reference, len(results.layers) == 2
-    assert r is not None
+    reference_layer, has_two_layers = results.reference, len(results.layers) == 2
     hole_um = float(sum(results.parameters.get("holes", {}).get("hole_um", (100.0, 300.0))) / 2)
     has_window = "valid" in layer_maps and reference_layer.kind == "image"
     valid = layer_maps["valid"].values.astype(bool) if has_window else None

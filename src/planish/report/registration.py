@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from planish.analyze import LagNumbers
 from planish.core.facts import is_known
 from planish.core.numbers import capital, count, in_words, length, plain
-from planish.marks.exchange.model import points_of
+from planish.marks.exchange.model import paired, points_of
 from planish.report import draw
 from planish.report.colours import GEOMETRY, GREYS, Array, Scale, limits
 from planish.report.text import title_of, with_article
@@ -88,6 +88,17 @@ def _draw_arrows(
     return magnification
 
 
+def with_tiles_named(pairs: xr.Dataset, marks: xr.Dataset) -> xr.Dataset:
+    """Pairs of a registration by all its marks: ``is_tile`` says which are tiles of texture, without a diameter."""
+    is_tile = np.any([marks[f"{plane}_source"].values == "tile" for plane in ("moving", "fixed")], axis=0)
+    return pairs.assign_coords(is_tile=("mark", is_tile[paired(marks)]))
+
+
+def judged(r: RegistrationFacts | None) -> RegistrationFacts | None:
+    """The facts without the lag of the maps where the same texture gave the place: it says nothing of it."""
+    return r if r is None or r.source != "texture" else r.model_copy(update={"lag": None})
+
+
 def draw_registration(
     r: RegistrationFacts, ground: Ground, marks: xr.Dataset, *, hole_um: float, moving_layer: str, width: float
 ) -> draw.Picture:
@@ -96,7 +107,7 @@ def draw_registration(
     if ground.edge is not None:
         axes.outline(ground.edge, ground.y, ground.x, colour=EDGE, width=1.6)
     fixed_xy = points_of(marks, "fixed")
-    _draw_marks(axes, fixed_xy, hole_um=hole_um, font_size=14 if width == draw.FULL else 11)
+    _draw_marks(axes, marks, hole_um=hole_um, font_size=14 if width == draw.FULL else 11)
     # A residual is the mark in the image minus the mark that was carried over: the arrow shows where that one falls.
     magnification = _draw_arrows(
         canvas, axes, fixed_xy, -points_of(marks, "residual"), width_share=0.09, max_share=0.12, label="{} of residual",
@@ -115,7 +126,7 @@ def draw_registration(
     return canvas.picture(
         title=f"Marks in {with_article(r.to)} and their residuals",
         caption=(
-            f"{capital(ground.name)} with n = {len(fixed_xy)} marks (orange circles of {plain(hole_um)}). Red arrows "
+            f"{capital(ground.name)} with n = {_marks_in_words(marks, hole_um)}. Red arrows "
             f"point from each mark to its transformed partner in {with_article(moving_layer)}, {magnification.words}. "
             f"{note_text}{ground.caption}"
         ),
@@ -123,16 +134,30 @@ def draw_registration(
     )
 
 
-def _draw_marks(axes: draw.Axes, marks_xy: Array, *, hole_um: float, font_size: float) -> None:
+def _tiles_of(marks: xr.Dataset) -> NDArray[np.bool_]:
+    """Which marks are tiles of texture; none where that is not said."""
+    return marks["is_tile"].values if "is_tile" in marks.coords else np.zeros(marks.sizes["mark"], dtype=np.bool_)
+
+
+def _marks_in_words(marks: xr.Dataset, hole_um: float) -> str:
+    is_tile, n = _tiles_of(marks), marks.sizes["mark"]
+    if is_tile.all():
+        return f"{n} tiles of texture (orange crosses at their middles)"
+    tiles_text = ", crosses alone at the middles of tiles of texture" if is_tile.any() else ""
+    return f"{n} marks (orange circles of {plain(hole_um)}{tiles_text})"
+
+
+def _draw_marks(axes: draw.Axes, marks: xr.Dataset, *, hole_um: float, font_size: float) -> None:
+    """Draw holes as numbered circles, and tiles, which have no diameter, as numbered crosses."""
     angles = np.linspace(0, 2 * np.pi, 49)
     circle = hole_um / 2 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    for k, (x, y) in enumerate(marks_xy, 1):
-        axes.line(circle + np.array([x, y]), colour=_MARK, width=1.9)
-        axes.text(x, y, "+", shift=(0, 0.32 * font_size), size=font_size, anchor="middle", colour=_MARK)
-        label_xy = x - 0.42 * hole_um, y - 0.42 * hole_um
-        axes.text(
-            *label_xy, str(k), shift=(-2, -2), size=font_size, anchor="end", colour=_MARK, halo=draw.INK, bold=True
-        )
+    for k, ((x, y), is_tile) in enumerate(zip(points_of(marks, "fixed"), _tiles_of(marks), strict=True), 1):
+        away_um, shift, halo = (0.0, (-5, -4), draw.INK) if is_tile else (0.42 * hole_um, (-2, -2), "")
+        if not is_tile:
+            axes.line(circle + np.array([x, y]), colour=_MARK, width=1.9)
+        axes.text(x, y, "+", shift=(0, 0.32 * font_size), size=font_size, anchor="middle", colour=_MARK, halo=halo)
+        label_xy = x - away_um, y - away_um
+        axes.text(*label_xy, str(k), shift=shift, size=font_size, anchor="end", colour=_MARK, halo=draw.INK, bold=True)
 
 
 def draw_expected_error(
@@ -149,9 +174,12 @@ def draw_expected_error(
     if not most - least > 0.02 * abs(mean):  # colours would show differences that nobody can use
         scale, levels = Scale(0.0, 2 * mean or 1.0, GEOMETRY), np.empty(0)
     canvas, axes = draw.draw_map(error.values, y, x, scale=scale, label="expected error / µm", width=width)
-    marks_xy = points_of(marks, "fixed") if marks is not None else np.empty((0, 2))
-    axes.contours(levels, labels=True, avoided=marks_xy)
-    _draw_marks(axes, marks_xy, hole_um=hole_um, font_size=14 if width == draw.FULL else 11)
+    axes.contours(levels, labels=True, avoided=np.empty((0, 2)) if marks is None else points_of(marks, "fixed"))
+    shared_text = "an error that all marks share is not included"
+    if marks is not None:
+        _draw_marks(axes, marks, hole_um=hole_um, font_size=14 if width == draw.FULL else 11)
+        if _tiles_of(marks).all():
+            shared_text = "of an error that all tiles share, only what light from one side explains is included"
     contour_text = f"Contour lines every {length(step, 1)}. " if levels.size else ""
     marks_text = "Orange: the marks, numbered as in the figure of their residuals. " if marks is not None else ""
     return canvas.picture(
@@ -159,7 +187,7 @@ def draw_expected_error(
         caption=(
             f"Expected error of the position in {with_article(reference)} (rms, from the scatter of the marks): "
             f"{length(least, 2)} to {length(most, 2)}, median {length(float(np.median(finite_errors)), 2)}. "
-            f"{contour_text}{marks_text}It grows away from the marks; an error that all marks share is not included. n "
+            f"{contour_text}{marks_text}It grows away from the marks; {shared_text}. n "
             f"= {draw.n_of(finite_errors)} pixels of {draw.pixel_of(x)}; unit µm; mask: where {with_article(layer)} is "
             "shown."
         ),

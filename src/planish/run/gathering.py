@@ -227,7 +227,7 @@ def _checks(linked: LinkedLayers, facts: tuple[LayerFacts, ...], textures: Textu
         link = linked.links.get(a)
         registration = None if link is None or link.path[1].name != b else link.registration
         if registration is not None and registration.source == "texture":
-            checks = found_by_texture(registration.sentence or "", registration.false_probability or 0.0)
+            checks = found_by_texture(registration.sentence or "", registration.false_probability)
         elif registration is not None and registration.apart_um is not None:
             checks = checks[0], holes_and_texture(*registration.apart_um)
         yield from run_checks(TextureChecks(*checks), a, b)

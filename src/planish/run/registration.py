@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ from planish.core.typing import Floats
 from planish.design import read_pattern
 from planish.marks import hole_tilt
 from planish.marks.exchange import LayerPixels, holes_of, marks_of_holes, pair_of_layers, read_any, write_any
-from planish.marks.exchange.model import RESULTS, join_holes, paired, points_of, with_holes
+from planish.marks.exchange.model import RESULTS, join_holes, paired, points_of, tiles_of, with_holes
 from planish.register import (
     Chain,
     DesignedHoles,
@@ -81,7 +81,10 @@ class Registration:
 
     def save(self, path: str | Path) -> None:
         """Write ``marks.json``: all marks, and the transformation fitted to them."""
-        write_any(self.marks.assign_attrs(registration=registration_to_json(self.fit)), path, to="json")
+        saved = registration_to_json(self.fit)
+        if self.false_probability is not None:
+            saved["search"] = {"false_probability": self.false_probability, "sentence": self.sentence}
+        write_any(self.marks.assign_attrs(registration=saved), path, to="json")
 
     @classmethod
     def read(cls, path: str | Path) -> Registration:
@@ -101,7 +104,7 @@ class Registration:
                 f"{Path(path).name} holds marks without a registration. Make one with 'planish register', or give the "
                 "marks.json of a run."
             )
-        registration = cls(fit=registration_from_json(saved), marks=marks, source="json")
+        registration = cls(fit=registration_from_json(saved), marks=marks, source="json", **saved.get("search", {}))
         mask, fit = paired(marks), registration.fit
         for side, fitted in (("moving", fit.moving), ("fixed", fit.fixed)):
             if not np.array_equal(points_of(marks, side)[mask], fitted):
@@ -195,8 +198,13 @@ def register_layers(layer: Layer, fixed: Layer, holes: LayerHoles, study: Study)
             labels = np.array([f"{side} {k + 1}" for k in range(hole_marks.sizes["mark"])], dtype=np.str_)
             hole_marks = hole_marks.assign(label=("mark", labels))
             marks = with_holes(marks, hole_marks, side, usual_um=float(np.mean(holes.params.hole_um)))
-    source = str(marks.attrs.get("read_from", {}).get("format", "file"))
-    return Registration(fit=fit, marks=with_residuals(marks, fit), source=source)
+    source, search = str(marks.attrs.get("read_from", {}).get("format", "file")), dict[str, Any]()
+    is_tile = tiles_of(marks)[paired(marks)]
+    if is_tile.any():  # tiles of a run: what was said of them holds still, where the file has it
+        saved = marks.attrs.get("registration", {})
+        source, search = "texture" if is_tile.all() else "both", saved.get("search", {})
+        fit = replace(fit, shared_um=float(saved.get("shared_um", 0.0)))
+    return Registration(fit=fit, marks=with_residuals(marks, fit), source=source, **search)
 
 
 def fit_marks(marks: xr.Dataset, *, params: RegistrationParams, mirrored: bool | None) -> FittedTransform:

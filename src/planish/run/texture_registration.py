@@ -367,7 +367,7 @@ def _decided(search: PlaceSearch, tiles: TilePlaces) -> str:
 
 def _title(names: Names) -> str:
     a, b = (name.replace("_", " ") for name in names)
-    return f"{a} and {b}" if a != b else f"the {a}s of both" if a != "image" else "both images"
+    return f"{a} and {b}" if a != b else f"the maps of {a} of both" if a != "image" else "both images"
 
 
 def _undecided(found: _Found, layers: _Layers) -> CannotRegister:

@@ -21,6 +21,10 @@ const HELP =
   "screen pixel (Shift: 5) or else the view; Enter sets a mark at the cross in the middle; N and P go to the next and " +
   "the previous mark; Delete removes it, Esc lets go of it; + and - zoom, [ and ] turn, 0 shows all.";
 
+const TILES =
+  "Tiles are pieces of the map's texture, each placed by itself, and no holes: to compare, show the map that shows in " +
+  "the image, and take a tile that is wrong out of use. ";
+
 /**
  * @param {HTMLElement} panel
  * @param {any} app
@@ -42,11 +46,12 @@ class Marks {
     this.tools = new MarkTools(app, this);
     const places = { moving: make("div", { class: "view" }), fixed: make("div", { class: "view" }) };
     this.warnings = make("ul", { class: "warnings", "aria-label": "Warnings" });
+    this.help = make("p", { class: "help soft" });
     panel.classList.add("marks");
     panel.replaceChildren(
       this.tools.above,
       make("div", { class: "views" }, places.moving, places.fixed),
-      make("div", { class: "under" }, this.tools.below, this.warnings, this.table.element, make("p", { class: "help soft" }, HELP)),
+      make("div", { class: "under" }, this.tools.below, this.warnings, this.table.element, this.help),
     );
     this.views = { moving: this.view("moving", places.moving), fixed: this.view("fixed", places.fixed) };
     this.layers = { moving: new MarkLayer(this.views.moving, "moving"), fixed: new MarkLayer(this.views.fixed, "fixed") };
@@ -154,6 +159,7 @@ class Marks {
     for (const side of SIDES) this.layers[side].showMarks(state.marks, this.chosen);
     this.table.show(state, this.chosen);
     this.tools.show(state, this.mark);
+    this.help.textContent = (state.marks.some((/** @type {any} */ one) => one.source.includes("tile")) ? TILES : "") + HELP;
     const { open } = this;
     for (const side of SIDES) this.views[side].hint(open && !open[side] ? `Click ${open.label} here` : "");
     const general = (state.warnings ?? []).filter((/** @type {any} */ one) => one.id === undefined || one.id === null);

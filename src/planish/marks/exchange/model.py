@@ -149,6 +149,12 @@ def labels_of(marks: xr.Dataset) -> list[str]:
     return labels.astype(np.str_).tolist()
 
 
+def tiles_of(marks: xr.Dataset) -> Bools:
+    """Return which marks are tiles of texture in any layer: these are no holes and have no diameter."""
+    sources = [marks[f"{layer}_source"].values == "tile" for layer in layer_names(marks) if f"{layer}_source" in marks]
+    return np.any(sources, axis=0) if sources else np.zeros(marks.sizes.get("mark", 0), bool)
+
+
 def used_of(marks: xr.Dataset) -> Bools:
     """Return which marks take part in a fit; all where it is not stated."""
     return marks["used"].values.astype(bool) if "used" in marks else np.ones(marks.sizes.get("mark", 0), bool)
@@ -205,8 +211,9 @@ def with_holes(marks: xr.Dataset, holes: xr.Dataset, layer: str, *, usual_um: fl
     """Give marks the diameters of the holes that they lie in, and add the holes in which none of them lies.
 
     ``holes`` are marks of the layer, with diameters. Those known in ``marks`` stay; without a hole, ``usual_um``.
+    Tiles of texture are no holes: they are given none.
     """
-    holes = holes.isel(mark=np.flatnonzero(in_layers(holes, [layer])))
+    holes = holes.isel(mark=np.flatnonzero(in_layers(holes, [layer]) & ~tiles_of(holes)))
     name, hole_count = f"{layer}_diameter", holes.sizes["mark"]
     mark_um, hole_um = (m[name].values if name in m else np.full(m.sizes["mark"], np.nan) for m in (marks, holes))
     points = points_of(marks, layer)
@@ -215,7 +222,7 @@ def with_holes(marks: xr.Dataset, holes: xr.Dataset, layer: str, *, usual_um: fl
     # The nearest hole; the number after the last one where a mark lies in none.
     hole_rows = np.argmin(np.pad(distances, ((0, 0), (0, 1)), constant_values=np.finfo(np.float64).max), axis=1)
     diameters = np.where(np.isfinite(mark_um), mark_um, np.append(hole_um, usual_um)[hole_rows])
-    diameters = np.where(np.isfinite(points[:, 0]), diameters, np.nan)
+    diameters = np.where(np.isfinite(points[:, 0]) & ~tiles_of(marks), diameters, np.nan)
     columns = ["label", *(column for column in holes if str(column).startswith(f"{layer}_"))]
     unmarked = holes[columns].isel(mark=np.setdiff1d(np.arange(hole_count), hole_rows))
     with_diameters = marks.assign({name: ("mark", diameters, {"units": "um"})})
