@@ -3,6 +3,7 @@
 import importlib
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from planish.series import read_plan
 ROOT = Path(__file__).resolve().parents[1]
 STUDIES = ROOT / "examples" / "studies"
 TOML = sorted(STUDIES.glob("*.toml"))
-NAMES = ("fig-06", "fig-07", "fig-09", "fig-11", "flattening", "design", "large")
+NAMES = ("fig-06", "fig-07", "fig-09", "fig-11", "flattening", "no-holes", "design", "large")
 NUMBER = r"([+-]?\d+\.\d+)"
 
 
@@ -83,6 +84,15 @@ def test_a_study_keeps_its_specimens_and_files_of_ones_own_belong_to_one_study(m
     with pytest.raises(SystemExit):
         make.main(["fig-06", "fig-07", "--of", str(tmp_path), "--out", str(tmp_path / "out")])
     assert "--of needs one study" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("size", ["small", "full"])
+def test_sheets_without_holes_are_those_with_holes(make, size):
+    made = make.specimens.no_holes(size)
+    for holed, bare in zip(made[::2], made[1::2], strict=True):
+        assert (holed.params.holes.count > 3, bare.params.holes.count) == (True, 0)
+        assert replace(bare.params, holes=holed.params.holes) == holed.params
+        assert holed.params.camera.turn_range_deg == 180.0
 
 
 @pytest.mark.parametrize("low_high", [None, (None, None), (np.nan, np.nan)])
@@ -155,3 +165,20 @@ def test_the_discussion_and_a_large_sheet(make, tmp_path, capsys):
     assert projected < flattened
     gain, low, high = numbers(rf"less scaled: r {NUMBER} \(95 % interval {NUMBER} to {NUMBER}\)", said)
     assert low < gain < high
+
+
+@pytest.mark.study
+def test_no_holes_by_texture_and_by_holes(make, tmp_path, capsys):
+    said = stated(make, capsys, "no-holes", tmp_path)
+    assert "Without holes, 2 of 2 sheets were linked, with a probability of a false link below 1e-06." in said
+    texture, holes = numbers(rf"expected error \(median\) is {NUMBER} um by texture and {NUMBER} um by holes", said)
+    assert 0 < texture < 4
+    assert 0 < holes < 4
+    r, chance, r_by_holes = numbers(
+        rf"r by texture is {NUMBER} .* maps reach {NUMBER} so\); by holes it is {NUMBER}", said
+    )
+    assert chance < r  # these sheets are too small for tiles that r was not tuned on
+    assert 0 < r_by_holes < 1
+    (change,) = numbers(rf"Over the pixels that count in both, r by texture less r by holes is {NUMBER}", said)
+    assert abs(change) < 0.05  # one sheet and one image, and places that are off by 1 to 2 um
+    assert "2 of at least 3 sheets" in said

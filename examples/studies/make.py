@@ -1,6 +1,8 @@
 """Make the specimens of a study of the paper, run it, and print what it says, with its interval.
 
-``python examples/studies/make.py [fig-06 fig-07 fig-09 fig-11 flattening design] [--size small|full] [--out FOLDER]``
+``python examples/studies/make.py [STUDY ...] [--size small|full] [--out FOLDER]``
+
+Studies are fig-06, fig-07, fig-09, fig-11, flattening, no-holes and design.
 
 Your own data: copy a ``.toml``, change its paths, ``planish study copy.toml --out copy``, and then
 ``python examples/studies/make.py fig-07 --of copy``. ``large`` is a sheet of 20 x 15 mm without voxels.
@@ -27,7 +29,7 @@ import statements  # noqa: E402
 
 from planish.cli import main as planish  # noqa: E402
 
-DEFAULT = ("fig-06", "fig-07", "fig-09", "fig-11", "flattening", "design")
+DEFAULT = ("fig-06", "fig-07", "fig-09", "fig-11", "flattening", "no-holes", "design")
 READS = {"design": "fig-07"}
 """A study that has no specimens of its own, and the one whose series it reads."""
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from planish.synthetic import (
+    FIBRE_CT,
     MICRO_CT,
     PRESETS,
     SIZES_UM,
@@ -119,8 +120,27 @@ def flattening(size: Size) -> list[Made]:
     return found
 
 
+def no_holes(size: Size) -> list[Made]:
+    """Three sheets of fibres, small: two, each with holes and without: the same fibres, bend and camera."""
+    found: list[Made] = []
+    for sheet in ("1", "2", "3") if size == "full" else ("1", "2"):
+        params = base("wfc135", 200 + int(sheet), size, SIZES_UM["T1"], voxel_um=3.0)
+        scanner, size_um = replace(params.scanner, grey=FIBRE_CT.grey), params.size_um
+        if size == "small":  # on less than this, too few tiles show by themselves where they lie
+            scanner, size_um = replace(scanner, voxel_um=5.0), (1800.0, 1400.0)
+        # Both are turned by the same angle: another one would draw another sheet, and share no pixels with this one.
+        camera = replace(params.camera, turn_range_deg=180.0)
+        params = replace(params, size_um=size_um, paper=PRESETS["wfc135"][1], scanner=scanner, camera=camera)
+        bare = replace(params, holes=replace(params.holes, pattern="irregular", count=0))
+        found += [
+            Made(name=f"sheet-{sheet}-with-holes", params=params), Made(name=f"sheet-{sheet}-no-holes", params=bare)
+        ]  # fmt: skip
+    return found
+
+
 STUDIES: dict[str, Callable[[Size], list[Made]]] = {
     "fig-06": fig_06, "fig-07": fig_07, "fig-09": fig_09, "fig-11": fig_11, "flattening": flattening,
+    "no-holes": no_holes,
 }  # fmt: skip
 """Studies that have specimens of their own; the design reads those of Fig. 7."""
 

@@ -121,7 +121,10 @@ def test_one_hole_in_both_is_enough_to_look_where_they_meet():
     )
     found = pl.register_texture(maps, image, holes=holes)
     assert np.linalg.norm(found(CORNERS) - place(CORNERS), axis=1).max() < 3.5
-    assert (found.count("moving"), found.fit.moving.shape[0]) == (found.fit.moving.shape[0] + 1, found.count("fixed") - 1)
+    assert (found.count("moving"), found.fit.moving.shape[0]) == (
+        found.fit.moving.shape[0] + 1,
+        found.count("fixed") - 1,
+    )
 
 
 @pytest.mark.study
