@@ -67,8 +67,7 @@ def bland_altman(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pix
 
     Parameters
     ----------
-    a, b : ndarray, shape (rows, cols)
-        In one unit, on one grid; NaN is missing.
+    a, b : ndarray, shape (rows, cols), in one unit, on one grid; NaN is missing
     mask, pixel_um
         As of :func:`planish.correlate`.
 
@@ -146,13 +145,11 @@ def deming(x: Array, y: Array, *, error_ratio: float | None, n_eff: float | None
 
     Parameters
     ----------
-    x, y : ndarray, any one shape
-        NaN is missing.
+    x, y : ndarray, any one shape; NaN is missing
     error_ratio : float
         Variance of the errors of y over that of x, in the units of both. It cannot be told from x and y.
     n_eff : float
-        Independent points, as :func:`planish.analyze.independent_points` counts them; the number of all where they are
-        independent.
+        Independent points, as :func:`planish.analyze.independent_points` counts them; all where they are independent.
 
     Raises
     ------
@@ -288,8 +285,7 @@ def compare_instruments(
 
     Parameters
     ----------
-    a, b : ndarray, shape (rows, cols)
-        In one unit, on one grid; NaN is missing.
+    a, b : ndarray, shape (rows, cols), in one unit, on one grid; NaN is missing
     mask, pixel_um
         As of :func:`planish.correlate`.
     point_um : float, optional

@@ -158,8 +158,7 @@ def equivalence(shift: SheetDifference, *, margin: float) -> Equivalence:
     Parameters
     ----------
     shift : SheetDifference
-    margin : float
-        In the unit of the property; chosen for what matters, before the values are looked at.
+    margin : float, in the unit of the property; chosen for what matters, before the values are looked at
 
     Returns
     -------

@@ -47,17 +47,14 @@ def ceiling(
 
     Parameters
     ----------
-    a : ndarray, shape (rows, cols)
-        The map whose texture is compared; NaN is missing.
+    a : ndarray, shape (rows, cols); the map whose texture is compared; NaN is missing
     error_um : float or ndarray
         Error of a place, root mean square of its length, as ``expected_error`` gives it: one, a map of it (rows, cols),
         or any number of values that stand for such a map.
     mask, pixel_um
         As of :func:`planish.correlate`.
-    point_um : float, optional
-        Size of the points that r is of; single pixels where not given.
-    reliability : float
-        Share of the map's variance, at this size of points, that is no noise.
+    point_um : float, optional; size of the points that r is of; single pixels where not given
+    reliability : float; share of the map's variance, at this size of points, that is no noise
 
     Returns
     -------

@@ -144,8 +144,7 @@ def comparison_rows(
 ) -> Iterator[ComparisonRow]:  # fmt: skip
     """The headline correlation by the registrations that the paper compares, and by that of the run.
 
-    ``away`` says of the pixels of a grid whether they are away from holes.
-    Least squares of all marks, as in the paper: marks that do not fit are what shows that a registration is wrong.
+    ``away`` gives the pixels away from holes. All marks count, as in the paper: misfits show a wrong registration.
     """
     grid, sheet_map = Grid.of(linked), sheet["surfaces"][name].values
     variants = [*_variants(sheet, fit), _Variant(f"flattened, {fit.model}", fit.rms_um, None)]

@@ -1,7 +1,6 @@
 """What stands beside the correlation that leads: a table of questions, each answered for two maps on one grid.
 
-A statistic beside r is a module with its result, its computation and its sentence, a field of :class:`EvidenceFacts`
-and a row of ``QUESTIONS``.
+Each is a module with result, computation and sentence, a field of :class:`EvidenceFacts` and a row of ``QUESTIONS``.
 """
 
 from __future__ import annotations
@@ -205,15 +204,11 @@ def correlation_diagnostics(
 
     Parameters
     ----------
-    maps : mapping of str to Dataset (y, x)
-        Layers on the pixels of the reference, by their names.
-    a, b : (str, str)
-        Layer and map.
+    maps : mapping of str to Dataset (y, x); layers on the pixels of the reference, by their names
+    a, b : (str, str); layer and map
     params : CorrelateParams, optional
-    columns : mapping of str to SheetColumns, optional
-        Those of each sheet, for its reliability.
-    md_deg : float, optional
-        Machine direction on the reference.
+    columns : mapping of str to SheetColumns, optional; those of each sheet, for its reliability
+    md_deg : float, optional; machine direction on the reference
 
     Returns
     -------

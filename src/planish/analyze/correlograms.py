@@ -81,8 +81,7 @@ def cross_correlogram(
     ----------
     a, b, mask, pixel_um
         As of :func:`planish.correlate`.
-    reach_um : float
-        Largest lag along either axis; at most half of the field is looked at.
+    reach_um : float; largest lag along either axis; at most half of the field is looked at
 
     Returns
     -------
@@ -167,8 +166,7 @@ def _summit(r: Floats) -> tuple[Pair, float, bool]:
 def _widths(height: Floats, summit: Pair, pixel: Pair) -> tuple[Pair, float]:
     """Full widths at half height along the main axes of what lies above it, and the direction of the longer one.
 
-    The border is looked for along rays; of an ellipse the second moments over the area are a quarter of the squared
-    half axes.
+    The border is looked for along rays; second moments of an ellipse are a quarter of its squared half axes.
     """
     rays = np.arange(_RAYS)
     angles = rays * (2 * math.pi / _RAYS)

@@ -1,8 +1,7 @@
 """Covariances of maps by lag, and how many independent points a correlation of two maps has.
 
-Neighbouring points of a map resemble each other, so a correlation of n points scatters like one of far fewer
-independent ones. How many follows from the covariances of both maps at every lag, which masked Fourier transforms give
-at once.
+Neighbouring points of a map resemble each other, so r of n points scatters like that of far fewer independent ones. How
+many follows from the covariances of both maps at every lag, which masked Fourier transforms give.
 """
 
 from __future__ import annotations
@@ -55,8 +54,7 @@ class Lags:
     def covariance(self, products: Floats, used: Bools) -> Floats:
         """Covariance at the lags that are used, 0 at others.
 
-        Taking off a map's own mean takes the variance of that mean off every covariance; it is put back, with the
-        covariances that are used.
+        Taking off a map's own mean takes that mean's variance off every covariance; those used put it back.
         """
         pairs = np.where(used, self.pairs, 0.0)
         rest = self.n**2 - float(pairs.sum())
@@ -107,16 +105,12 @@ class PairCovariances:
         self._put_back = [float(c[0, 0]) - v for c, v in zip((self.xx, self.yy), self.variances, strict=True)]
 
     def variance_of_r(self, variances: Pair | None = None) -> float:
-        """Variance of r of two maps with these covariances that are unrelated (Dutilleul 1993).
-
-        ``variances`` are those of single points where the maps are means over more than one.
-        """
+        """Variance of r of unrelated maps (Dutilleul 1993); ``variances``: of single points, where maps are means."""
         n, (xx, yy) = self.lags.n, (self.xx, self.yy)
         row_x, row_y = self.lags.sums(xx), self.lags.sums(yy)
         sum_x, sum_y = float(row_x.sum()), float(row_y.sum())
         trace = float(np.sum(self.lags.pairs * xx * yy)) - 2.0 / n * float(np.sum(row_x * row_y)) + sum_x * sum_y / n**2
-        # What is put back into the covariances belongs to the variances, too.
-        product = math.prod(
+        product = math.prod(  # What is put back into the covariances belongs to the variances, too.
             n * v + p * n - s / n
             for v, p, s in zip(variances or self.variances, self._put_back, (sum_x, sum_y), strict=True)
         )

@@ -1,7 +1,6 @@
 """Does brightness bend as a layer grows? A parabola beside the straight line, with the independent points of both.
 
-The curve is not chosen over the line: over the weights of one field, a line carries nearly all of the variance of a
-curve that saturates.
+The curve is not chosen: over the weights of one field, a line carries nearly all the variance of a saturating curve.
 """
 
 from __future__ import annotations
@@ -42,8 +41,7 @@ def independent_points(x: Array, y: Array, *, pixel_um: Pixel, mask: Bools | Non
 
     Parameters
     ----------
-    x, y : ndarray, shape (rows, cols)
-        On one grid; NaN is missing.
+    x, y : ndarray, shape (rows, cols), on one grid; NaN is missing
     mask, pixel_um
         As of :func:`planish.correlate`.
 
@@ -91,12 +89,9 @@ def straight_or_curved(x: ArrayLike, y: ArrayLike, *, n_eff: float, n_eff_square
 
     Parameters
     ----------
-    x : array_like
-        Thickness or weight of points; NaN is missing.
-    y : array_like, shape of x
-        Relative grey or reflectance of the same points.
-    n_eff : float
-        Independent points, of :func:`planish.analyze.independent_points`.
+    x : array_like; thickness or weight of points; NaN is missing
+    y : array_like, shape of x; relative grey or reflectance of the same points
+    n_eff : float; independent points, of :func:`planish.analyze.independent_points`
     n_eff_square : float, optional
         The same of the bend. The square of a map varies faster than the map, so there are more;
         ``n_eff`` without it, which makes the interval of the curvature too wide.

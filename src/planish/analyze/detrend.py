@@ -53,18 +53,14 @@ def shared_trend(x: Floats, y: Floats, is_valid: Bools) -> str:
 class PhaseSurrogate:
     """Maps with the power spectrum of a map, random phases and no trend: of its texture, but unrelated to anything.
 
-    The map (rows, cols) is one without trend; where it is not valid, its mean is taken.
-
-    References
-    ----------
-    Theiler et al. (1992), Physica D 58, 77, doi:10.1016/0167-2789(92)90102-S.
+    The map (rows, cols) is one without trend; where it is not valid, its mean is taken. Theiler et al. (1992), Physica
+    D 58, 77, doi:10.1016/0167-2789(92)90102-S.
     """
 
     def __init__(self, values: Floats, valid: Bools) -> None:
         mean = float(values[valid].mean()) if valid.any() else 0.0
-        # A map that is cut off at its borders is not periodic; without a taper the jump there whitens the spectrum, and
-        # the null becomes too narrow.
-        # A tapered cosine (Tukey) window; scipy.signal has it too but takes half a second to import.
+        # A tapered cosine (Tukey) window, as the jump at the borders would whiten the spectrum, and make the null too
+        # narrow; scipy.signal has it too but takes half a second to import.
         border_depths = (np.minimum(np.arange(n), np.arange(n)[::-1]) * 2 / (0.4 * max(n - 1, 1)) for n in values.shape)
         taper = np.multiply.outer(*(0.5 - 0.5 * np.cos(np.pi * np.minimum(depth, 1.0)) for depth in border_depths))
         self.amplitude = np.abs(np.asarray(fft.rfft2(np.where(valid, values - mean, 0.0) * taper)))
@@ -72,10 +68,7 @@ class PhaseSurrogate:
         self._plane = Plane(valid)
 
     def draw(self, rng: np.random.Generator) -> Floats:
-        """Return the next of them, shape (rows, cols); 0 where the map is not known.
-
-        Its variance is smaller than the map's: what was missing, and the borders, count as 0.
-        """
+        """Return the next (rows, cols), 0 where unknown; its variance is smaller: gaps and borders count as 0."""
         # The spectrum of white noise has the symmetry of a real map's.
         phase = np.asarray(fft.rfft2(rng.standard_normal(self._shape)))
         phase *= self.amplitude / np.maximum(np.abs(phase), 1e-300)
@@ -97,8 +90,7 @@ class Plane:
         self._rows, self._cols = rows - by_row @ rows / n, cols - by_col @ cols / n
         mixed = float(self._rows @ (valid @ self._cols))
         square = np.array([[by_row @ self._rows**2, mixed], [mixed, by_col @ self._cols**2]])
-        # On one line of pixels only the slope along it is known.
-        self._solve = np.linalg.pinv(square)
+        self._solve = np.linalg.pinv(square)  # On one line of pixels only the slope along it is known.
         self._n = n
 
     def taken_off(self, values: Floats) -> Floats:
@@ -118,8 +110,7 @@ def in_band(values: Floats, valid: Bools, pixel_um: Pair, band_um: tuple[float |
     Parameters
     ----------
     values, valid : ndarray, shape (rows, cols)
-    pixel_um : (float, float)
-        Along rows' axis (y) and columns' axis (x).
+    pixel_um : (float, float), along rows' axis (y) and columns' axis (x)
     band_um : (float or None, float or None)
         None leaves that side open. The filters are Gaussian; missing pixels have no weight in them.
     """
@@ -139,10 +130,7 @@ def _low_pass(values: Floats, valid: Bools, pixel_um: Pair, half_um: float) -> F
 
 
 def correlation_length_um(values: Floats, valid: Bools, pixel_um: Pair) -> float:
-    """Distance at which the autocorrelation of a map, averaged over directions, falls below 1/e.
-
-    Infinite where it stays above 1/e up to a quarter of the map.
-    """
+    """Distance where a map's autocorrelation, averaged over directions, is below 1/e; inf beyond a quarter of it."""
     reach = (max(values.shape[0] // 4, 1), max(values.shape[1] // 4, 1))
     r = MaskedNcc(values, a_valid=valid, b_valid=valid, reach=reach)(values)
     y, x = (np.arange(-n, n + 1) * p for n, p in zip(reach, pixel_um, strict=True))

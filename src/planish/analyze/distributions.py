@@ -1,7 +1,4 @@
-"""Quantiles and tails of distributions, and ranks.
-
-The same values as those of ``scipy.stats``, whose import alone takes as long as all correlations of a small run.
-"""
+"""Quantiles, tails and ranks as ``scipy.stats`` has them, whose import takes as long as all r of a small run."""
 
 import math
 

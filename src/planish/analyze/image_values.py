@@ -1,7 +1,4 @@
-"""The values of an image as they are compared: grey as reflectance, and without a print's halftone screen.
-
-What is left of a print without its screen is its unevenness and not its dots.
-"""
+"""The values of an image as they are compared: grey as reflectance, and without a print's halftone screen."""
 
 from __future__ import annotations
 
@@ -70,8 +67,7 @@ def compared_image(image: xr.DataArray, params: ImageParams, *, mask: Bools | No
 
     Parameters
     ----------
-    image : DataArray (y, x)
-        Of :func:`planish.read_image`.
+    image : DataArray (y, x), of :func:`planish.read_image`
     params : ImageParams
     mask : ndarray of bool, optional
         Pixels that may count for their neighbours when the screen is taken off; the others become NaN.
@@ -79,8 +75,7 @@ def compared_image(image: xr.DataArray, params: ImageParams, *, mask: Bools | No
     Returns
     -------
     DataArray (y, x)
-        The image itself where there is nothing to do. Its attribute ``reach_um`` says how far a pixel reached for its
-        neighbours.
+        The image itself where there is nothing to do. Attribute ``reach_um``: how far a pixel reached for neighbours.
 
     Raises
     ------
@@ -117,14 +112,10 @@ def without_screen(
 
     Parameters
     ----------
-    image : array_like, shape (rows, cols)
-        Reflectance or grey; NaN is missing.
-    pixel_um : float or (float, float)
-        Along y and x.
-    sigma_um : float
-        Standard deviation of the Gaussian, which is cut at 3 of them.
-    mask : ndarray of bool, shape (rows, cols), optional
-        Pixels that count.
+    image : array_like, shape (rows, cols); reflectance or grey; NaN is missing
+    pixel_um : float or (float, float), along y and x
+    sigma_um : float; standard deviation of the Gaussian, which is cut at 3 of them
+    mask : ndarray of bool, shape (rows, cols), optional; pixels that count
 
     Returns
     -------

@@ -48,10 +48,8 @@ def reflectance(weight: ArrayLike, *, scattering: ArrayLike, absorption: ArrayLi
     ----------
     weight : array_like
         kg/m2, with coefficients in m2/kg; or thickness in um, with coefficients per um. NaN is missing.
-    scattering, absorption : array_like
-        Kubelka and Munk's s and k; 0 is allowed for either.
-    backing : array_like
-        Reflectance of what lies below, 0 to 1.
+    scattering, absorption : array_like; Kubelka and Munk's s and k; 0 is allowed for either
+    backing : array_like; reflectance of what lies below, 0 to 1
 
     Returns
     -------
@@ -166,19 +164,16 @@ def fit_kubelka_munk(
 
     Parameters
     ----------
-    x : array_like
-        Thickness or weight of points, not negative; NaN is missing.
+    x : array_like; thickness or weight of points, not negative; NaN is missing
     y : array_like, shape of x
         Relative reflectance of the same points, 0 to 1: grey less the dark level, over that of a white reference.
-    n_eff : float
-        Independent points, as for :func:`straight_or_curved`.
+    n_eff : float; independent points, as for :func:`straight_or_curved`
     n_eff_level : float, optional
         Independent points of the mean of y, of :func:`planish.analyze.independent_points`; ``n_eff`` without it, which
         makes the intervals too narrow where the rest of the brightness has long waves.
     absorption_over_scattering : float
         K / S of the layer, which one field cannot tell from S; some 0.002 for a white coating.
-    weight : bool
-        Whether x is in g/m2: S is in m2/kg then, and per unit of x otherwise.
+    weight : bool; whether x is in g/m2: S is in m2/kg then, and per unit of x otherwise
 
     Returns
     -------
@@ -306,10 +301,7 @@ def _solved(residuals: Callable[[Floats], Floats], start: tuple[float, ...], fre
 
 
 def _crossing(excess: Callable[[float], float], inside: float, end: float, fallback: float) -> float:
-    """Where a function turns positive between ``inside`` and ``end``; ``fallback`` where it does not.
-
-    The steps from ``inside`` double, so that a far end costs little and the crossing nearest to it is found.
-    """
+    """Where ``excess`` turns positive from ``inside`` to ``end``, in doubling steps: the nearest; else ``fallback``."""
     near, step = inside, 0.05 * max(abs(inside), 0.1)
     while near != end:
         far = min(near + step, end) if end > inside else max(near - step, end)
@@ -320,10 +312,7 @@ def _crossing(excess: Callable[[float], float], inside: float, end: float, fallb
 
 
 def density_of(measured: xr.Dataset, name: str) -> float | None:
-    """Density in g/cm3 that turns a coating into its weight: as named, or as weighed; None where the run has neither.
-
-    1 um of 1 g/cm3 is 1 g/m2, so it is the ratio of two maps of the sheet.
-    """
+    """Density (g/cm3) of a coating: as named, or as weighed, weight (g/m2) over thickness (um); None without either."""
     other = name.replace("coating_", "coat_weight_")
     if other == name or other not in measured or name not in measured:
         return None
@@ -340,10 +329,7 @@ def density_of(measured: xr.Dataset, name: str) -> float | None:
 def kubelka_munk_of(
     points: tuple[Floats, Floats], *, point_um: float, ratio: float, density: float | None
 ) -> KubelkaMunk:
-    """Fit the curve to reflectance over a coating at the larger points, or say why there is none.
-
-    ``density`` (g/cm3) turns the coating from um into g/m2, 1 where it is a weight already; None for lengths.
-    """
+    """Fit reflectance at larger points, or say why not; ``density``: um to g/m2, 1 for weights, None for lengths."""
     is_weight, x, y = density is not None, points[0] * (density or 1.0), points[1]
     try:
         count = independent_points(x, y, pixel_um=point_um)

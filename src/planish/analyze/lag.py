@@ -72,8 +72,7 @@ class Lag:
     """Where the last map's texture lies, relative to that of the first ones.
 
     Its numbers are those of :class:`LagNumbers`. ``r`` is a multiple correlation, with the sign of that of the very
-    first map; ``lag_um`` and ``covariance_um2`` (2, 2) are NaN unless distinct; ``field`` holds the lags of tiles, if
-    asked for.
+    first map; ``lag_um`` and ``covariance_um2`` (2, 2) are NaN unless distinct; ``field``: lags of tiles, if asked for.
     """
 
     reach_um: float
@@ -115,8 +114,7 @@ class Lag:
 
         Parameters
         ----------
-        expected_error_um : float, in um
-            Rms distance between the fitted and the true place (rms over the map).
+        expected_error_um : float, in um; rms distance between the fitted and the true place (rms over the map)
 
         Notes
         -----
@@ -191,16 +189,13 @@ def texture_lag(
 
     Parameters
     ----------
-    texture : Textures
-        Of :func:`textures`.
+    texture : Textures, of :func:`textures`
     first : sequence of str
         Maps that the last one may follow, with either sign and together: a coating and, for light from one side, the
         slopes of the surface. The last ``slopes`` of them are such slopes.
     last : str
-    reach_um : float, in um
-        Largest lag searched, in every direction; at most a quarter of the map.
-    tiles_um : float or None, in um
-        Side of square tiles, half overlapping, whose lags are found one by one.
+    reach_um : float, in um; largest lag searched, in every direction; at most a quarter of the map
+    tiles_um : float or None, in um; side of square tiles, half overlapping, whose lags are found one by one
 
     Returns
     -------

@@ -60,9 +60,8 @@ def lag_field(
 ) -> LagField:  # fmt: skip
     """Find the lag of every tile of a within b, by positive correlation; tiles overlap by half, or not at all.
 
-    The maps are without trend, and 0 where they are not valid. The peaks of the unrelated maps, of the texture of b, in
-    all tiles together are the null, each put to the tile's size. Tiles that are no larger than twice the reach, or
-    larger than the map, are refused.
+    The maps are without trend, 0 where not valid. The null are the peaks of the unrelated maps, of b's texture, in all
+    tiles, each put to the tile's size. Tiles no larger than twice the reach, or larger than the map, are refused.
     """
     side_px = [round(tile_um / p) for p in pixel_um]
     allowed, wide = within(reach), (reach[0] + MARGIN, reach[1] + MARGIN)

@@ -46,16 +46,14 @@ class LagSearch:
 
     def limit(self, reach: tuple[int, int]) -> float:
         """Height that unrelated textures exceed within reach in 1 of 1000 cases."""
-        # Independent combinations of the maps, each of spread 1.
-        values, vectors = np.linalg.eigh(self._inner)
+        values, vectors = np.linalg.eigh(self._inner)  # Independent combinations of the maps, each of spread 1.
         use = values > 1e-6 * values[-1]
         across = (vectors[:, use] / np.sqrt(values[use])).T
         n = float(np.count_nonzero(self._is_valid))
         power_y = np.abs(self._y_hat) ** 2
         power_y[:, 1:] *= 2.0
         powers = [np.abs(np.tensordot(weights, self._x_hat, 1)) ** 2 * power_y for weights in across]
-        # As in `relate`.
-        variance = max(float(np.sum(m)) for m in powers) / (self._size[0] * self._size[1] * n**3)
+        variance = max(float(np.sum(m)) for m in powers) / (self._size[0] * self._size[1] * n**3)  # As in `relate`.
         fy = 2 * np.pi * fft.fftfreq(self._size[0])[:, None]
         fx = 2 * np.pi * fft.rfftfreq(self._size[1])[None, :]
         power = np.sum(powers, axis=0)

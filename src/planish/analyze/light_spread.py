@@ -40,15 +40,12 @@ def spread_light(values: Array, *, pixel_um: Pixel, width_um: float, mask: Bools
 
     Parameters
     ----------
-    values : ndarray, shape (rows, cols)
-        Such as the thickness of a coating; NaN is missing.
-    pixel_um : float or (float, float)
-        Along y and x.
+    values : ndarray, shape (rows, cols), such as the thickness of a coating; NaN is missing
+    pixel_um : float or (float, float), along y and x
     width_um : float
         Length over which the point spread function falls to 1/e. It has to be known from elsewhere: widths of 150 to
         350 um are stated for papers, and a single number does not describe a paper well.
-    mask : ndarray of bool, shape (rows, cols), optional
-        Pixels that count.
+    mask : ndarray of bool, shape (rows, cols), optional; pixels that count
 
     Returns
     -------

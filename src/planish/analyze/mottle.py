@@ -1,7 +1,6 @@
 """Print mottle by the size of its clouds: how much the reflectance varies, octave by octave of wavelength.
 
-Made after the idea of ISO/IEC 24790 and ISO 15311, which state unevenness apart for ranges of wavelength. It is not
-their method, and conforms to neither.
+Made after the idea of ISO/IEC 24790 and ISO 15311, unevenness by ranges of wavelength, but conforms to neither.
 """
 
 from __future__ import annotations
@@ -52,18 +51,14 @@ def print_mottle(
 
     Parameters
     ----------
-    reflectance : array_like, shape (rows, cols)
-        Of a print that should be even, above the dark level; NaN is missing.
-    pixel_um : float or (float, float)
-        Along y and x.
+    reflectance : array_like, shape (rows, cols), of a print that should be even, above the dark level; NaN is missing
+    pixel_um : float or (float, float), along y and x
     shortest_um : float
         Where the first octave begins; not below 4 pixels. A halftone screen lies below 250 um.
     longest_um : float, optional
         No octave goes beyond it. By default, and at most, a fifth of the shorter side of the image.
-    mask : ndarray of bool, shape (rows, cols), optional
-        Pixels that count.
-    quantity : str
-        What the values are, for the sentence of what was measured.
+    mask : ndarray of bool, shape (rows, cols), optional; pixels that count
+    quantity : str; what the values are, for the sentence of what was measured
 
     Returns
     -------

@@ -11,8 +11,7 @@ from scipy.interpolate import RectBivariateSpline
 from planish.analyze.texture import standard
 from planish.core.typing import Bools, Complexes, Floats
 
-# At a lag where less than this share of the pairs is left, or of the variance, r is meaningless.
-LEAST_PAIRS = 0.2
+LEAST_PAIRS = 0.2  # At a lag where less than this share of the pairs is left, or of the variance, r is meaningless.
 MARGIN = 4  # pixels of r that have to be known around the lags that are searched
 
 
@@ -20,10 +19,8 @@ class MaskedNcc:
     """Normalised cross-correlation with a map that stays, for many maps that come.
 
     At the lag ``l``, r is that of the pairs ``a[p], b[p + l]`` where both are known: sums, squares and products over
-    these pairs are correlations of maps and masks (Padfield 2012), so mean and variance are those of the overlap. The
-    maps are padded by ``reach``: nothing wraps around.
-
-    Padfield (2012), IEEE Trans. Image Process. 21, 2706, doi:10.1109/TIP.2011.2181402.
+    these pairs are correlations of maps and masks, so mean and variance are of the overlap (Padfield 2012, IEEE Trans.
+    Image Process. 21, 2706, doi:10.1109/TIP.2011.2181402). The maps are padded by ``reach``: no wrap.
     """
 
     def __init__(self, a: Floats, *, a_valid: Bools, b_valid: Bools, reach: tuple[int, int]) -> None:
@@ -129,14 +126,12 @@ def rival_of(share: Floats, peak: Peak, allowed: Bools) -> float:
 def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Bools) -> Floats:
     """Covariance of the peak's place, (2, 2) in pixels squared, from the textures of what the maps do not share.
 
-    At the peak the slope of r is the mean of ``u v`` over the pairs, with ``u = a - r b`` and ``v`` the gradient of
-    ``b`` (both maps standardised). For stationary Gaussian maps ``var(sum u v) = sum over h of R_u R_v / n +
-    R_uv(h) R_uv(-h) / n`` with the sums of products R at the lag h and the number n of their pairs. The peak moves by
-    the slope over the curvature of r.
+    At the peak the slope of r is the mean of ``u v`` over the pairs, ``u = a - r b``, ``v`` the gradient of ``b`` (maps
+    standardised). For stationary Gaussian maps ``var(sum u v) = sum over h of R_u R_v / n + R_uv(h) R_uv(-h) / n``, R
+    the sums of products at the lag h, n their pairs. The peak moves by the slope over the curvature of r.
     """
     a_slices, b_slices = overlap(a.shape, peak.lag_px)
-    # A cubic spline between the pixels, as in `find_peak`: its slope in a pixel is half the difference of neighbouring
-    # coefficients.
+    # A cubic spline, as in `find_peak`: its slope in a pixel is half the difference of neighbouring coefficients.
     spline = np.where(b_valid, b - float(b[b_valid].mean()), 0.0)
     spline = np.pad(np.asarray(ndimage.spline_filter(spline, order=3), dtype=np.float64), 1, mode="edge")
     differences = spline[2:, 1:-1] - spline[:-2, 1:-1], spline[1:-1, 2:] - spline[1:-1, :-2]

@@ -49,12 +49,10 @@ def coherence(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel,
 
     Parameters
     ----------
-    a, b : ndarray, shape (rows, cols)
-        On one grid; NaN is missing and counts as the mean.
+    a, b : ndarray, shape (rows, cols), on one grid; NaN is missing and counts as the mean
     mask, pixel_um
         As of :func:`planish.correlate`.
-    bands : int
-        Most bands: octaves from a quarter of the shorter side down, as far as pixels reach.
+    bands : int; most bands: octaves from a quarter of the shorter side down, as far as pixels reach
 
     Returns
     -------

@@ -73,10 +73,7 @@ def _excess(between: float, y: Floats, v: Floats) -> Pair:
 
 
 def _between(y: Floats, v: Floats) -> float:
-    """The variance at which the weighted sum of squares is its expectation, by Newton's steps from 0.
-
-    The sum falls and is convex, so that the steps never pass the solution but by rounding.
-    """
+    """Variance where the weighted sum of squares, falling and convex, is its expectation: Newton's steps from 0."""
     between = 0.0
     for _ in range(200):
         total, slope = _excess(between, y, v)
@@ -92,8 +89,7 @@ def pooled_r(r: Fields, n_eff: Sequence[float]) -> SheetMean:
 
     Parameters
     ----------
-    r : Fields
-        Correlation of every field, all over points of one size; NaN is missing.
+    r : Fields; correlation of every field, all over points of one size; NaN is missing
     n_eff : sequence of float
         ``n_eff_interval`` of every :class:`planish.analyze.Correlation`. A field where it is NaN or at most 4 does not
         count, nor does one whose r is 1 or -1, as of a map with itself.
@@ -130,13 +126,11 @@ def difference_of_pooled_r(first: Fields, second: Fields, *, paired: bool, squar
 
     Parameters
     ----------
-    first, second : Fields
-        Correlations of fields, all over points of one size; NaN is missing.
+    first, second : Fields; correlations of fields, all over points of one size; NaN is missing
     paired : bool
         Whether both are of the same sheets (:func:`planish.analyze.paired_over_sheets`), else
         :func:`planish.analyze.two_groups`.
-    squared : bool
-        Compare r².
+    squared : bool; compare r²
 
     Returns
     -------

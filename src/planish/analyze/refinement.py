@@ -99,14 +99,10 @@ def cross_fitted(
     ----------
     a, b : ndarray, shape (rows, cols)
         Map a, and map b as the marks alone place it. NaN is missing.
-    tune : callable
-        ``tune(a, look)`` returns map b placed as it fits a best at the pixels ``look``.
-    valid : ndarray of bool, shape (rows, cols), or None
-        Pixels that may be looked at.
-    pixel_um : (float, float)
-        Along y and x.
-    tile_um : float or None
-        Side of the tiles; None takes 6 guards, or 4 where that gives too few tiles.
+    tune : callable; ``tune(a, look)`` returns map b placed as it fits a best at the pixels ``look``
+    valid : ndarray of bool, shape (rows, cols), or None; pixels that may be looked at
+    pixel_um : (float, float), along y and x
+    tile_um : float or None; side of the tiles; None takes 6 guards, or 4 where that gives too few tiles
     guard_um : float or None
         What is reported keeps this distance from what was tuned on; None takes 2 correlation lengths.
 
@@ -184,13 +180,10 @@ def searched_null(a: Floats, tune: Tune, *, valid: Bools | None = None, surrogat
 
     Parameters
     ----------
-    a : ndarray, shape (rows, cols)
-        NaN is missing.
-    tune : callable
-        ``tune(a, look)`` returns map b placed as it fits a best at the pixels ``look``.
+    a : ndarray, shape (rows, cols); NaN is missing
+    tune : callable; ``tune(a, look)`` returns map b placed as it fits a best at the pixels ``look``
     valid : ndarray of bool, shape (rows, cols), or None
-    surrogates : int
-        Unrelated maps; 19 or more.
+    surrogates : int; unrelated maps; 19 or more
 
     Returns
     -------
@@ -293,9 +286,8 @@ def refine_link(
 def held_out_r(a: Floats, b: Floats, face: Floats | None, valid: Bools, pixel_um: Pair) -> RefinementR:
     """Correlate a map with an image (rows, cols) where a place found by their texture was not tuned on them.
 
-    A similarity is tuned on every other tile and r read off the rest; where the map is too small for such tiles, r
-    stands beside what the same tuning reaches on unrelated maps. The slopes of ``face``, heights, take up light from
-    one side.
+    A similarity is tuned on every other tile and r read off the rest; where the map is too small for that, r stands
+    beside what the same tuning reaches on unrelated maps. The slopes of ``face``, heights, take up one-sided light.
     """
     a, b = (_detail(values, valid, pixel_um) for values in (a, b))
     is_known = valid & np.isfinite(b)
@@ -316,10 +308,14 @@ def held_out_r(a: Floats, b: Floats, face: Floats | None, valid: Bools, pixel_um
         is_seen = ndimage.map_coordinates(b_known, at, order=1) >= 0.99
         return np.where(is_seen, ndimage.map_coordinates(spline, at, order=3, prefilter=False), np.nan)
 
+    waves_text = f"ithout waves above {_COARSEST_UM / 1000:g} mm, "
     try:
-        return cross_fitted(a, b, tune, valid=valid, pixel_um=pixel_um)
+        found = cross_fitted(a, b, tune, valid=valid, pixel_um=pixel_um)
+        text = f"Over tiles that had no part in the place, w{waves_text}{found.sentence.split(';')[0]}."
     except CannotMeasure:
-        return searched_null(a, tune, valid=valid, surrogates=19)
+        found = searched_null(a, tune, valid=valid, surrogates=19)
+        text = f"W{waves_text}{found.sentence.rsplit(';', 1)[0]}."
+    return found.model_copy(update={"sentence": text})
 
 
 def _detail(values: Floats, valid: Bools, pixel_um: Pair) -> Floats:

@@ -75,8 +75,7 @@ def of_short_waves(
 ) -> tuple[Correlation, float]:  # fmt: skip
     """Correlate what waves below a fifth of the field leave of two maps; return it with that wavelength.
 
-    A field holds few long waves, which make the interval wide. This row answers another question: it says nothing of
-    waves above that length.
+    A field holds few long waves, which make the interval wide. This row says nothing of waves above that length.
 
     Raises
     ------
@@ -162,8 +161,7 @@ def commonality(b: Array, parts: Mapping[str, Array], *, mask: Bools | None = No
     Parameters
     ----------
     b : ndarray, shape (rows, cols)
-    parts : mapping of name to ndarray, shape (rows, cols)
-        Two to four maps; never parts together with their sum.
+    parts : mapping of name to ndarray, shape (rows, cols); two to four maps; never parts together with their sum
     mask : ndarray of bool, shape (rows, cols), optional
 
     Returns
@@ -199,8 +197,7 @@ def commonality(b: Array, parts: Mapping[str, Array], *, mask: Bools | None = No
     shares: dict[str, float] = {}
     for chosen in subsets:
         other_names = frozenset(names) - frozenset(chosen)
-        # What is gained by these maps over the others, counted in and out.
-        shares[" and ".join(chosen)] = -sum(
+        shares[" and ".join(chosen)] = -sum(  # What is gained by these maps over the others, counted in and out.
             (-1) ** k * explained[other_names | frozenset(subset)]
             for k in range(len(chosen) + 1) for subset in combinations(chosen, k)
         )  # fmt: skip

@@ -1,7 +1,6 @@
 """An interval of r that asks nothing of the maps' covariances: a second opinion beside that of a correlation.
 
-It holds where the maps do not vary alike everywhere, and is too narrow where they reach far: both are shown, and the
-first one is used.
+It holds where the maps do not vary alike everywhere, and is too narrow where they reach far: the first one is used.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Fields nested in sheets: what holds for the paper, where sheets, not fields, are the sample.
 
-Fields of one sheet resemble each other, so twelve fields of four sheets say what four sheets say. Everything here is
-over means of sheets.
+Fields of one sheet resemble each other: twelve of four sheets say what four sheets say. All is over means of sheets.
 """
 
 from __future__ import annotations
@@ -33,8 +32,7 @@ class Fields:
 
     Parameters
     ----------
-    values : sequence of float
-        One of each field; NaN is missing.
+    values : sequence of float; one of each field; NaN is missing
     sheets : sequence of str
         The sheet of each field. Sheets of two papers need no names of their own.
     names : sequence of str, optional

@@ -51,14 +51,10 @@ def image_of_sheet(texture: Textures, *, coated: Iterable[Side], side: Side, is_
 
     Parameters
     ----------
-    texture : Textures
-        The sheet's maps by their names, and ``image``.
-    coated : iterable of {"top", "bottom"}
-        Sides on which a coating is seen.
-    side : {"top", "bottom"}
-        Side that the image shows as given or, where ``is_given`` is False, as assumed.
-    image : str
-        What the sentence calls the image.
+    texture : Textures; the sheet's maps by their names, and ``image``
+    coated : iterable of {"top", "bottom"}; sides on which a coating is seen
+    side : {"top", "bottom"}; side that the image shows as given or, where ``is_given`` is False, as assumed
+    image : str; what the sentence calls the image
 
     Notes
     -----

@@ -164,10 +164,9 @@ def half_points(
 ) -> tuple[Floats, Floats, bool]:
     """Means of a map over the points of a reference, of the odd and of the even rows of its columns.
 
-    ``is_valid`` (rows, cols) are the cells of the reference that count, of the size ``cell_um`` along y and x;
-    ``origin_um`` is the outer corner of the first one (x, y), where the points begin. Means are NaN where less than
-    half of a point counts, or the halves have no column in it. Also says whether no column's value holds anything of
-    its neighbours.
+    ``is_valid`` (rows, cols) are the cells of the reference that count, ``cell_um`` (y, x) large; ``origin_um`` is the
+    outer corner of the first one (x, y), where the points begin. Means are NaN where less than half of a point counts,
+    or the halves have no column in it. Also says whether no column's value holds anything of its neighbours.
     """
     enough = np.isfinite(area_mean(np.where(is_valid, 1.0, np.nan), (point_um / cell_um[0], point_um / cell_um[1])))
     turn, shift_um = columns.similarity.matrix(), columns.similarity.shift_um

@@ -40,19 +40,14 @@ def power_of_study(
 
     Parameters
     ----------
-    r2 : (float, float)
-        The two, from 0 to below 1, of positive r.
-    sheets, fields : int
-        Sheets (of each paper where two are compared), at least 3, and fields of each sheet.
-    n_eff : float
-        Independent points of a field: of a field measured before, or :func:`planish.analyze.expected_n_eff`.
+    r2 : (float, float); the two, from 0 to below 1, of positive r
+    sheets, fields : int; sheets (of each paper where two are compared), at least 3, and fields of each sheet
+    n_eff : float; independent points of a field: of a field measured before, or :func:`planish.analyze.expected_n_eff`
     between_sheets : float
         Standard deviation of Fisher's z between sheets, from earlier ones: ``sd_between`` of
         :func:`planish.analyze.random_effects`.
-    paired : bool
-        Whether the same sheets are measured before and after.
-    change_between_sheets : float
-        Where paired: standard deviation, between sheets, of what the treatment changes z by.
+    paired : bool; whether the same sheets are measured before and after
+    change_between_sheets : float; where paired: standard deviation, between sheets, of what the treatment changes z by
     shared : float
         Where paired: how far the scatter of z of a field before and after is the same, from 0 (other fields) to 1.
 
@@ -111,8 +106,7 @@ def sheets_needed(
     ----------
     r2, fields, n_eff, between_sheets, paired, change_between_sheets, shared
         As of :func:`planish.analyze.power_of_study`.
-    power : float
-        How often the study is to see the difference, between 0.05 and 1.
+    power : float; how often the study is to see the difference, between 0.05 and 1
 
     Returns
     -------
@@ -147,12 +141,9 @@ def expected_n_eff(field_um: Pair, *, length_um: Pixel, point_um: float) -> floa
 
     Parameters
     ----------
-    field_um : (float, float)
-        Height and width.
-    length_um : float or (float, float)
-        Over which the correlation of both maps, or of a and of b, falls to 1/e.
-    point_um : float
-        Edge of the points that are compared.
+    field_um : (float, float); height and width
+    length_um : float or (float, float), over which the correlation of both maps, or of a and of b, falls to 1/e
+    point_um : float; edge of the points that are compared
 
     Returns
     -------

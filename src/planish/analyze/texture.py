@@ -60,8 +60,7 @@ class Textures:
 class Relation:
     """Correlation of two textures, and the standard deviation that it has where they are unrelated.
 
-    ``part`` is the share of the second texture's spread that the first one explains, with the standard error that what
-    it does not explain leaves.
+    ``part``: share of the second texture's spread that the first explains, with the standard error of what it leaves.
     """
 
     r: float
@@ -87,16 +86,11 @@ def textures(
     Parameters
     ----------
     maps : mapping of ndarray or DataArray, shape (rows, cols)
-        NaN is missing; they are read band by band. Maps that are known in much less of the field than the others are
-        left out.
-    valid : ndarray of bool, shape (rows, cols)
-        Pixels that may be looked at.
-    pixel_um : (float, float)
-        Along y and x.
-    band_um : (float, float), optional
-        Shortest and longest wave.
-    most_pixels : float, optional
-        Maps of more pixels are averaged to larger ones first.
+        NaN is missing; read band by band. Maps known in much less of the field than the others are left out.
+    valid : ndarray of bool, shape (rows, cols); pixels that may be looked at
+    pixel_um : (float, float), along y and x
+    band_um : (float, float), optional; shortest and longest wave
+    most_pixels : float, optional; maps of more pixels are averaged to larger ones first
 
     Returns
     -------
@@ -141,16 +135,14 @@ def textures(
 def relate(a: Floats, b: Floats, is_valid: Bools, pixel_um: Pair, *, of: Floats | None = None) -> Relation:
     """Correlate two textures (rows, cols) and state how far r scatters about 0 where they are unrelated.
 
-    ``of`` is the texture whose spread ``part`` is a share of, where that is not b.
+    ``of`` is the texture whose spread ``part`` is a share of, where that is not b. The standard deviation is the larger
+    of two. Textures that are alike everywhere: ``var(r) = sum over h of R_a(h) R_b(h) / n³`` with the sums of products
+    R at the lag h, which is the variance over all surrogates of random phases (Theiler et al. 1992), put right for the
+    mask (Clifford et al. 1989). Others: from the scatter of what tiles of 250 um add to r, so that one stain in both
+    maps is one event (Conley 1999).
 
-    The standard deviation is the larger of two. Textures that are alike everywhere: ``var(r) = sum over h of R_a(h)
-    R_b(h) / n³`` with the sums of products R at the lag h, which is the variance over all surrogates of random phases
-    (Theiler et al. 1992), put right for the mask (Clifford et al. 1989). Others: from the scatter of what tiles of
-    250 um add to r, so that one stain in both maps is one event (Conley 1999).
-
-    Theiler et al. (1992), Physica D 58, 77, doi:10.1016/0167-2789(92)90102-S.
-    Clifford, Richardson and Hémon (1989), Biometrics 45, 123, doi:10.2307/2532039.
-    Conley (1999), J. Econometrics 92, 1, doi:10.1016/S0304-4076(98)00084-0.
+    Theiler et al. (1992), Physica D 58, 77, doi:10.1016/0167-2789(92)90102-S. Clifford, Richardson and Hémon (1989),
+    Biometrics 45, 123, doi:10.2307/2532039. Conley (1999), J. Econometrics 92, 1, doi:10.1016/S0304-4076(98)00084-0.
     """
     n = int(np.count_nonzero(is_valid))
     if n == 0:
@@ -196,10 +188,7 @@ def low_pass(values: Floats, half_um: float, pixel_um: Pair) -> Floats:
 
 
 def tile_sums(values: Floats, pixel_um: Pair, tile_um: float = 250.0) -> Floats:
-    """Sums over square tiles of a map (..., rows, cols); the last ones may be incomplete.
-
-    Waves of the band say nothing of each other over 250 um.
-    """
+    """Sums over square tiles of a map (..., rows, cols), the last may be cut; waves 250 um apart are unrelated."""
     for axis, pixel in ((-2, pixel_um[0]), (-1, pixel_um[1])):
         side = max(round(tile_um / pixel), 1)
         values = np.add.reduceat(values, np.arange(0, values.shape[axis], side), axis=axis)
@@ -214,8 +203,7 @@ class _Band:
         # The neighbourhood of 1 mm in which all maps are given the same spread.
         self._local = [max(round(500.0 / p), 1) for p in pixel_um]
         self._shown, self._fine = shown, low_pass(shown.astype(np.float64), band_um[0], pixel_um)
-        # Single missing pixels are bridged.
-        self.is_valid: Bools = self._fine >= 0.5
+        self.is_valid: Bools = self._fine >= 0.5  # Single missing pixels are bridged.
         weight = self.is_valid.astype(np.float64)
         self._weights = [
             np.maximum(m, 1e-9) for m in (low_pass(weight, band_um[1], pixel_um), self._neighbourhood(weight))
@@ -232,8 +220,7 @@ class _Band:
         slow = low_pass(out, self._band_um[1], self._pixel_um) / self._weights[0]
         out = standard(np.where(is_valid, out - slow, 0.0), is_valid)
         spread = np.sqrt(np.maximum(self._neighbourhood(out * out) / self._weights[1], 0.3**2))
-        # A stain is one event, however dark it is.
-        out = np.where(is_valid, np.clip(out / spread, -3.0, 3.0), 0.0)
+        out = np.where(is_valid, np.clip(out / spread, -3.0, 3.0), 0.0)  # A stain is one event, however dark it is.
         # What holes by one laser program do to their surroundings is no sign of one specimen.
         ring_mean = np.bincount(self._ring[is_valid], weights=out[is_valid]) / self._in_ring
         return standard(np.where(is_valid, out - ring_mean[self._ring], 0.0), is_valid)

@@ -30,9 +30,7 @@ def tuned_place(
 ) -> Similarity:  # fmt: skip
     """Climb from a place to where a map, with those ``beside`` it, explains most of the image.
 
-    What an image shows of other maps, and of the slopes of the face in light from one side, moves the best place of one
-    map by itself.
-
+    What an image shows of other maps, and of the face's slopes in light from one side, moves one map's best place.
     ``reach_um`` is about how far off the corners of the map are at the start.
     """
     rows, cols = np.nonzero(moving.known)
@@ -83,8 +81,7 @@ def leading_maps(moving: Textures, fixed: Textures, place: Similarity) -> Names:
 class TilePlaces(NamedTuple):
     """Places (n, 2), ``(x, y)`` in um, of tiles in both layers.
 
-    Of those in the fixed one, covariances (n, 2, 2) by the tiles' own texture, and the covariance (2, 2) of what light
-    from one side does to all of them.
+    In the fixed one: covariances (n, 2, 2) by the tiles' texture, and that (2, 2) of what one-sided light does to all.
     """
 
     moving_um: Floats
@@ -101,9 +98,8 @@ def tile_places(
 ) -> TilePlaces:  # fmt: skip
     """Find where tiles of a map lie in the image, near the place of the whole.
 
-    Tiles share no pixel. Their side follows from how far the whole stands out from chance: each has to by itself.
-    What the maps ``beside`` it and the slopes of the face, ``light``, explain of the image is taken with the map, so
-    that light from one side moves no tile.
+    Tiles share no pixel. Their side follows from how far the whole stands out from chance: each has to by itself. What
+    the maps ``beside`` it and ``light``, the slopes of the face, explain is taken with it: light moves no tile.
     """
     rows, cols = np.indices(moving.known.shape)
     pixel_um = moving.pixel_um
@@ -138,9 +134,8 @@ def tile_places(
 def _shared(shown: Floats, seen: Floats, is_valid: Bools, pixel_um: Pair, *, slopes: int) -> Floats:
     """Covariance (2, 2) of a shift of all tiles, ``(x, y)`` in um, by what light from one side leaves.
 
-    ``shown`` are maps, the last ones ``slopes`` of the face. A shift looks like such light, so that the regression
-    leaves some of it undecided; and what the slopes take off is known to a fifth, since no light is quite what they
-    are.
+    ``shown`` are maps, the last ones ``slopes`` of the face. A shift looks like such light, so the regression leaves
+    some of it undecided; and what the slopes take off is known to a fifth, as no light is quite what they are.
     """
     reach = (3, 3)
 

@@ -44,10 +44,7 @@ Names = tuple[str, str]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Near:
-    """About where a point of the moving layer lies in the fixed one, ``(x, y)`` in um; the middle where none is given.
-
-    A hole that both show is such a point.
-    """
+    """About where a point of the moving layer, as a hole, lies in the fixed one, (x, y) in um; else its middle."""
 
     fixed_um: Pair
     radius_um: float
@@ -108,31 +105,15 @@ def search_place(
 ) -> PlaceSearch:  # fmt: skip
     """Search all places of a sheet in an image.
 
-    Parameters
-    ----------
-    moving : Textures
-        Maps of the sheet that may show in the image.
-    fixed : Textures
-        ``image``, with pixels that are not larger than those of the sheet by much; or the maps of another sheet.
-    mirrored : bool, optional
-        Whether the layers see each other mirrored; both are tried where not given.
-    scale_tolerance : float
-        Largest deviation of the scale from 1.
-    near : sequence of Near
-        Search about these places alone, each by itself.
+    ``moving``: maps of the sheet that may show in it; ``fixed``: ``image``, with pixels that are not larger than those
+    of the sheet by much, or the maps of another sheet. ``mirrored``: whether the layers see each other mirrored; both
+    are tried where None. ``scale_tolerance``: largest deviation of the scale from 1. ``near``: search about these
+    places alone, each by itself.
 
-    Returns
-    -------
-    PlaceSearch
-
-    Notes
-    -----
     A search in steps twice as wide finds most places in a quarter of the time; it comes first, and the probability
-    counts both.
-
-    Of textures that are unrelated, the correlation at all shifts is a smooth Gaussian field, whose maximum exceeds z
-    with a probability near ``A z exp(-z**2 / 2)`` (Adler and Taylor 2007, chapter 14). A, and a factor to z for fields
-    that are not quite Gaussian, are those that make the best of the other rotations most likely.
+    counts both. Of textures that are unrelated, the correlation at all shifts is a smooth Gaussian field, whose maximum
+    exceeds z with a probability near ``A z exp(-z**2 / 2)`` (Adler and Taylor 2007, chapter 14). A, and a factor to z
+    for fields that are not quite Gaussian, are those that make the best of the other rotations most likely.
     """
     scanner = _Scanner(moving, fixed, scale_tolerance)
     hands = (False, True) if mirrored is None else (mirrored,)

@@ -38,8 +38,7 @@ def region_difference(values: Array, inside: Bools, *, mask: Bools | None = None
 
     Parameters
     ----------
-    values : ndarray, shape (rows, cols)
-        NaN is missing.
+    values : ndarray, shape (rows, cols); NaN is missing
     inside : ndarray of bool, shape (rows, cols)
     mask, pixel_um
         As of :func:`planish.correlate`.

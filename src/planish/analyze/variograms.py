@@ -51,12 +51,10 @@ def variogram(a: Array, *, mask: Bools | None = None, pixel_um: Pixel, md_deg: f
 
     Parameters
     ----------
-    a : ndarray, shape (rows, cols)
-        NaN is missing.
+    a : ndarray, shape (rows, cols); NaN is missing
     mask, pixel_um
         As of :func:`planish.correlate`.
-    md_deg : float, optional
-        Machine direction, deg clockwise on the screen from the x axis.
+    md_deg : float, optional; machine direction, deg clockwise on the screen from the x axis
 
     Returns
     -------

@@ -14,9 +14,8 @@ _RINGS = 64  # of frequencies up to Nyquist's
 def without_white_noise(values: Array, is_known: Bools) -> Floats:
     """Best linear estimate of a map (rows, cols) from the map with white noise on it; NaN where it is not known.
 
-    The noise is what the shortest waves have on average. Regressed on the estimate, another quantity keeps its full
-    coefficient (regression calibration; Carroll et al. 2006, Measurement Error in Nonlinear Models, chapter 4), which
-    noise in the map itself makes smaller.
+    The noise is that of the shortest waves. Regressed on the estimate, another quantity keeps its coefficient, which
+    noise makes smaller (regression calibration; Carroll et al. 2006, Measurement Error in Nonlinear Models, chapter 4).
     """
     if not is_known.any():
         return np.full(values.shape, np.nan)

@@ -61,8 +61,7 @@ def _warm_up() -> None:
 
     assert callable(run_study)  # it is loaded when it is asked for
     report_template()
-    # Compiled code is read from the disk when it is used first.
-    x, y = np.meshgrid(np.arange(16.0), np.arange(16.0))
+    x, y = np.meshgrid(np.arange(16.0), np.arange(16.0))  # Compiled code is read from the disk when it is used first.
     relax_grid(np.dstack([x, y, 0.01 * x * y]))
     for dtype in (np.float32, np.float64, np.bool_):
         halved_values(np.zeros((2, 2), dtype))

@@ -35,14 +35,12 @@ _CLEAR_SDS = 4.0  # standard deviations of one coordinate
 def find_outliers(moving: Floats, fixed: Floats, mirrored: bool, *, tolerance_um: float) -> Bools:
     """Pairs (n,) of ``moving`` and ``fixed`` (n, 2), in um, that the others do not expect.
 
-    Two marks farther apart than ``tolerance_um`` do not match, however few there are to tell.
-
-    A least trimmed squares fit of a similarity: of those through two of the pairs, the one that the best two thirds of
-    all marks follow most closely, improved by refits to these. So wrong marks that agree with each other do not hide,
-    unless they are more than a third. Of the rest are named those that are off by more than the tolerance and four
-    standard deviations, and those that lie farther off than chance puts one of so many that were chosen from.
-
-    Rousseeuw and Van Driessen (2006), Data Min. Knowl. Discov. 12, 29, doi:10.1007/s10618-005-0024-4.
+    Two marks farther apart than ``tolerance_um`` do not match, however few there are to tell. A least trimmed squares
+    fit of a similarity: of those through two of the pairs, the one that the best two thirds of all marks follow most
+    closely, improved by refits to these. So wrong marks that agree with each other do not hide, unless they are more
+    than a third. Of the rest are named those that are off by more than the tolerance and four standard deviations, and
+    those that lie farther off than chance puts one of so many that were chosen from (Rousseeuw and Van Driessen 2006,
+    Data Min. Knowl. Discov. 12, 29, doi:10.1007/s10618-005-0024-4).
     """
     n = len(moving)
     is_outlier = np.zeros(n, dtype=np.bool_)

@@ -180,8 +180,7 @@ def cache_folder(file: Path, *keys: str) -> Path:
 class ComputedLevels:
     """All levels of a picture of ``values`` (rows, cols), floats or truth values; full resolution first.
 
-    ``folder`` is that of :func:`cache_folder`. With ``keep_all`` the values themselves are kept there as well: those of
-    a file of which no window can be read.
+    ``folder`` is that of :func:`cache_folder`; with ``keep_all`` it keeps the values of a file without windows, too.
     """
 
     def __init__(self, values: xr.DataArray | LazyArray, folder: Path, *, keep_all: bool = False) -> None:

@@ -129,12 +129,9 @@ def create_app(session: Session, *, token: str, hosts: Sequence[str]) -> Starlet
 
     Parameters
     ----------
-    session : Session
-        What is served; handlers find it as ``request.app.state.session``.
-    token : str
-        Without it no data are given.
-    hosts : sequence of str
-        Names with port under which the server is called, such as ``127.0.0.1:8000``.
+    session : Session; what is served; handlers find it as ``request.app.state.session``
+    token : str; without it no data are given
+    hosts : sequence of str; names with port under which the server is called, such as ``127.0.0.1:8000``
     """
     app = Starlette(
         routes=[*_static(), *marks_routes.ROUTES, *view_routes.ROUTES],
@@ -194,8 +191,7 @@ def serve(session: Session, *, host: str, port: int, on_open: Callable[[str], No
             logging.getLogger("uvicorn").setLevel(logging.ERROR)
             shown_host = "127.0.0.1" if host in ("127.0.0.1", "localhost", "0.0.0.0") else host
             on_open(f"http://{shown_host}:{bound_port}/#token={token}")
-            # An interrupt is how a server ends.
-            with closing(app.state.applying), suppress(KeyboardInterrupt):
+            with closing(app.state.applying), suppress(KeyboardInterrupt):  # An interrupt is how a server ends.
                 uvicorn.Server(config).run(sockets=[listener])
 
 

@@ -72,10 +72,7 @@ def _on_pixels(cells: xr.DataArray, coordinates: tuple[xr.DataArray, xr.DataArra
 def strains(
     run: Path, coordinates: Mapping[str, Sequence[xr.DataArray]]
 ) -> Iterator[tuple[str, StrainDisplay, list[xr.DataArray]]]:
-    """Each strain of a run of one sheet that is known on its flat map: name, title, units, and values at every level.
-
-    ``coordinates`` are ``volume_x``, ``volume_y``, ``volume_z`` of the flat map at every level, um.
-    """
+    """Each known strain of a flat map: name, title, units, values at every level; ``coordinates``: its place, um."""
     strain = read_group(run / MAPS, "strain")
     frame = Frame.of(stored_group(run / MAPS, "surfaces"))
     rows, cols = (coordinates[f"volume_{axis}"] for axis in (frame.rows, frame.cols))

@@ -73,12 +73,8 @@ def denser_coating(greys: Greys) -> float | None:
 
 
 def clipping(sample: Array, greys: Greys) -> tuple[float, float, float]:
-    """Look for a spike in the histogram at the sheet's end of the grey scale, whatever type and level.
-
-    Gives its height over what the bins beside it lead to, the share of the voxels in it, and its grey.
-    """
-    # Whole numbers are counted once: a large part of a volume is looked at.
-    is_integer = sample.dtype.kind != "f"
+    """Find a spike at the sheet's end of the grey scale: height over what bins beside it suggest, share, grey."""
+    is_integer = sample.dtype.kind != "f"  # Whole numbers are counted once: a large part of a volume is looked at.
     levels, counts = np.unique(sample, return_counts=True) if is_integer else (sample[np.isfinite(sample)], None)
     if levels.size == 0:
         return 0.0, 0.0, float("nan")
@@ -224,9 +220,8 @@ def filler(rule: CheckRule, scan: GreyScan) -> Check | None:
 def blur(rule: CheckRule, scan: GreyScan) -> Check | None:
     """Judge whether a coating is thicker than the blur of the scan is wide; None where none is seen.
 
-    What is flattened lies between the faces: where they are moved, so are its places.
-
-    A filter that keeps edges, as a median, takes thin layers away all the same. The noise of the air shows it.
+    What is flattened lies between the faces: where they are moved, so are its places. A filter that keeps edges, as a
+    median, takes thin layers away all the same. The noise of the air shows it.
     """
     measured = scan.measured
     coatings = [measured[k].values for k in ("coating_top", "coating_bottom") if k in measured]
@@ -246,10 +241,7 @@ def blur(rule: CheckRule, scan: GreyScan) -> Check | None:
 
 
 def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
-    """Full width at half maximum of a Gaussian filter that smooths white noise to that of the air, um; NaN without air.
-
-    It is that of the noise's autocorrelation over the root of two.
-    """
+    """FWHM (um) of the Gaussian that makes white noise the air's: its autocorrelation's over √2; NaN without air."""
     block_lags: list[Floats] = []
     for grey in _air_blocks(volume, measured):
         grey -= grey.mean()
@@ -264,8 +256,7 @@ def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
     lags = np.sum([lags for lags in block_lags if lags[0] < 2 * min(block_lags, key=lambda k: k[0])[0]], axis=0)
     if not (block_lags and lags[0] > lags[-1]):
         return float("nan")
-    # What goes on farther is no noise but streaks and shading.
-    correlation = (lags - lags[-1]) / (lags[0] - lags[-1])
+    correlation = (lags - lags[-1]) / (lags[0] - lags[-1])  # What goes on farther is no noise but streaks and shading.
     k = int(np.argmax(correlation < 0.5))
     half_width_px = k - (0.5 - correlation[k]) / (correlation[k - 1] - correlation[k])
     return np.sqrt(2.0) * half_width_px * float(np.cbrt(np.prod([float(v) for v in volume.attrs["voxel_um"]])))

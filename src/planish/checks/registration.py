@@ -180,8 +180,7 @@ def holes_without_partner(rule: CheckRule, linked: HolesOnSheet) -> Check:
     whole_labels: list[str] = []
     circles = zip(*(unpaired[f"fixed_{k}"].values for k in ("x", "y", "diameter")), strict=True)
     for label, (x, y, diameter) in zip(unpaired["label"].values, circles, strict=True):
-        # The middle of a hole, where no sheet is.
-        dy, dx, core_um = grid.y_um - y, grid.x_um - x, 0.35 * diameter
+        dy, dx, core_um = grid.y_um - y, grid.x_um - x, 0.35 * diameter  # The middle of a hole, where no sheet is.
         rows, cols = (np.flatnonzero(np.abs(offset) < core_um) for offset in (dy, dx))
         is_inside = np.hypot(dy[rows][:, None], dx[cols]) < core_um
         if not is_inside.any():

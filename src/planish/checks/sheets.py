@@ -170,8 +170,7 @@ def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
     is_dark = ((inwards * (mean_grey - mean) - doubt) / abs(mean_grey - greys.air)).max(axis=1) > 0.4
     n_dark = _largest_cluster(*(numbers[is_seen][is_dark] for numbers in core.tiles))
     median_profiles = np.nanmedian(profiles, axis=1)
-    # What the scatter of a tile's columns leaves open of their median, 3 standard errors: 1.86 is 1.4826 of the median
-    # deviation, 1.253 of the median.
+    # 3 standard errors of the median of a tile's columns: 1.86 is 1.4826 of the median deviation, 1.253 of the median.
     profiles -= median_profiles[:, None]
     uncertainty = 3.0 * 1.86 * np.nanmedian(np.abs(profiles, out=profiles), axis=1) / root_n
     median = median_profiles.astype(np.float64)

@@ -66,8 +66,7 @@ class Fault:
 def slice_order(rule: CheckRule, scan: ScannedSheet, *, axis: Axis) -> Check:
     """Judge the slices along an axis.
 
-    ``fail`` where they are not in their order, ``look`` where some are repeated, filled, foreign, empty or missing. The
-    value is the number of slices, or breaks, that are concerned.
+    ``fail`` where out of order, ``look`` where repeated, filled, foreign, empty or missing; the value counts these.
     """
     window = scan.windows[axis]
     faults = find_faults(window, assembled=axis in scan.assembled_axes, levelled=axis != scan.through)
@@ -134,10 +133,8 @@ def find_faults(window: Window, *, assembled: bool = False, levelled: bool = Tru
     """Find the faults of the slices of a window, in their order, by their numbers in the volume.
 
     ``assembled``: slices were put together from others, or are labels; only their order is looked at. ``levelled``:
-    where slices differ in brightness, each is brought to the mean and spread of its neighbourhood first.
-
-    Nothing is found at either end, nor a missing slice where the body hardly changes along the axis, or
-    in strong noise.
+    where slices differ in brightness, each is brought to the mean and spread of its neighbourhood first. Nothing is
+    found at either end, nor a missing slice where the body hardly changes along the axis, or in strong noise.
     """
     # Slice by slice: in double precision, all of them would be twice as large as what is looked at.
     slice_sd = np.array([row.std(dtype=np.float64) for row in window.blocks])

@@ -88,16 +88,11 @@ def check_scan(
 
     Parameters
     ----------
-    volume : DataArray, dims (z, y, x), coordinates in um
-        Parts of it are read, in one pass.
-    measured : Dataset, dims (y, x)
-        Surfaces and properties, heights in um.
-    sections : bool
-        Whether planish joined serial sections to the volume: what it bridged itself is no fault.
-    labels : bool
-        Whether voxels are labels, which have no grey scale.
-    threads : int, optional
-        No result depends on it.
+    volume : DataArray, dims (z, y, x), coordinates in um; parts of it are read, in one pass
+    measured : Dataset, dims (y, x); surfaces and properties, heights in um
+    sections : bool; whether planish joined serial sections to the volume: what it bridged itself is no fault
+    labels : bool; whether voxels are labels, which have no grey scale
+    threads : int, optional; no result depends on it
     """
     return tuple(run_checks(read_scan(volume, measured, sections=sections, labels=labels, threads=threads)))
 
@@ -107,8 +102,7 @@ def check_holes(holes: xr.Dataset) -> Check:
 
     Parameters
     ----------
-    holes : Dataset, dims (mark)
-        Of :func:`planish.marks.find_holes` or :func:`planish.marks.find_sheet_holes`.
+    holes : Dataset, dims (mark), of :func:`planish.marks.find_holes` or :func:`planish.marks.find_sheet_holes`
     """
     return run_checks(DetectedHoles("", holes))[0].model_copy(update={"name": "holes"})
 

@@ -1,7 +1,4 @@
-"""Differences of slices from their neighbours, read along all three axes in one pass over parts of a volume.
-
-Each axis is looked at through a window: all slices along it, some 300 x 300 voxels of each.
-"""
+"""Differences of slices from their neighbours along all axes, in windows of some 300 x 300 voxels, in one pass."""
 
 from __future__ import annotations
 

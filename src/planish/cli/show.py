@@ -112,7 +112,7 @@ def _registration(layer: LayerFacts) -> None:
     if r.source in ("texture", "both") and r.match_sentence:
         notes = (r.match_sentence, *notes)
     if r.held_out is not None:
-        notes = (*notes, f"Over tiles that had no part in the place, without waves above 1 mm: {r.held_out.sentence}.")
+        notes = (*notes, r.held_out.sentence)
     for note in (*notes, r.orientation.sentence):
         sentence(f"  {note}")
 

@@ -145,8 +145,7 @@ def _checked_size(array: object, kind: ArrayKind, call_format: str) -> tuple[flo
     check_values(array, kind, [str(name) for name in array.dims])
     stated_um: Sequence[float] | None = array.attrs.get(kind.size_attribute)
     steps = [step_um(array, axis) for axis in kind.axes]
-    # An image may be known by its size alone; faces are heights along the coordinates of a volume.
-    is_sized = (
+    is_sized = (  # An image may be known by its size alone; faces are heights along the coordinates of a volume.
         None not in steps if stated_um is None else kind is IMAGE or all(axis in array.coords for axis in kind.axes)
     )
     if not is_sized:

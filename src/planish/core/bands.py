@@ -55,10 +55,7 @@ def rms_of(pixels: Rows, where: Rows | None = None) -> float | None:
 
 
 def thinned(*maps: Rows) -> tuple[int, list[NDArray[Any]]]:
-    """Every k-th row and column of maps on one grid, and k: 1 up to 4 million pixels.
-
-    For figures and medians, whose own uncertainty is larger than what this leaves out.
-    """
+    """Every k-th row and column of maps on one grid, and k (1 up to 4 million pixels), for figures and medians."""
     rows, cols = maps[0].shape
     k = max(1, math.ceil(math.sqrt(rows * cols / SAMPLE_PIXELS)))
     if k == 1:

@@ -20,10 +20,7 @@ CORRELATION = "correlation"
 
 
 class Check(ResultModel):
-    """Result of one check.
-
-    A stage that knows one layer only leaves ``layers`` empty.
-    """
+    """Result of one check. A stage that knows one layer only leaves ``layers`` empty."""
 
     name: str = Field(description="Short and unique in a run, as 'slices along z'.")
     state: State = Field(description="pass, look, fail or unknown.")

@@ -18,8 +18,7 @@
 A message says what was found, what is needed, and what to do next. It is written with the options of the command line:
 ``error.text``, which the terminal, the app, series and results show. Python shows ``str(error)``, the same with
 the words of a call: ``voxel_um=`` for ``--voxel-um``. So nothing has to be set for either, in any thread or process; a
-message that contains another one takes its ``text``. The command line ends with the exit code of the class; nothing
-else in planish decides exit codes.
+message that contains another one takes its ``text``. The class alone decides the exit code of the command line.
 """
 
 import re
@@ -36,12 +35,8 @@ _CHOICE = re.compile(r"\b(\w+): '(\w+)' is not possible")
 
 
 def in_python_words(text: str) -> str:
-    """Name the keywords of a Python call in a message that names options of the command line.
+    """Name the keywords of a Python call in a message that names options; commands for a terminal stay as they are.
 
-    Commands for a terminal stay as they are.
-
-    Examples
-    --------
     >>> in_python_words("Give --voxel-um SIZE, or try --through y. For help: planish link --help.")
     'Give voxel_um=SIZE, or try through="y". For help: planish link --help.'
     """

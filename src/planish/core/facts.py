@@ -47,8 +47,7 @@ def _null(value: Any) -> Any:
 
 _NULL = {"type": "null"}
 _PAIR = {"type": "array", "maxItems": 2, "minItems": 2, "prefixItems": [{"type": "number"}, {"type": "number"}]}
-# A number that may be missing: NaN in memory; null in JSON, as is one that is infinite.
-Value = Annotated[
+Value = Annotated[  # A number that may be missing: NaN in memory; null in JSON, as is one that is infinite.
     float, BeforeValidator(_one_nan), PlainSerializer(_null), WithJsonSchema({"anyOf": [{"type": "number"}, _NULL]})
 ]
 # Two numbers, such as the ends of an interval, that may be missing: null in JSON unless both are finite.

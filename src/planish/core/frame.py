@@ -3,9 +3,8 @@
 The lateral axes keep the order they have in the array: ``rows`` is the first of the two that remain and ``cols`` the
 second. Heights are coordinates along the axis through the sheet, in um; ``sign`` turns them so that the top is up.
 
-Seen from its top the sheet is mirrored when the three axes (cols, rows, towards the viewer) are an odd permutation
-of (x, y, z): a camera above the high end of z sees x to the right and y downwards, and looking from the other side
-reverses one of them.
+Seen from its top the sheet is mirrored when the three axes (cols, rows, towards the viewer) are an odd permutation of
+(x, y, z): a camera above the high end of z sees x to the right and y downwards; from the other side one is reversed.
 """
 
 from __future__ import annotations
@@ -97,8 +96,7 @@ class Frame:
 def likely_through(values: NDArray[Any] | LazyArray | xr.Variable) -> Axis | None:
     """Name the axis along which the mean grey changes most; None where two do, as with a round field of view.
 
-    A sheet fills some of the planes across its normal and none of the others; the planes along it are all alike. Some
-    slices of ``values`` (z, y, x) are read.
+    A sheet fills some planes across its normal; those along it are alike. Some slices of ``values`` (z, y, x) are read.
     """
     import numpy as np
 

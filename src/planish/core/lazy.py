@@ -20,10 +20,7 @@ Where = tuple[slice, ...]  # one slice an axis: start, stop just behind the last
 
 
 class LazyArray(BackendArray):
-    """An array of which parts are read with integers and slices; several threads may read at the same time.
-
-    ``read`` gives a part in the type ``dtype``, which is in the byte order of the machine.
-    """
+    """An array read in parts, by integers and slices, from any thread; ``read`` gives one as native ``dtype``."""
 
     chunks: tuple[int, ...] | None = None  # what is decoded together, where the file is chunked
     whole_slices: bool = False  # whether a few rows of a slice cost as much as all of them
@@ -80,8 +77,7 @@ def labelled(
 ) -> xr.DataArray:  # fmt: skip
     """Give an array coordinates in um: place i of an axis has its centre at i × size.
 
-    A :class:`LazyArray` stays one: ``isel`` moves the borders of the part, and ``values`` reads it. Its ``encoding``
-    says how it is best read.
+    A :class:`LazyArray` stays one: ``isel`` moves borders, ``values`` reads; ``encoding`` says how it is best read.
     """
     coords = {
         axis: (axis, np.arange(n) * um, {"units": "um"})

@@ -27,8 +27,7 @@ _CLASSES = (
     "cell", "struct", "object", "char", "sparse", "double", "single", "int8", "uint8", "int16", "uint16", "int32",
     "uint32", "int64", "uint64", "function", "opaque",
 )  # fmt: skip
-# Classes of real numbers and their types.
-NUMBERS = {
+NUMBERS = {  # Classes of real numbers and their types.
     "double": np.dtype("f8"), "single": np.dtype("f4"), **{name: np.dtype(name) for name in _CLASSES if "int" in name}
 }  # fmt: skip
 
@@ -69,10 +68,7 @@ def is_version_5(head: bytes) -> bool:
 
 
 def variables(file: BinaryIO) -> list[Variable]:
-    """List the variables of a file of any version, without their values.
-
-    Damaged if a length or a type does not fit. What h5py raises for version 7.3 passes.
-    """
+    """List a file's variables without values; Damaged if a length or type does not fit; h5py's errors pass for 7.3."""
     file.seek(0)
     head = file.read(520)
     if is_new(head):
@@ -84,10 +80,7 @@ def variables(file: BinaryIO) -> list[Variable]:
 
 
 def values(file: BinaryIO, variable: Variable) -> NDArray[Any]:
-    """Read the values of a full real array that :func:`variables` listed, in its class and the order of MATLAB.
-
-    Damaged if the values are not there.
-    """
+    """Read a full real array that :func:`variables` listed, in its class and MATLAB's order; Damaged if not there."""
     if not variable.real:
         raise ValueError(f"{variable.name} is no full real array")
     file.seek(0)

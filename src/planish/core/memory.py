@@ -1,7 +1,4 @@
-"""Budgets of memory: what a run needs, and how much of a volume, an image or a map is read or held at a time.
-
-The default of ``--memory`` stands in ``run/compute.py``; kernels and single methods keep limits of their own.
-"""
+"""Budgets of memory: what a run needs, reads or holds at once; ``run.compute`` has the default of ``--memory``."""
 
 from __future__ import annotations
 

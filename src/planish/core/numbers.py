@@ -18,12 +18,8 @@ MOST_DECIMALS = 5
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    r"""Write a number with so many significant digits, and a dash where there is none.
+    r"""Write a number with so many significant digits, and all before the decimal point; a dash where there is none.
 
-    Digits before the decimal point are never rounded away.
-
-    Examples
-    --------
     >>> number(0.83793), number(-12.04), number(56782.4), number(None)
     ('0.838', '−12.0', '56\u202f782', '–')
     """
@@ -35,8 +31,7 @@ def number(value: float | None, digits: int = 3) -> str:
     if exponent < -4:
         mantissa = f"{value / 10.0**exponent:.{max(digits - 1, 0)}f}"
         return _signed(f"{mantissa}·10") + str(exponent).translate(_SUPERSCRIPTS)
-    # Rounding may add a digit: 0.9996 to three digits is 1.00.
-    rounded = round(value, max(digits - 1 - exponent, 0))
+    rounded = round(value, max(digits - 1 - exponent, 0))  # Rounding may add a digit: 0.9996 to three digits is 1.00.
     exponent = math.floor(math.log10(abs(rounded))) if rounded else exponent
     return _signed(f"{rounded:,.{max(digits - 1 - exponent, 0)}f}")
 
@@ -51,8 +46,6 @@ def fixed(value: float | None, decimals: int) -> str:
 def to_spread(value: float | None, spread: float | None) -> str:
     r"""Write a number with the decimals that two significant digits of its spread have.
 
-    Examples
-    --------
     >>> to_spread(2.49817, 0.0722), to_spread(1234.5, 87.0), to_spread(1.5, None)
     ('2.498', '1\u202f234', '1.50')
     """
@@ -115,8 +108,6 @@ def limits_text(limits: Pair, decimals: int = 2) -> str:
 def typeset(text: str) -> str:
     r"""Write a sentence of the program's, whose units are ASCII, with the report's units.
 
-    Examples
-    --------
     >>> typeset("lag 2.1 um at 30 deg, maximum 3 um.")
     'lag 2.1\u202fµm at 30°, maximum 3\u202fµm.'
     """
@@ -126,8 +117,6 @@ def typeset(text: str) -> str:
 def in_words(title: str) -> str:
     """Put a title into a sentence: what follows a comma goes into brackets.
 
-    Examples
-    --------
     >>> in_words("Coating thickness, top side")
     'coating thickness (top side)'
     """

@@ -150,8 +150,7 @@ def _fault_text(fault: Any, loc: Key, model: type[BaseModel]) -> str:
 def _unknown_text(name: str, table: Key, model: type[BaseModel]) -> str:
     """Say that a name is unknown: the closest one of its table, or the table that has it."""
     names_by_table = dict(_tables_of(model, ()))
-    # A place has names of fields, numbers, and names of alternatives.
-    models: Sequence[type[BaseModel]] = [model]
+    models: Sequence[type[BaseModel]] = [model]  # A place has names of fields, numbers, and names of alternatives.
     for name_of_table in (key for key in table if isinstance(key, str)):
         fields = [model.model_fields[name_of_table] for model in models if name_of_table in model.model_fields]
         models = [inner for field in fields for inner in models_in(field.annotation)] or models

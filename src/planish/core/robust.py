@@ -15,10 +15,7 @@ MAD_TO_SD = 1.4826
 
 
 def mad_sd(values: NDArray[np.floating[Any]], centre: float | None = None) -> float:
-    """Standard deviation from the median absolute deviation of the finite values; NaN where there is none.
-
-    ``centre`` is what they deviate from; their median where not given. Deviations keep the type of the values.
-    """
+    """Standard deviation by the MAD of finite values about ``centre`` or their median, in their type; NaN of none."""
     finite = values[np.isfinite(values)]
     if finite.size == 0:
         return float("nan")
@@ -54,10 +51,7 @@ def otsu_borders(cum_count: Floats, cum_grey: Floats, classes: int) -> tuple[int
 def masked_gaussian(
     values: Floats, is_valid: Bools, sigma: Sequence[float], *, truncate: float = 4.0
 ) -> tuple[Floats, Floats]:
-    """Sums of the valid values and of their number under a Gaussian of ``sigma`` pixels; nothing beyond the border.
-
-    The first over the second is the Gaussian mean; each caller says how small the second may be.
-    """
+    """Sums of valid values and of their number under a Gaussian of ``sigma`` pixels; nothing lies beyond the border."""
     from scipy import ndimage
 
     total, weight = (

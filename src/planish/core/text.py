@@ -33,8 +33,6 @@ def and_join_few(words: Sequence[str]) -> str:
 def likely(name: str, words: Iterable[str]) -> str:
     """Name the word that was probably meant, as the end of a message; nothing where none is close.
 
-    Examples
-    --------
     >>> likely("coatng_top", ["coating_top", "thickness"])
     ' Did you mean coating_top?'
     """

@@ -24,10 +24,7 @@ _limits: list[int] = []
 
 @contextmanager
 def limit_threads(number: int | None) -> Generator[int]:
-    """Limit all pools of this process, and those of the libraries that have a setting, to ``number`` threads.
-
-    As many as :func:`available` says, eight at most, where None and nothing was set further out.
-    """
+    """Limit all pools, also of libraries, to ``number`` threads; None, unless set: :func:`available`, at most 8."""
     count = count_threads(number)
     _limits.append(count)
     try:

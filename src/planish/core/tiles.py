@@ -111,8 +111,7 @@ class Engine:
                     path = self._result_path(step, tile)
                     is_stored = path is not None and path.is_file()
                     waiting.append((tile, np.load(path) if path and is_stored else pool.submit(work, job(tile), tile)))
-                    # Two wait for their turn, beside those that are worked on.
-                    if len(waiting) >= self.at_once + 2:
+                    if len(waiting) >= self.at_once + 2:  # Two wait for their turn, beside those that are worked on.
                         yield take()
                 while waiting:
                     yield take()

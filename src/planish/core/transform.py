@@ -44,8 +44,7 @@ class Similarity:
     def inverse(self) -> Similarity:
         """The transformation back."""
         linear = np.linalg.inv(self.matrix())
-        # The inverse is a similarity of the same handedness; its rotation is read off the y column, which M
-        # leaves alone.
+        # The inverse is a similarity of the same handedness; its rotation is that of the y column, which M keeps.
         rotation = float(np.arctan2(-linear[0, 1], linear[1, 1]))
         x, y = (-linear @ np.asarray(self.shift_um)).tolist()
         return replace(self, scale=1.0 / self.scale, rotation_rad=rotation, shift_um=(x, y))
@@ -62,10 +61,7 @@ def nearest_similarity(linear: Floats, source: Floats, target: Floats) -> Simila
 
 
 class NearSimilarity(ABC):
-    """A transformation that is close to a similarity at ``source``, by custom the middle of the marks.
-
-    Its scale, rotation, shift and hand are those of that similarity.
-    """
+    """A transformation near a similarity at ``source``, the marks' middle: of its scale, rotation, shift and hand."""
 
     __slots__ = ()
     source: Pair

@@ -93,8 +93,7 @@ def _fit_material(histograms: Counts, material: int, levels: Levels, share: Floa
     """Fit the factor of one material; None where there are too few of its voxels."""
     if material == BRIGHT and not np.isfinite(levels.middle):
         return None
-    # In contrasts above air.
-    border_grey = (levels.middle - levels.air) / levels.contrast
+    border_grey = (levels.middle - levels.air) / levels.contrast  # In contrasts above air.
     limits = (-np.inf, border_grey) if material == BASE else (border_grey, np.inf)
     total_histogram = histograms.sum(axis=0)
     full_fit = _fit_coefficients(total_histogram, limits, share, offset)

@@ -33,12 +33,9 @@ def write_picture(corrected: Corrected, before: xr.DataArray, path: Path) -> Non
 
     Parameters
     ----------
-    corrected : Corrected
-        With its sums: a sheet was found.
-    before : DataArray, dims (z, y, x)
-        The volume as it was.
-    path : Path
-        File to make.
+    corrected : Corrected, with its sums: a sheet was found
+    before : DataArray, dims (z, y, x); the volume as it was
+    path : Path; file to make
 
     Raises
     ------

@@ -99,8 +99,7 @@ def _estimate_levels(greys: NDArray[np.float32]) -> Levels | None:
     running_count, running_sum = np.pad(np.cumsum(moments, axis=1), ((0, 0), (1, 0)))
     split, middle = (float(bin_edges[k]) for k in otsu_borders(running_count, running_sum, 3))
     dark_greys, sheet_greys = greys[greys <= split], greys[greys > split]
-    # The mean of what lies near the median.
-    dark_median = float(np.median(dark_greys))
+    dark_median = float(np.median(dark_greys))  # The mean of what lies near the median.
     air_reach = max(3 * MAD_TO_SD * float(np.median(np.abs(dark_greys - dark_median))), 1e-6)
     air = float(np.mean(dark_greys[np.abs(dark_greys - dark_median) <= air_reach], dtype=np.float64))
     base_greys, bright_greys = sheet_greys[sheet_greys <= middle], sheet_greys[sheet_greys > middle]
@@ -191,8 +190,7 @@ def make_turning(volume: xr.DataArray, axis: Axis, centre_um: tuple[float, float
     extent_um = ((shape[1] - 1) * pitch[0], (shape[2] - 1) * pitch[1])
     centre = (0.5 * extent_um[0], 0.5 * extent_um[1]) if centre_um is None else centre_um
     for name, position_um, end_um in zip((a, b), centre, extent_um, strict=True):
-        # An axis further outside is taken for a mistake.
-        if not -0.5 * end_um <= position_um <= 1.5 * end_um:
+        if not -0.5 * end_um <= position_um <= 1.5 * end_um:  # An axis further outside is taken for a mistake.
             raise InputError(
                 f"The axis of rotation would stand at {name} = {position_um:g} um; the field runs from 0 to {end_um:g} "
                 f"um. Give --rotation-centre-um as {a},{b} in um from the first voxel."

@@ -101,14 +101,10 @@ def correct_volume(
     ----------
     volume : DataArray, dims (z, y, x), with the voxel size in ``attrs["voxel_um"]``
         Read in slabs across the axis of rotation; it need not fit into memory.
-    params : CorrectParams
-        What is corrected, and where the axis of rotation stands.
-    memory_bytes : int
-        What the slabs may take.
-    threads : int, optional
-        No result depends on it.
-    progress : callable, optional
-        Called with what is done and how far it is.
+    params : CorrectParams; what is corrected, and where the axis of rotation stands
+    memory_bytes : int; what the slabs may take
+    threads : int, optional; no result depends on it
+    progress : callable, optional; called with what is done and how far it is
 
     Returns
     -------

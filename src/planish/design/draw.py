@@ -209,8 +209,7 @@ def error_page(pattern: Pattern, predicted: Predicted, imaging: ImagingParams, r
 
 def _error_map(page: Page, pattern: Pattern, predicted: Predicted) -> None:
     axes, field_low = page.plan, pattern.field_low_um
-    # 200 pixels along the longer side of the map.
-    x_um, y_um = (
+    x_um, y_um = (  # 200 pixels along the longer side of the map.
         low_um + np.linspace(0, side_um, max(20, round(200 * side_um / max(pattern.field_um))))
         for low_um, side_um in zip(field_low, pattern.field_um, strict=True)
     )
@@ -330,18 +329,15 @@ def write_design(
     Parameters
     ----------
     pattern : Pattern
-    rules : tuple of Rule
-        As checked, for the drawing.
+    rules : tuple of Rule, as checked, for the drawing
     folder : str or Path
     stage, imaging : optional
         What the program asks of the stage and its range, and where the predicted error comes from.
 
     Returns
     -------
-    files : tuple of str
-        Names in the folder.
-    run : DryRun
-        Of the stage program, read back from its text.
+    files : tuple of str; names in the folder
+    run : DryRun, of the stage program, read back from its text
     predicted : Predicted
 
     Raises

@@ -151,8 +151,7 @@ def _mm(value_um: float, least: int = 1) -> str:
 
 
 _WORD = re.compile(r"\s*([A-Z])\s*([+-]?(?:\d+\.?\d*|\.\d+))\s*")
-# Commands, and the words that may stand beside them.
-_COMMANDS = {
+_COMMANDS = {  # Commands, and the words that may stand beside them.
     "G0": "XYF", "G1": "XYF", "G4": "P", "G21": "", "G90": "",
     "M2": "", "M3": "S", "M5": "", "M30": "", "M64": "P", "M65": "P",
 }  # fmt: skip
@@ -194,12 +193,9 @@ def dry_run(program: str, stage: StageParams | None = None, *, pulse_s: float = 
 
     Parameters
     ----------
-    program : str
-        The text of the program.
-    stage : StageParams, optional
-        Its range counts.
-    pulse_s : float
-        Longest pulse: what would be a fire rather than a hole.
+    program : str; the text of the program
+    stage : StageParams, optional; its range counts
+    pulse_s : float; longest pulse: what would be a fire rather than a hole
 
     Raises
     ------

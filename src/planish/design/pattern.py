@@ -143,12 +143,10 @@ def own_pattern(
 
     Parameters
     ----------
-    points_um : (n, 2)
-        Centres, in the order given.
+    points_um : (n, 2); centres, in the order given
     field_um : (width, height), optional
         Region whose maps are to be compared, in the middle of the holes; all within them where not given.
-    diameter_um : float, optional
-        That of a design where not given.
+    diameter_um : float, optional; that of a design where not given
 
     Raises
     ------
@@ -202,8 +200,7 @@ def read_pattern(path: str | Path, *, field_um: Pair | None = None, diameter_um:
         A table has the columns ``x_um, y_um`` and may have ``diameter_um``, whose median counts, and others.
     field_um : (width, height), optional
         Of a table only: the region in the middle of the holes whose maps are to be compared.
-    diameter_um : float, optional
-        Of a table only; goes before the column.
+    diameter_um : float, optional, of a table only; goes before the column
 
     Raises
     ------

@@ -39,8 +39,7 @@ def _place_side(
     """
     spacing_steps = int(np.ceil(blank.spacing_um / STEP_UM - 1e-9))
     marker_steps = max(spacing_steps, int(np.ceil(MARKER_DIAMETERS * blank.diameter_um / STEP_UM)))
-    # The corner between the last side and the first stays empty.
-    has_start, has_end = int(side != 0), int(side != 3)
+    has_start, has_end = int(side != 0), int(side != 3)  # The corner between the last side and the first stays empty.
     low_step = spacing_steps if has_start else marker_steps
     high_step = n_steps - (spacing_steps if has_end else marker_steps)
     for _ in range(1 if rate else 6):
@@ -102,14 +101,12 @@ def design_pattern(params: DesignParams) -> Design:
 
     Parameters
     ----------
-    params : DesignParams
-        The same parameters give the same pattern.
+    params : DesignParams; the same parameters give the same pattern
 
     Returns
     -------
     pattern : Pattern
-    rules : tuple of Rule
-        What was measured; all are kept.
+    rules : tuple of Rule; what was measured; all are kept
 
     Raises
     ------
@@ -177,8 +174,7 @@ def _search(blank: Pattern, hole_count: int, rng: np.random.Generator) -> Design
             continue
         rules: tuple[Rule, ...] = ()
         broken: list[Rule] = []
-        # The quick ones first.
-        for apply_rules in (simple_rules, code_rules, matching_rules):
+        for apply_rules in (simple_rules, code_rules, matching_rules):  # The quick ones first.
             n_searched += apply_rules is matching_rules
             rules += apply_rules(pattern)
             broken = [rule for rule in rules if not rule.passed]
@@ -209,8 +205,7 @@ def _draw_pattern(blank: Pattern, hole_count: int, rng: np.random.Generator) -> 
     """Draw one pattern; None where a side has no room."""
     width_steps, height_steps = (round(side_number / STEP_UM) for side_number in blank.frame_um)
     side_steps = (width_steps, height_steps, width_steps, height_steps)
-    # Three corners hold holes too.
-    hole_counts = [min(4, max(1, (hole_count - 3) // 4))] * 4
+    hole_counts = [min(4, max(1, (hole_count - 3) // 4))] * 4  # Three corners hold holes too.
     for _ in range(max(0, hole_count - 3 - sum(hole_counts))):
         # The side on which the holes are farthest apart gets the next one.
         hole_counts[max(range(4), key=lambda k: (side_steps[k] / (hole_counts[k] + 1), -k))] += 1

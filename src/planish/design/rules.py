@@ -59,8 +59,7 @@ class _HoleIndex:
     """The hole within the tolerance of a point: a table of cells, or a tree where the table would be large."""
 
     def __init__(self, points_um: Floats) -> None:
-        # Two holes fix the motion, and each may be off.
-        self.n, self.reach = len(points_um), 1.5 * TOLERANCE_UM
+        self.n, self.reach = len(points_um), 1.5 * TOLERANCE_UM  # Two holes fix the motion, and each may be off.
         self.z = np.append(points_um[:, 0] + 1j * points_um[:, 1], np.inf)
         self.tree = cKDTree(points_um)
         nearest = float(np.min(np.asarray(self.tree.query(points_um, k=2)[0])[:, 1]))
@@ -84,8 +83,7 @@ class _HoleIndex:
             points_xy = np.stack([points.real.ravel(), points.imag.ravel()], axis=1)
             hole_numbers = self.tree.query(points_xy, distance_upper_bound=self.reach)[1]
             return np.asarray(hole_numbers, dtype=np.intp).reshape(points.shape)
-        # Far outside is cut off to the table's border, which is empty.
-        x, y = (
+        x, y = (  # Far outside is cut off to the table's border, which is empty.
             np.clip((coordinate - table_low) / self.cell, 0, n - 1).astype(np.intp)
             for coordinate, table_low, n in zip((points.real, points.imag), self.low, self.table.shape, strict=True)
         )

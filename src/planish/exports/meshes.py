@@ -139,10 +139,7 @@ def _write_vtk_array(file: IO[str], name: str, array: NDArray[Any]) -> None:
 
 
 def mesh_of(surface: Surface, params: ExportParams) -> SurfaceMesh:
-    """Make the mesh of a surface; a cell is there where all four of its corners are.
-
-    StudyError where ``mesh_um`` is less than the pitch of the columns, or so large that no cell is left.
-    """
+    """Make a mesh, a cell where all corners are; StudyError if ``mesh_um`` is below the pitch or leaves none."""
     frame = Frame.of(surface.data)
     row_step, col_step = steps_of(surface.data, params.mesh_um)
     nodes = surface.data.isel(y=slice(None, None, row_step), x=slice(None, None, col_step))

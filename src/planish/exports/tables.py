@@ -93,8 +93,7 @@ def _points(maps: Maps, names: list[str], point_um: float) -> Iterator[Floats]:
         for name, area_means in means.items():
             area_means.add(rows.start, valid & np.isfinite(map_bands[name]), map_bands[name])
     (shares,) = validity.means()
-    # A point begins at the border of the first pixel.
-    y, x = (
+    y, x = (  # A point begins at the border of the first pixel.
         origin_um - 0.5 * pitch + point_um * (np.arange(n_points) + 0.5)
         for origin_um, pitch, n_points in zip(maps.origin_um, pixel_um, shares.shape, strict=True)
     )

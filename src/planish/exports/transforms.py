@@ -153,9 +153,8 @@ def write_itk(transform: DirectedTransform, path: Path, history: ExportHistory, 
 def write_elastix(transform: DirectedTransform, path: Path, history: ExportHistory, params: ExportParams) -> None:
     """Write transform parameters for ``transformix -tp``; a field before the affine map stands in ``NAME_local.txt``.
 
-    elastix takes fixed points to moving points: ``image_to_sheet.txt`` brings maps of the sheet onto the image, and
-    moves points of the image into the sheet. A B-spline of first order is linear between its nodes, whose coefficients
-    are the displacements there.
+    elastix takes fixed points to moving ones: ``image_to_sheet.txt`` brings maps onto the image, and points of the
+    image into the sheet. A B-spline of first order is linear between nodes; its coefficients are displacements.
     """
     per_um = UNITS[params.unit]
     # The image that transformix makes lies on the pixels of the source.

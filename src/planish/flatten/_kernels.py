@@ -1,8 +1,7 @@
 # pyright: standard
 """Compiled passes of the multigrid solver over a padded grid of springs.
 
-Every array has one ring of padding and may be wider than the grid: node (i, j) stands at [1 + i, 1 + j]. Lengths are in
-mean pitches.
+Every array is padded by one and may be wider than the grid: node (i, j) is at [1 + i, 1 + j]. Unit: the mean pitch.
 
 - ``xy`` (2, rows + 2, width) float64: places in the plane. Where there is no node both are ``FAR``: in float32 the
   square of a distance to it overflows to infinity, so that such a spring pulls nowhere without being asked for.
@@ -31,14 +30,12 @@ _HALF = np.float32(0.5)
 _ONE = np.float32(1.0)
 _TINY = np.float32(1e-30)
 _FAINT = np.float32(1e-12)
-# The kinds of start of ``smooth``, and the first row; a number written in a call would be a type of its own, and the
-# callee compiled once more.
+# Kinds of start of ``smooth``, and the first row; numbers written in a call are types: the callee is compiled again.
 _NEW, _CORRECTED = np.int64(0), np.int64(1)
 _FIRST = np.int64(1)
 _SETTINGS = {"nogil": True, "cache": True, "error_model": "numpy", "fastmath": {"contract", "nsz"}}
 _SUMS = {**_SETTINGS, "fastmath": {"contract", "nsz", "reassoc"}}
-# A loop is compiled to vector instructions only where it is seen that its row buffers overlap nothing else: inside the
-# function that made them.
+# A loop is vectorised only where its row buffers are seen to overlap nothing: inside the function that made them.
 _INNER = {**_SETTINGS, "forceinline": True}
 _INNER_SUMS = {**_SUMS, "forceinline": True}
 

@@ -1,8 +1,5 @@
 # pyright: standard
-"""Compiled passes that make the levels of a mesh: rest lengths, coarser springs, finer places, folds, and the way back.
-
-The padded arrays are those of ``_kernels``.
-"""
+"""Compiled passes for the levels of a mesh, in the padded arrays of ``_kernels``: lengths, springs, places, folds."""
 
 import math
 
@@ -22,10 +19,7 @@ _FAINT = 1e-6
 
 @njit(**_INNER)
 def _load(points, scale, i, row, n):
-    """Copy row i of ``points`` (rows, n, 3), scaled, to ``row`` (3, n + 2).
-
-    x is NaN where any coordinate is not finite, and beyond the grid.
-    """
+    """Copy row i of ``points`` (rows, n, 3), scaled, to ``row`` (3, n + 2); x is NaN beyond it or where not finite."""
     row[:] = np.nan
     if 0 <= i < points.shape[0]:
         for j in range(n):
@@ -49,10 +43,7 @@ def _chords(a, b, aj, bj, out, n):
 
 @njit(**_INNER)
 def _bend(a, b, c, out, n):
-    """Second differences along the normal at row b, for the four directions of springs, in ``out`` (4, n + 2).
-
-    NaN where a neighbour is missing. Divided by the squared length of a step it is the normal curvature.
-    """
+    """Normal second differences (curvature x step²) at row b, 4 directions, to ``out`` (4, n + 2); NaN beside gaps."""
     ax, ay, az, bx, by, bz, cx, cy, cz = a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]
     o0, o1, o2, o3 = out[0], out[1], out[2], out[3]
     for j in range(1, n + 1):
@@ -138,9 +129,8 @@ def _arcs(p, q, pj, qj, out, n):
 def rest_lengths(points, scale, arc, rest, counts, r0, r1):
     """Set ``rest`` for ``points`` (rows, n, 3), NaN where missing; ``counts`` (rows + 2, 2): springs, of them straight.
 
-    With ``arc`` the length of a chord L is corrected to L + (k L^2)^2 / (24 L) by the normal curvature k, the product
-    of the two at the ends of the spring; where they disagree the surface is rough at the scale of the mesh, its
-    curvature unknown, and the chord stays.
+    With ``arc`` a chord L becomes L + (k L^2)^2 / (24 L) by the normal curvature k, the product of those at both ends;
+    where they disagree the surface is rough at the mesh's scale, its curvature unknown, and the chord stays.
     """
     n = points.shape[1]
     # Row i of the padded arrays is row i - 1 of the points, and its springs lead to row i of them. Rings of rows: the
@@ -256,10 +246,7 @@ def _line(coarse, i, line, coarse_n, gaps):
 
 @njit(**_SETTINGS)
 def interpolate(coarse, xy, near, n, coarse_n, gaps, r0, r1):
-    """Places of the fine mesh from those of every second node, cubic along rows and columns.
-
-    With ``gaps`` places may be FAR; what is FAR in the fine mesh is up to the caller.
-    """
+    """Fine places from every second node, cubic along rows and columns; with ``gaps``, FAR ones are the caller's."""
     for c in range(2):
         line = np.full(coarse_n + 3, FAR)
         for i in range(r0, r1):

@@ -5,11 +5,9 @@ All arrays have a frame of one missing node around the mesh, so that no loop ask
 ``v``, ``f`` (2, rows + 2, cols + 2) are positions, velocities and forces, 0 where there is no node. ``rest`` and
 ``stiff`` (4, rows + 2, cols + 2) are lengths and constants of the springs from a node to the right, downwards, and
 along both diagonals of the cell that it opens; a missing spring has the constant 0. ``side`` (4, rows + 2, cols + 2)
-weighs the differences to the neighbours right, left, below and above: a half each, one where the opposite neighbour is
-missing, nothing at a missing node.
+weighs the differences to the neighbours right, left, below, above: a half, 1 if the opposite is missing, 0 if it is.
 
-Rows are worked through one after another in loops without branches and without sums over a row, which would keep them
-from being vectorised: sums and maxima are collected by column first.
+Loops over rows are without branches and sums, to be vectorised: sums and maxima are collected by column first.
 """
 
 from math import sqrt

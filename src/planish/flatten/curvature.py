@@ -46,8 +46,7 @@ def curvature_check(points: Floats, *, patch_um: float = 1000.0) -> CurvatureChe
 
     Parameters
     ----------
-    points : (rows, cols, 3)
-        Nodes in space, um; NaN where there is no sheet.
+    points : (rows, cols, 3); nodes in space, um; NaN where there is no sheet
     patch_um : float
         Half the side of a patch. A millimetre or more: below that, paper may have curvature from forming.
 
@@ -132,8 +131,7 @@ def _deficit_and_area(points: Floats) -> tuple[Floats, Floats]:
             for k in (p, q, r):
                 block_area[k] += twice_area / 6
     angle_deficit = 2 * np.pi - angles
-    # Nodes of the outline have no full turn.
-    angle_deficit[[0, -1]] = angle_deficit[:, [0, -1]] = np.nan
+    angle_deficit[[0, -1]] = angle_deficit[:, [0, -1]] = np.nan  # Nodes of the outline have no full turn.
     area[np.isnan(angle_deficit)] = np.nan
     return angle_deficit, area
 

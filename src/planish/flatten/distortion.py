@@ -53,10 +53,8 @@ def geodesic_error(points: Floats, uv: Floats, *, rng: np.random.Generator, pair
 
     Parameters
     ----------
-    points : (rows, cols, 3)
-        Nodes in space, um; NaN where there is no sheet.
-    uv : (rows, cols, 2)
-        The same nodes in the plane, um.
+    points : (rows, cols, 3); nodes in space, um; NaN where there is no sheet
+    uv : (rows, cols, 2); the same nodes in the plane, um
     rng : Generator
     pairs : int
         Number of lines. Their ends are random places in random triangles; between nodes, many would run along the mesh.
@@ -120,12 +118,11 @@ def random_places(whole: Bools, count: int, rng: np.random.Generator) -> MeshPoi
 def trace_lines(points: Floats, uv: Floats, start: MeshPoints, end: MeshPoints) -> tuple[Floats, Floats]:
     """Trace straight lines of the plane through the triangles of the mesh, from inside of one to inside of another.
 
-    Gives the lengths (n,) in the plane and on the surface, um; the latter is NaN where a line leaves the sheet.
-
-    All lines walk at the same time, a triangle a step. Each corner lies to the left of the line or not, and a line
-    leaves a triangle by the one edge that runs from its right to its left (the other way round where it starts in a
-    triangle that is turned over); no intersection is ever searched, and corners on the line do no harm. In folded cells
-    a line follows the sheet there and back.
+    Gives the lengths (n,) in the plane and on the surface, um; the latter is NaN where a line leaves the sheet. All
+    lines walk at the same time, a triangle a step. Each corner lies to the left of the line or not, and a line leaves a
+    triangle by the one edge that runs from its right to its left (the other way round where it starts in a triangle
+    that is turned over); no intersection is ever searched, and corners on the line do no harm. In folded cells a line
+    follows the sheet there and back.
     """
     is_cell = np.pad(whole_cells(points, uv), 1)
     origin, goals = start.on(uv), end.on(points)
@@ -160,8 +157,7 @@ def _leave_triangles(
     points: Floats, uv: Floats, triangles: Index, origin: Floats, vector: Floats, is_turned: Bools
 ) -> tuple[Floats, Index, Bools]:
     """Give the points (n, 3) at which lines leave their triangles, the triangles behind, and which cross an edge."""
-    # Those that are turned began in a triangle that is turned over.
-    line, row, col, half = triangles.T
+    line, row, col, half = triangles.T  # Those that are turned began in a triangle that is turned over.
     corner = row[:, None] + _CORNERS[half, :, 0], col[:, None] + _CORNERS[half, :, 1]
     x, y = np.moveaxis(uv[corner] - origin[:, None], -1, 0)
     side = vector[:, :1] * y - vector[:, 1:] * x
@@ -222,14 +218,10 @@ def measure_distortion(
 
     Parameters
     ----------
-    points : (rows, cols, 3)
-        Nodes in space, um; NaN where there is no sheet.
-    uv : (rows, cols, 2)
-        The same nodes in the plane, um.
-    rng : Generator
-        Draws the lines whose lengths are compared.
-    strain : Dataset, optional
-        ``cell_strain(points, uv)``, where it is there already.
+    points : (rows, cols, 3); nodes in space, um; NaN where there is no sheet
+    uv : (rows, cols, 2); the same nodes in the plane, um
+    rng : Generator; draws the lines whose lengths are compared
+    strain : Dataset, optional; ``cell_strain(points, uv)``, where it is there already
 
     Returns
     -------

@@ -44,8 +44,7 @@ class Team(ThreadPoolExecutor):
         try:
             kernel(*calls[0])
         finally:
-            # The arrays must not be given back while a thread still writes to them.
-            wait(running)
+            wait(running)  # The arrays must not be given back while a thread still writes to them.
         for done in running:
             done.result()
 
@@ -217,8 +216,7 @@ def impute_nodes(points: Floats, weights: Floats | None, is_trusted: Bools, is_m
         return sparse.csr_array((np.repeat(coefficients, nodes.shape[1]), indices), shape=(nodes.shape[1], n_nodes))
 
     diff2 = differences((1.0, -2.0, 1.0))
-    # A faint pull towards the neighbours settles what no second difference reaches.
-    diff1 = differences((1.0, -1.0))
+    diff1 = differences((1.0, -1.0))  # A faint pull towards the neighbours settles what no second difference reaches.
     is_free = is_missing[is_local]
     # The pull acts on the deviation from a plane, which leaves linear maps alone.
     fixed_points = points[is_local][~is_free]

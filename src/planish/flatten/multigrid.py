@@ -1,10 +1,9 @@
 """Minimum spring energy by nested iteration: Gauss-Newton steps, each solved by one multigrid cycle.
 
 The mesh of every second node is itself a mesh of springs (in two dimensions a spring constant does not depend on the
-size of the mesh), so each coarser level is relaxed first and gives the next its start. There, the balance of
-forces is taken in double precision; the correction comes from a V-cycle in single precision over the linearised springs
-of all levels (Brandt, 1977, doi:10.1090/S0025-5718-1977-0431719-X), with Chebyshev smoothing (Adams et al., 2003,
-doi:10.1016/S0021-9991(03)00194-3).
+mesh's size), so each coarser level is relaxed first and gives the next its start. Forces are balanced in double
+precision; corrections come from a V-cycle in single precision over the linearised springs of all levels (Brandt 1977,
+doi:10.1090/S0025-5718-1977-0431719-X), with Chebyshev smoothing (Adams et al. 2003, doi:10.1016/S0021-9991(03)00194-3).
 """
 
 from __future__ import annotations
@@ -147,8 +146,7 @@ class Multigrid:
             if not np.isfinite(gain):
                 return Outcome.NOT_FINITE
             if step == 0:
-                # The next finer level is then taken as rough, too.
-                self._is_rough = gain > 0.02 * energy
+                self._is_rough = gain > 0.02 * energy  # The next finer level is then taken as rough, too.
             if is_smoothing_only:
                 continue
             gains.append(gain)

@@ -84,8 +84,7 @@ def relax_grid(
     tolerance : float
         ``multigrid`` is at rest when its energy is expected to exceed the minimum by less than this share, or places to
         be wrong by less than 3e-6 pitches in the mean (root of the mean square).
-    least_share : float
-        Pieces with a smaller share of the nodes are dropped as specks; ``dropped`` says which.
+    least_share : float; pieces with a smaller share of the nodes are dropped as specks; ``dropped`` says which
 
     Returns
     -------

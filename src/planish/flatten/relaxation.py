@@ -91,8 +91,7 @@ def relax_dynamically(
 
     Parameters
     ----------
-    start : (rows, cols, 2)
-        Where the nodes are let go, in mean pitches; NaN where there is no node.
+    start : (rows, cols, 2); where the nodes are let go, in mean pitches; NaN where there is no node
     rest : (4, rows, cols)
         Rest lengths in mean pitches of the springs (i, j)-(i, j + 1), (i, j)-(i + 1, j), (i, j)-(i + 1, j + 1) and
         (i, j + 1)-(i + 1, j); NaN where there is no spring.

@@ -170,8 +170,7 @@ def sheet_mesh(surfaces: xr.Dataset, mesh_um: float | None) -> SheetMesh:
     pitch_um = pitch(surfaces)
     area_um2 = np.count_nonzero(is_sheet) * pitch_um[0] * pitch_um[1]
     wanted_um = mesh_um or max(4 * max(pitch_um), np.sqrt(area_um2 / _MOST_NODES))
-    # Columns per mesh cell, along rows and columns, so that cells are about square.
-    row_step, col_step = (
+    row_step, col_step = (  # Columns per mesh cell, along rows and columns, so that cells are about square.
         int(np.clip(round(wanted_um / step_um), 1, max(1, (n - 1) // 2)))
         for step_um, n in zip(pitch_um, centre.shape, strict=True)
     )

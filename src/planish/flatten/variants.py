@@ -31,14 +31,10 @@ def flat_moves(
 
     Parameters
     ----------
-    surfaces : Dataset, dims (y, x), in um
-        ``centre`` and the frame in its attributes.
-    others : mapping of (y, x) arrays
-        Height of each other surface over the centre surface, in um.
-    neutral : (y, x) or 0
-        The same of the surface that was flattened.
-    rest : {"arc", "chord"}
-        As for the flattening itself.
+    surfaces : Dataset, dims (y, x), in um; ``centre`` and the frame in its attributes
+    others : mapping of (y, x) arrays; height of each other surface over the centre surface, in um
+    neutral : (y, x) or 0; the same of the surface that was flattened
+    rest : {"arc", "chord"}, as for the flattening itself
 
     Returns
     -------
@@ -69,14 +65,11 @@ def places_when_scaled(
 
     Parameters
     ----------
-    surfaces : Dataset, dims (y, x), in um
-        ``centre`` and the frame in its attributes; ``status`` if there is one.
+    surfaces : Dataset, dims (y, x), in um; ``centre`` and the frame in its attributes; ``status`` if there is one
     flat : Dataset, dims (y, x), in um
         ``u``, ``v`` of the columns at scale 1, as :func:`planish.flatten_sheet` gives them.
-    points : (n, 2), in um
-        Places ``(u, v)`` in the flat sheet.
-    mesh_um : float, optional
-        Pitch of the mesh; where not given, some 5000 nodes, 50 um apart at most.
+    points : (n, 2), in um; places ``(u, v)`` in the flat sheet
+    mesh_um : float, optional; pitch of the mesh; where not given, some 5000 nodes, 50 um apart at most
 
     Returns
     -------

@@ -8,10 +8,7 @@ from planish.core.jit import njit
 
 @njit(cache=True, nogil=True)
 def halve(values, out, whole):
-    """Means of 2 x 2 x 2 voxels into ``out``; at an odd end the last voxel counts twice. Halves are rounded up.
-
-    Integers of up to 32 bits are summed exactly.
-    """
+    """Means of 2 x 2 x 2 voxels into ``out``, exact to 32 bits, halves up; the last voxel of odd ends counts twice."""
     depth, rows, cols = values.shape
     for k in range(out.shape[0]):
         k1 = min(2 * k + 1, depth - 1)

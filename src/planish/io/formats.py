@@ -42,8 +42,7 @@ class VolumeFormat(NamedTuple):
     has_parts: bool = False  # whether ``path:part`` chooses one volume of several
 
 
-# The first line that fits is taken, so longer suffixes stand before shorter ones.
-FORMATS = (
+FORMATS = (  # The first line that fits is taken, so longer suffixes stand before shorter ones.
     VolumeFormat("raw with a header", "header_volume", (".toml", ".raw", ".vol")),
     VolumeFormat("OME-Zarr", "zarr_volume", (".zarr",), ("zarr.json", ".zgroup", ".zarray"), has_parts=True),
     VolumeFormat("NRRD", "header_volume", (".nrrd", ".nhdr")),

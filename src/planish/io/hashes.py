@@ -32,8 +32,7 @@ def missing_shards(path: Path) -> list[str]:
 def store_fingerprint(path: Path) -> str:
     """SHA-256 over the checksums of all shards, for which no shard is read; empty where there are no checksums."""
     shard_hashes = sorted(_read_checksums(path).items())
-    # The shards hold the voxels, the metadata their size.
-    if not shard_hashes:
+    if not shard_hashes:  # The shards hold the voxels, the metadata their size.
         return ""
     files = sorted(p for p in path.rglob("*") if p.name in ("zarr.json", ".zattrs", ".zarray"))
     hashes = [(p.relative_to(path).as_posix(), hashlib.sha256(p.read_bytes()).hexdigest()) for p in files]
@@ -94,8 +93,7 @@ def fingerprint(path: str | Path) -> str:
 
     Parameters
     ----------
-    path : path
-        A file, a folder of slices, or a store of many files; of ``file.h5:/entry/data``, that one volume.
+    path : path; a file, a folder of slices, or a store of many files; of ``file.h5:/entry/data``, that one volume
 
     Returns
     -------

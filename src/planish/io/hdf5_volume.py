@@ -41,8 +41,7 @@ def opened(path: Path) -> Generator[h5py.File]:
 
 def link_of(group: Any, name: str) -> Any:
     """A HardLink, SoftLink or ExternalLink of h5py, which is not followed; None where a group has no such member."""
-    # To ask h5py whether the group holds it would open the file that an external link names.
-    key = name.encode()
+    key = name.encode()  # To ask h5py whether the group holds it would open the file that an external link names.
     if not key or "/" in name or not isinstance(group, h5py.Group) or not group.id.links.exists(key):
         return None
     links: Any = group.id.links

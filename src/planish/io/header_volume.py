@@ -48,8 +48,7 @@ def load(place: Place, _channel: str | None, memory_bytes: int | None) -> Loaded
     values: Values = values_behind(header)
     too_large = header.needed_bytes > memory_limit(memory_bytes)
     if header.packing and suffix in (".mha", ".mhd") and too_large:
-        # SimpleITK reads on behind the end of values that are shorter than declared.
-        for _ in unpacked_parts(header):
+        for _ in unpacked_parts(header):  # SimpleITK reads on behind the end of values that are shorter than declared.
             pass
         extra("SimpleITK", path)
         values = FileArray(path, header.shape, header.stored_dtype.newbyteorder("="), partial(_read_meta, path))

@@ -60,15 +60,13 @@ def describe(
     path : path
     voxel_um, pixel_um : float or sequence, optional
         Size in um, checked against the metadata as the reading functions do.
-    channel : str, optional
-        As in :func:`planish.io.read_volume`, for volumes and sections.
+    channel : str, optional, as in :func:`planish.io.read_volume`, for volumes and sections
     override_size : bool
     memory_bytes : int, optional
         What may be decoded at once; of files that can only be decoded whole and have more, values are not looked at.
     look : callable, optional
         Is given the values of a volume (z, y, x), or of an image (y, x), where they may be looked at.
-    values : bool
-        Whether values are looked at; otherwise headers alone are read.
+    values : bool; whether values are looked at; otherwise headers alone are read
 
     Returns
     -------
@@ -77,12 +75,11 @@ def describe(
         ``dims``, ``shape``, ``dtype``, ``size_um`` (None where unknown), ``size_source``, ``size_problem``,
         ``extent_um``, ``min``, ``max``, ``percentiles``, ``nan_share``, ``saturated_share`` (values at the largest the
         type can store), ``bottom_share`` (values of 0), all None where no value was looked at, ``sampled`` (which
-        slices, or rows and columns, were looked at; None for all), and
-        ``warnings``, a list of sentences. For volumes also ``format``, ``stored`` (how they are read),
-        ``through`` (the axis that seems to run through the sheet; None where the grey does not tell), ``run_bytes``
-        and ``run_seconds`` (memory with which ``planish map`` measures single voxels, and its time, roughly),
-        ``metadata`` (what a log states, and choices made). For images ``link_bytes`` and ``link_seconds``: memory of
-        ``planish link``, and what it takes after the volume.
+        slices, or rows and columns, were looked at; None for all), and ``warnings``, a list of sentences. For volumes
+        also ``format``, ``stored`` (how they are read), ``through`` (the axis that seems to run through the sheet;
+        None where the grey does not tell), ``run_bytes`` and ``run_seconds`` (memory with which ``planish map``
+        measures single voxels, and its time, roughly), ``metadata`` (what a log states, and choices made). For images
+        ``link_bytes`` and ``link_seconds``: memory of ``planish link``, and what it takes after the volume.
 
     Raises
     ------
@@ -258,8 +255,7 @@ def _size_facts(
         if shortest < least or longest > most:
             edges_text, range_text = " x ".join(f"{v:g}" for v in size), f"{least:g} to {most:g} um"
             warnings.append(f"{elements} of {edges_text} um are unusual for paper ({range_text}). Is the unit right?")
-        # Longest over shortest edge of a voxel; beyond, one of them is probably wrong.
-        if longest > 5.0 * shortest:
+        if longest > 5.0 * shortest:  # Longest over shortest edge of a voxel; beyond, one of them is probably wrong.
             size_name, ratio = "z size" if elements == "Voxels" else "size", longest / shortest
             warnings.append(
                 f"The edges of {elements.lower()} differ by a factor of {ratio:.3g}. Is the {size_name} right?"

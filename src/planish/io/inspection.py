@@ -53,8 +53,7 @@ def inspect_values(
         warnings.append(f"{100 * facts['nan_share']:.3g} % of the values are missing (NaN or infinite).")
     if seen.low == seen.high:
         return facts
-    # Above this share of values at the end of the range, grey levels were lost.
-    if facts["saturated_share"] > 0.001:
+    if facts["saturated_share"] > 0.001:  # Above this share of values at the end of the range, grey levels were lost.
         cut_text = f"are at {full_scale}, the largest the file can store: grey levels were cut there."
         warnings.append(f"{100 * facts['saturated_share']:.3g} % of the values {cut_text}")
     if seen.constant_numbers:
@@ -102,8 +101,7 @@ def _look(values: Values, plane_numbers: list[int], full_scale: int | None) -> _
         if index % stride == 0:
             sample = plane[(slice(None, None, stride),) * plane.ndim].ravel()
             samples.append(sample[np.isfinite(sample)])
-        # Slices with fewer pixels may well be alike, or of one grey.
-        if plane.ndim == 2 and plane.size >= 1000:
+        if plane.ndim == 2 and plane.size >= 1000:  # Slices with fewer pixels may well be alike, or of one grey.
             digest = hashlib.blake2b(np.ascontiguousarray(plane).data, digest_size=16).digest()
             if not plane_low < plane_high:
                 seen.constant_numbers.append(number)

@@ -39,10 +39,7 @@ Change = Callable[[NDArray[Any]], NDArray[Any]]
 
 
 class PagedArray(FileArray):
-    """A volume stored page by page, in strips of `unit_rows` rows, the last of which stay decoded.
-
-    ``rows(page, start, stop)`` decodes rows of a page; both lie on borders of strips or at the page's end.
-    """
+    """A volume of pages in strips of `unit_rows`, the last kept decoded; ``rows(page, start, stop)`` decodes strips."""
 
     def __init__(
         self, path: Path, shape: tuple[int, ...], dtype: np.dtype[Any], unit_rows: int,
@@ -77,10 +74,7 @@ class PagedArray(FileArray):
 
 
 class StoredArray(FileArray):
-    """Planes that lie in files as they are, each in a file from a byte on, in whatever byte order.
-
-    The files are open only while they are read: mapped, all that was ever touched would count as memory in use.
-    """
+    """Planes that lie in files as they are, in any byte order; open only while read: mapped they would use memory."""
 
     def __init__(self, planes: Sequence[tuple[Path, int]], shape: tuple[int, ...], stored_dtype: np.dtype[Any]) -> None:
         self.planes, self.shape, self.stored_dtype = planes, shape, stored_dtype

@@ -27,8 +27,7 @@ CHUNK = 512  # pixels along the edge of a chunk of a map
 COMPLETE = "every_chunk_is_written"  # attribute of a store: one that is not there is a damage, not a missing value
 OVERVIEWS = "overviews"  # group of a store with smaller copies of its maps, which are read where they are shown
 
-# Maps hold noise: with their bytes sorted by weight they take a fifth less room than by zstd, in a fifth of the time.
-# The sum tells a damaged chunk.
+# Noisy maps, bytes sorted by weight, take a fifth less room than by zstd, in a fifth of the time; the sum tells damage.
 CODECS = (BloscCodec(cname="lz4", clevel=1, shuffle="shuffle"), Crc32cCodec())
 _TILE = (1024, 2048)  # whole chunks, also of the first overview
 
@@ -184,8 +183,7 @@ def readable(path: Path) -> Generator[None]:
     except (PlanishError, MemoryError):
         raise
     except Exception as error:  # damaged metadata make zarr raise almost every type there is
-        # Some reasons hold the whole file.
-        reason = " ".join(str(error).split())[:160] or type(error).__name__
+        reason = " ".join(str(error).split())[:160] or type(error).__name__  # Some reasons hold the whole file.
         raise FileError(f"{path} cannot be read: {reason}. It may be damaged; repeat the run.") from error
 
 

@@ -39,14 +39,8 @@ def new_folder(path: Path, *, inside: Path | None = None, needed: int | None = N
     """Give a hidden folder to write into; it becomes ``path`` when the block ends well, and vanishes when not.
 
     ``inside`` is an existing folder beside ``path`` where it may stand meanwhile, such as that of :func:`work_folder`,
-    which sweeps up what a killed process has left. ``needed`` is about how many bytes it takes.
-
-    Raises
-    ------
-    FileError
-        If ``path`` exists or cannot be written.
-    ResourceError
-        If the disk is full.
+    which sweeps up what a killed process has left. ``needed`` is about how many bytes it takes. FileError if ``path``
+    exists or cannot be written, ResourceError if the disk is full.
     """
     refuse_existing(path)
     check_length(path.absolute())
@@ -69,21 +63,16 @@ def work_folder(path: Path, key: str) -> Generator[Path]:
     """Give a hidden folder for what a run would not like to work out twice.
 
     It vanishes when the block ends, well or not. Only a process that was killed leaves it behind; the next run to
-    ``path`` with the same ``key`` then finds what was in it, and with another key an empty one.
-
-    Raises
-    ------
-    FileError
-        If another process is writing to ``path`` at this moment, the folder cannot be made, or something that is not
-        planish's has its name: a link, a file, or a folder without the marker. Nothing is touched then.
+    ``path`` with the same ``key`` then finds what was in it, and with another key an empty one. FileError if another
+    process is writing to ``path`` at this moment, the folder cannot be made, or something that is not planish's has its
+    name: a link, a file, or a folder without the marker. Nothing is touched then.
     """
     check_length(path.absolute())
     work = path.with_name(f".{path.name}.work")
     marker, key_file = work / WORK_MARKER, work / "key"
     with writing(path):
         claim_folder(work, WORK_MARKER, _WORK_TEXT, for_what=path)
-        # Everything in it has to be planish's own.
-        names = {entry.name for entry in work.iterdir()}
+        names = {entry.name for entry in work.iterdir()}  # Everything in it has to be planish's own.
         foreign_names = sorted(name for name in names if is_link(work / name) or not _is_work_name(name))
         # Versions before the marker wrote a key of 64 digits and a lock.
         is_marked = _has_text(marker, _WORK_TEXT) if marker.name in names else {"key", "lock"} <= names

@@ -90,8 +90,7 @@ def read_section_stack(
 
     Parameters
     ----------
-    path : path
-        The folder: TIFF, PNG, BMP or JPEG, grey or colour, all alike, and ``sections.csv``.
+    path : path; the folder: TIFF, PNG, BMP or JPEG, grey or colour, all alike, and ``sections.csv``
     voxel_um : float or (z, y, x), optional
         One number is the pixel size in um; of three, z is the counter's median step. Not needed where files state it.
     channel, override_size, unusual_size, memory_bytes

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from tifffile import TiffFile, TiffPage
 
 PREFIXES = (("p", "pico", 1e-6), ("n", "nano", 1e-3), ("u", "micro", 1.0), ("m", "milli", 1e3), ("c", "centi", 1e4))
-# Length of each unit in um. Keys are case-folded, which also makes the micro sign a Greek mu.
-UNITS_UM = {
+UNITS_UM = {  # Length of each unit in um. Keys are case-folded, which also makes the micro sign a Greek mu.
     "å": 1e-4, "angstrom": 1e-4, "ångström": 1e-4, "μm": 1.0, "micron": 1.0, "microns": 1.0,
     "in": 25400.0, "inch": 25400.0, "inches": 25400.0,
 } | {
@@ -69,8 +68,6 @@ PIXEL = Asked("pixel", ("y", "x"), "--pixel-um", (0.01, 500.0))
 def unit_um(unit: str) -> float | None:
     r"""Length of a unit in um, or None if the word is no unit of length.
 
-    Examples
-    --------
     >>> unit_um("mm"), unit_um("µm"), unit_um("pixel")
     (1000.0, 1.0, None)
     """
@@ -97,10 +94,7 @@ def stated_in(
 
 
 def from_density(per_unit: float | None, unit: str) -> float | None:
-    """Pixel size in um from pixels per unit of length, or None where nothing is meant by it.
-
-    Exactly 1 pixel per unit, and 72 or 96 pixels per inch in whatever unit, mean that a program did not know.
-    """
+    """Pixel size (um) from pixels per unit of length; None for 1 per unit and 72 or 96 an inch, which mean unknown."""
     unit_length, density = unit_um(unit), _number(per_unit)
     if density is None or unit_length is None or density == 1:
         return None
@@ -226,8 +220,7 @@ def stated_by_tiff(tif: TiffFile, page: TiffPage, path: Path) -> tuple[Stated, .
             stated = [stated_in("OME metadata", sizes, units)]
         if imagej is not None and str(imagej.get("unit", "")).strip():
             return (*stated, _stated_by_imagej(imagej, density))
-        # The resolution tags, with their unit, never state z.
-        code: Any = page.tags.valueof(296)
+        code: Any = page.tags.valueof(296)  # The resolution tags, with their unit, never state z.
         return (*stated, stated_density("the TIFF resolution", density, {2: "inch", 3: "cm"}.get(code, "")))
 
 

@@ -37,8 +37,7 @@ EXTENSIONS = frozenset({".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg"})
 MOST_NAMES = 8  # names or numbers written out in a message
 ELSEWHERE = "or move the log elsewhere and give --voxel-um."
 
-# Keys of a log that describe how the volume was made.
-DETAIL_KEYS = {
+DETAIL_KEYS = {  # Keys of a log that describe how the volume was made.
     "system": ("Scanner", "Software version", "Software", "Source Type", "Camera"),
     "acquisition": (
         "Source Voltage (kV)", "Source Current (uA)", "Filter", "Exposure (ms)", "Rotation Step (deg)",

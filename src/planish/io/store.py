@@ -57,8 +57,7 @@ def write_store(
 
     Parameters
     ----------
-    volume : DataArray, dims (z, y, x), coordinates in um
-        Read in blocks; it need not fit into memory.
+    volume : DataArray, dims (z, y, x), coordinates in um, read in blocks; it need not fit into memory
     path : Path
         Folder to make. While it is written it stands beside its place under a hidden name, where a second call with
         the same volume finds it and goes on if the first one was killed.
@@ -69,8 +68,7 @@ def write_store(
         same time, as far as the memory holds them; ``volume`` is sent there. Local threads where not given.
     ome : {"0.5", "0.4"}
         Version of OME-Zarr. 0.4 has no shards, and so many more files.
-    progress : callable, optional
-        Called with what is done, the number of blocks done, and their number.
+    progress : callable, optional; called with what is done, the number of blocks done, and their number
 
     Raises
     ------

@@ -31,10 +31,8 @@ def read_topography(
 
     Parameters
     ----------
-    path : path
-        SUR, X3P, SDF, GWY, OPD, PLUx and the like.
-    pixel_um : float or (y, x), optional
-        Pixel size in um; not needed where the file states it.
+    path : path; SUR, X3P, SDF, GWY, OPD, PLUx and the like
+    pixel_um : float or (y, x), optional; pixel size in um; not needed where the file states it
     override_size, unusual_size, memory_bytes
         As for :func:`planish.read_image`.
 

@@ -112,8 +112,7 @@ def load_volume(place: Place, *, channel: str | None = None, memory_bytes: int |
     """Read the values of a volume, whatever its voxel size; errors as those of :func:`read_volume`."""
     path, loaded = place.path, loader(format_of(place))(place, check_channel(channel), memory_bytes)
     shape = loaded.values.shape
-    # No scan has more; a larger number is damage.
-    if 0 in shape or math.prod(shape) > 2**50:
+    if 0 in shape or math.prod(shape) > 2**50:  # No scan has more; a larger number is damage.
         raise damaged(path, f"it declares {size_words(shape)} voxels, which no volume has")
     if len(shape) != 3 or min(shape) == 1:
         raise VolumeError(f"{path.name} is no volume but {size_words(shape)} voxels (z, y, x). {ADVICE}")

@@ -1,10 +1,8 @@
 # pyright: standard
 """Edges and grey levels along the rays of a round hole, and the outline fitted to them.
 
-Numpy and numba only, arrays in, arrays out.
-
-Images are float32 ``(y, x)`` with NaN where there is no data; pixel ``(i, j)`` has its centre at
-``(j * px, i * py)`` um. ``sign`` is +1 for holes darker than the sheet, -1 for brighter ones.
+Numpy and numba only, arrays in, arrays out. Images are float32 ``(y, x)`` with NaN where there is no data; the centre
+of pixel ``(i, j)`` is ``(j * px, i * py)`` um. ``sign`` is +1 for holes darker than the sheet, -1 for brighter ones.
 """
 
 from __future__ import annotations
@@ -67,7 +65,6 @@ def innermost_edges(image, px, py, cx, cy, sign, low, high, dt, window, rays):
         for t in range(first, count - reach):
             rise = rises[k, t]
             if rise >= strong:
-                # Climb to the top of this edge.
                 top = t
                 for s in range(t + 1, min(count - reach, t + 2 * reach + 1)):
                     if rises[k, s] > rises[k, top]:
@@ -92,10 +89,7 @@ def _level(image, x, y, sx, sy, start, stop, dt):
 
 @njit(cache=True, nogil=True)
 def half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel):
-    """Return the half-level radius, the step, the step over a wider distance and the level just outside on each ray.
-
-    The edges lie within ``search`` of the modelled radii; NaN where there is none.
-    """
+    """Half-level radius, step, wider step and level outside of each ray, within ``search`` of the model; or NaN."""
     rays = model.shape[0]
     radii, steps, far_steps = (np.full(rays, np.nan), np.full(rays, np.nan), np.full(rays, np.nan))
     nears = np.full(rays, np.nan)
@@ -277,10 +271,7 @@ def fit_outline(radii, order, least_scale):
 
 @njit(cache=True, nogil=True)
 def waves(error, weight):
-    """Return the variances of one amplitude of the waves around a rim: of the third and fourth, of the fifth to eighth.
-
-    ``error`` (n,) at equal angles, counted where ``weight`` is not 0.
-    """
+    """Variances of one amplitude of waves of ``error`` where ``weight`` is not 0: third and fourth; fifth to eighth."""
     rays = error.shape[0]
     low, high = 0.0, 0.0
     for order in range(3, 9):

@@ -1,8 +1,7 @@
 # pyright: standard
 """Round holes measured at places where they may be: numpy and numba only, arrays in, arrays out.
 
-Images are float32 ``(y, x)`` with NaN where there is no data; pixel ``(i, j)`` has its centre at
-``(j * px, i * py)`` um. ``sign`` is +1 for holes darker than the sheet, -1 for brighter ones.
+Images and ``sign`` as in `_edge_kernels`.
 """
 
 from __future__ import annotations
@@ -19,9 +18,8 @@ OUTSIDE, TEXTURE, ROUGHNESS, FLATNESS, UNEVENNESS, FAR_STEP, LOW_WAVES, HIGH_WAV
 DOUBT_X, DOUBT_Y = 20, 21
 COLUMNS = 22
 
-# Least step of another edge inside the rim, share of the whole step; standard deviation of a centre where either of two
-# closed edges may be the rim, share of what their centres are apart; the same for the centre of the floor, which the
-# wall moves less.
+# Least step of another edge inside the rim, share of the whole step; sd of a centre where either of two closed edges
+# may be the rim, share of what their centres are apart; the same for the floor's centre, which the wall moves less.
 LEAST_INNER, EITHER, FLOOR = 0.06, 0.6, 1.3
 # How far the middle of a floor usually is from that of its rim, as holes are tilted: share of the radius, and pixels.
 # Less is usual where the step at the rim has a first wave above this share of the whole step, as uneven char makes it.
@@ -206,9 +204,8 @@ def measure_floors(image, px, py, xs, ys, sign, radius, floor, depth, shares):
     """Measure the outline of a hole's floor about each place of `middles_of_floors`: where the grey leaves its level.
 
     What is printed over a rim may hide its edge, and never the floor. ``radius``, ``floor`` (times ``sign``) and
-    ``depth`` are those of the other holes of the image. Of the levels, ``shares`` of the step from the floor to the
-    sheet, the one with the roundest outline is taken. Returns ``(n, COLUMNS)`` as `measure` does, without the steps at
-    the rim.
+    ``depth`` are those of the image's other holes. Of the levels, ``shares`` of the step from the floor to the sheet,
+    that with the roundest outline is taken. Returns ``(n, COLUMNS)`` as `measure` does, without steps at the rim.
     """
     pixel = max(px, py)
     dt = max(0.25 * pixel, 0.5)
@@ -321,7 +318,6 @@ def _set_doubt(row, image, px, py, sign, x, y, steps):
 
 @njit(cache=True, nogil=True)
 def _outline(row, cx, cy, radii, fit, weight, inverse):
-    """Write centre and shape of a fitted outline into a row."""
     # Share of the rim that is there; and how rough it is.
     error = np.zeros(RAYS)
     used, squares = 0, 0.0

@@ -1,8 +1,5 @@
 # pyright: standard
-"""Closed outlines around a hole: of several edges on a ray, one all the way round.
-
-Numpy and numba only, arrays in, arrays out; images and ``sign`` as in `_edge_kernels`.
-"""
+"""Closed outlines around a hole: of several edges on a ray, one all the way round; images as in `_edge_kernels`."""
 
 from __future__ import annotations
 
@@ -20,10 +17,7 @@ SIDEWAYS, MOST_STEPS = 0.1, 1
 
 @njit(cache=True, nogil=True)
 def polar_rises(image, px, py, cx, cy, sign, dt, count, reach, rays):
-    """Return the rise (rays, count) of the mean over ``reach`` samples outside a radius against that inside.
-
-    Radii are multiples of ``dt``; NaN where a sample is missing.
-    """
+    """Rise (rays, count) of the mean over ``reach`` samples outside a radius (of ``dt``) over that inside; or NaN."""
     rises = np.full((rays, count), np.nan)
     sums = np.empty(count + 1)
     for k in range(rays):
@@ -39,10 +33,7 @@ def polar_rises(image, px, py, cx, cy, sign, dt, count, reach, rays):
 
 @njit(cache=True, nogil=True)
 def edge_worth(rises, step):
-    """Return what it is worth to pass each place (rays, count): edges up to 1 where they rise by ``step``, others 0.
-
-    Edges are maxima along a ray, and the places beside them.
-    """
+    """Worth of each place (rays, count): maxima along a ray, and beside them, up to 1 at a rise of ``step``; else 0."""
     rays, count = rises.shape
     worth = np.zeros((rays, count))
     for k in range(rays):
@@ -75,10 +66,7 @@ def rim_radius(worth, first, last, least_band, outwards):
 
 @njit(cache=True, nogil=True)
 def closed_path(worth, first, last):
-    """Return the place on each ray of the closed path of the largest worth between two radii, both included.
-
-    Dynamic programming over two turns.
-    """
+    """Dynamic programming: place on each ray of the closed path of most worth between two radii, both included."""
     rays, count = worth.shape[0], min(last, worth.shape[1] - 1) + 1 - first
     worth = worth[:, first : first + count]
     best = worth[0].copy()

@@ -158,10 +158,7 @@ def local_deviation(raster: Raster, diameter_um: float, quantile: float) -> Loca
 
 
 def _local_mean(image: Image, pixel_um: Pair, width_um: float, steps: tuple[int, int] = (1, 1)) -> Image:
-    """Give the Gaussian mean of what is there; the median of all of it where nothing is near.
-
-    It is smooth: a raster of a quarter of its width will do. Every ``steps``-th row and column is given.
-    """
+    """Gaussian mean at every ``steps``-th row and column, from a coarse raster; the median where nothing is near."""
     block_rows, block_cols = (max(1, int(width_um / 4 / size)) for size in pixel_um)
     # The last blocks may reach beyond the image, where there is no data.
     padding = [(0, -image.shape[0] % block_rows), (0, -image.shape[1] % block_cols)]

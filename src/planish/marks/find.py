@@ -213,7 +213,6 @@ def _count_rejected(detection: _Detection, holes: Floats, raster: Raster, radius
 
 
 def _raise_texture(marks: Floats, texture: candidates.LocalLevels) -> None:
-    """Raise the texture of rows to that around them, in place."""
     marks[:, k.TEXTURE] = np.maximum(marks[:, k.TEXTURE], texture.at_points(marks[:, k.X : k.Y + 1]))
 
 
@@ -235,7 +234,6 @@ def _measure(
 
 
 def _floors(raster: Raster, sign: float, positions: Floats, holes: Floats) -> Floats:
-    """Measure floors where no clear hole is."""
     typical = criteria.typical_hole(holes)
     depth_shares = (0.2, 0.08, 0.13, 0.27, 0.35)  # of the depth of the holes, at which a floor may end
     level = typical.floor_level + depth_shares[0] * typical.depth
@@ -257,7 +255,6 @@ def _floors(raster: Raster, sign: float, positions: Floats, holes: Floats) -> Fl
 
 
 def _is_outside(positions: Floats, holes: Floats, radius_share: float) -> Bools:
-    """Return which places lie farther than a share of its radius from the middle of the nearest hole."""
     if not len(holes):
         return np.ones(len(positions), bool)
     distances, nearest = KDTree(holes[:, [k.X, k.Y]]).query(positions)
@@ -265,7 +262,6 @@ def _is_outside(positions: Floats, holes: Floats, radius_share: float) -> Bools:
 
 
 def _kernel_arguments(raster: Raster, positions: Floats) -> tuple[Image, float, float, Floats, Floats]:
-    """Give what kernels take first: the image, its pixel size along x and y, and x and y of places."""
     x, y = np.ascontiguousarray(positions.T)
     return raster.image, raster.pixel_um[1], raster.pixel_um[0], x, y
 

@@ -175,10 +175,7 @@ class TypicalHole(NamedTuple):
         return self.floor_level + self.floor_slope * (outside - self.sheet_level)
 
     def is_unburnt(self, marks: Floats) -> Bools:
-        """Return which marks are not burnt while the others are, by more than this share of the step.
-
-        What the sheet is like at a rim is known to its texture.
-        """
+        """Which marks, by their texture, are not burnt while the others are, by more than this share of the step."""
         # In transmitted light char is darker than the sheet and holes are brighter: its share is negative.
         burnt_steps = np.sign(self.burnt_share) * marks[:, k.BURNT]
         least_steps = 0.5 * abs(self.burnt_share) * depth(marks) - marks[:, k.TEXTURE]

@@ -120,7 +120,6 @@ def without_dots(image: NDArray[np.floating], pixel_um: Pair, least_um: float) -
     if not has_data.any():
         return greys
     smooth = ndimage.gaussian_filter(np.where(has_data, coarse_greys, np.median(coarse_greys[has_data])), 1.0)
-    # The grey that parts two classes so that the variance between them is largest.
     counts, grey_edges = np.histogram(smooth[has_data], 256)
     counts_below, sums_below = np.cumsum(counts), np.cumsum(counts * (0.5 * (grey_edges[1:] + grey_edges[:-1])))
     weight = counts_below[:-1] * (counts_below[-1] - counts_below[:-1])

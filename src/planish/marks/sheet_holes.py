@@ -163,7 +163,6 @@ def _other_side(
         offset = np.median(_xy(partners)[partner_rows[is_through]] - centres[is_through], axis=0)
     axes = [np.arange(n) * step for n, step in zip(material.shape, pixel_um, strict=True)]
     for k in np.flatnonzero(~is_through).tolist():
-        # The shares of the map in the middle of the hole, without those that are missing.
         radius_um = 0.25 * float(holes["diameter"].values[k])
         dy, dx = (axis - centre for axis, centre in zip(axes, (centres[k] + offset)[::-1], strict=True))
         near_indices = [np.flatnonzero(np.abs(d) <= radius_um) for d in (dy, dx)]

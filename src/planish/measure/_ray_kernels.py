@@ -171,8 +171,7 @@ def pieces(grey, s0, ds, lower, upper, least, most):
     """Integral and phase between two places, ``lower`` and ``upper`` (rows, cols) in um, on each ray.
 
     ``grey``: (rows, cols, samples), from ``s0`` in steps of ``ds``, um. Gives, each (rows, cols), grey times um, um of
-    the phase with least <= grey <= most, and the number of its ends; 0 where upper lies below lower, NaN where the ray
-    is not known in between.
+    the phase with least <= grey <= most, and the number of its ends; 0 where upper lies below lower, NaN where unknown.
     """
     rows, cols, _ = grey.shape
     integral, length = np.empty((rows, cols)), np.empty((rows, cols))

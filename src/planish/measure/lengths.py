@@ -269,10 +269,7 @@ def _sigma(cutoff_um: float) -> float:
 
 
 def smoothed(values: Floats, pitch_um: Pair, sigma_um: float) -> Floats:
-    """Gaussian mean of the known values (rows, cols); NaN where too few lie in reach.
-
-    The filter is normalised by the weight of what is known, and does not look beyond the border.
-    """
+    """Gaussian mean of known values (rows, cols) inside the border, by their weight; NaN where that is too small."""
     from scipy import ndimage
 
     sigma = [sigma_um / p for p in pitch_um]

@@ -1,7 +1,6 @@
 """Masses: coat weight, grammage and apparent density, from lengths or absorption, densities and what was weighed.
 
-Densities and weighed masses are given by the user and never assumed. Their own error is common to a whole map and not
-part of its standard error.
+The user gives densities and weighed masses; their own error is common to a map, and no part of its standard error.
 """
 
 from __future__ import annotations

@@ -199,10 +199,7 @@ def _registers(kind: Literal["rays", "sheet"]):
         name: str, *, units: str, long_name: str, support_um: Length | None = None, check: Check | None = None,
         when: When | None = None, halo_um: Length = 0.0, **more: Any,
     ) -> Callable[[Answer], Property]:  # fmt: skip
-        """Register a function of rays, or of whole maps, as a property, as :class:`Property` explains the arguments.
-
-        CannotMeasure if the name is taken.
-        """
+        """Register a function of rays or maps, explained by :class:`Property`; CannotMeasure if the name is taken."""
         return lambda function: _add(
             Property(name=name, units=units, long_name=long_name, kind=kind, function=function, support_um=support_um,
                      check=check, when=when, halo_um=halo_um, **more)

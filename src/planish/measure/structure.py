@@ -2,7 +2,6 @@
 
 Orientation comes from the structure tensor of the straightened volume: gradients in the tangent plane are gathered and
 turned into its own frame by the root of the metric; a fibre lies along the direction in which the grey changes least.
-
 Pores are voids (:func:`~planish.measure.phases.void_level`) inside the base: chords in the plane of the sheet, and the
 largest spheres that fit. What is smaller than two voxels is not seen. Neither size has a standard error: it depends on
 which voids were resolved, and a distribution of pores needs 20 mm2 to be stable.
@@ -198,10 +197,7 @@ def _limit(params: MeasureParams) -> float:
 
 
 def chords(void: NDArray[np.uint8], axis: int, most: int) -> NDArray[np.int64]:
-    """Sum over the void samples of each ray of the run of void through them along an axis, in steps (rows, cols).
-
-    A run ends ``most`` steps to each side.
-    """
+    """Sum over each ray's void samples of the run of void along an axis, ``most`` steps to each side, in steps."""
     total = np.zeros(void.shape, dtype=np.int16)
     for direction in (slice(None), slice(None, None, -1)):
         void_lines, sums = (np.moveaxis(a, axis, 0)[direction] for a in (void, total))

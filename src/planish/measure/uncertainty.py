@@ -29,8 +29,7 @@ def ray_noise(volume: xr.DataArray, frame: RayFrame) -> float:
     """Variance of the grey's integral over one um of ray, from the noise alone; grey^2 um.
 
     White noise of standard deviation sigma in voxels of v um has sigma^2 v. Noise that neighbours share has more: the
-    scatter of means over a stretch of air of length L, beside the faces of some rows, is read as well, var(mean) L,
-    and the larger of the two is taken.
+    scatter of means over L um of air, beside the faces of some rows, is read as well, var(mean) L; the larger is taken.
     """
     white_noise = frame.greys.noise**2 * frame.voxel_um
     rows = np.flatnonzero((frame.status == 0).any(axis=1))

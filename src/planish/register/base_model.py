@@ -80,10 +80,7 @@ class ParametricModel(Model):
 
 
 def least_squares(whitening: Floats, design: Floats, target: Floats, name: str) -> Floats:
-    """Weighted least squares by QR: parameters (p,) from design (n, 2, p) and target (n, 2).
-
-    CannotRegister if the marks leave a parameter free.
-    """
+    """Parameters (p,) by weighted QR from design (n, 2, p), target (n, 2); CannotRegister if marks leave one free."""
     q, r = whitened_qr(whitening, design, name)
     return np.asarray(np.linalg.solve(r, q.T @ (whitening @ target[..., None]).reshape(-1)), dtype=np.float64)
 

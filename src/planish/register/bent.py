@@ -1,7 +1,4 @@
-"""A transformation that is affine but for smooth local changes around the marks: images, derivatives, inverse.
-
-And the local strain of any transformation from place to place, and its folds.
-"""
+"""A transformation that is affine but for smooth changes around marks: image, derivatives, inverse, strain, folds."""
 
 from __future__ import annotations
 
@@ -188,10 +185,7 @@ class LocalStrain(NamedTuple):
 
 
 def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrain:
-    """Strain inside the hull of the marks, looked at on a grid of 65 x 65 over their extent and at the marks.
-
-    CannotRegister where the map folds, or changes its handedness against what was declared.
-    """
+    """Strain at the marks and on a grid in their hull; CannotRegister where the map folds or its hand is wrong."""
     worst_place = marks.mean(axis=0)
     if isinstance(transform, Similarity):
         return LocalStrain(area=(1.0, 1.0), stretch=(0.0, 0.0), at_um=(float(worst_place[0]), float(worst_place[1])))

@@ -3,13 +3,10 @@
 The map is ``alpha z + beta + gamma conj(z) + h(z)`` with the places ``z`` as complex numbers. Nothing is known
 beforehand of the similarity; ``gamma`` and the Gaussian process ``h`` are random: their variances are one of a few
 ratios to that of the marks, and ``h`` has one of nine covariances. Each of these assumptions is weighted by its
-restricted likelihood, so that no single guess of size or length has to be right.
-
-References
-----------
-Patterson and Thompson (1971), Biometrika 58, 545, doi:10.1093/biomet/58.3.545 (restricted likelihood).
-Handcock and Stein (1993), Technometrics 35, 403, doi:10.1080/00401706.1993.10485354 (averaged over the covariance).
-Rasmussen and Williams (2006), Gaussian Processes for Machine Learning, sections 2.2, 2.7 and 5.4.
+restricted likelihood (Patterson and Thompson 1971, Biometrika 58, 545, doi:10.1093/biomet/58.3.545), so that no single
+guess of size or length has to be right (Handcock and Stein 1993, Technometrics 35, 403,
+doi:10.1080/00401706.1993.10485354; Rasmussen and Williams 2006, Gaussian Processes for Machine Learning, sections 2.2,
+2.7 and 5.4).
 """
 
 from __future__ import annotations
@@ -309,7 +306,6 @@ def _grouped_pairs(pairs: Pairs, group: Ints) -> Pairs:
 
 
 def _log_sum(logs: Floats) -> Floats:
-    """Logarithm of the sum of exponentials along the first axis."""
     top = logs.max(axis=0)
     return np.asarray(top + np.log(np.sum(np.exp(logs - top), axis=0)), dtype=np.float64)
 

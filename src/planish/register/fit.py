@@ -136,13 +136,9 @@ def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, DeviationField]:
     """Marks that agree, shape (n,), and the field that they make likely.
 
     The mark that the others expect least is taken out, up to a quarter of all and a few, and judged by the chance that
-    they miss a right one by as much. All up to the last one whose chance is below one in a hundred sets are wrong, but
-    for those that the marks left at the end do expect: wrong marks hide each other and accuse right ones. With fewer
-    than 4 marks none can be told.
-
-    References
-    ----------
-    Rosner (1983), Technometrics 25, 165, doi:10.1080/00401706.1983.10487848.
+    they miss a right one by as much (Rosner 1983, Technometrics 25, 165, doi:10.1080/00401706.1983.10487848). All up to
+    the last one whose chance is below one in a hundred sets are wrong, but for those that the marks left at the end do
+    expect: wrong marks hide each other and accuse right ones. With fewer than 4 marks none can be told.
     """
     n = len(pairs)
     field = best_field = DeviationField(pairs, mirrored)
@@ -177,7 +173,6 @@ def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, DeviationField]:
 
 
 def _warn_of_marks(fit: FittedTransform, repeated_rows: Ints) -> Iterator[str]:
-    """Marks that are left out, given twice, or few."""
     excluded = np.flatnonzero(fit.robust_weights < 1.0)
     if excluded.size:
         distances_um = np.linalg.norm(fit.residuals_um, axis=1)[excluded[:8]]

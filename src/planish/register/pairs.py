@@ -23,8 +23,7 @@ class Pairs:
 
     moving: Floats  # (n, 2), in um: places in the two maps
     fixed: Floats
-    # (n, 2, 2): inverse of the covariance of ``fixed - f(moving)``, up to one factor common to all; zero leaves a
-    # pair out.
+    # (n, 2, 2): inverse covariance of ``fixed - f(moving)``, up to one factor common to all; zero leaves a pair out.
     information: Floats
 
     def __len__(self) -> int:
@@ -84,9 +83,8 @@ def as_complex(points: Floats, mirrored: bool) -> Complexes:
 def check_pairs(moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None) -> tuple[Pairs, Ints]:
     """Bring marks and weights into one form; MarkError names all their faults.
 
-    Those are wrong shapes, unequal counts, values that are not finite, weights that are no weights, fewer than two
-    pairs, a mark with two partners, or all marks at one place. A pair that is given again counts once: the others have
-    no information, and their numbers are returned.
+    These: wrong shapes, unequal counts, values that are not finite, weights that are none, fewer than two pairs, a mark
+    with two partners, all marks at one place. A pair given again counts once: the numbers of the others are returned.
     """
     from scipy.spatial import KDTree
 

@@ -29,10 +29,7 @@ _STEPS = 100
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FreeForm:
-    """A map ``p -> p + sum of coefficients x cubic B-splines`` of points ``(x, y)`` in um.
-
-    Outside the mesh a point moves as the nearest point of its border.
-    """
+    """A map ``p -> p + sum of coefficients x cubic B-splines`` of ``(x, y)`` in um; as its border outside the mesh."""
 
     # (2, rows + 3, cols + 3), in um: displacements along x and y at the nodes of a mesh of ``rows x cols`` cells and
     # of one more on every side.

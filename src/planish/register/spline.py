@@ -1,8 +1,7 @@
 """The smoothing thin-plate spline as a transformation, solved for every smoothing at once.
 
 ``scipy.interpolate.RBFInterpolator`` solves the same equations for one smoothing, and gives neither derivatives nor the
-errors of marks left out, nor takes covariances. One eigenvalue decomposition with scipy gives all of them, for all
-smoothings (Wahba 1990, chapters 1 and 4).
+errors of marks left out, nor takes covariances. One eigenvalue decomposition gives all (Wahba 1990, chapters 1 and 4).
 """
 
 from __future__ import annotations

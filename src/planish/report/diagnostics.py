@@ -101,7 +101,6 @@ def _draw_octaves(canvas: Canvas, evidence: EvidenceFacts) -> None:
 
 
 def _draw_band(axes: Axes, x: Sequence[float], intervals: Sequence[tuple[float, float]]) -> None:
-    """Shade what lies between both ends, where they are known."""
     band_limits = [(v, low, high) for v, (low, high) in zip(x, intervals, strict=True) if is_known((low, high))]
     if len(band_limits) > 1:
         outline = [(v, low) for v, low, _ in band_limits] + [(v, high) for v, _, high in band_limits[::-1]]

@@ -144,5 +144,4 @@ def draw_progress(strain: xr.Dataset) -> draw.Picture:
 
 
 def _from_top(values: Array, flat: xr.Dataset) -> Array:
-    """Turn a map on the volume's grid to what is seen from the top side."""
     return values[:, ::-1] if flat.attrs.get("mirrored_view", 0) else values

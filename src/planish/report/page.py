@@ -274,7 +274,6 @@ def _evidence_section(
 
 
 def _valid_values(maps: xr.Dataset, name: str) -> xr.DataArray:
-    """Return a map, NaN where it is not valid."""
     is_valid: NDArray[np.bool_] | bool = maps["valid"].values.astype(bool) if "valid" in maps else True
     return maps[name].copy(data=np.where(is_valid, maps[name].values.astype(np.float64), np.nan))
 

@@ -135,7 +135,6 @@ def draw_registration(
 
 
 def _tiles_of(marks: xr.Dataset) -> NDArray[np.bool_]:
-    """Which marks are tiles of texture; none where that is not said."""
     return marks["is_tile"].values if "is_tile" in marks.coords else np.zeros(marks.sizes["mark"], dtype=np.bool_)
 
 

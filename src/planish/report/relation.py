@@ -152,8 +152,7 @@ def as_drawn(
 ) -> tuple[Points, list[CorrelationRow], tuple[str, str], list[str]]:  # fmt: skip
     """Return points, correlations and units as the axes of a figure have them, and the labels of its axes.
 
-    With a density (g/cm3) the first map, a thickness in um, is a weight: 1 um of 1 g/cm3 is 1 g/m2. Its label has the
-    density: no weight is stated without it.
+    With a density (g/cm3), which its label states, the first map, a thickness in um, is a weight: um x g/cm3 = g/m2.
     """
     if density is not None:
         points = points[0] * density, points[1]
@@ -230,7 +229,6 @@ def draw_dots(canvas: Canvas, points: Points, box: tuple[float, float, float, fl
 
 
 def _draw_density(canvas: Canvas, box: tuple[float, float, float, float], points: Points, *, counted_text: str) -> Axes:
-    """Draw how many points fall where, with the colour bar to the right."""
     ranges, (left_px, top_px, width, height) = (_axis_limits(points[0]), _axis_limits(points[1])), box
     bins = int(np.clip(np.sqrt(points[0].size) / 1.5, _LEAST_BINS, _BINS))
     counts = np.histogram2d(*points, bins=bins, range=ranges)[0].T[::-1]

@@ -12,7 +12,7 @@ from planish.core.facts import Trust, is_known
 from planish.core.numbers import NONE, capital, count, fixed, in_words, length, number, percent, plain, typeset, unit
 from planish.report.relation import largest, written_difference
 from planish.report.statement import r2_interval_text, r2_text, r_interval_text, r_text
-from planish.report.text import HELD_OUT, registered_by, with_article
+from planish.report.text import registered_by, with_article
 from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results
 
 Titles = Mapping[tuple[str, str], str]  # layer and map -> title of the map
@@ -167,7 +167,7 @@ def _pair_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure
     loo_um, marks_text = None, NONE
     held_out = None if marks is None else marks.held_out
     if held_out is not None:
-        sentence = f"{capital(HELD_OUT)}, {held_out.sentence.split(';')[0]}. With the place tuned on them: {sentence}"
+        sentence = f"{held_out.sentence} With the place tuned on both: {sentence}"
     if marks is not None:
         loo_um, marks_text, e = marks.leave_one_out_rms_um, f"rms of {marks.matched} marks", marks.expected_error
         sentence += (
@@ -184,8 +184,9 @@ def _pair_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure
     ]
     if held_out is not None and rows and rows[0].trust == "ok":
         low, high = held_out.interval or (None, None)
-        note = f"95 %: {low:.2f} to {high:.2f}; " if is_known(low) and is_known(high) else ""
-        r_figures = [KeyFigure(number(held_out.r, 2), "", "r that was not tuned", f"{note}{HELD_OUT}"), r_figures[0]]
+        note = f"95 %: {low:.2f} to {high:.2f}" if is_known(low) and is_known(high) else "beside a searched null"
+        label = "r that was not tuned" if is_known(low) else "r after the search"
+        r_figures = [KeyFigure(number(held_out.r, 2), "", label, f"{note}; without waves above 1 mm"), r_figures[0]]
     return sentence, [*r_figures, KeyFigure(number(loo_um, 2), "µm", "leave-one-out error", marks_text)]
 
 

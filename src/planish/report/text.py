@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 REGISTERED = "registration: marks only"  # stands beside every correlation: how its maps were registered
 BY_TEXTURE = "registration: the texture of both maps"
 BY_BOTH = "registration: marks and the texture of both maps"
-HELD_OUT = "over tiles that had no part in the place, without waves above 1 mm"  # r beside a place by texture
 HOLES = "holes and rims"  # what the mask of valid pixels leaves out where no regions were declared
 
 

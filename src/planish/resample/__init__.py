@@ -1,7 +1,6 @@
 """From values on the flattened mesh to any regular grid, and from image to image.
 
-``maps`` is the entry point: one interpolation from the column to the pixel, through the quads that ``places`` finds;
-``warp`` brings an image to another grid.
+``maps`` is the entry point: one interpolation from column to pixel by the quads of ``places``; ``warp`` moves images.
 """
 
 import lazy_loader as lazy

@@ -3,9 +3,8 @@
 
 A quad with the corners 0 = (0, 0), 1 = (0, 1), 2 = (1, 1), 3 = (1, 0) in (row, column) is cut along 0-2 into the
 triangles 0-1-2 and 0-2-3. Triangle t of the quad whose first corner is node n of the mesh has the number 2 n + t.
-
-The kernels of triangles work on the rows ``begin`` to ``end`` of their output and on nothing else of it, so that
-several may run at the same time; no result depends on how the rows are shared out.
+Kernels of triangles work on the rows ``begin`` to ``end`` of their output only, so that several may run at the same
+time; no result depends on how the rows are shared out.
 """
 
 import numpy as np
@@ -221,8 +220,7 @@ def interpolate(image, nodes, down, across, least, out):
 def _under(sums, x0, y0, x1, y1):
     """Integral over x, along a straight line, of the integral over y of an image from row 0 down to the line.
 
-    In a pixel what is integrated is linear in y, so its value at the middle of the piece of the line that lies in the
-    pixel is exact.
+    Linear in y within a pixel, so the value at the middle of the line's piece in it is exact.
     """
     dx, dy = x1 - x0, y1 - y0
     if dx == 0.0:

@@ -203,7 +203,6 @@ def _mean_se(se: Floats, attrs: dict[str, Any], pixel_um: float) -> Floats:
 
 
 def _on_columns(surfaces: xr.Dataset, flat: xr.Dataset, names: Names, coordinates: tuple[str, str]) -> xr.Dataset:
-    """What is brought to a grid, with the place in the volume of each column of the centre surface."""
     fields = surfaces[[*names[0], *names[1], *names[2]]].assign({name: flat[name] for name in coordinates})
     frame, is_flattened = Frame.of(surfaces), np.isfinite(flat["u"].values)
     positions = {frame.rows: surfaces["y"].values[:, None], frame.cols: surfaces["x"].values[None, :]}

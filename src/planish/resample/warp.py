@@ -106,7 +106,6 @@ def warp_image(
         )
 
     def mapping(points: Floats) -> Floats:
-        """Places in source pixels of points (..., 2) in target pixels."""
         points_um = points * grid.pixel_um[::-1] + grid.origin_um
         return np.asarray(to_source(points_um), dtype=np.float64) / pixel_um[::-1]
 
@@ -182,7 +181,6 @@ def _averaged(image: NDArray[Any], nodes: Floats) -> Floats:
 
 
 def _sums(values: NDArray[Any]) -> Floats:
-    """Sums (rows + 1, cols) of the pixels above each row."""
     sums = np.zeros((values.shape[0] + 1, values.shape[1]))
     np.cumsum(values, axis=0, out=sums[1:])
     return sums

@@ -109,7 +109,6 @@ def _make(
     layers: Sequence[LayerInput], out: str | Path | None, options: Mapping[str, Any], sections: Sequence[str],
     compute: Compute | None, progress: Progress, call_text: str, *, chain: bool = False,
 ) -> Run:  # fmt: skip
-    """Make a run of paths and arrays."""
     section_options, compute = sections_of(options, sections, compute, call=call_text)
     with layer_sources(layers, out, f"{call_text}({{}}{', ...' if len(layers) > 1 else ''})") as sources:
         study = study_of(sources, section_options, chain=chain)
@@ -185,7 +184,6 @@ def _source(layer: str | Path | ArrayLayer, *, is_link: bool) -> PathLayer | Arr
 
 
 def _table(name: str, source: PathLayer | ArrayLayer, options: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
-    """The table of a layer in a study."""
     table, volume = {"path": str(source.path.absolute())}, options.get("volume", {})
     array_options = source.options if isinstance(source, ArrayLayer) else {}
     if source.kind == "run":
@@ -198,10 +196,7 @@ def _table(name: str, source: PathLayer | ArrayLayer, options: Mapping[str, dict
 
 
 def _all_names(sources: Sequence[PathLayer | ArrayLayer]) -> list[str]:
-    """Names of all layers: as given; sheet and image where there is one of each; else those of the files.
-
-    Files of the same name are told apart by their folders.
-    """
+    """Names as given; sheet and image where there is one of each; else of the files, with folders where those agree."""
 
     def as_name(text: str) -> str:
         return re.sub(r"[^A-Za-z0-9_-]+", "-", text).strip("-_")[:40] or "layer"

@@ -61,8 +61,7 @@ class CachedMaps(NamedTuple):
 def sheets_of(old: Path, study: Study, hashes: Sequence[str]) -> tuple[dict[str, Layer], dict[str, Layer]]:
     """Give the sheets of a run that a study asks for, of the same files and by this code of planish.
 
-    The first need not be mapped again: their parameters are the same. The second have the same surface, and other
-    properties, flattening, or corrections.
+    The first have the same parameters; the second the same surface, and other properties, flattening, or corrections.
     """
     ready_sheets, similar_sheets = dict[str, Layer](), dict[str, Layer]()
     try:

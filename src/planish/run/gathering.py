@@ -203,7 +203,6 @@ def _sheet_on_image(linked: LinkedLayers, headline: str) -> tuple[dict[str, Any]
 
 
 def _checks(linked: LinkedLayers, facts: tuple[LayerFacts, ...], textures: Textures) -> Iterator[Check]:
-    """Checks of all layers, their registrations, and what they share."""
     layers, maps, reference = linked.layers, linked.maps, linked.reference
     for layer, layer_results in zip(layers, facts, strict=True):
         scale_checks = [*_scale_checks(linked, layer)]
@@ -254,7 +253,6 @@ def _with_held_out(layer: LayerFacts, linked: LinkedLayers) -> LayerFacts:
 
 
 def _bounds(valid: xr.DataArray) -> tuple[slice, slice]:
-    """Rows and columns between which anything is valid."""
     in_rows, in_cols = np.zeros(valid.shape[0], dtype=bool), np.zeros(valid.shape[1], dtype=bool)
     for rows, (is_valid,) in read_bands(valid):
         in_rows[rows] = is_valid.any(axis=1)
@@ -269,7 +267,6 @@ def _ends(mask: Bools) -> tuple[int, int]:
 
 
 def _registration_checks(linked: LinkedLayers, layer: Layer, facts: LayerFacts) -> Iterator[Check]:
-    """Checks of the registration of a layer."""
     assert facts.registration is not None
     (_, fixed, *_), registration, _ = linked.links[layer.name]
     registered_layer = RegisteredLayer(

@@ -43,10 +43,7 @@ class LinkInputs(NamedTuple):
 def link_layers(
     study: Study, link_inputs: LinkInputs, sheets: Mapping[str, Layer], progress: Progress, sink: StoredMaps
 ) -> Run:
-    """Register layers to the last one, bring all onto its pixels, and correlate them in pairs.
-
-    ``sheets`` are those of the volumes; ``sink`` takes the maps on the reference's pixels.
-    """
+    """Register layers, ``sheets`` of volumes among them, to the last one; bring all onto its pixels and correlate."""
     layers_by_name, regions, holes = {**sheets, **link_inputs.layers}, link_inputs.regions, link_inputs.holes
     layers = [layers_by_name[params.name] for params in study.layers]
     reference = layers[-1]

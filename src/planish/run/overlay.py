@@ -27,10 +27,7 @@ from planish.run.registration import Registration
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ValidMask:
-    """Which pixels of a reference are away from holes and their burnt rims, and outside of declared regions.
-
-    ``circles`` (n, 3: x, y, radius in um) are the holes with their rims, ``regions`` in um as well.
-    """
+    """Which pixels lie outside ``circles`` (n, 3: x, y, radius), holes with their rims, and ``regions``; all in um."""
 
     circles: Floats
     regions: Regions | None = None
@@ -47,10 +44,7 @@ class ValidMask:
 
 
 def _on_tiles(layer_data: Shown, chain: Chain | None, grid: Grid) -> Callable[[Tile, Grid], xr.Dataset]:
-    """Give the function from a tile of a reference to the maps of a layer there, with their errors where it was moved.
-
-    Without a chain it is the reference itself.
-    """
+    """Give the function from a tile of a reference to a layer's maps there, with errors where a chain moved it."""
     is_image = isinstance(layer_data, xr.DataArray)
     if chain is None:
         if is_image:
@@ -81,9 +75,8 @@ def resample_layers(
 ) -> dict[str, xr.Dataset]:  # fmt: skip
     """Bring sheets and images onto a grid, tile by tile, and mark what is valid there.
 
-    Put into ``sink`` are all maps of each sheet, or ``image``, with ``valid``, and ``expected_error`` of what was moved
-    with its shares: as ``layers/NAME``, or a sheet and an image as one group ``joint_group``. Returned are the maps of
-    each layer.
+    Put into ``sink`` are all maps of each sheet, or ``image``, ``valid``, and ``expected_error`` of what was moved with
+    its shares: as ``layers/NAME``, or one sheet and image as one group ``joint_group``. Returns the maps of each layer.
     """
     tile_readers = {name: _on_tiles(*source, grid) for name, source in layer_sources.items()}
     absent = [name for name, (_, chain) in layer_sources.items() if chain is not None]
@@ -118,8 +111,7 @@ def hole_circles(
 ) -> Floats:
     """Circles (n, 3: x, y, radius in um) around all holes of one layer, on the reference.
 
-    ``chain`` leads from the layer to the reference where it is another one; of the layer's own ``image``, the holes
-    that its border cuts are included.
+    ``chain`` leads from another layer to the reference; of the layer's own ``image``, holes at the border are included.
     """
     holes = holes_of(marks, side)
     if "diameter" not in holes:  # tiles of texture are no holes

@@ -22,9 +22,8 @@ _SUMS = (
     ("topography_difference", "topography_top", "topography_bottom"),
 )
 
-# Bytes a pixel: refining holds image and map in double precision, filtered, several times; without a folder to write
-# to, all linked maps are held; beside the image stand its values as they are compared and, while a screen is taken off,
-# two means and their weights.
+# Bytes a pixel: refining holds image and map in double precision, filtered, several times; without a folder, all linked
+# maps are held; beside an image, its values as compared and, while a screen is taken off, two means and their weights.
 _REFINED_BYTES, _HELD_BYTES, _COMPARED_BYTES = 120, 130, 24
 
 

@@ -17,10 +17,7 @@ REGIONS = "regions.geojson"
 
 
 def regions_on(declared: Regions, grid: Grid, path: str | None) -> Regions:
-    """Bring regions that were read from ``path`` to um of the reference.
-
-    InputError where no pixel of the reference lies in a region, or every one.
-    """
+    """Bring regions read from ``path`` to um of the reference; InputError where they hold none or all of its pixels."""
     regions = declared.on(grid)
     share = region_facts(regions, grid).share
     if share in (0, 1):

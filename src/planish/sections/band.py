@@ -164,7 +164,6 @@ def block_means(section: NDArray[Any], rows: int, cols: int) -> NDArray[np.float
 
 
 def _row_medians(values: NDArray[Any]) -> Floats:
-    """Median of the finite values in each row; NaN where there is none."""
     is_valid = np.isfinite(values)
     return np.array([np.median(v[h]) if h.any() else np.nan for v, h in zip(values, is_valid, strict=True)], np.float64)
 

@@ -81,10 +81,9 @@ def slow_part(at_um: Floats, values: Floats, *, cutoff_um: float, weights: Float
     """Low-pass a series at uneven places; slopes and curvature pass unchanged, up to the ends.
 
     Places increase; values are finite where the weight is not 0. Of the wavelength ``cutoff_um`` half the amplitude
-    passes; of one twice as long 99.99 % do, of one half as long 2 %.
-
-    Whittaker's smoother with a penalty on the fourth derivative (Eilers 2003, Anal. Chem. 75, 3631), applied again to
-    what it left. Divided differences at the true places make it, so a gap neither shifts nor bends anything.
+    passes; of one twice as long 99.99 % do, of one half as long 2 %. Whittaker's smoother with a penalty on the fourth
+    derivative (Eilers 2003, Anal. Chem. 75, 3631), applied again to what it left. Divided differences at the true
+    places make it, so a gap neither shifts nor bends anything.
     """
     n = values.size
     weights = np.ones(n) if weights is None else weights

@@ -147,9 +147,8 @@ class Bands(NamedTuple):
                 if s not in bands:
                     bands[s] = self.samples(s, pose[s])
             (a, y_a), (b, y_b) = bands[i], bands[j]
-            # Beyond a limit a sample of a row is an outlier, and its residual has a weight. Faces are rough and differ
-            # more than the fibres between them: rows in which they lie count less. No row counts more than the median
-            # row, or the empty resin would count.
+            # Beyond a limit a sample of a row is an outlier, and its residual has a weight. Rows in which faces lie,
+            # which are rough, count less. No row counts more than the median row, or the empty resin would count.
             difference = np.abs(a[:, ::4] - b[:, ::4])
             is_valid = np.isfinite(difference)
             mean_difference = np.where(is_valid, difference, 0.0).sum(axis=1) / np.maximum(is_valid.sum(axis=1), 1)
@@ -224,7 +223,6 @@ def _part_weights(normal_matrix: Floats, residual: Floats) -> Floats:
 
 
 def _gaussian(sigma: float) -> Samples:
-    """Weights of a Gaussian out to three standard deviations, sum 1."""
     far = max(1, int(np.ceil(3 * sigma)))
     weights = np.exp(-0.5 * (np.arange(-far, far + 1) / sigma) ** 2)
     return (weights / weights.sum()).astype(np.float32)

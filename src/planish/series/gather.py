@@ -157,7 +157,6 @@ def _summary(member: Member, results: Results) -> RunSummary:
 
 
 def _largest(lengths: Sequence[float | None]) -> float | None:
-    """The largest of some lengths; None where one of them is missing."""
     return None if None in lengths else max((um for um in lengths if um is not None), default=None)
 
 

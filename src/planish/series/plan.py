@@ -110,7 +110,6 @@ class _TableRow:
 
     @property
     def factors(self) -> dict[str, str]:
-        """Cells that are factors, by their columns."""
         return {name: cell for name, cell in self.cells.items() if name not in _NO_FACTORS}
 
 

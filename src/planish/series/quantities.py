@@ -50,8 +50,7 @@ def quantities_of(
 ) -> tuple[Quantity, ...]:
     """What is compared: of each leading map its mean, standard deviation and thin share, and r with the other map.
 
-    Maps lead that are declared, or else those that stand for most runs; those with a margin follow. InputError where
-    one that was declared is in no run.
+    Maps lead that are declared (InputError for one in no run), or else stand for most runs; those with a margin follow.
     """
     maps, declared_maps = {row.map for row in rows if row.quantity == "mean"}, maps_of(declared)
     for name in declared_maps if runs else ():

@@ -94,7 +94,6 @@ def _compared_by(gathered: Gathered, factors: Sequence[str], declared: Declared)
 
 
 def _varies(gathered: Gathered, factor: str) -> bool:
-    """Whether a factor has several levels among the specimens with a run."""
     levels = {member.factors.get(factor, "") for member in gathered.members if member.name in gathered.runs}
     return len(levels - {""}) > 1
 

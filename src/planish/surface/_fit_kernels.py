@@ -10,8 +10,7 @@ with P the normal distribution and w the width of the blur along the column. Wit
 the level outside, which need not be that of the air: ``g(d) = c + (b - c) P((d - h) / w)``.
 
 A phase-contrast fringe of size f and ``ratio`` r = w / (its own width) adds the second derivative of a blurred edge:
-P(x) becomes ``P(x) + f y N(y)`` with ``y = r x`` and N the normal density, which undershoots outside and overshoots
-inside.
+P(x) becomes ``P(x) + f y N(y)`` with ``y = r x`` and N the normal density: an undershoot outside, an overshoot inside.
 """
 
 from math import exp, floor, isfinite, sqrt
@@ -24,8 +23,7 @@ from planish.core.jit import njit
 _ROOT2PI = sqrt(2.0 * np.pi)
 _STEPS = 20
 _CLOSE = 1e-3  # voxels: a fiftieth of what noise leaves
-# The normal distribution from a table, linear between 256 nodes a standard deviation: within 5e-7, and several times
-# faster than erf.
+# The normal distribution, linear between 256 nodes a standard deviation: within 5e-7, several times faster than erf.
 _PER_SIGMA = 256
 _LAST = 6
 _TABLE = ndtr(np.arange(-_LAST * _PER_SIGMA, _LAST * _PER_SIGMA + 2) / _PER_SIGMA)

@@ -117,9 +117,8 @@ def blend(grey, slope, weights, down, right, out):
 def trilinear(flat, shape, first, deep, r, c, d, fr, fc):
     """Value of a flat slab of shape (rows, cols, depth) at the indices r + fr, c + fc and d - first; NaN outside.
 
-    The slab holds a part of columns that are ``deep`` voxels long.
-
-    r and c are whole; shares of a voxel come apart from them, because the place in a tile must not round them.
+    The slab holds a part of columns that are ``deep`` voxels long. r and c are whole; shares of a voxel come apart from
+    them, because the place in a tile must not round them.
     """
     rows, cols, depth = shape
     step_r, step_c = floor(fr), floor(fc)
@@ -218,9 +217,8 @@ def mean_columns(voxels, step, slope_r, slope_c, missing, out):
     """Means of ``step`` x ``step`` columns of voxels, each moved along its depth by the sheet's slope.
 
     ``voxels``: (rows * step, cols * step, depth). ``slope_r``, ``slope_c``: (rows, cols), rise of the sheet in voxels
-    of depth, from one voxel row and column to the next. ``missing``: value that counts as missing; NaN where there is
-    none. ``out``: (rows, cols, depth) float32, set; NaN where a voxel is missing. Beyond the ends of a column its last
-    voxel counts.
+    of depth, from one voxel row and column to the next. ``missing``: value that counts as missing; NaN: none. ``out``:
+    (rows, cols, depth) float32, set; NaN where a voxel is missing. Beyond the ends of a column its last voxel counts.
     """
     rows, cols, depth = out.shape
     share = np.float32(1.0 / (step * step))

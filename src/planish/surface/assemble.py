@@ -221,7 +221,6 @@ def find_presence(
 
 
 def _tile_presence(job: tuple[Columns, list[Floats], float, Pair], tile: Tile) -> Floats:
-    """Give the presence in a tile, (layers, rows, cols)."""
     columns, depth_and_normal, thickness, grey_levels = job
     depth_count, shares = columns.shape[2], np.full((len(LAYERS), *tile.shape), np.nan)
     centre_depth, *normal = (np.ascontiguousarray(a) for a in depth_and_normal)

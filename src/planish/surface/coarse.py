@@ -71,10 +71,7 @@ class Choice:
 
 
 def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice) -> CoarseSheet:
-    """Measure the sheet at the seed point; where there is none, the only slab of ``inside``.
-
-    VolumeError for none, for several, and for one from end to end.
-    """
+    """Measure the sheet at the seed, or the only slab ``inside``; VolumeError if none, several, or from end to end."""
     if choice.seed is not None:
         return followed_sheet(blocks, inside, threshold, choice)
     labels, n_objects = ndimage.label(inside)

@@ -203,8 +203,7 @@ class Edge:
     width: float  # standard deviation of the blur
     # Size of the phase-contrast fringe beside it: a share of the edge's step; 0 where there is none.
     fringe: float = 0.0
-    # Distance of its undershoot and overshoot from the edge: the standard deviation of the Gaussian whose second
-    # derivative it is.
+    # Distance of its undershoot and overshoot from the edge: the sd of the Gaussian whose second derivative it is.
     fringe_width: float = FRINGE_PX
 
     @property

@@ -128,7 +128,6 @@ def preview_faces(
 
 
 def _box(stretch: Stretch, surfaces: xr.Dataset) -> list[slice]:
-    """Columns that the drawing of a stretch may look at."""
     frame, margin = Frame.of(surfaces), 1.5 * stretch.reach_um + 2 * RING_UM
     box_slices: list[slice] = []
     for dim, axis, step in zip("yx", (frame.rows, frame.cols), pitch(surfaces), strict=True):

@@ -196,7 +196,6 @@ class Drawing:
         self.error_um[face][window][is_redrawn] = np.where(has_edge, face_error_um, np.hypot(face_error_um, error))
 
     def _depth(self, height: Floats, face: Side) -> Floats:
-        """Depth in voxels from the outer end of a face."""
         depth = (height - float(self.columns.depth_um[0])) / self.voxel_um
         return self.columns.shape[2] - 1 - depth if self._is_high(face) else depth
 
@@ -277,8 +276,7 @@ def krige(
     """Height and its standard error at targets (m, 2), from heights (n,) known at places (n, 2) in um.
 
     Ordinary kriging with a linear variogram: the semivariance of two heights that lie r apart is ``slope * r``, um2
-    (Matheron 1963, doi:10.2113/gsecongeo.58.8.1246). Each known height has the variance of its own error. Slow trends
-    are taken off as a plane.
+    (Matheron 1963, doi:10.2113/gsecongeo.58.8.1246). Heights have their own variances; a plane takes slow trends off.
     """
     centroid, n = places.mean(axis=0), len(heights)
     plane = np.zeros(3)

@@ -163,7 +163,6 @@ def _opened(height: Floats, size: tuple[int, int]) -> Floats:
 
 
 def _share(mask: Bools, labels: NDArray[np.integer], count: int) -> Floats:
-    """Share of the columns of each of ``count`` labels in which ``mask`` is set."""
     flat_labels = labels.ravel()
     column_count = np.bincount(flat_labels, minlength=count + 1)[1:]
     return np.bincount(flat_labels, weights=mask.ravel(), minlength=count + 1)[1:] / np.maximum(column_count, 1)

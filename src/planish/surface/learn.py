@@ -33,10 +33,7 @@ _PLAIN, _PLAIN_SHARE = 5.5, 0.05  # widths of the blur, and share of columns: su
 
 
 def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: SurfaceParams) -> Priors:
-    """Learn the grey levels, the blur and the fringe from a sample of columns.
-
-    VolumeError if the core of the sheet does not stand out from the air.
-    """
+    """Learn grey levels, blur and fringe from sample columns; VolumeError if the core does not stand out from air."""
     learner = _Learner(columns, guide, survey)
     base_level, base_sd = learner.base_level(learner.sample(from_high=True))
     learner.calm(base_level)
@@ -101,8 +98,6 @@ _WINDOW = 1.3  # widths of the blur: the blur that is found may be wider than th
 
 
 class _Learner(Sampler):
-    """Learns the staircase from sample columns."""
-
     def base_level(self, sample: Sample) -> tuple[float, float]:
         """Level of the base above the air, and how much it varies from place to place."""
         core_grey = self._core_grey(sample)
@@ -112,7 +107,6 @@ class _Learner(Sampler):
         return level, float(np.sqrt(max(mad_sd(core_grey) ** 2 - self.noise**2, (0.05 * level) ** 2)))
 
     def _core_grey(self, sample: Sample) -> Floats:
-        """Grey at places of the sheet's core that are known."""
         depth_shares = np.linspace(*CORE, 9)
         outer, opposite = sample.outer[0][:, None], sample.opposite[0][:, None]
         depth_index = np.rint(outer + (opposite - outer) * depth_shares).astype(int)
@@ -194,8 +188,7 @@ class _Learner(Sampler):
         solid_level = base_level + 1.28 * min(base_sd, 0.3 * base_level)
         # A layer is a coating when it stands out from the base by more than a quarter.
         coated = peak_level > 1.25 * (1.2 * solid_level if is_separated else solid_level)
-        # Without a coating the third level is what lies outside: the air, unless the sheet was separated from other
-        # material.
+        # Without a coating the third level is what lies outside: the air, unless the sheet is amid other material.
         outside_level = (1.0 if embedded_level else 0.5) * base_level if is_separated else -1.0
         spread = np.array([0.0, 0.0, 0.25 * peak_level if coated else outside_level, max(base_sd, 0.25 * base_level)])
         return Side(level=np.array([0.0, 0.0, peak_level if coated else 0.0, base_level]), spread=spread, coated=coated)
@@ -245,10 +238,7 @@ class _Learner(Sampler):
         return Side(level=level, spread=spread, coated=side.coated)
 
     def undershoots(self, samples: Samples, sides: Sides, edge: Edge) -> bool:
-        """Tell if the air beside the faces is darker than the air farther away.
-
-        The blur with which the faces are found need not be more than roughly right.
-        """
+        """Whether air beside the faces is darker than farther away; a blur that is roughly right will do."""
         if self.embedded_level:
             return False  # what lies beside is no air
         side_weights, weighted_sums = [], []

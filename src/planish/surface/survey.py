@@ -98,7 +98,6 @@ def _block(columns: Columns) -> tuple[int, tuple[int, int]]:
 
 
 def _sampled(columns: Columns, stride: tuple[int, int], engine: Engine) -> NDArray[Any]:
-    """Every ``stride``-th column, as stored."""
     rows, cols, _ = columns.shape
     k, single = columns.step, replace(columns, step=1)
 

@@ -36,7 +36,6 @@ def _trace(x, y, angle, length, half_width, curl, stamp, fibre_number, nodes, to
 
 @njit(cache=True, nogil=True)
 def _fill(column, bottom, top, cell):
-    """Add wall between two heights over the first cell's lower border to a column of shares."""
     first, last = max(int(floor(bottom / cell)), 0), min(int(floor(top / cell)), column.size - 1)
     for k in range(first, last + 1):
         overlap = min(top, (k + 1) * cell) - max(bottom, k * cell)

@@ -265,7 +265,6 @@ def _ink_share(
 
 
 def _screen_coordinates(u: Floats, v: Floats, screen: PrintParams) -> tuple[Floats, Floats]:
-    """Places along the rows and across them, in pitches of the screen."""
     pitch, angle = 1e4 / screen.screen_per_cm, np.deg2rad(screen.angle_deg)
     cos, sin = np.cos(angle) / pitch, np.sin(angle) / pitch
     return u * cos + v * sin, v * cos - u * sin
@@ -278,7 +277,6 @@ def _coarse_noise(sheet: DrawnSheet, correlation_um: float, rng: np.random.Gener
 
 
 def _sample(sheet: DrawnSheet, coarse_field: Floats, u: Floats, v: Floats) -> Floats:
-    """Bilinear value of a coarse field at material coordinates."""
     pitch_um = PITCH_UM * _COARSE_STEP
     node_positions = np.stack([(v - sheet.origin[1]) / pitch_um, (u - sheet.origin[0]) / pitch_um])
     return np.asarray(ndimage.map_coordinates(coarse_field, node_positions, order=1, mode="nearest"))

@@ -83,7 +83,6 @@ def _write_scan(specimen: Specimen, folder: Path) -> InstrumentFiles:
 
 
 def _rec_log(specimen: Specimen) -> str:
-    """Log file of NRecon, as far as a reader needs it."""
     p = specimen.params.scanner
     depth, rows, width = specimen.scanner.shape
     sections = {

@@ -188,7 +188,6 @@ class Scanner:
         return smooth(white, taps, (0, 1, 2)) / np.float32(gain)
 
     def _radius(self) -> Floats:
-        """Distance (x, z) from the axis of rotation in voxels."""
         x = np.arange(self.shape[2])[:, None] - 0.5 * (self.shape[2] - 1)
         z = np.arange(self.shape[0])[None, :] - 0.5 * (self.shape[0] - 1)
         return np.hypot(x, z)
@@ -360,7 +359,6 @@ class Microtome:
 
 
 def _between(knots: Slab, count: int) -> Slab:
-    """Interpolate rows linearly between knots."""
     knot_position = np.arange(count, dtype=np.float32) / np.float32(_RESIN_PX)
     k = knot_position.astype(int)
     f = (knot_position - k)[:, None].astype(np.float32)

@@ -75,7 +75,6 @@ def _padded(shape: tuple[int, int]) -> tuple[int, int]:
 
 
 def _filtered(field: Floats, sigma_um: float) -> Floats:
-    """Gaussian filter of a periodic field."""
     shape = _padded((field.shape[0], field.shape[1]))
     padded = np.pad(field, ((0, shape[0] - field.shape[0]), (0, shape[1] - field.shape[1])), mode="wrap")
     fy = np.exp(-2 * (np.pi * sigma_um * fft.fftfreq(shape[0], PITCH_UM)) ** 2)[:, None]

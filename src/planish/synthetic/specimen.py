@@ -139,7 +139,6 @@ class Specimen:
 
 
 def _labelled(values: NDArray[Any], dims: tuple[str, ...], pitch_um: float, **attrs: Any) -> xr.DataArray:
-    """Array with coordinates in um and the attributes that a reader of files gives."""
     name = "volume" if len(dims) == 3 else "image"
     attrs = {"units": "1", "file_name": "synthetic specimen", **attrs}
     return labelled(values, dims, [pitch_um] * len(dims), name=name, attrs=attrs)

@@ -185,7 +185,6 @@ def run_specimen(
 def _make_specimens(
     scenario: Scenario, params: SpecimenParams, seed: int, folder: Path
 ) -> list[tuple[Specimen, InstrumentFiles]]:
-    """Make the specimen as each instrument has it, and write their files."""
     first_specimen = make_specimen(params)
     if scenario.second is None:
         return [(first_specimen, write_instruments(first_specimen, folder / "specimen", volume=scenario.instrument))]

@@ -52,9 +52,8 @@ def section_errors(comparison: Comparison) -> Values:
     displacement = comparison.files.to_physical(points, sections) - points
     line_fit = np.polynomial.polynomial.polyfit(sections_um, displacement, 1)
     residual = displacement - np.polynomial.polynomial.polyval(sections_um, line_fit).T
-    # In the physical frame x runs along the section, y across the sections and z through the sheet.
-    # What varies more slowly than the run's cut-off cannot be separated from the sheet's own bend: it is left alone.
-    # The rest is jitter that should be gone.
+    # In the physical frame x runs along the section, y across the sections and z through the sheet. What varies more
+    # slowly than the run's cut-off is like the sheet's own bend: it is left alone. The rest is jitter.
     jitter = [quick_part(sections_um, residual[:, k], cutoff_um=float(sections.attrs["cutoff_um"])) for k in (0, 2)]
     return {
         "sections_x_rms": rms(residual[:, 0]),

@@ -163,7 +163,6 @@ class Comparison:
 
 
 def _where_finite(function: Callable[[Floats], Floats], points: Floats) -> Floats:
-    """Apply a function of (n, 3) to the points (..., 3) that are known."""
     is_finite = np.isfinite(points).all(axis=-1)
     mapped = np.full(points.shape, np.nan)
     if is_finite.any():

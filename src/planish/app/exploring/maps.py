@@ -62,8 +62,7 @@ def packed(values: NDArray[Any], *, bits: int = 8) -> Packed:
     """Pack a map (rows, cols); NaN is missing.
 
     Eight bits leave 252 steps over the range of the values, sixteen 65 532. Where the outermost 0.05 % at an end would
-    take a third of them, these are only known to lie beyond. Where all values lie a whole number of steps apart and
-    there are codes enough, nothing is lost.
+    take a third of them, these are only known to lie beyond. Whole multiples of a step lose nothing if codes suffice.
     """
     numbers = np.asarray(values, dtype=np.float64)
     finite = numbers[np.isfinite(numbers)]

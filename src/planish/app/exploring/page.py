@@ -139,14 +139,10 @@ def explore(
 
     Parameters
     ----------
-    run : path
-        Folder of a run.
-    out : path
-        The file to write.
-    compute : Compute, optional
-        What may be used.
-    progress : callable, optional
-        Called with the name of a step and a few words.
+    run : path; folder of a run
+    out : path; the file to write
+    compute : Compute, optional; what may be used
+    progress : callable, optional; called with the name of a step and a few words
 
     Raises
     ------

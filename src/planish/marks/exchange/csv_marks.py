@@ -129,5 +129,4 @@ def read_points(content: Content, columns: tuple[str, str], *, stated: bool, sou
 
 
 def _labels(table: CsvTable) -> list[str]:
-    """Return the labels of the rows; their numbers where they have none."""
     return [table.text(row, "label", str(k)) for k, row in enumerate(table.rows, 1)]

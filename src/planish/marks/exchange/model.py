@@ -378,6 +378,5 @@ def _inside(points: Floats, size: Floats) -> Bools:
 
 
 def _size(um: Floats) -> str:
-    """Write width and height: ``1.9 x 1.2 mm``."""
     unit, factor = ("um", 1) if max(um) < 100 else ("mm", 1000)
     return f"{um[0] / factor:.3g} x {um[1] / factor:.3g} {unit}"

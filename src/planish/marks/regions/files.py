@@ -86,7 +86,6 @@ def read_regions(path: str | Path) -> Regions:
 
 
 def _unpacked(data: bytes, name: str) -> list[tuple[str, bytes]]:
-    """Names and bytes of an archive of selections."""
     if data.count(b"PK\1\2") > 2 * MOST_REGIONS:  # entries of its table of contents, before that is read
         raise FileError(f"{name} holds more than {MOST_REGIONS} entries. Give an archive of the ROI Manager of ImageJ.")
     files: list[tuple[str, bytes]] = []
@@ -274,7 +273,6 @@ def _list(content: object, title: str) -> list[Any]:
 
 
 def _object(content: object) -> dict[str, Any]:
-    """Give an object of a file; an empty one where it is none."""
     return cast("dict[str, Any]", content) if isinstance(content, dict) else {}
 
 

@@ -117,7 +117,6 @@ def nested(rings: Sequence[Ring]) -> tuple[tuple[Ring, ...], ...]:
 
 
 def _inside(ring: Ring, place: Floats) -> bool:
-    """Return whether a place (x, y) lies within a border, by the even-odd rule."""
     (x, y), (xa, ya), (xb, yb) = place, ring.T, np.roll(ring, -1, axis=0).T
     crossed = (ya <= y) != (yb <= y)
     crossing_x = xa[crossed] + (y - ya[crossed]) * (xb - xa)[crossed] / (yb - ya)[crossed]
