@@ -19,5 +19,4 @@ or at once: ``run = pl.link("volume.tif", "image.tif", out="run")``. Lengths are
 import lazy_loader as lazy
 
 __version__ = "0.3.0"
-
 __getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

@@ -52,7 +52,6 @@ class Member(ResultModel):
 
 
 FORMAT = 1  # version of the schema
-
 What = Literal["mean", "sd", "thin_share", "r"]  # statistics that are compared over specimens
 
 # What a run is: one sheet mapped; a sheet linked to an image; two sheets linked; more layers, or two images.

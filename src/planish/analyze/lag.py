@@ -22,7 +22,6 @@ from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.typing import Floats, Pair
 
 Silence = Literal["few", "texture", "border", "rival", "light"]
-
 NAME = "position by texture"
 _SILENCE: dict[Silence, str] = {
     "few": "too few pixels are known in all maps",

@@ -36,7 +36,6 @@ _SCALE_STEP = 45.0  # um: scales in steps of this over the size of the map
 _CANDIDATES = 5
 _LEAST_WINDOW = 384  # pixels of a part of the image that is transformed as a whole
 _LEAST_ROTATIONS = 20  # that show how high chance gets
-
 Slab = NDArray[np.float32]
 Names = tuple[str, str]
 """A map of the moving layer, and that of the fixed one which it is compared with."""

@@ -23,7 +23,6 @@ from planish.core.facts import ResultModel
 from planish.io.run_folder import sweep
 
 Phase = Literal["idle", "working", "done", "failed", "cancelled"]
-
 _SHARE_BEFORE = {  # Share of the work that is behind it when a stage begins, by the time that stages take.
     "read": 0.02, "surface": 0.05, "measure": 0.25, "flatten": 0.35, "resample": 0.4, "check": 0.42, "register": 0.45,
     "link": 0.5, "correlate": 0.65, "write": 0.88,

@@ -32,12 +32,10 @@ from planish.run.run import is_run
 Plane = Literal["moving", "fixed"]
 PLANES: tuple[Plane, Plane] = ("moving", "fixed")
 WHERE: dict[Plane, str] = {"moving": "on the volume side", "fixed": "in the image"}
-
 TILE = 256
 """Pixels along the edge of a tile."""
 
 LAST_CODE = 65535
-
 _WINDOW = 256  # pixels along the edge of the parts that are sampled
 _FEW, _MANY = 2, 4  # such parts along each side, with and without a coarse level
 

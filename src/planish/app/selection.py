@@ -83,7 +83,6 @@ BASE_PIXELS = 4_000_000
 """Pixels of the overview from which densities and histograms are made."""
 
 _BINS = 128
-
 Window = tuple[slice, slice]
 
 

@@ -34,7 +34,6 @@ from planish.surface import Corrections, preview_faces, uncorrected
 
 Direction = Literal["z", "y", "x", "straight"]
 Near = tuple[float | None, float | None]
-
 WIDEST = 2048
 """Voxels of a slice along either edge: a larger one is cut around the place that is asked for."""
 

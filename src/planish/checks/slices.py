@@ -33,7 +33,6 @@ _FITS = 1.3  # times the difference of neighbours: a slice fits there
 _GAINS = 0.08  # of the usual spread: levels jump by 0.04 of it in right scans, by 0.19 with gains of 3 % a section
 _AROUND = 5  # slices on either side that show how bright a slice ought to be
 _RUN = 10  # slices that are filled, or nearly the same, at most
-
 _ADVICE = {
     "order": "Check the numbers of the files: sort them, and read the stack again.",
     "repeated": "Take the copies out of the stack, or put the right slices in their place.",

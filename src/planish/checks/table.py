@@ -19,12 +19,10 @@ from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, CheckR
 from planish.results import ComparisonRow, CorrelationRow, ExpectedError, LayerFacts, LinkedArea, PropertyFacts, Results
 
 Figure = TypeVar("Figure", CorrelationRow, ComparisonRow, PropertyFacts, ExpectedError)
-
 _ALL = (PROPERTIES, POSITION, CORRELATION)
 _BASE = ("base_thickness", "thickness")
 _THICKNESSES = ("thickness", "coating_top", "coating_bottom", "base_thickness")
 _SIDES = ("coating_top", "coating_bottom", "topography_top", "topography_bottom")
-
 CHECKS = (
     # planish map: from the maps of a sheet
     CheckRule("coverage", MeasuredSheet, (PROPERTIES,), sheets.coverage),

@@ -20,7 +20,6 @@ from planish.core.typing import Array, Bools, Floats, Ints
 Index = Ints
 Places = NDArray[np.signedinteger[Any]]
 Sums = tuple[Floats, Floats, NDArray[np.float32]]
-
 BLOCK = 5  # voxels along the edge of a block mean
 _EDGE = 300  # voxels along the edge of a window, more where it is narrow the other way
 

@@ -40,7 +40,6 @@ from planish.run.study import EDITS, EDITS_APPLIED, RUN_TOML, Study
 from planish.surface.params import SurfaceParams
 
 OUT = "Folder to make for the results; it must not exist."
-
 volume_options = options(VolumeParams, "Volume")
 image_options = options(ImageParams, "Image")
 surface_options = options(SurfaceParams, "Surface search")

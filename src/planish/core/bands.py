@@ -14,7 +14,6 @@ from planish.core.memory import SAMPLE_PIXELS
 
 # A map (rows, cols) of which some rows are asked for at a time; it may lie in a store.
 Rows = xr.DataArray | NDArray[Any]
-
 BAND = 512  # rows of a band, and of a chunk of a stored map: each chunk is read once
 
 

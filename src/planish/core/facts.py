@@ -69,7 +69,6 @@ Side = Literal["top", "bottom"]
 """Side of a sheet."""
 
 SIDES: tuple[Side, ...] = ("top", "bottom")
-
 Trust = Literal["ok", "doubtful", "withheld"]  # what the checks leave of a figure; numbers that are withheld are None
 
 

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 Axis = Literal["z", "y", "x"]
 End = Literal["high", "low"]
-
 AXES: tuple[Axis, ...] = ("z", "y", "x")
 ENDS: tuple[End, ...] = ("high", "low")
 _LATERAL: dict[str, tuple[Axis, Axis]] = {"z": ("y", "x"), "y": ("z", "x"), "x": ("z", "y")}

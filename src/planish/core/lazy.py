@@ -15,7 +15,6 @@ from xarray.backends import BackendArray
 from xarray.core.indexing import ExplicitIndexer, IndexingSupport, LazilyIndexedArray, explicit_indexing_adapter
 
 T = TypeVar("T")
-
 Where = tuple[slice, ...]  # one slice an axis: start, stop just behind the last place, step above 0
 
 

@@ -78,10 +78,8 @@ def _table_key(names: list[str], table_counts: dict[Key, int], *, is_array: bool
 
 # From where a model has a value to the key that the file has for it, and its line; None where it has no line.
 PlaceOf = Callable[[Key], tuple[Key, int | None]]
-
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _ALIKE = 0.6  # of difflib: the share of letters that two names have in common
-
 _ADVICE = (
     (re.compile(r"^[^'#]*\"[^\"\n]*\\[^\"\n]*\"", re.MULTILINE), ("Unescaped", "Invalid hex", "escape"),
      "A path with \\ stands in single quotes: 'C:\\data\\volume.tif'. Or write it with /."),
@@ -142,9 +140,7 @@ def _fault_text(fault: Any, loc: Key, model: type[BaseModel]) -> str:
         matches = difflib.get_close_matches(str(value).casefold(), re.findall(r"'([^']*)'", expected), 1, _ALIKE)
         suggestion = f"; did you mean {matches[0]!r}?" if matches else "."
         return f"{value!r} is not possible; needed is {expected}{suggestion}".removesuffix(".")
-    if isinstance(value, str | int | float | bool):
-        return f"{message} (found {value!r})"
-    return message
+    return f"{message} (found {value!r})" if isinstance(value, str | int | float | bool) else message
 
 
 def _unknown_text(name: str, table: Key, model: type[BaseModel]) -> str:

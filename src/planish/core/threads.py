@@ -12,7 +12,6 @@ from typing import Any, TypeVar
 
 T = TypeVar("T")
 MOST = 8  # threads that are used at most where no number is given: more of them wait for the memory
-
 _ENVIRONMENT_VARIABLES = (
     "TIFFFILE_NUM_THREADS",
     "TIFFFILE_NUM_IOTHREADS",

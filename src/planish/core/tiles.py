@@ -76,9 +76,7 @@ class Engine:
     @property
     def at_once(self) -> int:
         """Tiles that are worked on at the same time."""
-        if self.executor is not None:
-            return self.workers or 1
-        return count_threads(self.threads)
+        return count_threads(self.threads) if self.executor is None else self.workers or 1
 
     def map(
         self, step: str, work: Callable[[Job, Tile], Result], job: Callable[[Tile], Job], tiles: Sequence[Tile]

@@ -118,7 +118,6 @@ def _estimate_levels(greys: NDArray[np.float32]) -> Levels | None:
 
 
 SECTORS = 16  # parts of a turn: a ring shows in all of them, a structure of the sheet does not
-
 _LEAST_PLANE, _LEAST_LENGTH = 24, 8
 
 
@@ -201,14 +200,11 @@ def make_turning(volume: xr.DataArray, axis: Axis, centre_um: tuple[float, float
 Counts = NDArray[np.int64]
 Slice = NDArray[Any]
 Labels = NDArray[np.uint8]  # 0, or one more than the number of the material
-
 AIR, BASE, BRIGHT = 0, 1, 2
 MATERIALS = ("air", "base", "coating")
-
 UNIT = 1024  # whole numbers to the contrast between air and sheet
 GREYS = np.linspace(-0.5, 2.5, 301)  # borders of the histogram's greys, in contrasts above air
 COARSE = 48  # radii of the histogram
-
 QUARTERS = 4  # parts of the turn of the histogram
 DEPTHS = np.array([0, 5, 6, 7, 8, 10, 13, 18])
 """Depths below a face in voxels, from which on each class of the histogram begins."""

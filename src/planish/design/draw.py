@@ -28,7 +28,6 @@ INK, SOFT, FAINT, ACCENT, GROUND = "#22292f", "#66707a", "#c9ced3", "#b3402a", "
 BURNT = "#e8c9b8"
 ASIDE = 226.0  # where the right column begins
 _SCALES = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.75, 1, 1.5, 2, 2.5, 3, 4, 5, 6, 7, 8, 10, 12, 15, 20, 25, 30, 40, 50)
-
 _STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 8,
@@ -44,8 +43,6 @@ _STYLE: dict[str, Any] = {
 }
 # Draw in one style, whatever the user's settings; they are restored afterwards.
 house_style = partial(style.context, ["default", _STYLE])
-
-
 Point = Sequence[float] | Floats
 
 

@@ -26,7 +26,6 @@ from planish.design.rules import (
 )
 
 Steps = NDArray[np.int64]
-
 STEP_UM = 50.0
 
 
@@ -92,7 +91,6 @@ def _distances(marks: Steps) -> Steps:
 
 _COUNTS = {"coded": (24, 28, 32, 20), "line": (35, 31, 39, 43)}
 _ATTEMPTS = {"coded": 40, "line": 250}  # lines are quick to draw and seldom distinct
-
 Design = tuple[Pattern, tuple[Rule, ...]]
 
 

@@ -148,7 +148,6 @@ def code_misfit_um(points_um: Floats) -> float:
 
 
 Sense = Literal["at least", "at most"]
-
 LEAST_HOLES, MOST_HOLES = 12, 120
 SPACING_DIAMETERS = 3.0
 CROP = 0.3

@@ -62,7 +62,6 @@ _BOTH = (
 )
 
 _MESH = ("mesh_um", "as_seen")
-
 FORMATS: dict[str, ExportFormat] = {
     "tiff": ExportFormat(
         title="TIFF", writer="tiff:write_imagej", holds=("maps", "volume"),

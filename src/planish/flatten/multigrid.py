@@ -35,7 +35,6 @@ def _weights(steps: int, low: float) -> tuple[np.float32, ...]:
 (_ONCE,) = _weights(1, _LOW)
 _TWICE = _weights(2, _LOW)
 _FOUR = _weights(4, 0.15)
-
 _STILL = 3e-6  # mean error of places, in pitches, below which a mesh is at rest whatever its energy
 _SLOW = 0.25  # share of the gain before, above which steps are made conjugate
 OPEN = 0.02  # share of its area at rest down to which a step may close a cell

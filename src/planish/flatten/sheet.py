@@ -24,7 +24,6 @@ from planish.flatten.params import FlattenParams
 from planish.flatten.relax import Relaxed, relax_grid
 
 Neutral = Literal["base", "faces"]
-
 _MOST_NODES = 4_000_000  # of the mesh: half a second and half a gigabyte
 
 

@@ -19,7 +19,6 @@ from planish.io.slice_volume import is_slice_name, read_scan, slice_files
 
 # List of the shards of a level with their SHA-256, in the folder of the level, as ``sha256sum -c`` reads it.
 CHECKSUMS = "checksums.sha256"
-
 Where = tuple[slice, slice, slice]
 Array = zarr.Array[Any]
 

@@ -37,7 +37,6 @@ from planish.io.volume import load_volume
 
 # Voxel sizes that show a sheet of paper: smaller, and its field is too small; larger, and the sheet is blurred.
 USUAL_VOXEL_UM = (0.3, 20.0)
-
 Agreed = Callable[..., tuple[tuple[float, ...], str]]  # finds the size and its source, or raises SizeError
 ValueFacts = Callable[[Values, int | None, tuple[str, ...], bool], dict[str, Any]]
 

@@ -25,7 +25,6 @@ PLUGINS: dict[str, type[ImageFile.ImageFile]] = {
 
 ADVICE = "One picture is needed: save it alone."
 PICTURE_AXES = frozenset({"YX", "YXS", "SYX", "CYX"})
-
 Colour = Literal["grey", "rgb", "other"]
 
 

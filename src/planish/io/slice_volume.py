@@ -36,7 +36,6 @@ from planish.io.tiff import open_series, size_words
 EXTENSIONS = frozenset({".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg"})
 MOST_NAMES = 8  # names or numbers written out in a message
 ELSEWHERE = "or move the log elsewhere and give --voxel-um."
-
 DETAIL_KEYS = {  # Keys of a log that describe how the volume was made.
     "system": ("Scanner", "Software version", "Software", "Source Type", "Camera"),
     "acquisition": (

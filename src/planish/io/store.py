@@ -38,7 +38,6 @@ _SOURCE = "source.json"
 _LOCK = "lock"
 _SMALLEST, _LEAST_DEPTH = 256, 16  # voxels along the longest and the shortest axis of the last level
 _OPENING = threading.Lock()  # what zarr is set to holds for all threads
-
 Progress = Callable[[str, int, int], None]
 
 

@@ -21,14 +21,12 @@ from planish.core.errors import FileError, InputError
 from planish.io.guard import check_blown_up, check_memory, reading, size_of_file
 
 JPEG_COMPRESSIONS = frozenset({6, 7, 34892, 33007})
-
 LAYOUT_NUMBERS = (  # Attributes of a page on which the position and meaning of every pixel depend.
     "imagewidth", "imagelength", "imagedepth", "tilewidth", "tilelength", "tiledepth", "rowsperstrip", "bitspersample",
     "samplesperpixel", "sampleformat", "compression", "photometric", "planarconfig", "predictor", "fillorder",
 )  # fmt: skip
 
 MOST_PAGES = 100_000  # no scan has more slices; a chain this long is damage
-
 TYPE_BYTES = {  # Bytes of one value, by TIFF type.
     1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8,
 }  # fmt: skip

@@ -26,7 +26,6 @@ from planish.io.tiff import damaged, size_words
 
 # Files of a zarr store that are no chunks.
 METADATA = frozenset({"zarr.json", ".zarray", ".zattrs", ".zgroup", ".zmetadata"})
-
 Keys = Mapping[str, Any]
 
 

@@ -27,7 +27,6 @@ USUAL, EXACT, ONE_SIDED = (0.045, 0.3), (0.0105, 0.15), 0.1
 # Another edge inside the strongest is the rim where this share of the rays has it, it is smaller by this share of the
 # radius, and on this share of the rays the two are apart by this share of the radius: what lies between is char.
 CLOSED, SMALLER, PART, APART = 0.9, 0.05, 0.25, 0.08
-
 RAYS = 96
 # Orders of an outline; a number written in the call would be a type of its own, and compiled once more.
 _ONE, _TWO = np.int64(1), np.int64(2)

@@ -23,7 +23,6 @@ from planish.measure.registry import Greys
 Grey = NDArray[np.float32]
 Direction = Literal["normal", "vertical"]
 T = TypeVar("T")
-
 FACES = ("top", "bottom", "interface_top", "interface_bottom")
 
 

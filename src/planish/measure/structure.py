@@ -28,9 +28,7 @@ if TYPE_CHECKING:
 
 
 Grey3 = NDArray[np.float32]
-
 _CUT = 3.0  # standard deviations of a Gaussian
-
 _PARTS = ("fibre_cos2", "fibre_sin2")  # an angle has no mean; its two parts do
 
 

@@ -23,7 +23,6 @@ from planish.register.result import FittedTransform
 
 Refinement = Literal["affine", "bspline"]
 Metric = Literal["correlation", "mutual information"]
-
 _STEPS = 100
 
 

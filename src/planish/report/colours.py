@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 Array = NDArray[np.float64]
-
 PROPERTY, GEOMETRY, SIGNED, CYCLIC, GREYS, ERROR = "viridis", "cividis", "RdBu_r", "twilight", "grey", "magma"
 MISSING = "#d4d6d8"
 _ANCHORS = {

@@ -19,14 +19,12 @@ from planish.report.colours import MISSING, Array, Scale, image_uri
 Box = tuple[float, float, float, float]  # left edge, upper edge, width and height in CSS pixels
 Ticks = Sequence[tuple[float, str]]  # values at which an axis is numbered, and their texts
 Extent = tuple[float, float, float, float]  # left, right, bottom and top in um, or in the units of a plot
-
 FULL, HALF, THIRD = 1040.0, 510.0, 333.0  # CSS pixels: the page's column, half and a third of it
 BESIDE = 86.0  # to the right of a map on half a page: its colour bar
 MARGIN, BELOW = 44.0, 18.0  # to the left of a map and below it: the numbers of its axes
 INK, SOFT, FAINT = "#22292f", "#66707a", "#c9ced3"
 ACCENT, POINT = "#b3402a", "#2f6690"
 SMALL, BIG = 11.0, 12.0  # font sizes
-
 _FONTS = "font-family=\"'Source Sans 3','Segoe UI','Helvetica Neue','Liberation Sans',Arial,sans-serif\""
 _TOP = 8.0  # above a map: half a line, for a number at the end of the colour bar
 _LOWEST_BAR = 130.0  # of a colour bar beside a map that is lower than that

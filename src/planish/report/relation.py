@@ -23,7 +23,6 @@ from planish.results import ComparisonRow, CorrelationRow
 
 Row = TypeVar("Row", CorrelationRow, ComparisonRow)
 Points = tuple[Array, Array]  # values of two maps at the same larger points
-
 _BINS, _LEAST_BINS = 110, 24
 _TOP, _HIGH, _WIDE = 62.0, 355.0, 400.0  # pixels of one pair of axes
 _LEFT, _RIGHT = 85.0, 635.0

@@ -24,7 +24,6 @@ LINES = (
 _MARKED = "#ff3b30"
 _WINDOW_UM = 400.0
 _FLATTEST = 9.0  # width over height of the longest stretch that is still drawn whole
-
 Window = tuple[float, float, float, float]  # left, right, lowest and highest um
 
 

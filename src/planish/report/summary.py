@@ -16,7 +16,6 @@ from planish.report.text import registered_by, with_article
 from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results
 
 Titles = Mapping[tuple[str, str], str]  # layer and map -> title of the map
-
 PairKey = tuple[str, str, str, str]  # a pair of maps: first layer, its map, second layer, its map
 
 

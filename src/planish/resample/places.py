@@ -26,7 +26,6 @@ from planish.resample._kernels import locate, sample
 Indices = NDArray[np.int32]
 Method = Literal["quads", "delaunay"]
 Result = TypeVar("Result")
-
 _SEGMENT = 32  # quads whose extent is known together, passed over where they touch no band of pixels
 _LEAST_ROWS = 32  # of a band: below that, starting a thread takes longer than the work
 

@@ -23,7 +23,6 @@ from planish.resample._kernels import integrals, interpolate
 
 Integers = NDArray[np.int64]
 Mapping = Callable[[Floats], Floats]
-
 TOLERANCE = 0.01
 """Error that a place may have, in source pixels."""
 

@@ -38,7 +38,6 @@ def silent(_stage: str, _detail: str) -> None:
 
 
 _WIDEST_UM = 12.0  # a column wider than this would be coarser than the maps that are compared with images
-
 _UNITS = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12}
 
 

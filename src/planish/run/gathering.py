@@ -257,13 +257,8 @@ def _bounds(valid: xr.DataArray) -> tuple[slice, slice]:
     for rows, (is_valid,) in read_bands(valid):
         in_rows[rows] = is_valid.any(axis=1)
         in_cols |= is_valid.any(axis=0)
-    first_row, last_row, first_col, last_col = (k for m in (in_rows, in_cols) for k in _ends(m))
-    return slice(first_row, last_row), slice(first_col, last_col)
-
-
-def _ends(mask: Bools) -> tuple[int, int]:
-    at = np.flatnonzero(mask)
-    return (int(at[0]), int(at[-1]) + 1) if at.size else (0, 0)
+    rows, cols = (np.flatnonzero(m).tolist() or [0, -1] for m in (in_rows, in_cols))
+    return slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
 
 
 def _registration_checks(linked: LinkedLayers, layer: Layer, facts: LayerFacts) -> Iterator[Check]:

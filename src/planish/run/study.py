@@ -27,7 +27,6 @@ from planish.surface.params import SurfaceParams
 
 Kind = Literal["volume", "image", "run"]
 P = TypeVar("P", bound=Params)
-
 RUN_TOML = "run.toml"
 """The study of a run, in its folder."""
 

@@ -119,9 +119,8 @@ def register_layers_by_texture(layer: Layer, fixed: Layer, holes: LayerHoles, st
         return _with_tiles(known, moving, image, params, pair, "bottom" if is_mirrored else "top")
     knows_side = layer.kind == fixed.kind or any(of.side_given for of in (layer, fixed) if of.kind == "image")
     try:
-        return register_texture(
-            moving, image, params=params, mirrored=is_mirrored if knows_side else None, holes=pair
-        )  # fmt: skip
+        hand = is_mirrored if knows_side else None
+        return register_texture(moving, image, params=params, mirrored=hand, holes=pair)
     except CannotRegister as error:
         for layer_holes in pair if params.by == "auto" else ():
             try:

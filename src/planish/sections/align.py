@@ -201,7 +201,6 @@ def _join_columns(coarse_pairs: SectionPairs, fine_pairs: SectionPairs, n: int) 
 
 
 Strip = tuple[int, int]
-
 _PARTS = 12  # pieces along the line: their spread says how sure a place is, their course gives the rotation
 _LEAST = 4  # pixels across a strip
 

@@ -15,7 +15,6 @@ from planish.core.robust import mad_sd
 from planish.core.typing import Floats
 
 Index = NDArray[np.intp]
-
 LEAST_SHARE = 0.05  # a pair with less than this share of its weight is refused
 _ORDER = 4
 """Of the derivative that is held down. With 3 a wave of 600 um and 48 um height is bent by 0.5 um at the ends of the

@@ -18,7 +18,6 @@ from planish.sections.band import SectionSeries, SheetBand, Stack
 from planish.sections.network import Index
 
 Samples = NDArray[np.float32]
-
 FINEST_UM = 3.0  # with wider pixels the fine bands would show no more than the others
 _MARGIN_UM = 30.0  # beyond the faces
 _PART_UM = 150.0  # five times the reach of the texture

@@ -9,7 +9,6 @@ from planish.series.gather import Gathered
 from planish.series_results import FACTORS, Cell, Quantity, SeriesSpecimen
 
 NEST = ("sheet", "field")  # factors that are the sample
-
 _MOST_NAMES = 6
 
 

@@ -31,7 +31,6 @@ from planish.series.plan import Plan, PlannedSpecimen
 from planish.series_results import Member, MemberState
 
 RUNS = "runs"  # folder of the runs within that of the series
-
 NOTES = ".series"  # hidden folder of what is remembered of each specimen
 
 # Measured on two cores: links of 11 to 160 million voxels to .2 to 160 million pixels.

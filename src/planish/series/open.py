@@ -20,7 +20,6 @@ _OF_REGISTRATIONS = ("marks_used", "residual", "leave_one_out", "expected_error"
 _SIZES = {"thin_share": "limit_um", "coefficient_of_variation": "wave_um"}
 # Quantities whose trust stands for all of their dims
 _JUDGED = {"mean": "trust", "r": "pair_trust", "expected_error": "registration_trust"}
-
 _TRUST = {"ok": 0, "doubtful": 1, "withheld": 2}
 
 

@@ -23,7 +23,6 @@ from planish.series_results import Member
 
 # Called with each specimen that is done, and the seconds that it took; None where it was done before
 Tell = Callable[[Member, float | None], None]
-
 _PAUSE = 1.0  # seconds until it is asked again whether there is more to do
 _END: Final = object()
 

@@ -22,10 +22,7 @@ from planish.surface.params import SurfaceParams
 from planish.surface.regions import half_closed, regions
 
 Variable = tuple[tuple[str, str], NDArray[np.generic], dict[str, object]]
-
 _SHORTER = 0.625  # of the cut-off: 250 for 400 um
-
-
 _TITLES = {
     "top": "Top face", "bottom": "Bottom face", "interface_top": "Interface between top coating and base",
     "interface_bottom": "Interface between bottom coating and base",
@@ -190,7 +187,6 @@ def centre_surface(face_mean: Floats, in_outline: Bools, pitch: Pair, params: Su
 
 _FROM, _TO, _STEPS = 0.1, 0.42, 7  # of the thickness, and places between; the bottom's layer mirrors the top's
 _INNER = _FROM + (_TO - _FROM) / (_STEPS - 1)  # the centre's layer reaches to the second place of either neighbour
-
 LAYERS = {"presence": (_FROM, _TO), "presence_centre": (-_INNER, _INNER), "presence_bottom": (-_TO, -_FROM)}
 """First and last place of each layer in shares of the thickness, from the centre surface towards the top."""
 _PLACES = dict(zip(LAYERS, ("below the top face", "around the centre surface", "above the bottom face"), strict=True))

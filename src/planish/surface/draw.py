@@ -36,7 +36,6 @@ _WRONG = 3.0  # standard errors beyond which a face is
 _MISFIT = 0.03  # of the base's contrast: no column is a staircase to within less
 _LEAST, _LEAST_INNER = 0.15, 0.3  # of the step of the base, or of the interface: smaller ones are texture
 _EDGE = 1.0  # voxels by which an edge may be off where something misled the search: it has levels of its own
-
 Window = tuple[slice, slice]
 
 

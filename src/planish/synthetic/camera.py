@@ -25,7 +25,6 @@ BASE_K_M2_PER_KG = 1.2
 COATING_S_M2_PER_KG = (90.0, 110.0, 150.0)
 COATING_SHARES = (0.3, 0.3, 0.4)
 COATING_K_M2_PER_KG = 0.3
-
 _KG_PER_M2 = 1e-3  # of 1 um with a density of 1 g/cm3
 _SHEETS = 200  # of a pile that nothing shines through: 200 sheets of 10 g/m2
 
@@ -78,7 +77,6 @@ def pile_reflectance(paper: PaperParams) -> float:
 
 
 Field = NDArray[np.float32]
-
 _HOLE = 0.04  # reflectance of a hole with nothing in it
 _CHAR_GREY = 0.2  # of burnt paper down in a hole: its wall, and what closes its lower end
 _CHAR_RIM = 0.6  # share of the reflectance that is left at the rim, where sheet.char is 0.5

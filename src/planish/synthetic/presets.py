@@ -32,7 +32,6 @@ def _of_fibres(paper: PaperParams, **fibres: Any) -> PaperParams:
 
 _UNCOATED = PaperParams(coating_top_um=0.0, coating_bottom_um=0.0, coating_sd_um=0.0)
 _WFC135 = PaperParams(base_um=59.5)  # section 3.3.1, before calendering: base 59.5, coating 17.4 um
-
 PRESETS: dict[str, tuple[str, PaperParams]] = {
     "wfc90": (
         "wood-free coated, 90 g/m2, section 3.4",

@@ -63,9 +63,7 @@ Instrument = Literal["stack", "scanner", "sections"]
 Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 ALL: Literal["all"] = "all"
 NONE: Literal["none"] = "none"
-
 PAIR = ("first", "second")  # names of the two layers of a pair
-
 _FOLDER = Path(__file__).with_name("scenarios")
 # Field -> the names that it may hold, and what they are
 _KNOWN: dict[str, tuple[Mapping[str, Any], str]] = {

@@ -20,11 +20,9 @@ from planish.synthetic import DrawnSheet, InstrumentFiles, Specimen
 from planish.validate.scenario import Values
 
 Index = NDArray[np.intp]
-
 FACES = ("top", "interface_top", "interface_bottom", "bottom")
 # Thickness -> its outer and inner face
 THICKNESSES = {"coating_top": (0, 1), "base_thickness": (1, 2), "thickness": (0, 3)}
-
 FITTED = 400  # places that a similarity is fitted to: more make it no better, and their square is held in memory
 
 

@@ -28,7 +28,6 @@ from planish.results import LayerFacts, Results
 from planish.run.run import MAPS, Run
 
 Codes = NDArray[np.unsignedinteger[Any]]
-
 _ZLIB_LEVEL = 6  # a higher one takes five times as long and saves 2 %
 
 

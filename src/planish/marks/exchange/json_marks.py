@@ -20,7 +20,6 @@ FORMAT = "planish-marks"
 VERSION = 1
 _PAGE = "docs/marks-files.md describes the format."
 _POSITION = {"diameter": "diameter_um", "axis_ratio": "axis_ratio", "arc_coverage": "arc_coverage"}
-
 T = TypeVar("T")
 
 

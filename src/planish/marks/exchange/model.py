@@ -19,7 +19,6 @@ from planish.core.tables import raise_faults
 from planish.core.typing import Bools, Floats, Ints
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
-
 EXTRAS: dict[str, tuple[str, str]] = {
     "cov_xx": ("um2", "Variance of x"),
     "cov_yy": ("um2", "Variance of y"),

@@ -14,7 +14,6 @@ from planish.core.typing import Bools, Floats
 
 Ring = Floats
 Window = tuple[slice, slice]
-
 MOST_REGIONS, MOST_POINTS = 1000, 1_000_000
 LONGEST_TEXT = 500
 _FARTHEST = 1e9  # um or pixels: nothing that is drawn on paper lies farther away
