@@ -34,7 +34,6 @@ from planish.core.checks import Check
 from planish.core.facts import Side
 from planish.core.source_hash import hash_sources
 from planish.core.transform import Similarity
-from planish.core.typing import Bools
 from planish.io.map_store import StoredMaps, map_tiles
 from planish.resample import SheetOnto
 from planish.results import LayerFacts, Results
