@@ -176,3 +176,19 @@ def test_a_pattern_that_repeats_is_refused_by_its_name():
     image = image.copy(data=np.tile(tile, (4, 4))[:330, :360])
     with pytest.raises(CannotRegister, match=r"nearly alike.*repeats"):
         pl.register_texture(maps, image)
+
+
+def test_a_radius_that_is_none_and_sheets_without_a_common_map_are_refused():
+    maps, image = pair(place=placed(0.0), r=0.6)
+    with pytest.raises(InputError, match="radius"):
+        pl.register_texture(maps, image, params={"near": (1060.0, 980.0, -3.0)})
+    with pytest.raises(CannotRegister, match="in common"):
+        pl.register_texture(maps, maps.rename(thickness="base_thickness"))
+
+
+def test_a_map_that_is_known_in_little_of_the_field_has_no_part():
+    place = placed(30.0)
+    maps, image = pair(place=place, r=0.6)
+    little = np.where(np.arange(maps.sizes["v"])[:, None] < 60, maps["thickness"].values, np.nan)
+    maps = maps.assign(coating_top=(("v", "u"), little), topography_top=(("v", "u"), little))
+    assert np.linalg.norm(pl.register_texture(maps, image)(CORNERS) - place(CORNERS), axis=1).max() < 3.5

@@ -145,7 +145,7 @@ def _shared(shown: Floats, seen: Floats, is_valid: Bools, pixel_um: Pair, *, slo
 
     (search, with_slopes), (_, without) = peak(shown), peak(shown[:-slopes])
     if with_slopes is None or without is None or not with_slopes.inner:
-        return np.zeros((2, 2))
+        return np.diag([(0.5 * k * p) ** 2 for k, p in zip(reach, pixel_um, strict=True)])[::-1, ::-1]
     taken_off = _OF_LIGHT * (with_slopes.summit_px - without.summit_px)
     covariance = search.covariance(with_slopes, pixel_um) + np.outer(taken_off, taken_off)
     return covariance[::-1, ::-1] * np.outer(pixel_um[::-1], pixel_um[::-1])

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage, optimize
 
 from planish.analyze.texture import Textures
+from planish.core.errors import CannotRegister
 from planish.core.threads import map_threads
 from planish.core.transform import Similarity, nearest_similarity
 from planish.core.typing import Floats, Pair
@@ -95,7 +96,12 @@ def compared(moving: Textures, fixed: Textures) -> tuple[Names, ...]:
         return tuple(("image", name) for name in fixed.maps)
     if "image" in fixed.maps:
         return tuple((name, "image") for name in moving.maps)
-    return tuple((name, name) for name in moving.maps if name in fixed.maps)
+    names = tuple((name, name) for name in moving.maps if name in fixed.maps)
+    if not names:
+        raise CannotRegister(
+            "The two sheets have no map in common to compare. Measure the same maps in both (--property)."
+        )
+    return names
 
 
 def search_place(

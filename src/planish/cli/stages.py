@@ -225,12 +225,17 @@ def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
 
     table, params = out.with_suffix(".csv"), build_params(RegistrationParams, values)
     refuse_existing(table)
+    if params.by == "both":
+        raise click.UsageError(
+            "--by both needs maps and holes in one: use planish link. Give --by holes or texture here."
+        )
     if params.by == "texture":
         layers = [
             _read(p, "maps", "'planish resample'") if p.is_dir() else _image(p, values)[0] for p in (moving, fixed)
         ]
         side = build_params(ImageParams, values, path=str(fixed)).side
-        is_mirrored = None if side is None and not params.mirror else side == "bottom"
+        is_of_sheet = moving.is_dir() != fixed.is_dir()  # a sheet and an image, of whichever side where none is given
+        is_mirrored = None if is_of_sheet and side is None else side == "bottom"
         registration = register_texture(layers[0], layers[1], params=params, mirrored=is_mirrored)
     else:
         registration = register_marks(read_holes(moving), read_holes(fixed), params=params)

@@ -93,6 +93,6 @@ class TextureLayer:
         is_known = np.any([np.isfinite(m) for m in shown.values()], axis=0)
         first = [0.5 * (c - p) for c, p in zip(coarse_um, self.grid.pixel_um, strict=True)]
         found = textures(shown, is_known, coarse_um, band_um=BAND_UM, most_pixels=np.inf)
-        for name in self.face if slopes else ():
+        for name in self.face.keys() & found.maps.keys() if slopes else ():
             found = found.with_slopes(name)
         return found, np.array(self.grid.origin_um) + first[::-1]

@@ -13,7 +13,7 @@ import xarray as xr
 
 from planish.analyze.texture_place import TilePlaces, leading_maps, tile_places, tuned_place
 from planish.analyze.texture_search import FALSE, Names, Near, PlaceSearch, search_place
-from planish.core.errors import CannotRegister
+from planish.core.errors import CannotRegister, InputError
 from planish.core.facts import Side
 from planish.core.options import params_of
 from planish.core.transform import Similarity
@@ -181,6 +181,8 @@ def _nears(
     if params.near is not None:
         x, y, *radius = params.near
         radius_um = radius[0] if radius else _NEAR_UM
+        if radius_um <= 0:
+            raise InputError(f"The radius of --near is {radius_um:g} um. Give one above 0, such as {_NEAR_UM:g}.")
         if layers.swapped:  # the middle of the second layer lies there in the first one
             (mx, my) = layers.b.middle_um.tolist()
             yield [Near(fixed_um=(mx, my), radius_um=radius_um, moving_um=(x, y))]
@@ -256,22 +258,18 @@ def _tiles_near(layers: _Layers, place: Similarity, scaled: float, names: Names 
     b = b.part(seen.min(axis=0) - _AROUND_UM, seen.max(axis=0) + _AROUND_UM)
     has_light = not b.is_sheet
     (moving, moving_first), (fixed, fixed_first) = a.texture(_FINE_UM, slopes=has_light), b.texture(_FINE_UM)
-    light = a.light if has_light else ()
+    light = tuple(name for name in a.light if has_light and name in moving.maps)
     place = _moved(place, -moving_first, -fixed_first)
-    if names is None:
-        names = leading_maps(moving, fixed, place)
-    else:
-        place = tuned_place(moving, fixed, names, place, reach_um=_TUNED_UM, beside=(*_beside(a, b, names), *light))
-    tiles = tile_places(moving, fixed, names, place, beside=_beside(a, b, names), light=light)
+    is_led, names = names is None, names or leading_maps(moving, fixed, place)
+    # Two sheets are compared map by map; an image shows the other maps, too.
+    beside = tuple(k for k in a.maps if has_light and k in moving.maps and k != names[0])
+    if not is_led:
+        place = tuned_place(moving, fixed, names, place, reach_um=_TUNED_UM, beside=(*beside, *light))
+    tiles = tile_places(moving, fixed, names, place, beside=beside, light=light)
     return tiles._replace(
         moving_um=tiles.moving_um + moving_first, fixed_um=(tiles.fixed_um + fixed_first) / scaled,
         covariance_um2=tiles.covariance_um2 / scaled**2, shared_um2=tiles.shared_um2 / scaled**2,
     )  # fmt: skip
-
-
-def _beside(a: TextureLayer, b: TextureLayer, names: Names) -> tuple[str, ...]:
-    """Maps of a sheet that show in an image beside the one that leads; two sheets are compared map by map."""
-    return () if b.is_sheet else tuple(name for name in a.maps if name != names[0])
 
 
 def _fitted(
