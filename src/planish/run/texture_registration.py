@@ -215,9 +215,8 @@ def _searched(layers: _Layers, params: RegistrationParams, *, mirrored: bool | N
             inverse = [
                 Near(fixed_um=n.moving_um or (0, 0), radius_um=n.radius_um, moving_um=n.fixed_um) for n in places
             ]
-            search = search_place(
-                b_texture, a_texture, mirrored=mirrored, scale_tolerance=tolerance, near=inverse
-            ).inverse  # fmt: skip
+            found = search_place(b_texture, a_texture, mirrored=mirrored, scale_tolerance=tolerance, near=inverse)
+            search = found.inverse
         else:
             search = search_place(a_texture, b_texture, mirrored=mirrored, scale_tolerance=tolerance, near=places)
         search = replace(search, false_probability=min(len(guesses) * search.false_probability, 1.0))
@@ -226,9 +225,8 @@ def _searched(layers: _Layers, params: RegistrationParams, *, mirrored: bool | N
             p.inverse(guess * layers.b.middle_um) if layers.swapped else p(layers.a.middle_um) / guess
             for p in places_um
         ]
-        found = _Found(search, places_um[0], guess, middles_um)
         if best is None or search.false_probability < best.search.false_probability:
-            best = found
+            best = _Found(search, places_um[0], guess, middles_um)
         if best.search.is_sure:
             break
     assert best is not None
