@@ -127,7 +127,11 @@ def main(right: int = 60, wrong: int = 120, first: int = 0) -> int:
             errors, expected = found
             off.append(errors)
             stated.append(expected)
-            words = f"off {np.median(errors):.2f} (median), {np.percentile(errors, 95):.2f} um (95 %); {words}"
+            ratio = math.sqrt(np.mean(errors**2) / np.mean(expected**2))
+            words = (
+                f"off {np.median(errors):.2f} (median), {np.percentile(errors, 95):.2f} um (95 %), "
+                f"{ratio:.2f} of what is stated; {words}"
+            )
         power.append((pair.r, found is not None))
         print(f"right {number}: texture r {pair.r:.2f}: {words}", flush=True)
     false = 0
@@ -144,11 +148,10 @@ def main(right: int = 60, wrong: int = 120, first: int = 0) -> int:
         if inside.any():
             print(f"texture r {low:.2f} to {high:.2f}: {is_linked[inside].sum()} of {inside.sum()} linked")
     medians = np.array([np.median(e) for e in off])
-    rms = np.array([np.sqrt(np.mean(e**2)) for e in off])
-    ratio = rms / np.array([np.sqrt(np.mean(e**2)) for e in stated])
+    ratios = np.array([np.sqrt(np.mean(e**2) / np.mean(s**2)) for e, s in zip(off, stated, strict=True)])
     far = np.percentile(np.concatenate(off), 95)
     print(f"place: median {np.median(medians):.2f} um, 95 % of pixels within {far:.2f} um")
-    pooled, within = np.sqrt(np.mean(ratio**2)), np.mean(ratio <= 1.73)
+    pooled, within = np.sqrt(np.mean(ratios**2)), np.mean(ratios <= 1.73)
     print(f"true over stated error {pooled:.2f} pooled, within 1.73: {within:.0%}")
     print(f"wrong pairs linked: {false} of {wrong}; {time.process_time() - started:.0f} s CPU")
     strong = is_linked[r >= 0.3]

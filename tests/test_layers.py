@@ -9,6 +9,7 @@ import pytest
 import tifffile
 import xarray as xr
 
+from planish.app.pictures import Pictures
 from planish.core.transform import Similarity
 from planish.io import ImageParams, VolumeParams
 from planish.marks import HoleParams, cut_holes, find_holes, read_any, write_marks
@@ -293,6 +294,25 @@ def test_a_refined_link_stands_beside_that_of_the_marks(passes, linked_run, spec
 
     assert np.sqrt(np.mean(off("refined") ** 2)) < 0.7 * np.sqrt(np.mean(off("linked") ** 2))
     assert "Refined by the maps themselves" in (tmp_path / "run" / "report.html").read_text()
+
+
+@pytest.mark.study
+def test_two_images_are_refined_by_what_they_show(image_pair, specimen_files, other_files, tmp_path):
+    marks = image_pair.registrations["small"].marks
+    rng = np.random.default_rng(4)
+    clicked = marks.assign({f"fixed_{a}": marks[f"fixed_{a}"] + rng.normal(0, 4, marks.sizes["mark"]) for a in "xy"})
+    write_marks(clicked, tmp_path / "clicked.csv")
+    given = {"marks": str(tmp_path / "clicked.csv"), "refine": "affine"}
+    run = link(f"small={specimen_files[1]}", f"large={other_files.image}", registration=given, out=tmp_path / "run")
+    right, refined = image_pair.groups["layers/small"], run.groups["refined"]
+    ok = right["valid"].values & run.groups["layers/small"]["valid"].values & np.isfinite(refined["image"].values)
+
+    def unlike(image):
+        return np.std(image.values[ok] - right["image"].values[ok])
+
+    assert run.results.refinement.property == "image"
+    assert unlike(refined["image"]) < 0.8 * unlike(run.groups["layers/small"]["image"])
+    assert "refined" in {picture.layer for picture in Pictures.of(tmp_path / "run")}
 
 
 def test_info_describes_a_run(passes, planish, linked_run, other_run, tmp_path):

@@ -35,6 +35,7 @@ It must look at a at these pixels only; NaN is missing in what it returns.
 """
 
 _TUNED_UM = 10.0  # by which a place found by texture may be off at the corners of the map
+_INVERSE_STEPS = 8  # each is off by the strain of the refinement times the one before
 _COARSEST_UM = 1000.0  # slower variations are taken off both maps: they make tiles and guards as large as they are
 
 
@@ -246,6 +247,14 @@ class RefinedTransform:
         """Take points ``(..., 2)`` of the sheet to the reference, in um."""
         return self.refined(self.marks(points))
 
+    def inverse(self, points: ArrayLike) -> Floats:
+        """Take points ``(..., 2)`` of the reference back to the sheet, in um."""
+        sought_um = np.asarray(points, dtype=np.float64)
+        marked_um = sought_um
+        for _ in range(_INVERSE_STEPS):
+            marked_um = marked_um + sought_um - self.refined(marked_um)
+        return self.marks.inverse(marked_um)
+
     @property
     def similarity(self) -> Similarity:
         """That of the marks: the refinement is close to the identity."""
@@ -253,30 +262,28 @@ class RefinedTransform:
 
 
 def refine_link(
-    linked: xr.Dataset, headline: str, grid: Grid, fit: FittedTransform, model: Refinement
+    a: xr.DataArray, b: xr.DataArray, valid: Bools, grid: Grid, fit: FittedTransform, model: Refinement
 ) -> tuple[RefinedTransform, RefinementFacts]:
-    """Refine a link by its headline property and the image, and correlate without the bias of that.
+    """Refine a link by the maps of two layers on one grid, and correlate without the bias of that.
 
     What the refinement changed stands beside r over tiles that it has not seen; where the map is too small for such
     tiles, beside r after the search and what the search reaches on unrelated maps. CannotRegister where SimpleITK is
     missing, or the refinement folds the map or leaves what the marks allow.
     """
-    pixel, valid = grid.pixel_um, linked["valid"].values
-    a, b = (_detail(linked[name].values, valid, pixel) for name in (headline, "image"))
-    options = RefineOptions(model=model)
-    fine = refine(a, b, valid, pixel_um=pixel, fit=fit, options=options)
+    pixel, options = grid.pixel_um, RefineOptions(model=model)
+    moving, fixed = (_detail(m.values, valid, pixel) for m in (a, b))
+    fine = refine(moving, fixed, valid, pixel_um=pixel, fit=fit, options=options)
 
     def tune(other: Floats, look: Bools) -> Floats:
-        return refine(other, b, look, pixel_um=pixel, fit=fit, options=replace(options, bounded=False)).image_at(
-            b, pixel
-        )
+        tuned = refine(other, fixed, look, pixel_um=pixel, fit=fit, options=replace(options, bounded=False))
+        return tuned.image_at(fixed, pixel)
 
     try:
-        of_r = cross_fitted(a, b, tune, valid=valid, pixel_um=pixel)
+        of_r = cross_fitted(moving, fixed, tune, valid=valid, pixel_um=pixel)
     except CannotMeasure:
-        of_r = searched_null(a, tune, valid=valid, surrogates=19)
+        of_r = searched_null(moving, tune, valid=valid, surrogates=19)
     facts = RefinementFacts(
-        model=fine.model, metric=fine.metric, property=headline, moved_rms_um=fine.moved_um[0],
+        model=fine.model, metric=fine.metric, property=str(a.name), moved_rms_um=fine.moved_um[0],
         moved_most_um=fine.moved_um[1], share_of_expected_error=fine.share, area=fine.area, strain=fine.strain,
         warnings=fine.warnings, sentence=fine.sentence, longest_wave_um=_COARSEST_UM, correlation=of_r,
     )  # fmt: skip

@@ -95,10 +95,9 @@ def _of_run(run: Path) -> Iterator[PlanePicture]:
             yield image_picture(image, plane="moving", layer=name, name=f"{prefix}image")
     if study.is_sheet_on_image:
         yield from group_pictures(run, LINKED, plane="fixed", layer=results.reference.name)
-        yield from group_pictures(run, "refined", plane="fixed", layer="refined", prefix="refined/")
-        return
-    for layer in results.layers:
+    for layer in () if study.is_sheet_on_image else results.layers:
         yield from group_pictures(run, f"layers/{layer.name}", plane="fixed", layer=layer.name, prefix=f"{layer.name}/")
+    yield from group_pictures(run, "refined", plane="fixed", layer="refined", prefix="refined/")
 
 
 def _sheet(run: Path, *, layer: str, prefix: str) -> Iterator[PlanePicture]:

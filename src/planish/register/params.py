@@ -59,6 +59,6 @@ class RegistrationParams(Params):
     )
     refine: Literal["affine", "bspline"] | None = option(
         None,
-        help="Also refine the registration by the maps themselves (one image only; needs planish[refine]). The maps go "
-        "into the group 'refined'; r is cross-fitted, or stands beside a searched null.",
+        help="Also refine the registration of two layers by their maps (needs planish[refine]). The maps go into the "
+        "group 'refined'; r is cross-fitted, or stands beside a searched null.",
     )

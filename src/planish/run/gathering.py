@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
 from itertools import combinations
 from typing import Any
@@ -15,7 +16,7 @@ from planish import __version__
 from planish.analyze.compare import comparison_rows, correlate_layers
 from planish.analyze.correlation_evidence import EvidenceFacts, correlation_diagnostics
 from planish.analyze.mottle import mottle_of
-from planish.analyze.refinement import held_out_r, refine_link
+from planish.analyze.refinement import RefinementFacts, held_out_r, refine_link
 from planish.analyze.sides import TextureFound, found_by_texture, holes_and_texture, texture_of
 from planish.analyze.split_half import SheetColumns
 from planish.checks import (
@@ -35,7 +36,8 @@ from planish.core.facts import Side
 from planish.core.source_hash import hash_sources
 from planish.core.transform import Similarity
 from planish.io.map_store import StoredMaps, map_tiles
-from planish.resample import SheetOnto
+from planish.register.refinement import Refinement
+from planish.resample import SheetOnto, resample_image
 from planish.results import LayerFacts, Results
 from planish.run.facts import layer_facts, linked_area
 from planish.run.layers import Layer, LayerHoles
@@ -116,7 +118,8 @@ def gather_link(linked: LinkedLayers) -> Run:
             correlate.headline,
         ) for layer in layers
     )  # fmt: skip
-    facts = tuple(_with_held_out(layer, linked) for layer in facts)
+    by_name = {layer.name: layer for layer in facts}
+    facts = tuple(_with_held_out(layer, by_name, linked) for layer in facts)
     checks = [*_checks(linked, facts, textures)]
     result_fields["evidence"] = [*_evidence(linked, facts)]
     if correlate.mottle:
@@ -131,6 +134,8 @@ def gather_link(linked: LinkedLayers) -> Run:
         sheet_fields, groups = _sheet_on_image(linked, facts[0].headline)
         result_fields |= sheet_fields
         checks += run_checks(sheet_fields["linked"], layers[0].name, layers[1].name)
+    if study.registration.refine is not None:
+        groups["refined"], result_fields["refinement"] = _refined(linked, facts, study.registration.refine)
     regions = linked.mask.regions
     if regions is not None:
         result_fields["regions"] = region_facts(regions, reference.grid)
@@ -183,22 +188,40 @@ def _evidence(linked: LinkedLayers, facts: tuple[LayerFacts, ...]) -> Iterator[E
 
 
 def _sheet_on_image(linked: LinkedLayers, headline: str) -> tuple[dict[str, Any], dict[str, xr.Dataset]]:
-    """Numbers and groups of the usual case: the linked area, other registrations, the refinement by the maps."""
-    sheet, grid, sink, study = linked.layers[0], linked.reference.grid, linked.sink, linked.study
-    fit, maps = linked.links[sheet.name].registration.fit, sink.group(LINKED)
-    result_fields: dict[str, Any] = {"linked": linked_area(maps, linked.mask)}
-    groups = sheet.groups | {LINKED: maps}
-    result_fields["comparison"] = comparison_rows(
-        maps, sheet.groups, fit, name=headline, point_um=study.correlate.point_um, away=linked.mask
-    )
-    if study.registration.refine is not None:
-        transform, result_fields["refinement"] = refine_link(maps, headline, grid, fit, study.registration.refine)
-        # Beside the marks' own: nothing that the page correlates was fitted to what it is correlated with.
-        refined_sheet = SheetOnto(sheet.groups["surfaces"], sheet.groups["flat"], transform=transform)
-        for tile in map_tiles(grid.shape):
-            sink.add("refined", grid, tile, refined_sheet.on(grid.part(tile.rows, tile.cols)))
-        groups["refined"] = sink.group("refined")
-    return result_fields, groups
+    """Numbers and groups of the usual case: the linked area, and other registrations."""
+    sheet, maps = linked.layers[0], linked.sink.group(LINKED)
+    comparison = comparison_rows(
+        maps, sheet.groups, linked.links[sheet.name].registration.fit, name=headline,
+        point_um=linked.study.correlate.point_um, away=linked.mask,
+    )  # fmt: skip
+    return {"linked": linked_area(maps, linked.mask), "comparison": comparison}, sheet.groups | {LINKED: maps}
+
+
+def _refined(
+    linked: LinkedLayers, facts: tuple[LayerFacts, ...], model: Refinement
+) -> tuple[xr.Dataset, RefinementFacts]:
+    """The first of two layers where the maps of both bring it.
+
+    It stands beside that of the marks: nothing that the page correlates was fitted to what it is correlated with.
+    """
+    (layer, reference), grid, sink = linked.layers, linked.reference.grid, linked.sink
+    data = linked.maps[layer.name], linked.maps[reference.name]
+    moving, fixed = (maps[name] for maps, name in zip(data, _compared_names(facts[0], facts[1], *data), strict=True))
+    valid, fit = data[0]["valid"].values & data[1]["valid"].values, linked.links[layer.name].registration.fit
+    transform, refinement = refine_link(moving, fixed, valid, grid, fit, model)
+    if isinstance(shown := layer.shown, xr.DataArray):
+        on_part = partial(resample_image, shown, transform=transform, must_meet=False)
+    else:
+        on_part = SheetOnto(shown["surfaces"], shown["flat"], transform=transform).on
+    for tile in map_tiles(grid.shape):
+        sink.add("refined", grid, tile, on_part(grid.part(tile.rows, tile.cols)))
+    return sink.group("refined"), refinement
+
+
+def _compared_names(layer: LayerFacts, reference: LayerFacts, moving: xr.Dataset, fixed: xr.Dataset) -> list[str]:
+    """The maps by which two layers are compared: the headlines, of two sheets one that both have."""
+    common_names = [name for name in (layer.headline, reference.headline) if name in moving and name in fixed]
+    return 2 * common_names[:1] or [layer.headline, reference.headline]
 
 
 def _checks(linked: LinkedLayers, facts: tuple[LayerFacts, ...], textures: Textures) -> Iterator[Check]:
@@ -231,15 +254,12 @@ def _checks(linked: LinkedLayers, facts: tuple[LayerFacts, ...], textures: Textu
         yield from run_checks(TextureChecks(*checks), a, b)
 
 
-def _with_held_out(layer: LayerFacts, linked: LinkedLayers) -> LayerFacts:
+def _with_held_out(layer: LayerFacts, facts: Mapping[str, LayerFacts], linked: LinkedLayers) -> LayerFacts:
     """What a layer is, with r that its place by texture was not tuned on."""
     if (registration := layer.registration) is None or registration.source not in ("texture", "both"):
         return layer
     sheet, reference, grid = linked.maps[layer.name], linked.maps[registration.path[-1]], linked.reference.grid
-    name = layer.headline
-    fixed_name = "image" if "image" in reference else name
-    if name not in sheet or fixed_name not in reference:
-        return layer
+    name, fixed_name = _compared_names(layer, facts[registration.path[-1]], sheet, reference)
     seen = _bounds(sheet["valid"])
     valid = sheet["valid"][seen].values & reference["valid"][seen].values
     if not valid.any():

@@ -109,9 +109,10 @@ def _check_light(study: Study) -> None:
             "--kubelka-munk needs reflectance, and the image is relative grey. Give --dark-grey and --white-grey, the "
             "grey of a dark and of a white reference, or leave it out."
         )
-    if study.registration.refine is not None and reference is not None and reference.screen_um is not None:
+    images = [layer.image for layer in study.layers if layer.image is not None]
+    if study.registration.refine is not None and any(image.screen_um is not None for image in images):
         raise InputError(
-            "--refine aligns the fine texture of map and image, which --screen-um takes off the image. Leave one of "
+            "--refine aligns the fine texture of both layers, which --screen-um takes off the image. Leave one of "
             "them out."
         )
     if correlate.mottle and not any(layer.kind == "image" for layer in study.layers):

@@ -112,8 +112,8 @@ class Study(Params):
             raise ValueError("the last layer is the reference: it is registered to nothing and has no marks")
         if len(names) == 1 and self.correlate.regions is not None:
             raise ValueError("regions are left out of correlations, and a single layer has none; link it to something")
-        if self.registration.refine is not None and not self.is_sheet_on_image:
-            raise ValueError("refine is for one volume or run and one image; link these two alone")
+        if self.registration.refine is not None and len(names) != 2:
+            raise ValueError("refine is for two layers; link these two alone")
         return self
 
     @property
