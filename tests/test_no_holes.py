@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from contextlib import closing, contextmanager
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import planish as pl
+from app.asgi import HOST, TOKEN, Client
+from planish.app import Session, create_app
 from planish.core.errors import CannotRegister
+from planish.io import ImageParams
+from planish.run import map_sheet
 from planish.synthetic import DEMO, make_specimen, write_instruments
 
 pytestmark = pytest.mark.study
@@ -26,7 +31,15 @@ def written(folder, seed):
 def linked(tmp_path_factory):
     folder = tmp_path_factory.mktemp("no_holes")
     specimen, files = written(folder / "files", 5)
-    return specimen, files, pl.link(files.volume, files.image)
+    map_sheet(files.volume, out=folder / "maps")
+    return specimen, files, pl.link(folder / "maps", files.image)
+
+
+@pytest.fixture(scope="module")
+def mapped(linked):
+    """The folder of the sheet's maps alone, as a refused link leaves it."""
+    _, files, _ = linked
+    return files.volume.parents[1] / "maps"
 
 
 def test_a_sheet_without_holes_is_linked_and_says_how_well(linked):
@@ -63,11 +76,11 @@ def test_marks_are_tiles_and_are_read_again(linked, tmp_path):
     assert (read.fit.shared_um, read.false_probability) == (registration.fit.shared_um, registration.false_probability)
 
 
-def test_a_run_by_tiles_of_a_file_is_the_run_of_the_search(linked, tmp_path):
+def test_a_run_by_tiles_of_a_file_is_the_run_of_the_search(linked, mapped, tmp_path):
     _, files, run = linked
     registration = run.registrations["sheet"]
     registration.save(tmp_path / "marks.json")
-    again = pl.link(files.volume, files.image, registration={"marks": str(tmp_path / "marks.json")})
+    again = pl.link(mapped, files.image, registration={"marks": str(tmp_path / "marks.json")})
     facts = again.results.layers[0].registration
     assert (facts.source, facts.false_probability) == ("texture", registration.false_probability)
     assert facts.held_out is not None
@@ -91,10 +104,46 @@ def test_holes_and_texture_are_fitted_in_one_and_compared(specimen, specimen_fil
     assert np.median(off_um[maps["valid"].values]) < 1.0
 
 
-def test_an_image_of_another_sheet_is_refused(linked, tmp_path):
-    _, files, run = linked
+@contextmanager
+def opened(mapped, image):
+    with closing(Session.open(mapped, ImageParams(path=str(image)))) as session:
+        client = Client(create_app(session, token=TOKEN, hosts=(HOST,)))
+        yield session, client
+        client.app.state.applying.close()
+
+
+def test_the_app_finds_the_texture_everywhere_and_about_a_place(linked, mapped):
+    specimen, files, _ = linked
+    with opened(mapped, files.image) as (session, client):
+        for near in (None, list(map(float, specimen.pose([[0.0, 0.0]])[0]))):
+            found = client.post("/api/marks/texture", {"near": near})
+            assert found.status == 200
+            assert "Found by texture" in found.json()["said"]
+            assert {mark["source"] for mark in found.json()["marks"]} == {"tile"}
+        far = client.post("/api/marks/texture", {"near": [-3000.0, 0.0]})
+        assert far.status == 400
+        place = found.json()["fit"]["transform"]
+        given = client.post("/api/marks/texture", {"place": place})
+        assert given.json()["said"].startswith("The place was given; ")
+        assert len(given.json()["marks"]) >= 4
+        session.undo()
+
+
+def test_the_app_offers_the_best_places_where_none_is_sure(mapped, tmp_path):
+    _, other = written(tmp_path / "other", 6)
+    with opened(mapped, other.image) as (session, client):
+        refused = client.post("/api/marks/texture", {})
+        places = refused.json()["places"]
+        assert (refused.status, len(places) > 2, session.can_undo) == (400, True, False)
+        assert places[0]["text"] in refused.json()["error"]
+        chosen = client.post("/api/marks/texture", {"place": places[0]["place"]})
+        assert (chosen.status, "4 are needed" in chosen.json()["error"]) == (400, True)
+
+
+def test_an_image_of_another_sheet_is_refused(linked, mapped, tmp_path):
+    _, _, run = linked
     _, other = written(tmp_path / "other", 6)
     with pytest.raises(CannotRegister, match="stands out by its texture"):
         pl.register_texture(run.groups["maps"], pl.read_image(other.image))
     with pytest.raises(CannotRegister, match="No hole found"):
-        pl.link(files.volume, other.image, registration={"by": "holes"})
+        pl.link(mapped, other.image, registration={"by": "holes"})

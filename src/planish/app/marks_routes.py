@@ -20,8 +20,11 @@ from planish.app.live import Live
 from planish.app.picture import PLANES
 from planish.app.session import Stale
 from planish.app.snap import not_snapped, snapped
+from planish.app.texture import texture_marks
 from planish.app.view_routes import required_numbers, route, session_of
 from planish.core.tables import naming_faults
+from planish.core.transform import Similarity
+from planish.core.typing import Pair
 from planish.marks.exchange import FORMATS
 from planish.marks.exchange.formats import TARGETS
 from planish.marks.exchange.lists import Part
@@ -46,6 +49,12 @@ class _SnapBody(_Body):
 class _ImportBody(MarkFile, _Body):
     layer: Layer | None = None
     second: MarkFile | None = None
+
+
+class _TextureBody(_Body):
+    layer: Layer | None = None
+    near: Pair | None = None
+    place: Similarity | None = None
 
 
 def get_session(request: Request) -> Response:
@@ -142,6 +151,15 @@ def _import(request: Request, body: _ImportBody) -> str:
     return f"{len(change.marks)} pairs of marks imported."
 
 
+def _find_texture(request: Request, body: _TextureBody) -> str:
+    """Take tiles of the texture in place of all marks that are there."""
+    session = session_of(request)
+    layer = body.layer or session.state.first_layer
+    change, sentence = texture_marks(session, layer, near=body.near, place=body.place)
+    session.change(change, version=body.version)
+    return sentence
+
+
 def get_predict(request: Request) -> Response:
     """Predict where a point of one plane lies in the other."""
     live: Live = request.app.state.live
@@ -211,6 +229,7 @@ ROUTES = [
     route("/api/redo", _changing(_Body, lambda r, body: session_of(r).redo(version=body.version)), "POST"),
     route("/api/snap", _changing(_SnapBody, _snap), "POST"),
     route("/api/predict", get_predict),
+    route("/api/marks/texture", _changing(_TextureBody, _find_texture), "POST"),
     route("/api/marks/import", _changing(_ImportBody, _import), "POST"),
     route("/api/marks/export", get_export),
     route("/api/apply", lambda r: _progress_response(_applying(r).progress)),

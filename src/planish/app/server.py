@@ -8,7 +8,7 @@ import secrets
 import socket
 from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.resources import files
 
 import uvicorn
@@ -26,6 +26,7 @@ from planish.app.live import Live
 from planish.app.pictures import Tiles
 from planish.app.session import Session, Stale
 from planish.core.errors import FileError, PlanishError, ResourceError
+from planish.run.texture_registration import Undecided
 
 MOST_BYTES = 2_000_000
 """Of one request: what a person changes is small."""
@@ -165,7 +166,9 @@ async def _error_response(_request: Request, error: Exception) -> Response:
     """An error that a person can do something about."""
     status = 409 if isinstance(error, Stale) else 507 if isinstance(error, ResourceError) else 400
     assert isinstance(error, PlanishError)
-    return JSONResponse({"error": error.text}, status)
+    places = error.places if isinstance(error, Undecided) else ()
+    described = [{"place": asdict(p.place), "middle_um": p.middle_um, "text": p.sentence} for p in places]
+    return JSONResponse({"error": error.text} | ({"places": described} if described else {}), status)
 
 
 def serve(session: Session, *, host: str, port: int, on_open: Callable[[str], None]) -> None:

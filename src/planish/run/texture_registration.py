@@ -17,7 +17,7 @@ from planish.core.errors import CannotRegister, InputError
 from planish.core.facts import Side
 from planish.core.options import params_of
 from planish.core.transform import Similarity
-from planish.core.typing import Floats, Ints
+from planish.core.typing import Floats, Ints, Pair
 from planish.marks.exchange.model import join_holes, paired, points_of
 from planish.register import RegistrationParams, fit_pairs, need_holes
 from planish.run.layers import Layer, LayerHoles
@@ -37,6 +37,28 @@ _LEAST_TILES = 4
 _FEW_HOLES = 2  # that fix no place, and narrow the search
 
 
+class FoundPlace(NamedTuple):
+    """A place of the moving layer in the fixed one that chance may reach as well."""
+
+    place: Similarity
+    middle_um: Pair  # of the moving layer, in the fixed one
+    z: float  # standard deviations of chance
+
+    @property
+    def sentence(self) -> str:
+        """Turn, middle and height."""
+        turn_deg, (x, y) = math.degrees(self.place.rotation_rad) % 360, self.middle_um
+        return f"turned by {turn_deg:.0f} degrees about ({x:.0f}, {y:.0f}) um: {self.z:.1f}"
+
+
+class Undecided(CannotRegister):
+    """No place of a sheet stands out by its texture; ``places`` are the best."""
+
+    def __init__(self, text: str, places: Sequence[FoundPlace]) -> None:
+        super().__init__(text)
+        self.places = places
+
+
 def register_texture(
     moving: xr.Dataset | xr.DataArray,
     fixed: xr.Dataset | xr.DataArray,
@@ -44,6 +66,7 @@ def register_texture(
     params: RegistrationParams | None = None,
     mirrored: bool | None = False,
     holes: tuple[xr.Dataset, xr.Dataset] | None = None,
+    place: Similarity | None = None,
 ) -> Registration:
     """Find a sheet in an image by the texture that both show, without any hole, and fit the transformation.
 
@@ -61,6 +84,8 @@ def register_texture(
     holes : (Dataset, Dataset), optional
         Laser holes of both layers, of :func:`planish.find_holes`. They are masked and have no part in the fit; where
         there are 1 or 2 in both, the places that put one onto another are searched first.
+    place : Similarity, optional
+        From the moving to the fixed layer, right to some 25 um: nothing is searched, and no probability is stated.
 
     Returns
     -------
@@ -69,9 +94,11 @@ def register_texture(
 
     Raises
     ------
+    Undecided
+        If no place stands out so far that an unrelated image would reach it in fewer than 4 of 10 000 cases, or two
+        places are nearly alike.
     CannotRegister
-        If no place stands out so far that an unrelated image would reach it in fewer than 4 of 10 000 cases, two places
-        are nearly alike, or too few tiles by themselves show where they lie.
+        If too few tiles by themselves show where they lie.
     InputError
         If the maps hold no thickness.
 
@@ -82,19 +109,28 @@ def register_texture(
     same map is compared.
     """
     fit_params = params_of(RegistrationParams, params, "pl.register_texture")
-    layers, found = _searched_sides(moving, fixed, fit_params, mirrored, holes)
-    if not found.search.is_sure:
-        raise _undecided(found, layers)
-    tiles = _tiles_near(layers, found.place, found.scaled, found.search.best.names)
+    if place is not None:
+        is_bottom = place.mirrored if mirrored is None else mirrored
+        layers = _Layers.of(moving, fixed, "bottom" if is_bottom else "top")
+        tiles = _tiles_near(layers, place.inverse if layers.swapped else place, off_um=_TUNED_UM)
+        search = None
+    else:
+        layers, found = _searched_sides(moving, fixed, fit_params, mirrored, holes)
+        if not (search := found.search).is_sure:
+            raise _undecided(found, layers)
+        tiles = _tiles_near(layers, found.place, scaled=found.scaled, names=search.best.names, off_um=_TUNED_UM)
     if len(tiles.moving_um) < _LEAST_TILES:
         raise CannotRegister(
-            f"The texture shows the place of the sheet, but {len(tiles.moving_um)} parts of it by themselves, and "
-            f"{_LEAST_TILES} are needed to say how well. Image or scan a larger field, or give pairs of points "
-            "(--marks)."
+            f"{len(tiles.moving_um)} parts of the sheet show by themselves where they lie about its place, and "
+            f"{_LEAST_TILES} are needed to say how well that is known. Image or scan a larger field, or give pairs of "
+            "points (--marks)."
         )
     registration = _fitted(layers, tiles, holes, np.empty((0, 2), dtype=np.intp), fit_params)
-    sentence = _decided(found.search, tiles)
-    return replace(registration, sentence=sentence, false_probability=found.search.false_probability)
+    if search is None:
+        return replace(
+            registration, sentence=f"The place was given; {len(tiles.moving_um)} tiles of the texture show it."
+        )
+    return replace(registration, sentence=_decided(search, tiles), false_probability=search.false_probability)
 
 
 def uses_texture(layer: Layer, fixed: Layer, holes: LayerHoles, study: Study) -> bool:
@@ -150,7 +186,7 @@ class _Found(NamedTuple):
     search: PlaceSearch
     place: Similarity
     scaled: float
-    middles_um: list[Floats]  # of the moving layer, in the fixed one, by the best candidates
+    places: tuple[Similarity, ...]  # of all candidates, from the moving to the fixed layer
 
 
 def _searched_sides(
@@ -221,16 +257,21 @@ def _searched(layers: _Layers, params: RegistrationParams, *, mirrored: bool | N
             search = search_place(a_texture, b_texture, mirrored=mirrored, scale_tolerance=tolerance, near=places)
         search = replace(search, false_probability=min(len(guesses) * search.false_probability, 1.0))
         places_um = [_moved(c.place, a_first, b_first) for c in search.candidates]
-        middles_um = [
-            p.inverse(guess * layers.b.middle_um) if layers.swapped else p(layers.a.middle_um) / guess
-            for p in places_um
-        ]
         if best is None or search.false_probability < best.search.false_probability:
-            best = _Found(search, places_um[0], guess, middles_um)
+            fixed_places = tuple(_between_layers(p, guess, swapped=layers.swapped) for p in places_um)
+            best = _Found(search, places_um[0], guess, fixed_places)
         if best.search.is_sure:
             break
     assert best is not None
     return best
+
+
+def _between_layers(place: Similarity, scaled: float, *, swapped: bool) -> Similarity:
+    """A place of the first layer in the second one, ``scaled``, from the moving to the fixed layer as they are."""
+    if swapped:
+        return replace(place.inverse, scale=place.inverse.scale * scaled)
+    x, y = place.shift_um
+    return replace(place, scale=place.scale / scaled, shift_um=(x / scaled, y / scaled))
 
 
 def _guesses(tolerance: float) -> list[float]:
@@ -246,8 +287,10 @@ def _of_textures(near: Near, a: TextureLayer, a_first: Floats, b_first: Floats, 
     return Near(fixed_um=(bx, by), radius_um=guess * near.radius_um, moving_um=(ax, ay))
 
 
-def _tiles_near(layers: _Layers, place: Similarity, scaled: float, names: Names | None) -> TilePlaces:
-    """Tune a place of the first layer in the second one, ``scaled``, where it was searched, and find tiles there.
+def _tiles_near(
+    layers: _Layers, place: Similarity, *, scaled: float = 1.0, names: Names | None = None, off_um: float = 0.0
+) -> TilePlaces:
+    """Tune a place of the first layer in the second one, ``scaled``, by as much as it may be off, and find tiles there.
 
     Their places and covariances are those in the second layer as it is.
     """
@@ -258,11 +301,11 @@ def _tiles_near(layers: _Layers, place: Similarity, scaled: float, names: Names 
     (moving, moving_first), (fixed, fixed_first) = a.texture(_FINE_UM, slopes=has_light), b.texture(_FINE_UM)
     light = tuple(name for name in a.light if has_light and name in moving.maps)
     place = _moved(place, -moving_first, -fixed_first)
-    is_led, names = names is None, names or leading_maps(moving, fixed, place)
+    names = names or leading_maps(moving, fixed, place)
     # Two sheets are compared map by map; an image shows the other maps, too.
     beside = tuple(k for k in a.maps if has_light and k in moving.maps and k != names[0])
-    if not is_led:
-        place = tuned_place(moving, fixed, names, place, reach_um=_TUNED_UM, beside=(*beside, *light))
+    if off_um:
+        place = tuned_place(moving, fixed, names, place, reach_um=off_um, beside=(*beside, *light))
     tiles = tile_places(moving, fixed, names, place, beside=beside, light=light)
     return tiles._replace(
         moving_um=tiles.moving_um + moving_first, fixed_um=(tiles.fixed_um + fixed_first) / scaled,
@@ -305,7 +348,7 @@ def _with_tiles(
     """Fit holes and the tiles that are found at the place by holes in one, and say how far apart both lie."""
     layers = _Layers.of(moving, fixed, side)
     place = known.fit.transform.similarity
-    tiles = _tiles_near(layers, place.inverse if layers.swapped else place, 1.0, None)
+    tiles = _tiles_near(layers, place.inverse if layers.swapped else place)
     if len(tiles.moving_um) < _LEAST_TILES:
         raise CannotRegister(
             f"{len(tiles.moving_um)} parts of the texture show where they lie, and {_LEAST_TILES} are needed beside "
@@ -365,24 +408,24 @@ def _title(names: Names) -> str:
     return f"{a} and {b}" if a != b else f"the maps of {a} of both" if a != "image" else "both images"
 
 
-def _undecided(found: _Found, layers: _Layers) -> CannotRegister:
+def _undecided(found: _Found, layers: _Layers) -> Undecided:
     """Say that no place is sure, and what would help."""
-    search = found.search
-    places = [
-        f"turned by {math.degrees((c.place.inverse if layers.swapped else c.place).rotation_rad) % 360:.0f} degrees "
-        f"about ({x:.0f}, {y:.0f}) um: {c.z:.1f}"
-        for c, (x, y) in zip(search.candidates[:3], found.middles_um, strict=False)
-    ]
-    text = f"Best places, in standard deviations of chance: {'; '.join(places)}."
+    search, middle_um = found.search, (layers.b if layers.swapped else layers.a).middle_um
+    places = tuple(
+        FoundPlace(place, (float(x), float(y)), candidate.z)
+        for candidate, place in zip(search.candidates, found.places, strict=True)
+        for x, y in (place(middle_um),)
+    )
+    text = f"Best places, in standard deviations of chance: {'; '.join(place.sentence for place in places[:3])}."
     if search.has_rival and search.false_probability <= FALSE:
-        return CannotRegister(
+        return Undecided(
             f"Two places of the sheet in the image are nearly alike. {text} A pattern that repeats, such as a screen "
             "or wire marks, looks like that: take it off the image (--screen-um), say about where the sheet lies "
-            "(--near), or give marks (--marks)."
-        )
-    return CannotRegister(
+            "(--near), or give marks (--marks).", places,
+        )  # fmt: skip
+    return Undecided(
         f"No place of the sheet in the image stands out by its texture: an unrelated image reaches the best one with a "
         f"probability of {search.false_probability:.2g}, and {FALSE:g} is allowed. {text} Is it this piece of paper, "
         "this side (--image-side, --mirror), and are the pixel sizes right (--scale-tolerance)? A larger field helps, "
-        "and so does a rough place (--near) or marks (--marks)."
-    )
+        "and so do marks (--marks) or a rough place that you know from elsewhere (--near).", places,
+    )  # fmt: skip

@@ -9,6 +9,7 @@ import { MarkTools } from "./marktools.js";
 import { Overlay, WAYS } from "./overlay.js";
 import { Prediction } from "./prediction.js";
 import { MarkTable } from "./table.js";
+import { texture } from "./texture.js";
 
 /** @typedef {"moving"|"fixed"} Side */
 
@@ -64,7 +65,9 @@ class Marks {
     });
     this.tools.above.prepend(...this.layerBox());
     this.tools.above.append(make("div", { class: "group" }, labelled("View", way), this.overlay.control, this.followBox()));
-    this.tools.below.append(exchange(app));
+    const goTo = (/** @type {[number, number]} */ point) => (this.views.fixed.centre = point);
+    const byTexture = texture(app, { newest: () => this.open, goTo });
+    this.tools.below.append(exchange(app), ...(byTexture ? [byTexture] : []));
     this.boxes = { moving: this.pictureBox("moving", places.moving), fixed: this.pictureBox("fixed", places.fixed) };
     this.showLayer();
     for (const side of SIDES) this.bind(side);

@@ -1,0 +1,49 @@
+/** Marks by the texture of map and image: searched, or put where a person says that the sheet lies. */
+
+import { button, make } from "./dom.js";
+
+/**
+ * The button `Find by texture` and, where no place stands out, a button for each of the best ones; null for a run that
+ * is linked.
+ * @param {any} app
+ * @param {{newest: () => (import("./store.js").Mark|null), goTo: (point: import("./store.js").Point) => void}} marks
+ * @returns {HTMLElement|null}
+ */
+export function texture(app, marks) {
+  if (app.session.linked) return null;
+  const places = make("div", { class: "group", role: "group", "aria-label": "Best places" });
+  const title =
+    "Looks for the map in the image by what both show. A mark in the image alone says about where its middle lies.";
+  const find = button("Find by texture", search, { disabled: app.readOnly, title });
+  return make("div", { class: "group" }, find, places);
+
+  async function search() {
+    const mark = marks.newest();
+    const near = mark && !mark.moving ? mark.fixed : null;
+    places.replaceChildren();
+    find.disabled = true;
+    app.say("The texture is searched: some 10 to 100 seconds ...");
+    if (!(await take({ near }, "Marks found by texture"))) app.say("");
+    find.disabled = app.readOnly;
+  }
+
+  /** @param {any} body @param {string} words */
+  async function take(body, words) {
+    return app.write(async () => {
+      try {
+        return await app.post("marks/texture", { ...body, layer: app.layer });
+      } catch (/** @type {any} */ error) {
+        if (error.body?.places) places.replaceChildren("If you know the place: ", ...error.body.places.map(offered));
+        throw error;
+      }
+    }, words);
+  }
+
+  /** @param {any} one a place that chance may reach as well */
+  function offered(one) {
+    return button(one.text.replace(/: [\d.]+$/, ""), () => {
+      marks.goTo(one.middle_um);
+      void take({ place: one.place }, "Tiles put at the chosen place: nothing says how likely chance finds it");
+    }, { title: "Looks for tiles of the texture there" });
+  }
+}
