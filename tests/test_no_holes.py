@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import tifffile
+import xarray as xr
 
 import planish as pl
 from app.asgi import HOST, TOKEN, Client
@@ -102,6 +104,26 @@ def test_holes_and_texture_are_fitted_in_one_and_compared(specimen, specimen_fil
     maps, truth = run.groups["linked"], specimen.truth
     off_um = np.hypot(maps["volume_x"] - truth["volume_x"], maps["volume_y"] - truth["volume_y"]).values
     assert np.median(off_um[maps["valid"].values]) < 1.0
+
+
+def real_image(values):
+    """A picture of cells as if it were paper: its pixels, some .7 um wide, are taken for 8 um."""
+    y, x = (8.0 * np.arange(n) for n in values.shape)
+    return xr.DataArray(values, dims=("y", "x"), coords={"y": y, "x": x}, attrs={"pixel_um": [8.0, 8.0]})
+
+
+def test_real_pictures_of_one_tissue_in_two_stains_are_found_and_others_not(shared_data):
+    """Two markers in one sheet of cells, and an organoid; a quarter turn and a frame around say what is right."""
+    tissue = tifffile.imread(shared_data / "tissue_sheet_mesh" / "basics_example_projected.tif")[2]
+    first, second = (np.where(np.isfinite(m), m, np.nanmedian(m)) for m in tissue)
+    turned = np.pad(np.rot90(second), 60, mode="median")
+    found = pl.register_texture(real_image(first), real_image(turned))
+    points = 8.0 * np.stack(np.meshgrid(np.arange(20, 240, 40), np.arange(20, 240, 40)), axis=-1)
+    right = np.stack([points[..., 1], 8.0 * 255 - points[..., 0]], axis=-1) + 8.0 * 60
+    assert np.median(np.linalg.norm(found(points) - right, axis=-1)) < 8.0
+    organoid = tifffile.imread(shared_data / "tissue_sheet_mesh" / "Neural_tube_organoid_DAPI_betaCat-small.tif")
+    with pytest.raises(CannotRegister, match="stands out by its texture"):
+        pl.register_texture(real_image(first), real_image(np.pad(organoid[15, 0], 60, mode="median")))
 
 
 @contextmanager

@@ -169,6 +169,31 @@ def test_a_sheet_is_registered_to_a_part_of_it_and_an_image_to_a_sheet():
     assert np.linalg.norm(pl.register_texture(maps, part)(CORNERS) - place(CORNERS), axis=1).max() < 5.0
 
 
+@pytest.mark.parametrize("contrast", [1.0, 3.0])
+def test_a_print_hides_no_texture(contrast):
+    """A screen of 167 um, three times as strong as the sheet's texture; the sheet itself is not printed in the scan."""
+    place = placed(40.0)
+    maps, image = pair(place=place, r=0.6)
+    x, y = np.meshgrid(image["x"], image["y"])
+    turn = np.deg2rad(22.0)
+    along, across = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
+    dots = np.cos(2 * np.pi * along / 167.0) + np.cos(2 * np.pi * across / 167.0) > 0.3
+    found = pl.register_texture(maps, image - contrast * float(image.std()) * dots)
+    assert np.linalg.norm(found(CORNERS) - place(CORNERS), axis=1).max() < 4.0
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_transmitted_light_is_found_by_the_thickness_and_said_so(mirrored):
+    """Thick places are dark from either side; the hand says from which one the picture was taken."""
+    place = placed(20.0, mirrored=mirrored)
+    maps, image = pair(place=place, r=-0.5)
+    coating = (("v", "u"), 10.0 + field(maps["thickness"].shape, 77))
+    found = pl.register_texture(maps.assign(coating_top=coating, coating_bottom=coating), image, mirrored=None)
+    assert found.fit.mirrored is mirrored
+    assert "The thickness leads" in found.sentence
+    assert np.linalg.norm(found(CORNERS) - place(CORNERS), axis=1).max() < 4.0
+
+
 def test_a_pattern_that_repeats_is_refused_by_its_name():
     maps, image = pair(place=placed(0.0), r=0.6)
     tile = maps["thickness"].values[:100, :100]

@@ -34,6 +34,7 @@ _NEAR_UM = 500.0  # of a place that was given without a radius
 _SCALE_GUESS = 1.15  # of an image whose pixel size is hardly known: between two sizes that are tried
 _GUESS_TOLERANCE = 0.08
 _LEAST_TILES = 4
+_ABOUT_THICKNESS = " The thickness leads, so the image may be one of transmitted light, or of a side without coating."
 _FEW_HOLES = 2  # that fix no place, and narrow the search
 
 
@@ -399,7 +400,7 @@ def _decided(search: PlaceSearch, tiles: TilePlaces) -> str:
     return (
         f"Found by texture: {_title(best.names)} go together at one place (r = {tiles.r:.2f}; {best.z:.0f} standard "
         f"deviations of chance{next_best}; probability of a false link {probability}). {len(tiles.moving_um)} tiles "
-        "give the place."
+        f"give the place.{_ABOUT_THICKNESS if 'image' in best.names and 'thickness' in _title(best.names) else ''}"
     )
 
 
