@@ -18,6 +18,7 @@ _ALL = (
     "holes",
     "holes_on_fibres",
     "no_holes",
+    "no_holes_layers",
     "texture_fields",
     "properties",
     "registration",
