@@ -169,7 +169,6 @@ def comparison_rows(
 
 
 def _change(change_of_r: float, pair: Sequence[Array], pair_of_run: Sequence[Array], pixel_um: Pixel) -> dict[str, Any]:
-    """Change of r, and the interval of it."""
     change = paired_difference((pair[0], pair[1]), (pair_of_run[0], pair_of_run[1]), pixel_um=pixel_um)
     # The interval is told from cells, which may be larger than the pixels that r is of.
     low, high = (v + (change_of_r - change.difference) for v in change.interval)
@@ -177,7 +176,6 @@ def _change(change_of_r: float, pair: Sequence[Array], pair_of_run: Sequence[Arr
 
 
 def _variants(sheet: Mapping[str, xr.Dataset], fit: FittedTransform) -> Iterator[_Variant]:
-    """The registrations that the run's own is compared with."""
     for title, coordinates, model in REGISTRATION_VARIANTS:
         if model == fit.model and coordinates == ("u", "v"):
             continue  # the run's own

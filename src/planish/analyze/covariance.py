@@ -143,7 +143,6 @@ class PairCovariances:
         return error / self.lags.n, error / math.sqrt(model_variance) if model_variance > 0 else 1.0
 
     def _influence(self, r: float, variances: Pair | None) -> Floats:
-        """Sums, by lag, of the covariances of what single points add to z."""
         sd = [math.sqrt(v + p) for v, p in zip(variances or self.variances, self._put_back, strict=True)]
         xx, yy, xy = (c / s for c, s in zip(self._together, (sd[0] ** 2, sd[1] ** 2, sd[0] * sd[1]), strict=True))
         yx = _reversed(xy)

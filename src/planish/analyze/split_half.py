@@ -243,5 +243,4 @@ def say_reliability(evidence: EvidenceFacts) -> Iterator[str]:
 
 
 def _near_one(value: float) -> str:
-    """Write a number up to 1 so that it is not rounded to 1."""
     return fixed(value, min(max(2, -math.floor(math.log10(1 - value))), 6) if 0 < value < 1 else 2)

@@ -175,7 +175,6 @@ class _Steps:
 
 
 def _judged(scanner: _Scanner, steps: _Steps, cells: list[list[_Peak]]) -> PlaceSearch:
-    """The best places of a search, and how probable it is that the best one is chance."""
     null_sd: dict[Names, float] = {}
     for names in {peak.names for peak in cells[0]}:
         peaks = [peak for cell in cells for peak in cell if peak.names == names]
@@ -211,7 +210,6 @@ def _same_turn(a: Similarity, b: Similarity) -> bool:
 
 
 def _apart(a: Similarity, b: Similarity, middle_um: Floats) -> bool:
-    """Whether two places are two."""
     is_shifted = float(np.linalg.norm(a(middle_um) - b(middle_um))) > _NEAR_UM
     return a.mirrored != b.mirrored or not _same_turn(a, b) or is_shifted
 

@@ -195,8 +195,6 @@ class _Stack:
 
 
 def _levelled(stored: Array, slice_sd: Floats) -> NDArray[np.float32]:
-    """Bring every slice to the mean and standard deviation of the slices around it."""
-
     def around(values: Floats) -> Floats:  # without single slices that are unlike the others, and without steps
         return ndimage.uniform_filter1d(ndimage.median_filter(values, 2 * _AROUND + 1, mode="nearest"), _AROUND)
 
@@ -206,12 +204,10 @@ def _levelled(stored: Array, slice_sd: Floats) -> NDArray[np.float32]:
 
 
 def _bends(s: Array) -> Floats:
-    """Mean squared distance of slices from the mean of their neighbours."""
     return np.array([_square(0.5 * (a + c), b) for a, b, c in zip(s, s[1:], s[2:], strict=False)])
 
 
 def _differences(s: Array, lag: int) -> Floats:
-    """Mean squared difference of slices k and k + lag."""
     # Slice by slice: temporary arrays as large as the stack cost more than the sums.
     return np.array([_square(a, b) for a, b in zip(s[lag:], s[:-lag], strict=True)])
 
@@ -227,7 +223,6 @@ def _log(differences: Floats) -> Floats:
 
 
 def _empty(t: _Stack) -> Iterable[Fault]:
-    """Slices that show nothing between such that show the body."""
     edges = np.flatnonzero(np.diff(np.concatenate([[True], t.is_visible, [True]]).astype(np.int8)))
     usual = _FULL * float(np.median(t.slice_sd))
     return [
@@ -238,7 +233,6 @@ def _empty(t: _Stack) -> Iterable[Fault]:
 
 
 def _foreign(t: _Stack) -> Iterator[Fault]:
-    """Slices unlike both neighbours, which are like each other."""
     indices = np.arange(1, t.d1.size)
     ratio = np.minimum(t.d1[indices - 1], t.d1[indices]) / np.maximum(t.d2[indices - 1], 1e-300)
     copied: set[int] = set()
@@ -274,7 +268,6 @@ def _copies(t: _Stack) -> Iterator[Fault]:
 
 
 def _exchanged(t: _Stack) -> Iterator[Fault]:
-    """Two neighbours in the wrong order: each is nearer to the neighbour of the other."""
     k = np.arange(1, t.d1.size - 1)
     ratio = np.minimum(t.d1[k - 1], t.d1[k + 1]) / np.maximum(np.maximum(t.d2[k - 1], t.d2[k]), 1e-300)
     limit = np.maximum(EXCHANGED, 1 + _SIGMA * t.scatter(k))
@@ -310,7 +303,6 @@ def _dips(curve: Floats, is_good: Bools, slices: int, depth: float) -> list[tupl
 
 
 def _near_copies(t: _Stack) -> Iterator[Fault]:
-    """Slices that differ from the one before by noise or compression alone."""
     for a, b in _dips(_log(t.square), t.is_good, 2, ALIKE):
         yield Fault(kind="repeated", first=a + 1, last=b + 1, other=a)
 

@@ -183,7 +183,6 @@ def _variable_5(header: bytes, byte_order: str) -> Variable | None:
 
 
 def _element(header: bytes, offset: int, byte_order: str) -> tuple[int, int, int, int]:
-    """Type, start and size of an element's bytes, and where the next one begins."""
     element_type, size = struct.unpack_from(f"{byte_order}II", header, offset)
     if element_type >> 16:  # a small one: size and type share a word, four bytes follow
         element_type, size = element_type & 0xFFFF, element_type >> 16

@@ -86,7 +86,6 @@ def control_groups(controller: str, membership_file: Path, groups_folder: Path) 
 
 
 def _quotas(membership_file: Path, groups_folder: Path) -> list[int]:
-    """Processors that the limits of the process's control groups amount to, rounded up."""
     quotas: list[int] = []
     for folder, is_version_1 in control_groups("cpu", membership_file, groups_folder):
         file_names = ("cpu.cfs_quota_us", "cpu.cfs_period_us") if is_version_1 else ("cpu.max",)

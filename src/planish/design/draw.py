@@ -274,7 +274,6 @@ def _holes(axes: Axes, pattern: Pattern, edge: str) -> None:
 
 
 def _numbers(axes: Axes, points: Floats, labels: Sequence[str], low: Floats, size: Floats) -> None:
-    """Write a number at each point, on the side of the middle of the rectangle."""
     towards_middle = low + size / 2 - points
     inwards = np.sign(towards_middle) * (np.abs(towards_middle) > 0.4 * size)
     inwards[~inwards.any(axis=1)] = [0.7, 0.7]

@@ -136,7 +136,6 @@ def design_pattern(params: DesignParams) -> Design:
 
 
 def _blank_pattern(params: DesignParams) -> Pattern:
-    """Return the pattern without its holes: field, frame and view."""
     min_spacing_um, rim_reach_um = SPACING_DIAMETERS * params.diameter_um, 0.5 * params.diameter_um + params.rim_um
     spacing_um = params.spacing_um if params.spacing_um is not None else max(500.0, min_spacing_um)
     margin = params.margin_um if params.margin_um is not None else max(1.5 * params.diameter_um, rim_reach_um)

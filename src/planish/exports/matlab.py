@@ -94,7 +94,6 @@ def _turned(band: NDArray[Any], chunk: tuple[int, int], first_col: int) -> NDArr
 
 
 def _put(group: h5py.Group, name: str, variable: Any) -> None:
-    """Write a matrix, a text or a structure of texts."""
     if isinstance(variable, dict):
         struct = group.create_group(name)
         struct.attrs["MATLAB_class"] = np.bytes_("struct")

@@ -52,7 +52,6 @@ def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams)
 
 
 def _window(overview: NDArray[np.float32]) -> dict[str, float]:
-    """Limits of a map, and those between which it is shown first."""
     low, high = percentile_limits(overview)
     finite = overview[np.isfinite(overview)]
     extremes = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)

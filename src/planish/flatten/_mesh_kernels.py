@@ -162,7 +162,6 @@ def rest_lengths(points, scale, arc, rest, counts, r0, r1):
 
 @njit(**_INNER)
 def _lines(rest, stiff, family, i, total, length, n):
-    """Add row i of the springs of a family to the sums of stiffness and of stiffness times length."""
     long, k = rest[family, i], stiff[family, min(i, stiff.shape[1] - 1)]
     for j in range(1, n + 1):
         total[j] += k[j] if long[j] > 0.0 else 0.0

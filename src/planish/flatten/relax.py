@@ -282,7 +282,6 @@ def _relaxation(level: Level, points: Floats, start: Floats, method: Method | Re
 
 
 def _lay_on_target(level: Level, target: Floats, pitch: float, team: Team) -> Floats:
-    """Turn and shift the places to lie on the target: least squares without scale and without reflection."""
     row_sums = np.zeros((level.rows + 2, 7))
     team.run(moments, level.parts, target, 1 / pitch, level.xy, row_sums)
     n_nodes, u, v, p, q, sum_dot, sum_cross = row_sums.sum(axis=0)

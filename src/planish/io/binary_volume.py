@@ -103,7 +103,6 @@ def _load_mrc(path: Path) -> LoadedVolume:
 
 
 def _mrc_header(head: bytes, path: Path) -> Any:
-    """Read the header alone, in whichever byte order makes sense of it."""
     with quiet:
         from mrcfile import dtypes
     if len(head) == HEADER_BYTES:

@@ -186,7 +186,6 @@ def as_text(section: Section) -> list[str]:
 
 
 def _section(down: str, across: str, plane: NDArray[Any], step: tuple[int, int]) -> Section:
-    """Thin a plane out, and spread its grey over 0 to 255."""
     strides = [max(1, -(-n * k // _SIDE) // k) for n, k in zip(plane.shape, step, strict=True)]
     plane = plane[:: strides[0], :: strides[1]].astype(np.float64)
     finite_values = plane[np.isfinite(plane)]

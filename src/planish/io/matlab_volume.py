@@ -67,7 +67,6 @@ def _decoded(path: Path, variable: matlab.Variable) -> NDArray[Any]:
 
 @contextmanager
 def _damage(path: Path) -> Generator[None]:
-    """Turn what the decoder raises into a FileError."""
     try:
         yield
     except matlab.Damaged as error:

@@ -13,7 +13,6 @@ Size = Annotated[float, Field(gt=0)]
 
 
 def _all_alike(count: int) -> BeforeValidator:
-    """One number stands for that along every axis."""
     return BeforeValidator(lambda size: (size,) * count if isinstance(size, (int, float)) else size)
 
 

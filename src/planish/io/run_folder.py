@@ -140,7 +140,6 @@ def sweep(path: Path) -> None:
 
 
 def _is_work_name(name: str) -> bool:
-    """True if a file or folder of this name may stand in a work folder."""
     return name in (WORK_MARKER, "key", "lock", "tiles") or (name.startswith(".") and name.endswith(".partial"))
 
 

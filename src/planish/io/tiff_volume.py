@@ -70,7 +70,6 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
 
 
 def _series_values(series: TiffPageSeries, path: Path, axes: str, change: Change | None, limit_bytes: int) -> Values:
-    """Return the values of a checked series: mapped, left in its pages, or decoded."""
     frame = series.keyframe
     shape = tuple(n for n, axis in zip(series.shape, series.axes, strict=True) if axis in axes)
     stored_dtype = series.dtype.newbyteorder(frame.parent.byteorder)
@@ -99,7 +98,6 @@ def _series_values(series: TiffPageSeries, path: Path, axes: str, change: Change
 
 
 def _is_joined(page: TiffPage | TiffFrame) -> bool:
-    """True if the strips of a page lie one behind the other."""
     segment_ends = (start + count for start, count in zip(page.dataoffsets, page.databytecounts, strict=False))
     return all(end == start for end, start in zip(segment_ends, page.dataoffsets[1:], strict=False))
 

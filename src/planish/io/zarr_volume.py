@@ -101,7 +101,6 @@ def _open_node(path: Path, name: str) -> Any:
 
 
 def _find_level(path: Path, name: str) -> tuple[Keys | None, int, str]:
-    """Find the multiscale image that a part belongs to, the level in it, and the path of that level's array."""
     node = _open_node(path, name)
     if isinstance(node, zarr.Array):
         parent, _, last = name.rpartition("/")
@@ -176,7 +175,6 @@ def _scale_of(owner: Keys, count: int) -> list[float] | None:
 
 
 def _stored_chunks(folder: Path, files: list[Path]) -> Iterator[tuple[int, ...]]:
-    """Positions of the chunks, or shards, that lie in the folder of an array."""
     for file in files:
         # ``c/0/1/2``, ``c.0.1.2``, ``0/1/2`` or ``0.1.2``
         index_words = file.relative_to(folder).as_posix().removeprefix("c").strip("/.").replace("/", ".").split(".")

@@ -39,7 +39,6 @@ def inscribed(distance, step):
 
 @njit(cache=True, nogil=True)
 def _swallowed(distance, i, j, k, step):
-    """Whether a neighbour's sphere holds this one."""
     r = distance[i, j, k]
     for a in range(max(i - 1, 0), min(i + 2, distance.shape[0])):
         for b in range(max(j - 1, 0), min(j + 2, distance.shape[1])):

@@ -83,7 +83,6 @@ class Options(Params):
 
 
 def _in_grams(layer: Measured, sheet: Sheet, quantity_text: str, weighed_g_m2: float | None, density: str) -> Measured:
-    """Scale a map of lengths to the mean that was weighed, or by a density."""
     if weighed_g_m2 is None:
         return layer.times(sheet.params.need(quantity_text, density))
     mean_um = sheet.mean(layer.values)

@@ -181,7 +181,6 @@ def _se_name(long_name: str) -> str:
 
 
 def _measure_faces(surfaces: xr.Dataset) -> xr.Dataset:
-    """Thicknesses and topographies along the true 3D normals of the centre surface."""
     _, faces = meet(surfaces, "normal")
     lengths_um = {name: face_length(faces, name) for name in PROPERTIES}
     status = surfaces["status"].values.copy()
@@ -334,7 +333,6 @@ def _halo(prop: Property, frame: RayFrame) -> int:
 
 
 def _measured(prop: Property, rays_or_sheet: Rays | Sheet) -> Measured:
-    """Answer of a property with all three arrays."""
     answer = prop.function(rays_or_sheet)
     if not isinstance(answer, Measured):
         answer = Measured(values=np.asarray(answer))

@@ -276,7 +276,6 @@ def possible_maps(params: MeasureParams) -> list[str]:
 
 
 def _coated_and_bare() -> tuple[Greys, Greys]:
-    """Grey levels of a sheet that is coated on both sides, and of one that is not."""
     bare = Greys(air=0.0, base=1.0, coating_top=np.nan, coating_bottom=np.nan, noise=0.01, polarity=1.0, blur_um=1.0,
                  padding=np.nan)  # fmt: skip
     return replace(bare, coating_top=2.0, coating_bottom=2.0), bare

@@ -122,7 +122,6 @@ def _in_tangent_plane(xx: Floats, yy: Floats, xy: Floats, slope: Floats) -> tupl
 
 
 def _components(rays: Rays, lowest: float = 0.0, highest: float = 1.0) -> tuple[Floats, Floats]:
-    """Anisotropy times cos and sin of twice the fibre's angle."""
     trace, cosine, sine = _tensor(rays, lowest, highest)
     turn = -1.0 if rays.mirrored else 1.0
     with np.errstate(divide="ignore", invalid="ignore"):

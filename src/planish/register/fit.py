@@ -193,7 +193,6 @@ def _warn_of_marks(fit: FittedTransform, repeated_rows: Ints) -> Iterator[str]:
 
 
 def _warn_of_structure(fit: FittedTransform) -> Iterator[str]:
-    """A model that does not follow what the marks show."""
     if fit.model == AVERAGED.name or not fit.field.freedom > 0:
         return
     points = inside(fit.moving[fit.weights > 0], 17)
@@ -211,7 +210,6 @@ def _warn_of_structure(fit: FittedTransform) -> Iterator[str]:
 
 
 def _warn_of_size(fit: FittedTransform) -> Iterator[str]:
-    """Pairs, scales and strains that no sheet has."""
     rms, scale, strain = fit.rms_um, fit.transform.scale, fit.strain
     spread = scale * fit.field.size
     # Residuals over the spread of the marks from which on the pairs, not their errors, are in doubt.

@@ -91,7 +91,6 @@ def _arrangements(
     refined: tuple[Any, ...], is_possible: Bools, points: Complexes, b: Complexes, tolerance_um: float, ridge: float,
     hand: bool, tests: int,
 ) -> Arrangements:  # fmt: skip
-    """Arrangements of the refined hypotheses whose scale and stretch are possible, each once."""
     partner, _, alpha, gamma, *_ = refined
     # Largest stretch that an arrangement may have; a wrong one often needs more.
     is_possible &= np.abs(gamma) <= 0.5 * 0.012 * np.abs(alpha)

@@ -17,7 +17,6 @@ _SAME = 1e-6  # of a quad: what two quads with a common edge may differ in about
 
 @njit(cache=True, nogil=True)
 def _place(number, wb, wc, cols):
-    """Row and column in the mesh of a point in a triangle of a quad."""
     node = number >> 1
     i = node // cols
     j = node - i * cols
@@ -111,7 +110,6 @@ def locate(uv, first, pitch, segment, low, high, triangle, weight, twice, begin,
 
 @njit(cache=True, nogil=True)
 def _corners(number, corners, cols):
-    """Nodes of a triangle: from the table of those that have one, else of a triangle of the quads."""
     if corners.shape[0] > 0:
         return np.int64(corners[number, 0]), np.int64(corners[number, 1]), np.int64(corners[number, 2])
     node, half = np.int64(number) >> 1, np.int64(number) & 1

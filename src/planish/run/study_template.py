@@ -95,7 +95,6 @@ def _options(model: type[Params]) -> list[tuple[str, FieldInfo, Shown]]:
 
 
 def _head(name: str, missing: list[Missing]) -> list[str]:
-    """First lines: what the file is, and what is to be filled in."""
     lines = [
         f"# A study of planish. Fill it in, then: planish run {name or 'STUDY.toml'}",
         "#",
@@ -111,7 +110,6 @@ def _head(name: str, missing: list[Missing]) -> list[str]:
 def _input(
     lines: list[str], missing: list[Missing], section: Literal["volume", "image"], path: Path, home: Path
 ) -> None:
-    """Write the table of a file: what it says, and its options."""
     if is_run(path):
         raise StudyError(
             f"{path} is a run, which was mapped already. Link it: planish link {path} IMAGE --out RUN. For a study "
@@ -165,7 +163,6 @@ def _description(facts: dict[str, Any], section: str) -> list[str]:
 
 
 def _option(key: str, field: FieldInfo, shown: Shown, section: str) -> list[str]:
-    """Lines of one option: what it is, and its default behind a sign."""
     nested_models = models_in(field.annotation)
     lines = ["", *_comment([in_study_words(str(field.description))])]
     if nested_models:
@@ -206,7 +203,6 @@ def _comment(sentences: list[str]) -> list[str]:
 
 
 def _value(value: Any) -> str:
-    """A value as TOML."""
     if isinstance(value, tuple):
         return f"[{', '.join(map(_value, value))}]"  # pyright: ignore[reportUnknownVariableType]
     return tomli_w.dumps({"k": value}).removeprefix("k = ").strip()

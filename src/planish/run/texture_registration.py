@@ -276,7 +276,6 @@ def _between_layers(place: Similarity, scaled: float, *, swapped: bool) -> Simil
 
 
 def _guesses(tolerance: float) -> list[float]:
-    """Sizes of the second layer that are tried, the stated one first."""
     count = max(math.ceil(math.log((1.0 + tolerance) / (1.0 + _GUESS_TOLERANCE)) / math.log(_SCALE_GUESS)), 0)
     return sorted((_SCALE_GUESS**k for k in range(-count, count + 1)), key=lambda g: abs(math.log(g)))
 
@@ -378,7 +377,6 @@ def _with_tiles(
 
 
 def _marks(um: Floats, covariance_um2: Floats, holes: xr.Dataset | None, layer: TextureLayer) -> xr.Dataset:
-    """Tiles as marks of a layer, and the holes of it after them."""
     columns = {"x": um[:, 0], "y": um[:, 1], "diameter": np.full(len(um), np.nan)}
     columns |= {f"cov_{axes}": covariance_um2[:, j, k] for axes, j, k in (("xx", 0, 0), ("xy", 0, 1), ("yy", 1, 1))}
     tiles = xr.Dataset({name: ("mark", values) for name, values in columns.items()})
@@ -410,7 +408,6 @@ def _title(names: Names) -> str:
 
 
 def _undecided(found: _Found, layers: _Layers) -> Undecided:
-    """Say that no place is sure, and what would help."""
     search, middle_um = found.search, (layers.b if layers.swapped else layers.a).middle_um
     places = tuple(
         FoundPlace(place, (float(x), float(y)), candidate.z)

@@ -69,7 +69,6 @@ def read_whole(params: VolumeParams, compute: Compute, progress: Progress) -> xr
 
 
 def _in_parts(volume: xr.DataArray, path: Path, compute: Compute, copies: int = 1, options: str = "") -> None:
-    """Refuse a volume that is neither in memory nor can be read in parts."""
     if volume.encoding.get("whole_slices"):
         size = volume.size * volume.dtype.itemsize
         needed = enough_gb(bytes_to_hold(copies * size) + PROGRAM_BYTES)

@@ -139,7 +139,6 @@ class SectionSeries:
 
 
 def _find_sheet(blocks: NDArray[np.float32], background: Floats) -> tuple[Bools, Floats]:
-    """Give the blocks of the sheet as a mask, and their difference to the background, 0 off the sheet."""
     difference = np.abs(blocks - background[:, None, None])
     difference[~np.isfinite(difference)] = 0.0
     smoothed_difference: Floats = gaussian_filter(difference, 1.0)

@@ -277,7 +277,6 @@ def _differences(c: CorrelationRow, twice: Twice | None, make_row: MakeRow) -> I
 
 
 def _trusted(trust: Trust, results: Results, layers: Sequence[str], figures: Sequence[str]) -> dict[str, Any]:
-    """What the checks leave of a figure, and the names of those that say so."""
     if trust == "ok":
         return {"trust": trust}
     names = (c.name for c in concerned(results.checks, layers, figures) if c.state in ("look", "fail"))

@@ -186,7 +186,6 @@ def _check_common(path: Path, text: str, sections: Mapping[str, Any]) -> None:
 
 
 def _checked(path: Path, rows: Sequence[_TableRow], plan: Plan) -> Plan:
-    """Check the specimens of either form against each other."""
     if not rows and not plan.watch:
         raise InputError(f"{path} names no specimen. {_NEEDED}.")
     faults, specimens = list[str](), list[PlannedSpecimen]()

@@ -90,7 +90,6 @@ def watched(
 
 
 def _incomplete(files: list[Path]) -> str | None:
-    """What is missing of a file by its own header."""
     for file in files:
         try:
             if not describe(file)["shape"]:

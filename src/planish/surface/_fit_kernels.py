@@ -227,7 +227,6 @@ def darkest(g, d0, reach, noise):
 
 @njit(cache=True, nogil=True)
 def _guess(g, d0, air, w, middle, prior, coated):
-    """Face and thickness of the coating to start from, seen from the first sample above the air."""
     depth = g.size
     # Half height between the air and what lies just inside, so that a coating does not pull the start outwards.
     inside = g[d0]

@@ -143,7 +143,6 @@ def _above_air(blocks: Blocks, air: float, polarity: float) -> Blocks:
 
 
 def _refined(oriented: Blocks, threshold: float, choice: Choice) -> CoarseSheet:
-    """Find the sheet with a threshold, and once more with a better one."""
     sheet = search_sheet(oriented, oriented > threshold, threshold, choice)
     rows, cols = np.nonzero(sheet.is_whole)
     if rows.size == 0:

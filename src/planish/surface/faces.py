@@ -116,7 +116,6 @@ def faces_from_depths(
 
 
 def _cleaned(outer: Floats, pitch: tuple[float, float, float]) -> tuple[Floats, Bools]:
-    """Take spikes and attached particles off a face, and tell where the particles were."""
     # Columns whose face stands far off its neighbours' are dust, or fits that went astray.
     is_finite, step_um = np.isfinite(outer), pitch[2]
     deviation_px = np.abs(outer - ndimage.median_filter(filled(outer), size=5, mode="nearest"))

@@ -341,7 +341,6 @@ class _Learner(Sampler):
     def _misfit(
         self, samples: Samples, sides: Sides, edge: Edge, thin_sides: list[bool], window: float
     ) -> Callable[[Edge, Sides], float]:
-        """Return the cost of a column, in the mean of both sides, as a function of the edge and the sides."""
         subset = {from_high: sample.thinned(3 if thin_sides else 4) for from_high, sample in samples.items()}
         column_count = max(sum(s.outer.size for s in subset.values()), 1)
         max_costs = {k: cost_limit(self.fit(sample, sides[k], edge, window)[4]) for k, sample in subset.items()}

@@ -79,7 +79,6 @@ def survey_labels(columns: Columns, params: SurfaceParams, engine: Engine) -> tu
 
 
 def _block(columns: Columns) -> tuple[int, tuple[int, int]]:
-    """Width of a block, and of the steps in which columns are sampled along rows and columns."""
     rows, cols, depth = columns.shape
     if min(columns.volume.shape) < 8:
         raise VolumeError(

@@ -214,7 +214,6 @@ def _bilinear(fields, r, c, fy, fx, n):
 
 @njit(cache=True, nogil=True)
 def _cells_between(cells, r, c, fy, fx, low, high):
-    """Mean of cells between two heights, in cells from the lowest border, between four nodes."""
     first, last = max(int(floor(low)), 0), min(int(floor(high)), cells.shape[2] - 1)
     density_sum = 0.0
     for k in range(first, last + 1):

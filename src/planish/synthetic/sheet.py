@@ -99,7 +99,6 @@ def hole_pattern(params: BurnParams, low: Floats, high: Floats, seed: int) -> Fl
 
 
 def _coded(params: BurnParams, low: Floats, high: Floats) -> Floats:
-    """Three lines: along the lower edge, and up the left and the right one."""
     per_line = -(-params.count // 3)
     corner, side_start_v = low + _BORDER_UM, low[1] + (_BORDER_UM + 520.0)
     starts = (corner, (corner[0], side_start_v), (high[0] - _BORDER_UM, side_start_v))

@@ -203,7 +203,6 @@ def _short(coordinate: int) -> int:
 
 
 def _text(data: bytes, offset: int) -> str:
-    """Give the text whose place and length stand at an offset."""
     start, length = struct.unpack_from(">ii", data, offset)
     if start <= 0 or length <= 0:
         return ""
