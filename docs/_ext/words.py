@@ -11,7 +11,7 @@ from functools import cache
 
 from public_names import ROOT
 
-_ROW = re.compile(r"^\| (?P<words>[^|]+) \| [^|]+ \| \[[^\]]+\]\((?P<page>[\w/-]+)\.md(?:#(?P<section>[\w-]+))?\) \|$")
+ROW = re.compile(r"^\| (?P<words>[^|]+) \| [^|]+ \| \[[^\]]+\]\((?P<page>[\w/-]+)\.md(?:#(?P<section>[\w-]+))?\) \|$")
 _HEADING = re.compile(r"^#{1,4} (.+)$", re.MULTILINE)
 
 
@@ -20,7 +20,7 @@ def entries() -> dict[str, dict[str, list[str]]]:
     """Words by page and section; the section of a whole page is empty."""
     found: dict[str, dict[str, list[str]]] = {}
     for line in (ROOT / "docs" / "words.md").read_text(encoding="utf-8").splitlines():
-        if row := _ROW.match(line):
+        if row := ROW.match(line):
             words = found.setdefault(row["page"], {}).setdefault(row["section"] or "", [])
             words += row["words"].split(", ")
     return found
