@@ -96,4 +96,5 @@ def _read(_app, docname: str, source: list[str]) -> None:
 def setup(app) -> dict[str, bool]:
     """Register with Sphinx."""
     app.connect("source-read", _read)
+    app.add_transform(words.EntriesOfPages)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -9,7 +9,10 @@ from __future__ import annotations
 import re
 from functools import cache
 
+from docutils import nodes
 from public_names import ROOT
+from sphinx import addnodes
+from sphinx.transforms import SphinxTransform
 
 ROW = re.compile(r"^\| (?P<words>[^|]+) \| [^|]+ \| \[[^\]]+\]\((?P<page>[\w/-]+)\.md(?:#(?P<section>[\w-]+))?\) \|$")
 _HEADING = re.compile(r"^#{1,4} (.+)$", re.MULTILINE)
@@ -40,3 +43,15 @@ def with_entries(page: str, text: str) -> str:
     if sections:
         raise ValueError(f"docs/words.md names sections that {page}.md does not have: {', '.join(sections)}")
     return text
+
+
+class EntriesOfPages(SphinxTransform):
+    """Entries of a whole page lead to its top, as a hit of the page does: the search then lists the page once."""
+
+    default_priority = 800  # before the entries are gathered
+
+    def apply(self, **_options: object) -> None:
+        """Take the target off the main entries behind the title of the page."""
+        for node in self.document.findall(addnodes.index):
+            if node.parent is not None and isinstance(node.parent.parent, nodes.document):
+                node["entries"] = [(*entry[:2], "", *entry[3:]) if entry[3] else entry for entry in node["entries"]]
