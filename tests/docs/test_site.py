@@ -93,7 +93,7 @@ def test_the_search_finds_words_without_fetching_pages(site):
 
 @pytest.mark.study
 def test_the_search_finds_the_words_of_users(site, chromium):
-    """Typed into the search of the site, each word has its page among the first three."""
+    """Typed into the search of the site, each word has its page once among the first three."""
     context = chromium.new_context()
     page = context.new_page()
     missed = {}
@@ -105,7 +105,7 @@ def test_the_search_finds_the_words_of_users(site, chromium):
             )
             links = page.locator("#search-results ul.search > li > a:first-of-type")
             first = [link.get_attribute("href").split("#")[0].split("?")[0] for link in links.all()[:3]]
-            if f"{answer}.html" not in first:
+            if first.count(f"{answer}.html") != 1:
                 missed[query] = first
     context.close()
     assert sum(map(len, SOUGHT.values())) >= 40
