@@ -24,7 +24,9 @@ SOUGHT = {
     "how-to/grams-per-square-metre": (
         "g/m²", "g/m2", "gsm", "basis weight", "grammage", "coat weight", "Flächengewicht", "Strichgewicht",
     ),
-    "how-to/image-of-the-back": ("back side", "backside", "wire side", "my image shows the back", "Rückseite", "mirrored image"),
+    "how-to/image-of-the-back": (
+        "back side", "backside", "wire side", "my image shows the back", "Rückseite", "mirrored image",
+    ),
     "how-to/red-run": ("red", "my run is red", "withheld"),
     "how-to/exclude-a-stain": ("exclude", "stain", "exclude a stain", "mask", "ROI", "Fleck"),
     "how-to/two-holes": ("two holes", "only two holes", "only 2 holes"),
