@@ -106,9 +106,11 @@ def test_the_search_finds_the_words_of_users(site, chromium):
                 "/finished|did not match/.test(document.querySelector('.search-summary')?.innerText)"
             )
             links = page.locator("#search-results ul.search > li > a:first-of-type")
-            first = [link.get_attribute("href").split("#")[0].split("?")[0] for link in links.all()[:3]]
-            if first.count(f"{answer}.html") != 1:
-                missed[query] = first
+            hits = [link.get_attribute("href") for link in links.all()[:3]]
+            first = [hit for hit in hits if hit.startswith(f"{answer}.html")]
+            # A section may be a hit beside its page, but the page itself is listed once.
+            if not first or sum("#" not in hit or "#index-" in hit for hit in first) > 1:
+                missed[query] = hits
     context.close()
     assert sum(map(len, SOUGHT.values())) >= 40
     assert missed == {}
