@@ -1,8 +1,8 @@
 """Words of readers in the search: `docs/words.md` leads from words that laboratories use to the pages that answer them.
 
 Each of these words becomes an entry of the index on its page, or on the section that the link names. The search of the
-site ranks such an entry before pages that only contain the word. Sphinx drops the entries of pages that a build leaves as
-they are, so `run.py docs` builds all of them.
+site ranks such an entry before pages that only contain the word. Sphinx drops the entries of pages that a build leaves
+as they are, so `run.py docs` builds all of them.
 """
 
 from __future__ import annotations
