@@ -48,6 +48,7 @@ PYTEST = [
     "--no-loadscope-reorder",
 ]
 LOCKS = ROOT / "requirements"
+LOCK_NAMES = ("run.lock", "docs.lock", "dev.lock")  # each holds all of those before it, in the same versions
 STAMP = VENV / "planish-setup.json"  # what was installed; written last, so without it the folder is unfinished
 
 # Settings of the user's pip that would send the packages elsewhere or choose others than the lock does.
@@ -75,7 +76,7 @@ def main(arguments: list[str]) -> int:
         set_up("dev.lock")
         return hand_over([str(PYTHON), "-m", "benchmarks", *rest])
     if name == "docs":
-        set_up("dev.lock")
+        set_up("docs.lock")
         return docs(rest)
     if name == "wheel" and not rest:
         set_up("run.lock")
@@ -126,7 +127,7 @@ def docs(options: list[str]) -> int:
 
 
 def lock(options: list[str]) -> int:
-    """Work the two locks out again, with hashes, for every system and Python at once."""
+    """Work the three locks out again, with hashes, for every system and Python at once."""
     uv = shutil.which("uv", path=environment()["PATH"])
     if uv is None:
         say("Renewing the locks needs uv, which is not on the path.")
@@ -134,9 +135,15 @@ def lock(options: list[str]) -> int:
     compile_ = [uv, "pip", "compile", "--quiet", "--universal", "--generate-hashes", "--python-version", "3.11"]
     compile_ += ["--no-header", "--no-annotate", "--no-emit-index-url", "--no-emit-find-links", *options]
     compile_ += ["pyproject.toml", "--group", "build"]
-    return call([*compile_, "-o", "requirements/run.lock"]) or call(
-        [*compile_, "--extra", "dev", "-c", "requirements/run.lock", "-o", "requirements/dev.lock"]
-    )
+    # Each lock constrains the next, so that all three have the same versions.
+    for name, more in {
+        "run.lock": [],
+        "docs.lock": ["--extra", "docs", "-c", "requirements/run.lock"],
+        "dev.lock": ["--extra", "docs", "--extra", "dev", "-c", "requirements/docs.lock"],
+    }.items():
+        if code := call([*compile_, *more, "-o", f"requirements/{name}"]):
+            return code
+    return 0
 
 
 # --- what is handed on ---------------------------------------------------------------------------------------
@@ -160,29 +167,24 @@ def wheel() -> int:
 def set_up(lock_name: str) -> None:
     """Bring .venv to the state that the lock and pyproject.toml describe; does nothing where it is there already."""
     stamp = read_stamp()
-    locks = {path.name: digest(path) for path in (LOCKS / "run.lock", LOCKS / "dev.lock")}
+    locks = {name: digest(LOCKS / name) for name in LOCK_NAMES}
     project = digest(ROOT / "pyproject.toml", ROOT / "src" / "planish" / "__init__.py")
     moved = stamp.get("root", str(ROOT)) != str(ROOT)  # scripts in .venv carry the path they were made for
-    packages_there = not moved and stamp.get(lock_name) == locks[lock_name]
-    if packages_there and stamp.get("project") == project and PYTHON.exists() and PLANISH.exists():
+    installed = {} if moved else {name: lock for name, lock in locks.items() if stamp.get(name) == lock}
+    if lock_name in installed and stamp.get("project") == project and PYTHON.exists() and PLANISH.exists():
         return
 
     STAMP.unlink(missing_ok=True)
     if moved or not usable():
         make_venv()
-        packages_there = False
+        installed = {}
     pip = find_pip()
-    if not packages_there:
+    if lock_name not in installed:
         say(f"Installing the packages of requirements/{lock_name} into .venv ...")
         install(pip, "--require-hashes", "--only-binary=:all:", "-r", str(LOCKS / lock_name))
+        installed |= {name: locks[name] for name in LOCK_NAMES[: LOCK_NAMES.index(lock_name) + 1]}
     install(pip, "--no-deps", "--no-build-isolation", "-e", str(ROOT))
 
-    # dev.lock holds everything that run.lock does, in the same versions.
-    installed = (
-        locks
-        if lock_name == "dev.lock" or stamp.get("dev.lock") == locks["dev.lock"]
-        else {lock_name: locks[lock_name]}
-    )
     part = STAMP.with_suffix(".part")
     part.write_text(
         json.dumps({"root": str(ROOT), "project": project, **installed}, indent=1), encoding="utf-8", newline="\n"

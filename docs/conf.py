@@ -59,5 +59,5 @@ html_theme_options = {
     "show_version_warning_banner": False,
     "back_to_top_button": False,
 }
-html_sidebars = {"tutorial": [], "examples": [], "studies": [], "index": []}
+html_sidebars = {page: [] for page in ("index", "tutorial", "examples", "app", "studies", "words")}
 html_context = {"default_mode": "auto"}

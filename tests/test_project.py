@@ -1,6 +1,8 @@
 """The project's own files agree with each other: version, locks, citation."""
 
 import hashlib
+import importlib.util
+import json
 import os
 import re
 import shutil
@@ -41,15 +43,55 @@ def names(requirements: list[str]) -> set[str]:
 def test_locks_hold_everything_that_pyproject_names_in_the_same_versions() -> None:
     run = names([*PROJECT["dependencies"], *BUILD])
     assert run <= locked("run.lock").keys()
-    assert run | names(PROJECT["optional-dependencies"]["dev"]) <= locked("dev.lock").keys()
-    dev = locked("dev.lock")
-    assert {package: dev.get(package) for package in locked("run.lock")} == locked("run.lock")
+    docs = run | names(PROJECT["optional-dependencies"]["docs"])
+    assert docs <= locked("docs.lock").keys()
+    assert docs | names(PROJECT["optional-dependencies"]["dev"]) <= locked("dev.lock").keys()
+    for smaller, larger in (("run.lock", "docs.lock"), ("docs.lock", "dev.lock")):
+        versions = locked(larger)
+        assert {package: versions.get(package) for package in locked(smaller)} == locked(smaller)
     assert f"\nversion: {planish.__version__}\n" in read("CITATION.cff")
     changes = read("CHANGELOG.md")
     assert f"\n## [{planish.__version__}]" in changes
 
 
-@pytest.mark.parametrize("name", ["run.lock", "dev.lock"])
+def test_the_documents_are_built_without_the_tools_of_the_developers() -> None:
+    """Few packages more than planish itself needs."""
+    assert len(locked("docs.lock").keys() - locked("run.lock").keys()) <= 30
+    assert not {"pytest", "pyright", "playwright", "pyarrow", "simpleitk"} & locked("docs.lock").keys()
+
+
+def test_each_command_installs_its_lock_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A lock holds those before it; a set-up notes what it installed, and a folder that was moved starts anew."""
+    module = importlib.util.spec_from_file_location("run_of_planish", ROOT / "run.py")
+    assert module is not None
+    assert module.loader is not None
+    run = importlib.util.module_from_spec(module)
+    module.loader.exec_module(run)
+    installed: list[str] = []
+    monkeypatch.setattr(run, "STAMP", tmp_path / "stamp.json")
+    for name in ("PYTHON", "PLANISH"):
+        monkeypatch.setattr(run, name, Path(sys.executable))
+    monkeypatch.setattr(run, "usable", lambda: True)
+    monkeypatch.setattr(run, "make_venv", lambda: None)
+    monkeypatch.setattr(run, "find_pip", list)
+    monkeypatch.setattr(run, "install", lambda _pip, *options: installed.append(Path(options[-1]).name))
+
+    def of(lock_name: str) -> list[str]:
+        installed.clear()
+        run.set_up(lock_name)
+        return [name for name in installed if name.endswith(".lock")]
+
+    assert of("docs.lock") == ["docs.lock"]
+    assert (of("run.lock"), of("docs.lock")) == ([], [])
+    assert of("dev.lock") == ["dev.lock"]
+    assert (of("docs.lock"), of("dev.lock")) == ([], [])
+    stamp = json.loads((tmp_path / "stamp.json").read_text(encoding="utf-8"))
+    (tmp_path / "stamp.json").write_text(json.dumps(stamp | {"root": "elsewhere"}), encoding="utf-8")
+    assert of("run.lock") == ["run.lock"]
+    assert of("dev.lock") == ["dev.lock"]  # the old folder's tools are not in the new one
+
+
+@pytest.mark.parametrize("name", ["run.lock", "docs.lock", "dev.lock"])
 def test_locks_hold_names_versions_and_hashes_only(name: str) -> None:
     line = re.compile(r"[\w.-]+==[\w.]+( ; [\w .<>='!()*]+)? \\|    --hash=sha256:[0-9a-f]{64}( \\)?")
     assert [text for text in read(f"requirements/{name}").splitlines() if not line.fullmatch(text)] == []

@@ -9,7 +9,7 @@ A fenced block names what stands in its place::
     ```
 
 Links to files at the root of the checkout lead to the pages that show these files, and a link that is named by its file
-gets the title of the page.
+gets the title of the page. Pages get the entries of the index that `docs/words.md` has for them.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from pathlib import PurePosixPath
 import api_pages
 import fields
 import message_pages
+import words
 from public_names import ROOT
 
 from planish.measure import registered
@@ -88,11 +89,12 @@ _MAKERS: dict[str, Callable[[str, str], str]] = {
 }
 
 
-def _read(_app, _docname: str, source: list[str]) -> None:
-    source[0] = with_links(expand(source[0]))
+def _read(_app, docname: str, source: list[str]) -> None:
+    source[0] = words.with_entries(docname, with_links(expand(source[0])))
 
 
 def setup(app) -> dict[str, bool]:
     """Register with Sphinx."""
     app.connect("source-read", _read)
+    app.add_transform(words.EntriesOfPages)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

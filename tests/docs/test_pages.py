@@ -104,6 +104,14 @@ def test_pages_are_short_with_few_commands():
         assert len(lines) <= 75, f"{path.name} is longer than a screen or two"
 
 
+def test_the_first_lines_of_windows_stand_where_a_newcomer_begins():
+    for page in (DOCS.parent / "README.md", DOCS / "how-to" / "windows.md"):
+        text = page.read_text(encoding="utf-8")
+        assert "\npy run.py demo\n" in text
+        assert "Set-ExecutionPolicy -Scope Process" in text
+        assert ".venv\\Scripts\\activate" in text
+
+
 @pytest.fixture(scope="module")
 def programs():
     """Skip where something that the newcomer uses is not there, and say what."""

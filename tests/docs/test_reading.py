@@ -54,8 +54,8 @@ TERMS = {
     r"\b(drill|puncture|pinhole)s?\b": "hole",
     r"\bthe other side of the (paper|sheet)\b": "bottom side",
 }
-# Pages that speak of other programs, in the words of these.
-THEIRS = {"marks-files.md", "other-tools.md", "paper.md", "marks-from-bigwarp.md"}
+# Pages that speak of other programs, in the words of these, or lead from the words of readers to ours.
+THEIRS = {"words.md", "marks-files.md", "other-tools.md", "paper.md", "marks-from-bigwarp.md"}
 
 
 def name(path: Path) -> str:

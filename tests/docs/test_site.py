@@ -5,12 +5,51 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from urllib.parse import quote
 
 import check_site
 import from_code
 import pytest
+import words
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
+
+# What people type, and the page that answers it.
+SOUGHT = {
+    "how-to/my-scanner-writes": (
+        "SkyScan", "Bruker", "Zeiss Xradia", "Xradia", "Nikon XTH", "Nikon", "Yxlon", "GE phoenix", "phoenix",
+        "RX Solutions", "Thermo HeliScan", "HeliScan", "Tescan", "DICOM", "TIFF stack",
+        "pixel size", "voxel size", "Voxelgröße",
+    ),
+    "how-to/grams-per-square-metre": (
+        "g/m²", "g/m2", "gsm", "basis weight", "grammage", "coat weight", "Flächengewicht", "Strichgewicht",
+    ),
+    "how-to/image-of-the-back": (
+        "back side", "backside", "wire side", "my image shows the back", "Rückseite", "mirrored image",
+    ),
+    "how-to/red-run": ("red", "my run is red", "withheld"),
+    "how-to/exclude-a-stain": ("exclude", "stain", "exclude a stain", "mask", "ROI", "Fleck"),
+    "how-to/two-holes": ("two holes", "only two holes", "only 2 holes"),
+    "how-to/no-holes": ("no laser", "no holes", "ohne Laser"),
+    "how-to/marks-from-imagej": ("marks from ImageJ", "landmarks", "Passpunkte", "multi-point tool"),
+    "how-to/open-in-fiji": ("ImageJ", "Fiji"),
+    "how-to/open-in-matlab": ("MATLAB", "Octave"),
+    "how-to/windows": ("Windows", "PowerShell", "execution policy"),
+    "how-to/install": ("install", "offline", "uninstall"),
+    "how-to/volumes-larger-than-memory": ("out of memory", "RAM"),
+    "properties": ("Strichdicke", "Dicke", "caliper", "coating thickness", "Rauheit", "porosity", "fiber orientation"),
+    "explanation/limits": ("resolution", "Auflösung"),
+    "linking": ("Glanz", "gloss", "machine direction"),
+    "evidence": ("Helligkeit", "brightness", "relative grey", "p value", "mottle"),
+    "explanation/a-report-in-hand": ("side light", "how to cite", "cite", "how strong"),
+    "registration": ("image registration", "Registrierung"),
+}  # fmt: skip
+# Questions that the documents once left open: each answer is at most two links away from the front page.
+ANSWERS = (
+    "how-to/grams-per-square-metre", "how-to/exclude-a-stain", "how-to/two-holes", "how-to/marks-from-imagej",
+    "how-to/red-run", "how-to/image-of-the-back", "how-to/my-scanner-writes", "explanation/a-report-in-hand",
+    "how-to/windows", "how-to/install", "project/index",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -52,6 +91,69 @@ def test_the_search_finds_words_without_fetching_pages(site):
         hits = index["terms"][word]
         assert index["docnames"][hits if isinstance(hits, int) else hits[0]]
     assert "planish.io.read_volume" in json.dumps(index["objects"]) or "read_volume" in json.dumps(index["objects"])
+
+
+@pytest.mark.study
+def test_the_search_finds_the_words_of_users(site, chromium):
+    """Typed into the search of the site, each word has its page once among the first three."""
+    context = chromium.new_context()
+    page = context.new_page()
+    missed = {}
+    for answer, queries in SOUGHT.items():
+        for query in queries:
+            page.goto(f"{(site / 'search.html').as_uri()}?q={quote(query)}")
+            page.wait_for_function(
+                "/finished|did not match/.test(document.querySelector('.search-summary')?.innerText)"
+            )
+            links = page.locator("#search-results ul.search > li > a:first-of-type")
+            hits = [link.get_attribute("href") for link in links.all()[:3]]
+            first = [hit for hit in hits if hit.startswith(f"{answer}.html")]
+            # A section may be a hit beside its page, but the page itself is listed once.
+            if not first or sum("#" not in hit or "#index-" in hit for hit in first) > 1:
+                missed[query] = hits
+    context.close()
+    assert sum(map(len, SOUGHT.values())) >= 40
+    assert missed == {}
+
+
+def test_every_question_is_answered_within_two_links_of_the_front_page():
+    def linked(page: str) -> set[str]:
+        path = DOCS / f"{page}.md"
+        links = re.findall(r"\]\(([\w./-]+\.md)", path.read_text(encoding="utf-8"))
+        leads = {(path.parent / link).resolve() for link in links}
+        return {lead.relative_to(DOCS).with_suffix("").as_posix() for lead in leads if lead.is_relative_to(DOCS)}
+
+    near = linked("index") | {"project/index"}  # which the bar at the top has on every page
+    assert set(ANSWERS) <= near.union(*(linked(page) for page in near))
+    assert set(ANSWERS[:9]) <= near
+
+
+def test_words_of_users_lead_to_pages_that_exist():
+    rows = [line for line in (DOCS / "words.md").read_text(encoding="utf-8").splitlines() if line.startswith("| ")]
+    rows = [row for row in rows if "](" in row]
+    entries = words.entries()
+    assert (
+        sum(len(sections) for sections in entries.values()) <= len(rows) == len([r for r in rows if words.ROW.match(r)])
+    )
+    spread: dict[str, set[str]] = {}
+    for page, sections in entries.items():
+        text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
+        written = words.with_entries(page, text)
+        for word in (word for listed in sections.values() for word in listed):
+            assert f"! {word}" in written
+            spread.setdefault(word.lower(), set()).add(page)
+    assert {word: pages for word, pages in spread.items() if len(pages) > 1} == {}
+
+
+def test_an_entry_stands_behind_its_heading(monkeypatch):
+    monkeypatch.setattr(words, "entries", lambda: {"page": {"": ["a word"], "the-part": ["b", "c"]}})
+    written = words.with_entries("page", "# Page\n\nText.\n\n## The part\n\nMore.\n")
+    assert written == (
+        "# Page\n\n```{index} ! a word\n```\n\n\nText.\n\n## The part\n\n```{index} ! b, ! c\n```\n\n\nMore.\n"
+    )
+    assert words.with_entries("other", "# Page\n") == "# Page\n"
+    with pytest.raises(ValueError, match="the-part"):
+        words.with_entries("page", "# Page\n")
 
 
 @pytest.mark.study
