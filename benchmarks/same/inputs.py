@@ -12,7 +12,6 @@ import tifffile
 
 from planish.synthetic import (
     CameraParams,
-    HoleParams,
     PrintParams,
     ScannerParams,
     SectionsParams,
@@ -23,11 +22,16 @@ from planish.synthetic import (
     write_instruments,
 )
 
+try:
+    from planish.synthetic import BurnParams
+except ImportError:  # its former name
+    from planish.synthetic import HoleParams as BurnParams  # type: ignore[reportAttributeAccessIssue, no-redef]
+
 VOXEL_UM, PIXEL_UM = 4.0, 5.0
 _CAMERA = CameraParams(pixel_um=PIXEL_UM, radial=0.0, stretch=0.0, shading=0.0, nuisance_sd=0.004)
 _SMALL = SpecimenParams(
     size_um=(1300.0, 1000.0),
-    holes=HoleParams(pattern="irregular", count=5),
+    holes=BurnParams(pattern="irregular", count=5),
     warp=Warp(slope=0.35, wavelength_um=1800.0),
     scanner=ScannerParams(voxel_um=VOXEL_UM),
     sections=SectionsParams(pixel_um=3.0, section_um=4.0),

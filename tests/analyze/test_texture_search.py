@@ -169,6 +169,26 @@ def test_a_sheet_is_registered_to_a_part_of_it_and_an_image_to_a_sheet():
     assert np.linalg.norm(pl.register_texture(maps, part)(CORNERS) - place(CORNERS), axis=1).max() < 5.0
 
 
+def test_holes_are_no_texture():
+    """Burnt holes are far darker than the texture, and stand in the image alone: the maps know nothing there."""
+    place = placed(75.0)
+    maps, image = pair(place=place, r=0.3)
+    holes_um = np.array([[x, y] for x in (250.0, 700.0, 1200.0) for y in (200.0, 600.0, 1000.0)]) + 20.0
+    in_image = place(holes_um)
+    marks = [
+        xr.Dataset({"x": ("mark", x), "y": ("mark", y), "diameter": ("mark", np.full(len(x), 180.0))})
+        for x, y in (holes_um.T, in_image.T)
+    ]
+    marks = [m.assign({f"cov_{k}": ("mark", np.zeros(len(holes_um))) for k in ("xx", "xy", "yy")}) for m in marks]
+    x, y = np.meshgrid(image["x"], image["y"])
+    distance = np.min([np.hypot(x - cx, y - cy) for cx, cy in in_image], axis=0)
+    dark = image.where(distance > 90.0, 0.0)
+    with pytest.raises(CannotRegister):
+        pl.register_texture(maps, dark)
+    found = pl.register_texture(maps, dark, holes=(marks[0], marks[1]))
+    assert np.linalg.norm(found(CORNERS) - place(CORNERS), axis=1).max() < 8.0
+
+
 @pytest.mark.parametrize("contrast", [1.0, 3.0])
 def test_a_print_hides_no_texture(contrast):
     """A screen of 167 um, three times as strong as the sheet's texture; the sheet itself is not printed in the scan."""

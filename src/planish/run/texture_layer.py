@@ -15,6 +15,9 @@ from planish.core.errors import InputError
 from planish.core.facts import Side
 from planish.core.grid import Grid
 from planish.core.typing import Array, Bools, Floats, Pair
+from planish.marks import hole_mask
+
+_RIM_UM = 60.0  # of a hole in an image, whose burnt rim is no texture
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -27,10 +30,14 @@ class TextureLayer:
     grid: Grid
 
     @classmethod
-    def of(cls, layer: xr.Dataset | xr.DataArray, side: Side = "top") -> TextureLayer:
-        """Take the maps that may show in an image of a side, or an image; InputError where there are none."""
+    def of(cls, layer: xr.Dataset | xr.DataArray, side: Side = "top", holes: xr.Dataset | None = None) -> TextureLayer:
+        """Take the maps that may show in an image of a side, or an image without its holes; InputError for none."""
         if isinstance(layer, xr.DataArray):
-            return cls(maps={"image": layer.values}, face={}, valid=None, grid=Grid.of(layer))
+            grid, valid = Grid.of(layer), None
+            if holes is not None and holes.sizes["mark"]:
+                centres_um = np.stack([holes["x"].values, holes["y"].values], axis=1)
+                valid = ~hole_mask(grid, centres_um, 0.5 * holes["diameter"].values + _RIM_UM)
+            return cls(maps={"image": layer.values}, face={}, valid=valid, grid=grid)
         names = (f"coating_{side}", "base_thickness", "thickness")
         maps = {name: layer[name].values for name in names if name in layer and np.isfinite(layer[name].values).any()}
         if not maps:

@@ -55,7 +55,7 @@ class FoundPlace(NamedTuple):
 class Undecided(CannotRegister):
     """No place of a sheet stands out by its texture; ``places`` are the best."""
 
-    def __init__(self, text: str, places: Sequence[FoundPlace]) -> None:
+    def __init__(self, text: str, places: Sequence[FoundPlace] = ()) -> None:
         super().__init__(text)
         self.places = places
 
@@ -112,7 +112,7 @@ def register_texture(
     fit_params = params_of(RegistrationParams, params, "pl.register_texture")
     if place is not None:
         is_bottom = place.mirrored if mirrored is None else mirrored
-        layers = _Layers.of(moving, fixed, "bottom" if is_bottom else "top")
+        layers = _Layers.of(moving, fixed, "bottom" if is_bottom else "top", holes)
         tiles = _tiles_near(layers, place.inverse if layers.swapped else place, off_um=_TUNED_UM)
         search = None
     else:
@@ -175,8 +175,12 @@ class _Layers(NamedTuple):
     swapped: bool
 
     @classmethod
-    def of(cls, moving: xr.Dataset | xr.DataArray, fixed: xr.Dataset | xr.DataArray, side: Side) -> _Layers:
-        first, second = TextureLayer.of(moving, side), TextureLayer.of(fixed, side)
+    def of(
+        cls, moving: xr.Dataset | xr.DataArray, fixed: xr.Dataset | xr.DataArray, side: Side,
+        holes: tuple[xr.Dataset, xr.Dataset] | None,
+    ) -> _Layers:  # fmt: skip
+        moving_holes, fixed_holes = holes or (None, None)
+        first, second = TextureLayer.of(moving, side, moving_holes), TextureLayer.of(fixed, side, fixed_holes)
         is_swapped = second.is_sheet and not first.is_sheet
         return cls(second, first, is_swapped) if is_swapped else cls(first, second, is_swapped)
 
@@ -197,7 +201,7 @@ def _searched_sides(
     """Search by the maps of one side or of either, where holes say so first; stop where the place is sure."""
     tried: list[tuple[_Layers, _Found]] = []
     for side, hand in _sides(mirrored, params):
-        layers = _Layers.of(moving, fixed, side)
+        layers = _Layers.of(moving, fixed, side, holes)
         for near in _nears(layers, params, holes):
             tried.append((layers, _searched(layers, params, mirrored=hand, near=near)))
             if tried[-1][1].search.is_sure:
@@ -346,7 +350,7 @@ def _with_tiles(
     params: RegistrationParams, holes: tuple[xr.Dataset, xr.Dataset], side: Side,
 ) -> Registration:  # fmt: skip
     """Fit holes and the tiles that are found at the place by holes in one, and say how far apart both lie."""
-    layers = _Layers.of(moving, fixed, side)
+    layers = _Layers.of(moving, fixed, side, holes)
     place = known.fit.transform.similarity
     tiles = _tiles_near(layers, place.inverse if layers.swapped else place)
     if len(tiles.moving_um) < _LEAST_TILES:
