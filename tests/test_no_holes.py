@@ -169,5 +169,7 @@ def test_an_image_of_another_sheet_is_refused(linked, mapped, tmp_path):
     _, other = written(tmp_path / "other", 6)
     with pytest.raises(CannotRegister, match="stands out by its texture"):
         pl.register_texture(run.groups["maps"], pl.read_image(other.image))
+    with pytest.raises(CannotRegister, match="stands out by its texture"):
+        pl.link(mapped, other.image, out=tmp_path / "run", registration={"by": "texture"})
     with pytest.raises(CannotRegister, match="No hole found"):
         pl.link(mapped, other.image, registration={"by": "holes"})
