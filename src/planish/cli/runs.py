@@ -36,7 +36,7 @@ from planish.marks.params import HoleParams
 from planish.measure.params import MeasureParams
 from planish.register.params import RegistrationParams
 from planish.run.compute import Compute
-from planish.run.study import EDITS, EDITS_APPLIED, RUN_TOML, Study
+from planish.run.study import EDITS, EDITS_APPLIED, RUN_TOML, AboutParams, Study
 from planish.surface.params import SurfaceParams
 
 OUT = "Folder to make for the results; it must not exist."
@@ -48,7 +48,7 @@ hole_options = options(HoleParams, "Marks and registration")
 compute_options = options(Compute, "Resources")
 _run_options = stack(
     volume_options, surface_options, property_options, options(FlattenParams, "Flattening"),
-    compute_options, figures_option, strict_option, json_option,
+    options(AboutParams, "Page"), compute_options, figures_option, strict_option, json_option,
 )  # fmt: skip
 _folder_option = out_option("Folder to make; a new one where not given.", required=False)
 

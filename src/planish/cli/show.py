@@ -43,7 +43,7 @@ def stages(total: int) -> Generator[Tell]:
 
 def number(value: float | None, digits: int = 3) -> str:
     """Write a number, or a dash where there is none."""
-    return f"{value:.{digits}f}" if value is not None and is_known(value) else "-"
+    return f"{round(value, digits) + 0.0:.{digits}f}" if value is not None and is_known(value) else "-"
 
 
 def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:

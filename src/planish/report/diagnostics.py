@@ -36,10 +36,10 @@ def draw_scale(
         title=f"At which scale {names[0]} and {names[1]} go together",
         caption=(
             "Left, correlation over points of growing size; lines, the 95 % interval of each size by itself; shaded, "
-            "the band that holds the whole curve with 95 %. Right, squared coherence by octaves of wavelength, put "
-            "right for chance, with a full dot where it is certain among all octaves (p below 0.05 after Šidák); gain, "
-            "change of the second map per change of the first in the octave. Larger points average noise away, so r "
-            "may rise although nothing more is explained; coherence is of each octave alone. "
+            "the band that holds the whole curve with 95 %. Right, squared coherence by octaves of wavelength, "
+            "corrected for chance, with a full dot where it is certain among all octaves (p below 0.05 after Šidák); "
+            "gain, change of the second map per change of the first in the octave. Larger points average noise away, "
+            "so r may rise although nothing more is explained; coherence is of each octave alone. "
             f"n = {count(n)} at the smallest size. Mask: measured, without {excluded_text}. "
             f"{capital(registered)}."
         ),

@@ -127,8 +127,9 @@ def _draw_property(
     mean_text = ""
     if facts.mean is not None and facts.sd is not None:
         mean = 0.0 if abs(facts.mean) < 1e-6 * facts.sd else facts.mean
+        unit_text = f" {unit_of(data)}".rstrip()
         mean_text = (
-            f"{number(mean)} ± {number(facts.sd)} {unit_of(data)} (mean ± standard deviation of n = {count(facts.n)} "
+            f"{number(mean)} ± {number(facts.sd)}{unit_text} (mean ± standard deviation of n = {count(facts.n)} "
             "columns). "
         )
     partner_text = f" of this map and {in_words(title_of(maps[partner]))} together" if partner is not None else ""

@@ -26,6 +26,7 @@ from planish.report import (
     first_screen,
     flattening,
     maps,
+    reading_r,
     registration,
     slices,
     statement,
@@ -117,7 +118,8 @@ def render_report(
     pairs = _map_pairs(run_maps)
     page = report_template().render(
         results=results, layers=results.layers, reference=results.reference, titles=run_maps.titles, tables=tables,
-        summary=summary, statement=statement, text=text, first=first_screen, diagnostics=diagnostics, numbered=numbered,
+        summary=summary, statement=statement, text=text, first=first_screen, reading=reading_r,
+        diagnostics=diagnostics, numbered=numbered,
         sheets=sheets, leading=first_screen.draw_first(run_maps, pairs) or
         [picture for sheet in sheets for picture in sheet["leading"]],
         blocks=[

@@ -50,7 +50,7 @@ def states(results: SeriesResults) -> str:
     """Say what became of the specimens."""
     counts, total = Counter(member.state for member in results.members), len(results.specimens)
     if counts["whole"] == total:
-        return f"All {total} specimens are whole." if total > 1 else "The specimen is whole."
+        return f"All {total} specimens are complete." if total > 1 else "The specimen is complete."
     return f"Of {total} specimens, {', '.join(f'{counts[s]} {text}' for s, text in _STATES.items() if counts[s])}."
 
 

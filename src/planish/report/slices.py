@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.core.numbers import count, length, number, plain
+from planish.core.numbers import count, length, plain
 from planish.report.colours import GREYS, Array, Scale, limits
 from planish.report.draw import FULL, SMALL, SOFT, Axes, Canvas, Picture, pitch, pixel_of, reduced
 
@@ -133,7 +133,7 @@ def _draw_details(cuts: list[Slice], windows: list[Window], scale: Scale) -> Pic
         title="The layers, close up",
         caption=(
             f"The red windows, each {length(widest_um)} wide; voxels of {voxel} as they are, lines in µm at sub-voxel "
-            f"heights. n = {number(widest_um / pitch(cuts[0].x), 3)} columns in each window; mask as above."
+            f"heights. n = {count(round(widest_um / pitch(cuts[0].x)))} columns in each window; mask as above."
         ),
     )
 

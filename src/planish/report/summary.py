@@ -123,7 +123,10 @@ def density_of(results: Results, row: CorrelationRow) -> float | None:
 def quantities(results: Results) -> list[str]:
     """Say of every image what its values are."""
     images = [(layer.name, layer.image) for layer in results.layers if layer.image is not None]
-    return [f"{capital(with_article(name))}: {typeset(image.sentence)}." for name, image in images]
+    texts = [f"{capital(with_article(name))}: {typeset(image.sentence)}." for name, image in images]
+    if any(image.quantity != "reflectance" for _, image in images):
+        texts.append("Relative grey is the brightness that the file holds: larger is brighter, in no physical unit.")
+    return texts
 
 
 def _percent_text(share: float | None) -> str:
