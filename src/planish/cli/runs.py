@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from planish.analyze.params import CorrelateParams
-from planish.cli.console import sentence
+from planish.cli.console import animated, sentence
 from planish.cli.options import (
     PATH,
     Command,
@@ -27,6 +27,7 @@ from planish.cli.options import (
     wrong_usage,
 )
 from planish.cli.show import finish, run_facts, stages
+from planish.cli.time_left import TimeLeft, expected_stages
 from planish.core.errors import PlanishError
 from planish.core.files import free_path
 from planish.core.source_hash import is_this_code
@@ -76,7 +77,8 @@ def _run_and_show(
 
     with wrong_usage("--set: "):
         study = with_values(study, changes) if changes else study
-    with stages(8 + 3 * len(study.layers)) as progress:
+    left = TimeLeft(expected_stages(study)) if animated() else None
+    with stages(8 + 3 * len(study.layers), left) as progress:
         compute, figures = build_params(Compute, values), values.get("figures", False)
         run = run_study(study, out, progress=progress, compute=compute, old=old_run, figures=figures)
     return finish(run, out, as_json=values["as_json"], strict=values["strict"])

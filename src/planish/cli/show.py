@@ -4,41 +4,88 @@ from __future__ import annotations
 
 import json
 from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    SpinnerColumn,
+    Task,
+    TextColumn,
+    TimeElapsedColumn,
+)
+from rich.text import Text
 
 from planish.cli.console import animated, console, letters, sentence, table, warn
 from planish.core.facts import is_known
 from planish.core.memory import enough_gb
 from planish.core.text import printable, quoted
+from planish.core.tiles import tiles_told
 
 if TYPE_CHECKING:
+    from rich.progress_bar import ProgressBar
+
+    from planish.cli.time_left import TimeLeft
     from planish.core.checks import State
     from planish.results import ComparisonRow, CorrelationRow, LayerFacts, Results, SheetFacts
     from planish.run import Run
     from planish.run.compute import Progress as Tell
 
 
+class _TimedBar(BarColumn):
+    """The bar of a run whose stages have expected times."""
+
+    def __init__(self, left: TimeLeft) -> None:
+        super().__init__()
+        self.left = left
+
+    def render(self, task: Task) -> ProgressBar:
+        """Draw the share of the whole time that has passed."""
+        task.completed = self.left.share * (task.total or 1)
+        return super().render(task)
+
+
+class _LeftColumn(ProgressColumn):
+    """The time that is left."""
+
+    def __init__(self, left: TimeLeft) -> None:
+        super().__init__()
+        self.left = left
+
+    def render(self, task: Task) -> Text:  # noqa: ARG002
+        """Write it roughly."""
+        return Text(f"about {duration(self.left.seconds)} left")
+
+
 @contextmanager
-def stages(total: int) -> Generator[Tell]:
-    """Show a progress bar on a terminal, one line a stage otherwise; always on standard error."""
+def stages(total: int, left: TimeLeft | None = None) -> Generator[Tell]:
+    """Show a progress bar on a terminal, one line a stage otherwise; always on standard error.
+
+    ``total`` stages count alike, unless ``left`` knows their times. What has the name ``look`` is no stage: it stays.
+    """
     if not animated():
         yield lambda stage, detail: click.echo(f"{stage}: {printable(detail)}", err=True)
         return
-    columns = (
-        SpinnerColumn("dots" if letters() else "line"),
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=console(err=True), transient=True) as bar:
+    spinner = SpinnerColumn("dots" if letters() else "line"), TextColumn("{task.description}", markup=False)
+    amounts = (BarColumn(), MofNCompleteColumn()) if left is None else (_TimedBar(left), _LeftColumn(left))
+    with Progress(*spinner, *amounts, TimeElapsedColumn(), console=console(err=True), transient=True) as bar:
         task = bar.add_task("start", total=total)
-        yield lambda stage, detail: bar.update(task, advance=1, description=f"{stage}: {printable(detail)}")
+
+        def tell(stage: str, detail: str) -> None:
+            if stage == "look":
+                bar.console.print(f"look: {printable(detail)}")
+                return
+            if left is not None:
+                left.enter(stage)
+            bar.update(task, advance=1, description=f"{stage}: {printable(detail)}")
+
+        with nullcontext() if left is None else tiles_told(left.enter):
+            yield tell
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -206,7 +253,10 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:
         lines.append(f"planish link: about {memory} of memory, and {time} after the volume was mapped")
     if "run_bytes" in facts:
         memory, time = f"{enough_gb(facts['run_bytes'])} GB", duration(facts["run_seconds"])
-        lines.append(f"planish map: {memory} of memory and about {time}, or less memory with wider columns")
+        lines.append(
+            f"planish map: {memory} of memory, or less with wider columns, and about {time} on two processors; the "
+            "first run after the installation takes some minutes more"
+        )
     for name, value in (facts.get("metadata") or {}).items():
         text = ", ".join(f"{k} {v}" for k, v in value.items()) if isinstance(value, dict) else value  # type: ignore[reportUnknownVariableType]
         lines.append(f"{name}: {text}")

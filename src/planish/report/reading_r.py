@@ -33,7 +33,7 @@ def reading(results: Results) -> list[str]:
     )
     evidence = next((e for e in results.evidence if key_of(e) == key_of(row)), None)
     moving = next((layer for layer in results.moving if layer.name in (row.a, row.b)), None)
-    texts = [strength, _ceiling_text(evidence), _bearing_text(evidence, moving)]
+    texts = [strength, _ceiling_text(evidence), *_bearing_texts(evidence, moving)]
     return [text for text in texts if text]
 
 
@@ -47,27 +47,27 @@ def _ceiling_text(evidence: EvidenceFacts | None) -> str:
     return f"{causes} would leave a perfect relation an r {ceiling_text}."
 
 
-def _bearing_text(evidence: EvidenceFacts | None, moving: LayerFacts | None) -> str:
-    """Reconcile side light, the lag of the largest r, the lag with slopes allowed for, and the strain."""
+def _bearing_texts(evidence: EvidenceFacts | None, moving: LayerFacts | None) -> list[str]:
+    """Reconcile side light, the lag of the largest r and that with slopes allowed for; then the strain."""
     registration = None if moving is None else moving.registration
     lag = None if registration is None else registration.lag
-    texts: list[str] = []
+    texts = [""]
     if lag is not None and is_known(lag.light):
         weight = "side light bears on r" if lag.light >= SIDE_LIGHT else "too little to bear on r"
-        texts.append(
+        texts[0] = (
             f"{100 * lag.light:.0f} % of what image and sheet share follows slopes of the face, as under light from "
             f"one side: {weight}."
         )
     profiles = None if evidence is None else evidence.correlogram
     if lag is not None and profiles is not None and profiles.inner:
-        texts.append(_lag_text(lag, profiles))
+        texts[0] = f"{texts[0]} {_lag_text(lag, profiles)}".strip()
     if moving is not None and moving.sheet is not None and is_known(moving.sheet.flatten.edge_strain_p95):
         strain, limit = moving.sheet.flatten.edge_strain_p95 or 0.0, moving.sheet.flatten.curvature.limit
         texts.append(
             f"Flattening strains the sheet by {percent(strain, 2)} (95 % of its edges), "
             f"{'less' if strain < limit else 'more'} than the {percent(limit, 1)} that paper carries."
         )
-    return " ".join(texts)
+    return texts
 
 
 def _lag_text(lag: LagNumbers, profiles: CorrelogramProfiles) -> str:
