@@ -35,9 +35,9 @@ def stack(gap_grey=20.0, offsets=(-75.0, 0.0, 75.0), bright=1.0):
 
 def test_several_sheets_are_named_with_a_point_in_each_that_chooses_it():
     grey, middle = stack()
-    with pytest.raises(VolumeError, match=r"3 separate sheets.*seed_um=\(Z, Y, X\).*Points in them") as told:
+    with pytest.raises(VolumeError, match=r"3 separate sheets.*seed_um=\(Z, Y, X\).*Points to start from") as told:
         find_surfaces(grey)
-    points = str(told.value).split("Points in them: ")[1].rstrip(".").split("; ")
+    points = str(told.value).split("Points to start from: ")[1].rstrip(".").split("; ")
     assert len(points) == 3
     heights = []
     for point in points:

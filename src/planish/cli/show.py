@@ -9,17 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    ProgressColumn,
-    SpinnerColumn,
-    Task,
-    TextColumn,
-    TimeElapsedColumn,
-)
-from rich.text import Text
+from rich import progress as rich
 
 from planish.cli.console import animated, console, letters, sentence, table, warn
 from planish.core.facts import is_known
@@ -28,8 +18,6 @@ from planish.core.text import printable, quoted
 from planish.core.tiles import tiles_told
 
 if TYPE_CHECKING:
-    from rich.progress_bar import ProgressBar
-
     from planish.cli.time_left import TimeLeft
     from planish.core.checks import State
     from planish.results import ComparisonRow, CorrelationRow, LayerFacts, Results, SheetFacts
@@ -37,29 +25,17 @@ if TYPE_CHECKING:
     from planish.run.compute import Progress as Tell
 
 
-class _TimedBar(BarColumn):
-    """The bar of a run whose stages have expected times."""
+class _LeftColumn(rich.ProgressColumn):
+    """The time that is left, for a bar behind it that shows the share of the time."""
 
     def __init__(self, left: TimeLeft) -> None:
         super().__init__()
         self.left = left
 
-    def render(self, task: Task) -> ProgressBar:
-        """Draw the share of the whole time that has passed."""
-        task.completed = self.left.share * (task.total or 1)
-        return super().render(task)
-
-
-class _LeftColumn(ProgressColumn):
-    """The time that is left."""
-
-    def __init__(self, left: TimeLeft) -> None:
-        super().__init__()
-        self.left = left
-
-    def render(self, task: Task) -> Text:  # noqa: ARG002
+    def render(self, task: rich.Task) -> str:
         """Write it roughly."""
-        return Text(f"about {duration(self.left.seconds)} left")
+        task.completed = self.left.share * (task.total or 1)
+        return f"about {duration(self.left.seconds)} left"
 
 
 @contextmanager
@@ -71,9 +47,11 @@ def stages(total: int, left: TimeLeft | None = None) -> Generator[Tell]:
     if not animated():
         yield lambda stage, detail: click.echo(f"{stage}: {printable(detail)}", err=True)
         return
-    spinner = SpinnerColumn("dots" if letters() else "line"), TextColumn("{task.description}", markup=False)
-    amounts = (BarColumn(), MofNCompleteColumn()) if left is None else (_TimedBar(left), _LeftColumn(left))
-    with Progress(*spinner, *amounts, TimeElapsedColumn(), console=console(err=True), transient=True) as bar:
+    columns = (
+        rich.SpinnerColumn("dots" if letters() else "line"), rich.TextColumn("{task.description}", markup=False),
+        rich.MofNCompleteColumn() if left is None else _LeftColumn(left), rich.BarColumn(), rich.TimeElapsedColumn(),
+    )  # fmt: skip
+    with rich.Progress(*columns, console=console(err=True), transient=True) as bar:
         task = bar.add_task("start", total=total)
 
         def tell(stage: str, detail: str) -> None:
@@ -252,10 +230,10 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:
         memory, time = f"{enough_gb(facts['link_bytes'])} GB", duration(facts["link_seconds"])
         lines.append(f"planish link: about {memory} of memory, and {time} after the volume was mapped")
     if "run_bytes" in facts:
-        memory, time = f"{enough_gb(facts['run_bytes'])} GB", duration(facts["run_seconds"])
+        memory, seconds = f"{enough_gb(facts['run_bytes'])} GB", facts["run_seconds"]
         lines.append(
-            f"planish map: {memory} of memory, or less with wider columns, and about {time} on two processors; the "
-            "first run after the installation takes some minutes more"
+            f"planish map: {memory} of memory, or less with wider columns; {duration(seconds)} to {duration(2 * seconds)} "
+            "on two processors, and some minutes more the first time, to compile"
         )
     for name, value in (facts.get("metadata") or {}).items():
         text = ", ".join(f"{k} {v}" for k, v in value.items()) if isinstance(value, dict) else value  # type: ignore[reportUnknownVariableType]

@@ -60,7 +60,7 @@ class TimeLeft:
         total, passed, rate, now = sum(self._seconds), self._passed(), self._rate, self._clock()
         if self._at >= 0 and not self._share:  # no tiles say how far the stage is
             passed += min((now - self._entered) / rate, 0.9 * self._seconds[self._at])
-            rate = max(rate, self._rate_at(passed, now))  # of a stage that takes longer than expected
+            rate = max(rate, (rate + self._rate_at(passed, now)) / 2)  # a stage takes longer than expected
         return rate * max(total - passed, 0.0)
 
     @property
@@ -80,7 +80,7 @@ def expected_stages(study: Study) -> list[Stage]:
     if len(study.layers) > 1:
         stages += [("register", 1.0 + 0.7 * millions) for millions in sizes[1:-1]]
         stages += _timed(LINK_SECONDS, sizes[-1])
-    return [*stages, ("write", 5.0 + sum(sizes))]
+    return [*stages, ("write", 7.0 + sum(sizes))]
 
 
 def _timed(seconds: Seconds, millions: float) -> list[Stage]:
