@@ -85,7 +85,7 @@ def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:
         if results.comparison:
             if any(not r.n for r in results.comparison):
                 sentence("Points that are larger than what both show have no correlation and are left out.")
-            title = f"{results.reference.name} against {results.comparison[0].property}"
+            title = f"{results.reference.name} against {results.comparison[0].property}, where all four have values"
             correlations(title, [(r.registration, r) for r in results.comparison if r.n])
         elif results.correlations:
             pairs = [(f"{r.a} {r.a_map} / {r.b} {r.b_map}", r) for r in results.correlations if r.n]
@@ -232,8 +232,8 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:
     if "run_bytes" in facts:
         memory, seconds = f"{enough_gb(facts['run_bytes'])} GB", facts["run_seconds"]
         lines.append(
-            f"planish map: {memory} of memory, or less with wider columns; {duration(seconds)} to {duration(2 * seconds)} "
-            "on two processors, and some minutes more the first time, to compile"
+            f"planish map: {memory} of memory, or less with wider columns; {duration(seconds)} to "
+            f"{duration(2 * seconds)} on two processors, and some minutes more the first time, to compile"
         )
     for name, value in (facts.get("metadata") or {}).items():
         text = ", ".join(f"{k} {v}" for k, v in value.items()) if isinstance(value, dict) else value  # type: ignore[reportUnknownVariableType]

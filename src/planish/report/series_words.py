@@ -16,7 +16,7 @@ _LED = 2  # differences of one quantity in the first sentences
 _CLOSE, _OF_CLOSE = 0.995, 5  # r of two measurements of one quantity, and its decimals
 _NAMED = 6  # specimens that are left out, in a cell
 _STATES = {
-    "whole": "whole", "withheld": "with a check that failed", "refused": "refused", "damaged": "damaged",
+    "whole": "complete", "withheld": "with a check that failed", "refused": "refused", "damaged": "damaged",
     "open": "not done yet",
 }  # fmt: skip
 
