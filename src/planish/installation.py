@@ -159,7 +159,6 @@ def _requirements(extra: str | None) -> list[Requirement] | None:
 
 
 def _compile_cache() -> Check:
-    """Whether compiled kernels can be kept, and how many are."""
     name = "compile cache"
     try:
         kernels = list(_kernels())
@@ -187,7 +186,6 @@ def _compile_cache() -> Check:
 
 
 def _kernels() -> Iterator[Any]:
-    """All compiled functions of the package that keep their code."""
     for info in pkgutil.walk_packages(planish.__path__, "planish."):
         if info.name.rpartition(".")[2].startswith("_") and info.name.endswith("kernels"):
             module = importlib.import_module(info.name)

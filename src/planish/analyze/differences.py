@@ -111,7 +111,6 @@ def difference_of(first: Correlation, second: Correlation) -> Difference:
 
 
 def _difference(r: Pair, width: float) -> Difference:
-    """Turn an interval of the difference of z into one of r, about the mean of both z."""
     z = [math.atanh(v) for v in r]
     z_mean, z_change = sum(z) / 2, z[1] - z[0]
     low, high = (math.tanh(z_mean + d / 2) - math.tanh(z_mean - d / 2) for d in (z_change - width, z_change + width))

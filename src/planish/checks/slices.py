@@ -211,7 +211,6 @@ def _bends(s: Array) -> Floats:
 
 
 def _differences(s: Array, lag: int) -> Floats:
-    """Mean squared difference of slices k and k + lag."""
     # Slice by slice: temporary arrays as large as the stack cost more than the sums.
     return np.array([_square(a, b) for a, b in zip(s[lag:], s[:-lag], strict=True)])
 

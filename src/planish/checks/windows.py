@@ -132,7 +132,6 @@ def _read_part(
 
 
 def _join(parts: list[_Part]) -> _Part:
-    """Join parts that follow each other along the axis of their window."""
     sums, *greys = zip(*parts, strict=True)
     square, product, blocks = (np.concatenate(s) for s in zip(*sums, strict=True))
     return _Part((square, product, blocks), *(np.concatenate(g) for g in greys))

@@ -71,7 +71,6 @@ def study_from(layers: tuple[str | Path, ...], values: dict[str, Any], *, chain:
 def _run_and_show(
     study: Study, out: Path, values: dict[str, Any], *, changes: tuple[str, ...] = (), old_run: Path | None = None
 ) -> int:
-    """Do what a study says after some changes, show it, and return the exit code."""
     from planish.run import run_study
     from planish.run.study import with_values
 
@@ -173,7 +172,6 @@ def run(study: Path, out: Path | None, changes: tuple[str, ...], **values: Any) 
 
 
 def _compare(old_run: Path, new_run: Path) -> None:
-    """Say whether a run that was repeated has the same bytes."""
     from planish.run.run import MAPS
 
     old_facts = run_facts(old_run)

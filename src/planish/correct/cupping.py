@@ -34,7 +34,6 @@ def _jackknife_errors(estimates: Floats) -> Floats:
 
 
 def _loss_percent(coefficient: float) -> float:
-    """Loss in the middle against the reach, in per cent."""
     return 100.0 * (1.0 - 1.0 / max(1.0 + coefficient, 1e-3))
 
 
@@ -157,7 +156,6 @@ def _fit_coefficients(histogram: Counts, limits: Pair, share: Floats, offset: Fl
 
 
 def _coefficient_step(level: Floats, depth: Counts, factors: Floats, t: Floats, grey: Floats, n: Floats) -> float:
-    """Change of the coefficient by which the greys follow from the levels best."""
     # grey = (level + its change) (factor + change of the coefficient t), to first order. A second power costs more in
     # noise than a beam hardened by a sheet of paper has.
     design = np.zeros((grey.size, level.size + 1))

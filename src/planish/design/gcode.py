@@ -91,7 +91,6 @@ def _move(x_um: float, y_um: float) -> str:
 
 
 def _plain(value: float, decimals: int) -> str:
-    """Write a number without an exponent."""
     text = f"{value:.{decimals}f}".rstrip("0").rstrip(".")
     return "0" if text in ("", "-0") else text
 
@@ -145,7 +144,6 @@ def _point(code: int, x_um: float, y_um: float) -> Groups:
 
 
 def _mm(value_um: float, least: int = 1) -> str:
-    """Write millimetres with so many to six decimals."""
     whole, _, part = _plain(value_um / 1000, 6).partition(".")
     return f"{whole}.{part.ljust(least, '0')}"
 

@@ -96,7 +96,6 @@ class _HoleIndex:
 def _motion_hits(
     z: NDArray[np.complex128], base_pairs: Ints, goal_pairs: Ints, hole_index: _HoleIndex, mirrored: bool
 ) -> tuple[Bools, NDArray[np.str_]]:
-    """Return which holes meet one under each motion, and the kind of each."""
     source = np.conj(z) if mirrored else z
     is_motion = source[base_pairs[:, 1]] != source[base_pairs[:, 0]]
     if not mirrored:

@@ -97,7 +97,6 @@ def _figure(maps: Maps, pixels: NDArray[np.float32], reduction: float, scale: Sc
 
 
 def _scale_bar(figure: Figure, size_px: tuple[int, int], width_px: int, *, map_um: float) -> None:
-    """Draw a round length of at most a quarter of the map below it."""
     length_um = round_step(map_um / 4)
     y = 30 / size_px[1]
     bar_ends = _LEFT / size_px[0], (_LEFT + length_um / map_um * width_px) / size_px[0]

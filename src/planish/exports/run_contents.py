@@ -163,7 +163,6 @@ def sheet_run(run: Run, name: str) -> Run | None:
 
 
 def _mapped_layer(run: Run, name: str) -> LayerParams:
-    """Parameters of a layer that was read from a volume, in this run or in the one that it was taken from."""
     layer = next(layer for layer in run.study.layers if layer.name == name)
     if layer.run is None:
         return layer
@@ -242,7 +241,6 @@ def checked_names(requested: Sequence[str], names: Sequence[str], place_text: st
 
 
 def _grid_around(marks: np.ndarray) -> Grid:
-    """Pixels of a layer of which only the marks are known."""
     low_um, high_um = marks.min(axis=0), marks.max(axis=0)
     extent_um = float((high_um - low_um).max())
     margin_um = 0.3 * extent_um  # how far a layer whose pixels are not known may reach beyond its marks

@@ -352,7 +352,6 @@ def _block_strain(points: Floats, uv: Floats) -> dict[str, Floats]:
 
 
 def _cell_edges(nodes: Floats) -> tuple[Floats, Floats]:
-    """Mean edge of each cell along its rows and along its columns."""
     across, down = np.diff(nodes, axis=1), np.diff(nodes, axis=0)
     return 0.5 * (across[:-1] + across[1:]), 0.5 * (down[:, :-1] + down[:, 1:])
 

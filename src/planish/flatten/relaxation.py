@@ -210,7 +210,6 @@ def _runge_kutta(x: Floats, v: Floats, f: Floats, springs: Springs, dt: float, c
 
 
 def _framed(values: Floats) -> Floats:
-    """Put a frame of zeros around the last two axes."""
     return np.pad(values, [(0, 0)] * (values.ndim - 2) + [(1, 1), (1, 1)])
 
 

@@ -142,7 +142,6 @@ class _MemoryStatus(ctypes.Structure):
 
 
 def _available_on_windows(kernel: Any) -> int:
-    """Physical memory that is free, as the library kernel32 reports it."""
     status = _MemoryStatus(length=ctypes.sizeof(_MemoryStatus))
     available_bytes = kernel.GlobalMemoryStatusEx(ctypes.byref(status)) and int(status.available)
     return available_bytes or UNKNOWN_BYTES

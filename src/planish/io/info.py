@@ -171,7 +171,6 @@ def _describe_volume(
 
 
 def _describe_sections(sections: SectionStack, find_size: Agreed, warnings: list[str]) -> dict[str, Any]:
-    """Report what a folder of sections with its counter holds, as photographed."""
     steps_um = np.diff(sections.positions_um)
     pitch_um = float(np.median(steps_um))
     n_missing = np.rint(steps_um / pitch_um).astype(int) - 1

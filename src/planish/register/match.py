@@ -283,7 +283,6 @@ def _choose_hands(
 def _fit_on_design(
     choice: BestMatch, points: Floats, holes: Floats, scale_tolerance: float, name: str
 ) -> tuple[Similarity, str]:
-    """Fit the best arrangement of a design on one side and describe it, or refuse it."""
     sides_text, count = f"{len(points)} marks of the {name} and {len(holes)} designed holes", len(choice.pairs)
     if count < choice.needed_count:
         raise CannotRegister(

@@ -168,5 +168,4 @@ class Smoothing:
 
 
 def _on_both_axes(rows: Floats) -> Floats:
-    """Equations of one coordinate, repeated for both."""
     return np.asarray(np.kron(rows, np.eye(2)), dtype=np.float64)

@@ -108,7 +108,6 @@ def _draw_band(axes: Axes, x: Sequence[float], intervals: Sequence[tuple[float, 
 
 
 def _draw_log_axes(canvas: Canvas, axes: Axes, x_label: str, y_label: str) -> None:
-    """Draw axes whose x holds powers of ten, with round lengths at the ticks."""
     x_min, x_max = axes.extent[:2]
     lengths_um = [m * 10**k for k in range(-1, 6) for m in (1, 2, 5)]
     x_ticks = [(math.log10(v), f"{v:g}") for v in lengths_um if x_min <= math.log10(v) <= x_max]

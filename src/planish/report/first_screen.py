@@ -109,7 +109,6 @@ def operator_notes(results: Results) -> list[str]:
 
 
 def _field_advice(pair_rows: Sequence[CorrelationRow]) -> str:
-    """Say what a larger field would do to the interval of r."""
     row = largest(pair_rows) if pair_rows else None
     if row is None or row.trust != "ok" or not is_known(row.r):
         return ""
@@ -124,7 +123,6 @@ def _field_advice(pair_rows: Sequence[CorrelationRow]) -> str:
 
 
 def _marks_advice(results: Results) -> str:
-    """Say what more marks would do to the correlation."""
     more = "Laser holes as marks" if registered_by(results) == BY_TEXTURE else "More marks"
     r_ceilings = [e.ceiling for e in results.evidence if e.ceiling is not None]
     if r_ceilings and min(r_ceilings) < 0.95:  # r that misplacement leaves of a perfect relation

@@ -50,7 +50,6 @@ def _draw_warp(surfaces: xr.Dataset, flat: xr.Dataset) -> draw.Picture:
 
 
 def _draw_displacement(flat: xr.Dataset) -> draw.Picture:
-    """Draw by how much flattening moved every column against its projection."""
     y, x = flat["y"].values, flat["x"].values
     components = [_from_top(flat[a].values - flat[f"projected_{a}"].values, flat) for a in ("u", "v")]
     displacement, vectors = np.hypot(*components), np.stack(components, axis=-1)

@@ -172,7 +172,6 @@ def draw_side_by_side(
 def _draw_histogram(
     canvas: draw.Canvas, box: draw.Box, values: Array, scale: Scale, facts: PropertyFacts
 ) -> draw.Table:
-    """Draw the histogram along the colour bar, with mean and standard deviation, and return it."""
     low, high = scale.low, scale.high
     counts, edges = np.histogram(values, bins=80, range=(low, high))
     max_count = max(int(counts.max()), 1)
@@ -227,7 +226,6 @@ def draw_outlines(linked: xr.Dataset, *, name: str, thin_um: float, excluded_tex
 
 
 def _darkness_sentence(image: Array, is_outlined: NDArray[np.bool_], valid: NDArray[np.bool_]) -> str:
-    """Compare the grey value inside the outlines with the rest."""
     inside_greys, outside_greys = image[is_outlined & valid], image[valid & ~is_outlined]
     if inside_greys.size == 0 or outside_greys.size == 0 or (grey_sd := float(np.std(image[valid]))) == 0:
         return ""

@@ -244,7 +244,6 @@ def _draw_pair(run_maps: maps.RunMaps, pair: MapPair) -> Picture:
 def _evidence_section(
     run_maps: maps.RunMaps, e: EvidenceFacts, pairs: Mapping[summary.PairKey, MapPair]
 ) -> dict[str, Any]:
-    """Draw what stands beside r of the maps that stand for two layers, and say what it means, by section."""
     titles, excluded_text, is_same_map = run_maps.titles, run_maps.excluded_text, e.a_map == e.b_map
     titles_text, pair = summary.names_in_words(e, titles), pairs.get(summary.key_of(e))
     figures: dict[Section, list[Picture]] = {"scale": [], "distance": [], "repeated": [], "light": []}

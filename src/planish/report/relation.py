@@ -193,7 +193,6 @@ def largest(rows: Sequence[Row]) -> Row:
 
 
 def _draw_differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, units: str) -> None:
-    """Draw the difference over the mean of the two, with its mean and limits."""
     mean, differences = (a + b) / 2, b - a
     units = unit(row.units or "") or units
     line_levels = [v for v in (row.difference_mean, *row.limits) if is_known(v)]

@@ -198,7 +198,6 @@ def point_of(row: CorrelationRow) -> str:
 
 
 def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles: Titles) -> str:
-    """Describe the correlation of two maps, at the pixel and at the largest points."""
     if not pair_rows or (pair_rows[0].trust == "ok" and not is_known(pair_rows[0].r)):
         n = count(pair_rows[0].n if pair_rows else 0)
         return f"The two layers could not be correlated: {n} pixels are valid in both, or one of the maps is constant."

@@ -83,7 +83,6 @@ def gather_sheet(sheet: Layer, study: Study) -> Run:
 def _results(
     study: Study, layers: Iterable[LayerFacts], checks: Iterable[Check], *, by_this_code: bool = True, **fields: Any
 ) -> Results:
-    """All numbers of a run, with what its checks leave of them."""
     libraries = ("numpy", "scipy", "numba", "xarray", "zarr", "tifffile")
     results = Results(
         planish=__version__, code=hash_sources() if by_this_code else "", layers=tuple(layers), checks=tuple(checks),
@@ -148,7 +147,6 @@ def gather_link(linked: LinkedLayers) -> Run:
 
 
 def _side_of(a: Layer, b: Layer) -> Side:
-    """The side of the sheet that an image of two layers shows."""
     return "bottom" if "bottom" in (a.side, b.side) else "top"
 
 
@@ -276,7 +274,6 @@ def _registration_checks(linked: LinkedLayers, layer: Layer, facts: LayerFacts) 
 
 
 def _scale_checks(linked: LinkedLayers, layer: Layer) -> Iterator[Check]:
-    """The scale through a sheet by its own registration, or by the first one to it."""
     if layer.kind != "sheet":
         return
     for name, link in linked.links.items():

@@ -366,7 +366,6 @@ def _title(names: Names) -> str:
 
 
 def _undecided(found: _Found, layers: _Layers) -> CannotRegister:
-    """Say that no place is sure, and what would help."""
     search = found.search
     places = [
         f"turned by {math.degrees((c.place.inverse if layers.swapped else c.place).rotation_rad) % 360:.0f} degrees "

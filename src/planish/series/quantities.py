@@ -112,7 +112,6 @@ def _correlations(rows: Sequence[FigureRow], name: str) -> list[Quantity]:
 
 
 def _largest_points(rows: Iterable[FigureRow], name: str) -> dict[Pair, float]:
-    """The largest points of each correlation of a map, over which there is any point."""
     largest_um: dict[Pair, float] = {}
     for row in rows:
         pair = _pair_of(row)

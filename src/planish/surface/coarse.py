@@ -133,7 +133,6 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
 def _points_text(
     objects: Sequence[Bools], blocks: Blocks, inside: Bools, threshold: float, choice: Choice
 ) -> str:  # fmt: skip
-    """List a point in each of several objects from which it can be followed."""
     points: list[str] = []
     for in_object in objects:
         with suppress(VolumeError):

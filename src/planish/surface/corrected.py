@@ -176,7 +176,6 @@ def _with_drawn(surfaces: xr.Dataset, drawn: Drawing, params: SurfaceParams) -> 
 
 
 def _moved_centre(surfaces: xr.Dataset, corrected: dict[str, NDArray[Any]], params: SurfaceParams) -> Floats:
-    """The centre surface, moved by what the smoothing of the new faces differs from that of the old ones."""
     original = {name: surfaces[name].values for name in (*SIDES, "status")}
     face_means = [
         np.where(faces["status"] == Status.MEASURED, 0.5 * (faces["top"] + faces["bottom"]), np.nan)

@@ -113,7 +113,6 @@ def draw_pose(camera: CameraParams, spread: ArrayLike, rng: np.random.Generator)
 
 
 def _shortened(shift: Floats, is_enough: Callable[[Floats], bool]) -> Floats:
-    """Shorten a shift of the frame until enough of the field is in view."""
     if is_enough(shift):
         return shift
     # A frame that moves away from the middle of a rectangle loses field all the way, so halving finds the limit.
