@@ -85,7 +85,8 @@ def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:
         if results.comparison:
             if any(not r.n for r in results.comparison):
                 sentence("Points that are larger than what both show have no correlation and are left out.")
-            title = f"{results.reference.name} against {results.comparison[0].property}, where all four have values"
+            names, prop = {r.registration for r in results.comparison}, results.comparison[0].property
+            title = f"{results.reference.name} against {prop}, where all {len(names)} have values"
             correlations(title, [(r.registration, r) for r in results.comparison if r.n])
         elif results.correlations:
             pairs = [(f"{r.a} {r.a_map} / {r.b} {r.b_map}", r) for r in results.correlations if r.n]
