@@ -41,7 +41,7 @@ def test_side_light_lag_and_strain_are_reconciled_beside_r() -> None:
     assert "Misplacement would leave a perfect relation an r of 0.93." in text
     assert "62 % of what image and sheet share follows slopes" in text
     assert "side light bears on r" in text
-    assert "r is largest, 0.85, with the maps moved by 19\u202fµm" in text
+    assert "The largest r, 0.85, has the maps moved by 19\u202fµm" in text
     assert "the light moves the peak, and the registration stands" in text
     assert "less than the 0.5" in text
     assert '<h2 id="reading">How to read r</h2>' in page_of(with_lag(0.62, (0.0, -19.0)))

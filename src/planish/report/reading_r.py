@@ -73,7 +73,7 @@ def _bearing_texts(evidence: EvidenceFacts | None, moving: LayerFacts | None) ->
 def _lag_text(lag: LagNumbers, profiles: CorrelogramProfiles) -> str:
     """Say why the largest r may lie at a lag that the marks exclude."""
     lag_um = math.hypot(*profiles.lag_um)
-    peak = f"r is largest, {fixed(profiles.peak_r, 2)}, with the maps moved by {length(lag_um, 2)}"
+    peak = f"The largest r, {fixed(profiles.peak_r, 2)}, has the maps moved by {length(lag_um, 2)}"
     if not is_known(lag.length_um):
         return f"{peak}; the fine texture does not tell whether that is an error of the registration."
     expected_text = length(lag.expected_um, 2)
