@@ -80,7 +80,7 @@ def expected_stages(study: Study) -> list[Stage]:
     if len(study.layers) > 1:
         stages += [("register", 1.0 + 0.7 * millions) for millions in sizes[1:-1]]
         stages += _timed(LINK_SECONDS, sizes[-1])
-    return [*stages, ("write", 7.0 + sum(sizes))]
+    return [*stages, ("write", 8.0 + 1.5 * sum(sizes))]
 
 
 def _timed(seconds: Seconds, millions: float) -> list[Stage]:
