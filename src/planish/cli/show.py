@@ -47,10 +47,9 @@ def stages(total: int, left: TimeLeft | None = None) -> Generator[Tell]:
     if not animated():
         yield lambda stage, detail: click.echo(f"{stage}: {printable(detail)}", err=True)
         return
-    columns = (
-        rich.SpinnerColumn("dots" if letters() else "line"), rich.TextColumn("{task.description}", markup=False),
-        rich.MofNCompleteColumn() if left is None else _LeftColumn(left), rich.BarColumn(), rich.TimeElapsedColumn(),
-    )  # fmt: skip
+    spinner, amount = "dots" if letters() else "line", rich.MofNCompleteColumn() if left is None else _LeftColumn(left)
+    name = rich.TextColumn("{task.description}", markup=False)
+    columns = (rich.SpinnerColumn(spinner), name, amount, rich.BarColumn(), rich.TimeElapsedColumn())
     with rich.Progress(*columns, console=console(err=True), transient=True) as bar:
         task = bar.add_task("start", total=total)
 

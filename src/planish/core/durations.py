@@ -6,13 +6,20 @@ from collections.abc import Mapping
 Seconds = Mapping[str, tuple[float, float]]
 
 SHEET_SECONDS: Seconds = {
-    "read": (0.5, 0.3), "surface": (0.2, 0.0), "survey": (2.0, 0.2), "priors": (3.0, 2.5), "faces": (2.5, 6.5),
-    "faces_below": (0.4, 1.4), "assembly": (2.0, 3.0), "layers": (0.5, 1.2), "measure": (0.7, 1.6),
-    "flatten": (0.9, 0.5), "resample": (0.4, 1.1), "check": (3.3, 3.6),
-}  # fmt: skip
+    "read": (0.5, 0.3),
+    "surface": (0.2, 0.0),
+    "survey": (2.0, 0.2),
+    "priors": (3.0, 2.5),
+    "faces": (2.5, 6.5),
+    "faces_below": (0.4, 1.4),
+    "assembly": (2.0, 3.0),
+    "layers": (0.5, 1.2),
+    "measure": (0.7, 1.6),
+    "flatten": (0.9, 0.5),
+    "resample": (0.4, 1.1),
+    "check": (3.3, 3.6),
+}
 LINK_SECONDS: Seconds = {"register": (1.0, 0.7), "link": (1.3, 6.3), "correlate": (8.0, 5.0)}
-
-
 _BUSY = 1.6  # times as long on two processors that have other work, too
 
 

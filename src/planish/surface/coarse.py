@@ -130,9 +130,7 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
     )  # fmt: skip
 
 
-def _points_text(
-    objects: Sequence[Bools], blocks: Blocks, inside: Bools, threshold: float, choice: Choice
-) -> str:  # fmt: skip
+def _points_text(objects: Sequence[Bools], blocks: Blocks, inside: Bools, threshold: float, choice: Choice) -> str:
     points: list[str] = []
     for in_object in objects:
         with suppress(VolumeError):
