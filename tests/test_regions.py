@@ -262,7 +262,7 @@ WRONG = {
     "a point": (feature({"type": "Point", "coordinates": [1, 2]}), "'Point'; a Polygon"),
     "no geometry": (feature(None), "region 1: its geometry is none"),
     "units": (POLYGON | {"units": "px"}, "units are not um"),
-    "infinite": (bent([0, 0], [1e999, 1], [2, 2]), "no number, or beyond 1e+09"),
+    "infinite": (bent([0, 0], [1e999, 1], [2, 2]), "no number, or beyond 1000000000"),
     "not a number": (bent([0, 0], [float("nan"), 1], [2, 2]), "no number, or beyond"),
     "far": (bent([0, 0], [1e10, 1], [2, 2]), "no number, or beyond"),
     "beyond floats": (bent([0, 0], [10**400, 1], [2, 2]), "beyond all numbers"),

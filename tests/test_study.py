@@ -1,8 +1,12 @@
+import datetime
+
+import numpy as np
 import pytest
+import tifffile
 
 from planish.core.errors import FileError, InputError
 from planish.io import ImageParams, VolumeParams
-from planish.run import LayerParams, Study, as_study, read_study, write_study
+from planish.run import LayerParams, Study, as_study, read_study, study_of, with_values, write_study
 
 
 def test_round_trip_keeps_everything_and_paths_are_relative(tmp_path):
@@ -23,7 +27,7 @@ def test_faults_of_a_study_are_named_at_once_and_other_files_refused(tmp_path):
         read_study(path)
     for word in ("volume.axsi", "voxel_um.1", "surface.rim_um", "3 wrong parameters"):
         assert word in str(error.value)
-    with pytest.raises(FileError, match="cannot be read"):
+    with pytest.raises(FileError, match=r"none\.toml does not exist"):
         read_study(tmp_path / "none.toml")
     (tmp_path / "bad.toml").write_text("= 3")
     with pytest.raises(FileError, match="not a TOML file"):
@@ -46,3 +50,20 @@ def test_the_files_of_planish_0_1_are_read():
     })  # fmt: skip
     assert [layer.kind for layer in several.layers] == ["volume", "run"]
     assert several.layers[0].flatten.rest == "chord"
+
+
+def test_title_author_date_and_note_are_fields_of_the_study_and_come_back(tmp_path):
+    layers = tmp_path / "v.tif", tmp_path / "i.tif"
+    for path in layers:
+        tifffile.imwrite(path, np.zeros((4, 4) if path.stem == "i" else (4, 4, 4), np.uint8))
+    words = {"title": "Trial 7", "date": datetime.date(2026, 3, 31), "author": "A. Hofer"}
+    study = study_of(layers, {"about": words})
+    write_study(study, tmp_path, home=tmp_path, version="0")
+    text = (tmp_path / "run.toml").read_text()
+    assert '[about]\ntitle = "Trial 7"\nauthor = "A. Hofer"\ndate = "2026-03-31"\n' in text
+    again = read_study(tmp_path / "run.toml")
+    assert again.about == study.about
+    assert with_values(again, ["about.note=Coated, 90 g/m2", "about.title=7"]).about.title == "7"
+    # Where nothing is given, nothing is written: runs keep their bytes.
+    write_study(study_of(layers, {}), tmp_path, home=tmp_path, version="0")
+    assert "about" not in (tmp_path / "run.toml").read_text()

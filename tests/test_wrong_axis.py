@@ -23,8 +23,15 @@ def test_a_search_along_a_wrong_axis_names_the_right_one(slope, rim_um, error, t
     values = np.where(sheet, 120.0, 20.0) + np.random.default_rng(3).normal(0, 6, (160, 90, 120))
     tifffile.imwrite(tmp_path / "sheet.tif", values.astype(np.float32))
     sizes = {"voxel_um": (5.0, 5.0, 5.0), "through": "z"}
+    told = []
     with pytest.raises(error, match='The grey changes most along y: try through="y"'):
-        map_sheet(tmp_path / "sheet.tif", volume=sizes, surface={"rim_um": rim_um})
+        map_sheet(
+            tmp_path / "sheet.tif", volume=sizes, surface={"rim_um": rim_um},
+            progress=lambda stage, text: told.append(f"{stage}: {text}"),
+        )  # fmt: skip
+    # The axis is named before the search, which takes minutes.
+    assert told[1].startswith("look: The grey changes most along y: try --through y.")
+    assert told[2].startswith("surface: ")
 
 
 def test_a_sheet_seen_edge_on_is_refused_before_every_column_is_searched(monkeypatch):

@@ -29,6 +29,25 @@ COLOURS = """(canvas) => {
   return { colours: found.size, covered: covered / (data.length / 4) };
 }"""
 
+OFF_THE_BAR = """(canvas) => {
+  const pixelsOf = (shown) => {
+    const copy = document.createElement("canvas");
+    [copy.width, copy.height] = [shown.width, shown.height];
+    const context = copy.getContext("2d", { willReadFrequently: true });
+    context.drawImage(shown, 0, 0);
+    const { data } = context.getImageData(0, 0, copy.width, copy.height), found = [];
+    for (let k = 0; k < data.length; k += 4) {
+      const [r, g, b] = data.slice(k, k + 3), length = Math.hypot(r, g, b);
+      if (data[k + 3] > 250 && length > 40) found.push([r / length, g / length, b / length]);
+    }
+    return found;
+  };
+  const bars = document.querySelectorAll(".scale-bar canvas"), bar = pixelsOf(bars[bars.length - 1]);
+  const angles = pixelsOf(canvas).filter((_, k) => k % 97 === 0).map((one) => Math.acos(Math.min(1, Math.max(
+    ...bar.map((other) => one[0] * other[0] + one[1] * other[1] + one[2] * other[2])))) * 180 / Math.PI);
+  return angles.sort((a, b) => a - b)[Math.floor(0.5 * angles.length)];
+}"""
+
 WATCH = """(canvas) => {
   window.frames_seen = { gaps: [], drawn: [], triangles: [] };
   let last = performance.now();
@@ -55,6 +74,9 @@ def test_the_sheet_is_drawn_whole_when_still_and_quickly_while_it_turns(serve, w
     still = canvas.evaluate(COLOURS)
     assert still["covered"] > 0.1
     assert still["colours"] > 20
+    off_the_bar = canvas.evaluate(OFF_THE_BAR)
+    print(f"direction of a colour against the nearest one of the bar: {off_the_bar:.1f} degrees (median)")
+    assert off_the_bar < 2.5
     x, y = (canvas.bounding_box()[side] for side in ("x", "y"))
     canvas.evaluate(WATCH)
     shown.page.mouse.move(x + 200, y + 150)

@@ -52,7 +52,7 @@ def test_info(passes, specimen_files):
 
 
 def test_a_store_of_the_wrong_kind(refuses, tmp_path):
-    refuses("measure", tmp_path / "none.zarr", "-o", tmp_path / "p.zarr", words="no zarr store", out=False)
+    refuses("measure", tmp_path / "none.zarr", "-o", tmp_path / "p.zarr", words="none.zarr does not exist", out=False)
 
 
 def test_help_of_every_command(planish, passes):

@@ -57,7 +57,7 @@ def test_what_is_no_text_is_refused(tmp_path):
         refused(FileError, r"no text in UTF-8|binary data", read_text, place)
     place.write_bytes(b"1" * (LARGEST_FILE + 1))
     refused(FileError, "larger than 10 MB and no table of marks", read_text, place, what="table of marks")
-    refused(FileError, "cannot be read", read_text, tmp_path / "none.csv")
+    refused(FileError, "does not exist", read_text, tmp_path / "none.csv")
     refused(FileError, "is no file", read_text, tmp_path)
 
 

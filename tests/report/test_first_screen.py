@@ -49,7 +49,7 @@ def test_first_page_of_a_link_shows_the_result_and_nothing_else(link_page: str) 
         ("2", "Relative grey, luminance"),
         ("3", "Points of 100\u202fµm"),
     ]
-    assert "What would make it surer" in page.text("h2")
+    assert "What would make it more certain" in page.text("h2")
     assert "The check is passed." in page.text("p")
     assert "90 % of the columns" not in page.text("header")
 
@@ -86,7 +86,7 @@ def test_only_lights_that_are_not_green_stand_on_the_first_page(state: str, link
     assert f"Dust ({state}): Dust was found." in head
     assert "Coverage (pass)" not in head
     assert "Coverage (pass)" in rest
-    # What to do is said once: as what would make it surer, or beside the light.
+    # What to do is said once: as what would make it more certain, or beside the light.
     assert head.count("Clean the sheet.") == 1
 
 
@@ -134,7 +134,7 @@ def evidence(**values: Any) -> list[Run]:
         (None, {}, "too few independent points for an interval", "four times"),
         ([0.78, 0.82], {"ceiling": 0.9}, "a perfect relation would show r = 0.90", "A second specimen"),
         ([0.78, 0.82], {"ceiling": 0.97}, "A second specimen", "More marks"),
-        ([0.78, 0.82], {"declared": False}, "(--headline)", "A second specimen"),
+        ([0.78, 0.82], {"declared": False}, "Declare the map that leads", "A second specimen"),
     ],
 )
 def test_what_would_make_it_surer_follows_from_the_results(

@@ -167,7 +167,7 @@ def test_the_page_states_registrations_and_differences_of_the_same_quantity(page
     assert rows[0].difference_mean == pytest.approx(OFFSET, abs=0.05)
     found = to_spread(rows[0].difference_mean, rows[0].difference_sd)
     assert f"coating thickness (top side) of after minus that of before is {found} µm on average" in Page(page).text()
-    drawn = ["the difference (upward map minus the map across)" in c for c in captions_of(page)[3:6]]
+    drawn = ["the difference (map on the vertical axis minus map on" in c for c in captions_of(page)[3:6]]
     assert drawn == [True, True, False]
 
 

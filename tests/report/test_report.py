@@ -289,3 +289,18 @@ def test_drawings_place_what_they_show() -> None:
     assert 'd="M50 0L100 0M50 25L100 25M50 0L50 25M100 0L100 25"' in svg
     assert '<svg x="10" y="20" width="100" height="50">' in svg
     assert 'aria-label="a &amp; b"' in svg
+
+
+def test_long_numbers_at_the_ends_of_axes_stay_within_the_figure() -> None:
+    canvas = Canvas(333.0, 300.0)
+    shown = draw.ShownMap(np.arange(4.0).reshape(2, 2), (0.0, 100_000.0, 100_000.0, 0.0))
+    canvas.map_axes(44.0, 8.0, (277.0, 250.0), shown, Scale(0.0, 100_000.0, colours.PROPERTY))
+    canvas.colour_bar(44.0, 270.0, 277.0, 10.0, Scale(0.0, 100_000.0, colours.PROPERTY))
+    pattern = r'<text x="([\d.]+)" y="[\d.]+" font-size="([\d.]+)"[^>]*?(?:text-anchor="(\w+)")?>([^<]*)<'
+    numbers = re.findall(pattern, canvas.svg())
+    assert [text for *_, text in numbers].count("100\u202f000") == 3
+    for x, size, anchor, text in numbers:
+        width = 0.56 * float(size) * len(text)  # of the digits of the page's font
+        left = float(x) - {"middle": width / 2, "end": width, "": 0.0}[anchor]
+        assert left > -1.0, text
+        assert left + width < 334.0, text

@@ -51,7 +51,7 @@ def test_runs_alone_give_a_table_and_their_mean(runs, passes):
         (["Läufe/Blatt 0", "Läufe/Blatt 1", "--by", "paper"], 2, "--table"),
         (["Läufe/Blatt 0", "Läufe/Blatt 1", "--margin", "coating_top"], 2, "no margin"),
         (["Läufe/Blatt 0", "Läufe/Blatt 1", "--margin", "r=-1"], 2, "no margin"),
-        (["Läufe/Blatt 0", "Läufe/nirgends"], 3, "is not there"),
+        (["Läufe/Blatt 0", "Läufe/nirgends"], 3, "nirgends does not exist"),
         (["Läufe/Blatt 0", "Läufe"], 3, "is no run"),
         (["Läufe/Blatt 0", "Läufe/../Läufe/Blatt 0"], 3, "given twice"),
         (["Läufe/Blatt 0", "Läufe/Blatt 1", "--headline", "coatng_top"], 3, "Did you mean coating_top"),

@@ -138,7 +138,7 @@ def test_without_sheets_each_specimen_is_one_but_those_of_one_volume_are_one(tmp
         "specimen run-1", "specimen run-1", "specimen run-3", "specimen run-4",
     ]  # fmt: skip
     assert of(results, "mean").sheets == 3
-    assert any("names no sheets" in c for c in results.cautions)
+    assert any("names no sheets: each volume counts as a sheet of its own" in c for c in results.cautions)
     assert any("same volume and count as one sheet" in c for c in results.cautions)
     wrong = said(tmp_path / "wrong", *(({"sheet": str(k)}, results_of(volume="same", r=0.1 * k)) for k in range(3)))
     assert any("byte by byte" in c for c in wrong.cautions)
@@ -158,7 +158,7 @@ def test_what_is_not_there_stays_named_and_has_no_figures(tmp_path):
     moved = Member(name="moved", run="elsewhere")
     results = said(tmp_path, ({}, results_of()), ({}, results_of(mean=3)), members=(refused, moved))
     assert [(m.name, m.state) for m in results.members][2:] == [("fünf 5", "refused"), ("moved", "damaged")]
-    assert "is no run" in results.members[3].message
+    assert "does not exist" in results.members[3].message
     assert str(tmp_path) not in results.members[3].message
     assert results.specimens[3].cells == ()
 

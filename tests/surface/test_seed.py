@@ -35,9 +35,9 @@ def stack(gap_grey=20.0, offsets=(-75.0, 0.0, 75.0), bright=1.0):
 
 def test_several_sheets_are_named_with_a_point_in_each_that_chooses_it():
     grey, middle = stack()
-    with pytest.raises(VolumeError, match=r"3 separate sheets.*seed_um=\(Z, Y, X\).*Points in them") as told:
+    with pytest.raises(VolumeError, match=r"3 separate sheets.*seed_um=\(Z, Y, X\).*Points to start from") as told:
         find_surfaces(grey)
-    points = str(told.value).split("Points in them: ")[1].rstrip(".").split("; ")
+    points = str(told.value).split("Points to start from: ")[1].rstrip(".").split("; ")
     assert len(points) == 3
     heights = []
     for point in points:
@@ -133,3 +133,13 @@ def test_thin_sheets_on_top_of_each_other_are_told_apart_by_a_point():
         found = find_surfaces(data, params=SurfaceParams(seed_um=at))
         assert (found["status"].values == 0).mean() > 0.9
         assert abs(np.nanmedian(found["centre"].values - 4.0 * (middle[0] + offset))) < 1.0
+
+
+def test_only_points_from_which_a_sheet_can_be_followed_are_listed():
+    """Three sheets, of which the outermost leaves the volume at its end."""
+    grey, middle = stack()
+    with pytest.raises(VolumeError, match="3 separate sheets") as told:
+        find_surfaces(grey.sel(z=slice(middle - 75.0, None)))
+    points = str(told.value).split("Points to start from: ")[1].rstrip(".").split("; ")
+    heights = sorted(float(point.split(",")[0]) for point in points)
+    np.testing.assert_allclose(np.diff(heights), [75.0], atol=10.0)  # of the other two

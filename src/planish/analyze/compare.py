@@ -48,7 +48,7 @@ class CorrelationRow(_Judged):
     a_map: str = Field(description="Its map.")
     b: str = Field(description="Second layer.")
     b_map: str = Field(description="Its map.")
-    p_of_table: Value = optional("p after Holm, put right for the number of rows at this point size.")
+    p_of_table: Value = optional("p after Holm, corrected for the number of rows at this point size.")
     same_quantity: bool = Field(
         default=False, description="Whether both maps are of one quantity, so that their difference means something."
     )

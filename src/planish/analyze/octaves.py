@@ -25,7 +25,7 @@ class Band(ResultModel):
 
     shortest_um: float = Field(description="Shortest wavelength of the octave.")
     longest_um: float = Field(description="Longest wavelength of the octave.")
-    coherence: Value = Field(description="Squared, put right for chance; a little below 0 where there is nothing.")
+    coherence: Value = Field(description="Squared, corrected for chance; a little below 0 where there is nothing.")
     p: Unsaved = optional("Of the test that there is nothing in common.")
     p_of_bands: Value = Field(description="p of all octaves together, after Sidak.")
     phase_deg: Value = Field(description="Phase of b against a; 0 or 180 where one simply follows the other.")

@@ -154,7 +154,6 @@ def cross_fitted(
 def _checkerboard(
     is_valid: Bools, pixel_um: Pair, guard_um: float, tile_um: float | None
 ) -> tuple[float, list[Bools], list[Bools]]:
-    """Side of the tiles, and for either colour what is tuned on and what is reported then."""
     shape, sides_um = is_valid.shape, [6 * guard_um, 4 * guard_um] if tile_um is None else [tile_um]
     for side in sides_um:
         tile_numbers: list[Ints] = []  # of every row and column; a rest at the border goes half to either side

@@ -229,18 +229,26 @@ def say_reliability(evidence: EvidenceFacts) -> Iterator[str]:
             yield f"Reliability of {map_text}: not known. {reliability.silence or ''}".strip()
             continue
         size_text = f"over {count(reliability.n)} points of {plain(reliability.point_um)}"
-        noise_text = percent(1 - reliability.value, 1)
         text = (
             f"Odd and even rows of columns are two half measurements of {map_text}: {size_text} they correlate with r "
-            f"= {_near_one(reliability.halves_r)}, so that at least {noise_text} of the variance of the map is noise"
+            f"{_near_one(reliability.halves_r)}, so that noise which differs between them is "
+            f"{_below(1 - reliability.value)} of the variance of the map"
         )
         if k == len(evidence.reliability) - 1 and evidence.ceiling_noise is not None:
             ceiling_both = evidence.ceiling_both
-            shift_text = "" if ceiling_both is None else f", {_near_one(ceiling_both)} with misplacement"
+            shift_text = "" if ceiling_both is None else f", r {_near_one(ceiling_both)} with misplacement, too"
             noise_r = _near_one(evidence.ceiling_noise)
-            text += f"; a perfect relation would show r = {noise_r} at most by noise alone{shift_text}"
-        yield f"{text}. It is a bound: both halves share {reliability.shared}."
+            text += f"; with such noise alone a perfect relation would show r {noise_r}{shift_text}"
+        yield (
+            f"{text}. Errors that neighbouring columns share are not in it, and the standard error of a column may be "
+            f"larger: both halves share {reliability.shared}."
+        )
 
 
 def _near_one(value: float) -> str:
-    return fixed(value, min(max(2, -math.floor(math.log10(1 - value))), 6) if 0 < value < 1 else 2)
+    """Write r with its sign of equality; more than two nines would claim what halves of one scan cannot show."""
+    return "above 0.99" if value > 0.99 else f"= {fixed(value, 2)}"
+
+
+def _below(share: float) -> str:
+    return f"below {percent(0.01, 1)}" if share < 0.01 else percent(share, 1)

@@ -49,7 +49,6 @@ def main() -> None:
 
 
 def _warm_up() -> None:
-    """Load what every run needs, while nobody waits for it."""
     gc.disable()  # all that is loaded stays
     import_module("contourpy")
     import numpy as np

@@ -96,7 +96,6 @@ def _best_inliers(z: Complexes, w: Complexes, count: int) -> NDArray[np.intp]:
 
 
 def _residuals(z: Complexes, w: Complexes, inliers: NDArray[np.intp]) -> Complexes:
-    """Give the residuals of all marks from the similarity that fits the inliers best."""
     z_mean, w_mean = z[inliers].mean(), w[inliers].mean()
     z_centred = z[inliers] - z_mean
     factor = np.sum(z_centred.conj() * (w[inliers] - w_mean)) / max(float(np.sum(np.abs(z_centred) ** 2)), 1e-300)
@@ -230,7 +229,6 @@ def _points(marks: Sequence[Mark], plane: Plane) -> Floats:
 
 
 def _least_squares(moving: Floats, fixed: Floats, model: str, mirrored: bool | None, **options: Any) -> FittedTransform:
-    """Least squares, in which no mark is left out."""
     options = {"robust": False, "lowest": "similarity", "inspect": False} | options
     return fit_transform(moving, fixed, model=model, mirrored=mirrored, **options)
 

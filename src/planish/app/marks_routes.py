@@ -134,7 +134,6 @@ def _changing(model: type[_Body], action: Callable[[Request, Any], object]) -> C
 
 
 def _snap(request: Request, body: _SnapBody) -> str:
-    """Move both ends of a mark into the holes that they lie in."""
     session = session_of(request)
     layer = body.layer or session.state.first_layer
     mark = session.state.mark(layer, body.id)
@@ -144,7 +143,6 @@ def _snap(request: Request, body: _SnapBody) -> str:
 
 
 def _import(request: Request, body: _ImportBody) -> str:
-    """Take the marks of a file in place of all that are there."""
     session = session_of(request)
     change = imported(session, body.layer or session.state.first_layer, body, body.second)
     session.change(change, version=body.version)

@@ -268,6 +268,5 @@ class Tiles:
 
 
 def _overlap(window: slice, k: int, length: int) -> tuple[slice, slice]:
-    """Give the place of the k-th block in a window, and of the window in the block."""
     start, stop = max(window.start, k * CHUNK), min(window.stop, k * CHUNK + length)
     return slice(start - window.start, stop - window.start), slice(start - k * CHUNK, stop - k * CHUNK)

@@ -199,7 +199,6 @@ def serve(session: Session, *, host: str, port: int, on_open: Callable[[str], No
 
 
 def _host_names(host: str) -> list[str]:
-    """List the names of the server in requests."""
     loopback = ["127.0.0.1", "localhost"]
     if host != "0.0.0.0":
         return loopback if host in loopback else [host]

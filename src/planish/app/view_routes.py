@@ -165,7 +165,6 @@ def get_slice(request: Request) -> Response:
 
 
 def _open_sheet(request: Request, layer: str) -> SlicedSheet:
-    """The sheet of a layer, opened when it is first asked for."""
     app, session = request.app, session_of(request)
     sheets: dict[str, SlicedSheet] = app.state.sheets
     with _OPENING:

@@ -196,7 +196,6 @@ def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
 
 
 def _largest_cluster(row: Ints, col: Ints) -> int:
-    """Largest number of tiles, of some at row and column numbers, that lie side by side."""
     mask = np.zeros((row.max(initial=0) + 1, col.max(initial=0) + 1), bool)
     mask[row, col] = True
     return int(np.bincount(ndimage.label(mask)[0].ravel())[1:].max(initial=0))

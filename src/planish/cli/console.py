@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from planish.core.text import printable
+from planish.core.text import plain_numbers, printable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -71,8 +71,8 @@ def width(*, err: bool = False) -> int | None:
 
 def sentence(text: str, *, err: bool = False) -> None:
     """Print a sentence; on a terminal no line ends between a number and its unit."""
-    columns = width(err=err)
-    click.echo(printable(text) if columns is None else wrapped(printable(text), columns), err=err)
+    columns, text = width(err=err), printable(plain_numbers(text))
+    click.echo(text if columns is None else wrapped(text, columns), err=err)
 
 
 def warn(text: str) -> None:

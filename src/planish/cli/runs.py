@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from planish.analyze.params import CorrelateParams
-from planish.cli.console import sentence
+from planish.cli.console import animated, sentence
 from planish.cli.options import (
     PATH,
     Command,
@@ -27,6 +27,7 @@ from planish.cli.options import (
     wrong_usage,
 )
 from planish.cli.show import finish, run_facts, stages
+from planish.cli.time_left import TimeLeft, expected_stages
 from planish.core.errors import PlanishError
 from planish.core.files import free_path
 from planish.core.source_hash import is_this_code
@@ -36,7 +37,7 @@ from planish.marks.params import HoleParams
 from planish.measure.params import MeasureParams
 from planish.register.params import RegistrationParams
 from planish.run.compute import Compute
-from planish.run.study import EDITS, EDITS_APPLIED, RUN_TOML, Study
+from planish.run.study import EDITS, EDITS_APPLIED, RUN_TOML, AboutParams, Study
 from planish.surface.params import SurfaceParams
 
 OUT = "Folder to make for the results; it must not exist."
@@ -48,7 +49,7 @@ hole_options = options(HoleParams, "Marks and registration")
 compute_options = options(Compute, "Resources")
 _run_options = stack(
     volume_options, surface_options, property_options, options(FlattenParams, "Flattening"),
-    compute_options, figures_option, strict_option, json_option,
+    options(AboutParams, "Page"), compute_options, figures_option, strict_option, json_option,
 )  # fmt: skip
 _folder_option = out_option("Folder to make; a new one where not given.", required=False)
 
@@ -70,13 +71,13 @@ def study_from(layers: tuple[str | Path, ...], values: dict[str, Any], *, chain:
 def _run_and_show(
     study: Study, out: Path, values: dict[str, Any], *, changes: tuple[str, ...] = (), old_run: Path | None = None
 ) -> int:
-    """Do what a study says after some changes, show it, and return the exit code."""
     from planish.run import run_study
     from planish.run.study import with_values
 
     with wrong_usage("--set: "):
         study = with_values(study, changes) if changes else study
-    with stages(8 + 3 * len(study.layers)) as progress:
+    left = TimeLeft(expected_stages(study)) if animated() else None
+    with stages(8 + 3 * len(study.layers), left) as progress:
         compute, figures = build_params(Compute, values), values.get("figures", False)
         run = run_study(study, out, progress=progress, compute=compute, old=old_run, figures=figures)
     return finish(run, out, as_json=values["as_json"], strict=values["strict"])
@@ -171,7 +172,6 @@ def run(study: Path, out: Path | None, changes: tuple[str, ...], **values: Any) 
 
 
 def _compare(old_run: Path, new_run: Path) -> None:
-    """Say whether a run that was repeated has the same bytes."""
     from planish.run.run import MAPS
 
     old_facts = run_facts(old_run)

@@ -4,46 +4,70 @@ from __future__ import annotations
 
 import json
 from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich import progress as rich
 
 from planish.cli.console import animated, console, letters, sentence, table, warn
 from planish.core.facts import is_known
 from planish.core.memory import enough_gb
 from planish.core.text import printable, quoted
+from planish.core.tiles import tiles_told
 
 if TYPE_CHECKING:
+    from planish.cli.time_left import TimeLeft
     from planish.core.checks import State
     from planish.results import ComparisonRow, CorrelationRow, LayerFacts, Results, SheetFacts
     from planish.run import Run
     from planish.run.compute import Progress as Tell
 
 
+class _LeftColumn(rich.ProgressColumn):
+    """The time that is left, for a bar behind it that shows the share of the time."""
+
+    def __init__(self, left: TimeLeft) -> None:
+        super().__init__()
+        self.left = left
+
+    def render(self, task: rich.Task) -> str:
+        """Write it roughly."""
+        task.completed = self.left.share * (task.total or 1)
+        return f"about {duration(self.left.seconds)} left"
+
+
 @contextmanager
-def stages(total: int) -> Generator[Tell]:
-    """Show a progress bar on a terminal, one line a stage otherwise; always on standard error."""
+def stages(total: int, left: TimeLeft | None = None) -> Generator[Tell]:
+    """Show a progress bar on a terminal, one line a stage otherwise; always on standard error.
+
+    ``total`` stages count alike, unless ``left`` knows their times. What has the name ``look`` is no stage: it stays.
+    """
     if not animated():
         yield lambda stage, detail: click.echo(f"{stage}: {printable(detail)}", err=True)
         return
-    columns = (
-        SpinnerColumn("dots" if letters() else "line"),
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=console(err=True), transient=True) as bar:
+    spinner, amount = "dots" if letters() else "line", rich.MofNCompleteColumn() if left is None else _LeftColumn(left)
+    name = rich.TextColumn("{task.description}", markup=False)
+    columns = (rich.SpinnerColumn(spinner), name, amount, rich.BarColumn(), rich.TimeElapsedColumn())
+    with rich.Progress(*columns, console=console(err=True), transient=True) as bar:
         task = bar.add_task("start", total=total)
-        yield lambda stage, detail: bar.update(task, advance=1, description=f"{stage}: {printable(detail)}")
+
+        def tell(stage: str, detail: str) -> None:
+            if stage == "look":
+                bar.console.print(f"look: {printable(detail)}")
+                return
+            if left is not None:
+                left.enter(stage)
+            bar.update(task, advance=1, description=f"{stage}: {printable(detail)}")
+
+        with nullcontext() if left is None else tiles_told(left.enter):
+            yield tell
 
 
 def number(value: float | None, digits: int = 3) -> str:
     """Write a number, or a dash where there is none."""
-    return f"{value:.{digits}f}" if value is not None and is_known(value) else "-"
+    return f"{round(value, digits) + 0.0:.{digits}f}" if value is not None and is_known(value) else "-"
 
 
 def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:
@@ -60,7 +84,8 @@ def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:
         if results.comparison:
             if any(not r.n for r in results.comparison):
                 sentence("Points that are larger than what both show have no correlation and are left out.")
-            title = f"{results.reference.name} against {results.comparison[0].property}"
+            names, prop = {r.registration for r in results.comparison}, results.comparison[0].property
+            title = f"{results.reference.name} against {prop}, where all {len(names)} have values"
             correlations(title, [(r.registration, r) for r in results.comparison if r.n])
         elif results.correlations:
             pairs = [(f"{r.a} {r.a_map} / {r.b} {r.b_map}", r) for r in results.correlations if r.n]
@@ -205,8 +230,11 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:
         memory, time = f"{enough_gb(facts['link_bytes'])} GB", duration(facts["link_seconds"])
         lines.append(f"planish link: about {memory} of memory, and {time} after the volume was mapped")
     if "run_bytes" in facts:
-        memory, time = f"{enough_gb(facts['run_bytes'])} GB", duration(facts["run_seconds"])
-        lines.append(f"planish map: {memory} of memory and about {time}, or less memory with wider columns")
+        memory, seconds = f"{enough_gb(facts['run_bytes'])} GB", facts["run_seconds"]
+        lines.append(
+            f"planish map: {memory} of memory, or less with wider columns; {duration(seconds)} to "
+            f"{duration(2 * seconds)} on two processors, and some minutes more the first time, to compile"
+        )
     for name, value in (facts.get("metadata") or {}).items():
         text = ", ".join(f"{k} {v}" for k, v in value.items()) if isinstance(value, dict) else value  # type: ignore[reportUnknownVariableType]
         lines.append(f"{name}: {text}")

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from planish.core.facts import Number, ResultModel, Trust, optional
+from planish.core.text import plain_numbers
 
 State = Literal["pass", "look", "fail", "unknown"]
 """``look``: the figures are doubtful; ``fail``: they are wrong and withheld; ``unknown``: nothing can be said."""
@@ -24,7 +25,9 @@ class Check(ResultModel):
 
     name: str = Field(description="Short and unique in a run, as 'slices along z'.")
     state: State = Field(description="pass, look, fail or unknown.")
-    sentence: str = Field(description="What was found; with unknown, why nothing can be said.")
+    sentence: Annotated[str, AfterValidator(plain_numbers)] = Field(
+        description="What was found; with unknown, why nothing can be said."
+    )
     value: Number = optional("What was compared.")
     limit: Number = optional("The limit that the state was judged by.")
     units: str = Field(default="", description="Of value and limit; 'share' for a part of 1.")

@@ -23,6 +23,8 @@ message that contains another one takes its ``text``. The class alone decides th
 
 import re
 
+from planish.core.text import plain_numbers
+
 # Options without a value, of those that a call in Python may be told to give.
 SWITCHES = frozenset({"as-seen", "chain", "mirror", "mottle", "override-size", "printed", "unusual-size"})
 _COMMAND = r"\b(?:planish|pip|dask) [a-z](?:[^.;'\n]|\.(?=[^\s']))*"  # up to the end of its sentence, or its quote
@@ -62,7 +64,7 @@ class PlanishError(Exception):
     @property
     def text(self) -> str:
         """The message with the options of the command line."""
-        return super().__str__()
+        return plain_numbers(super().__str__())
 
     def __str__(self) -> str:
         """Return the message with the words of a Python call."""

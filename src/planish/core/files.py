@@ -39,6 +39,12 @@ def fault_of_name(name: str, *, windows: bool = os.name == "nt") -> str | None:
     return None
 
 
+def check_exists(path: Path) -> None:
+    """Raise FileError, with the whole path, if nothing is there: most often a letter or a folder is wrong."""
+    if not path.exists():
+        raise FileError(f"{path.absolute()} does not exist. Check the name and the folder.")
+
+
 def check_name(path: Path) -> None:
     """Raise FileError if something to be written has a name, or lies in a folder to be made, that cannot be."""
     missing = [path.absolute()]

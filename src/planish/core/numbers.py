@@ -6,12 +6,13 @@ import math
 import re
 
 from planish.core.facts import Pair, is_known
+from planish.core.text import plain_numbers
 
 NONE = "–"
 _UNITS = {"um": "µm", "um2": "µm²", "g/m2": "g/m²", "g/cm3": "g/cm³", "1/mm2": "1/mm²", "deg": "°", "1": ""}
 _SPACE = "\u202f"  # narrow, and no line break: between a number and its unit, and between thousands
 _NARROW_WIDTH = 0.02  # width of an interval of r, below which two decimals hide it
-_MICROMETRES, _DEGREES = re.compile(r" um\b"), re.compile(r" deg\b")
+_MICROMETRES, _DEGREES, _MINUS = re.compile(r" um\b"), re.compile(r" deg\b"), re.compile(r"(?<=[ (])-(?=\d)")
 _ASCII_FORMS = {"−": "-", _SPACE: " ", "–": "-", "≤": "<=", "≥": ">=", "µm": "um", "±": "+-", "²": "2"}
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 MOST_DECIMALS = 5
@@ -87,7 +88,8 @@ def with_unit(value: float, units: str) -> str:
     """Write a limit with its unit, without zeros that say nothing; a share in percent."""
     if units == "share":
         value, units = 100 * value, "%"
-    return f"{value:.4g}{_SPACE}{unit(units)}".replace("-", "−").rstrip(_SPACE)
+    unit_text = unit(units).replace("1/", "per ")
+    return f"{plain_numbers(f'{value:.4g}')}{_SPACE}{unit_text}".replace("-", "−").rstrip(_SPACE)
 
 
 def axis_label(title: str, units: str) -> str:
@@ -111,7 +113,7 @@ def typeset(text: str) -> str:
     >>> typeset("lag 2.1 um at 30 deg, maximum 3 um.")
     'lag 2.1\u202fµm at 30°, maximum 3\u202fµm.'
     """
-    return _DEGREES.sub("°", _MICROMETRES.sub(f"{_SPACE}µm", text))
+    return _MINUS.sub("−", _DEGREES.sub("°", _MICROMETRES.sub(f"{_SPACE}µm", plain_numbers(text))))
 
 
 def in_words(title: str) -> str:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from planish.core.errors import FileError, InputError, PlanishError
+from planish.core.files import check_exists
 
 LARGEST_FILE = 10_000_000  # bytes; no table of marks, holes or sections is larger
 MOST_FAULTS = 8  # faults that one message names; of the others it gives the number
@@ -51,7 +52,8 @@ def read_bytes(path: str | Path, *, what: str = "table", most_bytes: int = LARGE
     """Read a small file; FileError if it cannot be read or has more than ``most_bytes`` bytes."""
     file_path = Path(path)
     try:
-        if file_path.exists() and not file_path.is_file():
+        check_exists(file_path)
+        if not file_path.is_file():
             raise FileError(f"{file_path.name} is no file. Give the file of the {what}.")
         with file_path.open("rb") as file:
             content = file.read(most_bytes + 1)

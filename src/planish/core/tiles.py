@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Executor, Future
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -19,6 +20,18 @@ from planish.core.threads import count_threads, thread_pool
 
 Job = TypeVar("Job")
 Result = NDArray[Any]
+Listener = Callable[[str, float], None]
+_listeners: list[Listener] = []
+
+
+@contextmanager
+def tiles_told(listener: Listener) -> Generator[None]:
+    """Tell ``listener`` the step of each tile that is done, and the share of the step's tiles."""
+    _listeners.append(listener)
+    try:
+        yield
+    finally:
+        _listeners.remove(listener)
 
 
 class Tile(NamedTuple):
@@ -88,12 +101,15 @@ class Engine:
         """
         waiting: deque[tuple[Tile, Future[Result] | Result]] = deque()
 
+        n_taken = count(1)
+
         def take() -> tuple[Tile, Result]:
             tile, future = waiting.popleft()
-            if isinstance(future, np.ndarray):
-                return tile, future
-            result = future.result()
-            if result_path := self._result_path(step, tile):
+            is_stored = isinstance(future, np.ndarray)
+            result = future if is_stored else future.result()
+            for listener in _listeners:
+                listener(step, next(n_taken) / len(tiles))
+            if not is_stored and (result_path := self._result_path(step, tile)):
                 result_path.parent.mkdir(parents=True, exist_ok=True)
                 partial_path = result_path.with_suffix(".part")
                 with partial_path.open("wb") as file:

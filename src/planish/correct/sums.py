@@ -286,7 +286,6 @@ def _add_to_histogram(
 def _add_to_rings(
     sums: Sums, block: int, grey: Counts, label: Labels, depth: Counts, radius_bins: Counts, sectors: Counts
 ) -> None:
-    """Add the voxels of a slice to their circles, less the mean of their material at their depth in this slice."""
     # Near the axis a circle runs along the layers of a sheet. A layer is as bright as it is everywhere at its depth,
     # and so leaves nothing; a ring does. Sums of whole numbers are exact in double precision.
     is_classified = label > 0

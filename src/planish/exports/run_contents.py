@@ -163,7 +163,6 @@ def sheet_run(run: Run, name: str) -> Run | None:
 
 
 def _mapped_layer(run: Run, name: str) -> LayerParams:
-    """Parameters of a layer that was read from a volume, in this run or in the one that it was taken from."""
     layer = next(layer for layer in run.study.layers if layer.name == name)
     if layer.run is None:
         return layer

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from planish.core.errors import FileError, PlanishError, ResourceError
+from planish.core.files import check_exists
 from planish.core.memory import FREE_SHARE, UNKNOWN_BYTES
 from planish.core.threads import control_groups
 
@@ -72,8 +73,7 @@ def reading(path: Path) -> Generator[None]:
 
 def size_of_file(path: Path) -> int:
     """Bytes of a file that is there and not empty."""
-    if not path.exists():
-        raise FileError(f"{path.name} does not exist. Check the name and the folder.")
+    check_exists(path)
     if not path.is_file():
         raise FileError(f"{path.name} is not a file. Give one image file.")
     with reading(path):

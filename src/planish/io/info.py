@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from planish.core.durations import map_seconds
 from planish.core.errors import FileError, InputError, ResourceError, SizeError
 from planish.core.frame import likely_through
 from planish.core.memory import (
@@ -163,8 +164,7 @@ def _describe_volume(
         **size_facts,
         "stored": storage_text,
         "run_bytes": PROGRAM_BYTES + max(bytes_to_map(n_columns), bytes_to_hold(whole_bytes)),
-        # What ``planish map`` takes for each column through the sheet and in any case, on two busy cores.
-        "run_seconds": 15.0 + 35e-6 * n_columns,
+        "run_seconds": map_seconds(n_columns),
         "through": likely_through(grey_values) if is_read else None,
         "metadata": dict(loaded.attrs),
     }

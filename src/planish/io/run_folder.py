@@ -20,7 +20,7 @@ from filelock import FileLock, Timeout
 from zarr.errors import ZarrUserWarning
 
 from planish.core.errors import FileError
-from planish.core.files import DiskFull, check_length, check_name, delete, disk_full, move, writing
+from planish.core.files import DiskFull, check_exists, check_length, check_name, delete, disk_full, move, writing
 from planish.core.lazy import ReadOnDemand
 from planish.io.formats import find_place
 from planish.io.map_store import CHUNK, CODECS, COMPLETE, OVERVIEWS, is_large, overviews_of, readable, stored_group
@@ -240,6 +240,7 @@ def read_tree(path: Path) -> dict[str, xr.Dataset]:
 
 def _group_names(path: Path, among: Iterable[str] | None) -> list[str]:
     """Names of the groups of a store that hold arrays, checked to be whole; FileError as `read_tree`."""
+    check_exists(path)
     if not (path / _METADATA).is_file():
         raise FileError(f"{path} is no zarr store. Give the maps.zarr of a run, or what a stage's command wrote.")
     with readable(path):

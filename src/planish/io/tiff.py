@@ -144,7 +144,6 @@ def _check_declared_images(tif: TiffFile, path: Path) -> None:
 
 
 def _check_data(series: TiffPageSeries, path: Path) -> None:
-    """Check that all data of a series are in the file, as far as the page tables show."""
     file_bytes, frame = size_of_file(path), series.keyframe
     for name in LAYOUT_NUMBERS:  # damaged tags may have any type
         number: Any = getattr(frame, name)

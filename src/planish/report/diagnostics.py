@@ -36,10 +36,10 @@ def draw_scale(
         title=f"At which scale {names[0]} and {names[1]} go together",
         caption=(
             "Left, correlation over points of growing size; lines, the 95 % interval of each size by itself; shaded, "
-            "the band that holds the whole curve with 95 %. Right, squared coherence by octaves of wavelength, put "
-            "right for chance, with a full dot where it is certain among all octaves (p below 0.05 after Šidák); gain, "
-            "change of the second map per change of the first in the octave. Larger points average noise away, so r "
-            "may rise although nothing more is explained; coherence is of each octave alone. "
+            "the band that holds the whole curve with 95 %. Right, squared coherence by octaves of wavelength, "
+            "corrected for chance, with a full dot where it is certain among all octaves (p below 0.05 after Šidák); "
+            "gain, change of the second map per change of the first in the octave. Larger points average noise away, "
+            "so r may rise although nothing more is explained; coherence is of each octave alone. "
             f"n = {count(n)} at the smallest size. Mask: measured, without {excluded_text}. "
             f"{capital(registered)}."
         ),
@@ -108,7 +108,6 @@ def _draw_band(axes: Axes, x: Sequence[float], intervals: Sequence[tuple[float, 
 
 
 def _draw_log_axes(canvas: Canvas, axes: Axes, x_label: str, y_label: str) -> None:
-    """Draw axes whose x holds powers of ten, with round lengths at the ticks."""
     x_min, x_max = axes.extent[:2]
     lengths_um = [m * 10**k for k in range(-1, 6) for m in (1, 2, 5)]
     x_ticks = [(math.log10(v), f"{v:g}") for v in lengths_um if x_min <= math.log10(v) <= x_max]

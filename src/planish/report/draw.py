@@ -281,8 +281,11 @@ class Canvas(Axes):
     def _tick(self, x: float, y: float, right: int, down: int, text: str) -> None:
         """Draw a tick to the right, to the left (-1) or downwards, and its number."""
         self.line([(x, y), (x + 3 * right, y + 3 * down)], colour=SOFT, width=0.8)
-        anchor = "middle" if down else "start" if right > 0 else "end"
-        self.text(x + 6 * right, y + 4 + 12 * down, text, size=SMALL, anchor=anchor)
+        anchor, half_px = "middle" if down else "start" if right > 0 else "end", 3.1 * len(text)
+        # A long number at the end of an axis stays within the figure, and is smaller where its margin is too narrow.
+        x_px = min(max(x, half_px), self.width - half_px) if down else x + 6 * right
+        room_px = x_px if right < 0 else self.width
+        self.text(x_px, y + 4 + 12 * down, text, size=min(SMALL, SMALL * room_px / (2 * half_px)), anchor=anchor)
 
     def map_axes(
         self, x: float, y: float, box: tuple[float, float], shown: ShownMap, scale: Scale, *, has_y_ticks: bool = True

@@ -1,4 +1,4 @@
-"""The first page: the maps that lead side by side on one mask, their larger points, and what would make it surer."""
+"""The first page: the maps that lead side by side on one mask, their larger points, and what would make it certain."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from planish.report.draw import BELOW, MARGIN, THIRD, Canvas, Picture, n_of, pix
 from planish.report.maps import RunMaps
 from planish.report.relation import MapPair, draw_points, largest
 from planish.report.summary import PairKey, key_of, lead_pair, titles_of
-from planish.report.text import BY_TEXTURE, label_of, registered_by, title_of, with_article
+from planish.report.text import BY_TEXTURE, for_readers, label_of, names_option, registered_by, title_of, with_article
 from planish.results import CorrelationRow, Results
 
 if TYPE_CHECKING:
@@ -69,14 +69,15 @@ def _draw_map(data: xr.DataArray, colour_values: Array, *, layer: str, excluded_
 
 
 def recommendations(results: Results) -> list[tuple[str, Check | None]]:
-    """Say in one or two sentences what would make the results surer, each with the check whose advice it is."""
+    """Say in one or two sentences what would make the results more certain, each with the check whose advice it is."""
     advice: list[tuple[str, Check | None]] = [
-        (f"{capital(check.name)}: {capital(typeset(check.advice))}", check)
-        for check in (*results.checks_in("fail"), *results.checks_in("look")) if check.advice
+        (f"{capital(check.name)}: {capital(advice_text)}", check)
+        for check in (*results.checks_in("fail"), *results.checks_in("look"))
+        if (advice_text := for_readers(check.advice))
     ]  # fmt: skip
     study_text = ""
     if results.evidence and not results.evidence[0].declared and any(x.headline != "image" for x in results.layers):
-        study_text = "Declare the map that leads in the study (--headline) before the next specimen is looked at."
+        study_text = "Declare the map that leads in the study before the next specimen is looked at."
     advice += [(text, None) for text in (_field_advice(lead_pair(results)), _marks_advice(results), study_text) if text]
     usual_text = (
         "A second specimen would show whether the relation holds beyond this one."
@@ -86,8 +87,28 @@ def recommendations(results: Results) -> list[tuple[str, Check | None]]:
     return advice[:2] or [(usual_text, None)]
 
 
+def operator_notes(results: Results) -> list[str]:
+    """What the next run can be given, by the options of the command line, which stand nowhere else on the page."""
+    notes = [
+        f"{capital(check.name)}: {typeset(check.advice if names_option(check.advice) else check.sentence)}"
+        for state in ("fail", "look", "unknown", "pass")
+        for check in results.checks_in(state)
+        if names_option(check.advice) or names_option(check.sentence)
+    ]
+    for layer in results.moving:
+        if (r := layer.registration) is not None:
+            notes += [typeset(text) for text in (r.orientation.sentence, *r.warnings) if names_option(text)]
+    if results.evidence and not results.evidence[0].declared:
+        notes.append("The map that leads is declared with --headline.")
+    images = [layer.image for layer in results.layers if layer.image is not None]
+    if any(image.quantity != "reflectance" for image in images):
+        notes.append("Reflectance in place of relative grey: --dark-grey and --white-grey, of two known greys.")
+    if "about" not in results.parameters:
+        notes.append("Title, author, date and a note of this page: --title, --author, --date, --note.")
+    return [*dict.fromkeys(notes)]
+
+
 def _field_advice(pair_rows: Sequence[CorrelationRow]) -> str:
-    """Say what a larger field would do to the interval of r."""
     row = largest(pair_rows) if pair_rows else None
     if row is None or row.trust != "ok" or not is_known(row.r):
         return ""
@@ -102,7 +123,6 @@ def _field_advice(pair_rows: Sequence[CorrelationRow]) -> str:
 
 
 def _marks_advice(results: Results) -> str:
-    """Say what more marks would do to the correlation."""
     more = "Laser holes as marks" if registered_by(results) == BY_TEXTURE else "More marks"
     r_ceilings = [e.ceiling for e in results.evidence if e.ceiling is not None]
     if r_ceilings and min(r_ceilings) < 0.95:  # r that misplacement leaves of a perfect relation

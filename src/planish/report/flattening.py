@@ -22,7 +22,7 @@ def draw_flattening(
         scale = limits(needed_percent, GEOMETRY, percent=0.1, low=0.0)
         canvas, _ = draw.draw_map(needed_percent, y, x, scale=scale, label="strain needed / %")
         pictures.append(canvas.picture(
-            title="Can it be paper?",
+            title="Strain that the curvature asks for",
             caption=f"Strain with which a patch of {length(2 * curvature.patch_um)} around each place would lie flat, "
             f"from the Gaussian curvature; paper carries {100 * curvature.limit:g} %. n = {draw.n_of(needed_percent)} "
             f"cells of {draw.pixel_of(y, x)}; unit %; mask: cells with at least half of the patch on the sheet.",
@@ -50,7 +50,6 @@ def _draw_warp(surfaces: xr.Dataset, flat: xr.Dataset) -> draw.Picture:
 
 
 def _draw_displacement(flat: xr.Dataset) -> draw.Picture:
-    """Draw by how much flattening moved every column against its projection."""
     y, x = flat["y"].values, flat["x"].values
     components = [_from_top(flat[a].values - flat[f"projected_{a}"].values, flat) for a in ("u", "v")]
     displacement, vectors = np.hypot(*components), np.stack(components, axis=-1)

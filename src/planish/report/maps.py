@@ -127,8 +127,9 @@ def _draw_property(
     mean_text = ""
     if facts.mean is not None and facts.sd is not None:
         mean = 0.0 if abs(facts.mean) < 1e-6 * facts.sd else facts.mean
+        unit_text = f" {unit_of(data)}".rstrip()
         mean_text = (
-            f"{number(mean)} ± {number(facts.sd)} {unit_of(data)} (mean ± standard deviation of n = {count(facts.n)} "
+            f"{number(mean)} ± {number(facts.sd)}{unit_text} (mean ± standard deviation of n = {count(facts.n)} "
             "columns). "
         )
     partner_text = f" of this map and {in_words(title_of(maps[partner]))} together" if partner is not None else ""
@@ -171,7 +172,6 @@ def draw_side_by_side(
 def _draw_histogram(
     canvas: draw.Canvas, box: draw.Box, values: Array, scale: Scale, facts: PropertyFacts
 ) -> draw.Table:
-    """Draw the histogram along the colour bar, with mean and standard deviation, and return it."""
     low, high = scale.low, scale.high
     counts, edges = np.histogram(values, bins=80, range=(low, high))
     max_count = max(int(counts.max()), 1)
@@ -226,7 +226,6 @@ def draw_outlines(linked: xr.Dataset, *, name: str, thin_um: float, excluded_tex
 
 
 def _darkness_sentence(image: Array, is_outlined: NDArray[np.bool_], valid: NDArray[np.bool_]) -> str:
-    """Compare the grey value inside the outlines with the rest."""
     inside_greys, outside_greys = image[is_outlined & valid], image[valid & ~is_outlined]
     if inside_greys.size == 0 or outside_greys.size == 0 or (grey_sd := float(np.std(image[valid]))) == 0:
         return ""

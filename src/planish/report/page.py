@@ -26,6 +26,7 @@ from planish.report import (
     first_screen,
     flattening,
     maps,
+    reading_r,
     registration,
     slices,
     statement,
@@ -117,7 +118,8 @@ def render_report(
     pairs = _map_pairs(run_maps)
     page = report_template().render(
         results=results, layers=results.layers, reference=results.reference, titles=run_maps.titles, tables=tables,
-        summary=summary, statement=statement, text=text, first=first_screen, diagnostics=diagnostics, numbered=numbered,
+        summary=summary, statement=statement, text=text, first=first_screen, reading=reading_r,
+        diagnostics=diagnostics, numbered=numbered,
         sheets=sheets, leading=first_screen.draw_first(run_maps, pairs) or
         [picture for sheet in sheets for picture in sheet["leading"]],
         blocks=[
@@ -242,7 +244,6 @@ def _draw_pair(run_maps: maps.RunMaps, pair: MapPair) -> Picture:
 def _evidence_section(
     run_maps: maps.RunMaps, e: EvidenceFacts, pairs: Mapping[summary.PairKey, MapPair]
 ) -> dict[str, Any]:
-    """Draw what stands beside r of the maps that stand for two layers, and say what it means, by section."""
     titles, excluded_text, is_same_map = run_maps.titles, run_maps.excluded_text, e.a_map == e.b_map
     titles_text, pair = summary.names_in_words(e, titles), pairs.get(summary.key_of(e))
     figures: dict[Section, list[Picture]] = {"scale": [], "distance": [], "repeated": [], "light": []}

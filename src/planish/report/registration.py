@@ -241,7 +241,6 @@ def lag_places(lag: LagNumbers, ground: Ground) -> tuple[Array, Array, Array]:
 
 
 def _draw_direction(canvas: draw.Canvas, axes: draw.Axes, angle_deg: float, marks_xy: Array) -> None:
-    """Draw an axis with a head at both ends in the corner that is farthest from all marks."""
     corners = np.array([(0, 0), (axes.width, 0), (0, axes.height), (axes.width, axes.height)])
     mark_pixels = axes.place(marks_xy[np.isfinite(marks_xy).all(axis=1)])
     offsets = (corners[:, None] - mark_pixels[None]).transpose(2, 0, 1)

@@ -95,7 +95,7 @@ def draw_pair(
         axes.line([(v, v) for v in ends], colour=SOFT, width=1.3, dash="6 4")
         _draw_differences(canvas, *points, coarse, units[0])
         right_text = (
-            "right, the difference (upward map minus the map across) of points of "
+            "right, the difference (map on the vertical axis minus map on the horizontal one) of points of "
             f"{plain(round(coarse.point_um, 4))} over the mean of the two, with its mean and the limits of 95 % of "
             "normal differences. Dashed, left: both equal. "
         )
@@ -110,8 +110,8 @@ def draw_pair(
         title=f"{capital(in_words(names[1]))} over {in_words(names[0])}",
         caption=(
             f"Left, number of pixels{stride_text} (logarithmic colours); {right_text}A point counts when half of its "
-            "area is valid in both maps. Lines are least squares: solid, of the upward map on the map across, dashed, "
-            "the other way round; a perfect relation without errors would lie between them. The left axes span the "
+            "area is valid in both maps. Lines are least squares: solid, y on x; dashed, x on y; a "
+            "perfect relation without errors would lie between them. The left axes span the "
             "0.05th to the 99.95th percentile of the pixels, the right ones the points. Mask: measured, without "
             f"{excluded_text}. n counts points, which resemble their neighbours; the interval rests on independent "
             f"ones. {capital(registered)}."
@@ -138,7 +138,7 @@ def draw_points(
         title=f"Points of {size_text}",
         caption=(
             f"n = {count(row.n)} squares of {size_text}{n_eff_text}; mask: at least half valid in both maps. Lines of "
-            "least squares: solid, of the upward map on the map across; dashed, the other way round. "
+            "least squares: solid, y on x; dashed, x on y. "
             f"{capital(registered)}.{doubt_text}"
         ),
         data={"points": points_table(points, labels)},
@@ -166,7 +166,7 @@ def as_drawn(
 
 def points_table(points: Points, labels: Sequence[str]) -> Table:
     """Return the larger points as columns; two maps of one title are told apart."""
-    headings = labels if labels[0] != labels[1] else (f"{labels[0]} (across)", f"{labels[1]} (upwards)")
+    headings = labels if labels[0] != labels[1] else (f"{labels[0]} (x)", f"{labels[1]} (y)")
     return dict(zip(headings, (values.tolist() for values in points), strict=True))
 
 
@@ -193,7 +193,6 @@ def largest(rows: Sequence[Row]) -> Row:
 
 
 def _draw_differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, units: str) -> None:
-    """Draw the difference over the mean of the two, with its mean and limits."""
     mean, differences = (a + b) / 2, b - a
     units = unit(row.units or "") or units
     line_levels = [v for v in (row.difference_mean, *row.limits) if is_known(v)]

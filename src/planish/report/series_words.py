@@ -16,7 +16,7 @@ _LED = 2  # differences of one quantity in the first sentences
 _CLOSE, _OF_CLOSE = 0.995, 5  # r of two measurements of one quantity, and its decimals
 _NAMED = 6  # specimens that are left out, in a cell
 _STATES = {
-    "whole": "whole", "withheld": "with a check that failed", "refused": "refused", "damaged": "damaged",
+    "whole": "complete", "withheld": "with a check that failed", "refused": "refused", "damaged": "damaged",
     "open": "not done yet",
 }  # fmt: skip
 
@@ -50,7 +50,7 @@ def states(results: SeriesResults) -> str:
     """Say what became of the specimens."""
     counts, total = Counter(member.state for member in results.members), len(results.specimens)
     if counts["whole"] == total:
-        return f"All {total} specimens are whole." if total > 1 else "The specimen is whole."
+        return f"All {total} specimens are complete." if total > 1 else "The specimen is complete."
     return f"Of {total} specimens, {', '.join(f'{counts[s]} {text}' for s, text in _STATES.items() if counts[s])}."
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.core.numbers import count, length, number, plain
+from planish.core.numbers import count, length, plain
 from planish.report.colours import GREYS, Array, Scale, limits
 from planish.report.draw import FULL, SMALL, SOFT, Axes, Canvas, Picture, pitch, pixel_of, reduced
 
@@ -111,7 +111,6 @@ def _draw_window(
 
 
 def _draw_details(cuts: list[Slice], windows: list[Window], scale: Scale) -> Picture:
-    """Draw the marked windows side by side, with the key to the lines."""
     gap, widest_um = 22.0, max(w[1] - w[0] for w in windows)
     width = (FULL - gap * (len(cuts) - 1)) / len(cuts) if len(cuts) > 1 else 0.6 * FULL
     zoom = _px_per_um(windows, width - 2)
@@ -133,7 +132,7 @@ def _draw_details(cuts: list[Slice], windows: list[Window], scale: Scale) -> Pic
         title="The layers, close up",
         caption=(
             f"The red windows, each {length(widest_um)} wide; voxels of {voxel} as they are, lines in µm at sub-voxel "
-            f"heights. n = {number(widest_um / pitch(cuts[0].x), 3)} columns in each window; mask as above."
+            f"heights. n = {count(round(widest_um / pitch(cuts[0].x)))} columns in each window; mask as above."
         ),
     )
 
@@ -195,7 +194,6 @@ def _overview_window(cut: Slice, margin: float) -> Window:
 
 
 def _clear_place(cut: Slice, span: Window) -> float:
-    """Return the middle of the window, near the middle of the slice, in which most of the lines are there."""
     step = pitch(cut.x)
     n_columns = max(1, min(round(_WINDOW_UM / step), cut.x.size))
     measured_share = np.convolve(cut.used.astype(np.float64), np.ones(n_columns) / n_columns, mode="valid")

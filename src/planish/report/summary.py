@@ -123,7 +123,10 @@ def density_of(results: Results, row: CorrelationRow) -> float | None:
 def quantities(results: Results) -> list[str]:
     """Say of every image what its values are."""
     images = [(layer.name, layer.image) for layer in results.layers if layer.image is not None]
-    return [f"{capital(with_article(name))}: {typeset(image.sentence)}." for name, image in images]
+    texts = [f"{capital(with_article(name))}: {typeset(image.sentence)}." for name, image in images]
+    if any(image.quantity != "reflectance" for _, image in images):
+        texts.append("Relative grey is the brightness that the file holds: larger is brighter, in no physical unit.")
+    return texts
 
 
 def _percent_text(share: float | None) -> str:
@@ -195,7 +198,6 @@ def point_of(row: CorrelationRow) -> str:
 
 
 def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles: Titles) -> str:
-    """Describe the correlation of two maps, at the pixel and at the largest points."""
     if not pair_rows or (pair_rows[0].trust == "ok" and not is_known(pair_rows[0].r)):
         n = count(pair_rows[0].n if pair_rows else 0)
         return f"The two layers could not be correlated: {n} pixels are valid in both, or one of the maps is constant."

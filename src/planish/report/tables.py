@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, cast
 from planish.core.facts import is_known
 from planish.core.numbers import NONE, capital, fixed, in_words, interval_text, number, plain, unit
 from planish.core.status import Status
+from planish.report.reading_r import SIDE_LIGHT
 from planish.report.relation import largest, written_difference
 from planish.report.statement import r_text
 from planish.report.summary import Titles, by_pair, headline_pair, titles_of
@@ -24,10 +25,6 @@ class PairLine(NamedTuple):
     after: tuple[str, ...] = ()
     best: bool = False
 
-
-# Share of what image and sheet have in common that needs the slopes. On synthetic sheets with less, no displacement
-# raises r of 100 um points by 0.005; at 0.56 to 0.71, one of 30 um raises it by 0.03 to 0.1: tests/test_side_light.py.
-_SIDE_LIGHT = 0.25
 
 # Status of columns -> class of the style; all others are lost
 _COLOURS = {"measured": "measured", "rim": "rim", "no_sheet": "none", "leaves_volume": "none",
@@ -78,7 +75,7 @@ def comparison_sentence(results: Results) -> str:
     text += f": {verdict}; r changes by {fixed(best.difference, 3)} (95 %: {interval_text((low, high), 3)})."
     # Slopes brighten one side of a thick place, and a shift can raise r.
     lag = next((layer.registration.lag for layer in results.layers if layer.registration is not None), None)
-    if lag is not None and lag.light >= _SIDE_LIGHT:
+    if lag is not None and lag.light >= SIDE_LIGHT:
         share_text = f"{100 * lag.light:.0f} % of what it shares with the sheet needs them"
         text += (
             f" The image also shows the slopes of the face, as light from one side does ({share_text}): then a map "

@@ -46,7 +46,8 @@ def map_sheet(
         Called with the name of a stage and a few words.
     **options
         Words of ``planish map``, ``through="y"`` for ``--through y``; or sections as in the study file: ``volume``
-        (sizes, ``through``, ``top`` ...), ``surface``, ``properties``, ``flatten``; each a dict or the parameter model.
+        (sizes, ``through``, ``top`` ...), ``surface``, ``properties``, ``flatten``, ``about``; each a dict or the
+        parameter model.
 
     Returns
     -------
@@ -61,7 +62,7 @@ def map_sheet(
     --------
     ``run = pl.map_sheet("volume.tif", out="run", voxel_um=3, through="y")``
     """
-    return _make([layer], out, options, ("volume", *MAP_SECTIONS), compute, progress, "pl.map_sheet")
+    return _make([layer], out, options, ("about", "volume", *MAP_SECTIONS), compute, progress, "pl.map_sheet")
 
 
 def link(
@@ -84,7 +85,8 @@ def link(
     **options
         Words of ``planish link``, ``image_side="bottom"`` for ``--image-side bottom``; or sections as in the study
         file: ``volume``, ``image``, ``surface``, ``properties``, ``flatten``, ``holes``, ``registration``,
-        ``correlate``; each a dict or the parameter model. They hold for all layers, and go before what an array says.
+        ``correlate``, ``about``; each a dict or the parameter model. They hold for all layers, and go before what an
+        array says.
 
     Returns
     -------
@@ -147,7 +149,7 @@ def study_of(
             "--marks holds pairs of two layers, but more are given. Write them into a study file (docs/linking.md)."
         )
     tables = [_table(name, source, options) for name, source in zip(_all_names(sources), sources, strict=True)]
-    link_options = {k: options[k] for k in LINK_SECTIONS if k in options}
+    link_options = {k: options[k] for k in ("about", *LINK_SECTIONS) if k in options}
     try:
         return Study.model_validate({"layers": tables, "chain": chain, **link_options})
     except ValidationError as error:

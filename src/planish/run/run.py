@@ -14,6 +14,7 @@ from planish.core.arrays import check_path
 from planish.core.checks import Check
 from planish.core.errors import FileError
 from planish.core.facts import is_known
+from planish.core.files import check_exists
 from planish.core.lazy import ReadOnDemand
 from planish.io.run_folder import open_tree
 from planish.marks.regions import Regions, read_regions
@@ -197,6 +198,7 @@ def open_sheet(path: str | Path) -> Layer:
 
 def open_results(folder: Path) -> Results:
     """The numbers of a run folder."""
+    check_exists(folder)
     if not is_run(folder):
         raise FileError(f"{folder} is no run. Give the folder that 'planish map' or 'planish link' made.")
     return Results.read(folder / "results.json")

@@ -99,7 +99,10 @@ def _measure(
 
     def read() -> tuple[xr.DataArray, xr.Dataset | None]:
         progress("read", find_place(v.path).path.name)
-        return read_sheet_volume(v, compute, progress)
+        volume, sections = read_sheet_volume(v, compute, progress)
+        if hint_text := other_axis(volume, v.through):  # before the search, which takes minutes
+            progress("look", f"{hint_text} The sheet is searched along {v.through}.")
+        return volume, sections
 
     corrections = asked_corrections(layer)
     if old is None:

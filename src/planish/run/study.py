@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import os
 import re
 import tomllib
@@ -10,12 +11,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 import tomli_w
-from pydantic import Field, ValidationError, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from planish.analyze.params import CorrelateParams
 from planish.core.errors import FileError, InputError, StudyError
 from planish.core.files import fault_of_name
-from planish.core.options import Params, options_of
+from planish.core.options import Params, option, options_of
 from planish.core.parameter_faults import Key, fault_texts, key_lines, toml_fault
 from planish.core.tables import read_text
 from planish.flatten.params import FlattenParams
@@ -36,9 +37,24 @@ EDITS = "edits"
 EDITS_APPLIED = ("surface.json",)
 """Files in it that a run was made with."""
 
+
+class AboutParams(Params):
+    """What the page says of the run for those it is handed on to; no number depends on it."""
+
+    model_config = ConfigDict(coerce_numbers_to_str=True)
+    title: str | None = option(None, min_length=1, max_length=200, help="Title of the page, such as paper and trial.")
+    author: str | None = option(None, min_length=1, max_length=200, help="Who made the run; the page names them.")
+    date: Annotated[str | None, BeforeValidator(lambda v: str(v) if isinstance(v, datetime.date) else v)] = option(
+        None, min_length=1, max_length=60, help="Date that the page states, such as 2026-03-31."
+    )
+    note: str | None = option(None, min_length=1, max_length=2000, help="A few words for the page, such as the paper.")
+
+
 SECTIONS: dict[str, type[Params]] = {
-    "volume": VolumeParams, "image": ImageParams, "surface": SurfaceParams, "properties": MeasureParams,
-    "flatten": FlattenParams, "holes": HoleParams, "registration": RegistrationParams, "correlate": CorrelateParams,
+    "about": AboutParams, "volume": VolumeParams, "image": ImageParams, "surface": SurfaceParams,
+    "properties": MeasureParams,
+    "flatten": FlattenParams, "holes": HoleParams,
+    "registration": RegistrationParams, "correlate": CorrelateParams,
 }  # fmt: skip
 """Sections of a study with options, and the models of these."""
 
@@ -91,6 +107,7 @@ class Study(Params):
 
     layers: tuple[LayerParams, ...]
     chain: bool = Field(default=False, description="Register each layer to the next one, and carry it on from there.")
+    about: AboutParams = AboutParams()
     holes: HoleParams = HoleParams()
     registration: RegistrationParams = RegistrationParams()
     correlate: CorrelateParams = CorrelateParams()
@@ -221,7 +238,7 @@ def with_values(study: Study, changes: Sequence[str]) -> Study:
         else:
             root_tables = [data] if name is None and keys[0] in Study.model_fields and keys[0] != "layers" else []
         if not (equals and root_tables):
-            sections = ", ".join((*layer_sections, *LINK_SECTIONS))
+            sections = ", ".join((*layer_sections, *LINK_SECTIONS, "about"))
             hint_text = "; no layer of this study has it" if equals and keys[0] in layer_sections else ""
             faults.append(f"{text!r}: write SECTION.NAME=VALUE with a section of {sections}{hint_text}")
             continue
@@ -278,6 +295,8 @@ def relative_path(path: str | Path, base_folder: Path) -> str:
 def to_dict(study: Study) -> dict[str, Any]:
     """Plain values of a study: nothing that is not given, and nothing about mapping where nothing is mapped."""
     data = study.model_dump(mode="json", exclude_none=True)
+    if not data["about"]:
+        del data["about"]
     for layer, values in zip(study.layers, data["layers"], strict=True):
         if layer.kind != "volume":
             for name in MAP_SECTIONS:

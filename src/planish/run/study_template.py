@@ -16,6 +16,7 @@ from planish.run.run import is_run
 from planish.run.study import LINK_SECTIONS, MAP_SECTIONS, SECTIONS, in_study_words, relative_path
 
 _TITLES = {
+    "about": "What the page says of the run",
     "surface": "How the faces of the sheet are found",
     "properties": "What is measured",
     "flatten": "How the sheet is flattened",
@@ -78,7 +79,7 @@ def draft_study(
     _input(lines, missing, "volume", Path(volume), Path(home))
     if image is not None:
         _input(lines, missing, "image", Path(image), Path(home))
-    for section in MAP_SECTIONS if image is None else (*MAP_SECTIONS, *LINK_SECTIONS):
+    for section in ("about", *MAP_SECTIONS, *(() if image is None else LINK_SECTIONS)):
         lines += ["", "", f"# {_TITLES[section]}", "", f"[{section}]"]
         for key, field, shown in _options(SECTIONS[section]):
             lines += _option(key, field, shown, section)

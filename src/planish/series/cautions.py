@@ -63,17 +63,17 @@ def _left_out(counted: Sequence[SeriesSpecimen], quantities: Sequence[Quantity])
 
 
 def _sheets(gathered: Gathered, counted: Sequence[SeriesSpecimen]) -> Iterator[str]:
-    without = _without("sheet", counted)
-    if without and len(counted) > 1:
-        is_every_specimen = len(without) == len(counted)
-        which = "The table names no sheets" if is_every_specimen else f"No sheet is named for {listed(without)}"
-        yield (
-            f"{which}: each specimen counts as a sheet of its own. If some are fields of one sheet, the intervals are "
-            "too narrow; if sheets were measured before and after, they do not pair. Add a column sheet."
-        )
     shared: dict[tuple[str, ...], list[SeriesSpecimen]] = {}
     for specimen in counted:
         shared.setdefault(gathered.runs[specimen.name].volumes, []).append(specimen)
+    without = _without("sheet", counted)
+    if without and len(counted) > 1:
+        is_every_specimen, kind = len(without) == len(counted), "volume" if len(shared) < len(counted) else "specimen"
+        which = "The table names no sheets" if is_every_specimen else f"No sheet is named for {listed(without)}"
+        yield (
+            f"{which}: each {kind} counts as a sheet of its own. If some are fields of one sheet, the intervals are "
+            "too narrow; if sheets were measured before and after, they do not pair. Add a column sheet."
+        )
     for same in shared.values():
         names = listed([specimen.name for specimen in same])
         if len({specimen.sheet for specimen in same}) > 1:

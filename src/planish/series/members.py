@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from planish.core.errors import FileError, InputError
+from planish.core.files import check_exists
 from planish.core.tables import CsvRow, CsvTable, parse_table, read_text
 from planish.run.run import is_run
 from planish.run.study import relative_path
@@ -69,7 +70,8 @@ def _from_table(table: Path | None, cell: str) -> Path:
 
 def _folder_of(run: Path) -> Path:
     """The folder of a run; damaged ones show when they are read."""
-    fault = "is not there" if not run.exists() else "is no folder" if not run.is_dir() else ""
+    check_exists(run)
+    fault = "" if run.is_dir() else "is no folder"
     if not fault and not is_run(run) and not (run / "results.json").is_file():
         fault = "is no run"
     if fault:

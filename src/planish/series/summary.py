@@ -42,7 +42,7 @@ def summary_of(gathered: Gathered, declared: Declared) -> SeriesResults:
     Specimens with one ``paper`` and ``sheet`` are fields of one sheet; a specimen without a ``sheet`` counts as a sheet
     of its own. Groups are made of the levels of ``paper``, ``treatment``, ``side`` and of the factor that is compared,
     where they vary. Two levels are compared where all other factors of the groups are the same: paired where they have
-    sheets in common, else as two groups (Welch). p is put right for all differences together (Holm). A figure that is
+    sheets in common, else as two groups (Welch). p is corrected for all differences together (Holm). A figure that is
     withheld takes part in nothing; a doubtful one does only where that was declared.
     """
     factors = tuple(dict.fromkeys(name for member in gathered.members for name in member.factors))

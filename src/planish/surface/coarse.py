@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -99,7 +100,11 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
         largest_label = leading_label
         covered_share = n_covered[largest_label] / n_columns
     elif len(sheet_labels) > 1:
-        raise _several_sheets(labels, sheet_labels, n_covered / n_columns, choice)
+        shares_text = ", ".join(f"{100 * n_covered[k] / n_columns:.0f} %" for k in sheet_labels)
+        raise VolumeError(
+            f"The volume shows {len(sheet_labels)} separate sheets (they cover {shares_text} of the columns). {_CHOOSE}"
+            f" {_points_text([labels == k for k in sheet_labels], blocks, inside, threshold, choice)}"
+        )
     in_sheet = labels == largest_label
     leaving_share, end = max((in_sheet[..., k].mean() / covered_share, end) for end, k in (("low", 0), ("high", -1)))
     if leaving_share > _LEAVES:
@@ -125,15 +130,15 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
     )  # fmt: skip
 
 
-def _several_sheets(
-    labels: NDArray[np.integer], candidates: Sequence[int], covered_shares: Floats, choice: Choice
-) -> VolumeError:
-    shares_text = ", ".join(f"{100 * covered_shares[k]:.0f} %" for k in candidates)
-    points_text = "; ".join(choice.describe(_inner_point(labels == k)) for k in candidates)
-    return VolumeError(
-        f"The volume shows {len(candidates)} separate sheets (they cover {shares_text} of the columns). {_CHOOSE}"
-        f" Points in them: {points_text}."
-    )
+def _points_text(objects: Sequence[Bools], blocks: Blocks, inside: Bools, threshold: float, choice: Choice) -> str:
+    points: list[str] = []
+    for in_object in objects:
+        with suppress(VolumeError):
+            followed_sheet(blocks, inside, threshold, replace(choice, seed=(point := _inner_point(in_object))))
+            points.append(choice.describe(point))
+    if points:
+        return f"Points to start from: {'; '.join(points)}."
+    return "No point leads to a whole sheet: each of them leaves the volume, so crop it or check --through."
 
 
 _BRIGHTER, _THICKER = 1.3, 1.2  # times the others

@@ -25,7 +25,6 @@ from planish.synthetic.params import (
 
 
 def _of_fibres(paper: PaperParams, **fibres: Any) -> PaperParams:
-    """Make the base of single fibres, as many as weigh what the paper says less its filler."""
     g_per_m2 = paper.base_um * paper.base_g_per_cm3 * (1 - paper.filler)
     return replace(paper, fibres=FibreParams(g_per_m2=g_per_m2, **fibres), least_coating_um=0.5)
 

@@ -106,7 +106,6 @@ def _spacing(finite: Floats, max_steps: int) -> float | None:
 
 
 def _deflated(codes: Codes, order: int) -> bytes:
-    """Deflate differences along the rows and, of second order, of those down the columns."""
     row_differences = codes.copy()
     row_differences[:, 1:] -= codes[:, :-1]
     differences = row_differences.copy()

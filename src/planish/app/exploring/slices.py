@@ -129,7 +129,6 @@ def _pitch(coordinates: NDArray[Any]) -> float:
 
 
 def _planes(surfaces: xr.Dataset, depth_um: NDArray[Any]) -> slice:
-    """The planes of the volume that hold the surfaces, with a margin."""
     heights_um = np.concatenate([surfaces[name].values.ravel() for name in surfaces.data_vars if name != "thickness"])
     heights_um = heights_um[np.isfinite(heights_um)]
     if not heights_um.size:

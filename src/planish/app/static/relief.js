@@ -24,6 +24,7 @@ export class Relief {
     Object.assign(this, { canvas, three, ...sheet });
     this.renderer = new three.WebGLRenderer({ canvas, antialias: false, alpha: true, preserveDrawingBuffer: true });
     this.renderer.autoClear = false;
+    this.renderer.outputColorSpace = three.LinearSRGBColorSpace; // colours as the bar has them, shaded
     this.scene = new three.Scene();
     this.scene.add(new three.HemisphereLight(0xffffff, 0x777777, 2.2));
     const sun = new three.DirectionalLight(0xffffff, 1.6);

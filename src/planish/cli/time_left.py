@@ -1,0 +1,97 @@
+"""How much of a run is done and how long the rest takes: expected times of its stages, scaled by those that passed."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+
+from planish.core.durations import LINK_SECONDS, SHEET_SECONDS, Seconds
+from planish.core.errors import PlanishError
+from planish.io import describe
+from planish.run.study import LayerParams, Study
+
+Stage = tuple[str, float]  # its name, or that of a step of tiles within it, and its expected seconds
+
+
+class TimeLeft:
+    """Follows a run through its expected stages; ``clock`` counts seconds."""
+
+    def __init__(self, stages: Sequence[Stage], clock: Callable[[], float] = time.monotonic) -> None:
+        self._names, self._seconds, self._clock = [n for n, _ in stages], [s for _, s in stages], clock
+        self._total, self._at, self._share = sum(self._seconds), -1, 0.0
+        self._start = self._entered = clock()
+        self._rate = 1.0  # seconds that a second of the expected times takes here
+
+    def enter(self, name: str, share: float = 0.0) -> None:
+        """A stage begins, or so much of its tiles is done; stages that were passed over take no time."""
+        later = self._names[self._at + (share == 0) :] if self._at >= 0 else self._names
+        if name not in later:
+            return
+        at = len(self._names) - len(later) + later.index(name)
+        if at != self._at:
+            for k in range(self._at + 1, at):
+                self._seconds[k] = 0.0
+            self._move(at)
+        if share >= 1 and at + 1 < len(self._names):
+            self._move(at + 1)
+        elif share:
+            self._share = share
+            self._measure()
+
+    def _move(self, at: int) -> None:
+        self._at, self._share, self._entered = at, 0.0, self._clock()
+        self._measure()
+
+    def _measure(self) -> None:
+        self._rate = self._rate_at(self._passed(), self._clock())
+
+    def _rate_at(self, passed: float, now: float) -> float:
+        known = 0.05 * self._total  # at first the expected times count more than the few seconds that passed
+        return (now - self._start + known) / (passed + known)
+
+    def _passed(self) -> float:
+        return sum(self._seconds[: max(self._at, 0)]) + self._share * (self._seconds[self._at] if self._at >= 0 else 0)
+
+    @property
+    def seconds(self) -> float:
+        """Seconds that are probably left."""
+        total, passed, rate, now = sum(self._seconds), self._passed(), self._rate, self._clock()
+        if self._at >= 0 and not self._share:  # no tiles say how far the stage is
+            passed += min((now - self._entered) / rate, 0.9 * self._seconds[self._at])
+            rate = max(rate, (rate + self._rate_at(passed, now)) / 2)  # a stage takes longer than expected
+        return rate * max(total - passed, 0.0)
+
+    @property
+    def share(self) -> float:
+        """Share of the whole time that has passed."""
+        passed = self._clock() - self._start
+        return passed / max(passed + self.seconds, 1e-9)
+
+
+def expected_stages(study: Study) -> list[Stage]:
+    """Stages of a run with the seconds that each takes by the sizes of its files, read from their headers."""
+    sizes = [_millions(layer) for layer in study.layers]
+    stages: list[Stage] = [("read", 0.5) for layer in study.layers if layer.kind != "volume"]
+    for layer, millions in zip(study.layers, sizes, strict=True):
+        if layer.kind == "volume":
+            stages += _timed(SHEET_SECONDS, millions)
+    if len(study.layers) > 1:
+        stages += [("register", 1.0 + 0.7 * millions) for millions in sizes[1:-1]]
+        stages += _timed(LINK_SECONDS, sizes[-1])
+    return [*stages, ("write", 8.0 + 1.5 * sum(sizes))]
+
+
+def _timed(seconds: Seconds, millions: float) -> list[Stage]:
+    return [(name, fixed + each * millions) for name, (fixed, each) in seconds.items()]
+
+
+def _millions(layer: LayerParams) -> float:
+    """Columns through the sheet of a volume, or pixels of an image, in millions; 1 where the file does not say."""
+    with suppress(PlanishError, OSError):
+        shape = describe(layer.path, values=False)["shape"]
+        if layer.volume is None:
+            return math.prod(shape) / 1e6
+        return math.prod(shape) / shape["zyx".index(layer.volume.through)] / 1e6
+    return 1.0

@@ -1,0 +1,88 @@
+"""How to read the r that leads: what it explains, how high errors would let it be, and which checks bear on it."""
+
+from __future__ import annotations
+
+import math
+
+from planish.analyze import LagNumbers
+from planish.analyze.correlograms import CorrelogramProfiles
+from planish.core.facts import is_known
+from planish.core.numbers import fixed, length, percent, plain
+from planish.report.relation import largest
+from planish.report.statement import r2_limits
+from planish.report.summary import key_of, lead_pair
+from planish.results import EvidenceFacts, LayerFacts, Results
+
+# Share of what image and sheet have in common that needs the slopes. On synthetic sheets with less, no displacement
+# raises r of 100 um points by 0.005; at 0.56 to 0.71, one of 30 um raises it by 0.03 to 0.1: tests/test_side_light.py.
+SIDE_LIGHT = 0.25
+_ABOVE_ERROR = 3.0  # times the expected error: a lag beyond that is more than the marks allow
+
+
+def reading(results: Results) -> list[str]:
+    """Say how strong the r that leads is, and which checks bear on it; nothing where no r leads or it is withheld."""
+    rows = lead_pair(results)
+    row = largest(rows) if rows else None
+    if row is None or row.trust == "withheld" or not is_known(row.r2):
+        return []
+    limits = r2_limits(row)
+    limits_text = "" if limits is None else f" (95 %: {100 * limits[0]:.0f} to {100 * limits[1]:.0f} %)"
+    strength = (
+        f"A straight line explains r² = {100 * row.r2:.0f} % of the variance{limits_text} over points of "
+        f"{plain(round(row.point_um, 4))}; the rest has other causes."
+    )
+    evidence = next((e for e in results.evidence if key_of(e) == key_of(row)), None)
+    moving = next((layer for layer in results.moving if layer.name in (row.a, row.b)), None)
+    texts = [strength, _ceiling_text(evidence), *_bearing_texts(evidence, moving)]
+    return [text for text in texts if text]
+
+
+def _ceiling_text(evidence: EvidenceFacts | None) -> str:
+    if evidence is None or evidence.ceiling is None:
+        return ""
+    highest, causes = evidence.ceiling_both, "Misplacement and noise that differs between columns"
+    if highest is None:
+        highest, causes = evidence.ceiling, "Misplacement"
+    ceiling_text = "above 0.99" if highest > 0.99 else f"of {fixed(highest, 2)}"
+    return f"{causes} would leave a perfect relation an r {ceiling_text}."
+
+
+def _bearing_texts(evidence: EvidenceFacts | None, moving: LayerFacts | None) -> list[str]:
+    """Reconcile side light, the lag of the largest r and that with slopes allowed for; then the strain."""
+    registration = None if moving is None else moving.registration
+    lag = None if registration is None else registration.lag
+    texts = [""]
+    if lag is not None and is_known(lag.light):
+        weight = "side light bears on r" if lag.light >= SIDE_LIGHT else "too little to bear on r"
+        texts[0] = (
+            f"{100 * lag.light:.0f} % of what image and sheet share follows slopes of the face, as under light from "
+            f"one side: {weight}."
+        )
+    profiles = None if evidence is None else evidence.correlogram
+    if lag is not None and profiles is not None and profiles.inner:
+        texts[0] = f"{texts[0]} {_lag_text(lag, profiles)}".strip()
+    if moving is not None and moving.sheet is not None and is_known(moving.sheet.flatten.edge_strain_p95):
+        strain, limit = moving.sheet.flatten.edge_strain_p95 or 0.0, moving.sheet.flatten.curvature.limit
+        texts.append(
+            f"Flattening strains the sheet by {percent(strain, 2)} (95 % of its edges), "
+            f"{'less' if strain < limit else 'more'} than the {percent(limit, 1)} that paper carries."
+        )
+    return texts
+
+
+def _lag_text(lag: LagNumbers, profiles: CorrelogramProfiles) -> str:
+    """Say why the largest r may lie at a lag that the marks exclude."""
+    lag_um = math.hypot(*profiles.lag_um)
+    peak = f"The largest r, {fixed(profiles.peak_r, 2)}, has the maps moved by {length(lag_um, 2)}"
+    if not is_known(lag.length_um):
+        return f"{peak}; the fine texture does not tell whether that is an error of the registration."
+    expected_text = length(lag.expected_um, 2)
+    texture = (
+        f"their fine texture{', slopes allowed for,' if is_known(lag.light) else ''} lies {length(lag.length_um, 2)}"
+    )
+    if not lag.agrees:
+        return f"{peak}, and {texture} apart, where {expected_text} are expected: see Registration."
+    if lag_um <= _ABOVE_ERROR * max(lag.expected_um, lag.length_se_um):
+        return f"{peak}, about the error of the registration."
+    cause = "the light moves the peak" if lag.light >= SIDE_LIGHT else "the peak is broad"
+    return f"{peak}, but {texture} apart ({expected_text} expected): {cause}, and the registration stands."
