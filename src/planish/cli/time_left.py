@@ -9,7 +9,6 @@ from contextlib import suppress
 
 from planish.core.durations import LINK_SECONDS, SHEET_SECONDS, Seconds
 from planish.core.errors import PlanishError
-from planish.io import describe
 from planish.run.study import LayerParams, Study
 
 Stage = tuple[str, float]  # its name, or that of a step of tiles within it, and its expected seconds
@@ -89,6 +88,8 @@ def _timed(seconds: Seconds, millions: float) -> list[Stage]:
 
 def _millions(layer: LayerParams) -> float:
     """Columns through the sheet of a volume, or pixels of an image, in millions; 1 where the file does not say."""
+    from planish.io import describe  # here, so that help does not wait for it
+
     with suppress(PlanishError, OSError):
         shape = describe(layer.path, values=False)["shape"]
         if layer.volume is None:
