@@ -122,3 +122,15 @@ def test_fish_completes(home):
     setup.install_script("fish")
     out = shell_answers("fish", "-c", 'complete -C "planish ma"', home=home)
     assert [line.split("\t")[0] for line in out.splitlines()] == ["map", "marks"]
+
+
+def test_help_waits_for_no_compiler_and_no_tables():
+    """Help stands on every screen that a user opens first: numba and xarray take half a second each."""
+    program = (
+        "import sys; from planish.cli.main import main\n"
+        "try: main(['link', '--help'])\n"
+        "except SystemExit: pass\n"
+        "print(*sorted({'numba', 'xarray', 'pandas', 'matplotlib'} & sys.modules.keys()), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert (done.stderr.split(), "Usage" in done.stdout) == ([], True)

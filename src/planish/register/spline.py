@@ -14,7 +14,6 @@ import numpy as np
 
 from planish.core.errors import CannotRegister
 from planish.core.typing import Floats
-from planish.register._bent_kernels import add_thin_plate
 from planish.register.base_model import Model, refuse_line
 from planish.register.bent import Bent, Kernel
 from planish.register.field import DeviationField
@@ -56,6 +55,8 @@ class ThinPlate(Bent):
 
     def add_bends(self, scaled_points: Floats, out: Floats) -> None:
         """Add the local changes at scaled points, as :class:`Bent` does, in one compiled loop."""
+        from planish.register._bent_kernels import add_thin_plate  # here: help names the models, and compiles nothing
+
         add_thin_plate(scaled_points, self.nodes, self.bend, out)
 
 
