@@ -1,7 +1,5 @@
 """Whether this installation can do its work: what ``planish doctor`` reports, in a form that can be mailed."""
 
-from __future__ import annotations
-
 import importlib
 import locale
 import os

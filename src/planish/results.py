@@ -3,8 +3,6 @@
 NaN and infinity have no place in JSON: such numbers are None. Lengths are in um where the name says so.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self

@@ -3,8 +3,6 @@
 Sheets, not fields, are the sample: means, intervals and tests are over means of sheets.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Literal, Self
 

@@ -1,7 +1,5 @@
 """Whether two sets of sheets differ, or differ by less than a margin: before and after, or two papers."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Literal

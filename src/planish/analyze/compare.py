@@ -1,7 +1,5 @@
 """Layers on one grid against each other: correlation, differences of equal quantities, other registrations."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 

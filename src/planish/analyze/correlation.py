@@ -1,7 +1,5 @@
 """Point-wise correlation of two maps on one grid, and how sure it is (Hirn et al. 2009, sections 3.3 and 3.4)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Any, Self

@@ -3,8 +3,6 @@
 Each is a module with result, computation and sentence, a field of :class:`EvidenceFacts` and a row of ``QUESTIONS``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field

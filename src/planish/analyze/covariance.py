@@ -4,8 +4,6 @@ Neighbouring points of a map resemble each other, so r of n points scatters like
 many follows from the covariances of both maps at every lag, which masked Fourier transforms give.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

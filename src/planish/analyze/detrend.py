@@ -3,8 +3,6 @@
 A trend over the whole field that two maps share, such as light, curl or drift, is one event and not many.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """Whether two correlations differ: of maps on the same pixels, or of two specimens."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

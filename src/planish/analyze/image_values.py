@@ -1,7 +1,5 @@
 """The values of an image as they are compared: grey as reflectance, and without a print's halftone screen."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, Literal
 

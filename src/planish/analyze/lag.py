@@ -1,7 +1,5 @@
 """How far one map lies off others on the same grid, by their common texture alone: the image-based check."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Lags of tiles: where the registration of two maps is off, and whether one is stretched against the other."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Regression of one map on others at every lag: the share that they explain, and what unrelated maps reach."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

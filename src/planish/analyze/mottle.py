@@ -3,8 +3,6 @@
 Made after the idea of ISO/IEC 24790 and ISO 15311, unevenness by ranges of wavelength, but conforms to neither.
 """
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Pearson's r of two maps with missing places at every lag, and its peak: where between the pixels, how well known."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

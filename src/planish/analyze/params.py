@@ -1,7 +1,5 @@
 """Options of the correlation."""
 
-from __future__ import annotations
-
 from planish.core.options import Params, option
 
 

@@ -1,7 +1,5 @@
 """One r from many fields: pooled over sheets, and how much sheets differ (meta-analysis)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A registration refined by the maps themselves, and what may be reported of a correlation that was tuned so."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Down to which wavelength two measurements of one quantity show the same: Fourier ring correlation."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -3,8 +3,6 @@
 Fields of one sheet resemble each other: twelve of four sheets say what four sheets say. All is over means of sheets.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

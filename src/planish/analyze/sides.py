@@ -1,7 +1,5 @@
 """What two layers on one grid say by their own texture: side, specimen, and where they lie."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """How many sheets and fields a study needs to see a difference of r²."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 

@@ -1,7 +1,5 @@
 """The place of a sheet in an image from near it on, by the texture that both show: of the whole, and of tiles."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import NamedTuple

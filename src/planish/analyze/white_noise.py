@@ -1,7 +1,5 @@
 """Maps without their white noise, for regressions in which it would make an effect look smaller than it is."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import fft
 

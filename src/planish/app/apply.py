@@ -1,7 +1,5 @@
 """Apply: a new run made by a process of its own, so that the page stays quick and a cancel is at once."""
 
-from __future__ import annotations
-
 import json
 import os
 import secrets

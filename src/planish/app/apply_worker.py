@@ -4,8 +4,6 @@ It reads one order from standard input and tells its progress on standard output
 input is closed before it is done, by a cancel or because the server is gone, it stops and leaves nothing.
 """
 
-from __future__ import annotations
-
 import _thread
 import gc
 import json

@@ -1,7 +1,5 @@
 """What a person can change in a session: immutable states, and one function that takes a state to the next."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, TypeVar

@@ -1,7 +1,5 @@
 """Marks of a session from files of any format, and to them."""
 
-from __future__ import annotations
-
 import base64
 import io
 import tempfile

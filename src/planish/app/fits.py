@@ -1,7 +1,5 @@
 """What the marks of one registration say: the fit that is shown, marks that stand out, and where a point will lie."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The journal of a session: one line per change, on the disk before anybody is told that the change was made."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """The fits of a session: what is quick at once, what takes longer in a thread, from which a new version follows."""
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

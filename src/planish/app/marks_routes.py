@@ -1,7 +1,5 @@
 """Routes of what is changed: the session, its marks, undo and redo, news for every window, and Apply."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import AsyncIterator, Awaitable, Callable

@@ -1,7 +1,5 @@
 """From a session to the study of a new run, with the files that it names: only what was changed is written."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """All pictures of a session: the maps of a run and the images beside them, each read by window, at every level."""
 
-from __future__ import annotations
-
 import threading
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """Values of pictures at a point, along a line and in a region; densities and histograms from an overview."""
 
-from __future__ import annotations
-
 import base64
 import math
 import threading

@@ -1,7 +1,5 @@
 """The app as one ASGI application: what the server lets in, the files of its page, and the server of a session."""
 
-from __future__ import annotations
-
 import hmac
 import logging
 import secrets

@@ -1,7 +1,5 @@
 """A session: a run as it was, and what a person changed since; every change is saved before it counts."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress

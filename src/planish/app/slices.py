@@ -1,7 +1,5 @@
 """Slices of a volume with the surfaces in them, read by window from the volume's file and the store of the run."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

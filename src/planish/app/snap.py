@@ -1,7 +1,5 @@
 """The hole under a mark: one that was found with all others, or one that is searched around the mark alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import xarray as xr
 

@@ -1,7 +1,5 @@
 """What flattening did to the sheet, on the pixels of its flat map, and the lines of its mesh in the plane."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tiles of texture as the marks of a session: where the texture shows the place, or where a person says that it is."""
 
-from __future__ import annotations
-
 from planish.app.changes import ChangeError, Import
 from planish.app.session import Session, pairs_of
 from planish.core.transform import Similarity

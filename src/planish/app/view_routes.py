@@ -1,7 +1,5 @@
 """Routes of what is seen: tiles, values and densities of maps, slices of sheets, the mesh of the flattening."""
 
-from __future__ import annotations
-
 import json
 import math
 import struct

@@ -1,7 +1,5 @@
 """Checks of grey levels: cut off, another scale in every slice, shaded, blurred; and those of an image."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterator
 from dataclasses import dataclass

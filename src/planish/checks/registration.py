@@ -1,7 +1,5 @@
 """Checks of layers that are registered and linked: their marks, holes and directions, and the field they share."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

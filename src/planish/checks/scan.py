@@ -1,7 +1,5 @@
 """What the checks of a scan judge: a volume, the sheet measured in it, and what one pass over its voxels gives."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

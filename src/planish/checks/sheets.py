@@ -1,7 +1,5 @@
 """Checks of one sheet: measured where it is, whole, one and not two, flat without folds, thick enough, and clean."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ Neighbouring slices of a continuous body are alike, and how much they differ cha
 statistic compares a slice with its own neighbourhood, so that none needs a scale; logarithms are natural.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace

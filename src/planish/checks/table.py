@@ -1,7 +1,5 @@
 """The table of all checks of a run, what makes checks of its rows, and what these leave of the figures."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Any, TypeVar

@@ -1,7 +1,5 @@
 """Check of the voxel spacing along the axis through the sheet: from the marks, and from thickness against slope."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Differences of slices from their neighbours along all axes, in windows of some 300 x 300 voxels, in one pass."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple

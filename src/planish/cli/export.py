@@ -1,7 +1,5 @@
 """Commands that show a run: export to other programs, explore as one page, view in the browser."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Commands about files: info, import, properties."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -4,8 +4,6 @@
 5 memory or disk used up; 130 interrupted.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import os

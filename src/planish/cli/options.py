@@ -1,7 +1,5 @@
 """Options of the command line, made of the parameter models; their groups in the help; how text becomes numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial, reduce

@@ -1,7 +1,5 @@
 """Commands that make a run: link, map, run, demo; a study file for one, new; how the options become a study."""
 
-from __future__ import annotations
-
 import filecmp
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Commands about the installation: doctor, and completion of commands by the Tab key."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

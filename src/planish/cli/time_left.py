@@ -1,7 +1,5 @@
 """How much of a run is done and how long the rest takes: expected times of its stages, scaled by those that passed."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Mask-weighted means over areas, what a larger pixel sees of smaller ones, and smaller copies of maps for pages."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from typing import Any

@@ -3,8 +3,6 @@
 ``call_format`` is the call to write instead, with ``{}`` where the object stands: ``pl.find_surfaces({})``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple

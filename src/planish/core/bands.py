@@ -1,7 +1,5 @@
 """Large maps band by band: what is in memory at a time does not grow with the number of their rows."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Any

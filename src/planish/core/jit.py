@@ -1,7 +1,5 @@
 """Kernels compiled by numba, whose code is kept in a folder for caches: beside the program it would outlive it."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import shutil

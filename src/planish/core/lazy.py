@@ -1,7 +1,5 @@
 """Arrays that are read or computed part by part: shape and type are known, values only where they are asked for."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext

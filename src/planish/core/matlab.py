@@ -5,8 +5,6 @@ which MATLAB stores the axes in reverse. scipy reads the values of versions 4 to
 declare: a damaged file can end the whole process there, so that every length and type is checked here first.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 import zlib

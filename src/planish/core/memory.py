@@ -1,7 +1,5 @@
 """Budgets of memory: what a run needs, reads or holds at once; ``run.compute`` has the default of ``--memory``."""
 
-from __future__ import annotations
-
 import math
 
 PROGRAM_BYTES = 3 * 10**8  # what Python, its libraries and the compiled kernels take

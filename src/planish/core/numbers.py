@@ -1,7 +1,5 @@
 """How numbers and units are written in sentences: digits that mean something, real minus signs, typeset units."""
 
-from __future__ import annotations
-
 import math
 import re
 

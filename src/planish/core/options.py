@@ -9,8 +9,6 @@ The study is put together of these models, ``planish.cli`` makes click options o
 the model as ``params``. A field that no command shows has ``cli=None``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import UnionType

@@ -1,7 +1,5 @@
 """What is wrong with the parameters in a file: the line of each key, and the word that was probably meant."""
 
-from __future__ import annotations
-
 import difflib
 import re
 import tomllib

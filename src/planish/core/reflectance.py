@@ -4,8 +4,6 @@ P. Kubelka and F. Munk, Z. Tech. Phys. 12, 593 (1931); the exact form for a laye
 P. Kubelka, J. Opt. Soc. Am. 38, 448 (1948).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

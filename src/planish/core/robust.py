@@ -1,7 +1,5 @@
 """Statistics that outliers and missing values do not spoil: scatter, percentiles, and sums under a Gaussian."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The sources of the package as a hash: a version alone does not say which code made a result."""
 
-from __future__ import annotations
-
 import hashlib
 from functools import cache
 from pathlib import Path

@@ -5,8 +5,6 @@ semicolon or tab. Where they are not separated by commas, numbers may have a dec
 start with ``#`` are no rows. Column names are compared in small letters, in any order; other columns are ignored.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import math

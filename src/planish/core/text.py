@@ -1,7 +1,5 @@
 """Text that comes from files, made fit for terminals and pages."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches

@@ -1,7 +1,5 @@
 """How many threads may be used: one setting, which every pool of planish asks; no result depends on it."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Callable, Generator, Iterable, Iterator

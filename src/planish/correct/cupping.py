@@ -3,8 +3,6 @@
 Base and coating are each compared with themselves at one depth, from histograms: their border moves with the factor.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

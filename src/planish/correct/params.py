@@ -1,7 +1,5 @@
 """Options of the corrections of a micro-CT volume, and the record of a correction, for JSON and the store."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from pydantic import Field

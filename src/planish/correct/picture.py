@@ -1,7 +1,5 @@
 """One figure of a correction: grey against the radius, and a slice before, after, and the difference."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Any

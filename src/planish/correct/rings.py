@@ -3,8 +3,6 @@
 A ring shows alike in every part of the turn, along the axis and in every material: their scatter is its error.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Whole-number sums over slices across the axis of rotation, which depend on no order: greys, circles, histograms."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

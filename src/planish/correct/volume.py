@@ -1,7 +1,5 @@
 """Entry point: inspect a volume and return it corrected, without holding it in memory."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial

@@ -1,7 +1,5 @@
 """Files of a design, among them its pages: pattern, predicted error and path of the stage. All repeat to the byte."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Sequence
 from functools import partial

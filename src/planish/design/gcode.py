@@ -1,7 +1,5 @@
 """The pattern for machines: a stage program in a dialect of G-code (docs/marks.md), its dry run, a drawing for CAD."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Options of a hole pattern, of the stage that moves the sheet, and of the maps that are compared."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, PositiveFloat, model_validator

@@ -4,8 +4,6 @@ Holes lie on whole steps of 50 um on lines along the sides of the frame, counter
 which is empty; each other corner holds the first hole of a line.
 """
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

@@ -3,8 +3,6 @@
 Wrong ways to lay a pattern on itself are found as a matcher finds them: by pairs of holes of like length.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 

@@ -1,7 +1,5 @@
 """A run as files of other programs: ``planish export``."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path

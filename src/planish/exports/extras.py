@@ -1,7 +1,5 @@
 """Formats of the extra ``export``: NetCDF by h5netcdf, Gwyddion by gwyfile, RO-Crate by rocrate."""
 
-from __future__ import annotations
-
 import hashlib
 from datetime import UTC, datetime
 from pathlib import Path

@@ -1,7 +1,5 @@
 """MATLAB: version 5 by scipy, and version 7.3, an HDF5 file with MATLAB's classes and its order of axes, by h5py."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A surface of the sheet as a mesh in space, in um of the volume, with maps and a colour: PLY, OBJ, STL and VTK."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Mapping
 from dataclasses import dataclass

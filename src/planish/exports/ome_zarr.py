@@ -1,7 +1,5 @@
 """OME-Zarr 0.5: maps as an image of several resolutions. Chunks of a run's store are copied, others are written."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """A map as a picture with colour bar, axes in um and scale bar: PNG, or SVG to edit."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

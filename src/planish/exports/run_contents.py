@@ -1,7 +1,5 @@
 """What an export takes from a run: groups of maps, the straightened volume, registrations, history."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from pathlib import Path

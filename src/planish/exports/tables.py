@@ -1,7 +1,5 @@
 """Maps as text: a matrix of one map, or a table of points or pixels with every map."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A registration as other programs take it, affine map and field: ITK, elastix, BigWarp, NRRD and zarr."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Gaussian curvature of the warped sheet, and whether paper can carry it: paper bends freely in one direction only."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydantic import Field
 from scipy import ndimage

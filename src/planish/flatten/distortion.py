@@ -1,7 +1,5 @@
 """The strain of each cell by flattening, growth against the projection, and lengths of lines, flat and curved."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import NamedTuple
 

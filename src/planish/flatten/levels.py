@@ -1,7 +1,5 @@
 """The eight-spring mesh of Hirn et al. (2009), section 2.3.1, its coarser copies, arrays of passes, and threads."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait

@@ -6,8 +6,6 @@ precision; corrections come from a V-cycle in single precision over the linearis
 doi:10.1090/S0025-5718-1977-0431719-X), with Chebyshev smoothing (Adams et al. 2003, doi:10.1016/S0021-9991(03)00194-3).
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 

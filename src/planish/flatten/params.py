@@ -1,7 +1,5 @@
 """Options of the flattening and of the flat maps."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from planish.core.options import Params, option

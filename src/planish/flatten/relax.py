@@ -1,7 +1,5 @@
 """Relax a warped quad mesh in the plane to minimum spring energy (Hirn et al. 2009, section 2.3)."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

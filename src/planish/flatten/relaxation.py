@@ -1,7 +1,5 @@
 """Relax a spring mesh in the plane as a damped motion in time: the solver of Hirn et al. (2009), section 2.3."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 

@@ -1,7 +1,5 @@
 """Flatten the centre surface of a sheet: choose the mesh, relax it, carry every column along."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 

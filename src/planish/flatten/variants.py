@@ -1,7 +1,5 @@
 """The sheet flattened again: with another surface as the neutral one, or with another spacing through the sheet."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from contextlib import suppress
 

@@ -1,7 +1,5 @@
 """Arrays in memory, of dask, zarr and xarray, or mapped from a file, as the volume or image that a file would give."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 from typing import Any

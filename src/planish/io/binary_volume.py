@@ -1,7 +1,5 @@
 """NIfTI files of one volume, versions 1 and 2, and MRC files: mapped, or unpacked at once where they are packed."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The border to the decoders: their failures become one error, and nothing larger than the memory is asked for."""
 
-from __future__ import annotations
-
 import ctypes
 import logging
 import os

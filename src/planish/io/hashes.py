@@ -1,7 +1,5 @@
 """A hash by which two inputs, in one file or many, can be compared, and the lists of checksums in a store."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import sys

@@ -4,8 +4,6 @@ HDF5 opens other files without asking, and reads those that are not there as zer
 storage and virtual data sets. So every link is followed here, by hand, and a file outside the folder is refused.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import re

@@ -1,7 +1,5 @@
 """Values behind a header, in its file or another one: mapped where they lie as they are, or unpacked at once."""
 
-from __future__ import annotations
-
 import bz2
 import math
 import zlib

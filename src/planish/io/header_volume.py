@@ -3,8 +3,6 @@
 Compressed values of a MetaImage that do not fit into the memory are read in parts by SimpleITK.
 """
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Mapping
 from functools import partial

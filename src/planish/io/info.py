@@ -1,7 +1,5 @@
 """Contents of a file and what looks wrong in it: the facts behind ``planish info``."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress

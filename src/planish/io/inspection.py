@@ -1,7 +1,5 @@
 """Inspection of the values of a volume or an image: their distribution, and what looks wrong."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from dataclasses import dataclass, field

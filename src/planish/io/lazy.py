@@ -1,7 +1,5 @@
 """Arrays that stay in their files, of which only the part that is asked for is read; a few decoded slices stay."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager

@@ -1,7 +1,5 @@
 """MATLAB files: a volume ``V(row, column, slice)`` becomes (z, y, x); of version 7.3 (HDF5), parts are read."""
 
-from __future__ import annotations
-
 from collections.abc import Generator
 from contextlib import contextmanager
 from functools import partial

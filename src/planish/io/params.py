@@ -1,7 +1,5 @@
 """Options of the inputs: a volume and how the sheet lies in it, and an image and what it shows."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator

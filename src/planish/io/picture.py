@@ -1,7 +1,5 @@
 """One 2D picture out of a TIFF, PNG, JPEG or BMP file: its stored values, what they mean, and its pixel size."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from io import BytesIO

@@ -1,7 +1,5 @@
 """The run folder: written beside its place and moved there when it is whole, so that a failed run leaves no results."""
 
-from __future__ import annotations
-
 import json
 import os
 import secrets

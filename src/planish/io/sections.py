@@ -3,8 +3,6 @@
 The counter is ``sections.csv`` with the columns ``file`` and ``position_um``, and comments such as ``# kind: cut``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path

@@ -4,8 +4,6 @@ The voxel size is ``Pixel Size (um)`` under ``[Reconstruction]``, not that of th
 are named by ``Filename Prefix`` under ``[File name convention]``, not by the key under ``[Acquisition]``.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections import Counter

@@ -4,8 +4,6 @@ A block is whole shards on every level that it fills and one writer's own: two w
 without an error. A list of checksums says what is finished, so that an import that was killed goes on there.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

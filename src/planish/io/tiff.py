@@ -3,8 +3,6 @@
 Libraries stop where the chain of pages leads out of a file that was cut, or in a circle; here both are errors.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import struct

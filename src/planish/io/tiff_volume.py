@@ -1,7 +1,5 @@
 """Volumes in one TIFF file: mapped where they lie there as they are, otherwise decoded by strips or tiles."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 from pathlib import Path

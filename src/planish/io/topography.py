@@ -1,7 +1,5 @@
 """Height maps of optical and stylus instruments, in the formats that SurfaceTopography reads."""
 
-from __future__ import annotations
-
 import gc
 from contextlib import ExitStack
 from pathlib import Path

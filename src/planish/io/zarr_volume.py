@@ -1,7 +1,5 @@
 """OME-Zarr volumes (0.4 on zarr v2, 0.5 on zarr v3), and plain zarr arrays with three axes."""
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Iterator, Mapping

@@ -5,8 +5,6 @@ Numpy and numba only, arrays in, arrays out. Images are float32 ``(y, x)`` with 
 of pixel ``(i, j)`` is ``(j * px, i * py)`` um. ``sign`` is +1 for holes darker than the sheet, -1 for brighter ones.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from planish.core.jit import njit

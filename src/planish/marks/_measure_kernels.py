@@ -4,8 +4,6 @@
 Images and ``sign`` as in `_edge_kernels`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from planish.core.jit import njit

@@ -1,8 +1,6 @@
 # pyright: standard
 """Closed outlines around a hole: of several edges on a ray, one all the way round; images as in `_edge_kernels`."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from planish.core.jit import njit

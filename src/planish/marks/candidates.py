@@ -4,8 +4,6 @@ A disc of radius R answers most strongly to a Laplacian of Gaussian of width R /
 doi:10.1023/A:1008045108935). The search is generous; measuring the rim decides.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Laser holes in an image or a presence map, with sub-pixel centres and their covariances."""
 
-from __future__ import annotations
-
 from typing import Literal, NamedTuple
 
 import numpy as np

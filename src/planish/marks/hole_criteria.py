@@ -1,7 +1,5 @@
 """Criteria by which measured marks are laser holes: each by itself, and all of an image beside each other."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

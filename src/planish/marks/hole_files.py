@@ -1,7 +1,5 @@
 """Holes in files: JSON, which keeps everything to the last bit, and a CSV table to read."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Pixels of a map or an image that lie in holes, also in those that its border cuts, or in the dots of a print."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Options of the search for laser holes."""
 
-from __future__ import annotations
-
 from pydantic import PositiveFloat
 
 from planish.core.options import Params, option

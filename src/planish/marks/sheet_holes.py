@@ -1,7 +1,5 @@
 """Laser holes of a flattened sheet: where its faces show them, and how they run through it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Numbers of a sheet that are no maps: thin coating, roughness, two-sidedness, and profiles in depth."""
 
-from __future__ import annotations
-
 import numpy as np
 import xarray as xr
 

@@ -4,8 +4,6 @@ Every module declares properties, as :mod:`~planish.measure.registry` says, and 
 :class:`MeasureParams` inherits these, for the study file, the command line and the documents. No numba or scipy here.
 """
 
-from __future__ import annotations
-
 from typing import Literal
 
 from planish.core.options import Params, option

@@ -3,8 +3,6 @@
 Further maps are worked out on row tiles on threads: the same bytes however they are cut.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TypeVar

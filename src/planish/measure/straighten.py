@@ -1,7 +1,5 @@
 """The volume straightened along the normals, on the pixels of the flat maps: every sheet lies flat in it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import partial
 from typing import Any

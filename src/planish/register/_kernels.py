@@ -6,8 +6,6 @@ Marks are complex numbers ``x + 1j y`` in um; ``a`` is the smaller set, ``b`` th
 sheet a little more in one direction than in the other: ``w = alpha z + gamma conj(z) + beta``.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from planish.core.jit import njit

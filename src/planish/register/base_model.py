@@ -3,8 +3,6 @@
 Models of a fixed number of parameters share everything but the fit itself and the derivatives by the parameters.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from contextlib import suppress
 from typing import Any, ClassVar

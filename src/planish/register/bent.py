@@ -1,7 +1,5 @@
 """A transformation that is affine but for smooth changes around marks: image, derivatives, inverse, strain, folds."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields

@@ -9,8 +9,6 @@ doi:10.1080/00401706.1993.10485354; Rasmussen and Williams 2006, Gaussian Proces
 2.7 and 5.4).
 """
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Least-squares transformation between paired marks that agree, with its expected error."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

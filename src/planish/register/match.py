@@ -6,8 +6,6 @@ matched to the design and the two are joined: a side that lost some marks still 
 sides which share few marks can be matched, and a symmetry that one side alone seems to have is judged by the design.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

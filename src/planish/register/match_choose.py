@@ -1,7 +1,5 @@
 """The best arrangement of two sets of marks, the best different one, and whether the pattern may repeat itself."""
 
-from __future__ import annotations
-
 from math import comb, log10
 from typing import NamedTuple
 

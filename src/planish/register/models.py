@@ -1,7 +1,5 @@
 """The table of registration models, from few to many parameters, and the default: what the marks make likely."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial

@@ -1,7 +1,5 @@
 """Registration refined by the maps themselves, on top of a fit to marks: optional, bounded by what the marks allow."""
 
-from __future__ import annotations
-
 import importlib
 import math
 import warnings

@@ -1,7 +1,5 @@
 """A fitted transformation, and a chain of them from map to map, with their expected errors."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Transformations of few parameters: rotation, shift, no scale, one, or one in each direction; projective."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@
 errors of marks left out, nor takes covariances. One eigenvalue decomposition gives all (Wahba 1990, chapters 1 and 4).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar

@@ -1,7 +1,5 @@
 """The scale of the heights of a sheet that the marks ask for: flattened anew at several scales, it has to fit them."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Figures of what stands beside r: scale, distance, two measurements of one quantity, light over a coating."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 

@@ -1,7 +1,5 @@
 """What every figure is made of: SVG in CSS pixels, sharp and the same each time, with maps as images, bars, axes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field

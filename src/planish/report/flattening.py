@@ -1,7 +1,5 @@
 """How the sheet was warped and what flattened it: height, displacement, strain, developability, convergence."""
 
-from __future__ import annotations
-
 import numpy as np
 import xarray as xr
 

@@ -1,7 +1,5 @@
 """Maps of a run by layer: with their distributions, two side by side, and thin regions outlined on the image."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """What a notebook shows of a run and of its results: key numbers, checks, and a small map."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from html import escape
 

@@ -1,7 +1,5 @@
 """How to read the r that leads: what it explains, how high errors would let it be, and which checks bear on it."""
 
-from __future__ import annotations
-
 import math
 
 from planish.analyze import LagNumbers

@@ -1,7 +1,5 @@
 """Marks on what they belong to: residuals, expected error, and where the maps themselves lie against each other."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Sentences and numbers of a series of specimens, with the digits that their intervals allow."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from itertools import groupby

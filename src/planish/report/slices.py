@@ -1,7 +1,5 @@
 """Slices through the sheet with the surfaces that were found in them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from string import ascii_uppercase
 

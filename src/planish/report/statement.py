@@ -1,7 +1,5 @@
 """How a correlation is written: with its interval, and with the figures that the interval allows."""
 
-from __future__ import annotations
-
 import math
 
 from planish.core.facts import is_known

@@ -1,7 +1,5 @@
 """Results of a run in one sentence and a few numbers; what the image-based check of a registration means."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple

@@ -1,7 +1,5 @@
 """Tables of the page whose rows depend on the run: column status, correlations, comparison, parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 

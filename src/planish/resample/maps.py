@@ -1,7 +1,5 @@
 """The maps of a flattened sheet, and images, on a regular grid: each is brought there in one step."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@ The transformation is asked at 4 x 4 points of a block, which give a polynomial,
 it errs too much are cut into four. They lie where the grid says: no result depends on what is worked on together.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import Any

@@ -1,7 +1,5 @@
 """Layers that are arrays in memory: written beside the run, so that it can be repeated from its ``run.toml``."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """From paths and options to a study: what ``planish link`` and :func:`planish.link` share."""
 
-from __future__ import annotations
-
 import difflib
 import re
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The image of linked maps against every property, without the regions that are declared artefacts."""
 
-from __future__ import annotations
-
 import numpy as np
 import xarray as xr
 

@@ -1,7 +1,5 @@
 """Results of the stages, put into the models of ``results.json``."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Numbers, checks and groups of a run put together: of one mapped sheet, or of layers on the pixels of a reference."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial

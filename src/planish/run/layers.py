@@ -1,7 +1,5 @@
 """A layer of a run, a sheet with its maps or an image; sheets as they are mapped, and the laser holes of layers."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -3,8 +3,6 @@
 The sheets themselves are never registered in space; their flat maps are (Hirn et al. 2009, section 3.4).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Sheets and images on the pixels of a reference, each brought there in one step; what is near a hole is masked."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 

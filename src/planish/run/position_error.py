@@ -8,8 +8,6 @@ what five eighths of its cut-off move. What is left of the poses of serial secti
 errors, of which the alignment sees most, and a slow wander that it leaves alone, since it looks like the sheet's own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import numpy as np

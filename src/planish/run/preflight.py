@@ -1,7 +1,5 @@
 """What can be refused before anything is read: names, numbers that an option needs, images beyond the memory."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from planish.core.errors import InputError, ResourceError

@@ -1,7 +1,5 @@
 """Regions that a study declares as artefacts: on the pixels of the reference, and as results say them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A run: what it holds, how it shows itself, and how it comes back from its folder."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """From a study to a run folder, whole or not at all."""
 
-from __future__ import annotations
-
 import secrets
 from collections.abc import Mapping
 from contextlib import suppress

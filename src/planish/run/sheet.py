@@ -1,7 +1,5 @@
 """From a volume to flattened maps of the properties of its sheet."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The study: every parameter of a run, checked; what the command line fills in and ``run.toml`` repeats."""
 
-from __future__ import annotations
-
 import datetime
 import os
 import re

@@ -1,7 +1,5 @@
 """A study to be filled in: what the files say, every option with its default, and what only the user knows."""
 
-from __future__ import annotations
-
 import textwrap
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args, get_origin

@@ -1,7 +1,5 @@
 """The volume of a run, whatever it was stored as."""
 
-from __future__ import annotations
-
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ Offsets between all sections up to five apart are fitted together; waves longer 
 bend of the sheet cannot be told from a drift of the stage, stay, unless something fixed to the stage shows that drift.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from pydantic import Field
 from scipy.ndimage import gaussian_filter1d

@@ -3,8 +3,6 @@
 It straightens the band in which neighbours are compared; smooth, it lends neighbours no difference of its own.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any

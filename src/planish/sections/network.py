@@ -1,7 +1,5 @@
 """One place for every section from the offsets between pairs, and the slow part of their course: the specimen's own."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """What a reader of a series has to be careful about: what was left out, what does not match."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 

@@ -1,7 +1,5 @@
 """What a series of specimens is looked at for, declared before it is looked at."""
 
-from __future__ import annotations
-
 from pydantic import field_validator
 
 from planish.core.options import Params, option

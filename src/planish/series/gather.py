@@ -1,7 +1,5 @@
 """Runs of a series, read one by one and none kept in memory: of each its figures as rows, and what a table says."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """One specimen of a series: whether it is done already, what it will take, how it is done, and what became of it."""
 
-from __future__ import annotations
-
 import json
 import os
 import time

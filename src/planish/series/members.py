@@ -1,7 +1,5 @@
 """Runs that are there already as the specimens of a series, with the factors that a table gives them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

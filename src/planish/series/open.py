@@ -1,7 +1,5 @@
 """A series as arrays: every figure of every specimen, by specimen, map and size."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path

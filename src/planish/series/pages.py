@@ -1,7 +1,5 @@
 """The folder of a series: its page with a small map of every specimen, its numbers, and its tables."""
 
-from __future__ import annotations
-
 import io
 import math
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """What a series is made of: a table of specimens with their files and factors, and the options that they share."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Mapping, Sequence

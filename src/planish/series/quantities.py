@@ -1,7 +1,5 @@
 """What is compared over the specimens of a series: statistics of the leading maps, and their correlation."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 

@@ -1,7 +1,5 @@
 """What a series of specimens says: means over sheets, differences between papers or treatments, pooled r."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations

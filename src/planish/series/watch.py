@@ -1,7 +1,5 @@
 """New scans of a folder as they appear: pairs of files that are whole and have stood still for a while."""
 
-from __future__ import annotations
-
 import re
 import time
 from collections.abc import Callable, Iterator

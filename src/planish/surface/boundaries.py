@@ -4,8 +4,6 @@ A slice is a row of the maps, its thresholds separate the classes of grey best (
 one, coating. A coating thinner than the blur comes out as thick as the blur; that is how it was.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

@@ -3,8 +3,6 @@
 Its local paraboloids pass slopes and curvatures, run up to the border and across holes; Gaussian smoothing flattens.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Literal
 

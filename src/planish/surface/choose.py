@@ -1,7 +1,5 @@
 """Which object of the volume is the sheet: the only one, that of a grey range, or the one that holds a seed point."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from dataclasses import replace
 from typing import Literal

@@ -1,7 +1,5 @@
 """Where the sheet is, roughly: block means, one connected slab, and how far it reaches in each block column."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Surfaces with corrections, and the surfaces as they were found before them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@ Kriging between the points and the face around them says where a face is expecte
 searched again for an edge whose levels are free; the face is the mean of both, each weighted by its variance.
 """
 
-from __future__ import annotations
-
 import hashlib
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Both faces and interfaces of every column, tile by tile."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

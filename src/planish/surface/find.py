@@ -1,7 +1,5 @@
 """From a volume to the faces, interfaces and centre of its sheet, as heights above the volume's own columns."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -3,8 +3,6 @@
 Only a fringe makes the air beside the face darker than the air farther away; where that is not seen none is taken.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Where there is sheet, the rims of its holes, its outline with the holes filled, and holes that are half closed."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import ndimage, spatial
 

@@ -1,7 +1,5 @@
 """The first look at a volume, in one pass: block means, a sample of its columns, levels, noise and gaps."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

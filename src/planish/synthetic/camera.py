@@ -4,8 +4,6 @@ What belongs to the paper (scattering of the base, nuisance, tone of the print) 
 two images made with the same seed, one of them printed, show the same paper with noise of its own in each.
 """
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A specimen as instrument files of the field, with the truth apart from them."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace

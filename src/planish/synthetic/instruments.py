@@ -1,7 +1,5 @@
 """The instruments that look through the sheet: an X-ray scanner, and a microtome under a light microscope."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Where the camera stands: from material coordinates of the sheet to the image, and exactly back."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

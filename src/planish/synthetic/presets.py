@@ -3,8 +3,6 @@
 Also every nuisance by its name, the specimen of the demo, and what a user orders by ``planish specimen``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any, Literal, NamedTuple

@@ -5,8 +5,6 @@ the base's surface plus the mean layer, so that the coating is thin where fibres
 the layer varies beyond that is random deposition.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

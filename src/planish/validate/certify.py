@@ -1,7 +1,5 @@
 """Run a scenario: specimens into files, files through the whole program, errors against the truth, over seeds."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from collections.abc import Sequence

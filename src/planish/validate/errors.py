@@ -1,7 +1,5 @@
 """Errors of every stage: of those that know the volume only, then of what links it to an image or a volume."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise

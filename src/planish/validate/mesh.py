@@ -1,7 +1,5 @@
 """The spring mesh of Hirn et al. (2009), Fig. 5, alone: how near its state of rest comes to the flat sheet."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The certificate as one HTML file that needs nothing else, styled as the report of a run, with its figures."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A scenario: which specimens, instrument and nuisances, which errors are allowed; and every figure of the ledger."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace

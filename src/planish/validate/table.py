@@ -1,7 +1,5 @@
 """A certificate as rows and sentences: for the terminal, for a page in Markdown, and as JSON."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict
 from itertools import groupby

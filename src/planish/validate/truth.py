@@ -1,7 +1,5 @@
 """A run beside the truth of its specimen: which material a place of a file shows, and what is true there."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """The maps of a run that its page shows, on one grid, thinned out where they would make it too large."""
 
-from __future__ import annotations
-
 import base64
 import math
 import re

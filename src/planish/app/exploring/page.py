@@ -1,7 +1,5 @@
 """``planish explore``: a run as one page that is opened without planish, server or network."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """The slices of a page: read from the volume by window, or those that the run keeps; with the faces found in them."""
 
-from __future__ import annotations
-
 import base64
 import io
 import math

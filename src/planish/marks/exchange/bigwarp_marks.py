@@ -1,7 +1,5 @@
 """BigWarp (Fiji): a CSV without header, or the landmarks in its JSON; ``Infinity`` is a position that is not set."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

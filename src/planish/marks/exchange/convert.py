@@ -1,7 +1,5 @@
 """Files of marks -> marks, and back: in any format, recognised by its content and not by its name."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

@@ -5,8 +5,6 @@ flattened map, or ``volume_x_um, volume_y_um, volume_z_um`` in the volume. The s
 is the image. Rows whose ``used`` is 0 or false are left out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any

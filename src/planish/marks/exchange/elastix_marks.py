@@ -5,8 +5,6 @@ from 0. One file holds one side: ``-fp`` the fixed, ``-mp`` the moving points. e
 so that points are always written as ``point``.
 """
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -9,8 +9,6 @@ The module of a format ``x`` is ``x_marks.py`` with the functions
   is not in the layer, by role (``moving``, ``fixed``) or name of the only layer; empty for planish's own formats.
 """
 
-from __future__ import annotations
-
 import importlib
 from dataclasses import dataclass
 from pathlib import Path

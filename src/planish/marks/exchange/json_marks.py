@@ -1,7 +1,5 @@
 """The marks' own JSON (docs/marks-files.md): everything that is known of them, one mark a line, with a version."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Annotated, Any, Generic, Literal, TypeVar
 

@@ -1,7 +1,5 @@
 """Lists of points as other programs write them -> marks in um: units, origins, which list is which."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence

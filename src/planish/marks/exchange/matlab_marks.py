@@ -1,7 +1,5 @@
 """MATLAB: ``movingPoints``, ``fixedPoints`` of the Control Point Selection tool; the first pixel's centre is (1, 1)."""
 
-from __future__ import annotations
-
 import io
 import warnings
 from typing import Any

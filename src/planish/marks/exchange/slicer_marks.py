@@ -5,8 +5,6 @@ own is right and down, as here. In ``RAS`` both signs are opposite. Two lists be
 their points; a point that is not selected takes no part in Slicer's own fits.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from typing import Any

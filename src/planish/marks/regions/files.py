@@ -6,8 +6,6 @@ box as shorts, and behind them those of a finer selection as floats. A second he
 Coordinates are in pixels and 0 at the corner of the first one.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import math
