@@ -59,7 +59,7 @@ def get_session(request: Request) -> Response:
         }
         layers.append({
             "name": layer, "to": session.target(layer), "headline": session.results.layer(layer).headline,
-            "holes": circles,
+            "holes": circles, "names": session.view_names(layer), "limit_um": session.marks_limit_um(layer),
             "shown": {
                 plane: dict(zip(("plane", "layer"), session.shown_by(layer, plane), strict=True)) for plane in PLANES
             },

@@ -48,6 +48,21 @@ def cursor(tiles: Tiles, picture: PlanePicture, x: float, y: float) -> dict[str,
     }  # fmt: skip
 
 
+def nearest(tiles: Tiles, picture: PlanePicture, layer: str, place_um: dict[str, float]) -> tuple[float, float] | None:
+    """Where in a plane, (x, y) in um, the sheet of a layer lies nearest to a place along some axes of the volume."""
+    of_layer = {p.variable: p for p in tiles.pictures.on_same_pixels(picture) if p.layer == layer or p.plane == "fixed"}
+    maps = [of_layer[f"volume_{axis}"] for axis in place_um if f"volume_{axis}" in of_layer]
+    if len(maps) < len(place_um):
+        return None
+    level, positions_um = _overview(tiles, *maps)
+    distance = sum((um - wanted) ** 2 for um, wanted in zip(positions_um, place_um.values(), strict=True))
+    if not np.isfinite(distance).any():
+        return None
+    row, col = np.unravel_index(np.nanargmin(distance), np.shape(distance))
+    y_um, x_um = (picture.levels[level][dim].values for dim in picture.full.dims)
+    return float(x_um[col]), float(y_um[row])
+
+
 def profile(tiles: Tiles, pictures: list[PlanePicture], line: tuple[float, float, float, float]) -> dict[str, Any]:
     """Values of pictures on one grid along a line (x0, y0, x1, y1) in um, at ``at_um``, of pixels ``pixel_um`` wide."""
     x0, y0, x1, y1 = line

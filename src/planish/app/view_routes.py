@@ -19,7 +19,7 @@ from starlette.routing import Route
 from planish.app.changes import stretches_of
 from planish.app.picture import PlanePicture
 from planish.app.pictures import Tiles
-from planish.app.selection import Brush, Rectangle, Stopped, cursor, density, histogram, profile, select
+from planish.app.selection import Brush, Rectangle, Stopped, cursor, density, histogram, nearest, profile, select
 from planish.app.session import Session
 from planish.app.slices import SheetSlice, SlicedSheet, edge_of, sheets_of
 from planish.app.strain import SPACE, STRAINS, mesh_lines, sheet_run
@@ -42,6 +42,13 @@ def get_cursor(request: Request) -> Response:
     """All values at a point."""
     (x,), (y,) = required_numbers(request, "x", 1), required_numbers(request, "y", 1)
     return JSONResponse(cursor(_tiles(request), _picture(request, "id"), x, y))
+
+
+def get_pixel(request: Request) -> Response:
+    """The pixel of a map that shows the sheet nearest to a place in the volume."""
+    place_um = {axis: required_numbers(request, axis, 1)[0] for axis in "xyz" if axis in request.query_params}
+    point = nearest(_tiles(request), _picture(request, "id"), request.query_params.get("layer", ""), place_um)
+    return JSONResponse(point and dict(zip("xy", point, strict=True)))
 
 
 def get_profile(request: Request) -> Response:
@@ -245,6 +252,7 @@ def route(path: str, endpoint: Callable[[Request], Any], method: str = "GET") ->
 ROUTES = [
     route("/api/tiles/{id}/{level:int}/{row:int}/{col:int}", get_tile),
     route("/api/cursor", get_cursor),
+    route("/api/pixel", get_pixel),
     route("/api/profile", get_profile),
     route("/api/density", lambda r: JSONResponse(density(_tiles(r), *_picture_pair(r), _region(r)))),
     route("/api/histogram", lambda r: JSONResponse(histogram(_tiles(r), _picture(r, "id"), _region(r)))),

@@ -31,7 +31,7 @@ export class Artefacts {
       "section",
       { class: "panel", "aria-label": "Artefacts" },
       make("h2", {}, "Artefacts"),
-      make("p", { class: "soft" }, "What lies in a declared region does not count after Apply. Draw it, or write its corners."),
+      make("p", { class: "soft" }, "A stain or fold that shall not count: draw it, declare it, then Apply."),
       make(
         "div",
         { class: "group" },

@@ -1,6 +1,6 @@
 /** Corrections of the faces: the points of one that is made, tried on the screen before it is saved, and those saved. */
 
-import { button, choice, labelled, make, numbers, written } from "./dom.js";
+import { button, choice, labelled, make, numbers, typeset, written } from "./dom.js";
 
 const MOST_POINTS = 100; // of one correction, which travel in an address while they are tried
 
@@ -25,6 +25,7 @@ export class Corrections {
     this.clearButton = button("Discard points", () => this.clear(), { disabled: true });
     this.list = make("ul", { class: "corrections", "aria-label": "Corrections" });
     this.note = make("p", { class: "step", "aria-live": "polite" });
+    this.off = make("span", { class: "warned" });
     this.elements = [
       make("div", { class: "tools" },
         labelled("Face", this.faceBox), labelled("Reach, um", this.reachField), labelled("Point, um", this.pointField),
@@ -105,6 +106,31 @@ export class Corrections {
     this.tried();
   }
 
+  /** Ask whether a point is meant that lies far off. @param {{x: number, y: number, z: number}} place @param {string} words */
+  question(place, words) {
+    const answered = (/** @type {boolean} */ yes) => () => {
+      if (yes) this.add(place);
+      else this.tell();
+    };
+    const yes = button("Set it", answered(true));
+    this.note.replaceChildren(make("span", { class: "warned" }, `${typeset(words)} Is it meant? `), yes, " ", button("Leave it out", answered(false)));
+    yes.focus();
+  }
+
+  /** Say where the green line does not go through the points. @param {import("./slicedata.js").Slice} slice */
+  compare(slice) {
+    const { across, down, normal } = slice.facts;
+    const size = Math.abs(this.sheet.axes[normal]?.step_um ?? 0);
+    const off = this.draft
+      .filter((p) => Math.abs(/** @type {any} */ (p)[normal] - slice.facts.at_um) <= 0.5 * size)
+      .map((p) => Math.abs(slice.at(`preview_${p.face}`, /** @type {any} */ (p)[across.name]) - /** @type {any} */ (p)[down.name]));
+    const most = Math.max(0, ...off.filter(Number.isFinite));
+    this.off.textContent =
+      most > 2 * Math.abs(down.step_um)
+        ? ` The green line passes a point at ${most.toFixed(1)} µm: the image shows an edge there, or another point disagrees. Set more points, or remove it.`
+        : "";
+  }
+
   drop() {
     if (this.draft.pop()) this.tried();
   }
@@ -126,7 +152,7 @@ export class Corrections {
     const last = this.draft.at(-1);
     const at = last && written([last.x, last.y, last.z]);
     const points = `${count} point${count > 1 ? "s" : ""}`;
-    this.note.textContent = last ? `${points}, the last at x, y, z = ${at} um on the ${last.face} face.` : "";
+    this.note.replaceChildren(last ? `${points}, the last at x, y, z = ${at} µm on the ${last.face} face.` : "", this.off);
   }
 
   async correct() {

@@ -39,8 +39,25 @@ let fields = 0;
  */
 export function labelled(label, field, unseen = "") {
   field.id ||= `field-${++fields}`;
-  const name = make("label", { for: field.id }, make("span", { class: "sr" }, unseen), label);
+  if (typeset(label) !== label) field.setAttribute("aria-label", unseen + label); // as scripts know it
+  const name = make("label", { for: field.id }, make("span", { class: "sr" }, unseen), typeset(label));
   return make("span", { class: "field" }, name, field);
+}
+
+/** Write um as it is read. @param {string} text */
+export const typeset = (text) => text.replaceAll(/\bum\b/g, "µm");
+
+/** A number as it is read. @param {number|null} value */
+export const shown = (value) => (value === null ? "no value" : String(Number(value.toPrecision(5))));
+
+/** What stands behind a number; nothing where it has no unit. @param {{units: string}} picture */
+export const withUnit = ({ units }) => (units && units !== "1" ? ` ${typeset(units)}` : "");
+
+/** Have the browser save a file. @param {Blob} blob @param {string} name */
+export function download(blob, name) {
+  const address = URL.createObjectURL(blob);
+  make("a", { href: address, download: name }).click();
+  setTimeout(() => URL.revokeObjectURL(address), 10_000);
 }
 
 /**
@@ -72,7 +89,7 @@ export const written = (point) => point.map((value) => value.toFixed(2)).join(",
  * @returns {number[]|null}
  */
 export function numbers(text, count) {
-  const values = text.trim().split(/[\s,;]+/).map((word) => (word === "" ? NaN : Number(word)));
+  const values = text.trim().replaceAll("−", "-").split(/[\s,;]+/).map((word) => (word === "" ? NaN : Number(word)));
   return values.length === count && values.every(Number.isFinite) ? values : null;
 }
 

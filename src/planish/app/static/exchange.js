@@ -1,6 +1,6 @@
 /** Marks from and to files of planish and other programs. */
 
-import { button, choice, labelled, make } from "./dom.js";
+import { button, choice, download, labelled, make } from "./dom.js";
 
 /** Files of these suffixes are no text. */
 const BINARY = /\.mat$/i;
@@ -48,11 +48,9 @@ export function exchange(app) {
     try {
       const response = await app.api.fetch(app.ofLayer(`marks/export?format=${encodeURIComponent(format.value)}`));
       const said = /filename="([^"]+)"/.exec(response.headers.get("content-disposition") ?? "");
-      const address = URL.createObjectURL(await response.blob());
-      const link = make("a", { href: address, download: said?.[1] ?? "marks.json" });
-      link.click();
-      setTimeout(() => URL.revokeObjectURL(address), 10_000);
-      app.say(`Exported ${link.download}.`);
+      const name = said?.[1] ?? "marks.json";
+      download(await response.blob(), name);
+      app.say(`Exported ${name}.`);
     } catch (/** @type {any} */ error) {
       app.alarm(error.message);
     }

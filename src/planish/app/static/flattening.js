@@ -36,13 +36,10 @@ function strainMap(pane, app, sheet, pictures) {
   const shown = sheet.strain.map((id) => pictures.get(id)).filter(Boolean);
   const bar = make("div", { class: "fields" });
   const note = make("p", { class: "soft" });
-  const scale = new ScaleBar();
-  pane.append(make("h2", {}, "Strain left by flattening"), bar, scale.element, note);
+  pane.append(make("h2", {}, "Strain left by flattening"), bar, note);
   const view = new MapView({ element: pane, name: "Flat sheet", app });
   const show = (id) => {
-    const picture = pictures.get(id);
-    view.show(picture);
-    scale.show(picture);
+    view.show(pictures.get(id));
     note.textContent = "0 where the sheet was laid flat without strain; 96 % of it lie within the range of colours.";
   };
   bar.append(labelled("Strain", choice(shown.map((one) => [one.id, one.title]), show)));

@@ -27,6 +27,8 @@ export class Linked {
     this.map = null;
     this.on = true;
     this.busy = false;
+    moving.beside = () => (this.moves ? fixed.corners.map((one) => mapped(inverse(/** @type {any} */ (this.map)), one)) : []);
+    fixed.beside = () => (this.moves ? moving.corners.map((one) => mapped(/** @type {any} */ (this.map), one)) : []);
     /** @type {"moving"|"fixed"} the view that was moved last leads */
     this.leads = "moving";
     for (const side of /** @type {const} */ (["moving", "fixed"])) {
@@ -44,8 +46,12 @@ export class Linked {
    * @param {import("./geometry.js").Affine|null} map
    */
   update(map) {
+    const first = !this.map && map;
     this.map = map;
-    if (map) this.follow(this.leads);
+    if (!map) return;
+    const leading = this.views[this.leads];
+    if (first && leading.fitted === leading.state) leading.fit();
+    this.follow(this.leads);
   }
 
   /** @param {"moving"|"fixed"} side */

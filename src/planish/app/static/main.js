@@ -2,6 +2,8 @@
 
 import { Api, takeToken } from "./api.js";
 import { mountApply } from "./apply.js";
+import { typeset } from "./dom.js";
+import { bindHelp } from "./help.js";
 import { Store } from "./store.js";
 
 /** Modules of the tabs; each exports `mount(panel, app)`, called when its tab is first opened. */
@@ -18,11 +20,10 @@ const lines = {
   message: setter("message"),
   cursor: setter("cursor"),
   predicted: setter("predicted"),
-  selection: setter("selection"),
   slicePosition: setter("slice"),
   alarm: (/** @type {string|null} */ text) => {
     const place = find("alarm");
-    if (place.textContent !== (text ?? "")) place.textContent = text ?? "";
+    if (place.textContent !== typeset(text ?? "")) place.textContent = typeset(text ?? "");
     place.hidden = !text;
   },
 };
@@ -31,7 +32,7 @@ const lines = {
 function setter(name) {
   const line = find(`line-${name}`);
   return (text) => {
-    if (line.textContent !== text) line.textContent = text;
+    if (line.textContent !== typeset(text)) line.textContent = typeset(text);
   };
 }
 
@@ -54,13 +55,14 @@ async function start() {
     );
     return;
   }
-  const { cursor, predicted, selection, slicePosition } = lines;
-  const extras = { cursor, predicted, selection, slicePosition, openTab, onTab };
+  const { cursor, predicted, slicePosition } = lines;
+  const extras = { cursor, predicted, slicePosition, openTab, onTab };
   const app = Object.assign(new Store(api, session, state, lines), extras);
   nameRun(session);
   app.say(session.read_only ? `Open to read only. ${session.reason}` : "");
   bindHistory(app);
   mountTabs(app);
+  bindHelp(find("keys"), find("help"));
   mountApply(find("apply"), app);
   void followServer(api, app);
 }

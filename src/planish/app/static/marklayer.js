@@ -31,6 +31,12 @@ function ring(colour, radius, width, dash) {
   );
 }
 
+/** A tile of texture. @param {string} colour @param {boolean} used */
+const square = (colour, used) =>
+  strokes(colour, 1.6, used ? undefined : [3, 3]).map(
+    (stroke) => new ol.style.Style({ image: new ol.style.RegularShape({ points: 4, radius: 11, angle: Math.PI / 4, stroke }) }),
+  );
+
 /** @param {string} text @param {string} colour */
 function name(text, colour) {
   const label = new ol.style.Text({
@@ -50,9 +56,9 @@ const GHOST = [...ring(COLOURS.ghost, 9, 1.4, [4, 3]), ...cross(COLOURS.ghost, 5
 
 /** @param {any} feature */
 function markStyle(feature) {
-  const { label, used, chosen } = feature.getProperties();
+  const { label, used, chosen, tile } = feature.getProperties();
   const colour = chosen ? COLOURS.chosen : used ? COLOURS.mark : COLOURS.unused;
-  const shape = used ? cross(colour, 9) : ring(colour, 6, 1.4, [3, 3]);
+  const shape = tile ? square(colour, used) : used ? cross(colour, 9) : ring(colour, 6, 1.4, [3, 3]);
   const around = chosen ? ring(colour, 13, 2) : [];
   return [...shape, ...around, name(used ? label : `${label} (not used)`, colour)];
 }
@@ -97,7 +103,7 @@ export class MarkLayer {
     this.marks.addFeatures(
       ends.map((mark) => {
         const feature = new ol.Feature(new ol.geom.Point(flipped(/** @type {number[]} */ (mark[this.side]))));
-        feature.setProperties({ id: mark.id, label: mark.label, used: mark.used, chosen: mark.id === chosen });
+        feature.setProperties({ id: mark.id, label: mark.label, used: mark.used, chosen: mark.id === chosen, tile: mark.source.includes("tile") });
         return feature;
       }),
     );
@@ -122,26 +128,21 @@ export class MarkLayer {
 
   /**
    * Let the chosen mark be dragged.
+   * @param {(id: string|number, point: [number, number]) => void} onMove
    * @param {(id: string|number, point: [number, number]) => void} onMoved
    */
-  dragging(onMoved) {
-    let /** @type {any} */ held = null;
-    const drag = new ol.interaction.Pointer({
-      handleDownEvent: (/** @type {any} */ event) => {
-        const feature = event.originalEvent.button === 0 ? this.near(event.pixel) : null;
-        held = feature?.get("chosen") ? { feature, from: event.pixel, moved: false } : null;
-        return held !== null;
-      },
-      handleDragEvent: (/** @type {any} */ event) => {
-        held.moved ||= Math.hypot(event.pixel[0] - held.from[0], event.pixel[1] - held.from[1]) > 4;
-        if (held.moved) held.feature.getGeometry().setCoordinates(event.coordinate);
-      },
-      handleUpEvent: () => {
-        if (held.moved) onMoved(held.feature.get("id"), flipped(held.feature.getGeometry().getCoordinates()));
-        held = null;
-        return false;
-      },
+  dragging(onMove, onMoved) {
+    this.view.takes.push((at) => {
+      const feature = this.near(at);
+      if (!feature?.get("chosen")) return null;
+      const id = feature.get("id");
+      return {
+        move: (/** @type {number[]} */ to) => {
+          feature.getGeometry().setCoordinates(flipped(this.view.pointAt(to)));
+          onMove(id, this.view.pointAt(to));
+        },
+        end: (/** @type {number[]} */ to) => onMoved(id, this.view.pointAt(to)),
+      };
     });
-    this.view.map.addInteraction(drag);
   }
 }

@@ -3,50 +3,58 @@
 import { labelled, choice, make, written } from "./dom.js";
 import { exchange } from "./exchange.js";
 import { Linked, similarityOf } from "./linked.js";
-import { MapView, flipped } from "./mapview.js";
+import { MapView } from "./mapview.js";
 import { MarkLayer } from "./marklayer.js";
 import { MarkTools } from "./marktools.js";
 import { Overlay, WAYS } from "./overlay.js";
 import { Prediction } from "./prediction.js";
 import { MarkTable } from "./table.js";
+import { titled } from "./mapside.js";
 
 /** @typedef {"moving"|"fixed"} Side */
 
-export const NAMES = { moving: "Volume side", fixed: "Image side" };
 const SIDES = /** @type {Side[]} */ (["moving", "fixed"]);
 const other = (/** @type {Side} */ side) => (side === "moving" ? "fixed" : "moving");
 
-const HELP =
-  "Click a hole in one view, then the same hole in the other. Keys in a view: arrows move the chosen mark by one " +
-  "screen pixel (Shift: 5) or else the view; Enter sets a mark at the cross in the middle; N and P go to the next and " +
-  "the previous mark; Delete removes it, Esc lets go of it; + and - zoom, [ and ] turn, 0 shows all.";
-
 const TILES =
   "Tiles are pieces of the map's texture, each placed by itself, and no holes: to compare, show the map that shows in " +
-  "the image, and take a tile that is wrong out of use. ";
+  "the image, and take a tile that is wrong out of use.";
+
+/** What does not change of the registration that is shown. @param {any} app */
+const factsOf = (app) => app.session.layers.find((/** @type {any} */ one) => one.name === app.layer);
 
 /**
  * @param {HTMLElement} panel
  * @param {any} app
  */
 export function mount(panel, app) {
-  new Marks(panel, app);
+  /** @type {Marks|undefined} */
+  let marks;
+  const open = () => {
+    marks?.close();
+    marks = new Marks(panel, app, open);
+    marks.show(app.state);
+  };
+  open();
+  app.onState((/** @type {import("./store.js").State} */ state) => marks?.show(state));
 }
 
 class Marks {
-  /** @param {HTMLElement} panel @param {any} app */
-  constructor(panel, app) {
+  /** @param {HTMLElement} panel @param {any} app @param {() => void} anew shows the registration that was chosen */
+  constructor(panel, app, anew) {
     this.app = app;
+    this.anew = anew;
+    this.names = factsOf(app).names;
     /** @type {string|number|null} */
     this.chosen = null;
     this.table = new MarkTable({
       choose: (id) => this.choose(id, true),
       use: (mark, used) => app.change({ do: "use", id: mark.id, used }, `${mark.label} ${used ? "used" : "not used"}`),
-    });
+    }, factsOf(app));
     this.tools = new MarkTools(app, this);
     const places = { moving: make("div", { class: "view" }), fixed: make("div", { class: "view" }) };
     this.warnings = make("ul", { class: "warnings", "aria-label": "Warnings" });
-    this.help = make("p", { class: "help soft" });
+    this.help = make("p", { class: "help soft" }, TILES);
     panel.classList.add("marks");
     panel.replaceChildren(
       this.tools.above,
@@ -56,8 +64,8 @@ class Marks {
     this.views = { moving: this.view("moving", places.moving), fixed: this.view("fixed", places.fixed) };
     this.layers = { moving: new MarkLayer(this.views.moving, "moving"), fixed: new MarkLayer(this.views.fixed, "fixed") };
     this.linked = new Linked(this.views.moving, this.views.fixed);
-    this.overlay = new Overlay(this.views.fixed);
-    this.prediction = new Prediction(app, this.layers);
+    this.overlay = new Overlay(this.views.fixed, this.views.moving);
+    this.prediction = new Prediction(app, this.layers, this.names);
     const way = choice(WAYS, (value) => {
       this.overlay.setWay(value);
       app.say(this.overlay.words);
@@ -68,21 +76,24 @@ class Marks {
     this.boxes = { moving: this.pictureBox("moving", places.moving), fixed: this.pictureBox("fixed", places.fixed) };
     this.showLayer();
     for (const side of SIDES) this.bind(side);
-    app.onState((/** @type {import("./store.js").State} */ state) => this.show(state));
+  }
+
+  close() {
+    this.overlay.close();
+    for (const side of SIDES) this.views[side].map.setTarget(null);
   }
 
   /** @param {Side} side @param {HTMLElement} element */
   view(side, element) {
     const nudge = (/** @type {number} */ dx, /** @type {number} */ dy) => this.nudge(side, dx, dy);
-    return new MapView({ element, name: NAMES[side], app: this.app, nudge });
+    return new MapView({ element, name: this.names[side], app: this.app, nudge });
   }
 
   /** The box that says which picture a view shows. @param {Side} side @param {HTMLElement} place */
   pictureBox(side, place) {
     const box = choice([], (id) => this.showPicture(side, id));
-    const head = make("div", { class: "head" }, make("h2", {}, NAMES[side]), labelled("", box, `${NAMES[side]} shows`));
-    place.prepend(head);
-    head.append(this.views[side].fields);
+    const shows = labelled("", box, `${this.names[side]} shows`);
+    place.prepend(make("div", { class: "head" }, make("h2", {}, this.names[side]), shows, this.views[side].fields));
     return box;
   }
 
@@ -90,23 +101,23 @@ class Marks {
   showPicture(side, id) {
     const picture = this.app.pictures.find((/** @type {any} */ one) => one.id === id);
     this.views[side].show(picture);
-    if (side === "moving") this.overlay.show(picture, this.app);
+    if (side === "moving") this.overlay.show(picture);
   }
 
   /** Show the pictures and holes of the registration that is chosen. */
   showLayer() {
-    const { pictures, layer, session } = this.app;
-    const facts = session.layers?.find((/** @type {any} */ one) => one.name === layer);
+    const { pictures } = this.app;
+    const facts = factsOf(this.app);
     for (const side of SIDES) {
-      const on = facts?.shown[side] ?? { plane: side, layer };
-      const shown = pictures.filter(
-        (/** @type {any} */ one) =>
-          one.plane === on.plane && !/(^|\/)valid$/.test(one.name) && (on.plane === "fixed" || one.layer === on.layer),
-      );
-      const options = shown.map((/** @type {any} */ one) => make("option", { value: one.id }, one.title));
+      const on = facts.shown[side];
+      const own = (/** @type {any} */ one) => Number(one.layer === on.layer);
+      const shown = pictures
+        .filter((/** @type {any} */ one) => one.plane === on.plane && !/(^|\/)valid$/.test(one.name) && (on.plane === "fixed" || own(one)))
+        .sort((/** @type {any} */ a, /** @type {any} */ b) => own(b) - own(a)); // the original before what was laid on it
+      const options = shown.map((/** @type {any} */ one) => make("option", { value: one.id }, titled(one)));
       this.boxes[side].replaceChildren(...options);
       if (shown.length) this.showPicture(side, shown[0].id);
-      this.layers[side].showHoles((facts?.holes ?? session.holes)?.[side] ?? []);
+      this.layers[side].showHoles(facts.holes[side] ?? []);
     }
   }
 
@@ -115,10 +126,10 @@ class Marks {
     const names = (this.app.session.layers ?? []).map((/** @type {any} */ one) => one.name);
     if (names.length < 2) return [];
     const box = choice(names, async (name) => {
-      this.chosen = null;
       await this.app.chooseLayer(name);
-      this.showLayer();
+      this.anew();
     });
+    box.value = this.app.layer;
     return [make("div", { class: "group" }, labelled("Layer", box))];
   }
 
@@ -134,14 +145,15 @@ class Marks {
 
   /** @param {Side} side */
   bind(side) {
-    const { map, element } = this.views[side];
-    map.on("click", (/** @type {any} */ event) => this.clicked(side, flipped(event.coordinate), event.pixel));
-    map.on("pointermove", (/** @type {any} */ event) => {
-      if (!event.dragging) this.pointed(side, flipped(event.coordinate));
-    });
-    element.addEventListener("pointerleave", () => this.pointed(side, null));
-    element.addEventListener("keydown", (/** @type {KeyboardEvent} */ event) => this.key(side, event));
-    this.layers[side].dragging((id, point) => this.app.change({ do: "move", id, [side]: point }, "Mark moved"));
+    const view = this.views[side];
+    view.clicks.push((point, at) => this.clicked(side, point, at));
+    view.hovers.push((point) => this.pointed(side, point));
+    view.element.addEventListener("keydown", (/** @type {KeyboardEvent} */ event) => this.key(side, event));
+    const moving = (/** @type {any} */ id, /** @type {any} */ point) => {
+      const marks = this.app.state.marks.map((/** @type {any} */ one) => (one.id === id ? { ...one, [side]: point } : one));
+      this.overlay.follow(marks);
+    };
+    this.layers[side].dragging(moving, (id, point) => this.app.change({ do: "move", id, [side]: point }, "Mark moved"));
   }
 
   // --- what is shown ---------------------------------------------------------------------------------------------
@@ -159,7 +171,7 @@ class Marks {
     for (const side of SIDES) this.layers[side].showMarks(state.marks, this.chosen);
     this.table.show(state, this.chosen);
     this.tools.show(state, this.mark);
-    this.help.textContent = (state.marks.some((/** @type {any} */ one) => one.source.includes("tile")) ? TILES : "") + HELP;
+    this.help.hidden = !state.marks.some((/** @type {any} */ one) => one.source.includes("tile"));
     const { open } = this;
     for (const side of SIDES) this.views[side].hint(open && !open[side] ? `Click ${open.label} here` : "");
     const general = (state.warnings ?? []).filter((/** @type {any} */ one) => one.id === undefined || one.id === null);
@@ -221,9 +233,9 @@ class Marks {
     const state = await this.app.change(() => {
       id = this.open?.id ?? null;
       return id === null ? { do: "add", [side]: point } : { do: "move", id, [side]: point };
-    }, `Mark set in the ${NAMES[side]}`);
+    }, `Mark set in the ${this.names[side]}`);
     if (!state) return;
-    if (this.open) this.app.say(`${this.app.did} Now set ${this.open.label} in the ${NAMES[other(side)]}.`);
+    if (this.open) this.app.say(`${this.app.did} Now set ${this.open.label} in the ${this.names[other(side)]}.`);
     this.choose(id ?? state.marks.at(-1).id);
     this.lead(side);
   }
@@ -259,7 +271,7 @@ class Marks {
 
   /** @param {Side} side @param {[number, number]|null} point */
   pointed(side, point) {
-    this.app.cursor(point ? `${NAMES[side]} x, y: ${written(point)} um` : "");
+    this.app.cursor(point ? `${this.names[side]} x, y: ${written(point)} um` : "");
     this.prediction.point(side, point);
   }
 

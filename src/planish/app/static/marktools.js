@@ -61,7 +61,7 @@ function said(state) {
   const { fit } = state;
   if (!fit) return "";
   if (fit.error) return fit.error;
-  const um = (/** @type {number|null} */ value) => (value === null || value === undefined ? "–" : `${value.toFixed(2)} um`);
+  const um = (/** @type {number|null} */ value) => (value === null || value === undefined ? "–" : `${value.toFixed(2)} µm`);
   const model = fit.model === state.model ? "" : `${fit.model}: `;
   const follows = fit.follows ? `; ${state.model} follows` : "";
   return `${model}${pairsOf(state).length} pairs, residual ${um(fit.rms_um)}, leave-one-out ${um(fit.loo_rms_um)} (rms)${follows}`;

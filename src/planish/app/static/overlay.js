@@ -13,14 +13,19 @@ export const WAYS = /** @type {[string, string][]} */ ([
   ["two", "side by side"],
   ["blend", "blend"],
   ["swipe", "swipe"],
-  ["blink", "blink"],
+  ["blink", "flicker"],
   ["checkerboard", "checkerboard"],
 ]);
 
 export class Overlay {
-  /** @param {import("./mapview.js").MapView} base the view of the fixed plane */
-  constructor(base) {
+  /**
+   * @param {import("./mapview.js").MapView} base the view of the fixed plane
+   * @param {import("./mapview.js").MapView} upper that of the moving one, whose colours it has
+   */
+  constructor(base, upper) {
     this.base = base;
+    this.upper = upper;
+    upper.onLook = () => this.layer?.getSource().look(upper.look);
     this.way = "two";
     /** @type {import("./geometry.js").Affine|null} from the moving to the fixed plane */
     this.fit = null;
@@ -28,7 +33,7 @@ export class Overlay {
     this.inner = make("div", { class: "over-inner" });
     this.outer = make("div", { class: "over", "aria-hidden": "true" }, this.inner);
     this.share = make("input", { type: "range", min: 0, max: 100, value: 50, oninput: () => this.paint() });
-    this.control = labelled("Share of the Volume side, %", this.share);
+    this.control = labelled(`Share of the ${upper.name}, %`, this.share);
     this.control.hidden = true;
     this.view = new ol.View({
       projection: base.view.getProjection(),
@@ -45,9 +50,24 @@ export class Overlay {
     this.timer = 0;
   }
 
-  /** @param {any} picture of the moving plane @param {any} app */
-  show(picture, app) {
-    this.map.setLayers([rawTileLayer(picture, app.api)]);
+  /** @param {any} picture of the moving plane */
+  show(picture) {
+    this.layer = rawTileLayer(picture, this.base.app.api, this.upper.look);
+    this.map.setLayers([this.layer]);
+  }
+
+  close() {
+    clearInterval(this.timer);
+    this.map.setTarget(null);
+  }
+
+  /** Lay the pictures over each other while a mark is dragged: by an affine map, until the model has followed. @param {any[]} marks */
+  follow(marks) {
+    if (this.way === "two" || !this.fit) return;
+    const pairs = pairsOf(/** @type {any} */ ({ marks }));
+    const [from, to] = [pairs.map((mark) => mark.moving), pairs.map((mark) => mark.fixed)];
+    this.fit = affine(/** @type {any} */ (from), /** @type {any} */ (to)) ?? this.fit;
+    this.base.map.render();
   }
 
   /**
@@ -72,7 +92,7 @@ export class Overlay {
     const on = way !== "two" && this.fit !== null;
     this.place.setVisible(on);
     this.control.hidden = !on || (way !== "blend" && way !== "swipe");
-    this.control.firstChild.lastChild.textContent = way === "swipe" ? "Swipe, % from the left" : "Share of the Volume side, %";
+    this.control.firstChild.lastChild.textContent = way === "swipe" ? "Swipe, % from the left" : `Share of the ${this.upper.name}, %`;
     if (!on || other) {
       clearInterval(this.timer);
       this.timer = 0;
@@ -90,7 +110,7 @@ export class Overlay {
     if (this.way === "two") return "";
     if (!this.fit) return "The pictures can be laid over each other from three pairs on.";
     const part = this.model === "affine" ? "affine map" : "similarity part";
-    return `Volume side laid over the Image side by the ${part} of the marks.`;
+    return `${this.upper.name} laid over the ${this.base.name} by the ${part} of the marks.`;
   }
 
   paint() {

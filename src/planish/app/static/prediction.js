@@ -5,15 +5,15 @@ import { written } from "./dom.js";
 /** The pointer rests so long before the server is asked: a click is answered first. */
 const REST_MS = 40;
 
-const NAMES = { moving: "Volume side", fixed: "Image side" };
-
 export class Prediction {
   /**
    * @param {any} app
    * @param {{moving: import("./marklayer.js").MarkLayer, fixed: import("./marklayer.js").MarkLayer}} layers
+   * @param {{moving: string, fixed: string}} names of the views
    */
-  constructor(app, layers) {
+  constructor(app, layers, names) {
     this.app = app;
+    this.names = names;
     this.layers = layers;
     /** @type {{side: "moving"|"fixed", point: [number, number]}|null} */
     this.wanted = null;
@@ -33,7 +33,7 @@ export class Prediction {
     for (const side of /** @type {const} */ (["moving", "fixed"])) {
       const place = this.mark && !this.mark[side] ? this.mark.predicted?.[side] : null;
       this.layers[side].showGhost(place ?? null);
-      if (place) this.app.predicted(`${this.mark?.label} in the ${NAMES[side]}: ${written(place)} um`);
+      if (place) this.app.predicted(`${this.mark?.label} in the ${this.names[side]}: ${written(place)} um`);
     }
   }
 
@@ -69,8 +69,8 @@ export class Prediction {
       ]);
       if (!this.inside) break;
       this.layers[there].showGhost(found ? [found.x, found.y] : null);
-      this.app.predicted(found ? `${NAMES[there]} x, y: ${written([found.x, found.y])} um; ${found.text}` : "No pair yet");
-      this.app.cursor([`${NAMES[side]} x, y: ${written(point)} um`, ...valuesAt(here, picture)].join("; "));
+      this.app.predicted(found ? `${this.names[there]} x, y: ${written([found.x, found.y])} um; ${found.text}` : "No pair yet");
+      this.app.cursor([`${this.names[side]} x, y: ${written(point)} um`, ...valuesAt(here, picture)].join("; "));
     }
     this.busy = false;
   }

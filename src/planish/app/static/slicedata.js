@@ -53,17 +53,20 @@ export class Slice {
     return column < 0 ? NaN : (this.lines.get(name)?.[column] ?? NaN);
   }
 
-  /** Codes between which most pixels lie. @returns {[number, number]} */
-  usual() {
+  /** How the greys of some thousand pixels are distributed; `range` holds nearly all of them. */
+  histogram() {
+    const { missing, offset, scale } = this.facts;
     const every = Math.max(1, Math.floor(this.pixels.length / 20000));
     const seen = [];
-    for (let k = 0; k < this.pixels.length; k += every) {
-      if (this.pixels[k] !== this.facts.missing) seen.push(this.pixels[k]);
-    }
+    for (let k = 0; k < this.pixels.length; k += every) if (this.pixels[k] !== missing) seen.push(this.pixels[k]);
     seen.sort((a, b) => a - b);
-    if (!seen.length) return [0, 1];
-    const pick = (/** @type {number} */ share) => seen[Math.min(seen.length - 1, Math.floor(share * seen.length))];
-    return [pick(0.002), Math.max(pick(0.998), pick(0.002) + 1)];
+    const pick = (/** @type {number} */ share) => seen[Math.min(seen.length - 1, Math.floor(share * seen.length))] ?? 0;
+    const [low, high] = [pick(0), Math.max(pick(1), pick(0) + 1)];
+    const counts = Array(64).fill(0);
+    for (const code of seen) counts[Math.min(63, Math.floor((64 * (code - low)) / (high - low)))] += 1;
+    const grey = (/** @type {number} */ code) => offset + scale * code;
+    const range = [grey(pick(0.002)), grey(Math.max(pick(0.998), pick(0.002) + 1))];
+    return { n: seen.length, low: grey(low), high: grey(high), counts, range };
   }
 
   /**

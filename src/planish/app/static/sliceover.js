@@ -27,6 +27,7 @@ export function drawOver(view, pen) {
   for (const face of ["preview_top", "preview_bottom"]) drawLine(view, pen, face, PREVIEW, [], true);
   drawPoints(view, pen);
   drawCursor(view, pen);
+  if (view.marked) drawCross(pen, view.onScreen(view.marked.across, view.marked.down));
 }
 
 /**
@@ -157,7 +158,11 @@ function drawPoints(view, pen) {
 /** @param {View} view @param {CanvasRenderingContext2D} pen */
 function drawCursor(view, pen) {
   if (!view.cursor || document.activeElement !== view.canvas || !view.canvas.matches(":focus-visible")) return;
-  const { x, y } = view.cursor;
+  drawCross(pen, [view.cursor.x, view.cursor.y]);
+}
+
+/** @param {CanvasRenderingContext2D} pen @param {[number, number]} place */
+function drawCross(pen, [x, y]) {
   for (const [colour, width] of /** @type {const} */ ([["#000", 3], ["#fff", 1]])) {
     pen.strokeStyle = colour;
     pen.lineWidth = width;

@@ -1,11 +1,12 @@
 /** The picture of a slice: pixels, lines to the screen pixel, pan, zoom, a cursor for mouse and keys. */
 
 import { make } from "./dom.js";
+import { bindGestures } from "./gestures.js";
 import { along, placeAt } from "./slicedata.js";
 import { drawOver } from "./sliceover.js";
+import { drawScaleBar, lengthWords, roundLength, svgOf, viewBar } from "./viewbar.js";
 
 const CLOSEST = 64; // screen pixels of a voxel
-const CLICK_PX = 4; // a mouse that moves farther drags
 
 export class SliceView {
   /**
@@ -15,7 +16,10 @@ export class SliceView {
   constructor(on) {
     this.on = on;
     this.canvas = make("canvas", { role: "img", "aria-label": "Slice", tabindex: "0", class: "slice" });
-    this.frame = make("div", { class: "slice-frame" }, this.canvas);
+    const zoom = (/** @type {number} */ factor) => this.zoomBy(factor, this.canvas.clientWidth / 2, this.canvas.clientHeight / 2);
+    this.frame = make("div", { class: "slice-frame" }, this.canvas, viewBar("Slice", { zoom, fit: () => this.whole(), svg: () => this.svg() }));
+    /** @type {{across: number, down: number}|null} the place that was chosen */
+    this.marked = null;
     /** @type {import("./slicedata.js").Slice|null} */
     this.slice = null;
     /** @type {HTMLCanvasElement} */
@@ -30,8 +34,10 @@ export class SliceView {
     this.upper = 0;
     /** @type {{x: number, y: number}|null} */
     this.cursor = null;
-    /** @type {[number, number]|null} */
-    this.range = null;
+    /** Codes that are black and white. */
+    this.range = [0, 1];
+    /** @type {((low: number, high: number) => void)|null} takes the codes that a drag with Shift chose */
+    this.onWindow = null;
     new ResizeObserver(() => this.resized()).observe(this.frame);
     this.bind();
   }
@@ -51,7 +57,7 @@ export class SliceView {
   paintGrey() {
     if (!this.slice) return;
     const { across, down, missing } = this.slice.facts;
-    const [low, high] = this.range ?? this.slice.usual();
+    const [low, high] = this.range;
     const image = new ImageData(across.count, down.count);
     const words = new Uint32Array(image.data.buffer);
     const factor = 255 / (high - low || 1);
@@ -87,13 +93,20 @@ export class SliceView {
     this.draw();
   }
 
-  /** Show a place at a scale. @param {number} across @param {number} down @param {number} [zoom] */
-  goTo(across, down, zoom) {
+  /** Bring a place into the middle. @param {number} across @param {number} down @param {number} [zoom] */
+  lookAt(across, down, zoom) {
     if (!this.slice) return;
     if (zoom) this.zoom = zoom;
     const { facts } = this.slice;
     const [a, b] = [along(facts.across, across), along(facts.down, down)];
     this.centre(a + Math.abs(facts.across.step_um) / 2, b + Math.abs(facts.down.step_um) / 2);
+  }
+
+  /** Show a place at a scale, and mark it. @param {number} across @param {number} down @param {number} [zoom] */
+  goTo(across, down, zoom) {
+    if (!this.slice) return;
+    this.marked = { across, down };
+    this.lookAt(across, down, zoom);
     this.cursor = { x: this.canvas.clientWidth / 2, y: this.canvas.clientHeight / 2 };
     this.say();
     this.draw();
@@ -156,46 +169,56 @@ export class SliceView {
       wide * across.count, high * down.count,
     );
     drawOver(this, pen);
+    drawScaleBar(pen, 10, this.canvas.clientHeight - 8, 145, 1 / this.zoom, "#fff", "#000");
+  }
+
+  svg() {
+    this.draw();
+    const um = roundLength(145 / this.zoom);
+    const bar = { px: um * this.zoom, words: lengthWords(um) };
+    const { normal, at_um: at } = /** @type {import("./slicedata.js").Slice} */ (this.slice).facts;
+    return svgOf(this.canvas, { wide: this.canvas.clientWidth, tall: this.canvas.clientHeight, bar, title: `Slice at ${normal} = ${at.toFixed(2)} µm` });
   }
 
   // --- mouse and keys ------------------------------------------------------------------------------------------
 
   bind() {
     const { canvas } = this;
-    /** @type {{x: number, y: number, left: number, upper: number, moved: boolean}|null} */
-    let held = null;
-    canvas.addEventListener("pointerdown", (/** @type {PointerEvent} */ event) => {
-      if (event.button !== 0) return;
-      held = { x: event.offsetX, y: event.offsetY, left: this.left, upper: this.upper, moved: false };
-      canvas.setPointerCapture(event.pointerId);
+    bindGestures(this.frame, {
+      pan: (right, down) => {
+        this.isWhole = false;
+        this.left -= right / this.zoom;
+        this.upper -= down / this.zoom;
+        this.draw();
+      },
+      zoom: (factor, [x, y]) => {
+        this.zoomBy(factor, x, y);
+        this.say();
+      },
+      click: ([x, y]) => {
+        canvas.focus();
+        if (this.slice) this.on.onPoint(this.placeOf(x, y));
+      },
+      hover: (at) => {
+        this.cursor = at && { x: at[0], y: at[1] };
+        this.say();
+      },
+      take: (at, shift) => (shift && this.onWindow ? this.window(at) : null),
     });
-    canvas.addEventListener("pointermove", (/** @type {PointerEvent} */ event) => {
-      this.cursor = { x: event.offsetX, y: event.offsetY };
-      if (held) {
-        held.moved ||= Math.hypot(event.offsetX - held.x, event.offsetY - held.y) > CLICK_PX;
-        if (held.moved) {
-          this.isWhole = false;
-          this.left = held.left - (event.offsetX - held.x) / this.zoom;
-          this.upper = held.upper - (event.offsetY - held.y) / this.zoom;
-          this.draw();
-        }
-      }
-      this.say();
-    });
-    canvas.addEventListener("pointerup", (/** @type {PointerEvent} */ event) => {
-      const clicked = held && !held.moved;
-      held = null;
-      if (clicked && this.slice) this.on.onPoint(this.placeOf(event.offsetX, event.offsetY));
-    });
-    canvas.addEventListener("pointercancel", () => (held = null));
-    canvas.addEventListener("wheel", (/** @type {WheelEvent} */ event) => {
-      event.preventDefault();
-      this.zoomBy(Math.exp(-Math.max(-200, Math.min(200, event.deltaY)) / 300), event.offsetX, event.offsetY);
-      this.say();
-    }, { passive: false });
     canvas.addEventListener("keydown", (/** @type {KeyboardEvent} */ event) => this.key(event));
     canvas.addEventListener("focus", () => this.draw());
     canvas.addEventListener("blur", () => this.draw());
+  }
+
+  /** A drag with Shift: to the right for a wider range of grey, up for a darker picture. @param {number[]} from */
+  window(from) {
+    const [low, high] = this.range;
+    const move = (/** @type {number[]} */ to) => {
+      const width = (high - low) * Math.exp((to[0] - from[0]) / 200);
+      const level = (low + high) / 2 + ((from[1] - to[1]) / 200) * (high - low);
+      this.onWindow?.(level - width / 2, level + width / 2);
+    };
+    return { move, end: move };
   }
 
   /** @param {KeyboardEvent} event */
@@ -209,7 +232,7 @@ export class SliceView {
     if (move) this.moveCursor(move[0], move[1]);
     else if (event.key === "+" || event.key === "=") this.zoomBy(1.25, this.cursor.x, this.cursor.y);
     else if (event.key === "-") this.zoomBy(0.8, this.cursor.x, this.cursor.y);
-    else if (event.key === "Home") this.whole();
+    else if (event.key === "Home" || event.key === "0") this.whole();
     else if (event.key === "PageDown") this.on.onStep(event.shiftKey ? 10 : 1);
     else if (event.key === "PageUp") this.on.onStep(event.shiftKey ? -10 : -1);
     else if (event.key === "Enter") this.on.onPoint(this.placeOf(this.cursor.x, this.cursor.y));

@@ -34,6 +34,8 @@ export class Store {
     /** @type {((state: State) => void)[]} */
     this.listeners = [];
     this.queue = Promise.resolve();
+    /** @type {Record<string, Promise<any>>} */
+    this.counted = {};
     this.readOnly = Boolean(session.read_only);
   }
 
@@ -45,6 +47,11 @@ export class Store {
     this.did = text;
     const ofMarks = document.body.dataset.tab === "marks" ? this.state.message : "";
     this.lines.message([text, ofMarks].filter(Boolean).join(" "));
+  }
+
+  /** How the valid values of a picture are distributed; counted once. @param {any} picture */
+  histogram({ id }) {
+    return (this.counted[id] ??= this.api.get(`histogram?id=${id}`));
   }
 
   /** Show another registration. @param {string} layer */

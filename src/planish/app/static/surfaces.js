@@ -1,10 +1,14 @@
 /** The tab Surfaces: slices of the volume with what was found in them, and corrections of the faces. */
 
+import { Contrast } from "./contrast.js";
 import { Corrections } from "./corrections.js";
 import { button, choice, labelled, make, numbers } from "./dom.js";
 import { Slice } from "./slicedata.js";
 import { LINES } from "./sliceover.js";
 import { SliceView } from "./sliceview.js";
+
+/** A point that lies so many thicknesses of the sheet off the face is asked about. */
+const FAR = 0.5;
 
 /** @type {Tab|null} */
 let tab = null;
@@ -77,7 +81,12 @@ class Tab {
     this.directionBox = choice([], (value) => this.turn(value));
     this.slider = make("input", { type: "range", min: "0", step: "1", oninput: () => this.go(Number(this.slider.value)) });
     this.placeField = make("input", { type: "text", inputmode: "decimal", class: "short", onchange: () => this.goToText() });
-    this.rangeField = make("input", { type: "text", class: "short", onchange: () => this.setRange() });
+    const say = (/** @type {string} */ text) => this.app.say(text);
+    this.contrast = new Contrast({ name: "Grey range", say, onChange: () => this.setRange() });
+    this.view.onWindow = (low, high) => {
+      const { offset, scale } = /** @type {any} */ (this.view?.slice).facts;
+      this.contrast?.set([offset + scale * low, offset + scale * high]);
+    };
     this.corrections = new Corrections(this.app, {
       sheet: () => this.sheet, first: this.sheets[0].layer, onTry: () => this.load(), onShow: (place) => this.showPlace(place),
     });
@@ -87,17 +96,11 @@ class Tab {
       make("div", { class: "tools" },
         this.sheets.length > 1 ? labelled("Sheet", this.layerBox) : null,
         labelled("Direction", this.directionBox), labelled("Slice", this.slider),
-        labelled("Slice at, um", this.placeField), labelled("Grey range", this.rangeField),
-        button("Whole slice", () => this.view?.whole())),
+        labelled("Slice at, um", this.placeField),
+        make("span", { class: "field grey" }, make("span", { class: "soft" }, "Grey"), this.contrast.element)),
       make("div", { class: "tools" }, lines),
       this.view.frame,
-      make("div", { class: "under" },
-        ...this.corrections.elements,
-        make("p", { class: "soft help" },
-          "Click, or Enter, sets a point on the face that is chosen; the green line shows the face as Correct and then ",
-          "Apply will make it. Drag moves the slice, the wheel or + and - zoom, Home shows all of it. Arrows move the ",
-          "cursor by a screen pixel (Shift: 5), Page Up and Page Down go to the slice before and after (Shift: 10), ",
-          "Backspace removes the last point.")),
+      make("div", { class: "under" }, ...this.corrections.elements),
     );
   }
 
@@ -175,13 +178,10 @@ class Tab {
   }
 
   setRange() {
-    const found = numbers(this.rangeField.value, 2);
-    const empty = !this.rangeField.value.trim();
-    this.rangeField.setAttribute("aria-invalid", String(!found && !empty));
     const facts = this.view?.slice?.facts;
-    if (!this.view || !facts || (!found && !empty)) return;
-    const code = (/** @type {number} */ value) => (value - facts.offset) / facts.scale;
-    this.view.range = found ? [code(found[0]), code(found[1])] : null;
+    if (!this.view || !facts) return;
+    const [low, high] = /** @type {any} */ (this.contrast).limits.map((/** @type {number} */ value) => (value - facts.offset) / facts.scale);
+    this.view.range = [low, high];
     this.view.paintGrey();
     this.view.draw();
   }
@@ -201,7 +201,12 @@ class Tab {
       const slice = new Slice(await answer.arrayBuffer());
       if (number !== this.asked || !this.view) return;
       this.view.points = this.corrections.pointsIn(slice.facts);
+      this.contrast.show({ title: "Grey of the volume", name: "grey", units: "1", range: [0, 1], shade: (share) => Array(3).fill(255 * Math.max(0, Math.min(1, share))), counted: slice.histogram() });
+      const { offset, scale } = slice.facts;
+      const [low, high] = this.contrast.limits;
+      this.view.range = [(low - offset) / scale, (high - offset) / scale];
       this.view.show(slice);
+      this.corrections.compare(slice);
       if (!this.view.cursor) this.sayPlace(null);
     } catch (/** @type {any} */ error) {
       if (number === this.asked && error.name !== "AbortError") this.app.alarm(error.message);
@@ -266,6 +271,10 @@ class Tab {
       this.app.say("A slice along the sheet shows no height. Choose another direction to set points.");
       return;
     }
-    this.corrections.add(slice.place(at.across, at.down, this.sheet));
+    const place = slice.place(at.across, at.down, this.sheet);
+    const face = this.corrections.faceBox.value;
+    const off = Math.abs(at.down - slice.at(face, at.across));
+    if (off > FAR * this.sheet.thickness_um) this.corrections.question(place, `This point lies ${off.toFixed(0)} um from the ${face} face that was found.`);
+    else this.corrections.add(place);
   }
 }

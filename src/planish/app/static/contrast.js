@@ -1,0 +1,120 @@
+/** Colour bar, histogram and limits of the colours of a view: dragged, moved by keys, or written as numbers. */
+
+import { button, make, numbers, shown, withUnit } from "./dom.js";
+
+const [WIDE, BARS, TALL] = [256, 20, 30];
+
+export class Contrast {
+  /**
+   * @param {{name: string, onChange: () => void, say: (text: string) => void, before?: HTMLElement|null}} options
+   *   `name` of the field; `before` stands in front of it
+   */
+  constructor({ name, onChange, say, before = null }) {
+    this.onChange = onChange;
+    this.canvas = make("canvas", { role: "img", width: WIDE, height: TALL });
+    this.handles = ["low", "high"].map((end, k) => this.handle(`${name}, ${end}`, k));
+    this.track = make("div", { class: "track", ondblclick: () => this.reset() }, this.canvas, ...this.handles);
+    this.field = make("input", { type: "text", size: 13, spellcheck: "false", "aria-label": name, title: "Limits of the colours: low, high" });
+    const take = () => {
+      const found = numbers(this.field.value, 2);
+      const valid = found ? found[0] < found[1] : !this.field.value.trim();
+      this.field.setAttribute("aria-invalid", String(!valid));
+      if (!valid) say(`A ${name.split(" ").slice(-2).join(" ")} is "low, high", the smaller number first.`);
+      else if (!found) this.reset();
+      else if (this.field.value !== this.written) this.set(found);
+    };
+    this.field.addEventListener("change", take);
+    this.field.addEventListener("keydown", (/** @type {KeyboardEvent} */ event) => event.key === "Enter" && take());
+    const auto = button("Auto", () => this.reset(), { "aria-label": `${name}: auto`, title: "Limits as at first" });
+    this.element = make("div", { class: "contrast" }, before, this.field, this.track, auto);
+    this.limits = this.usual = this.span = [0, 1];
+  }
+
+  /**
+   * Show the colours of other values.
+   * @param {{title: string, name: string, units: string, range: number[], shade: (share: number) => number[],
+   *   counted?: any}} values `counted`: their histogram, with the range that its valid values have
+   */
+  show(values) {
+    const untouched = this.values?.name !== values.name || String(this.limits) === String(this.usual);
+    this.values = values;
+    const { counted } = values;
+    this.usual = counted?.range[0] < counted?.range[1] ? counted.range : values.range;
+    const margin = 0.25 * (this.usual[1] - this.usual[0] || 1);
+    this.span = counted ? [counted.low, counted.high] : [this.usual[0] - margin, this.usual[1] + margin];
+    const numbersOf = (/** @type {any} */ { mean, sd, median, pixel_um: pixel }) =>
+      `; mean ${shown(mean)}, SD ${shown(sd)}, median ${shown(median)}${withUnit(values)}; pixels of ${shown(pixel[1])} µm`;
+    const beyond = counted?.beyond ? `, ${counted.beyond} beyond` : "";
+    const words = counted ? `n ${counted.n}${beyond}${counted.pixel_um ? numbersOf(counted) : ""}` : "not counted yet";
+    this.canvas.setAttribute("aria-label", `Histogram of ${values.name}: ${words}`);
+    this.track.title = `${values.title}. ${words}. Drag an end; a double click brings both back.`;
+    if (untouched) this.limits = this.usual;
+    this.write();
+  }
+
+  /** @param {number[]} limits */
+  set(limits) {
+    this.limits = limits;
+    this.write();
+    this.onChange();
+  }
+
+  reset() {
+    this.set(this.usual);
+  }
+
+  /** Value at a share of the track. @param {number} share */
+  at(share) {
+    return this.span[0] + Math.max(0, Math.min(1, share)) * (this.span[1] - this.span[0]);
+  }
+
+  write() {
+    const [low, high] = this.limits;
+    this.field.value = this.written = this.limits.map(shown).join(", ");
+    this.field.setAttribute("aria-invalid", "false");
+    this.handles.forEach((handle, k) => {
+      const share = (this.limits[k] - this.span[0]) / (this.span[1] - this.span[0] || 1);
+      handle.style.left = `${100 * Math.max(0, Math.min(1, share))}%`;
+      handle.setAttribute("aria-valuenow", shown(this.limits[k]));
+      handle.setAttribute("aria-valuetext", shown(this.limits[k]) + withUnit(this.values));
+    });
+    const pen = this.canvas.getContext("2d");
+    pen.clearRect(0, 0, WIDE, TALL);
+    pen.fillStyle = getComputedStyle(this.canvas).color;
+    const counts = this.values.counted?.counts ?? [];
+    const most = Math.max(1, ...counts);
+    counts.forEach((/** @type {number} */ count, /** @type {number} */ k) => {
+      const [tall, step] = [(BARS * count) / most, WIDE / counts.length];
+      pen.fillRect(k * step, BARS - tall, step, tall);
+    });
+    for (let x = 0; x < WIDE; x++) {
+      const [r, g, b] = this.values.shade((this.at((x + 0.5) / WIDE) - low) / (high - low || 1)).map(Math.round);
+      pen.fillStyle = `rgb(${r}, ${g}, ${b})`;
+      pen.fillRect(x, BARS, 1, TALL - BARS);
+    }
+  }
+
+  /** One of both ends. @param {string} name @param {number} k @returns {HTMLElement} */
+  handle(name, k) {
+    const handle = make("div", { class: "limit", role: "slider", tabindex: 0, "aria-label": name });
+    const move = (/** @type {number} */ value) => {
+      const limits = [...this.limits];
+      limits[k] = value;
+      if (limits[0] < limits[1]) this.set(limits);
+    };
+    handle.addEventListener("pointerdown", (/** @type {PointerEvent} */ event) => handle.setPointerCapture(event.pointerId));
+    handle.addEventListener("pointermove", (/** @type {PointerEvent} */ event) => {
+      if (!handle.hasPointerCapture(event.pointerId)) return;
+      const box = this.track.getBoundingClientRect();
+      move(this.at((event.clientX - box.left) / box.width));
+    });
+    handle.addEventListener("keydown", (/** @type {KeyboardEvent} */ event) => {
+      const steps = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1 };
+      const step = steps[/** @type {keyof typeof steps} */ (event.key)];
+      if (!step) return;
+      event.preventDefault();
+      move(this.limits[k] + (step * (event.shiftKey ? 0.1 : 0.01)) * (this.span[1] - this.span[0]));
+    });
+    return handle;
+  }
+}
