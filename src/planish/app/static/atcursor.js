@@ -81,7 +81,8 @@ export class AtCursor {
     this.found = found;
     const { x, y, volume } = found;
     const first = this.sides.map((side) => side.picture.id);
-    const values = [...found.values].sort((a, b) => Number(first.includes(b.id)) - Number(first.includes(a.id)));
+    const rank = (/** @type {any} */ { id }) => (first.includes(id) ? first.indexOf(id) : 2);
+    const values = [...found.values].sort((a, b) => rank(a) - rank(b));
     // Seen is the place; names and values stand in the table, and here for those who read the line alone.
     const said = values.map((one) => `${one.name} ${written(one)}`).join("; ");
     this.line.replaceChildren(`x ${x.toFixed(2)}, y ${y.toFixed(2)} µm; ${inVolume(volume)}`, make("span", { class: "sr" }, `; ${said}`));
@@ -95,8 +96,8 @@ export class AtCursor {
 
   /** Show the slice through a place of the volume; one is asked for at a time. @param {any} volume */
   async cut(volume) {
-    const sheet = this.sheets.find((one) => one.layer === volume?.layer);
-    if (!sheet || !this.section.offsetParent) return;
+    const sheet = this.sheets.find((one) => one.layer === volume?.layer) ?? this.sheets[0]; // one linked to an image has its layer
+    if (!volume || !sheet || !this.section.offsetParent) return;
     this.place = { sheet, volume };
     if (this.cutting) return;
     this.cutting = true;

@@ -2,10 +2,9 @@
 
 import { button, make, shown } from "./dom.js";
 import { ticks } from "./scatter.js";
-import { viewBar } from "./viewbar.js";
+import { SVG, viewBar } from "./viewbar.js";
 
-const SVG = "http://www.w3.org/2000/svg";
-const [WIDE, TALL, LEFT, TOP] = [560, 130, 64, 22];
+const [WIDE, TALL, LEFT, TOP] = [380, 190, 60, 22];
 const INKS = ["var(--mark, #24597f)", "var(--bad, #a5301d)"];
 const INK = "var(--ink, #22292f)";
 
@@ -62,5 +61,6 @@ export function profile(found, titles, close) {
   const bar = viewBar("Profile", { svg: saved });
   bar.append(button("×", close, { "aria-label": "Profile: close", title: "close" }));
   const picture = make("div", { role: "img", "aria-label": `Profile over ${shown(length)} um of ${names}` }, svg);
-  return make("div", { class: "profile" }, picture, bar, make("p", { class: "soft" }, `Pixels of ${shown(found.pixel_um)} µm.`));
+  const pixels = make("p", { class: "soft" }, `Pixels of ${shown(found.pixel_um)} µm.`);
+  return make("div", { class: "profile" }, make("div", { class: "head" }, make("h2", {}, "Profile"), bar), picture, pixels);
 }

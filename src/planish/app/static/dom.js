@@ -35,12 +35,13 @@ let fields = 0;
  * @param {string} label
  * @param {HTMLElement} field
  * @param {string} [unseen] what stands before the label for those who do not see where the field is
+ * @param {string} [seen] what is read, where that is another
  * @returns {HTMLElement}
  */
-export function labelled(label, field, unseen = "") {
+export function labelled(label, field, unseen = "", seen = typeset(label)) {
   field.id ||= `field-${++fields}`;
-  if (typeset(label) !== label) field.setAttribute("aria-label", unseen + label); // as scripts know it
-  const name = make("label", { for: field.id }, make("span", { class: "sr" }, unseen), typeset(label));
+  if (seen !== label) field.setAttribute("aria-label", unseen + label); // as scripts know it
+  const name = make("label", { for: field.id }, make("span", { class: "sr" }, unseen), seen);
   return make("span", { class: "field" }, name, field);
 }
 

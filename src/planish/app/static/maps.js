@@ -70,7 +70,7 @@ class Maps {
       },
       onClear: () => this.clear(),
     });
-    this.scatterWords = make("span", { class: "soft" });
+    this.scatterWords = make("p", { class: "soft" });
     this.selection = make("p", { role: "status", "aria-label": "Selection", class: "selection" });
     this.whole = make("p", { role: "status", "aria-label": "Whole maps" });
     this.profile = make("div", { class: "profile-part", hidden: true });
@@ -80,8 +80,9 @@ class Maps {
     const scatter = make(
       "section",
       { class: "view scatter-part", "aria-label": "Scatter of both layers" },
-      make("div", { class: "head" }, make("h2", {}, "Scatter"), this.scatterWords),
+      make("div", { class: "head" }, make("h2", {}, "Scatter"), this.scatter.bar),
       this.scatter.element,
+      this.scatterWords,
       this.whole,
       this.selection,
     );
@@ -107,7 +108,7 @@ class Maps {
     this.shareBox = labelled("Share of the right layer", this.share);
     this.shareBox.hidden = true;
     this.onlyValid = make("input", { type: "checkbox", onchange: () => this.draw() });
-    const places = { type: "text", size: 18, spellcheck: "false", placeholder: "x0, y0, x1, y1" };
+    const places = { type: "text", size: 23, spellcheck: "false", placeholder: "x0, y0, x1, y1" };
     this.regionField = make("input", { ...places, "aria-label": "Region, um" });
     this.lineField = make("input", { ...places, "aria-label": "Line, um" });
     this.field(this.regionField, "A region is \"x0, y0, x1, y1\" in um.", (region) => this.setRegion(region));
@@ -210,7 +211,7 @@ class Maps {
     const sorted = (/** @type {number} */ k) => [region?.[k] ?? 0, region?.[k + 2] ?? 0].sort((a, b) => a - b);
     const [xs, ys] = [sorted(0), sorted(1)];
     this.region = region && [xs[0], ys[0], xs[1], ys[1]];
-    this.regionField.value = this.region ? this.region.map((um) => String(Number(um.toFixed(3)))).join(", ") : "";
+    this.regionField.value = this.region ? this.region.map((um) => String(Number(um.toFixed(1)))).join(", ") : "";
     this.shapes.region(this.region);
     void this.countRegion();
     void this.select();

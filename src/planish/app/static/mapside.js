@@ -34,7 +34,7 @@ export class MapSide {
     };
     this.brushField.addEventListener("change", take);
     this.brushField.addEventListener("keydown", (/** @type {KeyboardEvent} */ event) => event.key === "Enter" && take());
-    this.brushBox = make("label", { class: "field" }, make("span", { class: "soft" }, "values"), this.brushField);
+    this.brushBox = make("label", { class: "field" }, make("span", { class: "soft" }, "Brush"), this.brushField);
     this.element.prepend(make("div", { class: "head" }, labelled(`${side} layer`, this.layer)));
     this.view.fields.prepend(this.brushBox);
     this.choose();

@@ -40,7 +40,7 @@ export class MapView {
       "div",
       { class: "fields" },
       labelled("centre, um", this.centreField, `${name} `),
-      labelled("um per screen pixel", this.pixelField, `${name}, `),
+      labelled("um per screen pixel", this.pixelField, `${name}, `, "µm/pixel"),
     );
     this.palette = choice(Object.keys(PALETTES), () => this.recolour());
     this.palette.setAttribute("aria-label", `${short} colours`);
@@ -245,8 +245,8 @@ export class MapView {
   /** Write where the view is into the fields, and draw the scale bar. */
   showPlace() {
     const focused = document.activeElement;
-    if (this.centreField !== focused) this.centreField.value = this.centre.map((um) => um.toFixed(2)).join(", ");
-    if (this.pixelField !== focused) this.pixelField.value = String(Number(this.pixel.toPrecision(5)));
+    if (this.centreField !== focused) this.centreField.value = this.centre.map((um) => um.toFixed(this.pixel > 1 ? 1 : 2)).join(", ");
+    if (this.pixelField !== focused) this.pixelField.value = String(Number(this.pixel.toPrecision(4)));
     const length = roundLength(145 * this.pixel);
     this.bar = { px: length / this.pixel, words: lengthWords(length) };
     this.scale.style.width = `${this.bar.px}px`;

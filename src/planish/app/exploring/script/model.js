@@ -127,21 +127,3 @@ function prepared(canvas, high) {
   pen.clearRect(0, 0, wide, high);
   return [pen, wide, high];
 }
-
-function roundLength(most) {
-  const power = 10 ** Math.floor(Math.log10(most));
-  return [5, 2, 1].map((k) => k * power).find((v) => v <= most);
-}
-
-function scaleBar(pen, x, y, most, umPerPixel, ink, halo) {
-  const um = roundLength(most * umPerPixel), wide = um / umPerPixel;
-  const label = um >= 1000 ? `${um / 1000} mm` : `${um} µm`;
-  pen.font = "12px sans-serif";
-  pen.lineJoin = "round";
-  for (const [colour, width] of [[halo, 4], [ink, 0]]) {
-    pen.strokeStyle = pen.fillStyle = colour;
-    pen.lineWidth = 4 + width;
-    pen.beginPath(); pen.moveTo(x, y); pen.lineTo(x + wide, y); pen.stroke();
-    if (width) { pen.lineWidth = 3; pen.strokeText(label, x, y - 7); } else pen.fillText(label, x, y - 7);
-  }
-}
