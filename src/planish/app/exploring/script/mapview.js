@@ -19,7 +19,7 @@ class MapView {
     this.tool.addEventListener("click", () => this.tool.setAttribute("aria-pressed", String(this.tool.ariaPressed !== "true")));
     const tools = viewBar(this.name, { zoom, fit: () => zoom(0), svg: () => this.svg() });
     tools.prepend(this.tool);
-    this.frame.append(tools);
+    this.frame.previousElementSibling.append(tools);
     this.frame.after(this.contrast.element);
     bindGestures(this.frame, {
       pan: (right, down) => { view.x -= right * view.um; view.y -= down * view.um; redraw("window"); },

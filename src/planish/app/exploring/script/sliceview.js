@@ -8,9 +8,9 @@ class SliceView {
     this.pictures = new Map();
     this.k = -1;
     this.frame.addEventListener("pointerdown", (event) => this.pressed(event));
-    this.frame.addEventListener("keydown", (event) => { if (event.target === this.frame) this.key(event); });
+    this.frame.addEventListener("keydown", (event) => this.key(event));
     const whole = at("slice-whole"), svg = () => svgOf(at("slice-near"), { wide: whole.clientWidth, tall: at("slice-near").clientHeight, title: at("slice-position").textContent });
-    this.frame.append(viewBar("Slice", { svg }));
+    this.frame.before(viewBar("Slice", { svg }));
   }
 
   // The sheet of the left map, or else of the right one, or else the first.
@@ -140,7 +140,7 @@ class SliceView {
   }
 
   pressed(event) {
-    if (this.k < 0 || event.button || !event.target.id.startsWith("slice-")) return;
+    if (this.k < 0 || event.button) return;
     const near = event.target.id === "slice-near" ? 1 : 0, box = event.target.getBoundingClientRect(), window = this.windows[near];
     this.go(this.stack.at[this.k], window.left + (event.clientX - box.left) * window.across);
   }
