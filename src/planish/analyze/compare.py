@@ -177,7 +177,6 @@ def _change(change_of_r: float, pair: Sequence[Array], pair_of_run: Sequence[Arr
 
 
 def _variants(sheet: Mapping[str, xr.Dataset], fit: FittedTransform) -> Iterator[_Variant]:
-    """The registrations that the run's own is compared with."""
     for title, coordinates, model in REGISTRATION_VARIANTS:
         if model == fit.model and coordinates == ("u", "v"):
             continue  # the run's own

@@ -219,7 +219,6 @@ def _faces(texture: Textures, names: Mapping[Side, list[str]]) -> dict[Side, Rel
 
 
 def _mean(relations: Iterable[Relation | None]) -> Relation | None:
-    """Mean of correlations of maps that go together or not as one."""
     pooled = [relation for relation in relations if relation is not None]
     if not pooled:
         return None

@@ -211,7 +211,6 @@ def _same_turn(a: Similarity, b: Similarity) -> bool:
 
 
 def _apart(a: Similarity, b: Similarity, middle_um: Floats) -> bool:
-    """Whether two places are two."""
     is_shifted = float(np.linalg.norm(a(middle_um) - b(middle_um))) > _NEAR_UM
     return a.mirrored != b.mirrored or not _same_turn(a, b) or is_shifted
 

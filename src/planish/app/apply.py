@@ -163,7 +163,6 @@ class Applying:
             self.progress = final
 
     def _clean(self) -> None:
-        """Remove the files of an order, and what there is of its run."""
         staging = self.session.folder / STAGING
         with suppress(OSError, ValueError):
             sweep(Path((staging / TARGET).read_text(encoding="utf-8")))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from planish.app.changes import Mark
-from planish.app.picture import PLANES, WHERE, Plane, finite_or_none
+from planish.app.picture import PLANES, Plane, finite_or_none
 from planish.app.session import dataset_of
 from planish.core.errors import PlanishError
 from planish.core.facts import ResultModel
@@ -96,7 +96,6 @@ def _best_inliers(z: Complexes, w: Complexes, count: int) -> NDArray[np.intp]:
 
 
 def _residuals(z: Complexes, w: Complexes, inliers: NDArray[np.intp]) -> Complexes:
-    """Give the residuals of all marks from the similarity that fits the inliers best."""
     z_mean, w_mean = z[inliers].mean(), w[inliers].mean()
     z_centred = z[inliers] - z_mean
     factor = np.sum(z_centred.conj() * (w[inliers] - w_mean)) / max(float(np.sum(np.abs(z_centred) ** 2)), 1e-300)
@@ -236,7 +235,6 @@ def _least_squares(moving: Floats, fixed: Floats, model: str, mirrored: bool | N
 
 
 def _from_few_pairs(moving: Floats, fixed: Floats, mirrored: bool | None) -> tuple[Any, str]:
-    """Fit one or two pairs: a shift, or a similarity."""
     if len(moving) == 1:
         x, y = (fixed[0] - (moving[0] * (-1.0, 1.0) if mirrored else moving[0])).tolist()
         shift = Similarity(shift_um=(x, y), mirrored=bool(mirrored))
@@ -250,12 +248,13 @@ def _from_few_pairs(moving: Floats, fixed: Floats, mirrored: bool | None) -> tup
 
 def _coincidence_warnings(pairs: Sequence[Mark]) -> list[FitWarning]:
     warnings: list[FitWarning] = []
-    for plane, plane_text in WHERE.items():
+    for plane in PLANES:
         mark_at: dict[tuple[float, float], Mark] = {}
         for mark in (m for m in pairs if m.used):
             earlier = mark_at.setdefault(getattr(mark, plane).xy, mark)
             if earlier is not mark:
-                warnings.append(FitWarning(id=mark.id, text=f"Lies at the same place as {earlier.label} {plane_text}."))
+                text = f"Lies at the same place as {earlier.label} in the {plane} plane."
+                warnings.append(FitWarning(id=mark.id, text=text))
     return warnings
 
 

@@ -81,7 +81,6 @@ class Pictures:
 
 
 def _of_run(run: Path) -> Iterator[PlanePicture]:
-    """The pictures of a run: of every moving layer, then of what lies on the reference."""
     results, study = open_results(run), read_study(run / "run.toml")
     if not results.is_link:
         yield from _sheet(run, layer=results.layers[0].name, prefix="")
@@ -102,7 +101,6 @@ def _of_run(run: Path) -> Iterator[PlanePicture]:
 
 
 def _sheet(run: Path, *, layer: str, prefix: str) -> Iterator[PlanePicture]:
-    """The maps of a sheet on its own plane, and the strains of its flattening."""
     maps = [*group_pictures(run, "maps", plane="moving", layer=layer, prefix=prefix)]
     yield from maps
     levels_of = {picture.name.removeprefix(prefix): picture.levels for picture in maps}
@@ -269,6 +267,5 @@ class Tiles:
 
 
 def _overlap(window: slice, k: int, length: int) -> tuple[slice, slice]:
-    """Give the place of the k-th block in a window, and of the window in the block."""
     start, stop = max(window.start, k * CHUNK), min(window.stop, k * CHUNK + length)
     return slice(start - window.start, stop - window.start), slice(start - k * CHUNK, stop - k * CHUNK)

@@ -98,6 +98,7 @@ BASE_PIXELS = 4_000_000
 """Pixels of the overview from which densities and histograms are made."""
 
 _BINS = 128
+_RIM = 0.75  # of a hole's diameter: its rim ends within
 Window = tuple[slice, slice]
 
 
@@ -160,15 +161,19 @@ def density(tiles: Tiles, a: PlanePicture, b: PlanePicture, region: Rectangle | 
     }  # fmt: skip
 
 
-def histogram(tiles: Tiles, picture: PlanePicture, region: Rectangle | None = None) -> dict[str, Any]:
-    """Count the valid values of a picture, of pixels of the stated size; ``range``: the 2nd to the 98th percentile."""
+def histogram(tiles: Tiles, picture: PlanePicture, *, holes: xr.Dataset | None = None) -> dict[str, Any]:
+    """Count the valid values of a picture, of pixels of the stated size; ``range``: the 2nd to the 98th percentile.
+
+    A picture without a mask of its own is counted without its ``holes`` and their rims.
+    """
     level, (values,) = _overview(tiles, picture)
-    all_finite = values[np.isfinite(values)]
-    low, high = _limits(all_finite)
-    percentiles = np.percentile(all_finite, [2, 98]).tolist() if all_finite.size else [0.0, 1.0]
-    if region is not None:
-        values = values[region.on(picture, level)]
+    if holes is not None and not tiles.pictures.valid_of(picture):
+        y_um, x_um = (picture.levels[level][dim].values for dim in picture.full.dims)
+        for x, y, diameter in zip(*(holes[name].values for name in ("x", "y", "diameter")), strict=True):
+            values[np.hypot(y_um[:, None] - y, x_um - x) < _RIM * diameter] = np.nan
     finite = values[np.isfinite(values)].astype(np.float64)
+    low, high = _limits(finite)
+    percentiles = np.percentile(finite, [2, 98]).tolist() if finite.size else [0.0, 1.0]
     counts, _ = np.histogram(finite, bins=_BINS, range=(low, high))
     return {
         "pixel_um": _pixel_um(picture, level), "n": finite.size, "beyond": finite.size - int(counts.sum()), "low": low,
@@ -235,7 +240,6 @@ def _overview(tiles: Tiles, *pictures: PlanePicture) -> tuple[int, list[Floats]]
 
 
 def _limits(values: Floats) -> tuple[float, float]:
-    """Between which nearly all values lie, with a little room."""
     if values.size == 0:
         return 0.0, 1.0
     # Percentiles between which points are drawn; those beyond are counted.

@@ -29,7 +29,6 @@ from planish.app.changes import (
 from planish.app.journal import InUse, Journal
 from planish.app.picture import PLANES, Plane
 from planish.app.pictures import Pictures
-from planish.checks.registration import marks_limit_um
 from planish.core.errors import FileError, InputError, PlanishError
 from planish.core.facts import Side
 from planish.core.typing import Floats
@@ -136,14 +135,9 @@ class Session:
         """What a person calls both planes: a sheet and its image by what they are, all others by their layers."""
         target = self.target(layer)
         kinds = {facts.name: facts.kind for facts in self.results.layers}
-        if (kinds[layer], kinds.get(target, "image")) == ("sheet", "image"):
-            return {"moving": "Volume side", "fixed": "Image side"}
-        return {"moving": layer, "fixed": target}
-
-    def marks_limit_um(self, layer: str) -> float:
-        """From where on the check of the marks asks for a look."""
-        shown = (self.pictures.on(*self.shown_by(layer, plane)) for plane in PLANES)
-        return marks_limit_um(sum(self.study.holes.hole_um) / 2, max(max(p[0].grid.pixel_um) for p in shown if p))
+        is_sheet_on_image = (kinds[layer], kinds.get(target, "image")) == ("sheet", "image")
+        names = ("Volume side", "Image side") if is_sheet_on_image else (layer, target)
+        return dict(zip(PLANES, names, strict=True))
 
     def mirrored(self, layer: str) -> bool | None:
         """Whether the fixed plane shows the other side of the sheet; None where either hand may fit."""
@@ -237,7 +231,6 @@ class Session:
             return self.state
 
     def _step(self, journal_line: bytes, *, save: bool) -> None:
-        """Take the step of a line of the journal: to the state before, to the one after it, or to a new one."""
         states, position = self._states, self._position + 1
         if journal_line == _UNDO:
             position -= 2

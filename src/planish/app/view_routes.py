@@ -58,6 +58,14 @@ def get_profile(request: Request) -> Response:
     return JSONResponse(profile(_tiles(request), pictures, (x0, y0, x1, y1)))
 
 
+def get_histogram(request: Request) -> Response:
+    """How the values of a picture are distributed."""
+    session, picture = session_of(request), _picture(request, "id")
+    layer = picture.layer if picture.layer in session.layers else session.layers[0]
+    holes = session.holes(layer)[picture.plane]
+    return JSONResponse(histogram(_tiles(request), picture, holes=holes))
+
+
 async def get_selection(request: Request) -> Response:
     """Pixels of a region or of brushes at full resolution; given up where the page goes away."""
     (a, b), region, tiles = _picture_pair(request), _region(request), _tiles(request)
@@ -172,7 +180,6 @@ def get_slice(request: Request) -> Response:
 
 
 def _open_sheet(request: Request, layer: str) -> SlicedSheet:
-    """The sheet of a layer, opened when it is first asked for."""
     app, session = request.app, session_of(request)
     sheets: dict[str, SlicedSheet] = app.state.sheets
     with _OPENING:
@@ -255,7 +262,7 @@ ROUTES = [
     route("/api/pixel", get_pixel),
     route("/api/profile", get_profile),
     route("/api/density", lambda r: JSONResponse(density(_tiles(r), *_picture_pair(r), _region(r)))),
-    route("/api/histogram", lambda r: JSONResponse(histogram(_tiles(r), _picture(r, "id"), _region(r)))),
+    route("/api/histogram", get_histogram),
     route("/api/selection", get_selection),
     route("/api/sheets", get_sheets),
     route("/api/slices/{layer}/{direction}/{index:int}", get_slice),

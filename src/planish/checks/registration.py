@@ -58,14 +58,9 @@ class TextureChecks:
 # --- of a registration -----------------------------------------------------------------------------------------------
 
 
-def marks_limit_um(hole_um: float, pixel_um: float) -> float:
-    """Within which marks agree that were found well."""
-    return max(0.1 * hole_um, pixel_um)
-
-
 def marks(rule: CheckRule, registered: RegisteredLayer) -> Check:
     """Judge the leave-one-out error of the marks, and whether marks that were left out lie far off."""
-    limit_um = marks_limit_um(registered.hole_um, registered.pixel_um)
+    limit_um = max(0.1 * registered.hole_um, registered.pixel_um)  # marks that were found well agree within that
     loo_um, fit = registered.facts.leave_one_out_rms_um, registered.fit
     if loo_um is None:
         return rule.check(

@@ -138,7 +138,6 @@ def not_taken(value: object, expected: str, fix: str, call_format: str) -> Input
 
 
 def _checked_size(array: object, kind: ArrayKind, call_format: str) -> tuple[float, ...]:
-    """Size along each axis, by the coordinates or the attribute."""
     fix = call_format.format(conversion_call(array, kind))
     if not isinstance(array, xr.DataArray):
         raise not_taken(array, kind.with_article, fix, call_format)

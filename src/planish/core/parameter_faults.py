@@ -65,7 +65,6 @@ def _key_names(text: str) -> list[str] | None:
 
 
 def _table_key(names: list[str], table_counts: dict[Key, int], *, is_array: bool) -> Key:
-    """Key of a table: within arrays of tables, that of the last one."""
     key: Key = ()
     for k, name in enumerate(names):
         key = (*key, name)

@@ -184,7 +184,6 @@ def _with_record(volume: xr.DataArray, record: CorrectionRecord) -> xr.DataArray
 def _find_change(
     sums_before: Sums, turning: Turning, levels: Levels, record: CorrectionRecord
 ) -> tuple[Change, CorrectionRecord]:
-    """Find the change that the volume needs, and note it with its reasons in the record."""
     sentences: list[str] = []
     ring_fit = find_rings(sums_before, turning, levels.contrast)
     cupping, trends, cupping_text = find_cupping(sums_before, turning, levels, ring_fit.mean)

@@ -274,7 +274,6 @@ def _holes(axes: Axes, pattern: Pattern, edge: str) -> None:
 
 
 def _numbers(axes: Axes, points: Floats, labels: Sequence[str], low: Floats, size: Floats) -> None:
-    """Write a number at each point, on the side of the middle of the rectangle."""
     towards_middle = low + size / 2 - points
     inwards = np.sign(towards_middle) * (np.abs(towards_middle) > 0.4 * size)
     inwards[~inwards.any(axis=1)] = [0.7, 0.7]
@@ -295,7 +294,6 @@ def _pitches(axes: Axes, pattern: Pattern, distance: float) -> None:
 
 
 def _write(axes: Axes, place: Point, text: str, offset_pt: Point = (0, 0), **options: Any) -> None:
-    """Write beside a place, ``offset_pt`` in points of the paper."""
     annotation: dict[str, Any] = {"ha": "center", "va": "center", "annotation_clip": False, **options}
     axes.annotate(text, (place[0], place[1]), (offset_pt[0], offset_pt[1]), textcoords="offset points", **annotation)
 

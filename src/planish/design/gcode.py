@@ -91,7 +91,6 @@ def _move(x_um: float, y_um: float) -> str:
 
 
 def _plain(value: float, decimals: int) -> str:
-    """Write a number without an exponent."""
     text = f"{value:.{decimals}f}".rstrip("0").rstrip(".")
     return "0" if text in ("", "-0") else text
 

@@ -129,7 +129,6 @@ def _entity(crate: Any, identifier: str, kind: str, **properties: Any) -> Any:
 
 
 def _add(crate: Any, entry: Path) -> Any:
-    """Add a file with its size and hash, or a folder."""
     name = entry.name
     description = {
         "run.toml": "Every parameter of the run; planish run repeats it",

@@ -129,7 +129,6 @@ def write_vtu(surface: Surface, path: Path, history: ExportHistory, params: Expo
 
 
 def _write_vtk_array(file: IO[str], name: str, array: NDArray[Any]) -> None:
-    """Write an array: its number of bytes and its bytes, as base64."""
     vtk_type = {"f4": "Float32", "i4": "Int32", "i8": "Int64", "u1": "UInt8"}[array.dtype.str[1:]]
     components_attr = ' NumberOfComponents="3"' if name == "Points" else ""
     file.write(f'<DataArray type="{vtk_type}" Name={quoteattr(name)}{components_attr} format="binary">\n')

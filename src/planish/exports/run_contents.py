@@ -242,7 +242,6 @@ def checked_names(requested: Sequence[str], names: Sequence[str], place_text: st
 
 
 def _grid_around(marks: np.ndarray) -> Grid:
-    """Pixels of a layer of which only the marks are known."""
     low_um, high_um = marks.min(axis=0), marks.max(axis=0)
     extent_um = float((high_um - low_um).max())
     margin_um = 0.3 * extent_um  # how far a layer whose pixels are not known may reach beyond its marks

@@ -124,7 +124,6 @@ def _write_finest_levels(
     workers: int,
     progress: Progress | None,
 ) -> None:
-    """Write the volume and its half in one pass over the input."""
     max_blocks = min(BLOCKS_AT_WORK, count_threads()) if executor is None else workers
     block_shape, n_parallel = _plan_blocks(levels[0], memory_bytes, max_blocks)
     blocks = list(_blocks(levels[0].shape, block_shape))
@@ -234,7 +233,6 @@ def _halved(where: Where, times: int) -> Where:
 
 
 def _make_levels(folder: Path, volume: xr.DataArray, ome: str) -> list[Array]:
-    """Make or open the arrays of all levels, and write what is known of the volume."""
     shapes = [tuple(volume.shape)]
     while max(shapes[-1]) > _SMALLEST and min(shapes[-1]) >= 2 * _LEAST_DEPTH:
         shapes.append(tuple(-(-n // 2) for n in shapes[-1]))

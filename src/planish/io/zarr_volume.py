@@ -176,7 +176,6 @@ def _scale_of(owner: Keys, count: int) -> list[float] | None:
 
 
 def _stored_chunks(folder: Path, files: list[Path]) -> Iterator[tuple[int, ...]]:
-    """Positions of the chunks, or shards, that lie in the folder of an array."""
     for file in files:
         # ``c/0/1/2``, ``c.0.1.2``, ``0/1/2`` or ``0.1.2``
         index_words = file.relative_to(folder).as_posix().removeprefix("c").strip("/.").replace("/", ".").split(".")

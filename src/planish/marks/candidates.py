@@ -237,7 +237,6 @@ def _peaks_of_radius(
 
 
 def _strongest_by_tile(places: Floats, radius: float) -> Bools:
-    """Return which places, strongest first, are among the strongest of their square of the image."""
     if len(places) <= ENOUGH_CANDIDATES:
         return np.ones(len(places), bool)
     tiles = np.floor(places[:, :2] / (TILE * radius)).astype(np.int64)

@@ -334,7 +334,6 @@ def _halo(prop: Property, frame: RayFrame) -> int:
 
 
 def _measured(prop: Property, rays_or_sheet: Rays | Sheet) -> Measured:
-    """Answer of a property with all three arrays."""
     answer = prop.function(rays_or_sheet)
     if not isinstance(answer, Measured):
         answer = Measured(values=np.asarray(answer))

@@ -279,7 +279,6 @@ class Canvas(Axes):
             self._tick(axes.x, axes.y + axes.place((x_min, value))[0, 1], -1, 0, label)
 
     def _tick(self, x: float, y: float, right: int, down: int, text: str) -> None:
-        """Draw a tick to the right, to the left (-1) or downwards, and its number."""
         self.line([(x, y), (x + 3 * right, y + 3 * down)], colour=SOFT, width=0.8)
         anchor = "middle" if down else "start" if right > 0 else "end"
         self.text(x + 6 * right, y + 4 + 12 * down, text, size=SMALL, anchor=anchor)
@@ -407,7 +406,6 @@ def _ticks(low: float, high: float, *, max_count: float, log: bool = False) -> T
 
 
 def _n(value: float) -> str:
-    """Write a coordinate to a tenth of a pixel."""
     return f"{round(float(value), 1) + 0.0:g}"
 
 

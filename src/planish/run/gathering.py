@@ -83,7 +83,6 @@ def gather_sheet(sheet: Layer, study: Study) -> Run:
 def _results(
     study: Study, layers: Iterable[LayerFacts], checks: Iterable[Check], *, by_this_code: bool = True, **fields: Any
 ) -> Results:
-    """All numbers of a run, with what its checks leave of them."""
     libraries = ("numpy", "scipy", "numba", "xarray", "zarr", "tifffile")
     results = Results(
         planish=__version__, code=hash_sources() if by_this_code else "", layers=tuple(layers), checks=tuple(checks),

@@ -206,7 +206,6 @@ def _comment(sentences: list[str]) -> list[str]:
 
 
 def _value(value: Any) -> str:
-    """A value as TOML."""
     if isinstance(value, tuple):
         return f"[{', '.join(map(_value, value))}]"  # pyright: ignore[reportUnknownVariableType]
     return tomli_w.dumps({"k": value}).removeprefix("k = ").strip()

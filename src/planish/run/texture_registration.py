@@ -334,7 +334,6 @@ def _with_tiles(
 
 
 def _marks(um: Floats, covariance_um2: Floats, holes: xr.Dataset | None, layer: TextureLayer) -> xr.Dataset:
-    """Tiles as marks of a layer, and the holes of it after them."""
     columns = {"x": um[:, 0], "y": um[:, 1], "diameter": np.full(len(um), np.nan)}
     columns |= {f"cov_{axes}": covariance_um2[:, j, k] for axes, j, k in (("xx", 0, 0), ("xy", 0, 1), ("yy", 1, 1))}
     tiles = xr.Dataset({name: ("mark", values) for name, values in columns.items()})

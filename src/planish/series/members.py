@@ -95,7 +95,6 @@ def _refuse_twice(runs: Sequence[Path], folders: Sequence[Path]) -> None:
 
 
 def _factors(csv_table: CsvTable, table: Path | None, folders: Sequence[Path]) -> list[dict[str, str]]:
-    """The factors of each run: of the row whose run, or name, is its folder."""
 
     def is_row_of(row: CsvRow, folder: Path) -> bool:
         run_cell = csv_table.text(row, "run")

@@ -89,7 +89,6 @@ def open_study(path: str | Path) -> xr.Dataset:
 
 
 def _labels(row: Mapping[str, str], has_several_sheets: bool) -> dict[str, Any]:
-    """Dims of a figure beside the specimen, and its labels."""
     quantity, layer, other_layer = row["quantity"], row["layer"], row["other_layer"]
     if quantity.startswith("checks_"):
         return {}

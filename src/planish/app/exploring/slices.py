@@ -129,7 +129,6 @@ def _pitch(coordinates: NDArray[Any]) -> float:
 
 
 def _planes(surfaces: xr.Dataset, depth_um: NDArray[Any]) -> slice:
-    """The planes of the volume that hold the surfaces, with a margin."""
     heights_um = np.concatenate([surfaces[name].values.ravel() for name in surfaces.data_vars if name != "thickness"])
     heights_um = heights_um[np.isfinite(heights_um)]
     if not heights_um.size:
@@ -217,7 +216,6 @@ def _stack(slices: list[Slice], sheet: str, frame: Frame, note: str) -> Stack:
 
 
 def _pictures(greys: list[NDArray[Any]]) -> tuple[str, tuple[str, ...]]:
-    """Compress pictures; where Pillow has no WebP, as JPEG."""
     from PIL import Image, features
 
     image_format = "webp" if features.check("webp") else "jpeg"

@@ -4,17 +4,15 @@ import { button, make, shown, withUnit } from "./dom.js";
 import { Slice } from "./slicedata.js";
 import { SliceView } from "./sliceview.js";
 
-/** @typedef {import("./mapside.js").MapSide} MapSide */
-
-export const isMask = (/** @type {any} */ one) => one.name.split("/").at(-1) === "valid";
+export const isMask = (one) => one.name.split("/").at(-1) === "valid";
 
 export class AtCursor {
-  /** @param {any} app @param {MapSide[]} sides the layers that are shown come first @param {(found: any) => void} onPlace */
+  /** `sides`: the layers that are shown come first */
   constructor(app, sides, onPlace) {
     this.app = app;
     this.sides = sides;
     this.onPlace = onPlace;
-    const status = (/** @type {string} */ name) => make("p", { role: "status", "aria-label": name, "aria-live": "off" });
+    const status = (name) => make("p", { role: "status", "aria-label": name, "aria-live": "off" });
     this.line = status("Cursor");
     this.slicePlace = status("Slice position");
     this.values = make("div", { class: "values", tabindex: 0, role: "group", "aria-label": "Table of values" });
@@ -26,30 +24,27 @@ export class AtCursor {
       make("div", { class: "head" }, make("h2", {}, "Slice"), this.slice, this.slicePlace),
       this.view.frame,
     );
-    /** @type {any[]} */
     this.sheets = [];
     void this.openSheets();
-    /** @type {number[]|null} */
     this.wanted = null;
     this.asking = false;
-    /** @type {any} */
     this.taken = null;
   }
 
   async openSheets() {
     const { sheets } = await this.app.api.get("sheets").catch(() => ({ sheets: [] }));
-    this.sheets = sheets.filter((/** @type {any} */ one) => !one.error);
+    this.sheets = sheets.filter((one) => !one.error);
     this.section.hidden = !this.sheets.length;
     if (this.found) this.show(this.found);
   }
 
-  /** @param {MapSide} side @param {import("./shapes.js").Shapes} shapes which clicks may mean */
+  /** `shapes`: which clicks may mean */
   bind(side, shapes) {
     const { view } = side;
-    const click = (/** @type {number[]} */ point) => (shapes.tool ? shapes.corner(point, view) : void this.take(point, side));
+    const click = (point) => (shapes.tool ? shapes.corner(point, view) : void this.take(point, side));
     view.hovers.push((point) => point && void this.point(point, side));
     view.clicks.push(click);
-    view.element.addEventListener("keydown", (/** @type {KeyboardEvent} */ event) => {
+    view.element.addEventListener("keydown", (event) => {
       if (event.target !== view.element) return;
       if (event.key === "Enter") click(view.centre);
       else if (event.key === "Escape") shapes.end();
@@ -57,12 +52,11 @@ export class AtCursor {
     });
   }
 
-  /** @param {number[]} point @param {MapSide} side */
   ask([x, y], side) {
     return this.app.api.get(`cursor?id=${side.picture.id}&x=${x}&y=${y}`).catch(() => null);
   }
 
-  /** Say what lies at a point; one question is asked at a time. @param {number[]} point @param {MapSide} side */
+  /** Say what lies at a point; one question is asked at a time. */
   async point(point, side) {
     this.wanted = point;
     if (this.asking) return;
@@ -76,12 +70,11 @@ export class AtCursor {
     this.asking = false;
   }
 
-  /** @param {any} found */
   show(found) {
     this.found = found;
     const { x, y, volume } = found;
     const first = this.sides.map((side) => side.picture.id);
-    const rank = (/** @type {any} */ { id }) => (first.includes(id) ? first.indexOf(id) : 2);
+    const rank = ({ id }) => (first.includes(id) ? first.indexOf(id) : 2);
     const values = [...found.values].sort((a, b) => rank(a) - rank(b));
     // Seen is the place; names and values stand in the table, and here for those who read the line alone.
     const said = values.map((one) => `${one.name} ${written(one)}`).join("; ");
@@ -94,7 +87,7 @@ export class AtCursor {
     void this.cut(volume);
   }
 
-  /** Show the slice through a place of the volume; one is asked for at a time. @param {any} volume */
+  /** Show the slice through a place of the volume; one is asked for at a time. */
   async cut(volume) {
     const sheet = this.sheets.find((one) => one.layer === volume?.layer) ?? this.sheets[0]; // one linked to an image has its layer
     if (!volume || !sheet || !this.section.offsetParent) return;
@@ -123,7 +116,7 @@ export class AtCursor {
     this.cutting = false;
   }
 
-  /** Take a place whose slice is shown. @param {number[]} point @param {MapSide} side */
+  /** Take a place whose slice is shown. */
   async take(point, side) {
     this.wanted = null;
     const found = await this.ask(point, side);
@@ -134,9 +127,9 @@ export class AtCursor {
     this.slicePlace.textContent = this.taken ? inVolume(this.taken).replace("volume ", "") : "";
   }
 
-  /** A click in the slice: the cursor of the maps goes there. @param {{across: number, down: number}} at */
+  /** A click in the slice: the cursor of the maps goes there. */
   async fromSlice(at) {
-    const { facts } = /** @type {Slice} */ (this.view.slice);
+    const { facts } = this.view.slice;
     const side = this.sides[0];
     const query = new URLSearchParams({ id: side.picture.id, layer: facts.layer, [facts.normal]: String(facts.at_um), [facts.across.name]: String(at.across) });
     const found = await this.app.api.get(`pixel?${query}`).catch(() => null);
@@ -150,11 +143,10 @@ export class AtCursor {
   }
 }
 
-/** @param {any} volume */
 const inVolume = (volume) =>
   volume ? `volume x ${volume.x.toFixed(2)}, y ${volume.y.toFixed(2)}, z ${volume.z.toFixed(2)} µm` : "not in the volume";
 
-/** @param {any} one a value with its unit */
+/** `one`: a value with its unit */
 function written(one) {
   if (one.value === null) return "no value";
   if (isMask(one)) return one.value ? "yes" : "no";

@@ -8,7 +8,6 @@ const [WIDE, TALL, LEFT, TOP] = [380, 190, 60, 22];
 const INKS = ["var(--mark, #24597f)", "var(--bad, #a5301d)"];
 const INK = "var(--ink, #22292f)";
 
-/** @param {string} tag @param {Record<string, unknown>} attributes @param {...(Node|string)} children */
 function draw(tag, attributes, ...children) {
   const element = document.createElementNS(SVG, tag);
   for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, String(value));
@@ -16,14 +15,12 @@ function draw(tag, attributes, ...children) {
   return element;
 }
 
-/** @param {number} x @param {number} y @param {string} words @param {string} anchor @param {string} fill */
 const text = (x, y, words, anchor, fill = INK) => draw("text", { x, y, "text-anchor": anchor, fill }, words);
 
 /**
  * Values along a line, one curve a layer, each on its own scale.
- * @param {any} found of the server
- * @param {string[]} titles of both layers, as they are read
- * @param {() => void} close
+ * `found`: of the server
+ * `titles`: of both layers, as they are read
  */
 export function profile(found, titles, close) {
   const length = found.at_um.at(-1);
@@ -32,15 +29,15 @@ export function profile(found, titles, close) {
   svg.append(draw("rect", { x: LEFT, y: TOP, width: WIDE, height: TALL, fill: "none", stroke: "#7d8891" }));
   for (const tick of ticks(0, length, 8)) svg.append(text(LEFT + (tick / length) * WIDE, TOP + TALL + 16, String(tick), "middle"));
   svg.append(text(LEFT + WIDE / 2, TOP + TALL + 31, `Distance along the line, µm (${shown(length)} in all)`, "middle"));
-  found.lines.forEach((/** @type {any} */ line, /** @type {number} */ k) => {
+  found.lines.forEach((line, k) => {
     svg.append(text(k ? LEFT + WIDE : LEFT, 14, titles[k], k ? "end" : "start", INKS[k]));
-    const known = line.values.filter((/** @type {number|null} */ value) => value !== null);
+    const known = line.values.filter((value) => value !== null);
     if (!known.length) return;
-    const low = known.reduce((/** @type {number} */ a, /** @type {number} */ b) => Math.min(a, b));
-    const high = Math.max(known.reduce((/** @type {number} */ a, /** @type {number} */ b) => Math.max(a, b)), low + 1e-12);
-    const place = (/** @type {number} */ value) => TOP + TALL - ((value - low) / (high - low)) * TALL;
+    const low = known.reduce((a, b) => Math.min(a, b));
+    const high = Math.max(known.reduce((a, b) => Math.max(a, b)), low + 1e-12);
+    const place = (value) => TOP + TALL - ((value - low) / (high - low)) * TALL;
     let pen = "M";
-    const path = line.values.map((/** @type {number|null} */ value, /** @type {number} */ i) => {
+    const path = line.values.map((value, i) => {
       const move = pen;
       pen = value === null ? "M" : "L";
       return value === null ? "" : `${move}${(LEFT + (found.at_um[i] / length) * WIDE).toFixed(1)} ${place(value).toFixed(1)}`;
@@ -50,9 +47,9 @@ export function profile(found, titles, close) {
       svg.append(text(k ? LEFT + WIDE + 5 : LEFT - 5, place(tick) + 4, String(tick), k ? "start" : "end", INKS[k]));
     }
   });
-  const names = found.lines.map((/** @type {any} */ one) => one.name).join(" and ");
+  const names = found.lines.map((one) => one.name).join(" and ");
   const saved = () => {
-    const copy = /** @type {SVGElement} */ (svg.cloneNode(true));
+    const copy = svg.cloneNode(true);
     copy.setAttribute("width", String(wide));
     copy.setAttribute("height", String(tall));
     copy.prepend(draw("rect", { width: "100%", height: "100%", fill: "#fff" }));

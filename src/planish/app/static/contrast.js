@@ -5,10 +5,7 @@ import { button, make, numbers, shown, withUnit } from "./dom.js";
 const [WIDE, BARS, TALL] = [256, 20, 30];
 
 export class Contrast {
-  /**
-   * @param {{name: string, onChange: () => void, say: (text: string) => void, before?: HTMLElement|null}} options
-   *   `name` of the field; `before` stands in front of it
-   */
+  /** `options`: `name` of the field; `before` stands in front of it */
   constructor({ name, onChange, say, before = null }) {
     this.onChange = onChange;
     this.canvas = make("canvas", { role: "img", width: WIDE, height: TALL });
@@ -24,7 +21,7 @@ export class Contrast {
       else if (this.field.value !== this.written) this.set(found);
     };
     this.field.addEventListener("change", take);
-    this.field.addEventListener("keydown", (/** @type {KeyboardEvent} */ event) => event.key === "Enter" && take());
+    this.field.addEventListener("keydown", (event) => event.key === "Enter" && take());
     const auto = button("Auto", () => this.reset(), { "aria-label": `${name}: auto`, title: "Limits as at first" });
     this.element = make("div", { class: "contrast" }, before, this.field, this.track, auto);
     this.limits = this.usual = this.span = [0, 1];
@@ -32,8 +29,7 @@ export class Contrast {
 
   /**
    * Show the colours of other values.
-   * @param {{title: string, name: string, units: string, range: number[], shade: (share: number) => number[],
-   *   counted?: any}} values `counted`: their histogram, with the range that its valid values have
+   * `values`: `counted`: their histogram, with the range that its valid values have
    */
   show(values) {
     const untouched = this.values?.name !== values.name || String(this.limits) === String(this.usual);
@@ -42,7 +38,7 @@ export class Contrast {
     this.usual = counted?.range[0] < counted?.range[1] ? counted.range : values.range;
     const margin = 0.25 * (this.usual[1] - this.usual[0] || 1);
     this.span = counted ? [counted.low, counted.high] : [this.usual[0] - margin, this.usual[1] + margin];
-    const numbersOf = (/** @type {any} */ { mean, sd, median, pixel_um: pixel }) =>
+    const numbersOf = ({ mean, sd, median, pixel_um: pixel }) =>
       `; mean ${shown(mean)}, SD ${shown(sd)}, median ${shown(median)}${withUnit(values)}; pixels of ${shown(pixel[1])} µm`;
     const beyond = counted?.beyond ? `, ${counted.beyond} beyond` : "";
     const words = counted ? `n ${counted.n}${beyond}${counted.pixel_um ? numbersOf(counted) : ""}` : "not counted yet";
@@ -52,7 +48,6 @@ export class Contrast {
     this.write();
   }
 
-  /** @param {number[]} limits */
   set(limits) {
     this.limits = limits;
     this.write();
@@ -63,7 +58,7 @@ export class Contrast {
     this.set(this.usual);
   }
 
-  /** Value at a share of the track. @param {number} share */
+  /** Value at a share of the track. */
   at(share) {
     return this.span[0] + Math.max(0, Math.min(1, share)) * (this.span[1] - this.span[0]);
   }
@@ -83,7 +78,7 @@ export class Contrast {
     pen.fillStyle = getComputedStyle(this.canvas).color;
     const counts = this.values.counted?.counts ?? [];
     const most = Math.max(1, ...counts);
-    counts.forEach((/** @type {number} */ count, /** @type {number} */ k) => {
+    counts.forEach((count, k) => {
       const [tall, step] = [(BARS * count) / most, WIDE / counts.length];
       pen.fillRect(k * step, BARS - tall, step, tall);
     });
@@ -94,23 +89,23 @@ export class Contrast {
     }
   }
 
-  /** One of both ends. @param {string} name @param {number} k @returns {HTMLElement} */
+  /** One of both ends. */
   handle(name, k) {
     const handle = make("div", { class: "limit", role: "slider", tabindex: 0, "aria-label": name });
-    const move = (/** @type {number} */ value) => {
+    const move = (value) => {
       const limits = [...this.limits];
       limits[k] = value;
       if (limits[0] < limits[1]) this.set(limits);
     };
-    handle.addEventListener("pointerdown", (/** @type {PointerEvent} */ event) => handle.setPointerCapture(event.pointerId));
-    handle.addEventListener("pointermove", (/** @type {PointerEvent} */ event) => {
+    handle.addEventListener("pointerdown", (event) => handle.setPointerCapture(event.pointerId));
+    handle.addEventListener("pointermove", (event) => {
       if (!handle.hasPointerCapture(event.pointerId)) return;
       const box = this.track.getBoundingClientRect();
       move(this.at((event.clientX - box.left) / box.width));
     });
-    handle.addEventListener("keydown", (/** @type {KeyboardEvent} */ event) => {
+    handle.addEventListener("keydown", (event) => {
       const steps = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1 };
-      const step = steps[/** @type {keyof typeof steps} */ (event.key)];
+      const step = steps[event.key];
       if (!step) return;
       event.preventDefault();
       move(this.limits[k] + (step * (event.shiftKey ? 0.1 : 0.01)) * (this.span[1] - this.span[0]));

@@ -6,14 +6,12 @@ const MOST_POINTS = 100; // of one correction, which travel in an address while 
 
 export class Corrections {
   /**
-   * @param {any} app
-   * @param {{sheet: () => any, first: string, onTry: () => Promise<void>, onShow: (place: any) => Promise<void>}} on
-   *   the sheet that is looked at, the layer of the first one, and what to do when points change or one is looked for
+   * `on`: the sheet that is looked at, the layer of the first one, and what to do when points change or one is looked
+   * for
    */
   constructor(app, on) {
     this.app = app;
     this.on = on;
-    /** @type {{x: number, y: number, z: number, face: string}[]} */
     this.draft = [];
     this.faceBox = choice([["top", "top"], ["bottom", "bottom"]], () => {});
     this.reachField = make("input", {
@@ -39,7 +37,7 @@ export class Corrections {
     return this.on.sheet();
   }
 
-  /** Begin anew on a sheet. @param {any} sheet */
+  /** Begin anew on a sheet. */
   startWith(sheet) {
     this.reachField.value = String(sheet.reach_um);
     this.draft = [];
@@ -47,17 +45,17 @@ export class Corrections {
     this.listed();
   }
 
-  /** Have a slice come with what the points make of it. @param {URLSearchParams} asked */
+  /** Have a slice come with what the points make of it. */
   ask(asked) {
     if (!this.draft.length) return;
     asked.set("points", this.draft.map((p) => `${p.z},${p.y},${p.x},${p.face}`).join(";"));
     asked.set("reach", this.reachField.value);
   }
 
-  /** Points of saved corrections, and of the one that is made, near a slice. @param {any} facts of the slice */
+  /** Points of saved corrections, and of the one that is made, near a slice. `facts`: of the slice */
   pointsIn(facts) {
     if (facts.direction === "straight") return [];
-    const saved = this.saved().flatMap((one) => one.points.map((/** @type {any} */ p) => ({ ...p, draft: false })));
+    const saved = this.saved().flatMap((one) => one.points.map((p) => ({ ...p, draft: false })));
     const made = this.draft.map((p) => ({ ...p, draft: true }));
     const reach = Number(this.reachField.value) || 0;
     const size = Math.abs(this.sheet.axes[facts.normal].step_um);
@@ -69,9 +67,9 @@ export class Corrections {
       }));
   }
 
-  /** Saved corrections of this sheet. @returns {any[]} */
+  /** Saved corrections of this sheet. */
   saved() {
-    const all = /** @type {any[]} */ (this.app.state.corrections ?? []);
+    const all = this.app.state.corrections ?? [];
     return all.filter((one) => (one.layer ?? this.on.first) === this.sheet.layer);
   }
 
@@ -83,7 +81,6 @@ export class Corrections {
     this.add({ x: found[0], y: found[1], z: found[2] });
   }
 
-  /** @param {{x: number, y: number, z: number}} place */
   add(place) {
     if (this.app.readOnly) {
       this.app.say("The run is open to read only.");
@@ -101,14 +98,14 @@ export class Corrections {
       this.app.say(`A correction has ${MOST_POINTS} points at most. Press Correct and go on with another.`);
       return;
     }
-    const round = (/** @type {number} */ value) => Math.round(value * 1000) / 1000;
+    const round = (value) => Math.round(value * 1000) / 1000;
     this.draft.push({ x: round(place.x), y: round(place.y), z: round(place.z), face: this.faceBox.value });
     this.tried();
   }
 
-  /** Ask whether a point is meant that lies far off. @param {{x: number, y: number, z: number}} place @param {string} words */
+  /** Ask whether a point is meant that lies far off. */
   question(place, words) {
-    const answered = (/** @type {boolean} */ yes) => () => {
+    const answered = (yes) => () => {
       if (yes) this.add(place);
       else this.tell();
     };
@@ -117,13 +114,13 @@ export class Corrections {
     yes.focus();
   }
 
-  /** Say where the green line does not go through the points. @param {import("./slicedata.js").Slice} slice */
+  /** Say where the green line does not go through the points. */
   compare(slice) {
     const { across, down, normal } = slice.facts;
     const size = Math.abs(this.sheet.axes[normal]?.step_um ?? 0);
     const off = this.draft
-      .filter((p) => Math.abs(/** @type {any} */ (p)[normal] - slice.facts.at_um) <= 0.5 * size)
-      .map((p) => Math.abs(slice.at(`preview_${p.face}`, /** @type {any} */ (p)[across.name]) - /** @type {any} */ (p)[down.name]));
+      .filter((p) => Math.abs(p[normal] - slice.facts.at_um) <= 0.5 * size)
+      .map((p) => Math.abs(slice.at(`preview_${p.face}`, p[across.name]) - p[down.name]));
     const most = Math.max(0, ...off.filter(Number.isFinite));
     this.off.textContent =
       most > 2 * Math.abs(down.step_um)
@@ -165,7 +162,7 @@ export class Corrections {
     if (done) this.clear();
   }
 
-  /** List what is saved. @returns {boolean} whether that is something else than before */
+  /** List what is saved. whether that is something else than before */
   listed() {
     const kept = this.saved();
     const shown = JSON.stringify(kept);
@@ -175,9 +172,8 @@ export class Corrections {
     return true;
   }
 
-  /** @param {any} one */
   row(one) {
-    const faces = [...new Set(one.points.map((/** @type {any} */ p) => p.face))].join(" and ");
+    const faces = [...new Set(one.points.map((p) => p.face))].join(" and ");
     const middle = one.points[Math.floor(one.points.length / 2)];
     const points = `${one.points.length} point${one.points.length > 1 ? "s" : ""}`;
     const { layer } = this.sheet;

@@ -14,7 +14,6 @@ const TURN = Math.PI / 36; // of a key
 const HEIGHTS = ["1", "2", "5", "10", "20"];
 const MESH_COLOUR = "rgba(20, 20, 20, 0.55)";
 
-/** @param {HTMLElement} panel @param {any} app */
 export async function mount(panel, app) {
   const layer = encodeURIComponent(app.state.layer);
   const sheet = await app.api.get(`flattening?layer=${layer}`);

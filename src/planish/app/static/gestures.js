@@ -13,24 +13,22 @@ const CLICK_PX = 4;
  *   `take` gives what a drag moves; where it gives null, the drag moves the view
  */
 export function bindGestures(element, on) {
-  /** @type {Map<number, Place>} */
   const fingers = new Map();
-  /** @type {{start: Place, last: Place, moved: boolean, held: Held|null}|null} */
   let press = null;
-  const placeOf = (/** @type {MouseEvent} */ event) => {
+  const placeOf = (event) => {
     const box = element.getBoundingClientRect();
-    return /** @type {Place} */ ([event.clientX - box.left, event.clientY - box.top]);
+    return [event.clientX - box.left, event.clientY - box.top];
   };
   const apart = () => {
     const [a, b] = [...fingers.values()];
-    return { far: Math.max(Math.hypot(a[0] - b[0], a[1] - b[1]), 1), middle: /** @type {Place} */ ([(a[0] + b[0]) / 2, (a[1] + b[1]) / 2]) };
+    return { far: Math.max(Math.hypot(a[0] - b[0], a[1] - b[1]), 1), middle: [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2] };
   };
   const cancel = () => {
     press?.held?.cancel?.();
     press = null;
   };
   element.addEventListener("pointerdown", (event) => {
-    if (event.button !== 0 || /** @type {Element} */ (event.target).closest("button")) return;
+    if (event.button !== 0 || event.target.closest("button")) return;
     const at = placeOf(event);
     fingers.set(event.pointerId, at);
     if (fingers.size > 1) return cancel();

@@ -1,6 +1,5 @@
 /** The dialog of keys and mouse: opened by its button or by the key ?, closed by Esc. */
 
-/** @param {HTMLDialogElement} dialog @param {HTMLElement} opener */
 export function bindHelp(dialog, opener) {
   opener.addEventListener("click", () => dialog.showModal());
   document.addEventListener("keydown", (event) => {

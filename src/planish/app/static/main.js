@@ -14,21 +14,20 @@ const TABS = {
   flattening: () => import("./flattening.js"),
 };
 
-const find = (/** @type {string} */ id) => /** @type {any} */ (document.getElementById(id));
+const find = (id) => document.getElementById(id);
 
 const lines = {
   message: setter("message"),
   cursor: setter("cursor"),
   predicted: setter("predicted"),
   slicePosition: setter("slice"),
-  alarm: (/** @type {string|null} */ text) => {
+  alarm: (text) => {
     const place = find("alarm");
     if (place.textContent !== typeset(text ?? "")) place.textContent = typeset(text ?? "");
     place.hidden = !text;
   },
 };
 
-/** @param {string} name @returns {(text: string) => void} */
 function setter(name) {
   const line = find(`line-${name}`);
   return (text) => {
@@ -47,7 +46,7 @@ async function start() {
   let session, state;
   try {
     [session, state] = await Promise.all([api.get("session"), api.get("state")]);
-  } catch (/** @type {any} */ error) {
+  } catch (error) {
     lines.alarm(
       error.status === 401
         ? "The token of this page is not that of the server. Open the address that 'planish view' printed."
@@ -67,7 +66,6 @@ async function start() {
   void followServer(api, app);
 }
 
-/** @param {any} session */
 function nameRun(session) {
   const name = session.title ?? session.name ?? session.run ?? "";
   find("run-name").textContent = name;
@@ -79,11 +77,10 @@ function nameRun(session) {
   }
 }
 
-/** @param {any} app */
 function bindHistory(app) {
   find("undo").addEventListener("click", () => app.undo());
   find("redo").addEventListener("click", () => app.redo());
-  app.onState((/** @type {import("./store.js").State} */ state) => {
+  app.onState((state) => {
     find("undo").disabled = !state.can_undo || app.readOnly;
     find("redo").disabled = !state.can_redo || app.readOnly;
   });
@@ -97,30 +94,26 @@ function bindHistory(app) {
   });
 }
 
-/** Whether a key belongs to the text that is being written. @param {any} target */
+/** Whether a key belongs to the text that is being written. */
 function isText(target) {
   return target instanceof HTMLElement && target.matches("textarea, input:not([type=checkbox], [type=range])");
 }
 
 // --- tabs --------------------------------------------------------------------------------------------------------
 
-/** @type {Map<string, Promise<void>>} */
 const opened = new Map();
-/** @type {((name: string) => void)[]} */
 const tabListeners = [];
-/** @type {any} */
 let shared = null;
 
-/** Call with the tab's name whenever a tab is shown. @param {(name: string) => void} listener */
+/** Call with the tab's name whenever a tab is shown. */
 function onTab(listener) {
   tabListeners.push(listener);
 }
 
-/** @param {any} app */
 function mountTabs(app) {
   shared = app;
   onTab(() => app.say(app.did));
-  const tabs = /** @type {HTMLButtonElement[]} */ ([...document.querySelectorAll("[role=tab]")]);
+  const tabs = [...document.querySelectorAll("[role=tab]")];
   tabs.forEach((tab, i) => {
     tab.disabled = false; // until now a click would have been lost
     tab.addEventListener("click", () => openTab(nameOf(tab)));
@@ -136,34 +129,29 @@ function mountTabs(app) {
   void openTab("marks");
 }
 
-const nameOf = (/** @type {HTMLElement} */ tab) => tab.id.replace("tab-", "");
+const nameOf = (tab) => tab.id.replace("tab-", "");
 
-/**
- * Show a tab, and make it when it is opened for the first time.
- * @param {string} name
- * @returns {Promise<void>}
- */
+/** Show a tab, and make it when it is opened for the first time. */
 function openTab(name) {
-  for (const tab of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll("[role=tab]"))) {
+  for (const tab of document.querySelectorAll("[role=tab]")) {
     const chosen = nameOf(tab) === name;
     tab.setAttribute("aria-selected", String(chosen));
     tab.tabIndex = chosen ? 0 : -1;
     find(`panel-${nameOf(tab)}`).hidden = !chosen;
   }
-  for (const line of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll("[data-tabs]"))) {
+  for (const line of document.querySelectorAll("[data-tabs]")) {
     line.hidden = !(line.dataset.tabs ?? "").split(" ").includes(name);
   }
   document.body.dataset.tab = name;
   if (!opened.has(name)) opened.set(name, mountTab(name));
   for (const listener of tabListeners) listener(name);
-  return /** @type {Promise<void>} */ (opened.get(name));
+  return opened.get(name);
 }
 
-/** @param {string} name */
 async function mountTab(name) {
   const panel = find(`panel-${name}`);
   try {
-    const module = await TABS[/** @type {keyof typeof TABS} */ (name)]();
+    const module = await TABS[(name)]();
     await module.mount(panel, shared);
   } catch (error) {
     opened.delete(name);
@@ -177,11 +165,7 @@ async function mountTab(name) {
 const LOST = "No connection to planish. Nothing is saved until it is back; start 'planish view' again if it was ended.";
 const ANEW = "This page lost its connection: planish was started anew. Open the address that it printed.";
 
-/**
- * Follow the changes of other windows, and say when the server is lost and found.
- * @param {Api} api
- * @param {any} app
- */
+/** Follow the changes of other windows, and say when the server is lost and found. */
 function followServer(api, app) {
   let lost = false;
   return api.follow({

@@ -15,9 +15,8 @@ import { Shapes } from "./shapes.js";
 const NOTHING = "n 0: nothing is selected.";
 /** Of maps whose r is worked out unasked. */
 const MOST_PIXELS = 8_000_000;
-/** Pictures on the pixels of most of them: the reference where there is one. @param {any[]} pictures */
+/** Pictures on the pixels of most of them: the reference where there is one. */
 function together(pictures) {
-  /** @type {Map<string, any[]>} */
   const grids = new Map();
   for (const one of pictures) {
     const key = JSON.stringify([one.plane, one.shape, one.origin_um, one.pixel_um]);
@@ -28,16 +27,14 @@ function together(pictures) {
   return from.reduce((most, group) => (group.length > most.length ? group : most), []);
 }
 
-const named = (/** @type {any[]} */ pictures, /** @type {string} */ name) =>
+const named = (pictures, name) =>
   pictures.find((one) => one.name.split("/").at(-1) === name);
 
-/** @param {HTMLElement} panel @param {any} app */
 export function mount(panel, app) {
   new Maps(panel, app);
 }
 
 class Maps {
-  /** @param {HTMLElement} panel @param {any} app */
   constructor(panel, app) {
     this.app = app;
     this.pictures = together(app.pictures);
@@ -47,18 +44,17 @@ class Maps {
     }
     this.masks = this.pictures.filter(isMask);
     const layers = this.pictures.filter((one) => !isMask(one));
-    const { headline } = app.session.layers.find((/** @type {any} */ one) => one.name === app.layer);
+    const { headline } = app.session.layers.find((one) => one.name === app.layer);
     const left = named(layers, headline) ?? layers.find((one) => !one.name.endsWith("image")) ?? layers[0];
     const others = layers.filter((one) => one !== left);
     const right = named(others, "image") ?? others[0] ?? left;
-    /** @type {number[]|null} */
     this.region = null;
     const shared = { app, pictures: layers, onLayer: () => this.changed(), onBrush: () => this.brushed() };
     this.left = new MapSide({ ...shared, side: "Left", chosen: left });
     this.right = new MapSide({ ...shared, side: "Right", chosen: right });
     this.sides = [this.left, this.right];
     this.right.view.onLook = () => this.over?.getSource().look({ ...this.right.view.look, ...this.right.view.more });
-    const drawn = (/** @type {string} */ type, /** @type {number[][]} */ points) => this.drawn(type, points);
+    const drawn = (type, points) => this.drawn(type, points);
     this.shapes = new Shapes(this.sides.map((side) => side.view), { say: (text) => app.say(text), drawn });
     this.cursor = new AtCursor(app, this.sides, (found) => this.placed(found));
     this.scatter = new Scatter({
@@ -75,7 +71,7 @@ class Maps {
     this.whole = make("p", { role: "status", "aria-label": "Whole maps" });
     this.profile = make("div", { class: "profile-part", hidden: true });
     const fixed = this.pictures[0].plane === "fixed";
-    const onMaps = { draw: () => this.shapes.start("Polygon"), show: (/** @type {any} */ all) => this.shapes.artefacts(all) };
+    const onMaps = { draw: () => this.shapes.start("Polygon"), show: (all) => this.shapes.artefacts(all) };
     this.artefacts = fixed ? new Artefacts(app, onMaps) : null;
     const scatter = make(
       "section",
@@ -130,7 +126,6 @@ class Maps {
     );
   }
 
-  /** @param {HTMLInputElement} field @param {string} needed @param {(values: number[]|null) => void} use */
   field(field, needed, use) {
     field.addEventListener("change", () => {
       const values = numbers(field.value, 4);
@@ -146,7 +141,7 @@ class Maps {
   /** Let both maps show the same place. */
   link() {
     const [a, b] = this.sides.map((side) => side.view.view);
-    const follow = (/** @type {any} */ from, /** @type {any} */ to) =>
+    const follow = (from, to) =>
       from.on(["change:center", "change:resolution", "change:rotation"], () => {
         if (String(to.getCenter()) !== String(from.getCenter())) to.setCenter(from.getCenter());
         if (to.getResolution() !== from.getResolution()) to.setResolution(from.getResolution());
@@ -156,7 +151,6 @@ class Maps {
     follow(b, a);
   }
 
-  /** @param {boolean} on */
   blend(on) {
     this.blended = on;
     this.shareBox.hidden = !on;
@@ -206,9 +200,8 @@ class Maps {
     void this.select();
   }
 
-  /** @param {number[]|null} region */
   setRegion(region) {
-    const sorted = (/** @type {number} */ k) => [region?.[k] ?? 0, region?.[k + 2] ?? 0].sort((a, b) => a - b);
+    const sorted = (k) => [region?.[k] ?? 0, region?.[k + 2] ?? 0].sort((a, b) => a - b);
     const [xs, ys] = [sorted(0), sorted(1)];
     this.region = region && [xs[0], ys[0], xs[1], ys[1]];
     this.regionField.value = this.region ? this.region.map((um) => String(Number(um.toFixed(1)))).join(", ") : "";
@@ -241,17 +234,17 @@ class Maps {
     const region = this.region && (await this.latest("points", `density?${this.query}`));
     if (!this.density || (this.region && !region)) return;
     const { bins, a_low, a_high, b_low, b_high } = this.density;
-    const axes = /** @type {any} */ ([
+    const axes = [
       { label: titled(this.left.picture), low: a_low, high: a_high },
       { label: titled(this.right.picture), low: b_low, high: b_high },
-    ]);
+    ];
     this.scatter.show({ axes, wide: bins, tall: bins, counts: countsOf(this.density), chosen: region ? countsOf(region) : null });
   }
 
-  /** The cursor stands at a place: it is seen in both maps and in the scatter. @param {any} found */
+  /** The cursor stands at a place: it is seen in both maps and in the scatter. */
   placed(found) {
     this.shapes.cursor([found.x, found.y]);
-    const value = (/** @type {any} */ { id }) => found.values.find((/** @type {any} */ one) => one.id === id)?.value ?? NaN;
+    const value = ({ id }) => found.values.find((one) => one.id === id)?.value ?? NaN;
     this.scatter.here = [value(this.left.picture), value(this.right.picture)];
     this.scatter.draw();
   }
@@ -283,21 +276,16 @@ class Maps {
     if (found) this.whole.textContent = `Whole maps: ${saidOf(found)}.`;
   }
 
-  /** @type {Record<string, AbortController>} */
   running = {};
 
-  /**
-   * What the server answers to the newest of some questions; null to those that are not wanted any more.
-   * @param {string} kind
-   * @param {string} path
-   */
+  /** What the server answers to the newest of some questions; null to those that are not wanted any more. */
   async latest(kind, path) {
     this.running[kind]?.abort();
     const mine = (this.running[kind] = new AbortController());
     try {
       const found = await this.app.api.get(path, { signal: mine.signal });
       return this.running[kind] === mine ? found : null;
-    } catch (/** @type {any} */ error) {
+    } catch (error) {
       if (mine.signal.aborted) return null;
       if (kind === "selection") this.selection.textContent = NOTHING;
       this.app.say(error.message);
@@ -307,7 +295,6 @@ class Maps {
 
   // --- what is drawn ---------------------------------------------------------------------------------------------
 
-  /** @param {string} type @param {number[][]} points */
   drawn(type, points) {
     if (type === "Polygon") return this.artefacts?.drawn(points);
     if (type === "Box") {
@@ -319,7 +306,6 @@ class Maps {
     void this.drawProfile(ends);
   }
 
-  /** @param {number[]|null} line */
   async drawProfile(line) {
     this.line = line;
     this.shapes.line(line);
@@ -334,14 +320,14 @@ class Maps {
   }
 }
 
-/** n, r and its interval in words. @param {any} found */
+/** n, r and its interval in words. */
 function saidOf({ n, r, interval, n_eff: independent }) {
   const parts = [`n ${n}`];
   if (r !== null) parts.push(`r ${r.toFixed(4)}`);
-  if (interval) parts.push(`95 % interval ${interval.map((/** @type {number} */ v) => v.toFixed(4)).join(" to ")}`);
+  if (interval) parts.push(`95 % interval ${interval.map((v) => v.toFixed(4)).join(" to ")}`);
   if (independent !== null) parts.push(`n_eff ${independent.toFixed(1)}`);
   return parts.join("; ");
 }
 
-/** Counts of a density, row by row from the lowest b up. @param {any} density @returns {Uint32Array} */
+/** Counts of a density, row by row from the lowest b up. */
 const countsOf = ({ counts }) => new Uint32Array(Uint8Array.from(atob(counts), (one) => one.charCodeAt(0)).buffer);

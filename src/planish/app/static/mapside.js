@@ -3,16 +3,11 @@
 import { choice, labelled, make, numbers, shown, typeset } from "./dom.js";
 import { MapView } from "./mapview.js";
 
-/** @typedef {import("./rawtiles.js").Picture} Picture */
-
-/** A picture's name as it is read, with its unit. @param {any} picture */
+/** A picture's name as it is read, with its unit. */
 export const titled = ({ title, name, units }) =>
   `${name.includes("/") ? `${name.split("/")[0]}: ` : ""}${title}${units && units !== "1" ? `, ${typeset(units)}` : ""}`;
 
 export class MapSide {
-  /**
-   * @param {{side: "Left"|"Right", pictures: any[], chosen: any, app: any, onLayer: () => void, onBrush: () => void}} options
-   */
   constructor({ side, pictures, chosen, app, onLayer, onBrush }) {
     this.pictures = pictures;
     this.element = make("div", { class: "view" });
@@ -33,14 +28,13 @@ export class MapSide {
       onBrush();
     };
     this.brushField.addEventListener("change", take);
-    this.brushField.addEventListener("keydown", (/** @type {KeyboardEvent} */ event) => event.key === "Enter" && take());
+    this.brushField.addEventListener("keydown", (event) => event.key === "Enter" && take());
     this.brushBox = make("label", { class: "field" }, make("span", { class: "soft" }, "Brush"), this.brushField);
     this.element.prepend(make("div", { class: "head" }, labelled(`${side} layer`, this.layer)));
     this.view.fields.prepend(this.brushBox);
     this.choose();
   }
 
-  /** @returns {any} */
   get picture() {
     return this.pictures.find((one) => one.name === this.layer.value);
   }
@@ -52,7 +46,7 @@ export class MapSide {
     this.view.show(this.picture);
   }
 
-  /** Values that are picked, low and high; null where none are. @returns {number[]|null} */
+  /** Values that are picked, low and high; null where none are. */
   get brush() {
     return numbers(this.brushField.value, 2)?.sort((a, b) => a - b) ?? null;
   }

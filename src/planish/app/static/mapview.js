@@ -16,14 +16,13 @@ const [CLOSEST, FARTHEST] = [64, 4];
 
 const UM = new ol.proj.Projection({ code: "um", units: "m", metersPerUnit: 1e-6, getPointResolution: (r) => r });
 
-/** From (x, y) in um, y down, to OpenLayers, y up, and back. @param {number[]} point @returns {[number, number]} */
+/** From (x, y) in um, y down, to OpenLayers, y up, and back. */
 export const flipped = ([x, y]) => [x, -y];
 
 export class MapView {
   /**
-   * @param {{element: HTMLElement, name: string, app: any, short?: string, nudge?: (dx: number, dy: number) => boolean}} options
-   *   `short` stands before the names of its fields of colours; `nudge(dx, dy)` moves what is selected by um along the
-   *   plane's axes and tells whether anything is selected
+   * `options`: `short` stands before the names of its fields of colours; `nudge(dx, dy)` moves what is selected by um
+   * along the plane's axes and tells whether anything is selected
    */
   constructor({ element, name, app, short = name, nudge }) {
     this.name = name;
@@ -44,20 +43,19 @@ export class MapView {
     );
     this.palette = choice(Object.keys(PALETTES), () => this.recolour());
     this.palette.setAttribute("aria-label", `${short} colours`);
-    const say = (/** @type {string} */ text) => app.say(text);
+    const say = (text) => app.say(text);
     this.contrast = new Contrast({ name: `${short} colour range`, onChange: () => this.recolour(), say, before: this.palette });
     element.append(this.element, this.contrast.element, this.fields);
     this.picture = null;
     this.layer = null;
     this.more = {};
     this.onLook = () => {};
-    /** Places are (x, y) in um, and in screen pixels. @type {((point: [number, number], at: number[]) => void)[]} */
+    /** Places are (x, y) in um, and in screen pixels. */
     this.clicks = [];
-    /** @type {((point: [number, number]|null) => void)[]} */
     this.hovers = [];
-    /** What may take a drag, the first that wants it. @type {((at: number[], shift: boolean) => any)[]} */
+    /** What may take a drag, the first that wants it. */
     this.takes = [];
-    /** What else is to be seen in the view as a whole, corners in um. @type {() => number[][]} */
+    /** What else is to be seen in the view as a whole, corners in um. */
     this.beside = () => [];
     this.view = new ol.View({
       projection: UM,
@@ -93,18 +91,18 @@ export class MapView {
 
   // --- where the view is -----------------------------------------------------------------------------------------
 
-  /** Middle of the view, (x, y) in um. @returns {[number, number]} */
+  /** Middle of the view, (x, y) in um. */
   get centre() {
     return flipped(this.view.getCenter());
   }
 
-  /** Put a point, (x, y) in um, exactly into the middle. @param {number[]} point */
+  /** Put a point, (x, y) in um, exactly into the middle. */
   set centre(point) {
     this.view.cancelAnimations();
     this.view.setCenter(flipped(point));
   }
 
-  /** um per screen pixel. @returns {number} */
+  /** um per screen pixel. */
   get pixel() {
     return this.view.getResolution();
   }
@@ -114,7 +112,7 @@ export class MapView {
     this.view.setResolution(Math.max(finest, Math.min(coarsest, um)));
   }
 
-  /** Width and height on the screen. @returns {number[]} */
+  /** Width and height on the screen. */
   get size() {
     return this.map.getSize() ?? [400, 300];
   }
@@ -147,7 +145,7 @@ export class MapView {
     this.fit();
   }
 
-  /** @param {number} factor @param {number[]} [at] place on the screen that stays; the middle where it is not given */
+  /** `at`: place on the screen that stays; the middle where it is not given */
   zoomBy(factor, at = this.size.map((n) => n / 2)) {
     const before = this.pointAt(at);
     this.pixel /= factor;
@@ -155,42 +153,42 @@ export class MapView {
     this.shift(before[0] - after[0], before[1] - after[1]);
   }
 
-  /** @param {number} dx @param {number} dy in um along the plane's axes */
+  /** `dy`: in um along the plane's axes */
   shift(dx, dy) {
     const [x, y] = this.centre;
     this.centre = [x + dx, y + dy];
   }
 
-  /** @param {any} picture @returns {number[]} extent for OpenLayers */
+  /** extent for OpenLayers */
   extent({ shape: [rows, cols], pixel_um: [dy, dx], origin_um: [x0, y0] }) {
     return [x0 - dx / 2, -(y0 + (rows - 0.5) * dy), x0 + (cols - 0.5) * dx, -(y0 - dy / 2)];
   }
 
-  /** Corners of the picture, (x, y) in um. @returns {[number, number][]} */
+  /** Corners of the picture, (x, y) in um. */
   get corners() {
     if (!this.picture) return [];
     const [left, bottom, right, top] = this.extent(this.picture);
     return [[left, -top], [right, -top], [right, -bottom], [left, -bottom]];
   }
 
-  /** The place in um of a place on the screen. @param {number[]} at @returns {[number, number]} */
+  /** The place in um of a place on the screen. */
   pointAt([right, down]) {
     const [wide, tall] = this.size;
     const [dx, dy] = this.onPlane((right - wide / 2) * this.pixel, (down - tall / 2) * this.pixel);
     return [this.centre[0] + dx, this.centre[1] + dy];
   }
 
-  /** Whether a point lies within what is seen. @param {number[]} point (x, y) in um */
+  /** Whether a point lies within what is seen. `point`: (x, y) in um */
   sees(point) {
     const at = this.map.getPixelFromCoordinate(flipped(point));
-    return at !== null && at.every((/** @type {number} */ px, /** @type {number} */ k) => px >= 0 && px <= this.size[k]);
+    return at !== null && at.every((px, k) => px >= 0 && px <= this.size[k]);
   }
 
   // --- what is shown ---------------------------------------------------------------------------------------------
 
   /**
    * Show a picture; the first one is shown whole, later ones where the view is.
-   * @param {any} picture one of `app.pictures`
+   * `picture`: one of `app.pictures`
    */
   show(picture) {
     const first = this.picture === null;
@@ -206,7 +204,7 @@ export class MapView {
     this.fit();
   }
 
-  /** Take the limits of the colours from the values that are valid. @param {any} picture */
+  /** Take the limits of the colours from the values that are valid. */
   async count(picture) {
     const counted = await this.app.histogram(picture).catch(() => null); // the view stays in the colours that it has
     if (!counted || this.picture !== picture) return;
@@ -214,21 +212,20 @@ export class MapView {
     this.recolour();
   }
 
-  /** @param {any} [counted] */
   showColours(counted = null) {
-    const shade = (/** @type {number} */ share) => colourAt(this.palette.value, share);
+    const shade = (share) => colourAt(this.palette.value, share);
     const { range } = this.picture;
     const aroundZero = paletteOf(this.picture) === "RdBu_r";
     this.contrast.show({ ...this.picture, shade, counted: counted && aroundZero ? { ...counted, range } : counted });
   }
 
-  /** Colours and their limits. @returns {{palette: string, low: number, high: number}} */
+  /** Colours and their limits. */
   get look() {
     const [low, high] = this.contrast.limits;
     return { palette: this.palette.value, low, high };
   }
 
-  /** Draw the picture in other colours, or with other masks and brushes. @param {object} [more] */
+  /** Draw the picture in other colours, or with other masks and brushes. */
   recolour(more = this.more) {
     this.more = more;
     this.contrast.write();
@@ -236,7 +233,7 @@ export class MapView {
     this.onLook();
   }
 
-  /** Say over the map what is to be done in it. @param {string} text */
+  /** Say over the map what is to be done in it. */
   hint(text) {
     this.hintLine.textContent = text;
     this.hintLine.hidden = !text;
@@ -245,7 +242,7 @@ export class MapView {
   /** Write where the view is into the fields, and draw the scale bar. */
   showPlace() {
     const focused = document.activeElement;
-    if (this.centreField !== focused) this.centreField.value = this.centre.map((um) => um.toFixed(this.pixel > 1 ? 1 : 2)).join(", ");
+    if (this.centreField !== focused) this.centreField.value = this.centre.map((um) => um.toFixed(2)).join(", ");
     if (this.pixelField !== focused) this.pixelField.value = String(Number(this.pixel.toPrecision(4)));
     const length = roundLength(145 * this.pixel);
     this.bar = { px: length / this.pixel, words: lengthWords(length) };
@@ -262,7 +259,7 @@ export class MapView {
     pen.fillStyle = getComputedStyle(this.element).backgroundColor;
     pen.fillRect(0, 0, wide, tall);
     for (const canvas of this.element.querySelectorAll("canvas")) drawIn(pen, canvas, this.element);
-    const shade = (/** @type {number} */ share) => colourAt(this.palette.value, share);
+    const shade = (share) => colourAt(this.palette.value, share);
     const words = this.contrast.limits.map((value, k) => shown(value) + (k ? withUnit(this.picture) : ""));
     const { bar } = this;
     return svgOf(whole, { wide, tall, bar, title: `${this.name}: ${this.picture.title}`, colours: { shade, limits: this.contrast.limits, words } });
@@ -271,18 +268,12 @@ export class MapView {
   // --- fields and keys -------------------------------------------------------------------------------------------
 
   bindFields() {
-    const place = (/** @type {string} */ text) => numbers(text, 2);
+    const place = (text) => numbers(text, 2);
     this.onField(this.centreField, place, (point) => (this.centre = point), `${this.name} centre is "x, y" in um.`);
     const needed = `${this.name}: um per screen pixel is a number above 0.`;
     this.onField(this.pixelField, positive, ([um]) => (this.pixel = um), needed);
   }
 
-  /**
-   * @param {HTMLInputElement} field
-   * @param {(text: string) => number[]|null} read
-   * @param {(values: number[]) => void} use
-   * @param {string} needed
-   */
   onField(field, read, use, needed) {
     const take = () => {
       const values = read(field.value);
@@ -300,9 +291,9 @@ export class MapView {
   bindKeys() {
     const steps = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
     let pace = 1;
-    this.element.addEventListener("keydown", (/** @type {KeyboardEvent} */ event) => {
+    this.element.addEventListener("keydown", (event) => {
       if (event.ctrlKey || event.metaKey || event.altKey) return;
-      const step = steps[/** @type {keyof typeof steps} */ (event.key)];
+      const step = steps[event.key];
       if (step) {
         event.preventDefault();
         pace = event.repeat ? Math.min(FASTEST_PX, pace * 1.3) : 1;
@@ -315,35 +306,24 @@ export class MapView {
     });
   }
 
-  /**
-   * Move what is selected, or else the view, along the screen; a held key moves the view faster and faster.
-   * @param {number} right
-   * @param {number} down
-   * @param {number} pixels
-   * @param {number} pace
-   */
+  /** Move what is selected, or else the view, along the screen; a held key moves the view faster and faster. */
   arrow(right, down, pixels, pace) {
     const [dx, dy] = this.onPlane(right * pixels * this.pixel, down * pixels * this.pixel);
     if (!this.nudge(dx, dy)) this.shift(dx * pace, dy * pace);
   }
 
-  /** Turn a vector on the screen, (right, down), to the plane's axes. @param {number} right @param {number} down */
+  /** Turn a vector on the screen, (right, down), to the plane's axes. */
   onPlane(right, down) {
     const turn = this.view.getRotation();
     const [cos, sin] = [Math.cos(turn), Math.sin(turn)];
-    return /** @type {[number, number]} */ ([right * cos + down * sin, -right * sin + down * cos]);
+    return [right * cos + down * sin, -right * sin + down * cos];
   }
 }
 
-/**
- * Draw a canvas of a view where it is seen: moved, turned, cut and pale as the elements around it are.
- * @param {CanvasRenderingContext2D} pen
- * @param {HTMLCanvasElement} canvas
- * @param {HTMLElement} view
- */
+/** Draw a canvas of a view where it is seen: moved, turned, cut and pale as the elements around it are. */
 function drawIn(pen, canvas, view) {
   let [place, opacity, right] = [new DOMMatrix(), 1, view.clientWidth];
-  for (let one = /** @type {HTMLElement} */ (canvas); one !== view; one = /** @type {HTMLElement} */ (one.parentElement)) {
+  for (let one = canvas; one !== view; one = one.parentElement) {
     const style = getComputedStyle(one);
     if (style.visibility === "hidden") return;
     const [x, y] = style.transformOrigin.split(" ").map(parseFloat);

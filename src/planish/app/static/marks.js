@@ -11,24 +11,17 @@ import { Prediction } from "./prediction.js";
 import { MarkTable } from "./table.js";
 import { titled } from "./mapside.js";
 
-/** @typedef {"moving"|"fixed"} Side */
-
-const SIDES = /** @type {Side[]} */ (["moving", "fixed"]);
-const other = (/** @type {Side} */ side) => (side === "moving" ? "fixed" : "moving");
+const SIDES = ["moving", "fixed"];
+const other = (side) => (side === "moving" ? "fixed" : "moving");
 
 const TILES =
   "Tiles are pieces of the map's texture, each placed by itself, and no holes: to compare, show the map that shows in " +
   "the image, and take a tile that is wrong out of use.";
 
-/** What does not change of the registration that is shown. @param {any} app */
-const factsOf = (app) => app.session.layers.find((/** @type {any} */ one) => one.name === app.layer);
+/** What does not change of the registration that is shown. */
+const factsOf = (app) => app.session.layers.find((one) => one.name === app.layer);
 
-/**
- * @param {HTMLElement} panel
- * @param {any} app
- */
 export function mount(panel, app) {
-  /** @type {Marks|undefined} */
   let marks;
   const open = () => {
     marks?.close();
@@ -36,16 +29,15 @@ export function mount(panel, app) {
     marks.show(app.state);
   };
   open();
-  app.onState((/** @type {import("./store.js").State} */ state) => marks?.show(state));
+  app.onState((state) => marks?.show(state));
 }
 
 class Marks {
-  /** @param {HTMLElement} panel @param {any} app @param {() => void} anew shows the registration that was chosen */
+  /** `anew`: shows the registration that was chosen */
   constructor(panel, app, anew) {
     this.app = app;
     this.anew = anew;
     this.names = factsOf(app).names;
-    /** @type {string|number|null} */
     this.chosen = null;
     this.table = new MarkTable({
       choose: (id) => this.choose(id, true),
@@ -83,13 +75,12 @@ class Marks {
     for (const side of SIDES) this.views[side].map.setTarget(null);
   }
 
-  /** @param {Side} side @param {HTMLElement} element */
   view(side, element) {
-    const nudge = (/** @type {number} */ dx, /** @type {number} */ dy) => this.nudge(side, dx, dy);
+    const nudge = (dx, dy) => this.nudge(side, dx, dy);
     return new MapView({ element, name: this.names[side], app: this.app, nudge });
   }
 
-  /** The box that says which picture a view shows. @param {Side} side @param {HTMLElement} place */
+  /** The box that says which picture a view shows. */
   pictureBox(side, place) {
     const box = choice([], (id) => this.showPicture(side, id));
     const shows = labelled("", box, `${this.names[side]} shows`);
@@ -97,9 +88,8 @@ class Marks {
     return box;
   }
 
-  /** @param {Side} side @param {string} id */
   showPicture(side, id) {
-    const picture = this.app.pictures.find((/** @type {any} */ one) => one.id === id);
+    const picture = this.app.pictures.find((one) => one.id === id);
     this.views[side].show(picture);
     if (side === "moving") this.overlay.show(picture);
   }
@@ -110,20 +100,20 @@ class Marks {
     const facts = factsOf(this.app);
     for (const side of SIDES) {
       const on = facts.shown[side];
-      const own = (/** @type {any} */ one) => Number(one.layer === on.layer);
+      const own = (one) => Number(one.layer === on.layer);
       const shown = pictures
-        .filter((/** @type {any} */ one) => one.plane === on.plane && !/(^|\/)valid$/.test(one.name) && (on.plane === "fixed" || own(one)))
-        .sort((/** @type {any} */ a, /** @type {any} */ b) => own(b) - own(a)); // the original before what was laid on it
-      const options = shown.map((/** @type {any} */ one) => make("option", { value: one.id }, titled({ ...one, units: "" })));
+        .filter((one) => one.plane === on.plane && !/(^|\/)valid$/.test(one.name) && (on.plane === "fixed" || own(one)))
+        .sort((a, b) => own(b) - own(a)); // the original before what was laid on it
+      const options = shown.map((one) => make("option", { value: one.id }, titled({ ...one, units: "" })));
       this.boxes[side].replaceChildren(...options);
       if (shown.length) this.showPicture(side, shown[0].id);
       this.layers[side].showHoles(facts.holes[side] ?? []);
     }
   }
 
-  /** Where several layers are registered: the box that says which one. @returns {HTMLElement[]} */
+  /** Where several layers are registered: the box that says which one. */
   layerBox() {
-    const names = (this.app.session.layers ?? []).map((/** @type {any} */ one) => one.name);
+    const names = (this.app.session.layers ?? []).map((one) => one.name);
     if (names.length < 2) return [];
     const box = choice(names, async (name) => {
       await this.app.chooseLayer(name);
@@ -143,14 +133,13 @@ class Marks {
     return make("label", { class: "check" }, box, make("span", {}, "Move views together"));
   }
 
-  /** @param {Side} side */
   bind(side) {
     const view = this.views[side];
     view.clicks.push((point, at) => this.clicked(side, point, at));
     view.hovers.push((point) => this.pointed(side, point));
-    view.element.addEventListener("keydown", (/** @type {KeyboardEvent} */ event) => this.key(side, event));
-    const moving = (/** @type {any} */ id, /** @type {any} */ point) => {
-      const marks = this.app.state.marks.map((/** @type {any} */ one) => (one.id === id ? { ...one, [side]: point } : one));
+    view.element.addEventListener("keydown", (event) => this.key(side, event));
+    const moving = (id, point) => {
+      const marks = this.app.state.marks.map((one) => (one.id === id ? { ...one, [side]: point } : one));
       this.overlay.follow(marks);
     };
     this.layers[side].dragging(moving, (id, point) => this.app.change({ do: "move", id, [side]: point }, "Mark moved"));
@@ -158,7 +147,6 @@ class Marks {
 
   // --- what is shown ---------------------------------------------------------------------------------------------
 
-  /** @param {import("./store.js").State} state */
   show(state) {
     if (this.chosen !== null && !state.marks.some((mark) => mark.id === this.chosen)) this.chosen = null;
     this.linked.update(similarityOf(state));
@@ -171,25 +159,25 @@ class Marks {
     for (const side of SIDES) this.layers[side].showMarks(state.marks, this.chosen);
     this.table.show(state, this.chosen);
     this.tools.show(state, this.mark);
-    this.help.hidden = !state.marks.some((/** @type {any} */ one) => one.source.includes("tile"));
+    this.help.hidden = !state.marks.some((one) => one.source.includes("tile"));
     const { open } = this;
     for (const side of SIDES) this.views[side].hint(open && !open[side] ? `Click ${open.label} here` : "");
-    const general = (state.warnings ?? []).filter((/** @type {any} */ one) => one.id === undefined || one.id === null);
-    this.warnings.replaceChildren(...general.map((/** @type {any} */ one) => make("li", {}, one.text)));
+    const general = (state.warnings ?? []).filter((one) => one.id === undefined || one.id === null);
+    this.warnings.replaceChildren(...general.map((one) => make("li", {}, one.text)));
     this.prediction.showFor(this.mark ?? open);
   }
 
-  /** The chosen mark. @returns {import("./store.js").Mark|null} */
+  /** The chosen mark. */
   get mark() {
-    return this.app.state.marks.find((/** @type {any} */ one) => one.id === this.chosen) ?? null;
+    return this.app.state.marks.find((one) => one.id === this.chosen) ?? null;
   }
 
-  /** The newest mark that still has one end only. @returns {import("./store.js").Mark|null} */
+  /** The newest mark that still has one end only. */
   get open() {
-    return this.app.state.marks.findLast((/** @type {any} */ one) => !one.moving !== !one.fixed) ?? null;
+    return this.app.state.marks.findLast((one) => !one.moving !== !one.fixed) ?? null;
   }
 
-  /** @param {any} id @param {boolean} [go] whether the views go there */
+  /** `go`: whether the views go there */
   choose(id, go = false) {
     this.chosen = id;
     this.redraw();
@@ -202,7 +190,7 @@ class Marks {
     }
   }
 
-  /** Go on to the next mark in the order of the table. @param {1|-1} step */
+  /** Go on to the next mark in the order of the table. */
   walk(step) {
     const marks = this.table.ordered;
     if (!marks.length) return;
@@ -214,7 +202,6 @@ class Marks {
 
   // --- what is done ----------------------------------------------------------------------------------------------
 
-  /** @param {Side} side @param {[number, number]} point @param {number[]} pixel */
   clicked(side, point, pixel) {
     this.views[side].element.focus({ preventScroll: true });
     const meant = this.layers[side].near(pixel)?.get("id");
@@ -223,13 +210,9 @@ class Marks {
     else void this.put(side, point);
   }
 
-  /**
-   * Set an end of a mark: of the one that waits for it, or of a new one.
-   * @param {Side} side
-   * @param {[number, number]} point
-   */
+  /** Set an end of a mark: of the one that waits for it, or of a new one. */
   async put(side, point) {
-    let /** @type {any} */ id = null;
+    let id = null;
     const state = await this.app.change(() => {
       id = this.open?.id ?? null;
       return id === null ? { do: "add", [side]: point } : { do: "move", id, [side]: point };
@@ -240,19 +223,19 @@ class Marks {
     this.lead(side);
   }
 
-  /** Bring the predicted place of a mark's missing end into sight. @param {Side} side where its one end was set */
+  /** Bring the predicted place of a mark's missing end into sight. `side`: where its one end was set */
   lead(side) {
     const there = this.mark?.predicted?.[other(side)];
     const view = this.views[other(side)];
     if (there && !this.mark?.[other(side)] && !view.sees(there)) view.centre = there;
   }
 
-  /** @param {Side} side @param {number} dx @param {number} dy in um @returns {boolean} */
+  /** `dy`: in um */
   nudge(side, dx, dy) {
     if (!this.mark?.[side]) return false;
     const { id } = this.mark;
-    void this.app.change((/** @type {any} */ state) => {
-      const end = state.marks.find((/** @type {any} */ one) => one.id === id)?.[side];
+    void this.app.change((state) => {
+      const end = state.marks.find((one) => one.id === id)?.[side];
       return end ? { do: "move", id, [side]: [end[0] + dx, end[1] + dy] } : null;
     }, "Mark moved");
     return true;
@@ -269,13 +252,11 @@ class Marks {
     if (mark) await this.app.write(() => this.app.post("snap", { id: mark.id, layer: this.app.layer }), `${mark.label} snapped to its hole`);
   }
 
-  /** @param {Side} side @param {[number, number]|null} point */
   pointed(side, point) {
     this.app.cursor(point ? `${this.names[side]} x, y: ${written(point)} um` : "");
     this.prediction.point(side, point);
   }
 
-  /** @param {Side} side @param {KeyboardEvent} event */
   key(side, event) {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     const acts = {
@@ -285,7 +266,7 @@ class Marks {
       n: () => this.walk(1),
       p: () => this.walk(-1),
     };
-    const act = acts[/** @type {keyof typeof acts} */ (event.key)];
+    const act = acts[event.key];
     if (!act) return;
     event.preventDefault();
     void act();

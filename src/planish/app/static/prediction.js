@@ -6,42 +6,32 @@ import { written } from "./dom.js";
 const REST_MS = 40;
 
 export class Prediction {
-  /**
-   * @param {any} app
-   * @param {{moving: import("./marklayer.js").MarkLayer, fixed: import("./marklayer.js").MarkLayer}} layers
-   * @param {{moving: string, fixed: string}} names of the views
-   */
+  /** `names`: of the views */
   constructor(app, layers, names) {
     this.app = app;
     this.names = names;
     this.layers = layers;
-    /** @type {{side: "moving"|"fixed", point: [number, number]}|null} */
     this.wanted = null;
     this.busy = false;
     this.inside = false;
-    /** @type {import("./store.js").Mark|null} */
     this.mark = null;
   }
 
-  /** Show the predicted end of a mark that has one end only. @param {import("./store.js").Mark|null} mark */
+  /** Show the predicted end of a mark that has one end only. */
   showFor(mark) {
     this.mark = mark;
     this.rest();
   }
 
   rest() {
-    for (const side of /** @type {const} */ (["moving", "fixed"])) {
+    for (const side of ["moving", "fixed"]) {
       const place = this.mark && !this.mark[side] ? this.mark.predicted?.[side] : null;
       this.layers[side].showGhost(place ?? null);
       if (place) this.app.predicted(`${this.mark?.label} in the ${this.names[side]}: ${written(place)} um`);
     }
   }
 
-  /**
-   * Follow the pointer; one question is asked at a time.
-   * @param {"moving"|"fixed"} side
-   * @param {[number, number]|null} point
-   */
+  /** Follow the pointer; one question is asked at a time. */
   point(side, point) {
     this.wanted = point && { side, point };
     this.inside = point !== null;
@@ -76,15 +66,10 @@ export class Prediction {
   }
 }
 
-/**
- * The value of the shown picture, and where the point lies in the volume.
- * @param {any} here
- * @param {any} picture
- * @returns {string[]}
- */
+/** The value of the shown picture, and where the point lies in the volume. */
 function valuesAt(here, picture) {
   if (!here) return [];
-  const own = here.values.find((/** @type {any} */ one) => one.id === picture.id);
+  const own = here.values.find((one) => one.id === picture.id);
   const units = own?.units === "1" ? "" : (own?.units ?? "");
   const text = () => `${picture.title} ${Number(own.value.toPrecision(4))} ${units}`.trim();
   const { volume } = here;

@@ -14,11 +14,10 @@ const SIZES = 12; // of frames whose times are kept
 
 export class Relief {
   /**
-   * @param {HTMLCanvasElement} canvas
-   * @param {object} three the module three.js
-   * @param {Function} Orbit OrbitControls
-   * @param {object} sheet `levels`; `step`, um between points of level 0; `shapeAt(level)`; and `gridAt(level)`, which
-   *   promises rows, cols, x, y, z (um, y upwards) and colours (0..255, three a point), NaN where there is no sheet
+   * `three`: the module three.js
+   * `Orbit`: OrbitControls
+   * `sheet`: `levels`; `step`, um between points of level 0; `shapeAt(level)`; and `gridAt(level)`, which promises rows,
+   * cols, x, y, z (um, y upwards) and colours (0..255, three a point), NaN where there is no sheet
    */
   constructor(canvas, three, Orbit, sheet) {
     Object.assign(this, { canvas, three, ...sheet });

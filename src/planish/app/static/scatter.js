@@ -9,7 +9,7 @@ const FONT = "12px system-ui, sans-serif";
 /** How much closer than all points the view comes, and how much farther off. */
 const [CLOSEST, FARTHEST] = [1 / 200, 2];
 
-/** Round numbers within limits. @param {number} low @param {number} high @param {number} most */
+/** Round numbers within limits. */
 export function ticks(low, high, most) {
   const power = 10 ** Math.floor(Math.log10((high - low) / most));
   const step = power * ([1, 2, 5, 10].find((one) => (high - low) / (one * power) <= most) ?? 10);
@@ -24,10 +24,6 @@ export function ticks(low, high, most) {
  *   `counts`: pixels in each bin, row by row from the lowest b up; `chosen`: those of them that are selected
  */
 export class Scatter {
-  /**
-   * @param {{element: HTMLElement, shade: (share: number) => ArrayLike<number>, onBrush: (a: number[], b: number[]) => void,
-   *   onClear: () => void}} options
-   */
   constructor({ element, shade, onBrush, onClear }) {
     this.element = element;
     this.shade = shade;
@@ -39,15 +35,14 @@ export class Scatter {
     this.tool.addEventListener("click", () => this.tool.setAttribute("aria-pressed", String(this.tool.ariaPressed !== "true")));
     this.bar.prepend(this.tool);
     element.append(this.canvas);
-    /** @type {Points|null} */
     this.points = null;
-    /** @type {(number[]|null)[]} values that are picked of a and of b; null picks all */
+    /** Values that are picked of a and of b; null picks all */
     this.brush = [null, null];
-    /** @type {number[]|null} values at the cursor */
+    /** Values at the cursor */
     this.here = null;
     /** Said in place of the points. */
     this.withheld = "";
-    /** What is seen, low and high of a and of b. @type {number[][]} */
+    /** What is seen, low and high of a and of b. */
     this.seen = [];
     new ResizeObserver(() => this.draw()).observe(element);
     element.addEventListener("keydown", (event) => this.key(event));
@@ -57,7 +52,7 @@ export class Scatter {
       take: (at, shift) => {
         if (!this.points || !(shift || this.tool.ariaPressed === "true")) return null;
         const from = this.valuesAt(at);
-        const move = (/** @type {[number, number]} */ to) => {
+        const move = (to) => {
           this.drag = this.valuesAt(to).map((value, k) => [Math.min(value, from[k]), Math.max(value, from[k])]);
           this.draw();
         };
@@ -65,9 +60,9 @@ export class Scatter {
           this.drag = null;
           this.draw();
         };
-        const end = (/** @type {[number, number]} */ to) => {
+        const end = (to) => {
           move(to);
-          const [a, b] = /** @type {number[][]} */ (this.drag);
+          const [a, b] = this.drag;
           cancel();
           this.on.brush(a, b);
         };
@@ -76,9 +71,9 @@ export class Scatter {
     });
   }
 
-  /** Show other points; the view stays where the axes are the same. @param {Points|null} points @param {string} [withheld] */
+  /** Show other points; the view stays where the axes are the same. */
   show(points, withheld = "") {
-    const labels = (/** @type {Points|null} */ one) => one?.axes.map((axis) => axis.label).join();
+    const labels = (one) => one?.axes.map((axis) => axis.label).join();
     const same = labels(points) === labels(this.points);
     this.points = points;
     this.withheld = withheld;
@@ -87,7 +82,7 @@ export class Scatter {
     else this.fit();
   }
 
-  /** The more points, the stronger the colour, by the logarithm; grey where there is a selection beside them. @param {Points} points */
+  /** The more points, the stronger the colour, by the logarithm; grey where there is a selection beside them. */
   paint({ wide, tall, counts, chosen }) {
     const most = Math.log1p(counts.reduce((a, b) => Math.max(a, b), 1));
     const image = new ImageData(wide, tall);
@@ -109,7 +104,7 @@ export class Scatter {
     this.draw();
   }
 
-  /** @param {number} right @param {number} up in screen pixels */
+  /** `up`: in screen pixels */
   pan(right, up) {
     const [, , wide, tall] = this.area();
     this.seen = this.seen.map(([low, high], k) => {
@@ -119,7 +114,7 @@ export class Scatter {
     this.draw();
   }
 
-  /** @param {number} factor @param {[number, number]} [at] place on the screen that stays; the middle where it is not given */
+  /** `at`: place on the screen that stays; the middle where it is not given */
   zoom(factor, at) {
     if (!this.points) return;
     const { axes } = this.points;
@@ -141,20 +136,19 @@ export class Scatter {
     return [left, TOP, Math.max(wide - left - RIGHT, 10), Math.max(tall - TOP - BOTTOM, 10)];
   }
 
-  /** @param {number} k */
   ticks(k) {
     const [low, high] = this.seen[k];
     return ticks(low, high, Math.max(2, k ? this.element.clientHeight / 35 : this.element.clientWidth / 70));
   }
 
-  /** The values at a place of the view. @param {number[]} at @returns {number[]} */
+  /** The values at a place of the view. */
   valuesAt([x, y]) {
     const [left, top, wide, tall] = this.area();
     const [[a0, a1], [b0, b1]] = this.seen;
     return [a0 + ((x - left) / wide) * (a1 - a0), b1 - ((y - top) / tall) * (b1 - b0)];
   }
 
-  /** The place of values in the view. @param {number[]} values @returns {number[]} */
+  /** The place of values in the view. */
   placeOf([a, b]) {
     const [left, top, wide, tall] = this.area();
     const [[a0, a1], [b0, b1]] = this.seen;
@@ -205,7 +199,6 @@ export class Scatter {
     pen.fillText(axes[1].label, 0, 0, tall - 10);
   }
 
-  /** @param {CanvasRenderingContext2D} pen */
   drawBrush(pen) {
     const [a, b] = this.drag ?? this.brush;
     if (!a && !b) return;
@@ -227,11 +220,10 @@ export class Scatter {
 
   // --- keys ------------------------------------------------------------------------------------------------------
 
-  /** @param {KeyboardEvent} event */
   key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey || !this.points || event.target !== this.element) return;
     const arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
-    const step = arrows[/** @type {keyof typeof arrows} */ (event.key)];
+    const step = arrows[event.key];
     if (step) this.arrow(step, event.shiftKey);
     else if (event.key === "Enter") {
       const [a, b] = this.seen.map(([low, high]) => [low + 0.4 * (high - low), low + 0.6 * (high - low)]);
@@ -244,7 +236,7 @@ export class Scatter {
     event.preventDefault();
   }
 
-  /** Move the rectangle, or with Shift its upper right corner; where there is none, the view. @param {number[]} step @param {boolean} grow */
+  /** Move the rectangle, or with Shift its upper right corner; where there is none, the view. */
   arrow(step, grow) {
     const [a, b] = this.brush;
     if (!a && !b) return this.pan(-20 * step[0], -20 * step[1]);
@@ -257,9 +249,9 @@ export class Scatter {
   }
 }
 
-/** A line that is seen on any ground. @param {CanvasRenderingContext2D} pen @param {() => void} path */
+/** A line that is seen on any ground. */
 function stroked(pen, path, colour = "#111") {
-  for (const [ink, width] of /** @type {const} */ ([["#fff", 4], [colour, 1.8]])) {
+  for (const [ink, width] of [["#fff", 4], [colour, 1.8]]) {
     pen.strokeStyle = ink;
     pen.lineWidth = width;
     pen.beginPath();

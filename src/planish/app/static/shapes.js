@@ -4,14 +4,14 @@ import { flipped } from "./mapview.js";
 
 /* global ol */
 
-const styled = (/** @type {string} */ stroke, /** @type {string} */ fill, /** @type {number[]} */ dash = []) => [
+const styled = (stroke, fill, dash = []) => [
   new ol.style.Style({ stroke: new ol.style.Stroke({ color: "#fff", width: 4 }) }),
   new ol.style.Style({
     stroke: new ol.style.Stroke({ color: stroke, width: 2, lineDash: dash }),
     fill: new ol.style.Fill({ color: fill }),
   }),
 ];
-const cursor = (/** @type {string} */ color, /** @type {number} */ width) =>
+const cursor = (color, width) =>
   new ol.style.Style({
     image: new ol.style.RegularShape({ points: 4, radius: 13, radius2: 0, stroke: new ol.style.Stroke({ color, width }) }),
   });
@@ -31,68 +31,61 @@ const HOW = {
 const NEAR_PX = 8;
 
 export class Shapes {
-  /**
-   * @param {import("./mapview.js").MapView[]} views
-   * @param {{say: (text: string) => void, drawn: (type: string, points: number[][]) => void}} on
-   *   `drawn` gets two corners of a box, all of a polygon, or the ends of a line, in um
-   */
+  /** `on`: `drawn` gets two corners of a box, all of a polygon, or the ends of a line, in um */
   constructor(views, on) {
     this.views = views;
     this.on = on;
-    /** @type {keyof HOW|null} what is being drawn */
+    /** What is being drawn */
     this.tool = null;
-    /** @type {number[][]} */
     this.points = [];
     this.source = new ol.source.Vector();
     for (const view of views) {
-      const style = (/** @type {any} */ feature) => STYLES[/** @type {keyof STYLES} */ (feature.get("kind"))];
+      const style = (feature) => STYLES[(feature.get("kind"))];
       view.map.addLayer(new ol.layer.Vector({ source: this.source, style, zIndex: 5 }));
       view.takes.push((at, shift) => (this.tool === "Polygon" || !(this.tool || shift) ? null : this.held(view, at)));
       view.hovers.push((point) => this.tool && this.points.length && point && this.sketch([...this.points, point]));
     }
   }
 
-  /** A box or a line while it is dragged. @param {import("./mapview.js").MapView} view @param {number[]} at */
+  /** A box or a line while it is dragged. */
   held(view, at) {
     this.tool ??= "Box";
     const from = this.points[0] ?? view.pointAt(at);
-    const ends = (/** @type {number[]} */ to) => [from, view.pointAt(to)];
+    const ends = (to) => [from, view.pointAt(to)];
     return {
-      move: (/** @type {number[]} */ to) => this.sketch(ends(to)),
-      end: (/** @type {number[]} */ to) => this.finish(ends(to)),
+      move: (to) => this.sketch(ends(to)),
+      end: (to) => this.finish(ends(to)),
       cancel: () => this.end(),
     };
   }
 
-  /** @param {number[]|null} region x0, y0, x1, y1 in um */
+  /** `region`: x0, y0, x1, y1 in um */
   region(region) {
     const extent = region && [region[0], -region[3], region[2], -region[1]];
     this.show("region", extent ? [ol.geom.Polygon.fromExtent(extent)] : []);
   }
 
-  /** @param {number[]|null} line x0, y0, x1, y1 in um */
+  /** `line`: x0, y0, x1, y1 in um */
   line(line) {
     this.show("line", line ? [new ol.geom.LineString([flipped(line.slice(0, 2)), flipped(line.slice(2))])] : []);
   }
 
-  /** @param {number[][][]} polygons */
   artefacts(polygons) {
     this.show("artefact", polygons.map((one) => new ol.geom.Polygon([one.map((point) => flipped(point))])));
   }
 
-  /** @param {number[]|null} point */
   cursor(point) {
     this.show("cursor", point ? [new ol.geom.Point(flipped(point))] : []);
   }
 
-  /** @param {string} kind @param {any[]} geometries what stands for it from now on */
+  /** `geometries`: what stands for it from now on */
   show(kind, geometries) {
-    const old = this.source.getFeatures().filter((/** @type {any} */ one) => one.get("kind") === kind);
+    const old = this.source.getFeatures().filter((one) => one.get("kind") === kind);
     for (const feature of old) this.source.removeFeature(feature);
     for (const geometry of geometries) this.source.addFeature(new ol.Feature({ geometry, kind }));
   }
 
-  /** Let a person draw in any of the maps. @param {keyof HOW} type */
+  /** Let a person draw in any of the maps. */
   start(type) {
     this.end();
     this.tool = type;
@@ -100,7 +93,7 @@ export class Shapes {
     this.views[0].element.focus();
   }
 
-  /** A corner that was clicked, or set by Enter. @param {number[]} point @param {import("./mapview.js").MapView} view */
+  /** A corner that was clicked, or set by Enter. */
   corner(point, view) {
     const last = this.points.at(-1);
     const again = last && Math.hypot(point[0] - last[0], point[1] - last[1]) < NEAR_PX * view.pixel;
@@ -110,7 +103,6 @@ export class Shapes {
     else this.sketch(this.points);
   }
 
-  /** @param {number[][]} points */
   sketch(points) {
     const [first, last] = [points[0], points[points.length - 1]];
     const corners = this.tool === "Box" ? [first, [last[0], first[1]], last, [first[0], last[1]]] : points;
@@ -118,9 +110,8 @@ export class Shapes {
     this.show("drawn", [this.tool === "LineString" || places.length < 3 ? new ol.geom.LineString(places) : new ol.geom.Polygon([places])]);
   }
 
-  /** @param {number[][]} points */
   finish(points) {
-    const type = /** @type {string} */ (this.tool);
+    const type = this.tool;
     this.end();
     this.on.say("");
     this.on.drawn(type, points);

@@ -2,7 +2,7 @@
 
 /**
  * Triangles between two rows of a grid, without those of points where there is no sheet.
- * @returns {object|null} a geometry of three.js; null where there is none
+ * A geometry of three.js; null where there is none
  */
 export function stripOf(three, { rows, cols, x, y, z, colours }, top, bottom) {
   const points = (bottom - top + 1) * cols;

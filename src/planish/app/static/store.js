@@ -15,12 +15,7 @@ import { ApiError } from "./api.js";
  */
 
 export class Store {
-  /**
-   * @param {import("./api.js").Api} api
-   * @param {any} session the facts of the run, which do not change
-   * @param {State} state
-   * @param {{message: (text: string) => void, alarm: (text: string|null) => void}} lines
-   */
+  /** `session`: the facts of the run, which do not change */
   constructor(api, session, state, lines) {
     this.api = api;
     this.session = session;
@@ -31,50 +26,40 @@ export class Store {
     this.did = "";
     /** Registration that is shown, by the name of its moving layer. */
     this.layer = state.layer;
-    /** @type {((state: State) => void)[]} */
     this.listeners = [];
     this.queue = Promise.resolve();
-    /** @type {Record<string, Promise<any>>} */
     this.counted = {};
     this.readOnly = Boolean(session.read_only);
   }
 
-  /**
-   * Say what was done; where marks are seen, what the fit has to say of them stands behind it.
-   * @param {string} text
-   */
+  /** Say what was done; where marks are seen, what the fit has to say of them stands behind it. */
   say(text) {
     this.did = text;
     const ofMarks = document.body.dataset.tab === "marks" ? this.state.message : "";
     this.lines.message([text, ofMarks].filter(Boolean).join(" "));
   }
 
-  /** How the valid values of a picture are distributed; counted once. @param {any} picture */
+  /** How the valid values of a picture are distributed; counted once. */
   histogram({ id }) {
     return (this.counted[id] ??= this.api.get(`histogram?id=${id}`));
   }
 
-  /** Show another registration. @param {string} layer */
+  /** Show another registration. */
   async chooseLayer(layer) {
     this.layer = layer;
     await this.refresh(true);
   }
 
-  /** @param {string} path */
   ofLayer(path) {
     return `${path}${path.includes("?") ? "&" : "?"}layer=${encodeURIComponent(this.layer)}`;
   }
 
-  /**
-   * Call now and whenever the state is another.
-   * @param {(state: State) => void} listener
-   */
+  /** Call now and whenever the state is another. */
   onState(listener) {
     this.listeners.push(listener);
     listener(this.state);
   }
 
-  /** @param {State} state */
   setState(state) {
     if (state.version < this.state.version) return;
     this.state = state;
@@ -84,7 +69,7 @@ export class Store {
 
   /**
    * Take the state from the server.
-   * @param {boolean} [anew] whatever its version: the server may have been started again
+   * `anew`: whatever its version: the server may have been started again
    */
   async refresh(anew = false) {
     const state = await this.api.get(this.ofLayer("state"));
@@ -92,7 +77,7 @@ export class Store {
     this.setState(state);
   }
 
-  /** The server has another version: it is taken, where it is not this window's own write that led to it. @param {number} version */
+  /** The server has another version: it is taken, where it is not this window's own write that led to it. */
   async heard(version) {
     await this.queue;
     if (version > this.state.version) await this.refresh();
@@ -100,9 +85,8 @@ export class Store {
 
   /**
    * Change the session; what is to be changed is asked when all earlier changes are done.
-   * @param {object|((state: State) => object|null)} change
-   * @param {string} words what was done, said when it is saved
-   * @returns {Promise<State|null>} the new state, null where it was not changed
+   * `words`: what was done, said when it is saved
+   * The new state, null where it was not changed
    */
   change(change, words) {
     return this.write(() => {
@@ -111,7 +95,7 @@ export class Store {
     }, words);
   }
 
-  /** Write, and get the state of the registration that is shown. @param {string} path @param {object} [body] */
+  /** Write, and get the state of the registration that is shown. */
   post(path, body = {}) {
     return this.api.post(this.ofLayer(path), body);
   }
@@ -124,12 +108,7 @@ export class Store {
     return this.state.can_redo ? this.write(() => this.post("redo"), "Done again") : Promise.resolve(null);
   }
 
-  /**
-   * Send one write after all earlier ones and show what it led to.
-   * @param {() => Promise<State>|null} send
-   * @param {string} words
-   * @returns {Promise<State|null>}
-   */
+  /** Send one write after all earlier ones and show what it led to. */
   write(send, words) {
     const done = this.queue.then(async () => {
       if (this.readOnly) throw new ApiError(0, "This run is open to read only: nothing can be changed.");
@@ -145,11 +124,7 @@ export class Store {
     return caught;
   }
 
-  /**
-   * Say why something was not done.
-   * @param {any} error
-   * @returns {null}
-   */
+  /** Say why something was not done. */
   refused(error) {
     if (error.status === 409 && error.body?.version) this.setState(error.body);
     this.alarm(error.status === 0 && !this.readOnly ? `${error.message} The change was not saved.` : error.message);

@@ -7,10 +7,9 @@ import { make, shown, typeset } from "./dom.js";
  * @typedef {{name: string, value: (mark: Mark) => any, error?: boolean, text?: boolean}} Column
  */
 
-const place = (/** @type {"moving"|"fixed"} */ side, /** @type {0|1} */ axis) => (/** @type {Mark} */ mark) =>
-  /** @type {number[]} */ (mark[side])[axis];
+const place = (side, axis) => (mark) => mark[side][axis];
 
-/** @param {{moving: string, fixed: string}} names of the views @returns {Column[]} */
+/** `names`: of the views */
 const columnsOf = ({ moving, fixed }) => [
   { name: "Mark", value: (mark) => mark.label, text: true },
   { name: "Used", value: (mark) => Number(mark.used), text: true },
@@ -26,21 +25,14 @@ const columnsOf = ({ moving, fixed }) => [
 const FAILS = 5;
 
 export class MarkTable {
-  /**
-   * @param {{choose: (id: any) => void, use: (mark: Mark, used: boolean) => void}} actions
-   * @param {{names: {moving: string, fixed: string}, limit_um: number}} facts `limit_um`: from where on the check of the
-   *   marks asks for a look
-   */
+  /** `facts`: `limit_um`: from where on the check of the marks asks for a look */
   constructor(actions, { names, limit_um }) {
     this.actions = actions;
-    this.limit = limit_um;
+    this.limit = limit_um ?? Infinity;
     this.columns = columnsOf(names);
     this.sorted = { column: -1, falling: false };
-    /** @type {Mark[]} */
     this.marks = [];
-    /** @type {any} */
     this.chosen = null;
-    /** @type {Map<any, Row>} */
     this.rows = new Map();
     this.heads = this.columns.map((column, i) =>
       make(
@@ -57,10 +49,6 @@ export class MarkTable {
     this.element = make("div", scroll, table, this.empty);
   }
 
-  /**
-   * @param {import("./store.js").State} state
-   * @param {any} chosen
-   */
   show(state, chosen) {
     this.marks = state.marks.filter((mark) => mark.moving && mark.fixed);
     this.chosen = chosen;
@@ -71,7 +59,7 @@ export class MarkTable {
     this.draw();
   }
 
-  /** Sort by a column: errors fall first, all else rises first; a third time gives the order of making. @param {number} i */
+  /** Sort by a column: errors fall first, all else rises first; a third time gives the order of making. */
   sortBy(i) {
     const first = this.columns[i].error ?? false;
     if (this.sorted.column !== i) this.sorted = { column: i, falling: first };
@@ -85,7 +73,7 @@ export class MarkTable {
     this.element.scrollTop = 0;
   }
 
-  /** The marks in the order of the rows. @returns {Mark[]} */
+  /** The marks in the order of the rows. */
   get ordered() {
     const { column, falling } = this.sorted;
     if (column < 0) return this.marks;
@@ -100,7 +88,7 @@ export class MarkTable {
 
   /** Rows stay in the page while their marks do: a row made anew between the press and the release of a button loses the click. */
   draw() {
-    const largest = this.columns.map((column) => (column.error ? Math.max(this.limit, ...this.marks.map((m) => column.value(m) ?? 0)) : 0));
+    const largest = this.columns.map((column) => (column.error ? Math.max(Number.isFinite(this.limit) ? this.limit : 1e-9, ...this.marks.map((m) => column.value(m) ?? 0)) : 0));
     const rows = this.ordered.map((mark) => {
       const row = this.rows.get(mark.id) ?? new Row(mark, this.columns, this.actions);
       row.show(mark, this.notes?.get(mark.id) ?? [], mark.id === this.chosen, (i) => [this.limit, largest[i]]);
@@ -109,7 +97,7 @@ export class MarkTable {
     this.rows = new Map(rows.map((row) => [row.mark.id, row]));
     const elements = rows.map((row) => row.element);
     if (elements.length === this.body.rows.length && elements.every((element, i) => element === this.body.rows[i])) return;
-    const focused = /** @type {HTMLElement|null} */ (document.activeElement);
+    const focused = document.activeElement;
     const held = this.body.contains(focused);
     this.body.replaceChildren(...elements);
     if (held && focused?.isConnected) focused.focus();
@@ -123,11 +111,6 @@ export class MarkTable {
 
 /** A row of the table. */
 class Row {
-  /**
-   * @param {Mark} mark
-   * @param {Column[]} columns
-   * @param {{choose: (id: any) => void, use: (mark: Mark, used: boolean) => void}} actions
-   */
   constructor(mark, columns, actions) {
     this.mark = mark;
     this.columns = columns;
@@ -136,18 +119,13 @@ class Row {
     this.cells = columns.slice(2).map(() => make("td"));
     this.note = make("td");
     this.element = make("tr", {}, make("td", {}, this.label), make("td", {}, this.used), ...this.cells, this.note);
-    this.element.addEventListener("click", (/** @type {MouseEvent} */ event) => {
+    this.element.addEventListener("click", (event) => {
       const own = event.target instanceof HTMLInputElement || event.target instanceof HTMLButtonElement;
       if (!own) actions.choose(this.mark.id);
     });
   }
 
-  /**
-   * @param {Mark} mark
-   * @param {string[]} notes
-   * @param {boolean} chosen
-   * @param {(i: number) => [number, number]} errors limit of the check and largest value of a column of errors
-   */
+  /** `errors`: limit of the check and largest value of a column of errors */
   show(mark, notes, chosen, errors) {
     this.mark = mark;
     this.element.className = mark.used ? "" : "unused";
@@ -161,19 +139,18 @@ class Row {
     this.note.className = notes.length ? "warned" : "";
   }
 
-  /** @param {HTMLElement} cell @param {Column} column @param {[number, number]} errors */
   cell(cell, column, [limit, largest]) {
     const value = column.value(this.mark) ?? null;
     written(cell, value === null ? "–" : value.toFixed(2));
     cell.className = "n";
     if (value === null || !column.error) return;
     cell.classList.add("error", value > FAILS * limit ? "very" : value > limit ? "large" : "usual");
-    cell.title = `The check of the marks asks for a look from ${shown(limit)} µm on, and fails from ${shown(FAILS * limit)} µm on.`;
+    if (Number.isFinite(limit)) cell.title = `The check of the marks asks for a look from ${shown(limit)} µm on, and fails from ${shown(FAILS * limit)} µm on.`;
     cell.style.setProperty("--share", `${(100 * value) / largest}%`);
   }
 }
 
-/** Write a text where it is another. @param {HTMLElement} element @param {string} text */
+/** Write a text where it is another. */
 function written(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }

@@ -7,14 +7,10 @@ export const SVG = ["http:", "", "www.w3.org", "2000", "svg"].join("/");
 /** Rows of a saved picture for its names and its colour bar, in pixels. */
 const FOOT = 44;
 
-/**
- * @param {string} name of the view
- * @param {{zoom?: (factor: number) => void, fit?: () => void, svg: () => string}} view
- * @returns {HTMLElement}
- */
+/** `name`: of the view */
 export function viewBar(name, view) {
   const file = name.toLowerCase().replaceAll(/[^a-z0-9]+/g, "-");
-  const act = (/** @type {string} */ sign, /** @type {string} */ words, /** @type {() => void} */ does) =>
+  const act = (sign, words, does) =>
     button(sign, does, { "aria-label": `${name}: ${words}`, title: words });
   const { zoom, fit } = view;
   const moves = zoom && fit ? [act("+", "zoom in", () => zoom(Math.SQRT2)), act("−", "zoom out", () => zoom(Math.SQRT1_2)), act("Fit", "show all", fit)] : [];
@@ -27,7 +23,7 @@ export function viewBar(name, view) {
   );
 }
 
-/** Draw an SVG at twice its size. @param {string} svg @param {string} name */
+/** Draw an SVG at twice its size. */
 async function savePng(svg, name) {
   const address = URL.createObjectURL(new Blob([svg], { type: "image/svg+xml" }));
   const image = new Image();
@@ -36,19 +32,14 @@ async function savePng(svg, name) {
   const canvas = make("canvas", { width: 2 * image.width, height: 2 * image.height });
   canvas.getContext("2d").drawImage(image, 0, 0, canvas.width, canvas.height);
   URL.revokeObjectURL(address);
-  canvas.toBlob((/** @type {Blob|null} */ blob) => blob && download(blob, name), "image/png");
+  canvas.toBlob((blob) => blob && download(blob, name), "image/png");
 }
 
-const escaped = (/** @type {string} */ text) => text.replaceAll("&", "&amp;").replaceAll("<", "&lt;").replaceAll('"', "&quot;");
+const escaped = (text) => text.replaceAll("&", "&amp;").replaceAll("<", "&lt;").replaceAll('"', "&quot;");
 
-/**
- * A picture with what it shows below it, its colour bar and its scale bar, as SVG.
- * @param {HTMLCanvasElement} canvas
- * @param {{wide: number, tall: number, title: string, bar?: {px: number, words: string}|null,
- *   colours?: {shade: (share: number) => number[], limits: number[], words: string[]}|null}} more
- */
+/** A picture with what it shows below it, its colour bar and its scale bar, as SVG. */
 export function svgOf(canvas, { wide, tall, title, bar, colours }) {
-  const text = (/** @type {number} */ x, /** @type {number} */ y, /** @type {string} */ words, anchor = "start", fill = "#111") =>
+  const text = (x, y, words, anchor = "start", fill = "#111") =>
     `<text x="${x}" y="${y}" text-anchor="${anchor}" fill="${fill}">${escaped(words)}</text>`;
   const parts = [
     `<svg xmlns="${SVG}" width="${wide}" height="${tall + FOOT}" viewBox="0 0 ${wide} ${tall + FOOT}" font-family="sans-serif" font-size="12">`,
@@ -73,26 +64,25 @@ export function svgOf(canvas, { wide, tall, title, bar, colours }) {
   return `${parts.join("\n")}\n</svg>\n`;
 }
 
-/** A round length below the longest that a scale bar may have. @param {number} longest in um */
+/** A round length below the longest that a scale bar may have. `longest`: in um */
 export function roundLength(longest) {
   const power = 10 ** Math.floor(Math.log10(longest));
   return power * ([5, 2].find((step) => step * power <= longest) ?? 1);
 }
 
-/** @param {number} um */
 export const lengthWords = (um) => (um >= 1000 ? `${um / 1000} mm` : `${Number(um.toPrecision(2))} µm`);
 
 /**
  * A scale bar on a canvas.
- * @param {CanvasRenderingContext2D} pen @param {number} x @param {number} y its lower left end
- * @param {number} most pixels @param {number} pixel um @param {string} ink @param {string} halo
+ * `y`: its lower left end
+ * `most`: pixels `pixel`: um
  */
 export function drawScaleBar(pen, x, y, most, pixel, ink, halo) {
   const um = roundLength(most * pixel);
   pen.font = "12px sans-serif";
   pen.textAlign = "left";
   pen.lineJoin = "round";
-  for (const [colour, width] of /** @type {const} */ ([[halo, 4], [ink, 0]])) {
+  for (const [colour, width] of [[halo, 4], [ink, 0]]) {
     pen.strokeStyle = pen.fillStyle = colour;
     pen.lineWidth = 4 + width;
     pen.beginPath();

@@ -197,7 +197,6 @@ def _recognised(content: Content) -> str:
 
 
 def _single_list(marks: xr.Dataset, name: str) -> PointList:
-    """Give the marks of one layer as a list, to be joined with another."""
     names = layer_names(marks)
     if len(names) != 1:
         raise MarkError(

@@ -155,7 +155,6 @@ def _place(places: MarkPlaces, k: int) -> dict[str, Any]:
 
 
 def _cross_field_faults(file: _File, layers: list[str]) -> list[str]:
-    """List the faults that the fields alone do not show."""
     faults = [f"the layer {n} is there {layers.count(n)} times" for n in sorted(set(layers)) if layers.count(n) > 1]
     if RESIDUAL in layers:
         faults.append(f"{RESIDUAL} cannot be the name of a layer")
