@@ -1,6 +1,6 @@
 /** The tab Flattening: what the flattening did to the sheet as a map, and the sheet as it lay in the scanner, in space. */
 
-import { choice, labelled, make } from "./dom.js";
+import { choice, labelled, make, withUnit } from "./dom.js";
 import { colourAt, paletteOf } from "./colour.js";
 import { sizeOf, wholeLevel } from "./level.js";
 import { MapView, flipped } from "./mapview.js";
@@ -63,8 +63,7 @@ class ScaleBar {
     const row = context.createImageData(160, 1);
     for (let k = 0; k < 160; k++) row.data.set([...colourAt(paletteOf(picture), k / 159), 255], 4 * k);
     context.putImageData(row, 0, 0);
-    const unit = picture.units && picture.units !== "1" ? ` ${picture.units}` : "";
-    [this.low.textContent, this.high.textContent] = picture.range.map((v) => `${Number(v.toPrecision(3))}${unit}`);
+    [this.low.textContent, this.high.textContent] = picture.range.map((v) => Number(v.toPrecision(3)) + withUnit(picture));
   }
 }
 

@@ -24,8 +24,8 @@ export class Relief {
     this.renderer = new three.WebGLRenderer({ canvas, antialias: false, alpha: true, preserveDrawingBuffer: true });
     this.renderer.autoClear = false;
     this.scene = new three.Scene();
-    this.scene.add(new three.HemisphereLight(0xffffff, 0x777777, 2.2));
-    const sun = new three.DirectionalLight(0xffffff, 1.6);
+    this.scene.add(new three.HemisphereLight(0xffffff, 0x999999, 2.0));
+    const sun = new three.DirectionalLight(0xffffff, 1.1);
     sun.position.set(-0.5, 0.4, 1);
     this.scene.add(sun);
     this.camera = new three.PerspectiveCamera(35, 1, 1, 1e6);

@@ -225,6 +225,11 @@ class Tab {
       return;
     }
     const place = slice.place(at.across, at.down, this.sheet);
+    const outside = Object.entries(place).some(([axis, um]) => {
+      const { first_um: first, step_um: step, count } = this.sheet.axes[axis];
+      return um < first - step / 2 || um > first + (count - 0.5) * step;
+    });
+    if (outside) return this.app.say("There is no place of the volume here.");
     const pixel = (axis, um) =>
       Math.round((um - axis.first_um) / axis.step_um);
     const grey = slice.value(pixel(facts.down, at.down), pixel(facts.across, at.across));
@@ -257,6 +262,11 @@ class Tab {
       return;
     }
     const place = slice.place(at.across, at.down, this.sheet);
+    const outside = Object.entries(place).some(([axis, um]) => {
+      const { first_um: first, step_um: step, count } = this.sheet.axes[axis];
+      return um < first - step / 2 || um > first + (count - 0.5) * step;
+    });
+    if (outside) return this.app.say("There is no place of the volume here.");
     const face = this.corrections.faceBox.value;
     const off = Math.abs(at.down - slice.at(face, at.across));
     if (off > FAR * this.sheet.thickness_um) this.corrections.question(place, `This point lies ${off.toFixed(0)} um from the ${face} face that was found.`);
