@@ -1,4 +1,4 @@
-"""Four tasks that a person comes with, done with what the screen offers; each click, drag, choice or text is one action."""
+"""Four tasks that a person comes with, done with what the screen offers; a click, drag, choice or text is an action."""
 
 import re
 from dataclasses import dataclass

@@ -179,7 +179,7 @@ export class Corrections {
     const { layer } = this.sheet;
     const remove = () => this.app.change({ do: "uncorrect", id: one.id, layer }, "Correction removed");
     return make("li", {},
-      `${one.id}: ${points} on the ${faces} face, reach ${one.reach_um ?? this.sheet.reach_um} um `,
+      `${one.id}: ${points} on the ${faces} face, reach ${one.reach_um ?? this.sheet.reach_um} µm `,
       button("Show", () => this.on.onShow({ layer, ...middle }), { "aria-label": `Show ${one.id}` }),
       button("Remove", remove, { "aria-label": `Remove correction ${one.id}`, disabled: this.app.readOnly }));
   }
