@@ -117,4 +117,4 @@ def test_a_click_far_off_a_face_is_asked_about(shown):
         expect(shown.page.get_by_text(re.compile(r"lies \d+ µm from the top face"))).to_be_visible()
         shown.role("button", answer).click()
         expect(shown.page.get_by_text(re.compile("1 point, the last at"))).to_have_count(points)
-    expect(shown.page.get_by_text(re.compile("The green line passes a point at"))).to_be_visible()
+    expect(shown.page.get_by_text(re.compile("The green line misses a point by"))).to_be_visible(timeout=90_000)

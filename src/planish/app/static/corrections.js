@@ -124,7 +124,7 @@ export class Corrections {
     const most = Math.max(0, ...off.filter(Number.isFinite));
     this.off.textContent =
       most > 2 * Math.abs(down.step_um)
-        ? ` The green line passes a point at ${most.toFixed(1)} µm: the image shows an edge there, or another point disagrees. Set more points, or remove it.`
+        ? ` The green line misses a point by ${most.toFixed(1)} µm: the image shows an edge there, or another point disagrees. Set more points, or remove it.`
         : "";
   }
 

@@ -225,11 +225,6 @@ class Tab {
       return;
     }
     const place = slice.place(at.across, at.down, this.sheet);
-    const outside = Object.entries(place).some(([axis, um]) => {
-      const { first_um: first, step_um: step, count } = this.sheet.axes[axis];
-      return um < first - step / 2 || um > first + (count - 0.5) * step;
-    });
-    if (outside) return this.app.say("There is no place of the volume here.");
     const pixel = (axis, um) =>
       Math.round((um - axis.first_um) / axis.step_um);
     const grey = slice.value(pixel(facts.down, at.down), pixel(facts.across, at.across));
