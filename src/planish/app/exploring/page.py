@@ -30,7 +30,7 @@ from planish.run.run import open_run
 _PACKAGE = "planish.app.exploring"
 _SCRIPTS = ("unpack.js", "model.js", "mapview.js", "points.js", "sliceview.js", "start.js")
 _OF_THE_APP = ("dom.js", "gestures.js", "viewbar.js", "contrast.js", "scatter.js")
-_NAMES = "Contrast, Scatter, bindGestures, drawScaleBar, make, svgOf, viewBar"
+_NAMES = "Contrast, Scatter, bindGestures, drawScaleBar, make, onNumbers, svgOf, viewBar"
 
 
 def _text(path: str) -> str:

@@ -1,6 +1,6 @@
 /** Colour bar, histogram and limits of the colours of a view: dragged, moved by keys, or written as numbers. */
 
-import { button, make, numbers, shown, withUnit } from "./dom.js";
+import { button, make, onNumbers, shown, withUnit } from "./dom.js";
 
 const [WIDE, BARS, TALL] = [256, 20, 30];
 
@@ -12,16 +12,10 @@ export class Contrast {
     this.handles = ["low", "high"].map((end, k) => this.handle(`${name}, ${end}`, k));
     this.track = make("div", { class: "track", ondblclick: () => this.reset() }, this.canvas, ...this.handles);
     this.field = make("input", { type: "text", size: 13, spellcheck: "false", "aria-label": name, title: "Limits of the colours: low, high" });
-    const take = () => {
-      const found = numbers(this.field.value, 2);
-      const valid = found ? found[0] < found[1] : !this.field.value.trim();
-      this.field.setAttribute("aria-invalid", String(!valid));
-      if (!valid) say(`A ${name.split(" ").slice(-2).join(" ")} is "low, high", the smaller number first.`);
-      else if (!found) this.reset();
-      else if (this.field.value !== this.written) this.set(found);
-    };
-    this.field.addEventListener("change", take);
-    this.field.addEventListener("keydown", (event) => event.key === "Enter" && take());
+    onNumbers(this.field, {
+      count: 2, valid: ([low, high]) => low < high, use: (found) => this.set(found ?? this.usual),
+      refuse: () => say(`A ${name.split(" ").slice(-2).join(" ")} is "low, high", the smaller number first.`),
+    });
     const auto = button("Auto", () => this.reset(), { "aria-label": `${name}: auto`, title: "Limits as at first" });
     this.element = make("div", { class: "contrast" }, before, this.field, this.track, auto);
     this.limits = this.usual = this.span = [0, 1];
@@ -65,7 +59,7 @@ export class Contrast {
 
   write() {
     const [low, high] = this.limits;
-    this.field.value = this.written = this.limits.map(shown).join(", ");
+    this.field.value = this.limits.map(shown).join(", ");
     this.field.setAttribute("aria-invalid", "false");
     this.handles.forEach((handle, k) => {
       const share = (this.limits[k] - this.span[0]) / (this.span[1] - this.span[0] || 1);

@@ -67,6 +67,20 @@ export function numbers(text, count) {
   return values.length === count && values.every(Number.isFinite) ? values : null;
 }
 
+/**
+ * Take what is written into a field of numbers: `use` gets them, or null where the field is empty and may be; else
+ * `refuse` is called.
+ */
+export function onNumbers(field, { count, use, refuse, empty = true, valid = () => true }) {
+  field.addEventListener("change", () => {
+    const found = numbers(field.value, count);
+    const fits = found ? valid(found) : empty && !field.value.trim();
+    field.setAttribute("aria-invalid", String(!fits));
+    if (fits) use(found);
+    else refuse();
+  });
+}
+
 /** Read a number above 0. */
 export function positive(text) {
   const values = numbers(text, 1);

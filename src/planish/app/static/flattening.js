@@ -1,6 +1,7 @@
 /** The tab Flattening: what the flattening did to the sheet as a map, and the sheet as it lay in the scanner, in space. */
 
-import { choice, labelled, make, withUnit } from "./dom.js";
+import { Contrast } from "./contrast.js";
+import { choice, labelled, make } from "./dom.js";
 import { colourAt, paletteOf } from "./colour.js";
 import { sizeOf, wholeLevel } from "./level.js";
 import { MapView, flipped } from "./mapview.js";
@@ -10,6 +11,7 @@ import { drawShaded } from "./sheetmesh.js";
 
 const COARSER = 4; // levels beyond those of the pictures, for the first frames of a large sheet
 const MOST_SHADED = 500_000; // points of the picture with shadows
+const REST_MS = 150; // from a change of the colours to the sheet in them
 const TURN = Math.PI / 36; // of a key
 const HEIGHTS = ["1", "2", "5", "10", "20"];
 const MESH_COLOUR = "rgba(20, 20, 20, 0.55)";
@@ -42,32 +44,13 @@ function strainMap(pane, app, sheet, pictures) {
     note.textContent = "0 where the sheet was laid flat without strain; 96 % of it lie within the range of colours.";
   };
   bar.append(labelled("Strain", choice(shown.map((one) => [one.id, one.title]), show)));
-  const mesh = new ol.layer.Vector({ source: new ol.source.Vector(), style: meshStyle(), visible: false });
+  const mesh = new ol.layer.Vector({ source: new ol.source.Vector(), style: { "stroke-color": MESH_COLOUR, "stroke-width": 1 }, visible: false });
   view.map.addLayer(mesh);
   const box = make("input", { type: "checkbox", onchange: () => showMesh(app, mesh, box.checked) });
   bar.append(make("label", { class: "check" }, box, " Mesh"));
   if (shown.length) show(shown[0].id);
   app.onTab((name) => name === "flattening" && view.map.updateSize());
 }
-
-/** The colours of a picture with the values at both ends. */
-class ScaleBar {
-  constructor() {
-    this.canvas = make("canvas", { width: 160, height: 1, "aria-hidden": "true" });
-    [this.low, this.high] = [make("span"), make("span")];
-    this.element = make("div", { class: "scale-bar" }, this.low, this.canvas, this.high);
-  }
-
-  show(picture) {
-    const context = this.canvas.getContext("2d");
-    const row = context.createImageData(160, 1);
-    for (let k = 0; k < 160; k++) row.data.set([...colourAt(paletteOf(picture), k / 159), 255], 4 * k);
-    context.putImageData(row, 0, 0);
-    [this.low.textContent, this.high.textContent] = picture.range.map((v) => Number(v.toPrecision(3)) + withUnit(picture));
-  }
-}
-
-const meshStyle = () => new ol.style.Style({ stroke: new ol.style.Stroke({ color: MESH_COLOUR, width: 1 }) });
 
 /** Lines of the mesh in the plane, thinned to what a screen can show; asked for once. */
 async function showMesh(app, layer, wanted) {
@@ -86,17 +69,25 @@ async function inSpace(pane, app, sheet, pictures) {
   const canvas = make("canvas", { class: "space", tabindex: 0, role: "img", "aria-label": "Sheet in space" });
   const bar = make("div", { class: "fields" });
   const note = make("p", { class: "soft" });
-  const scale = new ScaleBar();
+  let [colour, timer] = [pictures.get(sheet.colours[0]), 0];
+  const onChange = () => {
+    clearTimeout(timer);
+    timer = setTimeout(redraw, REST_MS);
+  };
+  const scale = new Contrast({ name: "Sheet colour range", say: (text) => app.say(text), onChange });
+  const showColour = async () => {
+    const shade = (share) => colourAt(paletteOf(colour), share);
+    scale.show({ ...colour, shade, counted: await app.histogram(colour).catch(() => null) });
+  };
   pane.append(make("h2", {}, "Centre surface as it lay in the scanner"), bar, scale.element, canvas, note);
-  let colour = pictures.get(sheet.colours[0]);
-  scale.show(colour);
+  await showColour();
   const gridAt = thinned(async (level) => {
     const [x, y, z, shown] = await Promise.all([u, v, warp, colour].map((one) => wholeLevel(app.api, one, level)));
     for (let k = 0; k < z.values.length; k++) {
       y.values[k] = -y.values[k]; // rows run down, and space has y upwards
       if (Number.isNaN(x.values[k]) || Number.isNaN(y.values[k])) z.values[k] = NaN;
     }
-    const colours = coloursOf(shown.values, colour);
+    const colours = coloursOf(shown.values, colour, scale.limits);
     return { rows: z.rows, cols: z.cols, x: x.values, y: y.values, z: z.values, colours };
   }, warp.levels);
   const shapeAt = (level) => {
@@ -111,9 +102,9 @@ async function inSpace(pane, app, sheet, pictures) {
     else void redraw();
   });
   bar.append(
-    labelled("Colour", choice(sheet.colours.map((id) => [id, pictures.get(id).title]), (id) => {
+    labelled("Colour", choice(sheet.colours.map((id) => [id, pictures.get(id).title]), async (id) => {
       colour = pictures.get(id);
-      scale.show(colour);
+      await showColour();
       void redraw();
     })),
     labelled("Heights", height),
@@ -137,8 +128,7 @@ async function inSpace(pane, app, sheet, pictures) {
 }
 
 /** Red, green and blue of each value; grey where there is none. */
-function coloursOf(values, picture) {
-  const [low, high] = picture.range;
+function coloursOf(values, picture, [low, high]) {
   const palette = paletteOf(picture);
   const table = Array.from({ length: 256 }, (_, k) => colourAt(palette, k / 255));
   const out = new Uint8Array(3 * values.length);

@@ -1,10 +1,4 @@
-/** Plane geometry: affine maps of points (x, y) in um. */
-
-/**
- * An affine map: (x, y) -> (a x + b y + e, c x + d y + f).
- * @typedef {{a: number, b: number, c: number, d: number, e: number, f: number}} Affine
- * @typedef {[number, number]} Point
- */
+/** Plane geometry: affine maps {a, b, c, d, e, f} of points in um, (x, y) -> (a x + b y + e, c x + d y + f). */
 
 const mean = (values) => values.reduce((sum, value) => sum + value, 0) / values.length;
 

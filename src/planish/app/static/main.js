@@ -3,7 +3,6 @@
 import { Api, takeToken } from "./api.js";
 import { mountApply } from "./apply.js";
 import { typeset } from "./dom.js";
-import { bindHelp } from "./help.js";
 import { Store } from "./store.js";
 
 /** Modules of the tabs; each exports `mount(panel, app)`, called when its tab is first opened. */
@@ -61,7 +60,7 @@ async function start() {
   app.say(session.read_only ? `Open to read only. ${session.reason}` : "");
   bindHistory(app);
   mountTabs(app);
-  bindHelp(find("keys"), find("help"));
+  bindHelp();
   mountApply(find("apply"), app);
   void followServer(api, app);
 }
@@ -95,8 +94,14 @@ function bindHistory(app) {
 }
 
 /** Whether a key belongs to the text that is being written. */
-function isText(target) {
-  return target instanceof HTMLElement && target.matches("textarea, input:not([type=checkbox], [type=range])");
+const isText = (target) => target instanceof HTMLElement && target.matches("textarea, input:not([type=checkbox], [type=range])");
+
+/** The list of keys is opened by its button or by the key ?, and closed by Esc. */
+function bindHelp() {
+  find("help").addEventListener("click", () => find("keys").showModal());
+  document.addEventListener("keydown", (event) => {
+    if (event.key === "?" && !isText(event.target) && !find("keys").open) find("keys").showModal();
+  });
 }
 
 // --- tabs --------------------------------------------------------------------------------------------------------

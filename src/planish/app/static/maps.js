@@ -4,7 +4,7 @@ import { Artefacts } from "./artefacts.js";
 import { AtCursor, isMask } from "./atcursor.js";
 import { profile } from "./charts.js";
 import { colourAt } from "./colour.js";
-import { button, choice, labelled, make, numbers, shown, typeset } from "./dom.js";
+import { button, choice, labelled, make, onNumbers, shown, typeset } from "./dom.js";
 import { MapSide, titled } from "./mapside.js";
 import { rawTileLayer } from "./rawtiles.js";
 import { Scatter } from "./scatter.js";
@@ -107,8 +107,10 @@ class Maps {
     const places = { type: "text", size: 23, spellcheck: "false", placeholder: "x0, y0, x1, y1" };
     this.regionField = make("input", { ...places, "aria-label": "Region, um" });
     this.lineField = make("input", { ...places, "aria-label": "Line, um" });
-    this.field(this.regionField, "A region is \"x0, y0, x1, y1\" in um.", (region) => this.setRegion(region));
-    this.field(this.lineField, "A line is \"x0, y0, x1, y1\" in um.", (line) => void this.drawProfile(line));
+    const read = (field, name, use) =>
+      onNumbers(field, { count: 4, use, refuse: () => this.app.say(`A ${name} is "x0, y0, x1, y1" in um.`) });
+    read(this.regionField, "region", (region) => this.setRegion(region));
+    read(this.lineField, "line", (line) => void this.drawProfile(line));
     const valid = make("label", { class: "check" }, this.onlyValid, make("span", {}, "Only valid pixels"));
     return make(
       "div",
@@ -124,16 +126,6 @@ class Maps {
         button("Clear selection", () => this.clear()),
       ),
     );
-  }
-
-  field(field, needed, use) {
-    field.addEventListener("change", () => {
-      const values = numbers(field.value, 4);
-      const valid = values !== null || field.value.trim() === "";
-      field.setAttribute("aria-invalid", String(!valid));
-      if (valid) use(values);
-      else this.app.say(needed);
-    });
   }
 
   // --- both maps as one ------------------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 /** One of the two maps of the tab Maps: its layer, and the values of it that are picked. */
 
-import { choice, labelled, make, numbers, shown, typeset } from "./dom.js";
+import { choice, labelled, make, numbers, onNumbers, shown, typeset } from "./dom.js";
 import { MapView } from "./mapview.js";
 
 /** A picture's name as it is read, with its unit. */
@@ -18,17 +18,8 @@ export class MapSide {
     });
     this.layer.value = chosen.name;
     this.brushField = make("input", { type: "text", size: 12, spellcheck: "false", placeholder: "low, high" });
-    let last = "";
-    const take = () => {
-      if (this.brushField.value === last) return;
-      const valid = this.brushField.value.trim() === "" || numbers(this.brushField.value, 2) !== null;
-      this.brushField.setAttribute("aria-invalid", String(!valid));
-      if (!valid) return app.say('A brush is "low, high": pixels with values between both are chosen.');
-      last = this.brushField.value;
-      onBrush();
-    };
-    this.brushField.addEventListener("change", take);
-    this.brushField.addEventListener("keydown", (event) => event.key === "Enter" && take());
+    const needed = 'A brush is "low, high": pixels with values between both are chosen.';
+    onNumbers(this.brushField, { count: 2, use: onBrush, refuse: () => app.say(needed) });
     this.brushBox = make("label", { class: "field" }, make("span", { class: "soft" }, "Brush"), this.brushField);
     this.element.prepend(make("div", { class: "head" }, labelled(`${side} layer`, this.layer)));
     this.view.fields.prepend(this.brushBox);

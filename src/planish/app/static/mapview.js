@@ -4,7 +4,7 @@ import { colourAt, paletteOf, PALETTES } from "./colour.js";
 import { Contrast } from "./contrast.js";
 import { choice, labelled, make, numbers, positive, shown, withUnit } from "./dom.js";
 import { bindGestures } from "./gestures.js";
-import { rawTileLayer } from "./rawtiles.js";
+import { PROJECTION, rawTileLayer } from "./rawtiles.js";
 import { lengthWords, roundLength, svgOf, viewBar } from "./viewbar.js";
 
 /* global ol */
@@ -13,8 +13,6 @@ import { lengthWords, roundLength, svgOf, viewBar } from "./viewbar.js";
 const FASTEST_PX = 32;
 /** Screen pixels of a picture's pixel at the closest, and how much smaller than its view a picture gets. */
 const [CLOSEST, FARTHEST] = [64, 4];
-
-const UM = new ol.proj.Projection({ code: "um", units: "m", metersPerUnit: 1e-6, getPointResolution: (r) => r });
 
 /** From (x, y) in um, y down, to OpenLayers, y up, and back. */
 export const flipped = ([x, y]) => [x, -y];
@@ -58,7 +56,7 @@ export class MapView {
     /** What else is to be seen in the view as a whole, corners in um. */
     this.beside = () => [];
     this.view = new ol.View({
-      projection: UM,
+      projection: PROJECTION,
       center: [0, 0],
       resolution: 1,
       minResolution: 1e-4,

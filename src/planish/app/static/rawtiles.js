@@ -21,7 +21,7 @@ const VALID = 2;
 const ONLY_VALID = { codes: [VALID, VALID] };
 
 /** Lengths of the page are um; OpenLayers takes this for that of the views, by its code. */
-const PROJECTION = new ol.proj.Projection({ code: "um", units: "m", metersPerUnit: 1e-6, getPointResolution: (r) => r });
+export const PROJECTION = new ol.proj.Projection({ code: "um", units: "m", metersPerUnit: 1e-6, getPointResolution: (r) => r });
 
 /** Raw tiles of a session, each fetched once. */
 class RawTiles {

@@ -3,12 +3,11 @@
 import { ApiError } from "./api.js";
 
 /**
- * @typedef {[number, number]} Point
- * @typedef {{id: string|number, label: string, used: boolean, moving: Point|null, fixed: Point|null, source: string,
- *   residual_um: number|null, leave_one_out_um: number|null, predicted?: {moving?: Point, fixed?: Point},
+ * @typedef {{id: string|number, label: string, used: boolean, moving: number[]|null, fixed: number[]|null, source: string,
+ *   residual_um: number|null, leave_one_out_um: number|null, predicted?: {moving?: number[], fixed?: number[]},
  *   note?: string}} Mark
  * @typedef {{model: string, rms_um: number|null, loo_rms_um: number|null, follows?: boolean, error?: string,
- *   transform?: {scale: number, rotation_rad: number, shift_um: Point, mirrored: boolean}|null}} Fit
+ *   transform?: {scale: number, rotation_rad: number, shift_um: number[], mirrored: boolean}|null}} Fit
  * @typedef {{version: number, layer: string, marks: Mark[], model: string, fit: Fit|null, message?: string, said?: string,
  *   warnings: {id?: string|number, text: string}[], corrections: any[], regions: any[], can_undo: boolean,
  *   can_redo: boolean}} State

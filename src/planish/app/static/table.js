@@ -2,11 +2,6 @@
 
 import { make, shown, typeset } from "./dom.js";
 
-/**
- * @typedef {import("./store.js").Mark} Mark
- * @typedef {{name: string, value: (mark: Mark) => any, error?: boolean, text?: boolean}} Column
- */
-
 const place = (side, axis) => (mark) => mark[side][axis];
 
 /** `names`: of the views */

@@ -99,15 +99,6 @@ function volumeAt(group) {
   return "x" in out ? out : null;
 }
 
-// Numbers of a field; null where it is empty, an error where it does not hold so many.
-function numbers(field, many) {
-  const given = field.value.trim();
-  if (!given) return null;
-  const found = given.replaceAll("−", "-").split(/[,;\s]+/).map(Number);
-  if (found.length !== many || found.some((v) => !Number.isFinite(v))) throw new Error(`${field.placeholder}: ${many} numbers are needed.`);
-  return found;
-}
-
 const colours = {};
 function readColours() {
   const style = getComputedStyle(document.documentElement);

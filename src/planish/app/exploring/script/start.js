@@ -81,9 +81,9 @@ function clearSelection() {
 }
 
 function field(id, many, use) {
-  at(id).addEventListener("change", () => {
-    try { use(numbers(at(id), many)); at("message").textContent = ""; } catch (error) { at("message").textContent = error.message; }
-  });
+  const say = (words) => { at("message").textContent = words; };
+  const refuse = () => say(`${at(id).placeholder}: ${many} numbers are needed.`);
+  onNumbers(at(id), { count: many, refuse, use: (found) => { say(""); use(found); } });
 }
 
 function join() {
