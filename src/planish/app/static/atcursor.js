@@ -1,6 +1,7 @@
 /** What lies under the cursor of either map: values of all layers, the place in the volume, and its slice. */
 
 import { button, make, shown, withUnit } from "./dom.js";
+import { titled } from "./mapside.js";
 import { Slice } from "./slicedata.js";
 import { SliceView } from "./sliceview.js";
 
@@ -78,9 +79,9 @@ export class AtCursor {
     const values = [...found.values].sort((a, b) => rank(a) - rank(b));
     // Seen is the place; names and values stand in the table, and here for those who read the line alone.
     const said = values.map((one) => `${one.name} ${written(one)}`).join("; ");
-    this.line.replaceChildren(`x ${x.toFixed(2)}, y ${y.toFixed(2)} µm; ${inVolume(volume)}`, make("span", { class: "sr" }, `; ${said}`));
+    this.line.replaceChildren(`x ${x.toFixed(2)}, y ${y.toFixed(2)} µm${volume || this.sheets.length ? `; ${inVolume(volume)}` : ""}`, make("span", { class: "sr" }, `; ${said}`));
     const rows = values.map((one) =>
-      make("tr", { class: first.includes(one.id) ? "shown" : null }, make("th", { scope: "row" }, one.title), make("td", { class: "n" }, written(one))),
+      make("tr", { class: first.includes(one.id) ? "shown" : null }, make("th", { scope: "row" }, titled({ ...one, units: "" })), make("td", { class: "n" }, written(one))),
     );
     this.values.replaceChildren(make("table", { "aria-label": "Values at the cursor" }, make("tbody", {}, ...rows)));
     this.onPlace(found);

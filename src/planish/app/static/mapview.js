@@ -144,7 +144,7 @@ export class MapView {
   }
 
   /** `at`: place on the screen that stays; the middle where it is not given */
-  zoomBy(factor, at = this.size.map((n) => n / 2)) {
+  zoomBy(factor, at = [this.element.clientWidth / 2, this.element.clientHeight / 2]) {
     const before = this.pointAt(at);
     this.pixel /= factor;
     const after = this.pointAt(at);
@@ -171,8 +171,9 @@ export class MapView {
 
   /** The place in um of a place on the screen. */
   pointAt([right, down]) {
-    const [wide, tall] = this.size;
-    const [dx, dy] = this.onPlane((right - wide / 2) * this.pixel, (down - tall / 2) * this.pixel);
+    const { width, height } = this.element.getBoundingClientRect(); // OpenLayers counts whole pixels
+    const [wide, tall] = this.size.map((n) => n * this.pixel);
+    const [dx, dy] = this.onPlane((right / width - 0.5) * wide, (down / height - 0.5) * tall);
     return [this.centre[0] + dx, this.centre[1] + dy];
   }
 
