@@ -39,7 +39,7 @@ export class AtCursor {
     if (this.found) this.show(this.found);
   }
 
-  /** `shapes`: which clicks may mean */
+  /** With a tool of `shapes` a click means a corner. */
   bind(side, shapes) {
     const { view } = side;
     const click = (point) => (shapes.tool ? shapes.corner(point, view) : void this.take(point, side));
@@ -147,7 +147,7 @@ export class AtCursor {
 const inVolume = (volume) =>
   volume ? `volume x ${volume.x.toFixed(2)}, y ${volume.y.toFixed(2)}, z ${volume.z.toFixed(2)} µm` : "not in the volume";
 
-/** `one`: a value with its unit */
+/** A value with its unit. */
 function written(one) {
   if (one.value === null) return "no value";
   if (isMask(one)) return one.value ? "yes" : "no";

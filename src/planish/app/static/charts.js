@@ -17,11 +17,7 @@ function draw(tag, attributes, ...children) {
 
 const text = (x, y, words, anchor, fill = INK) => draw("text", { x, y, "text-anchor": anchor, fill }, words);
 
-/**
- * Values along a line, one curve a layer, each on its own scale.
- * `found`: of the server
- * `titles`: of both layers, as they are read
- */
+/** Values along a line, one curve a layer, each on its own scale; `titles` of both as they are read. */
 export function profile(found, titles, close) {
   const length = found.at_um.at(-1);
   const [wide, tall] = [WIDE + 2 * LEFT, TOP + TALL + 36];

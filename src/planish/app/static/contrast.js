@@ -5,7 +5,7 @@ import { button, make, onNumbers, shown, withUnit } from "./dom.js";
 const [WIDE, BARS, TALL] = [256, 20, 30];
 
 export class Contrast {
-  /** `options`: `name` of the field; `before` stands in front of it */
+  /** `name` is that of the field; `before` stands in front of it. */
   constructor({ name, onChange, say, before = null }) {
     this.onChange = onChange;
     this.canvas = make("canvas", { role: "img", width: WIDE, height: TALL });
@@ -23,7 +23,7 @@ export class Contrast {
 
   /**
    * Show the colours of other values.
-   * `values`: `counted`: their histogram, with the range that its valid values have
+   * `counted` is their histogram, with the range that its valid values have.
    */
   show(values) {
     const untouched = this.values?.name !== values.name || String(this.limits) === String(this.usual);

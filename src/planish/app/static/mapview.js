@@ -19,7 +19,7 @@ export const flipped = ([x, y]) => [x, -y];
 
 export class MapView {
   /**
-   * `options`: `short` stands before the names of its fields of colours; `nudge(dx, dy)` moves what is selected by um
+   * `short` stands before the names of its fields of colours; `nudge(dx, dy)` moves what is selected by um
    * along the plane's axes and tells whether anything is selected
    */
   constructor({ element, name, app, short = name, nudge }) {
@@ -144,14 +144,15 @@ export class MapView {
   }
 
   /** `at`: place on the screen that stays; the middle where it is not given */
-  zoomBy(factor, at = [this.element.clientWidth / 2, this.element.clientHeight / 2]) {
-    const before = this.pointAt(at);
+  zoomBy(factor, at) {
+    const before = at && this.pointAt(at);
     this.pixel /= factor;
+    if (!at) return;
     const after = this.pointAt(at);
     this.shift(before[0] - after[0], before[1] - after[1]);
   }
 
-  /** `dy`: in um along the plane's axes */
+  /** In um along the plane's axes. */
   shift(dx, dy) {
     const [x, y] = this.centre;
     this.centre = [x + dx, y + dy];

@@ -230,7 +230,7 @@ class Marks {
     if (there && !this.mark?.[other(side)] && !view.sees(there)) view.centre = there;
   }
 
-  /** `dy`: in um */
+  /** In um; whether a mark is chosen that has an end there. */
   nudge(side, dx, dy) {
     if (!this.mark?.[side]) return false;
     const { id } = this.mark;

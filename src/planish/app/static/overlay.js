@@ -50,7 +50,7 @@ export class Overlay {
     this.timer = 0;
   }
 
-  /** `picture`: of the moving plane */
+  /** Lay a picture of the moving plane over the other. */
   show(picture) {
     this.layer = rawTileLayer(picture, this.base.app.api, this.upper.look);
     this.map.setLayers([this.layer]);

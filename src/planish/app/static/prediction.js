@@ -6,7 +6,6 @@ import { written } from "./dom.js";
 const REST_MS = 40;
 
 export class Prediction {
-  /** `names`: of the views */
   constructor(app, layers, names) {
     this.app = app;
     this.names = names;

@@ -104,7 +104,7 @@ export class Scatter {
     this.draw();
   }
 
-  /** `up`: in screen pixels */
+  /** In screen pixels. */
   pan(right, up) {
     const [, , wide, tall] = this.area();
     this.seen = this.seen.map(([low, high], k) => {

@@ -31,7 +31,7 @@ const HOW = {
 const NEAR_PX = 8;
 
 export class Shapes {
-  /** `on`: `drawn` gets two corners of a box, all of a polygon, or the ends of a line, in um */
+  /** `on.drawn` gets two corners of a box, all of a polygon, or the ends of a line, in um */
   constructor(views, on) {
     this.views = views;
     this.on = on;
@@ -59,13 +59,13 @@ export class Shapes {
     };
   }
 
-  /** `region`: x0, y0, x1, y1 in um */
+  /** Draw x0, y0, x1, y1 in um. */
   region(region) {
     const extent = region && [region[0], -region[3], region[2], -region[1]];
     this.show("region", extent ? [ol.geom.Polygon.fromExtent(extent)] : []);
   }
 
-  /** `line`: x0, y0, x1, y1 in um */
+  /** Draw x0, y0, x1, y1 in um. */
   line(line) {
     this.show("line", line ? [new ol.geom.LineString([flipped(line.slice(0, 2)), flipped(line.slice(2))])] : []);
   }
@@ -78,7 +78,7 @@ export class Shapes {
     this.show("cursor", point ? [new ol.geom.Point(flipped(point))] : []);
   }
 
-  /** `geometries`: what stands for it from now on */
+  /** Draw these geometries, and no others of their kind. */
   show(kind, geometries) {
     const old = this.source.getFeatures().filter((one) => one.get("kind") === kind);
     for (const feature of old) this.source.removeFeature(feature);

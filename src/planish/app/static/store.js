@@ -66,10 +66,7 @@ export class Store {
     for (const listener of this.listeners) listener(state);
   }
 
-  /**
-   * Take the state from the server.
-   * `anew`: whatever its version: the server may have been started again
-   */
+  /** Take the state from the server; `anew` also an older version, since it may have been started again. */
   async refresh(anew = false) {
     const state = await this.api.get(this.ofLayer("state"));
     if (anew) this.state = { ...this.state, version: -1 };

@@ -4,7 +4,6 @@ import { make, shown, typeset } from "./dom.js";
 
 const place = (side, axis) => (mark) => mark[side][axis];
 
-/** `names`: of the views */
 const columnsOf = ({ moving, fixed }) => [
   { name: "Mark", value: (mark) => mark.label, text: true },
   { name: "Used", value: (mark) => Number(mark.used), text: true },
@@ -20,7 +19,7 @@ const columnsOf = ({ moving, fixed }) => [
 const FAILS = 5;
 
 export class MarkTable {
-  /** `facts`: `limit_um`: from where on the check of the marks asks for a look */
+  /** `limit_um`: from where on the check of the marks asks for a look */
   constructor(actions, { names, limit_um }) {
     this.actions = actions;
     this.limit = limit_um ?? Infinity;

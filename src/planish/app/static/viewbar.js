@@ -7,7 +7,6 @@ export const SVG = ["http:", "", "www.w3.org", "2000", "svg"].join("/");
 /** Rows of a saved picture for its names and its colour bar, in pixels. */
 const FOOT = 44;
 
-/** `name`: of the view */
 export function viewBar(name, view) {
   const file = name.toLowerCase().replaceAll(/[^a-z0-9]+/g, "-");
   const act = (sign, words, does) =>
@@ -72,11 +71,7 @@ export function roundLength(longest) {
 
 export const lengthWords = (um) => (um >= 1000 ? `${um / 1000} mm` : `${Number(um.toPrecision(2))} µm`);
 
-/**
- * A scale bar on a canvas.
- * `y`: its lower left end
- * `most`: pixels `pixel`: um
- */
+/** A scale bar on a canvas, from its lower left end; at most `most` pixels long, each of `pixel` um. */
 export function drawScaleBar(pen, x, y, most, pixel, ink, halo) {
   const um = roundLength(most * pixel);
   pen.font = "12px sans-serif";
