@@ -31,6 +31,7 @@ from planish.run.run import is_run
 
 Plane = Literal["moving", "fixed"]
 PLANES: tuple[Plane, Plane] = ("moving", "fixed")
+WHERE: dict[Plane, str] = {"moving": "on the volume side", "fixed": "in the image"}
 TILE = 256
 """Pixels along the edge of a tile."""
 

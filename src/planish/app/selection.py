@@ -223,7 +223,6 @@ def select(
 
 
 def _read_until(stop: threading.Event, level: xr.DataArray, window: Where) -> NDArray[np.floating]:
-    """Values of a part, unless they are not wanted any more."""
     if stop.is_set():
         raise Stopped
     return level[window].values

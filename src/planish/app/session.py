@@ -27,7 +27,7 @@ from planish.app.changes import (
     numbered,
 )
 from planish.app.journal import InUse, Journal
-from planish.app.picture import PLANES, Plane
+from planish.app.picture import PLANES, WHERE, Plane
 from planish.app.pictures import Pictures
 from planish.core.errors import FileError, InputError, PlanishError
 from planish.core.facts import Side
@@ -138,6 +138,11 @@ class Session:
         is_sheet_on_image = (kinds[layer], kinds.get(target, "image")) == ("sheet", "image")
         names = ("Volume side", "Image side") if is_sheet_on_image else (layer, target)
         return dict(zip(PLANES, names, strict=True))
+
+    def where(self, layer: str) -> dict[Plane, str]:
+        """Words for both planes in a sentence."""
+        names = self.view_names(layer)
+        return WHERE if names["moving"] == "Volume side" else {plane: f"in {name}" for plane, name in names.items()}
 
     def mirrored(self, layer: str) -> bool | None:
         """Whether the fixed plane shows the other side of the sheet; None where either hand may fit."""

@@ -29,8 +29,7 @@ def snapped(session: Session, layer: str, mark: Mark) -> Move:
         )
     holes = {plane: hole for plane, end in ends.items() if (hole := hole_at(session, layer, plane, end.xy))}
     if not holes:
-        names = session.view_names(layer)
-        planes_text = " or ".join(f"in the {names[plane]}" for plane in ends)
+        planes_text = " or ".join(session.where(layer)[plane] for plane in ends)
         low_um, high_um = session.study.holes.hole_um
         raise ChangeError(
             f"No hole of {low_um:g} to {high_um:g} um was found around {mark.label} {planes_text}. Move the mark "
@@ -41,9 +40,8 @@ def snapped(session: Session, layer: str, mark: Mark) -> Move:
 
 def not_snapped(session: Session, layer: str, mark: Mark, move: Move) -> str:
     """Name the end that lies in no hole, where the other one does."""
-    names = session.view_names(layer)
-    missing = [names[p] for p in PLANES if getattr(mark, p) is not None and getattr(move, p) is None]
-    return f"{mark.label} was not snapped in the {missing[0]}: no hole was found there." if missing else ""
+    missing = [session.where(layer)[p] for p in PLANES if getattr(mark, p) is not None and getattr(move, p) is None]
+    return f"{mark.label} was not snapped {missing[0]}: no hole was found there." if missing else ""
 
 
 def warm(session: Session) -> None:
