@@ -37,7 +37,7 @@ _SMALL = 900  # pixels a side of the images of which the run is made that is the
 _REPEATS = 5
 _FREE = 4  # pairs from which on every model has a residual
 _TABLE = "table[aria-label=Marks]"
-_SIDE, _MAPS = ("Image side",), ("Left map", "Right map")
+_SIDE, _MAPS = ("two",), ("Left map", "Right map")
 
 
 def main(*arguments: str | int) -> int:
@@ -136,7 +136,7 @@ def clicks(page: Any) -> None:
     """Set thirty marks by hand, and say how long each click took to be seen as a residual."""
     page.evaluate(WATCH)
     page.get_by_label("Move views together").uncheck()
-    for view in ("Volume side", "Image side"):
+    for view in ("one", "two"):
         _set(page, f"{view}, um per screen pixel", "5")
     rng = np.random.default_rng(2)
     places = iter(rng.permutation([(x, y) for x in range(2500, 17500, 1900) for y in range(2300, 12500, 1700)]))
@@ -147,7 +147,7 @@ def clicks(page: Any) -> None:
         shown, followed = [], []
         for _ in range(count):
             at = next(places) + rng.uniform(-200, 200, 2)
-            for view, (x, y) in (("Volume side", at), ("Image side", at + rng.normal(scale=3, size=2))):
+            for view, (x, y) in (("one", at), ("two", at + rng.normal(scale=3, size=2))):
                 _set(page, f"{view} centre, um", f"{x:.2f}, {y:.2f}")
                 until(page, "!document.querySelector('[aria-busy=true]')")
                 _click(page, view)

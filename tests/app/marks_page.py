@@ -22,12 +22,16 @@ def api(shown, path):
     return shown.page.evaluate(ask, [f"/api/{path}", shown.server.token])
 
 
-def drag(page: Any, start: tuple[float, float], end: tuple[float, float]) -> None:
-    """Press the mouse at one place of the screen and let it go at another."""
+def drag(page: Any, start: tuple[float, float], end: tuple[float, float], *, key: str = "") -> None:
+    """Press the mouse at one place of the screen, perhaps with a key, and let it go at another."""
     page.mouse.move(*start)
+    if key:
+        page.keyboard.down(key)
     page.mouse.down()
     page.mouse.move(*end, steps=5)
     page.mouse.up()
+    if key:
+        page.keyboard.up(key)
 
 
 def message(shown):

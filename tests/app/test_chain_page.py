@@ -63,7 +63,11 @@ def test_the_image_side_shows_the_next_layer(chained, serve, window):
     box = shown.page.get_by_label("Image side shows", exact=True)
     assert places[box.input_value()] == ("moving", "b")
     shown.page.get_by_label("Layer", exact=True).select_option("b")
-    expect(shown.page.get_by_label("Volume side shows", exact=True)).to_have_value(
+    # Two images: panes are called by their layers, and each shows its own.
+    expect(shown.page.get_by_label("b shows", exact=True)).to_have_value(
         next(k for k, place in places.items() if place == ("moving", "b"))
     )
-    assert places[box.input_value()][0] == "fixed"
+    box = shown.page.get_by_label("c shows", exact=True)
+    assert places[box.input_value()] == ("fixed", "c")
+    for name in ("b x um", "c y um"):
+        assert shown.role("columnheader", name).is_visible()

@@ -238,3 +238,20 @@ def test_a_click_is_answered_within_its_time(session):
             followed(live, layer)
         print(model, f"answer {1e3 * statistics.median(answers):.0f} ms", f"fit {1e3 * statistics.median(ends):.0f} ms")
         assert statistics.median(ends) < limit_s
+
+
+def test_a_search_before_the_first_snap_changes_nothing(session, monkeypatch):
+    searched = []
+    find = snap.find_holes
+    monkeypatch.setattr(snap, "find_holes", lambda *given, **how: searched.append(1) or find(*given, **how))
+    version = session.version
+    snap.warm(session)
+    assert len(searched) == 2
+    assert session.version == version
+
+
+def test_messages_name_the_layers_of_two_images(session, monkeypatch):
+    assert session.where("sheet") == {"moving": "on the volume side", "fixed": "in the image"}
+    kinds = {"moving": "vis", "fixed": "uv"}
+    monkeypatch.setattr(type(session), "view_names", lambda *_: kinds)
+    assert session.where("vis") == {"moving": "in vis", "fixed": "in uv"}

@@ -11,7 +11,7 @@ import xarray as xr
 
 from folders import refused
 from planish.app import pictures, selection
-from planish.app.selection import Brush, Rectangle, Stopped, cursor, density, histogram, profile, select
+from planish.app.selection import Brush, Rectangle, Stopped, cursor, density, histogram, nearest, profile, select
 from planish.core.area import halved, overviews
 from planish.core.errors import InputError
 from planish.io import write_tree
@@ -197,6 +197,27 @@ def test_points_of_a_region_and_histograms_count_valid_values(maps, tiles, pair)
     assert (found["n"], sum(found["counts"])) == (a.size, a.size - found["beyond"])
     np.testing.assert_allclose([found["mean"], found["sd"], found["median"]], [a.mean(), a.std(ddof=1), np.median(a)])
     np.testing.assert_allclose(found["range"], np.percentile(a, [2, 98]))
+
+
+def test_a_picture_without_a_mask_is_counted_without_its_holes(maps, tmp_path):
+    x, y = (float(maps[axis].values.mean()) for axis in "xy")
+    away = np.hypot(maps.y - y, maps.x - x)
+    image = maps[["image"]].where(away > 250, -1e4)
+    write_tree(tmp_path / "maps.zarr", {"linked": image, "overviews/linked/1": halved(image)})
+    tiles = pictures.Tiles(pictures.Pictures(pictures.group_pictures(tmp_path, "linked", plane="fixed", layer="image")))
+    [picture] = tiles.pictures
+    holes = xr.Dataset({"x": ("mark", [x]), "y": ("mark", [y]), "diameter": ("mark", [500.0])})
+    assert histogram(tiles, picture)["range"][0] < -9e3
+    found = histogram(tiles, picture, holes=holes)
+    outside = maps.image.values[away.values >= 375]
+    np.testing.assert_allclose(found["range"], np.percentile(outside, [2, 98]), rtol=1e-3)
+
+
+def test_the_pixel_next_to_a_place_in_the_volume(maps, tiles, pair):
+    at = {"y": float(maps.volume_y[300, 500]) + 0.3, "x": float(maps.volume_x[300, 500]) - 0.2}
+    x, y = nearest(tiles, pair[0], "image", at)
+    assert (x, y) == (float(maps.x[500]), float(maps.y[300]))
+    assert nearest(tiles, pair[0], "image", {"w": 1.0}) is None
 
 
 def test_the_page_has_the_colour_scales_of_the_report():

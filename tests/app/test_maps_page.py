@@ -63,7 +63,7 @@ def cursor_gives_the_pixel(maps, linked, left=LEFT):
     cursor = maps.role("status", "Cursor")
     pixel = linked.isel(y=row, x=col)
     place = ", ".join(f"{axis} {float(pixel[f'volume_{axis}']):.2f}" for axis in "xyz")
-    expect(cursor).to_contain_text(f"volume {place} um")
+    expect(cursor).to_contain_text(f"volume {place} µm")
     for name in (left, RIGHT, "thickness", "expected_error"):
         found = re.search(rf"; {name} (\S+)", cursor.inner_text())
         assert float(found[1].rstrip(";")) == pytest.approx(float(pixel[name]), rel=1e-4)
@@ -106,7 +106,10 @@ def test_a_rectangle_in_the_scatter_fills_the_brushes(maps, linked):
     scatter.scroll_into_view_if_needed()
     box = scatter.bounding_box()
     at = [(box["x"] + box["width"] * u, box["y"] + box["height"] * v) for u, v in ((0.4, 0.3), (0.7, 0.6))]
-    drag(maps.page, *at)
+    drag(maps.page, *at)  # moves the points
+    expect(maps.role("status", "Selection")).to_have_text("n 0: nothing is selected.")
+    scatter.press("0")
+    drag(maps.page, *at, key="Shift")
     said = selection(maps, r"^n \d+;")
     limits = [maps.page.get_by_label(f"Brush {n}", exact=True).input_value() for n in (LEFT, RIGHT)]
     (a0, a1), (b0, b1) = ([float(v) for v in text.split(", ")] for text in limits)
@@ -191,7 +194,7 @@ def test_a_region_and_a_line_are_drawn_with_the_mouse_and_escape_leaves_drawing(
     ("field", "needed"),
     [
         ("Region, um", "A region is"), ("Line, um", "A line is"), ("Left colour range", "A colour range is"),
-        ("Scatter centre, um", "Scatter centre is"), ("Scatter, um per screen pixel", "Scatter"),
+        ("Right map centre, um", "Right map centre is"), ("Right map, um per screen pixel", "Right map"),
         (f"Brush {LEFT}", "A brush is"), ("Polygon, um", "A polygon is"),
     ],
 )  # fmt: skip
@@ -210,5 +213,5 @@ def test_a_pixel_leads_to_its_slice(maps, linked):
     maps.click("Left map", float(linked.x[col]), float(linked.y[row]), 1.0)
     pixel = linked.isel(y=row, x=col)
     place = ", ".join(f"{axis} {float(pixel[f'volume_{axis}']):.2f}" for axis in "xyz")
-    expect(maps.role("status", "Slice position")).to_have_text(f"{place} um")
+    expect(maps.role("status", "Slice position")).to_have_text(f"{place} µm")
     expect(maps.role("button", "Show slice")).to_be_enabled()

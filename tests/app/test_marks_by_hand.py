@@ -26,7 +26,7 @@ def rms(shown):
     """Residual of the fit that the page states."""
     settled(shown)
     text = shown.page.get_by_text(re.compile("pairs, residual .*rms")).inner_text()
-    return float(re.search(r"residual ([\d.]+) um", text)[1])
+    return float(re.search(r"residual ([\d.]+) µm", text)[1])
 
 
 def test_an_image_with_two_holes_is_linked_by_hand(

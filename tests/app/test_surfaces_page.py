@@ -47,7 +47,7 @@ class Shown:
         box = self.canvas.bounding_box()
         self.page.mouse.move(box["x"] + x, box["y"] + y)
         text = self.window.role("status", "Slice position").inner_text()
-        found = re.match(r"x (-?[\d.]+), y (-?[\d.]+), z (-?[\d.]+) um", text)
+        found = re.match(r"x (-?[\d.]+), y (-?[\d.]+), z (-?[\d.]+) µm", text)
         assert found, text
         return dict(zip("xyz", map(float, found.groups()), strict=True))
 
@@ -123,7 +123,7 @@ def test_six_clicks_are_seen_before_they_are_applied_saved_and_undone(shown):
     assert shown.rows_of(middle, PREVIEW).size
     shown.window.role("button", "Correct").click()
     listed = shown.page.get_by_label("Corrections", exact=True)
-    expect(listed).to_contain_text("6 points on the top face, reach 60 um")
+    expect(listed).to_contain_text("6 points on the top face, reach 60 µm")
     expect(shown.window.role("status", "Message")).to_contain_text("aved")
     shown.window.role("button", "Undo").click()
     expect(listed).to_be_empty()
@@ -143,7 +143,7 @@ def test_a_correction_is_made_by_keys_alone(shown):
     shown.page.keyboard.press("PageDown")
     assert shown.page.get_by_label("Slice at, um", exact=True).input_value() != before
     shown.window.fill("Point, um", "300, 300, 150")
-    expect(shown.page.get_by_text("3 points, the last at x, y, z = 300.00, 300.00, 150.00 um")).to_be_visible()
+    expect(shown.page.get_by_text("3 points, the last at x, y, z = 300.00, 300.00, 150.00 µm")).to_be_visible()
     shown.window.role("button", "Correct").press("Enter")
     expect(shown.page.get_by_label("Corrections", exact=True)).to_contain_text("3 points")
 

@@ -52,7 +52,6 @@ class End(Part):
 
 
 def _as_end(end: Any) -> Any:
-    """A place ``[x, y]`` is an end that was clicked."""
     return {"x": end[0], "y": end[1]} if isinstance(end, list | tuple) and len(end) == 2 else end  # pyright: ignore
 
 

@@ -90,7 +90,6 @@ def exported(session: Session, layer: str, format_name: str, fitted: Fitted) -> 
 
 
 def _pixels(session: Session, layer: str, plane: Plane) -> LayerPixels:
-    """Pixels of a plane, for files that count in them."""
     on_plane = session.pictures.on(*session.shown_by(layer, plane))
     if not on_plane:
         return LayerPixels()

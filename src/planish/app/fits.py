@@ -1,6 +1,6 @@
 """What the marks of one registration say: the fit that is shown, marks that stand out, and where a point will lie."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -165,8 +165,9 @@ class Fitted:
 
 
 def fitted(
-    marks: Sequence[Mark], model: str, *, mirrored: bool | None, params: RegistrationParams, quick: bool = False
-) -> Fitted:
+    marks: Sequence[Mark], model: str, *, mirrored: bool | None, params: RegistrationParams, quick: bool = False,
+    where: Mapping[Plane, str] = WHERE,
+) -> Fitted:  # fmt: skip
     """Fit the marks of one registration as the page shows them; those with one end are passed over.
 
     The model ``auto`` is fitted as Apply will do it: robustly, with the covariances of the holes; all others by least
@@ -183,7 +184,7 @@ def fitted(
     is_outlier = np.zeros(len(pairs), dtype=np.bool_)
     is_outlier[is_used] = find_outliers(moving[is_used], fixed[is_used], is_mirrored, tolerance_um=params.tolerance_um)
     nans = np.full(len(pairs), np.nan)
-    warnings, error_text = _coincidence_warnings(pairs), ""
+    warnings, error_text = _coincidence_warnings(pairs, where), ""
     if (n_used := int(is_used.sum())) < 3:
         needed_text = "a registration needs 3, far apart, and more to say how good it is."
         warnings.append(FitWarning(text=f"{n_used} pair{'s' * (n_used != 1)} of marks in use: {needed_text}"))
@@ -198,7 +199,7 @@ def fitted(
             fitted_model = model if not quick or model in QUICK else "similarity"
             fit = _least_squares(moving[is_used], fixed[is_used], fitted_model, mirrored, inspect=not quick)
     except PlanishError as refusal:
-        error_text = _refusal(refusal, pairs, is_used)
+        error_text = _refusal(refusal, pairs, is_used, where)
         try:  # there is something to look at: which marks are wrong
             fit = _least_squares(moving[is_used], fixed[is_used], "similarity", mirrored)
         except PlanishError:
@@ -232,7 +233,6 @@ def _least_squares(moving: Floats, fixed: Floats, model: str, mirrored: bool | N
 
 
 def _from_few_pairs(moving: Floats, fixed: Floats, mirrored: bool | None) -> tuple[Any, str]:
-    """Fit one or two pairs: a shift, or a similarity."""
     if len(moving) == 1:
         x, y = (fixed[0] - (moving[0] * (-1.0, 1.0) if mirrored else moving[0])).tolist()
         shift = Similarity(shift_um=(x, y), mirrored=bool(mirrored))
@@ -244,9 +244,9 @@ def _from_few_pairs(moving: Floats, fixed: Floats, mirrored: bool | None) -> tup
     return None, ""
 
 
-def _coincidence_warnings(pairs: Sequence[Mark]) -> list[FitWarning]:
+def _coincidence_warnings(pairs: Sequence[Mark], where: Mapping[Plane, str]) -> list[FitWarning]:
     warnings: list[FitWarning] = []
-    for plane, plane_text in WHERE.items():
+    for plane, plane_text in where.items():
         mark_at: dict[tuple[float, float], Mark] = {}
         for mark in (m for m in pairs if m.used):
             earlier = mark_at.setdefault(getattr(mark, plane).xy, mark)
@@ -271,9 +271,9 @@ def _warnings_of_marks(
     return warnings
 
 
-def _refusal(error: PlanishError, pairs: Sequence[Mark], is_used: Bools) -> str:
+def _refusal(error: PlanishError, pairs: Sequence[Mark], is_used: Bools, where: Mapping[Plane, str]) -> str:
     """An error of the fit; where it is about marks at one place, with their labels."""
-    coincident = _coincidence_warnings(pairs)
+    coincident = _coincidence_warnings(pairs, where)
     if coincident and "at one place" in error.text:
         label = next(mark.label for mark in pairs if mark.id == coincident[0].id)
         return f"{label}: {coincident[0].text} Move or delete one of them."

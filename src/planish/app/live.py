@@ -56,7 +56,8 @@ class Live:
 
     def _fitted(self, layer: str, marks: tuple[Mark, ...], model: str, *, quick: bool) -> Fitted:
         params = self.session.study.registration
-        return fitted(marks, model, mirrored=self.session.mirrored(layer), params=params, quick=quick)
+        mirrored, where = self.session.mirrored(layer), self.session.where(layer)
+        return fitted(marks, model, mirrored=mirrored, params=params, quick=quick, where=where)
 
     def _work(self) -> None:
         """Work out what is wanted, the newest only, until nothing is."""

@@ -15,7 +15,7 @@ from planish.app.apply import Applying, Busy, Progress
 from planish.app.changes import FARTHEST_UM, Change, ChangeError, Id, Layer
 from planish.app.exchange import MarkFile, exported, imported
 from planish.app.live import Live
-from planish.app.picture import PLANES
+from planish.app.picture import PLANES, finite_or_none
 from planish.app.session import Stale
 from planish.app.snap import not_snapped, snapped
 from planish.app.texture import texture_marks
@@ -58,6 +58,8 @@ class _TextureBody(_Body):
 def get_session(request: Request) -> Response:
     """Give what does not change while the server runs."""
     session = session_of(request)
+    marks_checks = (check for check in session.results.checks if check.name == "marks")
+    limits_um = {name: finite_or_none(check.limit) for check in marks_checks for name in check.layers[:1]}
     layers: list[dict[str, Any]] = []
     for layer in session.layers:
         circles = {
@@ -66,7 +68,7 @@ def get_session(request: Request) -> Response:
         }
         layers.append({
             "name": layer, "to": session.target(layer), "headline": session.results.layer(layer).headline,
-            "holes": circles,
+            "holes": circles, "names": session.view_names(layer), "limit_um": limits_um.get(layer),
             "shown": {
                 plane: dict(zip(("plane", "layer"), session.shown_by(layer, plane), strict=True)) for plane in PLANES
             },
@@ -81,7 +83,6 @@ def get_session(request: Request) -> Response:
 
 
 def _layer_name(request: Request) -> str:
-    """The registration that is asked for; the first where none is."""
     return request.query_params.get("layer") or session_of(request).state.first_layer
 
 
@@ -137,7 +138,7 @@ def _snap(request: Request, body: _SnapBody) -> str:
     mark = session.state.mark(layer, body.id)
     move = snapped(session, layer, mark)
     session.change(move, version=body.version)
-    return not_snapped(mark, move)
+    return not_snapped(session, layer, mark, move)
 
 
 def _import(request: Request, body: _ImportBody) -> str:

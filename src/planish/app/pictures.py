@@ -79,7 +79,6 @@ class Pictures:
 
 
 def _of_run(run: Path) -> Iterator[PlanePicture]:
-    """The pictures of a run: of every moving layer, then of what lies on the reference."""
     results, study = open_results(run), read_study(run / "run.toml")
     if not results.is_link:
         yield from _sheet(run, layer=results.layers[0].name, prefix="")
@@ -99,7 +98,6 @@ def _of_run(run: Path) -> Iterator[PlanePicture]:
 
 
 def _sheet(run: Path, *, layer: str, prefix: str) -> Iterator[PlanePicture]:
-    """The maps of a sheet on its own plane, and the strains of its flattening."""
     maps = [*group_pictures(run, "maps", plane="moving", layer=layer, prefix=prefix)]
     yield from maps
     levels_of = {picture.name.removeprefix(prefix): picture.levels for picture in maps}

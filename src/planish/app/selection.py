@@ -46,6 +46,21 @@ def cursor(tiles: Tiles, picture: PlanePicture, x: float, y: float) -> dict[str,
     }  # fmt: skip
 
 
+def nearest(tiles: Tiles, picture: PlanePicture, layer: str, place_um: dict[str, float]) -> tuple[float, float] | None:
+    """Where in a plane, (x, y) in um, the sheet of a layer lies nearest to a place along some axes of the volume."""
+    of_layer = {p.variable: p for p in tiles.pictures.on_same_pixels(picture) if p.layer == layer or p.plane == "fixed"}
+    maps = [of_layer[f"volume_{axis}"] for axis in place_um if f"volume_{axis}" in of_layer]
+    if len(maps) < len(place_um):
+        return None
+    level, positions_um = _overview(tiles, *maps)
+    distance = sum((um - wanted) ** 2 for um, wanted in zip(positions_um, place_um.values(), strict=True))
+    if not np.isfinite(distance).any():
+        return None
+    row, col = np.unravel_index(np.nanargmin(distance), np.shape(distance))
+    y_um, x_um = (picture.levels[level][dim].values for dim in picture.full.dims)
+    return float(x_um[col]), float(y_um[row])
+
+
 def profile(tiles: Tiles, pictures: list[PlanePicture], line: tuple[float, float, float, float]) -> dict[str, Any]:
     """Values of pictures on one grid along a line (x0, y0, x1, y1) in um, at ``at_um``, of pixels ``pixel_um`` wide."""
     x0, y0, x1, y1 = line
@@ -81,6 +96,7 @@ BASE_PIXELS = 4_000_000
 """Pixels of the overview from which densities and histograms are made."""
 
 _BINS = 128
+_RIM = 0.75  # of a hole's diameter: its rim ends within
 Window = tuple[slice, slice]
 
 
@@ -143,15 +159,19 @@ def density(tiles: Tiles, a: PlanePicture, b: PlanePicture, region: Rectangle | 
     }  # fmt: skip
 
 
-def histogram(tiles: Tiles, picture: PlanePicture, region: Rectangle | None = None) -> dict[str, Any]:
-    """Count the valid values of a picture, of pixels of the stated size; ``range``: the 2nd to the 98th percentile."""
+def histogram(tiles: Tiles, picture: PlanePicture, *, holes: xr.Dataset | None = None) -> dict[str, Any]:
+    """Count the valid values of a picture, of pixels of the stated size; ``range``: the 2nd to the 98th percentile.
+
+    A picture without a mask of its own is counted without its ``holes`` and their rims.
+    """
     level, (values,) = _overview(tiles, picture)
-    all_finite = values[np.isfinite(values)]
-    low, high = _limits(all_finite)
-    percentiles = np.percentile(all_finite, [2, 98]).tolist() if all_finite.size else [0.0, 1.0]
-    if region is not None:
-        values = values[region.on(picture, level)]
+    if holes is not None and not tiles.pictures.valid_of(picture):
+        y_um, x_um = (picture.levels[level][dim].values for dim in picture.full.dims)
+        for x, y, diameter in zip(*(holes[name].values for name in ("x", "y", "diameter")), strict=True):
+            values[np.hypot(y_um[:, None] - y, x_um - x) < _RIM * diameter] = np.nan
     finite = values[np.isfinite(values)].astype(np.float64)
+    low, high = _limits(finite)
+    percentiles = np.percentile(finite, [2, 98]).tolist() if finite.size else [0.0, 1.0]
     counts, _ = np.histogram(finite, bins=_BINS, range=(low, high))
     return {
         "pixel_um": _pixel_um(picture, level), "n": finite.size, "beyond": finite.size - int(counts.sum()), "low": low,
@@ -201,7 +221,6 @@ def select(
 
 
 def _read_until(stop: threading.Event, level: xr.DataArray, window: Where) -> NDArray[np.floating]:
-    """Values of a part, unless they are not wanted any more."""
     if stop.is_set():
         raise Stopped
     return level[window].values
@@ -218,7 +237,6 @@ def _overview(tiles: Tiles, *pictures: PlanePicture) -> tuple[int, list[Floats]]
 
 
 def _limits(values: Floats) -> tuple[float, float]:
-    """Between which nearly all values lie, with a little room."""
     if values.size == 0:
         return 0.0, 1.0
     # Percentiles between which points are drawn; those beyond are counted.

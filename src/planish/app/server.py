@@ -4,6 +4,7 @@ import hmac
 import logging
 import secrets
 import socket
+import threading
 from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass
@@ -18,7 +19,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from planish.app import marks_routes, view_routes
+from planish.app import marks_routes, snap, view_routes
 from planish.app.apply import Applying
 from planish.app.live import Live
 from planish.app.pictures import Tiles
@@ -161,7 +162,6 @@ def _static() -> list[BaseRoute]:
 
 
 async def _error_response(_request: Request, error: Exception) -> Response:
-    """An error that a person can do something about."""
     status = 409 if isinstance(error, Stale) else 507 if isinstance(error, ResourceError) else 400
     assert isinstance(error, PlanishError)
     places = error.places if isinstance(error, Undecided) else ()
@@ -191,6 +191,7 @@ def serve(session: Session, *, host: str, port: int, on_open: Callable[[str], No
             )  # fmt: skip
             logging.getLogger("uvicorn").setLevel(logging.ERROR)
             shown_host = "127.0.0.1" if host in ("127.0.0.1", "localhost", "0.0.0.0") else host
+            threading.Thread(target=snap.warm, args=(session,), name="warm", daemon=True).start()
             on_open(f"http://{shown_host}:{bound_port}/#token={token}")
             with closing(app.state.applying), suppress(KeyboardInterrupt):  # An interrupt is how a server ends.
                 uvicorn.Server(config).run(sockets=[listener])

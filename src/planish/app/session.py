@@ -25,7 +25,7 @@ from planish.app.changes import (
     numbered,
 )
 from planish.app.journal import InUse, Journal
-from planish.app.picture import PLANES, Plane
+from planish.app.picture import PLANES, WHERE, Plane
 from planish.app.pictures import Pictures
 from planish.core.errors import FileError, InputError, PlanishError
 from planish.core.facts import Side
@@ -129,6 +129,19 @@ class Session:
         target_layer = self.target(layer)
         return ("moving" if target_layer in self.layers else "fixed"), target_layer
 
+    def view_names(self, layer: str) -> dict[Plane, str]:
+        """What a person calls both planes: a sheet and its image by what they are, all others by their layers."""
+        target = self.target(layer)
+        kinds = {facts.name: facts.kind for facts in self.results.layers}
+        is_sheet_on_image = (kinds[layer], kinds.get(target, "image")) == ("sheet", "image")
+        names = ("Volume side", "Image side") if is_sheet_on_image else (layer, target)
+        return dict(zip(PLANES, names, strict=True))
+
+    def where(self, layer: str) -> dict[Plane, str]:
+        """Words for both planes in a sentence."""
+        names = self.view_names(layer)
+        return WHERE if names["moving"] == "Volume side" else {plane: f"in {name}" for plane, name in names.items()}
+
     def mirrored(self, layer: str) -> bool | None:
         """Whether the fixed plane shows the other side of the sheet; None where either hand may fit."""
         return None if self.study.registration.mirror else self.side_of(layer) != self.side_of(self.target(layer))
@@ -221,7 +234,6 @@ class Session:
             return self.state
 
     def _step(self, journal_line: bytes, *, save: bool) -> None:
-        """Take the step of a line of the journal: to the state before, to the one after it, or to a new one."""
         states, position = self._states, self._position + 1
         if journal_line == _UNDO:
             position -= 2

@@ -162,7 +162,6 @@ class SlicedSheet:
             return self._across(direction, index, near_um, corrections)
 
     def _across(self, direction: Axis, index: int, near_um: Near, corrections: Corrections | None) -> SheetSlice:
-        """A slice through the sheet, with its top up."""
         frame = self.frame
         axis: Axis = frame.cols if direction == frame.rows else frame.rows
         depth_um = self.voxels_um(frame.through)
@@ -180,7 +179,6 @@ class SlicedSheet:
         )  # fmt: skip
 
     def _along(self, index: int, near_um: Near) -> SheetSlice:
-        """A slice along the sheet, with the contours of its surfaces."""
         frame = self.frame
         axes = frame.cols, frame.rows
         cols, rows = (_window(self.voxels_um(axis), um) for axis, um in zip(axes, near_um, strict=True))
@@ -196,7 +194,6 @@ class SlicedSheet:
         )  # fmt: skip
 
     def _straight(self, index: int, near_um: Near, corrections: Corrections | None) -> SheetSlice:
-        """One row of columns, straightened along the normals."""
         frame = self.frame
         columns_um = self._columns_um(frame.cols)
         window = _window(columns_um, near_um[0])
@@ -248,7 +245,6 @@ class SlicedSheet:
         return edge_of(axis, self.voxels_um(axis)[window])
 
     def _columns(self, axis: str, voxels: slice) -> slice:
-        """The columns of the surfaces in which voxels lie."""
         return slice(voxels.start // self.step, min(-(-voxels.stop // self.step), self._columns_um(axis).size))
 
     def _surfaces_in(self, rows: slice, cols: slice, names: Sequence[str] | None = None) -> xr.Dataset:
@@ -257,7 +253,6 @@ class SlicedSheet:
         return self.surfaces[list(names)].isel(y=rows, x=cols).load()
 
     def _lines(self, along: str, index: int, columns: slice, corrections: Corrections | None) -> dict[str, Floats]:
-        """Read one row, or column, of the surfaces, with its normals."""
         is_row = along == self.frame.cols
         neighbours = slice(max(index - 1, 0), index + 2)
         neighbourhood = self._surfaces_in(*((neighbours, columns) if is_row else (columns, neighbours)))
@@ -279,7 +274,6 @@ class SlicedSheet:
         return lines
 
     def _preview(self, rows: slice, cols: slice, corrections: Corrections) -> dict[str, Floats]:
-        """The faces in some columns as corrections would leave them."""
         if (preview := preview_faces(self.surfaces, self.volume, corrections, (rows, cols))) is None:
             return {}
         window, corrected = preview

@@ -1,11 +1,14 @@
 """The hole under a mark: one that was found with all others, or one that is searched around the mark alone."""
 
+from contextlib import suppress
+
 import numpy as np
 import xarray as xr
 
 from planish.app.changes import ChangeError, End, Mark, Move
-from planish.app.picture import PLANES, WHERE, Plane
+from planish.app.picture import PLANES, Plane
 from planish.app.session import Session, ends_of
+from planish.core.errors import PlanishError
 from planish.core.grid import Grid
 from planish.marks.exchange import marks_of_holes
 from planish.run import find_holes
@@ -24,7 +27,7 @@ def snapped(session: Session, layer: str, mark: Mark) -> Move:
         )
     holes = {plane: hole for plane, end in ends.items() if (hole := hole_at(session, layer, plane, end.xy))}
     if not holes:
-        planes_text = " or ".join(WHERE[plane] for plane in ends)
+        planes_text = " or ".join(session.where(layer)[plane] for plane in ends)
         low_um, high_um = session.study.holes.hole_um
         raise ChangeError(
             f"No hole of {low_um:g} to {high_um:g} um was found around {mark.label} {planes_text}. Move the mark "
@@ -33,10 +36,20 @@ def snapped(session: Session, layer: str, mark: Mark) -> Move:
     return Move(layer=layer, id=mark.id, moving=holes.get("moving"), fixed=holes.get("fixed"))
 
 
-def not_snapped(mark: Mark, move: Move) -> str:
+def not_snapped(session: Session, layer: str, mark: Mark, move: Move) -> str:
     """Name the end that lies in no hole, where the other one does."""
-    missing_planes = [WHERE[p] for p in PLANES if getattr(mark, p) is not None and getattr(move, p) is None]
-    return f"{mark.label} was not snapped {missing_planes[0]}: no hole was found there." if missing_planes else ""
+    missing = [session.where(layer)[p] for p in PLANES if getattr(mark, p) is not None and getattr(move, p) is None]
+    return f"{mark.label} was not snapped {missing[0]}: no hole was found there." if missing else ""
+
+
+def warm(session: Session) -> None:
+    """Search once, unasked: what the first search compiles takes seconds."""
+    layer = session.layers[0]
+    for plane in PLANES:
+        for picture in session.pictures.on(*session.shown_by(layer, plane))[:1]:
+            middle_um = picture.grid.x_um.mean(), picture.grid.y_um.mean()
+            with suppress(PlanishError):
+                _search_holes(session, layer, plane, middle_um)
 
 
 def hole_at(session: Session, layer: str, plane: Plane, point_um: tuple[float, float]) -> End | None:
@@ -77,7 +90,6 @@ def _search_holes(session: Session, layer: str, plane: Plane, point_um: tuple[fl
 
 
 def _hole_layers(session: Session, layer: str, plane: Plane) -> dict[str, xr.DataArray]:
-    """Give what shows the holes of a plane: an image, or the layers of material of a sheet."""
     if plane == "fixed" and session.image is not None:
         return {"image": session.image}
     shown_plane, shown_layer = session.shown_by(layer, plane)
@@ -93,7 +105,6 @@ def _hole_layers(session: Session, layer: str, plane: Plane) -> dict[str, xr.Dat
 
 
 def _window(data: xr.DataArray, point_um: tuple[float, float], reach_um: float) -> xr.DataArray | None:
-    """The part of a map or image around a point, read; None where that is less than a hole needs."""
     grid = Grid.of(data)
     indices = [
         np.flatnonzero(np.abs(v - c) <= reach_um) for v, c in ((grid.y_um, point_um[1]), (grid.x_um, point_um[0]))

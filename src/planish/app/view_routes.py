@@ -17,7 +17,7 @@ from starlette.routing import Route
 from planish.app.changes import stretches_of
 from planish.app.picture import PlanePicture
 from planish.app.pictures import Tiles
-from planish.app.selection import Brush, Rectangle, Stopped, cursor, density, histogram, profile, select
+from planish.app.selection import Brush, Rectangle, Stopped, cursor, density, histogram, nearest, profile, select
 from planish.app.session import Session
 from planish.app.slices import SheetSlice, SlicedSheet, edge_of, sheets_of
 from planish.app.strain import SPACE, STRAINS, mesh_lines, sheet_run
@@ -42,11 +42,26 @@ def get_cursor(request: Request) -> Response:
     return JSONResponse(cursor(_tiles(request), _picture(request, "id"), x, y))
 
 
+def get_pixel(request: Request) -> Response:
+    """The pixel of a map that shows the sheet nearest to a place in the volume."""
+    place_um = {axis: required_numbers(request, axis, 1)[0] for axis in "xyz" if axis in request.query_params}
+    point = nearest(_tiles(request), _picture(request, "id"), request.query_params.get("layer", ""), place_um)
+    return JSONResponse(point and dict(zip("xy", point, strict=True)))
+
+
 def get_profile(request: Request) -> Response:
     """Values along a line."""
     x0, y0, x1, y1 = required_numbers(request, "line", 4)
     pictures = [_picture(request, key) for key in ("a", "b") if key in request.query_params]
     return JSONResponse(profile(_tiles(request), pictures, (x0, y0, x1, y1)))
+
+
+def get_histogram(request: Request) -> Response:
+    """How the values of a picture are distributed."""
+    session, picture = session_of(request), _picture(request, "id")
+    layer = picture.layer if picture.layer in session.layers else session.layers[0]
+    holes = session.holes(layer)[picture.plane]
+    return JSONResponse(histogram(_tiles(request), picture, holes=holes))
 
 
 async def get_selection(request: Request) -> Response:
@@ -242,9 +257,10 @@ def route(path: str, endpoint: Callable[[Request], Any], method: str = "GET") ->
 ROUTES = [
     route("/api/tiles/{id}/{level:int}/{row:int}/{col:int}", get_tile),
     route("/api/cursor", get_cursor),
+    route("/api/pixel", get_pixel),
     route("/api/profile", get_profile),
     route("/api/density", lambda r: JSONResponse(density(_tiles(r), *_picture_pair(r), _region(r)))),
-    route("/api/histogram", lambda r: JSONResponse(histogram(_tiles(r), _picture(r, "id"), _region(r)))),
+    route("/api/histogram", get_histogram),
     route("/api/selection", get_selection),
     route("/api/sheets", get_sheets),
     route("/api/slices/{layer}/{direction}/{index:int}", get_slice),

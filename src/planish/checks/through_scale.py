@@ -177,7 +177,6 @@ def estimate(sheet: RegisteredSheet) -> ThroughScale | None:
 
 
 def _spacing(sheet: MeasuredSheet | RegisteredSheet) -> tuple[str, float]:
-    """The axis through the sheet and its spacing as stated, um."""
     axis = Frame.of(sheet.measured).through
     return axis, float(sheet.measured.attrs["voxel_um"]["zyx".index(axis)])
 

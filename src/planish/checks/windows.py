@@ -145,7 +145,6 @@ def _cuts(volume: xr.DataArray, piece_box: dict[str, slice], axis: Axis) -> list
 
 
 def _place(volume: xr.DataArray, axis: Axis, through: Axis, sheet_slices: tuple[int, int]) -> dict[str, slice]:
-    """Give the window of an axis as a part of the volume: all slices along it that hold the sheet."""
     sheet_range = slice(max(sheet_slices[0] - 4, 0), min(sheet_slices[1] + 5, volume.sizes[through]))
     # Some 90 000 voxels of a slice are looked at.
     widest = _EDGE if axis == through else int(np.clip(90_000 // (sheet_range.stop - sheet_range.start), 60, 2 * _EDGE))
@@ -166,7 +165,6 @@ def _pieces(volume: xr.DataArray, boxes: dict[Axis, dict[str, slice]], z_range: 
 
 
 def _part_sums(greys: Array, axis: Axis, n_before: int, fill_grey: float) -> Sums:
-    """Sums of a part (z, y, x) of a window."""
     slices = np.ascontiguousarray(np.moveaxis(greys, "zyx".index(axis), 0), dtype=np.float32)
     sums = _sums(slices, n_before)
     if np.isfinite(sums[0]).all() and np.isfinite(sums[2]).all():

@@ -173,7 +173,6 @@ def _depth_coefficient(t: Floats, grey: Floats, n: Floats, is_used: Bools) -> fl
 
 
 def _sum_between(running_sum: Floats, low: Floats, high: Floats) -> Floats:
-    """Sum of each row of the histogram between two greys."""
     rows = np.arange(len(running_sum))
 
     def upto(grey: Floats) -> Floats:

@@ -292,7 +292,6 @@ def _pitches(axes: Axes, pattern: Pattern, distance: float) -> None:
 
 
 def _write(axes: Axes, place: Point, text: str, offset_pt: Point = (0, 0), **options: Any) -> None:
-    """Write beside a place, ``offset_pt`` in points of the paper."""
     annotation: dict[str, Any] = {"ha": "center", "va": "center", "annotation_clip": False, **options}
     axes.annotate(text, (place[0], place[1]), (offset_pt[0], offset_pt[1]), textcoords="offset points", **annotation)
 

@@ -197,7 +197,6 @@ def _search(blank: Pattern, hole_count: int, rng: np.random.Generator) -> Design
 
 
 def _draw_pattern(blank: Pattern, hole_count: int, rng: np.random.Generator) -> Pattern | None:
-    """Draw one pattern; None where a side has no room."""
     width_steps, height_steps = (round(side_number / STEP_UM) for side_number in blank.frame_um)
     side_steps = (width_steps, height_steps, width_steps, height_steps)
     hole_counts = [min(4, max(1, (hole_count - 3) // 4))] * 4  # Three corners hold holes too.

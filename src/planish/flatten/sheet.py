@@ -214,7 +214,6 @@ def _largest_piece(mask: Bools) -> Bools:
 
 
 def _mesh_indices(n_columns: int, step: int) -> NDArray[np.intp]:
-    """Indices of the mesh's nodes: every ``step``-th column, and the last one."""
     indices = np.arange(0, n_columns, step)
     if indices[-1] == n_columns - 1:
         return indices

@@ -249,7 +249,6 @@ def _stated_by_imagej(meta: Mapping[str, Any], density: Sequence[float | None]) 
 
 
 def _fraction(tag_value: Any) -> float | None:
-    """A fraction of a tag; None where it is no positive number."""
     if not isinstance(tag_value, tuple) or len(tag_value) != 2:  # pyright: ignore[reportUnknownArgumentType]
         return None
     numerator, denominator = map(_number, tag_value)
@@ -257,7 +256,6 @@ def _fraction(tag_value: Any) -> float | None:
 
 
 def _number(raw_value: Any) -> float | None:
-    """Read a positive finite number, or None."""
     try:
         number = float(raw_value)
     except (TypeError, ValueError):

@@ -137,7 +137,6 @@ def greedy_disjoint(order: Ints, pairs: Ints) -> list[int]:
 
 
 def _overlapping(marks: Floats, holes: Floats) -> Ints:
-    """Return pairs (n, 2) of circles of marks and of holes that overlap."""
     if not len(marks) or not len(holes):
         return np.empty((0, 2), np.intp)
     reaches = 1.001 * (marks[:, k.RADIUS] + float(holes[:, k.RADIUS].max()))

@@ -152,7 +152,6 @@ def _search(share: Floats, pixel_um: Pair, diameter_range: Pair) -> tuple[Floats
 def _other_side(
     material: NDArray[np.generic], pixel_um: Pair, holes: xr.Dataset, partners: xr.Dataset, partner_rows: Ints
 ) -> NDArray[np.uint8]:
-    """Return the state of each hole on the other side, which has the holes ``partners`` and shares of ``material``."""
     is_through, centres = partner_rows >= 0, _xy(holes)
     states = np.where(is_through, THROUGH, UNCLEAR).astype(np.uint8)
     # Where the other side should show a hole: as far from this one as with the partners.

@@ -331,7 +331,6 @@ def _fit_similarity(source: Floats, target: Floats, mirrored: bool) -> tuple[Sim
 
 
 def _usable_points(marks: ArrayLike, name: str, hint_text: str) -> Floats:
-    """Return three marks or more as ``(n, 2)`` float64, or name their faults."""
     points = points_of(marks, name)
     nonfinite_rows = np.flatnonzero(~np.all(np.isfinite(points), axis=1))
     if nonfinite_rows.size:

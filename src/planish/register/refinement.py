@@ -295,7 +295,6 @@ def _search(
 
 
 def _transform_um(itk: Any, fitted: Any, unit_um: float, first_um: Pair) -> Affine | FreeForm:
-    """Read a transformation in pixels of ``unit_um`` um as one in um."""
     if hasattr(fitted, "GetMatrix"):
         a, b, c, d = fitted.GetMatrix()
         centre = np.array(fitted.GetCenter())

@@ -145,7 +145,6 @@ def draw_variograms(evidence: EvidenceFacts, *, titles: Sequence[str], excluded_
 
 
 def _cell_text(sides_um: Iterable[float]) -> str:
-    """Write the sides of a cell, once where they are equal."""
     return " × ".join(f"{v:g}" for v in dict.fromkeys(round(v, 3) for v in sides_um))
 
 

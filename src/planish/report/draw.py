@@ -277,7 +277,6 @@ class Canvas(Axes):
             self._tick(axes.x, axes.y + axes.place((x_min, value))[0, 1], -1, 0, label)
 
     def _tick(self, x: float, y: float, right: int, down: int, text: str) -> None:
-        """Draw a tick to the right, to the left (-1) or downwards, and its number."""
         self.line([(x, y), (x + 3 * right, y + 3 * down)], colour=SOFT, width=0.8)
         anchor, half_px = "middle" if down else "start" if right > 0 else "end", 3.1 * len(text)
         # A long number at the end of an axis stays within the figure, and is smaller where its margin is too narrow.
@@ -408,7 +407,6 @@ def _ticks(low: float, high: float, *, max_count: float, log: bool = False) -> T
 
 
 def _n(value: float) -> str:
-    """Write a coordinate to a tenth of a pixel."""
     return f"{round(float(value), 1) + 0.0:g}"
 
 

@@ -160,7 +160,6 @@ def _sheet_section(run_maps: maps.RunMaps, layer: LayerFacts) -> dict[str, Any] 
 
 
 def _registration_section(run_maps: maps.RunMaps, layer: LayerFacts, marks: xr.Dataset | None) -> dict[str, Any] | None:
-    """Draw all that is shown of the registration of a layer; None where it or a map is missing."""
     r, results, reference_layer = registration.judged(layer.registration), run_maps.results, run_maps.results.reference
     layer_maps, reference_maps = run_maps.drawn.get(layer.name), run_maps.drawn.get(reference_layer.name)
     if r is None or layer_maps is None or reference_maps is None:

@@ -73,7 +73,6 @@ def _specimen_line(
 
 
 def _specimen_orders(results: SeriesResults, factors: Sequence[str]) -> list[tuple[str, list[int]]]:
-    """The orders in which the table of specimens is written: as listed, by name, by factors, by figures."""
     specimens = results.specimens
     sort_keys: list[tuple[str, list[Any]]] = [
         ("name", [natural(s.name) for s in specimens]),

@@ -136,7 +136,6 @@ def _draw_details(cuts: list[Slice], windows: list[Window], scale: Scale) -> Pic
 
 
 def _px_per_um(windows: list[Window], width: float) -> float:
-    """Return the pixels of a um with which all windows fit."""
     return min(width / max(w[1] - w[0] for w in windows), 450 / max(w[3] - w[2] for w in windows))
 
 

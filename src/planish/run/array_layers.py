@@ -93,7 +93,6 @@ def layer_sources(
 
 
 def _source(layer: LayerInput, call_text: str) -> str | Path | ArrayLayer:
-    """The path of a layer; an array as yet without one."""
     if isinstance(layer, Run):
         if layer.folder is None:
             raise FileError("The run stands in no folder. Give out= to the call that made it, and link it then.")

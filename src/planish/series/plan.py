@@ -246,7 +246,6 @@ def checked_name(guess: str) -> str:
 
 
 def _absolute(file: str, home: Path) -> str:
-    """An absolute path; ``NAME=`` stays before it."""
     name, equals_sign, path = file.partition("=")
     if equals_sign and path and not find_place(home / file).path.exists():
         return f"{name}={os.path.normpath(home / path)}"

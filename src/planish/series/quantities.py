@@ -119,7 +119,6 @@ def _largest_points(rows: Iterable[FigureRow], name: str) -> dict[Pair, float]:
 
 
 def _pair_of(row: FigureRow) -> Pair | None:
-    """Pair of a correlation; None where it is none with an image or the same map."""
     first_map, second_map = (row.layer, row.map), (row.other_layer, row.other_map)
     if row.map == "image" != row.other_map:
         first_map, second_map = second_map, first_map

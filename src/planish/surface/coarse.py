@@ -169,7 +169,6 @@ def _leading(labels: NDArray[np.integer], candidates: Sequence[int], blocks: Blo
 
 
 def _companion(in_object: Bools, low: Floats, high: Floats) -> Companion:
-    """Describe an object beside the sheet, whose extent is ``low`` to ``high``."""
     n_filled = in_object.sum(axis=-1)
     first, last = first_and_last(in_object)
     is_there = n_filled > 0

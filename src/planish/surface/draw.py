@@ -154,7 +154,6 @@ class Drawing:
         return np.where(self.status[window] == Status.MEASURED, self.heights[face][window], np.nan)
 
     def _redraw(self, face: Side, window: Window, is_redrawn: Bools, expected: tuple[Floats, Floats]) -> None:
-        """Set a face to the edge near where it is expected, or to that place."""
         height, error = expected
         interface, heights = self.heights[f"interface_{face}"], self.heights[face]
         offset_px = np.full(height.size, np.nan)

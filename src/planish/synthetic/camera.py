@@ -251,7 +251,6 @@ def _dot_radii(sheet: DrawnSheet, screen: PrintParams, tone: Floats) -> tuple[tu
 def _ink_share(
     u: Floats, v: Floats, screen: PrintParams, first_cell: tuple[int, int], radius_um: Floats, pixel_um: float
 ) -> Floats:  # fmt: skip
-    """Share of each pixel that is inked; the edge of a dot is one pixel wide."""
     a, b = _screen_coordinates(u, v, screen)
     col, row = np.floor(a), np.floor(b)
     distance = 1e4 / screen.screen_per_cm * np.hypot(a - col - 0.5, b - row - 0.5)

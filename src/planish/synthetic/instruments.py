@@ -198,7 +198,6 @@ class Scanner:
 
     @cached_property
     def _rings_image(self) -> Slab:
-        """Rings (x, z), the same in all rows."""
         rng, radius = generator(self.seed, "rings"), self._radius()
         plane = np.zeros(radius.shape)
         for _ in range(self.params.rings):

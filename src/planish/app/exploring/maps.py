@@ -231,7 +231,7 @@ def _packed_maps(run: Run, map_names: list[tuple[str, list[str]]], halvings: int
 
 def _packed_map(
     data: xr.DataArray, valid_values: Floats, layer: LayerFacts, results: Results, group_index: int
-) -> PageMap:  # fmt: skip
+) -> PageMap:
     name = str(data.name)
     figure = POSITION if name == "expected_error" else name
     checks = concerned(results.checks, (layer.name,), (figure,))

@@ -3,6 +3,7 @@
 import base64
 import hashlib
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -25,14 +26,23 @@ from planish.run.compute import Compute, Progress, silent
 from planish.run.run import open_run
 
 _PACKAGE = "planish.app.exploring"
-_SCRIPTS = ("unpack.js", "model.js", "mapview.js", "scatter.js", "sliceview.js", "start.js")
+_SCRIPTS = ("unpack.js", "model.js", "mapview.js", "points.js", "sliceview.js", "start.js")
+_OF_THE_APP = ("dom.js", "gestures.js", "viewbar.js", "contrast.js", "scatter.js")
+_NAMES = "Contrast, Scatter, bindGestures, drawScaleBar, make, onNumbers, svgOf, viewBar"
+
+
+def _text(path: str) -> str:
+    return (files("planish.app") / path).read_text(encoding="utf-8")
 
 
 def render(results: Results, maps: MapsOfPage, stacks: Sequence[Stack], notes: Sequence[str]) -> str:
     """Return the page as text; the same run gives the same bytes."""
-    style = template(_PACKAGE, "explore.css").render()
-    scripts = [(files(_PACKAGE) / "script" / name).read_text(encoding="utf-8") for name in _SCRIPTS]
-    script = "(() => {\n" + '"use strict";\n' + "".join(scripts) + "})();\n"  # in a scope of their own
+    style = template(_PACKAGE, "explore.css").render() + _text("static/views.css")
+    # Views of the app, whose modules become one scope.
+    views = re.sub(r"^import .*\n|^export ", "", "".join(_text(f"static/{name}") for name in _OF_THE_APP), flags=re.M)
+    views = f"const {{ {_NAMES} }} = (() => {{\n{views}return {{ {_NAMES} }};\n}})();\n"
+    scripts = "".join(_text(f"exploring/script/{name}") for name in _SCRIPTS)
+    script = "(() => {\n" + '"use strict";\n' + views + scripts + "})();\n"  # in a scope of their own
     hashes = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in (style, script)]
     policy = (
         f"default-src 'none'; style-src 'sha256-{hashes[0]}'; script-src 'sha256-{hashes[1]}'; img-src data: blob:; "

@@ -214,7 +214,6 @@ def _stack(slices: list[Slice], sheet: str, frame: Frame, note: str) -> Stack:
 
 
 def _pictures(greys: list[NDArray[Any]]) -> tuple[str, tuple[str, ...]]:
-    """Compress pictures; where Pillow has no WebP, as JPEG."""
     from PIL import Image, features
 
     image_format = "webp" if features.check("webp") else "jpeg"

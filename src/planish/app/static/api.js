@@ -6,11 +6,6 @@ const AGAIN_MS = 400;
 
 /** What the server refused, or that it did not answer (`status` 0). */
 export class ApiError extends Error {
-  /**
-   * @param {number} status
-   * @param {string} message
-   * @param {any} [body]
-   */
   constructor(status, message, body = null) {
     super(message);
     this.status = status;
@@ -18,10 +13,7 @@ export class ApiError extends Error {
   }
 }
 
-/**
- * Take the token out of the address, where it came in the fragment, and keep it for this tab.
- * @returns {string|null}
- */
+/** Take the token out of the address, where it came in the fragment, and keep it for this tab. */
 export function takeToken() {
   const given = new URLSearchParams(location.hash.slice(1)).get("token");
   if (given !== null) {
@@ -32,16 +24,11 @@ export function takeToken() {
 }
 
 export class Api {
-  /** @param {string} token */
   constructor(token) {
     this.token = token;
   }
 
-  /**
-   * @param {string} path below `/api/`
-   * @param {RequestInit} [init]
-   * @returns {Promise<Response>}
-   */
+  /** `path`: below `/api/` */
   async fetch(path, init = {}) {
     const headers = { Authorization: `Bearer ${this.token}`, ...init.headers };
     let response;
@@ -56,20 +43,10 @@ export class Api {
     throw new ApiError(response.status, body?.error ?? body?.message ?? `The server answers ${response.status}.`, body);
   }
 
-  /**
-   * @param {string} path
-   * @param {RequestInit} [init]
-   * @returns {Promise<any>}
-   */
   async get(path, init) {
     return (await this.fetch(path, init)).json();
   }
 
-  /**
-   * @param {string} path
-   * @param {object} [body]
-   * @returns {Promise<any>}
-   */
   post(path, body = {}) {
     const headers = { "Content-Type": "application/json" };
     return this.get(path, { method: "POST", headers, body: JSON.stringify(body) });
@@ -77,16 +54,14 @@ export class Api {
 
   /**
    * Follow the server's news for as long as the page is open, through lost connections.
-   * @param {{onNews: (line: any) => void, onLost: (status: number) => void, onFound: () => Promise<void>}} listener
-   *   `onLost` is told the status with which the server refuses this page, 0 where it does not answer
-   * @returns {Promise<never>}
+   * `listener`: `onLost` is told the status with which the server refuses this page, 0 where it does not answer
    */
   async follow({ onNews, onLost, onFound }) {
     for (let first = true; ; first = false) {
       let status = 0;
       try {
         await this.readLines("events", onNews, first ? async () => {} : onFound);
-      } catch (/** @type {any} */ error) {
+      } catch (error) {
         status = error.status ?? 0; // whatever ended it, the connection is gone until the next attempt succeeds
       }
       onLost(status);
@@ -94,19 +69,14 @@ export class Api {
     }
   }
 
-  /**
-   * Read a streamed answer line by line until it ends or falls silent.
-   * @param {string} path
-   * @param {(line: any) => void} onLine
-   * @param {() => Promise<void>} onOpen
-   */
+  /** Read a streamed answer line by line until it ends or falls silent. */
   async readLines(path, onLine, onOpen) {
     const stop = new AbortController();
     let alarm = setTimeout(() => stop.abort(), SILENT_MS);
     try {
       const response = await this.fetch(path, { signal: stop.signal });
       await onOpen();
-      const reader = /** @type {ReadableStream} */ (response.body).pipeThrough(new TextDecoderStream()).getReader();
+      const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
       for (let rest = ""; ; ) {
         const { done, value } = await reader.read();
         if (done) return;

@@ -4,10 +4,6 @@ import { button, make } from "./dom.js";
 
 const POLL_MS = 250;
 
-/**
- * @param {HTMLElement} place
- * @param {any} app
- */
 export function mountApply(place, app) {
   const bar = make("progress", { max: 1, "aria-label": "Progress of Apply", hidden: true });
   const words = make("span", { class: "soft", id: "apply-words" });
@@ -19,7 +15,7 @@ export function mountApply(place, app) {
   const cancel = button("Cancel", () => app.api.post("apply/cancel").then(watch, failed), { hidden: true });
   const link = make("a", { target: "_blank", rel: "noopener", hidden: true });
   place.replaceChildren(words, bar, link, cancel, apply);
-  void app.api.get("apply").then((/** @type {any} */ now) => now.state !== "idle" && show(now), () => {});
+  void app.api.get("apply").then((now) => now.state !== "idle" && show(now), () => {});
 
   async function start() {
     app.alarm(null);
@@ -31,7 +27,6 @@ export function mountApply(place, app) {
     }
   }
 
-  /** @param {any} error */
   function failed(error) {
     app.alarm(error.message);
   }
@@ -43,7 +38,7 @@ export function mountApply(place, app) {
     watching = true;
     try {
       for (;;) {
-        const now = await app.api.get("apply").catch((/** @type {any} */ error) => {
+        const now = await app.api.get("apply").catch((error) => {
           if (error.status) throw error;
           return null; // the server is away: the page says so, and the work may still be going on
         });
@@ -56,7 +51,6 @@ export function mountApply(place, app) {
     }
   }
 
-  /** @param {{state: string, stage?: string, share?: number, message?: string, run?: string, report?: string}} now */
   function show(now) {
     const working = now.state === "working";
     const hadFocus = document.activeElement === cancel || document.activeElement === apply;

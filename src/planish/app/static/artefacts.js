@@ -2,7 +2,7 @@
 
 import { button, labelled, make } from "./dom.js";
 
-/** Read "x, y; x, y; …" as corners; null where it is none of three corners or more. @param {string} text */
+/** Read "x, y; x, y; …" as corners; null where it is none of three corners or more. */
 export function cornersOf(text) {
   const corners = text
     .trim()
@@ -13,11 +13,7 @@ export function cornersOf(text) {
 }
 
 export class Artefacts {
-  /**
-   * @param {any} app
-   * @param {{draw: () => void, show: (polygons: number[][][]) => void}} maps
-   *   `draw` lets a person draw a polygon, which comes back by `drawn`
-   */
+  /** `maps`: `draw` lets a person draw a polygon, which comes back by `drawn` */
   constructor(app, maps) {
     this.app = app;
     this.maps = maps;
@@ -25,13 +21,13 @@ export class Artefacts {
     this.name = make("input", { type: "text", size: 14, maxlength: 60 });
     this.author = make("input", { type: "text", size: 14, maxlength: 100 });
     this.reason = make("input", { type: "text", size: 26, maxlength: 300 });
-    this.polygon = make("input", { type: "text", size: 40, spellcheck: "false" });
+    this.polygon = make("input", { type: "text", size: 12, spellcheck: "false" });
     this.list = make("ul", { class: "artefacts", "aria-label": "Declared artefacts" });
     this.element = make(
       "section",
       { class: "panel", "aria-label": "Artefacts" },
       make("h2", {}, "Artefacts"),
-      make("p", { class: "soft" }, "What lies in a declared region does not count after Apply. Draw it, or write its corners."),
+      make("p", { class: "soft" }, "A stain or fold that shall not count: draw it, declare it, then Apply."),
       make(
         "div",
         { class: "group" },
@@ -48,10 +44,10 @@ export class Artefacts {
       ),
       this.list,
     );
-    app.onState((/** @type {any} */ state) => this.show(state.regions ?? []));
+    app.onState((state) => this.show(state.regions ?? []));
   }
 
-  /** A polygon that was drawn. @param {number[][]} corners */
+  /** A polygon that was drawn. */
   drawn(corners) {
     this.polygon.value = corners.map((point) => point.map((um) => um.toFixed(1)).join(", ")).join("; ");
     this.name.focus();
@@ -67,7 +63,6 @@ export class Artefacts {
     if (done) this.name.value = this.reason.value = this.polygon.value = "";
   }
 
-  /** @param {any[]} regions */
   show(regions) {
     const shown = JSON.stringify(regions);
     if (shown === this.shown) return; // a button that is being pressed stays

@@ -1,85 +1,140 @@
-/** What lies under the cursor of either map: values of all layers, and the place in the volume, whose slice can be shown. */
+/** What lies under the cursor of either map: values of all layers, the place in the volume, and its slice. */
 
-import { shown } from "./charts.js";
-import { button, make } from "./dom.js";
-import { flipped } from "./mapview.js";
+import { button, make, shown, withUnit } from "./dom.js";
+import { titled } from "./mapside.js";
+import { Slice } from "./slicedata.js";
+import { SliceView } from "./sliceview.js";
 
-/** @typedef {import("./mapside.js").MapSide} MapSide */
-
-export const isMask = (/** @type {any} */ one) => one.name.split("/").at(-1) === "valid";
+export const isMask = (one) => one.name.split("/").at(-1) === "valid";
 
 export class AtCursor {
-  /** @param {any} app @param {MapSide[]} sides the layers that are shown come first */
-  constructor(app, sides) {
+  /** `sides`: the layers that are shown come first */
+  constructor(app, sides, onPlace) {
     this.app = app;
     this.sides = sides;
-    this.values = make("div", { class: "values" });
-    this.slice = button("Show slice", () => this.showSlice(), { disabled: true });
-    /** @type {number[]|null} */
+    this.onPlace = onPlace;
+    const status = (name) => make("p", { role: "status", "aria-label": name, "aria-live": "off" });
+    this.line = status("Cursor");
+    this.slicePlace = status("Slice position");
+    this.values = make("div", { class: "values", tabindex: 0, role: "group", "aria-label": "Table of values" });
+    this.slice = button("Show slice", () => this.showSlice(), { disabled: true, title: "Go to this slice in Surfaces" });
+    this.view = new SliceView({ onCursor: () => {}, onPoint: (at) => void this.fromSlice(at), onStep: () => {}, onBack: () => {} });
+    this.section = make(
+      "section",
+      { class: "view slice-part", "aria-label": "Slice at the cursor", hidden: true },
+      make("div", { class: "head" }, make("h2", {}, "Slice"), this.slice, this.slicePlace),
+      this.view.frame,
+    );
+    this.sheets = [];
+    void this.openSheets();
     this.wanted = null;
     this.asking = false;
-    /** @type {any} */
     this.taken = null;
   }
 
-  /** @param {MapSide} side @param {() => boolean} busy whether clicks mean something else @param {() => void} leave */
-  bind(side, busy, leave) {
-    const { map, element } = side.view;
-    map.on("pointermove", (/** @type {any} */ event) => !event.dragging && void this.point(flipped(event.coordinate), side));
-    map.on("click", (/** @type {any} */ event) => !busy() && void this.take(flipped(event.coordinate), side));
-    element.addEventListener("keydown", (/** @type {KeyboardEvent} */ event) => {
-      if (event.key === "Enter") void this.take(side.view.centre, side);
-      else if (event.key === "Escape") leave();
-      else void this.point(side.view.centre, side);
+  async openSheets() {
+    const { sheets } = await this.app.api.get("sheets").catch(() => ({ sheets: [] }));
+    this.sheets = sheets.filter((one) => !one.error);
+    this.section.hidden = !this.sheets.length;
+    if (this.found) this.show(this.found);
+  }
+
+  /** With a tool of `shapes` a click means a corner. */
+  bind(side, shapes) {
+    const { view } = side;
+    const click = (point) => (shapes.tool ? shapes.corner(point, view) : void this.take(point, side));
+    view.hovers.push((point) => point && void this.point(point, side));
+    view.clicks.push(click);
+    view.element.addEventListener("keydown", (event) => {
+      if (event.target !== view.element) return;
+      if (event.key === "Enter") click(view.centre);
+      else if (event.key === "Escape") shapes.end();
+      else void this.point(view.centre, side);
     });
   }
 
-  /** @param {number[]} point @param {MapSide} side */
   ask([x, y], side) {
     return this.app.api.get(`cursor?id=${side.picture.id}&x=${x}&y=${y}`).catch(() => null);
   }
 
-  /** Say what lies at a point; one question is asked at a time. @param {number[]} point @param {MapSide} side */
+  /** Say what lies at a point; one question is asked at a time. */
   async point(point, side) {
     this.wanted = point;
     if (this.asking) return;
     this.asking = true;
-    let found = null;
     while (this.wanted) {
       const at = this.wanted;
       this.wanted = null;
-      found = await this.ask(at, side);
+      const found = await this.ask(at, side);
+      if (found) this.show(found);
     }
     this.asking = false;
-    if (found) this.show(found);
   }
 
-  /** @param {any} found */
   show(found) {
+    this.found = found;
     const { x, y, volume } = found;
-    const place = volume ? `volume x ${volume.x.toFixed(2)}, y ${volume.y.toFixed(2)}, z ${volume.z.toFixed(2)} um` : "not in the volume";
     const first = this.sides.map((side) => side.picture.id);
-    const order = (/** @type {any} */ one) => (first.includes(one.id) ? 0 : 1);
-    const values = [...found.values].sort((a, b) => order(a) - order(b));
+    const rank = ({ id }) => (first.includes(id) ? first.indexOf(id) : 2);
+    const values = [...found.values].sort((a, b) => rank(a) - rank(b));
+    // Seen is the place; names and values stand in the table, and here for those who read the line alone.
     const said = values.map((one) => `${one.name} ${written(one)}`).join("; ");
-    this.app.cursor(`x ${x.toFixed(2)}, y ${y.toFixed(2)} um; ${place}; ${said}`);
+    this.line.replaceChildren(`x ${x.toFixed(2)}, y ${y.toFixed(2)} µm${volume || this.sheets.length ? `; ${inVolume(volume)}` : ""}`, make("span", { class: "sr" }, `; ${said}`));
     const rows = values.map((one) =>
-      make("tr", {}, make("th", { scope: "row" }, one.name), make("td", { class: "n" }, written(one)), make("td", {}, one.title)),
+      make("tr", { class: first.includes(one.id) ? "shown" : null }, make("th", { scope: "row" }, titled({ ...one, units: "" })), make("td", { class: "n" }, written(one))),
     );
-    const table = make("table", { "aria-label": "Values at the cursor" }, make("tbody", {}, ...rows));
-    this.values.replaceChildren(make("p", {}, `x ${x.toFixed(1)}, y ${y.toFixed(1)} um; ${place}`), table);
+    this.values.replaceChildren(make("table", { "aria-label": "Values at the cursor" }, make("tbody", {}, ...rows)));
+    this.onPlace(found);
+    void this.cut(volume);
   }
 
-  /** Take a place whose slice is shown. @param {number[]} point @param {MapSide} side */
+  /** Show the slice through a place of the volume; one is asked for at a time. */
+  async cut(volume) {
+    const sheet = this.sheets.find((one) => one.layer === volume?.layer) ?? this.sheets[0]; // one linked to an image has its layer
+    if (!volume || !sheet || !this.section.offsetParent) return;
+    this.place = { sheet, volume };
+    if (this.cutting) return;
+    this.cutting = true;
+    while (this.place) {
+      const { sheet: { layer, rows, cols, through, axes, thickness_um: thick }, volume: at } = this.place;
+      this.place = null;
+      const axis = axes[rows];
+      const index = Math.max(0, Math.min(axis.count - 1, Math.round((at[rows] - axis.first_um) / axis.step_um)));
+      const path = `slices/${encodeURIComponent(layer)}/${rows}/${index}?across=${at[cols]}&down=${at[through]}`;
+      const known = this.view.slice?.facts;
+      if (known?.layer !== layer || known?.index !== index || known?.direction !== rows) {
+        const answer = await this.app.api.fetch(path).catch(() => null);
+        if (!answer) break;
+        const slice = new Slice(await answer.arrayBuffer());
+        const { offset, scale } = slice.facts;
+        this.view.range = slice.histogram().range.map((value) => (value - offset) / scale);
+        this.view.show(slice);
+      }
+      this.view.marked = { across: at[cols], down: at[through] };
+      this.view.lookAt(at[cols], at[through], this.zoomed ? undefined : this.view.canvas.clientHeight / (4 * thick));
+      this.zoomed = true;
+    }
+    this.cutting = false;
+  }
+
+  /** Take a place whose slice is shown. */
   async take(point, side) {
     this.wanted = null;
     const found = await this.ask(point, side);
     if (!found) return;
     this.show(found);
     this.taken = found.volume;
-    this.slice.disabled = !this.taken;
-    const { x, y, z } = found.volume ?? {};
-    this.app.slicePosition?.(found.volume ? `x ${x.toFixed(2)}, y ${y.toFixed(2)}, z ${z.toFixed(2)} um` : "");
+    this.slice.disabled = !this.taken || !this.sheets.length;
+    this.slicePlace.textContent = this.taken ? inVolume(this.taken).replace("volume ", "") : "";
+  }
+
+  /** A click in the slice: the cursor of the maps goes there. */
+  async fromSlice(at) {
+    const { facts } = this.view.slice;
+    const side = this.sides[0];
+    const query = new URLSearchParams({ id: side.picture.id, layer: facts.layer, [facts.normal]: String(facts.at_um), [facts.across.name]: String(at.across) });
+    const found = await this.app.api.get(`pixel?${query}`).catch(() => null);
+    if (found) await this.take([found.x, found.y], side);
   }
 
   async showSlice() {
@@ -89,9 +144,12 @@ export class AtCursor {
   }
 }
 
-/** @param {any} one a value with its unit */
+const inVolume = (volume) =>
+  volume ? `volume x ${volume.x.toFixed(2)}, y ${volume.y.toFixed(2)}, z ${volume.z.toFixed(2)} µm` : "not in the volume";
+
+/** A value with its unit. */
 function written(one) {
   if (one.value === null) return "no value";
   if (isMask(one)) return one.value ? "yes" : "no";
-  return `${shown(one.value)}${one.units && one.units !== "1" ? ` ${one.units}` : ""}`;
+  return shown(one.value) + withUnit(one);
 }

@@ -20,25 +20,24 @@ export const CHOSEN = [255, 72, 0];
 
 const CODES = 65536;
 
-/** A colour as it lies in the memory of a canvas. @param {number[]} rgb @param {number} [alpha] */
+/** A colour as it lies in the memory of a canvas. */
 export const packed = ([red, green, blue], alpha = 255) =>
   ((alpha << 24) | (Math.round(blue) << 16) | (Math.round(green) << 8) | Math.round(red)) >>> 0;
 
 /**
  * The colour at a place of a scale.
- * @param {string} palette
- * @param {number} share 0 to 1
- * @returns {number[]} red, green, blue
+ * `share`: 0 to 1
+ * Red, green, blue
  */
 export function colourAt(palette, share) {
-  const anchors = (PALETTES[/** @type {keyof typeof PALETTES} */ (palette)] ?? PALETTES.viridis).split(" ");
+  const anchors = (PALETTES[(palette)] ?? PALETTES.viridis).split(" ");
   const at = Math.min(Math.max(share, 0), 1) * (anchors.length - 1);
   const k = Math.min(Math.floor(at), anchors.length - 2);
   const [low, high] = [anchors[k], anchors[k + 1]].map((hex) => [0, 2, 4].map((i) => parseInt(hex.slice(i, i + 2), 16)));
   return low.map((value, i) => value + (high[i] - value) * (at - k));
 }
 
-/** The scale that suits a picture. @param {{name: string, units: string}} picture */
+/** The scale that suits a picture. */
 export function paletteOf({ name, units }) {
   const variable = name.split("/").at(-1) ?? name;
   if (variable === "image" || variable === "valid" || variable.startsWith("presence")) return "grey";
@@ -47,12 +46,7 @@ export function paletteOf({ name, units }) {
   return units === "deg" || variable === "warp" || /^(u|v|volume_.|projected_.)$/.test(variable) ? "cividis" : "viridis";
 }
 
-/**
- * The colour of each code of a picture; code 0 is missing and transparent.
- * @param {{scale: number, offset: number}} picture
- * @param {{palette: string, low: number, high: number}} look
- * @returns {Uint32Array}
- */
+/** The colour of each code of a picture; code 0 is missing and transparent. */
 export function coloursOfCodes({ scale, offset }, { palette, low, high }) {
   const shades = Uint32Array.from({ length: 256 }, (_, k) => packed(colourAt(palette, k / 255)));
   const table = new Uint32Array(CODES);
@@ -67,10 +61,7 @@ export function coloursOfCodes({ scale, offset }, { palette, low, high }) {
 
 /**
  * The codes of a picture whose values lie between two; the first and the last code stand for all values beyond.
- * @param {{scale: number, offset: number}} picture
- * @param {number} low
- * @param {number} high
- * @returns {[number, number]} none where the first is above the second
+ * None where the first is above the second
  */
 export function codesBetween({ scale, offset }, low, high) {
   const first = Math.ceil((low - offset) / scale - 1e-6) + 1;

@@ -1,19 +1,17 @@
 /** Corrections of the faces: the points of one that is made, tried on the screen before it is saved, and those saved. */
 
-import { button, choice, labelled, make, numbers, written } from "./dom.js";
+import { button, choice, labelled, make, numbers, typeset, written } from "./dom.js";
 
 const MOST_POINTS = 100; // of one correction, which travel in an address while they are tried
 
 export class Corrections {
   /**
-   * @param {any} app
-   * @param {{sheet: () => any, first: string, onTry: () => Promise<void>, onShow: (place: any) => Promise<void>}} on
-   *   the sheet that is looked at, the layer of the first one, and what to do when points change or one is looked for
+   * `on`: the sheet that is looked at, the layer of the first one, and what to do when points change or one is looked
+   * for
    */
   constructor(app, on) {
     this.app = app;
     this.on = on;
-    /** @type {{x: number, y: number, z: number, face: string}[]} */
     this.draft = [];
     this.faceBox = choice([["top", "top"], ["bottom", "bottom"]], () => {});
     this.reachField = make("input", {
@@ -25,6 +23,7 @@ export class Corrections {
     this.clearButton = button("Discard points", () => this.clear(), { disabled: true });
     this.list = make("ul", { class: "corrections", "aria-label": "Corrections" });
     this.note = make("p", { class: "step", "aria-live": "polite" });
+    this.off = make("span", { class: "warned" });
     this.elements = [
       make("div", { class: "tools" },
         labelled("Face", this.faceBox), labelled("Reach, um", this.reachField), labelled("Point, um", this.pointField),
@@ -38,7 +37,7 @@ export class Corrections {
     return this.on.sheet();
   }
 
-  /** Begin anew on a sheet. @param {any} sheet */
+  /** Begin anew on a sheet. */
   startWith(sheet) {
     this.reachField.value = String(sheet.reach_um);
     this.draft = [];
@@ -46,17 +45,17 @@ export class Corrections {
     this.listed();
   }
 
-  /** Have a slice come with what the points make of it. @param {URLSearchParams} asked */
+  /** Have a slice come with what the points make of it. */
   ask(asked) {
     if (!this.draft.length) return;
     asked.set("points", this.draft.map((p) => `${p.z},${p.y},${p.x},${p.face}`).join(";"));
     asked.set("reach", this.reachField.value);
   }
 
-  /** Points of saved corrections, and of the one that is made, near a slice. @param {any} facts of the slice */
+  /** Points of saved corrections, and of the one that is made, near a slice. `facts`: of the slice */
   pointsIn(facts) {
     if (facts.direction === "straight") return [];
-    const saved = this.saved().flatMap((one) => one.points.map((/** @type {any} */ p) => ({ ...p, draft: false })));
+    const saved = this.saved().flatMap((one) => one.points.map((p) => ({ ...p, draft: false })));
     const made = this.draft.map((p) => ({ ...p, draft: true }));
     const reach = Number(this.reachField.value) || 0;
     const size = Math.abs(this.sheet.axes[facts.normal].step_um);
@@ -68,9 +67,9 @@ export class Corrections {
       }));
   }
 
-  /** Saved corrections of this sheet. @returns {any[]} */
+  /** Saved corrections of this sheet. */
   saved() {
-    const all = /** @type {any[]} */ (this.app.state.corrections ?? []);
+    const all = this.app.state.corrections ?? [];
     return all.filter((one) => (one.layer ?? this.on.first) === this.sheet.layer);
   }
 
@@ -82,7 +81,6 @@ export class Corrections {
     this.add({ x: found[0], y: found[1], z: found[2] });
   }
 
-  /** @param {{x: number, y: number, z: number}} place */
   add(place) {
     if (this.app.readOnly) {
       this.app.say("The run is open to read only.");
@@ -100,9 +98,34 @@ export class Corrections {
       this.app.say(`A correction has ${MOST_POINTS} points at most. Press Correct and go on with another.`);
       return;
     }
-    const round = (/** @type {number} */ value) => Math.round(value * 1000) / 1000;
+    const round = (value) => Math.round(value * 1000) / 1000;
     this.draft.push({ x: round(place.x), y: round(place.y), z: round(place.z), face: this.faceBox.value });
     this.tried();
+  }
+
+  /** Ask whether a point is meant that lies far off. */
+  question(place, words) {
+    const answered = (yes) => () => {
+      if (yes) this.add(place);
+      else this.tell();
+    };
+    const yes = button("Set it", answered(true));
+    this.note.replaceChildren(make("span", { class: "warned" }, `${typeset(words)} Is it meant? `), yes, " ", button("Leave it out", answered(false)));
+    yes.focus();
+  }
+
+  /** Say where the green line does not go through the points. */
+  compare(slice) {
+    const { across, down, normal } = slice.facts;
+    const size = Math.abs(this.sheet.axes[normal]?.step_um ?? 0);
+    const off = this.draft
+      .filter((p) => Math.abs(p[normal] - slice.facts.at_um) <= 0.5 * size)
+      .map((p) => Math.abs(slice.at(`preview_${p.face}`, p[across.name]) - p[down.name]));
+    const most = Math.max(0, ...off.filter(Number.isFinite));
+    this.off.textContent =
+      most > 2 * Math.abs(down.step_um)
+        ? ` The green line misses a point by ${most.toFixed(1)} µm: the image shows an edge there, or another point disagrees. Set more points, or remove it.`
+        : "";
   }
 
   drop() {
@@ -126,7 +149,7 @@ export class Corrections {
     const last = this.draft.at(-1);
     const at = last && written([last.x, last.y, last.z]);
     const points = `${count} point${count > 1 ? "s" : ""}`;
-    this.note.textContent = last ? `${points}, the last at x, y, z = ${at} um on the ${last.face} face.` : "";
+    this.note.replaceChildren(last ? `${points}, the last at x, y, z = ${at} µm on the ${last.face} face.` : "", this.off);
   }
 
   async correct() {
@@ -139,7 +162,7 @@ export class Corrections {
     if (done) this.clear();
   }
 
-  /** List what is saved. @returns {boolean} whether that is something else than before */
+  /** List what is saved. whether that is something else than before */
   listed() {
     const kept = this.saved();
     const shown = JSON.stringify(kept);
@@ -149,15 +172,14 @@ export class Corrections {
     return true;
   }
 
-  /** @param {any} one */
   row(one) {
-    const faces = [...new Set(one.points.map((/** @type {any} */ p) => p.face))].join(" and ");
+    const faces = [...new Set(one.points.map((p) => p.face))].join(" and ");
     const middle = one.points[Math.floor(one.points.length / 2)];
     const points = `${one.points.length} point${one.points.length > 1 ? "s" : ""}`;
     const { layer } = this.sheet;
     const remove = () => this.app.change({ do: "uncorrect", id: one.id, layer }, "Correction removed");
     return make("li", {},
-      `${one.id}: ${points} on the ${faces} face, reach ${one.reach_um ?? this.sheet.reach_um} um `,
+      `${one.id}: ${points} on the ${faces} face, reach ${one.reach_um ?? this.sheet.reach_um} µm `,
       button("Show", () => this.on.onShow({ layer, ...middle }), { "aria-label": `Show ${one.id}` }),
       button("Remove", remove, { "aria-label": `Remove correction ${one.id}`, disabled: this.app.readOnly }));
   }

@@ -1,6 +1,6 @@
 /** Marks from and to files of planish and other programs. */
 
-import { button, choice, labelled, make } from "./dom.js";
+import { button, choice, download, labelled, make } from "./dom.js";
 
 /** Files of these suffixes are no text. */
 const BINARY = /\.mat$/i;
@@ -8,14 +8,10 @@ const BINARY = /\.mat$/i;
 const FIXED = /fixed|target|image/i;
 const MOST_BYTES = 1_400_000;
 
-/**
- * Buttons `Import marks` and `Export marks`.
- * @param {any} app
- * @returns {HTMLElement}
- */
+/** Buttons `Import marks` and `Export marks`. */
 export function exchange(app) {
   const chosen = make("input", { type: "file", multiple: true, hidden: true, "aria-label": "File of marks", onchange: take });
-  const formats = (app.session.export_formats ?? ["json"]).map((/** @type {any} */ one) =>
+  const formats = (app.session.export_formats ?? ["json"]).map((one) =>
     typeof one === "string" ? one : [one.name, one.title],
   );
   const format = choice(formats, () => {});
@@ -48,24 +44,20 @@ export function exchange(app) {
     try {
       const response = await app.api.fetch(app.ofLayer(`marks/export?format=${encodeURIComponent(format.value)}`));
       const said = /filename="([^"]+)"/.exec(response.headers.get("content-disposition") ?? "");
-      const address = URL.createObjectURL(await response.blob());
-      const link = make("a", { href: address, download: said?.[1] ?? "marks.json" });
-      link.click();
-      setTimeout(() => URL.revokeObjectURL(address), 10_000);
-      app.say(`Exported ${link.download}.`);
-    } catch (/** @type {any} */ error) {
+      const name = said?.[1] ?? "marks.json";
+      download(await response.blob(), name);
+      app.say(`Exported ${name}.`);
+    } catch (error) {
       app.alarm(error.message);
     }
   }
 }
 
-/** @param {File} file @returns {Promise<{name: string, text?: string, base64?: string}>} */
 const content = async (file) =>
   BINARY.test(file.name)
     ? { name: file.name, base64: await encoded(file) }
     : { name: file.name, text: await file.text() };
 
-/** @param {File} file @returns {Promise<string>} */
 async function encoded(file) {
   const bytes = new Uint8Array(await file.arrayBuffer());
   let text = "";

@@ -1,5 +1,6 @@
 /** The tab Flattening: what the flattening did to the sheet as a map, and the sheet as it lay in the scanner, in space. */
 
+import { Contrast } from "./contrast.js";
 import { choice, labelled, make } from "./dom.js";
 import { colourAt, paletteOf } from "./colour.js";
 import { sizeOf, wholeLevel } from "./level.js";
@@ -10,11 +11,11 @@ import { drawShaded } from "./sheetmesh.js";
 
 const COARSER = 4; // levels beyond those of the pictures, for the first frames of a large sheet
 const MOST_SHADED = 500_000; // points of the picture with shadows
+const REST_MS = 150; // from a change of the colours to the sheet in them
 const TURN = Math.PI / 36; // of a key
 const HEIGHTS = ["1", "2", "5", "10", "20"];
 const MESH_COLOUR = "rgba(20, 20, 20, 0.55)";
 
-/** @param {HTMLElement} panel @param {any} app */
 export async function mount(panel, app) {
   const layer = encodeURIComponent(app.state.layer);
   const sheet = await app.api.get(`flattening?layer=${layer}`);
@@ -36,43 +37,20 @@ function strainMap(pane, app, sheet, pictures) {
   const shown = sheet.strain.map((id) => pictures.get(id)).filter(Boolean);
   const bar = make("div", { class: "fields" });
   const note = make("p", { class: "soft" });
-  const scale = new ScaleBar();
-  pane.append(make("h2", {}, "Strain left by flattening"), bar, scale.element, note);
+  pane.append(make("h2", {}, "Strain left by flattening"), bar, note);
   const view = new MapView({ element: pane, name: "Flat sheet", app });
   const show = (id) => {
-    const picture = pictures.get(id);
-    view.show(picture);
-    scale.show(picture);
+    view.show(pictures.get(id));
     note.textContent = "0 where the sheet was laid flat without strain; 96 % of it lie within the range of colours.";
   };
   bar.append(labelled("Strain", choice(shown.map((one) => [one.id, one.title]), show)));
-  const mesh = new ol.layer.Vector({ source: new ol.source.Vector(), style: meshStyle(), visible: false });
+  const mesh = new ol.layer.Vector({ source: new ol.source.Vector(), style: { "stroke-color": MESH_COLOUR, "stroke-width": 1 }, visible: false });
   view.map.addLayer(mesh);
   const box = make("input", { type: "checkbox", onchange: () => showMesh(app, mesh, box.checked) });
   bar.append(make("label", { class: "check" }, box, " Mesh"));
   if (shown.length) show(shown[0].id);
   app.onTab((name) => name === "flattening" && view.map.updateSize());
 }
-
-/** The colours of a picture with the values at both ends. */
-class ScaleBar {
-  constructor() {
-    this.canvas = make("canvas", { width: 160, height: 1, "aria-hidden": "true" });
-    [this.low, this.high] = [make("span"), make("span")];
-    this.element = make("div", { class: "scale-bar" }, this.low, this.canvas, this.high);
-  }
-
-  show(picture) {
-    const context = this.canvas.getContext("2d");
-    const row = context.createImageData(160, 1);
-    for (let k = 0; k < 160; k++) row.data.set([...colourAt(paletteOf(picture), k / 159), 255], 4 * k);
-    context.putImageData(row, 0, 0);
-    const unit = picture.units && picture.units !== "1" ? ` ${picture.units}` : "";
-    [this.low.textContent, this.high.textContent] = picture.range.map((v) => `${Number(v.toPrecision(3))}${unit}`);
-  }
-}
-
-const meshStyle = () => new ol.style.Style({ stroke: new ol.style.Stroke({ color: MESH_COLOUR, width: 1 }) });
 
 /** Lines of the mesh in the plane, thinned to what a screen can show; asked for once. */
 async function showMesh(app, layer, wanted) {
@@ -91,17 +69,25 @@ async function inSpace(pane, app, sheet, pictures) {
   const canvas = make("canvas", { class: "space", tabindex: 0, role: "img", "aria-label": "Sheet in space" });
   const bar = make("div", { class: "fields" });
   const note = make("p", { class: "soft" });
-  const scale = new ScaleBar();
+  let [colour, timer] = [pictures.get(sheet.colours[0]), 0];
+  const onChange = () => {
+    clearTimeout(timer);
+    timer = setTimeout(redraw, REST_MS);
+  };
+  const scale = new Contrast({ name: "Sheet colour range", say: (text) => app.say(text), onChange });
+  const showColour = async () => {
+    const shade = (share) => colourAt(paletteOf(colour), share);
+    scale.show({ ...colour, shade, counted: await app.histogram(colour).catch(() => null) });
+  };
   pane.append(make("h2", {}, "Centre surface as it lay in the scanner"), bar, scale.element, canvas, note);
-  let colour = pictures.get(sheet.colours[0]);
-  scale.show(colour);
+  await showColour();
   const gridAt = thinned(async (level) => {
     const [x, y, z, shown] = await Promise.all([u, v, warp, colour].map((one) => wholeLevel(app.api, one, level)));
     for (let k = 0; k < z.values.length; k++) {
       y.values[k] = -y.values[k]; // rows run down, and space has y upwards
       if (Number.isNaN(x.values[k]) || Number.isNaN(y.values[k])) z.values[k] = NaN;
     }
-    const colours = coloursOf(shown.values, colour);
+    const colours = coloursOf(shown.values, colour, scale.limits);
     return { rows: z.rows, cols: z.cols, x: x.values, y: y.values, z: z.values, colours };
   }, warp.levels);
   const shapeAt = (level) => {
@@ -116,9 +102,9 @@ async function inSpace(pane, app, sheet, pictures) {
     else void redraw();
   });
   bar.append(
-    labelled("Colour", choice(sheet.colours.map((id) => [id, pictures.get(id).title]), (id) => {
+    labelled("Colour", choice(sheet.colours.map((id) => [id, pictures.get(id).title]), async (id) => {
       colour = pictures.get(id);
-      scale.show(colour);
+      await showColour();
       void redraw();
     })),
     labelled("Heights", height),
@@ -142,8 +128,7 @@ async function inSpace(pane, app, sheet, pictures) {
 }
 
 /** Red, green and blue of each value; grey where there is none. */
-function coloursOf(values, picture) {
-  const [low, high] = picture.range;
+function coloursOf(values, picture, [low, high]) {
   const palette = paletteOf(picture);
   const table = Array.from({ length: 256 }, (_, k) => colourAt(palette, k / 255));
   const out = new Uint8Array(3 * values.length);

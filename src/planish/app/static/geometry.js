@@ -1,18 +1,8 @@
-/** Plane geometry: affine maps of points (x, y) in um. */
+/** Plane geometry: affine maps {a, b, c, d, e, f} of points in um, (x, y) -> (a x + b y + e, c x + d y + f). */
 
-/**
- * An affine map: (x, y) -> (a x + b y + e, c x + d y + f).
- * @typedef {{a: number, b: number, c: number, d: number, e: number, f: number}} Affine
- * @typedef {[number, number]} Point
- */
+const mean = (values) => values.reduce((sum, value) => sum + value, 0) / values.length;
 
-const mean = (/** @type {number[]} */ values) => values.reduce((sum, value) => sum + value, 0) / values.length;
-
-/**
- * The map of a similarity as the server gives it: x reversed first where it is mirrored, then turned and scaled.
- * @param {{scale: number, rotation_rad: number, shift_um: number[], mirrored: boolean}} similarity
- * @returns {Affine}
- */
+/** The map of a similarity as the server gives it: x reversed first where it is mirrored, then turned and scaled. */
 export function ofSimilarity({ scale, rotation_rad, shift_um, mirrored }) {
   const [cos, sin] = [scale * Math.cos(rotation_rad), scale * Math.sin(rotation_rad)];
   const flip = mirrored ? -1 : 1;
@@ -21,9 +11,7 @@ export function ofSimilarity({ scale, rotation_rad, shift_um, mirrored }) {
 
 /**
  * Least-squares affine map.
- * @param {Point[]} from
- * @param {Point[]} to
- * @returns {Affine|null} null below three pairs, or where the points lie on a line
+ * Null below three pairs, or where the points lie on a line
  */
 export function affine(from, to) {
   const [mx, my] = [mean(from.map((p) => p[0])), mean(from.map((p) => p[1]))];
@@ -48,39 +36,30 @@ export function affine(from, to) {
   return { a, b, c, d, e: nx - a * mx - b * my, f: ny - c * mx - d * my };
 }
 
-/**
- * @param {Affine} map
- * @param {Point} point
- * @returns {Point}
- */
 export const mapped = (map, [x, y]) => [map.a * x + map.b * y + map.e, map.c * x + map.d * y + map.f];
 
-/**
- * @param {Affine} map
- * @returns {Affine}
- */
 export function inverse({ a, b, c, d, e, f }) {
   const determinant = a * d - b * c;
   const [p, q, r, s] = [d / determinant, -b / determinant, -c / determinant, a / determinant];
   return { a: p, b: q, c: r, d: s, e: -(p * e + q * f), f: -(r * e + s * f) };
 }
 
-/** Scale of a map: the root of the area that it gives to a unit square. @param {Affine} map */
+/** Scale of a map: the root of the area that it gives to a unit square. */
 export const scaleOf = ({ a, b, c, d }) => Math.sqrt(Math.abs(a * d - b * c));
 
-/** Whether a map is a mirror image. @param {Affine} map */
+/** Whether a map is a mirror image. */
 export const isMirrored = ({ a, b, c, d }) => a * d - b * c < 0;
 
-/** Angle by which a map turns the sheet, in radians, in the sense from x to y. @param {Affine} map */
+/** Angle by which a map turns the sheet, in radians, in the sense from x to y. */
 export const angleOf = ({ b, d }) => Math.atan2(-b, d);
 
-/** A turn by an angle in radians, in the sense from x to y. @param {number} angle @returns {Affine} */
+/** A turn by an angle in radians, in the sense from x to y. */
 export const turned = (angle) => {
   const [cos, sin] = [Math.cos(angle), Math.sin(angle)];
   return { a: cos, b: -sin, c: sin, d: cos, e: 0, f: 0 };
 };
 
-/** One map after another. @param {Affine} last @param {Affine} first @returns {Affine} */
+/** One map after another. */
 export const after = (last, first) => ({
   a: last.a * first.a + last.b * first.c,
   b: last.a * first.b + last.b * first.d,

@@ -1,10 +1,9 @@
 /** One level of a picture as a whole, put together from its tiles: for the view in space, which needs all of it. */
 
 /**
- * @param {import("./api.js").Api} api
- * @param {object} picture as the session describes it
- * @param {number} level 0 is full resolution
- * @returns {Promise<{rows: number, cols: number, values: Float32Array}>} NaN where nothing was measured
+ * `picture`: as the session describes it
+ * `level`: 0 is full resolution
+ * NaN where nothing was measured
  */
 export async function wholeLevel(api, picture, level) {
   const [rows, cols] = sizeOf(picture, level);

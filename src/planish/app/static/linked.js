@@ -5,31 +5,25 @@ import { angleOf, inverse, isMirrored, mapped, ofSimilarity, scaleOf } from "./g
 /** Pairs from which on the views move together. */
 export const LINKED_FROM = 3;
 
-/**
- * From the moving to the fixed plane by the closest similarity to the fit, once enough pairs are in use.
- * @param {import("./store.js").State} state
- * @returns {import("./geometry.js").Affine|null}
- */
+/** From the moving to the fixed plane by the closest similarity to the fit, once enough pairs are in use. */
 export const similarityOf = (state) =>
   pairsOf(state).length >= LINKED_FROM && state.fit?.transform ? ofSimilarity(state.fit.transform) : null;
 
-/** Marks in use with both ends. @param {import("./store.js").State} state */
+/** Marks in use with both ends. */
 export const pairsOf = ({ marks }) => marks.filter((mark) => mark.used && mark.moving && mark.fixed);
 
 export class Linked {
-  /**
-   * @param {import("./mapview.js").MapView} moving
-   * @param {import("./mapview.js").MapView} fixed
-   */
   constructor(moving, fixed) {
     this.views = { moving, fixed };
-    /** @type {import("./geometry.js").Affine|null} from the moving to the fixed plane */
+    /** From the moving to the fixed plane */
     this.map = null;
     this.on = true;
     this.busy = false;
-    /** @type {"moving"|"fixed"} the view that was moved last leads */
+    moving.beside = () => (this.moves ? fixed.corners.map((one) => mapped(inverse(this.map), one)) : []);
+    fixed.beside = () => (this.moves ? moving.corners.map((one) => mapped(this.map, one)) : []);
+    /** The view that was moved last leads */
     this.leads = "moving";
-    for (const side of /** @type {const} */ (["moving", "fixed"])) {
+    for (const side of ["moving", "fixed"]) {
       this.views[side].view.on(["change:center", "change:resolution", "change:rotation"], () => this.follow(side));
     }
   }
@@ -39,16 +33,16 @@ export class Linked {
     return this.on && this.map !== null;
   }
 
-  /**
-   * Take a new fit; the view that does not lead moves where it differs.
-   * @param {import("./geometry.js").Affine|null} map
-   */
+  /** Take a new fit; the view that does not lead moves where it differs. */
   update(map) {
+    const first = !this.map && map;
     this.map = map;
-    if (map) this.follow(this.leads);
+    if (!map) return;
+    const leading = this.views[this.leads];
+    if (first && leading.fitted === leading.state) leading.fit();
+    this.follow(this.leads);
   }
 
-  /** @param {"moving"|"fixed"} side */
   follow(side) {
     if (this.busy || !this.moves) {
       if (!this.busy) this.leads = side;
@@ -56,7 +50,7 @@ export class Linked {
     }
     this.leads = side;
     const other = side === "moving" ? "fixed" : "moving";
-    const forward = /** @type {import("./geometry.js").Affine} */ (this.map);
+    const forward = this.map;
     const map = side === "moving" ? forward : inverse(forward);
     const [from, to] = [this.views[side].view, this.views[other]];
     this.busy = true;

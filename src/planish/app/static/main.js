@@ -2,6 +2,7 @@
 
 import { Api, takeToken } from "./api.js";
 import { mountApply } from "./apply.js";
+import { typeset } from "./dom.js";
 import { Store } from "./store.js";
 
 /** Modules of the tabs; each exports `mount(panel, app)`, called when its tab is first opened. */
@@ -12,26 +13,24 @@ const TABS = {
   flattening: () => import("./flattening.js"),
 };
 
-const find = (/** @type {string} */ id) => /** @type {any} */ (document.getElementById(id));
+const find = (id) => document.getElementById(id);
 
 const lines = {
   message: setter("message"),
   cursor: setter("cursor"),
   predicted: setter("predicted"),
-  selection: setter("selection"),
   slicePosition: setter("slice"),
-  alarm: (/** @type {string|null} */ text) => {
+  alarm: (text) => {
     const place = find("alarm");
-    if (place.textContent !== (text ?? "")) place.textContent = text ?? "";
+    if (place.textContent !== typeset(text ?? "")) place.textContent = typeset(text ?? "");
     place.hidden = !text;
   },
 };
 
-/** @param {string} name @returns {(text: string) => void} */
 function setter(name) {
   const line = find(`line-${name}`);
   return (text) => {
-    if (line.textContent !== text) line.textContent = text;
+    if (line.textContent !== typeset(text)) line.textContent = typeset(text);
   };
 }
 
@@ -46,7 +45,7 @@ async function start() {
   let session, state;
   try {
     [session, state] = await Promise.all([api.get("session"), api.get("state")]);
-  } catch (/** @type {any} */ error) {
+  } catch (error) {
     lines.alarm(
       error.status === 401
         ? "The token of this page is not that of the server. Open the address that 'planish view' printed."
@@ -54,18 +53,18 @@ async function start() {
     );
     return;
   }
-  const { cursor, predicted, selection, slicePosition } = lines;
-  const extras = { cursor, predicted, selection, slicePosition, openTab, onTab };
+  const { cursor, predicted, slicePosition } = lines;
+  const extras = { cursor, predicted, slicePosition, openTab, onTab };
   const app = Object.assign(new Store(api, session, state, lines), extras);
   nameRun(session);
   app.say(session.read_only ? `Open to read only. ${session.reason}` : "");
   bindHistory(app);
   mountTabs(app);
+  bindHelp();
   mountApply(find("apply"), app);
   void followServer(api, app);
 }
 
-/** @param {any} session */
 function nameRun(session) {
   const name = session.title ?? session.name ?? session.run ?? "";
   find("run-name").textContent = name;
@@ -77,11 +76,10 @@ function nameRun(session) {
   }
 }
 
-/** @param {any} app */
 function bindHistory(app) {
   find("undo").addEventListener("click", () => app.undo());
   find("redo").addEventListener("click", () => app.redo());
-  app.onState((/** @type {import("./store.js").State} */ state) => {
+  app.onState((state) => {
     find("undo").disabled = !state.can_undo || app.readOnly;
     find("redo").disabled = !state.can_redo || app.readOnly;
   });
@@ -95,30 +93,32 @@ function bindHistory(app) {
   });
 }
 
-/** Whether a key belongs to the text that is being written. @param {any} target */
-function isText(target) {
-  return target instanceof HTMLElement && target.matches("textarea, input:not([type=checkbox], [type=range])");
+/** Whether a key belongs to the text that is being written. */
+const isText = (target) => target instanceof HTMLElement && target.matches("textarea, input:not([type=checkbox], [type=range])");
+
+/** The list of keys is opened by its button or by the key ?, and closed by Esc. */
+function bindHelp() {
+  find("help").addEventListener("click", () => find("keys").showModal());
+  document.addEventListener("keydown", (event) => {
+    if (event.key === "?" && !isText(event.target) && !find("keys").open) find("keys").showModal();
+  });
 }
 
 // --- tabs --------------------------------------------------------------------------------------------------------
 
-/** @type {Map<string, Promise<void>>} */
 const opened = new Map();
-/** @type {((name: string) => void)[]} */
 const tabListeners = [];
-/** @type {any} */
 let shared = null;
 
-/** Call with the tab's name whenever a tab is shown. @param {(name: string) => void} listener */
+/** Call with the tab's name whenever a tab is shown. */
 function onTab(listener) {
   tabListeners.push(listener);
 }
 
-/** @param {any} app */
 function mountTabs(app) {
   shared = app;
   onTab(() => app.say(app.did));
-  const tabs = /** @type {HTMLButtonElement[]} */ ([...document.querySelectorAll("[role=tab]")]);
+  const tabs = [...document.querySelectorAll("[role=tab]")];
   tabs.forEach((tab, i) => {
     tab.disabled = false; // until now a click would have been lost
     tab.addEventListener("click", () => openTab(nameOf(tab)));
@@ -134,34 +134,29 @@ function mountTabs(app) {
   void openTab("marks");
 }
 
-const nameOf = (/** @type {HTMLElement} */ tab) => tab.id.replace("tab-", "");
+const nameOf = (tab) => tab.id.replace("tab-", "");
 
-/**
- * Show a tab, and make it when it is opened for the first time.
- * @param {string} name
- * @returns {Promise<void>}
- */
+/** Show a tab, and make it when it is opened for the first time. */
 function openTab(name) {
-  for (const tab of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll("[role=tab]"))) {
+  for (const tab of document.querySelectorAll("[role=tab]")) {
     const chosen = nameOf(tab) === name;
     tab.setAttribute("aria-selected", String(chosen));
     tab.tabIndex = chosen ? 0 : -1;
     find(`panel-${nameOf(tab)}`).hidden = !chosen;
   }
-  for (const line of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll("[data-tabs]"))) {
+  for (const line of document.querySelectorAll("[data-tabs]")) {
     line.hidden = !(line.dataset.tabs ?? "").split(" ").includes(name);
   }
   document.body.dataset.tab = name;
   if (!opened.has(name)) opened.set(name, mountTab(name));
   for (const listener of tabListeners) listener(name);
-  return /** @type {Promise<void>} */ (opened.get(name));
+  return opened.get(name);
 }
 
-/** @param {string} name */
 async function mountTab(name) {
   const panel = find(`panel-${name}`);
   try {
-    const module = await TABS[/** @type {keyof typeof TABS} */ (name)]();
+    const module = await TABS[(name)]();
     await module.mount(panel, shared);
   } catch (error) {
     opened.delete(name);
@@ -175,11 +170,7 @@ async function mountTab(name) {
 const LOST = "No connection to planish. Nothing is saved until it is back; start 'planish view' again if it was ended.";
 const ANEW = "This page lost its connection: planish was started anew. Open the address that it printed.";
 
-/**
- * Follow the changes of other windows, and say when the server is lost and found.
- * @param {Api} api
- * @param {any} app
- */
+/** Follow the changes of other windows, and say when the server is lost and found. */
 function followServer(api, app) {
   let lost = false;
   return api.follow({

@@ -2,22 +2,21 @@
 
 import { Artefacts } from "./artefacts.js";
 import { AtCursor, isMask } from "./atcursor.js";
-import { profile, shown } from "./charts.js";
-import { button, choice, labelled, make, numbers } from "./dom.js";
-import { MapSide } from "./mapside.js";
+import { profile } from "./charts.js";
+import { colourAt } from "./colour.js";
+import { button, choice, labelled, make, onNumbers, shown, typeset } from "./dom.js";
+import { MapSide, titled } from "./mapside.js";
 import { rawTileLayer } from "./rawtiles.js";
 import { Scatter } from "./scatter.js";
 import { Shapes } from "./shapes.js";
 
 /* global ol */
 
-const HELP =
-  "Drag in the scatter to choose values; their pixels are painted in both maps. Choose a region to see its points and r. " +
-  "Keys in a map: arrows move it, + and - zoom, 0 shows all, Enter takes the place in the middle. Esc in the scatter clears.";
 const NOTHING = "n 0: nothing is selected.";
-/** Pictures on the pixels of most of them: the reference where there is one. @param {any[]} pictures */
+/** Of maps whose r is worked out unasked. */
+const MOST_PIXELS = 8_000_000;
+/** Pictures on the pixels of most of them: the reference where there is one. */
 function together(pictures) {
-  /** @type {Map<string, any[]>} */
   const grids = new Map();
   for (const one of pictures) {
     const key = JSON.stringify([one.plane, one.shape, one.origin_um, one.pixel_um]);
@@ -28,16 +27,14 @@ function together(pictures) {
   return from.reduce((most, group) => (group.length > most.length ? group : most), []);
 }
 
-const named = (/** @type {any[]} */ pictures, /** @type {string} */ name) =>
+const named = (pictures, name) =>
   pictures.find((one) => one.name.split("/").at(-1) === name);
 
-/** @param {HTMLElement} panel @param {any} app */
 export function mount(panel, app) {
   new Maps(panel, app);
 }
 
 class Maps {
-  /** @param {HTMLElement} panel @param {any} app */
   constructor(panel, app) {
     this.app = app;
     this.pictures = together(app.pictures);
@@ -47,100 +44,88 @@ class Maps {
     }
     this.masks = this.pictures.filter(isMask);
     const layers = this.pictures.filter((one) => !isMask(one));
-    const { headline } = app.session.layers.find((/** @type {any} */ one) => one.name === app.layer);
+    const { headline } = app.session.layers.find((one) => one.name === app.layer);
     const left = named(layers, headline) ?? layers.find((one) => !one.name.endsWith("image")) ?? layers[0];
     const others = layers.filter((one) => one !== left);
     const right = named(others, "image") ?? others[0] ?? left;
-    /** @type {number[]|null} */
     this.region = null;
-    const shared = { app, pictures: layers, onLayer: () => this.changed(), onLook: () => this.draw(), onBrush: () => this.brushed() };
+    const shared = { app, pictures: layers, onLayer: () => this.changed(), onBrush: () => this.brushed() };
     this.left = new MapSide({ ...shared, side: "Left", chosen: left });
     this.right = new MapSide({ ...shared, side: "Right", chosen: right });
     this.sides = [this.left, this.right];
-    const drawn = (/** @type {string} */ type, /** @type {number[][]} */ points) => this.drawn(type, points);
+    this.right.view.onLook = () => this.over?.getSource().look({ ...this.right.view.look, ...this.right.view.more });
+    const drawn = (type, points) => this.drawn(type, points);
     this.shapes = new Shapes(this.sides.map((side) => side.view), { say: (text) => app.say(text), drawn });
-    this.cursor = new AtCursor(app, this.sides);
+    this.cursor = new AtCursor(app, this.sides, (found) => this.placed(found));
     this.scatter = new Scatter({
+      element: make("div", { class: "map scatter", role: "application", "aria-label": "Scatter", tabindex: 0 }),
+      shade: (share) => colourAt("viridis", share),
       onBrush: (a, b) => {
         [this.left.brush, this.right.brush] = [a, b];
         this.brushed();
       },
       onClear: () => this.clear(),
-      say: (text) => app.say(text),
     });
     this.scatterWords = make("p", { class: "soft" });
-    this.profile = make("div");
-    panel.classList.add("maps");
+    this.selection = make("p", { role: "status", "aria-label": "Selection", class: "selection" });
+    this.whole = make("p", { role: "status", "aria-label": "Whole maps" });
+    this.profile = make("div", { class: "profile-part", hidden: true });
+    const fixed = this.pictures[0].plane === "fixed";
+    const onMaps = { draw: () => this.shapes.start("Polygon"), show: (all) => this.shapes.artefacts(all) };
+    this.artefacts = fixed ? new Artefacts(app, onMaps) : null;
     const scatter = make(
       "section",
-      { class: "view", "aria-label": "Scatter of both layers" },
-      make("div", { class: "head" }, make("h2", {}, "Scatter"), this.scatter.fields),
+      { class: "view scatter-part", "aria-label": "Scatter of both layers" },
+      make("div", { class: "head" }, make("h2", {}, "Scatter"), this.scatter.bar),
       this.scatter.element,
       this.scatterWords,
+      this.whole,
+      this.selection,
     );
-    this.views = make("div", { class: "views" }, this.left.element, this.right.element, scatter);
-    const fixed = this.pictures[0].plane === "fixed";
-    const onMaps = { draw: () => this.shapes.sketch("Polygon"), show: (/** @type {any} */ all) => this.shapes.artefacts(all) };
-    this.artefacts = fixed ? new Artefacts(app, onMaps) : null;
-    panel.append(
-      this.tools(),
-      this.views,
-      make(
-        "div",
-        { class: "beside" },
-        make("section", { class: "panel", "aria-label": "Values at the cursor" }, make("h2", {}, "At the cursor"), this.cursor.values),
-        make("div", { class: "panel" }, this.profile, this.artefacts?.element ?? null),
-      ),
-      make("p", { class: "help soft" }, HELP),
+    const aside = make(
+      "aside",
+      { class: "panel" },
+      make("section", { "aria-label": "Values at the cursor" }, make("h2", {}, "At the cursor"), this.cursor.line, this.cursor.values),
+      this.artefacts?.element ?? null,
     );
+    this.desk = make("div", { class: "desk" }, this.left.element, this.right.element, aside, this.cursor.section, this.profile, scatter);
+    panel.classList.add("maps");
+    panel.append(this.tools(), this.desk);
     this.link();
-    for (const side of this.sides) this.cursor.bind(side, () => this.shapes.sketching !== null, () => this.shapes.end());
+    for (const side of this.sides) this.cursor.bind(side, this.shapes);
     this.changed();
+    void this.cursor.point(this.left.view.centre, this.left);
   }
 
   /** Controls above the maps. */
   tools() {
     const way = choice(["Side by side", "Blended"], (value) => this.blend(value === "Blended"));
-    this.share = make("input", { type: "range", min: 0, max: 1, step: 0.05, value: 0.5, oninput: () => this.draw() });
+    this.share = make("input", { type: "range", min: 0, max: 1, step: 0.05, value: 0.5, oninput: () => this.over?.setOpacity(Number(this.share.value)) });
     this.shareBox = labelled("Share of the right layer", this.share);
     this.shareBox.hidden = true;
     this.onlyValid = make("input", { type: "checkbox", onchange: () => this.draw() });
-    this.regionField = make("input", { type: "text", size: 26, spellcheck: "false" });
-    this.lineField = make("input", { type: "text", size: 26, spellcheck: "false" });
-    this.field(this.regionField, "A region is \"x0, y0, x1, y1\" in um.", (region) => this.setRegion(region));
-    this.field(this.lineField, "A line is \"x0, y0, x1, y1\" in um.", (line) => void this.drawProfile(line));
+    const places = { type: "text", size: 25, spellcheck: "false", placeholder: "x0, y0, x1, y1" };
+    this.regionField = make("input", { ...places, "aria-label": "Region, um" });
+    this.lineField = make("input", { ...places, "aria-label": "Line, um" });
+    const read = (field, name, use) =>
+      onNumbers(field, { count: 4, use, refuse: () => this.app.say(`A ${name} is "x0, y0, x1, y1" in um.`) });
+    read(this.regionField, "region", (region) => this.setRegion(region));
+    read(this.lineField, "line", (line) => void this.drawProfile(line));
+    const valid = make("label", { class: "check" }, this.onlyValid, make("span", {}, "Only valid pixels"));
     return make(
       "div",
       { class: "tools" },
+      make("div", { class: "group" }, labelled("Layout", way), this.shareBox, this.masks.length ? valid : null),
       make(
         "div",
         { class: "group" },
-        labelled("Layout", way),
-        this.shareBox,
-        this.masks.length ? make("label", { class: "check" }, this.onlyValid, make("span", {}, "Only valid pixels")) : null,
-        this.cursor.slice,
-      ),
-      make(
-        "div",
-        { class: "group" },
-        button("Draw region", () => this.shapes.sketch("Box")),
-        labelled("Region, um", this.regionField),
-        button("Draw line", () => this.shapes.sketch("LineString")),
-        labelled("Line, um", this.lineField),
+        button("Draw region", () => this.shapes.start("Box"), { title: "Or drag with Shift" }),
+        this.regionField,
+        button("Draw line", () => this.shapes.start("LineString")),
+        this.lineField,
         button("Clear selection", () => this.clear()),
       ),
     );
-  }
-
-  /** @param {HTMLInputElement} field @param {string} needed @param {(values: number[]|null) => void} use */
-  field(field, needed, use) {
-    field.addEventListener("change", () => {
-      const values = numbers(field.value, 4);
-      const valid = values !== null || field.value.trim() === "";
-      field.setAttribute("aria-invalid", String(!valid));
-      if (valid) use(values);
-      else this.app.say(needed);
-    });
   }
 
   // --- both maps as one ------------------------------------------------------------------------------------------
@@ -148,7 +133,7 @@ class Maps {
   /** Let both maps show the same place. */
   link() {
     const [a, b] = this.sides.map((side) => side.view.view);
-    const follow = (/** @type {any} */ from, /** @type {any} */ to) =>
+    const follow = (from, to) =>
       from.on(["change:center", "change:resolution", "change:rotation"], () => {
         if (String(to.getCenter()) !== String(from.getCenter())) to.setCenter(from.getCenter());
         if (to.getResolution() !== from.getResolution()) to.setResolution(from.getResolution());
@@ -158,11 +143,10 @@ class Maps {
     follow(b, a);
   }
 
-  /** @param {boolean} on */
   blend(on) {
     this.blended = on;
     this.shareBox.hidden = !on;
-    this.views.classList.toggle("one", on);
+    this.desk.classList.toggle("one", on);
     this.right.view.element.hidden = on;
     for (const side of this.sides) side.view.map.updateSize();
     this.draw();
@@ -173,10 +157,13 @@ class Maps {
     const same = this.left.picture === this.right.picture; // one brush is enough, and two would have one name
     this.right.brushBox.hidden = same;
     if (same) this.right.brush = null;
+    this.scatter.brush = [this.left.brush, this.right.brush];
     this.draw();
-    this.scatter.showBrush([this.left.brush, this.right.brush]);
     void this.count();
     void this.select();
+    void this.correlate();
+    if (this.line) void this.drawProfile(this.line);
+    if (this.cursor.found) this.cursor.show(this.cursor.found);
   }
 
   /** Draw both maps as they are to look now; the server is asked for nothing but tiles that were never shown. */
@@ -187,11 +174,11 @@ class Maps {
     });
     const layers = new Set(this.sides.map((side) => side.picture.layer));
     const more = { brushes, valid: this.masks.filter((mask) => layers.has(mask.layer)), onlyValid: this.onlyValid.checked };
-    for (const side of this.sides) side.draw(more);
+    for (const side of this.sides) side.view.recolour(more);
     if (this.over) this.left.view.map.removeLayer(this.over);
     this.over = null;
     if (!this.blended) return;
-    this.over = rawTileLayer(this.right.picture, this.app.api, { ...this.right.look, ...more });
+    this.over = rawTileLayer(this.right.picture, this.app.api, { ...this.right.view.look, ...more });
     this.over.setOpacity(Number(this.share.value));
     this.left.view.map.getLayers().insertAt(1, this.over);
   }
@@ -199,17 +186,17 @@ class Maps {
   // --- what is selected ------------------------------------------------------------------------------------------
 
   brushed() {
+    this.scatter.brush = [this.left.brush, this.right.brush];
+    this.scatter.draw();
     this.draw();
-    this.scatter.showBrush([this.left.brush, this.right.brush]);
     void this.select();
   }
 
-  /** @param {number[]|null} region */
   setRegion(region) {
-    const sorted = (/** @type {number} */ k) => [region?.[k] ?? 0, region?.[k + 2] ?? 0].sort((a, b) => a - b);
+    const sorted = (k) => [region?.[k] ?? 0, region?.[k + 2] ?? 0].sort((a, b) => a - b);
     const [xs, ys] = [sorted(0), sorted(1)];
     this.region = region && [xs[0], ys[0], xs[1], ys[1]];
-    this.regionField.value = this.region ? this.region.map((um) => String(Number(um.toFixed(3)))).join(", ") : "";
+    this.regionField.value = this.region ? this.region.map((um) => String(Number(um.toFixed(1)))).join(", ") : "";
     this.shapes.region(this.region);
     void this.countRegion();
     void this.select();
@@ -217,7 +204,6 @@ class Maps {
 
   clear() {
     for (const side of this.sides) side.brush = null;
-    this.app.selection(NOTHING);
     this.setRegion(null);
     this.brushed();
   }
@@ -226,65 +212,74 @@ class Maps {
     return `a=${this.left.picture.id}&b=${this.right.picture.id}${this.region ? `&region=${this.region.join()}` : ""}`;
   }
 
-  /** Density and histograms of the layers that are shown. */
+  /** The points of the layers that are shown, of which those of a region are chosen. */
   async count() {
     const [a, b] = [this.left.picture, this.right.picture];
-    const found = await this.latest("density", `density?a=${a.id}&b=${b.id}`);
-    if (found) {
-      const title = (/** @type {any} */ one) => `${one.name}${one.units && one.units !== "1" ? `, ${one.units}` : ""}`;
-      this.scatter.show(found, [title(a), title(b)]);
-      const beyond = found.beyond ? `, ${found.beyond} of them beyond its limits` : "";
-      this.scatterWords.textContent = `Scatter of ${found.n} points${beyond}; pixels of ${shown(found.pixel_um[1])} um.`;
-      await this.countRegion();
-    }
-    for (const side of this.sides) {
-      const counted = await this.latest(`histogram ${side.view.name}`, `histogram?id=${side.picture.id}`);
-      if (counted) side.showHistogram(counted);
-    }
+    this.density = await this.latest("density", `density?a=${a.id}&b=${b.id}`);
+    if (!this.density) return;
+    const { n, beyond, pixel_um: pixel } = this.density;
+    this.scatterWords.textContent = `Scatter of ${n} points${beyond ? `, ${beyond} of them beyond its limits` : ""}; pixels of ${shown(pixel[1])} µm.`;
+    await this.countRegion();
   }
 
   async countRegion() {
-    if (!this.region) return this.scatter.showRegion(null);
-    const found = await this.latest("points", `density?${this.query}`);
-    if (found && this.region) this.scatter.showRegion(found);
+    const region = this.region && (await this.latest("points", `density?${this.query}`));
+    if (!this.density || (this.region && !region)) return;
+    const { bins, a_low, a_high, b_low, b_high } = this.density;
+    const axes = [
+      { label: titled(this.left.picture), low: a_low, high: a_high },
+      { label: titled(this.right.picture), low: b_low, high: b_high },
+    ];
+    this.scatter.show({ axes, wide: bins, tall: bins, counts: countsOf(this.density), chosen: region ? countsOf(region) : null });
   }
 
-  /** Say what is selected, of all pixels; after it was drawn. */
+  /** The cursor stands at a place: it is seen in both maps and in the scatter. */
+  placed(found) {
+    this.shapes.cursor([found.x, found.y]);
+    const value = ({ id }) => found.values.find((one) => one.id === id)?.value ?? NaN;
+    this.scatter.here = [value(this.left.picture), value(this.right.picture)];
+    this.scatter.draw();
+  }
+
+  /** Say what is selected, of all pixels; of the whole maps where nothing is. */
   async select() {
     const [a, b] = [this.left.brush, this.right.brush];
     this.running.selection?.abort();
-    if (!this.region && !a && !b) return this.app.selection(NOTHING);
-    this.app.selection("n: counting all pixels …");
+    if (!this.region && !a && !b) {
+      this.selection.textContent = NOTHING;
+      return;
+    }
+    this.selection.textContent = "n: counting all pixels …";
     const brushes = `${a ? `&brush_a=${a.join()}` : ""}${b ? `&brush_b=${b.join()}` : ""}`;
     const found = await this.latest("selection", `selection?${this.query}${brushes}`);
     if (!found) return;
-    const what = `${this.left.picture.name} and ${this.right.picture.name}`;
-    const parts = [`n ${found.n}`];
-    if (found.r !== null) parts.push(`r ${found.r.toFixed(4)}`);
-    if (found.interval) parts.push(`95 % interval ${found.interval.map((/** @type {number} */ v) => v.toFixed(4)).join(" to ")}`);
-    if (found.n_eff !== null) parts.push(`n_eff ${found.n_eff.toFixed(1)}`);
-    if (a || b) parts.push("no r: values were picked, which biases it");
-    const words = [`${parts.join("; ")} (${what}, pixels of ${shown(found.pixel_um[1])} um).`, ...found.warnings];
-    this.app.selection(words.join(" "));
+    const said = [saidOf(found), ...(a || b ? ["no r: values were picked, which biases it"] : [])].join("; ");
+    const what = `${this.left.picture.title} and ${this.right.picture.title}`;
+    const words = [`${said} (${what}, pixels of ${shown(found.pixel_um[1])} um).`, ...found.warnings];
+    this.selection.textContent = typeset(words.join(" "));
   }
 
-  /** @type {Record<string, AbortController>} */
+  /** Say how the whole maps are correlated, where that does not take long. */
+  async correlate() {
+    this.whole.textContent = "";
+    const [a, b] = [this.left.picture, this.right.picture];
+    if (a === b || a.shape[0] * a.shape[1] > MOST_PIXELS) return;
+    const found = await this.latest("whole", `selection?a=${a.id}&b=${b.id}`);
+    if (found) this.whole.textContent = `Whole maps: ${saidOf(found)}.`;
+  }
+
   running = {};
 
-  /**
-   * What the server answers to the newest of some questions; null to those that are not wanted any more.
-   * @param {string} kind
-   * @param {string} path
-   */
+  /** What the server answers to the newest of some questions; null to those that are not wanted any more. */
   async latest(kind, path) {
     this.running[kind]?.abort();
     const mine = (this.running[kind] = new AbortController());
     try {
       const found = await this.app.api.get(path, { signal: mine.signal });
       return this.running[kind] === mine ? found : null;
-    } catch (/** @type {any} */ error) {
+    } catch (error) {
       if (mine.signal.aborted) return null;
-      if (kind === "selection") this.app.selection(NOTHING);
+      if (kind === "selection") this.selection.textContent = NOTHING;
       this.app.say(error.message);
       return null;
     }
@@ -292,7 +287,6 @@ class Maps {
 
   // --- what is drawn ---------------------------------------------------------------------------------------------
 
-  /** @param {string} type @param {number[][]} points */
   drawn(type, points) {
     if (type === "Polygon") return this.artefacts?.drawn(points);
     if (type === "Box") {
@@ -304,12 +298,28 @@ class Maps {
     void this.drawProfile(ends);
   }
 
-  /** @param {number[]|null} line */
   async drawProfile(line) {
+    this.line = line;
     this.shapes.line(line);
-    this.profile.replaceChildren();
-    if (!line) return;
-    const found = await this.latest("profile", `profile?a=${this.left.picture.id}&b=${this.right.picture.id}&line=${line.join()}`);
-    if (found) this.profile.replaceChildren(profile(found));
+    const found = line && (await this.latest("profile", `profile?a=${this.left.picture.id}&b=${this.right.picture.id}&line=${line.join()}`));
+    this.profile.hidden = !found;
+    if (!found) return;
+    const close = () => {
+      this.lineField.value = "";
+      void this.drawProfile(null);
+    };
+    this.profile.replaceChildren(profile(found, this.sides.map((side) => titled(side.picture)), close));
   }
 }
+
+/** n, r and its interval in words. */
+function saidOf({ n, r, interval, n_eff: independent }) {
+  const parts = [`n ${n}`];
+  if (r !== null) parts.push(`r ${r.toFixed(4)}`);
+  if (interval) parts.push(`95 % interval ${interval.map((v) => v.toFixed(4)).join(" to ")}`);
+  if (independent !== null) parts.push(`n_eff ${independent.toFixed(1)}`);
+  return parts.join("; ");
+}
+
+/** Counts of a density, row by row from the lowest b up. */
+const countsOf = ({ counts }) => new Uint32Array(Uint8Array.from(atob(counts), (one) => one.charCodeAt(0)).buffer);

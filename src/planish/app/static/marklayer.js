@@ -11,27 +11,30 @@ const NEAR_PX = 9;
 const COLOURS = { mark: "#ffd23f", chosen: "#ff5fa2", unused: "#d5d9dd", hole: "#6fd3ff", ghost: "#ffffff" };
 const HALO = "rgba(0, 0, 0, 0.75)";
 
-/** @param {string} colour @param {number} width @param {number[]} [dash] */
 const strokes = (colour, width, dash) => [
   new ol.style.Stroke({ color: HALO, width: width + 2 }),
   new ol.style.Stroke({ color: colour, width, lineDash: dash }),
 ];
 
-/** Two strokes, dark and light, of a cross with an open middle. @param {string} colour @param {number} radius */
+/** Two strokes, dark and light, of a cross with an open middle. */
 function cross(colour, radius) {
   return strokes(colour, 1.6).map(
     (stroke) => new ol.style.Style({ image: new ol.style.RegularShape({ points: 4, radius, radius2: 0, stroke }) }),
   );
 }
 
-/** @param {string} colour @param {number} radius @param {number} width @param {number[]} [dash] */
 function ring(colour, radius, width, dash) {
   return strokes(colour, width, dash).map(
     (stroke) => new ol.style.Style({ image: new ol.style.Circle({ radius, stroke }) }),
   );
 }
 
-/** @param {string} text @param {string} colour */
+/** A tile of texture. */
+const square = (colour, used) =>
+  strokes(colour, 1.6, used ? undefined : [3, 3]).map(
+    (stroke) => new ol.style.Style({ image: new ol.style.RegularShape({ points: 4, radius: 11, angle: Math.PI / 4, stroke }) }),
+  );
+
 function name(text, colour) {
   const label = new ol.style.Text({
     text,
@@ -48,20 +51,15 @@ function name(text, colour) {
 const HOLE = strokes(COLOURS.hole, 1).map((stroke) => new ol.style.Style({ stroke }));
 const GHOST = [...ring(COLOURS.ghost, 9, 1.4, [4, 3]), ...cross(COLOURS.ghost, 5)];
 
-/** @param {any} feature */
 function markStyle(feature) {
-  const { label, used, chosen } = feature.getProperties();
+  const { label, used, chosen, tile } = feature.getProperties();
   const colour = chosen ? COLOURS.chosen : used ? COLOURS.mark : COLOURS.unused;
-  const shape = used ? cross(colour, 9) : ring(colour, 6, 1.4, [3, 3]);
+  const shape = tile ? square(colour, used) : used ? cross(colour, 9) : ring(colour, 6, 1.4, [3, 3]);
   const around = chosen ? ring(colour, 13, 2) : [];
   return [...shape, ...around, name(used ? label : `${label} (not used)`, colour)];
 }
 
 export class MarkLayer {
-  /**
-   * @param {import("./mapview.js").MapView} view
-   * @param {"moving"|"fixed"} side
-   */
   constructor(view, side) {
     this.view = view;
     this.side = side;
@@ -70,7 +68,6 @@ export class MarkLayer {
     this.ghost = this.addLayer(GHOST, 15);
   }
 
-  /** @param {any} style @param {number} zIndex */
   addLayer(style, zIndex) {
     const source = new ol.source.Vector();
     this.view.map.addLayer(
@@ -79,37 +76,33 @@ export class MarkLayer {
     return source;
   }
 
-  /** Draw all holes of this side, (x, y, diameter) in um. @param {number[][]} holes */
+  /** Draw all holes of this side, (x, y, diameter) in um. */
   showHoles(holes) {
     const circles = holes.map(([x, y, diameter]) => new ol.geom.Circle(flipped([x, y]), diameter / 2));
     this.holes.clear();
     this.holes.addFeatures(circles.map((circle) => new ol.Feature(circle)));
   }
 
-  /**
-   * Draw the marks' ends on this side.
-   * @param {import("./store.js").Mark[]} marks
-   * @param {string|number|null} chosen
-   */
+  /** Draw the marks' ends on this side. */
   showMarks(marks, chosen) {
     const ends = marks.filter((mark) => mark[this.side]);
     this.marks.clear();
     this.marks.addFeatures(
       ends.map((mark) => {
-        const feature = new ol.Feature(new ol.geom.Point(flipped(/** @type {number[]} */ (mark[this.side]))));
-        feature.setProperties({ id: mark.id, label: mark.label, used: mark.used, chosen: mark.id === chosen });
+        const feature = new ol.Feature(new ol.geom.Point(flipped(mark[this.side])));
+        feature.setProperties({ id: mark.id, label: mark.label, used: mark.used, chosen: mark.id === chosen, tile: mark.source.includes("tile") });
         return feature;
       }),
     );
   }
 
-  /** Draw where a point is predicted. @param {number[]|null} point */
+  /** Draw where a point is predicted. */
   showGhost(point) {
     this.ghost.clear();
     if (point) this.ghost.addFeature(new ol.Feature(new ol.geom.Point(flipped(point))));
   }
 
-  /** The mark's end that a place on the screen means. @param {number[]} pixel @returns {any} */
+  /** The mark's end that a place on the screen means. */
   near(pixel) {
     let [best, found] = [NEAR_PX, null];
     for (const feature of this.marks.getFeatures()) {
@@ -120,28 +113,19 @@ export class MarkLayer {
     return found;
   }
 
-  /**
-   * Let the chosen mark be dragged.
-   * @param {(id: string|number, point: [number, number]) => void} onMoved
-   */
-  dragging(onMoved) {
-    let /** @type {any} */ held = null;
-    const drag = new ol.interaction.Pointer({
-      handleDownEvent: (/** @type {any} */ event) => {
-        const feature = event.originalEvent.button === 0 ? this.near(event.pixel) : null;
-        held = feature?.get("chosen") ? { feature, from: event.pixel, moved: false } : null;
-        return held !== null;
-      },
-      handleDragEvent: (/** @type {any} */ event) => {
-        held.moved ||= Math.hypot(event.pixel[0] - held.from[0], event.pixel[1] - held.from[1]) > 4;
-        if (held.moved) held.feature.getGeometry().setCoordinates(event.coordinate);
-      },
-      handleUpEvent: () => {
-        if (held.moved) onMoved(held.feature.get("id"), flipped(held.feature.getGeometry().getCoordinates()));
-        held = null;
-        return false;
-      },
+  /** Let the chosen mark be dragged. */
+  dragging(onMove, onMoved) {
+    this.view.takes.push((at) => {
+      const feature = this.near(at);
+      if (!feature?.get("chosen")) return null;
+      const id = feature.get("id");
+      return {
+        move: (to) => {
+          feature.getGeometry().setCoordinates(flipped(this.view.pointAt(to)));
+          onMove(id, this.view.pointAt(to));
+        },
+        end: (to) => onMoved(id, this.view.pointAt(to)),
+      };
     });
-    this.view.map.addInteraction(drag);
   }
 }

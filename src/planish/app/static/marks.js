@@ -3,51 +3,51 @@
 import { labelled, choice, make, written } from "./dom.js";
 import { exchange } from "./exchange.js";
 import { Linked, similarityOf } from "./linked.js";
-import { MapView, flipped } from "./mapview.js";
+import { MapView } from "./mapview.js";
 import { MarkLayer } from "./marklayer.js";
 import { MarkTools } from "./marktools.js";
 import { Overlay, WAYS } from "./overlay.js";
 import { Prediction } from "./prediction.js";
 import { MarkTable } from "./table.js";
+import { titled } from "./mapside.js";
 import { texture } from "./texture.js";
 
-/** @typedef {"moving"|"fixed"} Side */
-
-export const NAMES = { moving: "Volume side", fixed: "Image side" };
-const SIDES = /** @type {Side[]} */ (["moving", "fixed"]);
-const other = (/** @type {Side} */ side) => (side === "moving" ? "fixed" : "moving");
-
-const HELP =
-  "Click a hole in one view, then the same hole in the other. Keys in a view: arrows move the chosen mark by one " +
-  "screen pixel (Shift: 5) or else the view; Enter sets a mark at the cross in the middle; N and P go to the next and " +
-  "the previous mark; Delete removes it, Esc lets go of it; + and - zoom, [ and ] turn, 0 shows all.";
+const SIDES = ["moving", "fixed"];
+const other = (side) => (side === "moving" ? "fixed" : "moving");
 
 const TILES =
   "Tiles are pieces of the map's texture, each placed by itself, and no holes: to compare, show the map that shows in " +
-  "the image, and take a tile that is wrong out of use. ";
+  "the image, and take a tile that is wrong out of use.";
 
-/**
- * @param {HTMLElement} panel
- * @param {any} app
- */
+/** What does not change of the registration that is shown. */
+const factsOf = (app) => app.session.layers.find((one) => one.name === app.layer);
+
 export function mount(panel, app) {
-  new Marks(panel, app);
+  let marks;
+  const open = () => {
+    marks?.close();
+    marks = new Marks(panel, app, open);
+    marks.show(app.state);
+  };
+  open();
+  app.onState((state) => marks?.show(state));
 }
 
 class Marks {
-  /** @param {HTMLElement} panel @param {any} app */
-  constructor(panel, app) {
+  /** `anew`: shows the registration that was chosen */
+  constructor(panel, app, anew) {
     this.app = app;
-    /** @type {string|number|null} */
+    this.anew = anew;
+    this.names = factsOf(app).names;
     this.chosen = null;
     this.table = new MarkTable({
       choose: (id) => this.choose(id, true),
       use: (mark, used) => app.change({ do: "use", id: mark.id, used }, `${mark.label} ${used ? "used" : "not used"}`),
-    });
+    }, factsOf(app));
     this.tools = new MarkTools(app, this);
     const places = { moving: make("div", { class: "view" }), fixed: make("div", { class: "view" }) };
     this.warnings = make("ul", { class: "warnings", "aria-label": "Warnings" });
-    this.help = make("p", { class: "help soft" });
+    this.help = make("p", { class: "help soft" }, TILES);
     panel.classList.add("marks");
     panel.replaceChildren(
       this.tools.above,
@@ -57,71 +57,72 @@ class Marks {
     this.views = { moving: this.view("moving", places.moving), fixed: this.view("fixed", places.fixed) };
     this.layers = { moving: new MarkLayer(this.views.moving, "moving"), fixed: new MarkLayer(this.views.fixed, "fixed") };
     this.linked = new Linked(this.views.moving, this.views.fixed);
-    this.overlay = new Overlay(this.views.fixed);
-    this.prediction = new Prediction(app, this.layers);
+    this.overlay = new Overlay(this.views.fixed, this.views.moving);
+    this.prediction = new Prediction(app, this.layers, this.names);
     const way = choice(WAYS, (value) => {
       this.overlay.setWay(value);
       app.say(this.overlay.words);
     });
     this.tools.above.prepend(...this.layerBox());
     this.tools.above.append(make("div", { class: "group" }, labelled("View", way), this.overlay.control, this.followBox()));
-    const goTo = (/** @type {[number, number]} */ point) => (this.views.fixed.centre = point);
+    const goTo = (point) => (this.views.fixed.centre = point);
     const byTexture = texture(app, { newest: () => this.open, goTo });
     this.tools.below.append(exchange(app), ...(byTexture ? [byTexture] : []));
     this.boxes = { moving: this.pictureBox("moving", places.moving), fixed: this.pictureBox("fixed", places.fixed) };
     this.showLayer();
     for (const side of SIDES) this.bind(side);
-    app.onState((/** @type {import("./store.js").State} */ state) => this.show(state));
   }
 
-  /** @param {Side} side @param {HTMLElement} element */
+  close() {
+    this.overlay.close();
+    for (const side of SIDES) this.views[side].map.setTarget(null);
+  }
+
   view(side, element) {
-    const nudge = (/** @type {number} */ dx, /** @type {number} */ dy) => this.nudge(side, dx, dy);
-    return new MapView({ element, name: NAMES[side], app: this.app, nudge });
+    const nudge = (dx, dy) => this.nudge(side, dx, dy);
+    return new MapView({ element, name: this.names[side], app: this.app, nudge });
   }
 
-  /** The box that says which picture a view shows. @param {Side} side @param {HTMLElement} place */
+  /** The box that says which picture a view shows. */
   pictureBox(side, place) {
     const box = choice([], (id) => this.showPicture(side, id));
-    const head = make("div", { class: "head" }, make("h2", {}, NAMES[side]), labelled("", box, `${NAMES[side]} shows`));
-    place.prepend(head);
-    head.append(this.views[side].fields);
+    const shows = labelled("", box, `${this.names[side]} shows`);
+    place.prepend(make("div", { class: "head" }, make("h2", {}, this.names[side]), shows, this.views[side].fields));
     return box;
   }
 
-  /** @param {Side} side @param {string} id */
   showPicture(side, id) {
-    const picture = this.app.pictures.find((/** @type {any} */ one) => one.id === id);
+    const picture = this.app.pictures.find((one) => one.id === id);
     this.views[side].show(picture);
-    if (side === "moving") this.overlay.show(picture, this.app);
+    if (side === "moving") this.overlay.show(picture);
   }
 
   /** Show the pictures and holes of the registration that is chosen. */
   showLayer() {
-    const { pictures, layer, session } = this.app;
-    const facts = session.layers?.find((/** @type {any} */ one) => one.name === layer);
+    const { pictures } = this.app;
+    const facts = factsOf(this.app);
     for (const side of SIDES) {
-      const on = facts?.shown[side] ?? { plane: side, layer };
-      const shown = pictures.filter(
-        (/** @type {any} */ one) =>
-          one.plane === on.plane && !/(^|\/)valid$/.test(one.name) && (on.plane === "fixed" || one.layer === on.layer),
-      );
-      const options = shown.map((/** @type {any} */ one) => make("option", { value: one.id }, one.title));
+      const on = facts.shown[side];
+      const own = (one) => Number(one.layer === on.layer);
+      const shown = pictures
+        .filter((one) => one.plane === on.plane && !/(^|\/)valid$/.test(one.name) && (on.plane === "fixed" || own(one)))
+        .sort((a, b) => own(b) - own(a)); // the original before what was laid on it
+      const options = shown.map((one) => make("option", { value: one.id }, titled({ ...one, units: "" })));
       this.boxes[side].replaceChildren(...options);
       if (shown.length) this.showPicture(side, shown[0].id);
-      this.layers[side].showHoles((facts?.holes ?? session.holes)?.[side] ?? []);
+      this.layers[side].showHoles(facts.holes[side] ?? []);
     }
   }
 
-  /** Where several layers are registered: the box that says which one. @returns {HTMLElement[]} */
+  /** Where several layers are registered: the box that says which one. */
   layerBox() {
-    const names = (this.app.session.layers ?? []).map((/** @type {any} */ one) => one.name);
+    const names = (this.app.session.layers ?? []).map((one) => one.name);
     if (names.length < 2) return [];
     const box = choice(names, async (name) => {
-      this.chosen = null;
       await this.app.chooseLayer(name);
-      this.showLayer();
+      this.anew();
     });
+    box.value = this.app.layer;
     return [make("div", { class: "group" }, labelled("Layer", box))];
   }
 
@@ -135,21 +136,20 @@ class Marks {
     return make("label", { class: "check" }, box, make("span", {}, "Move views together"));
   }
 
-  /** @param {Side} side */
   bind(side) {
-    const { map, element } = this.views[side];
-    map.on("click", (/** @type {any} */ event) => this.clicked(side, flipped(event.coordinate), event.pixel));
-    map.on("pointermove", (/** @type {any} */ event) => {
-      if (!event.dragging) this.pointed(side, flipped(event.coordinate));
-    });
-    element.addEventListener("pointerleave", () => this.pointed(side, null));
-    element.addEventListener("keydown", (/** @type {KeyboardEvent} */ event) => this.key(side, event));
-    this.layers[side].dragging((id, point) => this.app.change({ do: "move", id, [side]: point }, "Mark moved"));
+    const view = this.views[side];
+    view.clicks.push((point, at) => this.clicked(side, point, at));
+    view.hovers.push((point) => this.pointed(side, point));
+    view.element.addEventListener("keydown", (event) => this.key(side, event));
+    const moving = (id, point) => {
+      const marks = this.app.state.marks.map((one) => (one.id === id ? { ...one, [side]: point } : one));
+      this.overlay.follow(marks);
+    };
+    this.layers[side].dragging(moving, (id, point) => this.app.change({ do: "move", id, [side]: point }, "Mark moved"));
   }
 
   // --- what is shown ---------------------------------------------------------------------------------------------
 
-  /** @param {import("./store.js").State} state */
   show(state) {
     if (this.chosen !== null && !state.marks.some((mark) => mark.id === this.chosen)) this.chosen = null;
     this.linked.update(similarityOf(state));
@@ -162,25 +162,25 @@ class Marks {
     for (const side of SIDES) this.layers[side].showMarks(state.marks, this.chosen);
     this.table.show(state, this.chosen);
     this.tools.show(state, this.mark);
-    this.help.textContent = (state.marks.some((/** @type {any} */ one) => one.source.includes("tile")) ? TILES : "") + HELP;
+    this.help.hidden = !state.marks.some((one) => one.source.includes("tile"));
     const { open } = this;
     for (const side of SIDES) this.views[side].hint(open && !open[side] ? `Click ${open.label} here` : "");
-    const general = (state.warnings ?? []).filter((/** @type {any} */ one) => one.id === undefined || one.id === null);
-    this.warnings.replaceChildren(...general.map((/** @type {any} */ one) => make("li", {}, one.text)));
+    const general = (state.warnings ?? []).filter((one) => one.id === undefined || one.id === null);
+    this.warnings.replaceChildren(...general.map((one) => make("li", {}, one.text)));
     this.prediction.showFor(this.mark ?? open);
   }
 
-  /** The chosen mark. @returns {import("./store.js").Mark|null} */
+  /** The chosen mark. */
   get mark() {
-    return this.app.state.marks.find((/** @type {any} */ one) => one.id === this.chosen) ?? null;
+    return this.app.state.marks.find((one) => one.id === this.chosen) ?? null;
   }
 
-  /** The newest mark that still has one end only. @returns {import("./store.js").Mark|null} */
+  /** The newest mark that still has one end only. */
   get open() {
-    return this.app.state.marks.findLast((/** @type {any} */ one) => !one.moving !== !one.fixed) ?? null;
+    return this.app.state.marks.findLast((one) => !one.moving !== !one.fixed) ?? null;
   }
 
-  /** @param {any} id @param {boolean} [go] whether the views go there */
+  /** `go`: whether the views go there */
   choose(id, go = false) {
     this.chosen = id;
     this.redraw();
@@ -193,7 +193,7 @@ class Marks {
     }
   }
 
-  /** Go on to the next mark in the order of the table. @param {1|-1} step */
+  /** Go on to the next mark in the order of the table. */
   walk(step) {
     const marks = this.table.ordered;
     if (!marks.length) return;
@@ -205,7 +205,6 @@ class Marks {
 
   // --- what is done ----------------------------------------------------------------------------------------------
 
-  /** @param {Side} side @param {[number, number]} point @param {number[]} pixel */
   clicked(side, point, pixel) {
     this.views[side].element.focus({ preventScroll: true });
     const meant = this.layers[side].near(pixel)?.get("id");
@@ -214,36 +213,32 @@ class Marks {
     else void this.put(side, point);
   }
 
-  /**
-   * Set an end of a mark: of the one that waits for it, or of a new one.
-   * @param {Side} side
-   * @param {[number, number]} point
-   */
+  /** Set an end of a mark: of the one that waits for it, or of a new one. */
   async put(side, point) {
-    let /** @type {any} */ id = null;
+    let id = null;
     const state = await this.app.change(() => {
       id = this.open?.id ?? null;
       return id === null ? { do: "add", [side]: point } : { do: "move", id, [side]: point };
-    }, `Mark set in the ${NAMES[side]}`);
+    }, `Mark set in the ${this.names[side]}`);
     if (!state) return;
-    if (this.open) this.app.say(`${this.app.did} Now set ${this.open.label} in the ${NAMES[other(side)]}.`);
+    if (this.open) this.app.say(`${this.app.did} Now set ${this.open.label} in the ${this.names[other(side)]}.`);
     this.choose(id ?? state.marks.at(-1).id);
     this.lead(side);
   }
 
-  /** Bring the predicted place of a mark's missing end into sight. @param {Side} side where its one end was set */
+  /** Bring the predicted place of a mark's missing end into sight. `side`: where its one end was set */
   lead(side) {
     const there = this.mark?.predicted?.[other(side)];
     const view = this.views[other(side)];
     if (there && !this.mark?.[other(side)] && !view.sees(there)) view.centre = there;
   }
 
-  /** @param {Side} side @param {number} dx @param {number} dy in um @returns {boolean} */
+  /** In um; whether a mark is chosen that has an end there. */
   nudge(side, dx, dy) {
     if (!this.mark?.[side]) return false;
     const { id } = this.mark;
-    void this.app.change((/** @type {any} */ state) => {
-      const end = state.marks.find((/** @type {any} */ one) => one.id === id)?.[side];
+    void this.app.change((state) => {
+      const end = state.marks.find((one) => one.id === id)?.[side];
       return end ? { do: "move", id, [side]: [end[0] + dx, end[1] + dy] } : null;
     }, "Mark moved");
     return true;
@@ -260,13 +255,11 @@ class Marks {
     if (mark) await this.app.write(() => this.app.post("snap", { id: mark.id, layer: this.app.layer }), `${mark.label} snapped to its hole`);
   }
 
-  /** @param {Side} side @param {[number, number]|null} point */
   pointed(side, point) {
-    this.app.cursor(point ? `${NAMES[side]} x, y: ${written(point)} um` : "");
+    this.app.cursor(point ? `${this.names[side]} x, y: ${written(point)} um` : "");
     this.prediction.point(side, point);
   }
 
-  /** @param {Side} side @param {KeyboardEvent} event */
   key(side, event) {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     const acts = {
@@ -276,7 +269,7 @@ class Marks {
       n: () => this.walk(1),
       p: () => this.walk(-1),
     };
-    const act = acts[/** @type {keyof typeof acts} */ (event.key)];
+    const act = acts[event.key];
     if (!act) return;
     event.preventDefault();
     void act();

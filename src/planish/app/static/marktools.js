@@ -4,10 +4,6 @@ import { button, choice, labelled, make } from "./dom.js";
 import { pairsOf } from "./linked.js";
 
 export class MarkTools {
-  /**
-   * @param {any} app
-   * @param {{walk: (step: 1|-1) => void, snap: () => void, remove: () => void}} marks
-   */
   constructor(app, marks) {
     this.app = app;
     this.model = choice(app.session.models ?? [app.state.model], (model) =>
@@ -39,10 +35,6 @@ export class MarkTools {
     }
   }
 
-  /**
-   * @param {import("./store.js").State} state
-   * @param {import("./store.js").Mark|null} mark
-   */
   show(state, mark) {
     const fixed = this.app.readOnly;
     if (document.activeElement !== this.label || mark?.id !== this.mark?.id) this.label.value = mark?.label ?? "";
@@ -56,12 +48,12 @@ export class MarkTools {
   }
 }
 
-/** The fit in words. @param {import("./store.js").State} state */
+/** The fit in words. */
 function said(state) {
   const { fit } = state;
   if (!fit) return "";
   if (fit.error) return fit.error;
-  const um = (/** @type {number|null} */ value) => (value === null || value === undefined ? "–" : `${value.toFixed(2)} um`);
+  const um = (value) => (value === null || value === undefined ? "–" : `${value.toFixed(2)} µm`);
   const model = fit.model === state.model ? "" : `${fit.model}: `;
   const follows = fit.follows ? `; ${state.model} follows` : "";
   return `${model}${pairsOf(state).length} pairs, residual ${um(fit.rms_um)}, leave-one-out ${um(fit.loo_rms_um)} (rms)${follows}`;

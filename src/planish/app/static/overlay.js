@@ -9,26 +9,31 @@ import { flipped } from "./mapview.js";
 /* global ol */
 
 const BLINK_MS = 600;
-export const WAYS = /** @type {[string, string][]} */ ([
+export const WAYS = [
   ["two", "side by side"],
   ["blend", "blend"],
   ["swipe", "swipe"],
-  ["blink", "blink"],
+  ["blink", "flicker"],
   ["checkerboard", "checkerboard"],
-]);
+];
 
 export class Overlay {
-  /** @param {import("./mapview.js").MapView} base the view of the fixed plane */
-  constructor(base) {
+  /**
+   * `base`: the view of the fixed plane
+   * `upper`: that of the moving one, whose colours it has
+   */
+  constructor(base, upper) {
     this.base = base;
+    this.upper = upper;
+    upper.onLook = () => this.layer?.getSource().look(upper.look);
     this.way = "two";
-    /** @type {import("./geometry.js").Affine|null} from the moving to the fixed plane */
+    /** From the moving to the fixed plane */
     this.fit = null;
     this.model = "similarity";
     this.inner = make("div", { class: "over-inner" });
     this.outer = make("div", { class: "over", "aria-hidden": "true" }, this.inner);
     this.share = make("input", { type: "range", min: 0, max: 100, value: 50, oninput: () => this.paint() });
-    this.control = labelled("Share of the Volume side, %", this.share);
+    this.control = labelled(`Share of the ${upper.name}, %`, this.share);
     this.control.hidden = true;
     this.view = new ol.View({
       projection: base.view.getProjection(),
@@ -45,34 +50,45 @@ export class Overlay {
     this.timer = 0;
   }
 
-  /** @param {any} picture of the moving plane @param {any} app */
-  show(picture, app) {
-    this.map.setLayers([rawTileLayer(picture, app.api)]);
+  /** Lay a picture of the moving plane over the other. */
+  show(picture) {
+    this.layer = rawTileLayer(picture, this.base.app.api, this.upper.look);
+    this.map.setLayers([this.layer]);
   }
 
-  /**
-   * Take the fit of the marks: affine where that is the model, its similarity part otherwise.
-   * @param {import("./store.js").State} state
-   */
+  close() {
+    clearInterval(this.timer);
+    this.map.setTarget(null);
+  }
+
+  /** Lay the pictures over each other while a mark is dragged: by an affine map, until the model has followed. */
+  follow(marks) {
+    if (this.way === "two" || !this.fit) return;
+    const pairs = pairsOf(({ marks }));
+    const [from, to] = [pairs.map((mark) => mark.moving), pairs.map((mark) => mark.fixed)];
+    this.fit = affine(from, to) ?? this.fit;
+    this.base.map.render();
+  }
+
+  /** Take the fit of the marks: affine where that is the model, its similarity part otherwise. */
   update(state) {
     this.model = state.fit?.model === "affine" ? "affine" : "similarity";
     this.fit = similarityOf(state);
     if (this.fit && this.model === "affine") {
       const pairs = pairsOf(state);
       const [from, to] = [pairs.map((mark) => mark.moving), pairs.map((mark) => mark.fixed)];
-      this.fit = affine(/** @type {any} */ (from), /** @type {any} */ (to));
+      this.fit = affine(from, to);
     }
     this.setWay(this.way);
   }
 
-  /** @param {string} way */
   setWay(way) {
     const other = way !== this.way;
     this.way = way;
     const on = way !== "two" && this.fit !== null;
     this.place.setVisible(on);
     this.control.hidden = !on || (way !== "blend" && way !== "swipe");
-    this.control.firstChild.lastChild.textContent = way === "swipe" ? "Swipe, % from the left" : "Share of the Volume side, %";
+    this.control.firstChild.lastChild.textContent = way === "swipe" ? "Swipe, % from the left" : `Share of the ${this.upper.name}, %`;
     if (!on || other) {
       clearInterval(this.timer);
       this.timer = 0;
@@ -90,7 +106,7 @@ export class Overlay {
     if (this.way === "two") return "";
     if (!this.fit) return "The pictures can be laid over each other from three pairs on.";
     const part = this.model === "affine" ? "affine map" : "similarity part";
-    return `Volume side laid over the Image side by the ${part} of the marks.`;
+    return `${this.upper.name} laid over the ${this.base.name} by the ${part} of the marks.`;
   }
 
   paint() {
@@ -103,10 +119,9 @@ export class Overlay {
   /**
    * Move the upper map to where the lower one is. What a view cannot do, stretch and mirror, is left to a CSS matrix:
    * base = turn(r) fit turn(-r') / scale, where turn(r) takes the axes of a plane to those of a screen turned by r.
-   * @returns {HTMLElement}
    */
   placed() {
-    const fit = /** @type {import("./geometry.js").Affine} */ (this.fit);
+    const fit = this.fit;
     const scale = scaleOf(fit);
     const turn = this.base.view.getRotation();
     const own = turn + angleOf(fit);

@@ -5,43 +5,32 @@ import { written } from "./dom.js";
 /** The pointer rests so long before the server is asked: a click is answered first. */
 const REST_MS = 40;
 
-const NAMES = { moving: "Volume side", fixed: "Image side" };
-
 export class Prediction {
-  /**
-   * @param {any} app
-   * @param {{moving: import("./marklayer.js").MarkLayer, fixed: import("./marklayer.js").MarkLayer}} layers
-   */
-  constructor(app, layers) {
+  constructor(app, layers, names) {
     this.app = app;
+    this.names = names;
     this.layers = layers;
-    /** @type {{side: "moving"|"fixed", point: [number, number]}|null} */
     this.wanted = null;
     this.busy = false;
     this.inside = false;
-    /** @type {import("./store.js").Mark|null} */
     this.mark = null;
   }
 
-  /** Show the predicted end of a mark that has one end only. @param {import("./store.js").Mark|null} mark */
+  /** Show the predicted end of a mark that has one end only. */
   showFor(mark) {
     this.mark = mark;
     this.rest();
   }
 
   rest() {
-    for (const side of /** @type {const} */ (["moving", "fixed"])) {
+    for (const side of ["moving", "fixed"]) {
       const place = this.mark && !this.mark[side] ? this.mark.predicted?.[side] : null;
       this.layers[side].showGhost(place ?? null);
-      if (place) this.app.predicted(`${this.mark?.label} in the ${NAMES[side]}: ${written(place)} um`);
+      if (place) this.app.predicted(`${this.mark?.label} in the ${this.names[side]}: ${written(place)} um`);
     }
   }
 
-  /**
-   * Follow the pointer; one question is asked at a time.
-   * @param {"moving"|"fixed"} side
-   * @param {[number, number]|null} point
-   */
+  /** Follow the pointer; one question is asked at a time. */
   point(side, point) {
     this.wanted = point && { side, point };
     this.inside = point !== null;
@@ -69,22 +58,17 @@ export class Prediction {
       ]);
       if (!this.inside) break;
       this.layers[there].showGhost(found ? [found.x, found.y] : null);
-      this.app.predicted(found ? `${NAMES[there]} x, y: ${written([found.x, found.y])} um; ${found.text}` : "No pair yet");
-      this.app.cursor([`${NAMES[side]} x, y: ${written(point)} um`, ...valuesAt(here, picture)].join("; "));
+      this.app.predicted(found ? `${this.names[there]} x, y: ${written([found.x, found.y])} um; ${found.text}` : "No pair yet");
+      this.app.cursor([`${this.names[side]} x, y: ${written(point)} um`, ...valuesAt(here, picture)].join("; "));
     }
     this.busy = false;
   }
 }
 
-/**
- * The value of the shown picture, and where the point lies in the volume.
- * @param {any} here
- * @param {any} picture
- * @returns {string[]}
- */
+/** The value of the shown picture, and where the point lies in the volume. */
 function valuesAt(here, picture) {
   if (!here) return [];
-  const own = here.values.find((/** @type {any} */ one) => one.id === picture.id);
+  const own = here.values.find((one) => one.id === picture.id);
   const units = own?.units === "1" ? "" : (own?.units ?? "");
   const text = () => `${picture.title} ${Number(own.value.toPrecision(4))} ${units}`.trim();
   const { volume } = here;

@@ -18,28 +18,18 @@ const MOST_TILES = 768;
 
 /** Code of a pixel of a mask that is true; 1 is false. */
 const VALID = 2;
-/** @type {{codes: [number, number]}} */
 const ONLY_VALID = { codes: [VALID, VALID] };
 
 /** Lengths of the page are um; OpenLayers takes this for that of the views, by its code. */
-const PROJECTION = new ol.proj.Projection({ code: "um", units: "m", metersPerUnit: 1e-6, getPointResolution: (r) => r });
+export const PROJECTION = new ol.proj.Projection({ code: "um", units: "m", metersPerUnit: 1e-6, getPointResolution: (r) => r });
 
 /** Raw tiles of a session, each fetched once. */
 class RawTiles {
-  /** @param {any} api */
   constructor(api) {
     this.api = api;
-    /** @type {Map<string, Promise<Uint16Array>>} */
     this.held = new Map();
   }
 
-  /**
-   * @param {Picture} picture
-   * @param {number} level
-   * @param {number} row
-   * @param {number} col
-   * @returns {Promise<Uint16Array>}
-   */
   get({ id }, level, row, col) {
     const path = `tiles/${id}/${level}/${row}/${col}`;
     let tile = this.held.get(path);
@@ -53,24 +43,22 @@ class RawTiles {
     return tile;
   }
 
-  /** @param {string} path @returns {Promise<Uint16Array>} */
   async fetch(path) {
     const response = await this.api.fetch(path);
     return new Uint16Array(await response.arrayBuffer());
   }
 }
 
-/** @type {WeakMap<object, RawTiles>} */
 const sessions = new WeakMap();
 
-/** The raw tiles of a session, which all views share. @param {any} api @returns {RawTiles} */
+/** The raw tiles of a session, which all views share. */
 function tilesOf(api) {
   const found = sessions.get(api) ?? new RawTiles(api);
   sessions.set(api, found);
   return found;
 }
 
-/** Tiles in um: those of a level cover twice the width of those below it. @param {Picture} picture */
+/** Tiles in um: those of a level cover twice the width of those below it. */
 function gridOf({ shape: [rows, cols], pixel_um: [dy, dx], origin_um: [x0, y0], levels, tile }) {
   const [left, top] = [x0 - dx / 2, -(y0 - dy / 2)];
   return new ol.tilegrid.TileGrid({
@@ -83,11 +71,6 @@ function gridOf({ shape: [rows, cols], pixel_um: [dy, dx], origin_um: [x0, y0], 
 
 /** A picture in colours. */
 export class RawTileSource extends ol.source.ImageTile {
-  /**
-   * @param {Picture} picture
-   * @param {any} api
-   * @param {Look} [look]
-   */
   constructor(picture, api, look = {}) {
     super({
       loader: (z, x, y) => this.draw(picture.levels - 1 - z, y, x),
@@ -103,7 +86,7 @@ export class RawTileSource extends ol.source.ImageTile {
     this.look(look);
   }
 
-  /** Draw it in another way. @param {Look} look */
+  /** Draw it in another way. */
   look(look) {
     const { palette = paletteOf(this.picture), low = this.picture.range[0], high = this.picture.range[1] } = look;
     this.colours = coloursOfCodes(this.picture, { palette, low, high });
@@ -117,12 +100,6 @@ export class RawTileSource extends ol.source.ImageTile {
     this.setKey(`${this.picture.id} ${this.looks}`);
   }
 
-  /**
-   * @param {number} level
-   * @param {number} row
-   * @param {number} col
-   * @returns {Promise<HTMLCanvasElement>}
-   */
   async draw(level, row, col) {
     const { colours, brushes, valid, onlyValid } = this;
     const pictures = [this.picture, ...valid, ...brushes.map((brush) => brush.picture)];
@@ -130,7 +107,7 @@ export class RawTileSource extends ol.source.ImageTile {
     const side = this.picture.tile;
     const canvas = document.createElement("canvas");
     canvas.width = canvas.height = side;
-    const context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
+    const context = canvas.getContext("2d");
     const image = context.createImageData(side, side);
     const pixels = new Uint32Array(image.data.buffer);
     for (let i = 0; i < pixels.length; i++) pixels[i] = colours[codes[i]];
@@ -144,12 +121,7 @@ export class RawTileSource extends ol.source.ImageTile {
   }
 }
 
-/**
- * Paint the pixels that lie in all brushes.
- * @param {Uint32Array} pixels
- * @param {{codes: [number, number]}[]} brushes
- * @param {Uint16Array[]} values
- */
+/** Paint the pixels that lie in all brushes. */
 function choose(pixels, brushes, values) {
   const chosen = packed(CHOSEN);
   for (let i = 0; i < pixels.length; i++) {
@@ -163,11 +135,6 @@ function choose(pixels, brushes, values) {
   }
 }
 
-/**
- * A layer that shows a picture; `layer.getSource().look(...)` draws it in another way.
- * @param {Picture} picture
- * @param {any} api
- * @param {Look} [look]
- */
+/** A layer that shows a picture; `layer.getSource().look(...)` draws it in another way. */
 export const rawTileLayer = (picture, api, look = {}) =>
   new ol.layer.Tile({ source: new RawTileSource(picture, api, look) });

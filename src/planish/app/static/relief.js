@@ -14,11 +14,10 @@ const SIZES = 12; // of frames whose times are kept
 
 export class Relief {
   /**
-   * @param {HTMLCanvasElement} canvas
-   * @param {object} three the module three.js
-   * @param {Function} Orbit OrbitControls
-   * @param {object} sheet `levels`; `step`, um between points of level 0; `shapeAt(level)`; and `gridAt(level)`, which
-   *   promises rows, cols, x, y, z (um, y upwards) and colours (0..255, three a point), NaN where there is no sheet
+   * `three`: the module three.js
+   * `Orbit`: OrbitControls
+   * `sheet`: `levels`; `step`, um between points of level 0; `shapeAt(level)`; and `gridAt(level)`, which promises rows,
+   * cols, x, y, z (um, y upwards) and colours (0..255, three a point), NaN where there is no sheet
    */
   constructor(canvas, three, Orbit, sheet) {
     Object.assign(this, { canvas, three, ...sheet });
@@ -26,8 +25,8 @@ export class Relief {
     this.renderer.autoClear = false;
     this.renderer.outputColorSpace = three.LinearSRGBColorSpace; // colours as the bar has them, shaded
     this.scene = new three.Scene();
-    this.scene.add(new three.HemisphereLight(0xffffff, 0x777777, 2.2));
-    const sun = new three.DirectionalLight(0xffffff, 1.6);
+    this.scene.add(new three.HemisphereLight(0xffffff, 0x999999, 2.0));
+    const sun = new three.DirectionalLight(0xffffff, 1.1);
     sun.position.set(-0.5, 0.4, 1);
     this.scene.add(sun);
     this.camera = new three.PerspectiveCamera(35, 1, 1, 1e6);

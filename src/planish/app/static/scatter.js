@@ -1,43 +1,15 @@
-/** Two layers against each other: density of the points, a rectangle that picks values, and the points of a region. */
+/** Two maps against each other: how many pixels have which values, a rectangle that picks some, and the place of the cursor. */
 
-import { CHOSEN, colourAt, packed } from "./colour.js";
-import { labelled, make, numbers, positive } from "./dom.js";
+import { make } from "./dom.js";
+import { bindGestures } from "./gestures.js";
+import { svgOf, viewBar } from "./viewbar.js";
 
-const EDGE = { left: 62, right: 10, top: 10, bottom: 38 };
-const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
-/** Screen pixels of a drag that picks something. */
-const LEAST_PX = 3;
+const [RIGHT, TOP, BOTTOM] = [14, 8, 40];
+const FONT = "12px system-ui, sans-serif";
+/** How much closer than all points the view comes, and how much farther off. */
+const [CLOSEST, FARTHEST] = [1 / 200, 2];
 
-/**
- * @typedef {{bins: number, a_low: number, a_high: number, b_low: number, b_high: number, counts: string,
- *   n: number, beyond: number, pixel_um: number[]}} Density
- */
-
-/** Counts of a density, row by row from the lowest b up. @param {Density} density @returns {Uint32Array} */
-const countsOf = ({ counts }) => new Uint32Array(Uint8Array.from(atob(counts), (one) => one.charCodeAt(0)).buffer);
-
-/**
- * Points as an image, one pixel a bin: the more points, the stronger the colour, by the logarithm.
- * @param {Density} density
- * @param {(share: number) => number} colour
- */
-function imageOf(density, colour) {
-  const counts = countsOf(density);
-  const side = density.bins;
-  const canvas = make("canvas", { width: side, height: side });
-  const context = canvas.getContext("2d");
-  const image = context.createImageData(side, side);
-  const pixels = new Uint32Array(image.data.buffer);
-  const most = Math.log1p(counts.reduce((a, b) => Math.max(a, b), 1));
-  counts.forEach((count, i) => {
-    const row = side - 1 - Math.floor(i / side);
-    if (count) pixels[row * side + (i % side)] = colour(Math.log1p(count) / most);
-  });
-  context.putImageData(image, 0, 0);
-  return canvas;
-}
-
-/** Round numbers within limits. @param {number} low @param {number} high @param {number} most */
+/** Round numbers within limits. */
 export function ticks(low, high, most) {
   const power = 10 ** Math.floor(Math.log10((high - low) / most));
   const step = power * ([1, 2, 5, 10].find((one) => (high - low) / (one * power) <= most) ?? 10);
@@ -46,266 +18,244 @@ export function ticks(low, high, most) {
   return found;
 }
 
+/**
+ * @typedef {{label: string, low: number, high: number}} Axis
+ * @typedef {{axes: [Axis, Axis], wide: number, tall: number, counts: Uint32Array, chosen: Uint32Array|null}} Points
+ *   `counts`: pixels in each bin, row by row from the lowest b up; `chosen`: those of them that are selected
+ */
 export class Scatter {
-  /** @param {{onBrush: (a: number[], b: number[]) => void, onClear: () => void, say: (text: string) => void}} listener */
-  constructor(listener) {
-    this.listener = listener;
+  constructor({ element, shade, onBrush, onClear }) {
+    this.element = element;
+    this.shade = shade;
+    this.on = { brush: onBrush, clear: onClear };
     this.canvas = make("canvas", { "aria-hidden": "true" });
-    this.element = make("div", { class: "map scatter", role: "application", "aria-label": "Scatter", tabindex: 0 }, this.canvas);
-    this.centreField = make("input", { type: "text", size: 16, spellcheck: "false" });
-    this.pixelField = make("input", { type: "number", min: 0, step: "any" });
-    this.fields = make(
-      "div",
-      { class: "fields" },
-      labelled("centre, um", this.centreField, "Scatter "),
-      labelled("um per screen pixel", this.pixelField, "Scatter, "),
-    );
-    /** @type {Density|null} */
-    this.density = null;
-    this.names = ["", ""];
-    /** @type {number[][]|null} */
-    this.brush = null;
-    /** @type {number[]|null} */
-    this.drag = null;
-    this.bind();
-    new ResizeObserver(() => this.draw()).observe(this.element);
+    this.picture = make("canvas");
+    this.bar = viewBar("Scatter", { zoom: (factor) => this.zoom(factor), fit: () => this.fit(), svg: () => this.svg() });
+    this.tool = make("button", { type: "button", "aria-pressed": "false", title: "Drag a rectangle; or drag with Shift" }, "Select");
+    this.tool.addEventListener("click", () => this.tool.setAttribute("aria-pressed", String(this.tool.ariaPressed !== "true")));
+    this.bar.prepend(this.tool);
+    element.append(this.canvas);
+    this.points = null;
+    /** Values that are picked of a and of b; null picks all */
+    this.brush = [null, null];
+    /** Values at the cursor */
+    this.here = null;
+    /** Said in place of the points. */
+    this.withheld = "";
+    /** What is seen, low and high of a and of b. */
+    this.seen = [];
+    new ResizeObserver(() => this.draw()).observe(element);
+    element.addEventListener("keydown", (event) => this.key(event));
+    bindGestures(element, {
+      pan: (right, down) => this.points && this.pan(right, -down),
+      zoom: (factor, at) => this.zoom(factor, at),
+      take: (at, shift) => {
+        if (!this.points || !(shift || this.tool.ariaPressed === "true")) return null;
+        const from = this.valuesAt(at);
+        const move = (to) => {
+          this.drag = this.valuesAt(to).map((value, k) => [Math.min(value, from[k]), Math.max(value, from[k])]);
+          this.draw();
+        };
+        const cancel = () => {
+          this.drag = null;
+          this.draw();
+        };
+        const end = (to) => {
+          move(to);
+          const [a, b] = this.drag;
+          cancel();
+          this.on.brush(a, b);
+        };
+        return { move, end, cancel };
+      },
+    });
   }
 
-  /**
-   * Show how the points of two layers lie.
-   * @param {Density} density
-   * @param {string[]} names of the layers with their units
-   */
-  show(density, names) {
-    const same = this.names.join() === names.join();
-    this.density = density;
-    this.names = names;
-    this.points = imageOf(density, (share) => packed(colourAt("viridis", 0.08 + 0.92 * share)));
-    this.region = null;
-    if (!same) this.fit();
-    this.draw();
+  /** Show other points; the view stays where the axes are the same. */
+  show(points, withheld = "") {
+    const labels = (one) => one?.axes.map((axis) => axis.label).join();
+    const same = labels(points) === labels(this.points);
+    this.points = points;
+    this.withheld = withheld;
+    if (points) this.paint(points);
+    if (same && this.seen.length) this.draw();
+    else this.fit();
   }
 
-  /** Show the points of a region over the others. @param {Density|null} density */
-  showRegion(density) {
-    this.region = density && imageOf(density, (share) => packed(CHOSEN, 90 + Math.round(165 * share)));
-    this.draw();
-  }
-
-  /** Show the values that are picked, of a and of b; null picks all. @param {(number[]|null)[]} ranges */
-  showBrush([a, b]) {
-    this.brush = a || b ? [a ?? [-Infinity, Infinity], b ?? [-Infinity, Infinity]] : null;
-    this.draw();
+  /** The more points, the stronger the colour, by the logarithm; grey where there is a selection beside them. */
+  paint({ wide, tall, counts, chosen }) {
+    const most = Math.log1p(counts.reduce((a, b) => Math.max(a, b), 1));
+    const image = new ImageData(wide, tall);
+    counts.forEach((count, k) => {
+      if (!count) return;
+      const share = Math.log1p((chosen ? chosen[k] : count) || count) / most;
+      const grey = 205 - 90 * share;
+      const colour = chosen && !chosen[k] ? [grey, grey, grey] : this.shade(0.08 + 0.92 * share);
+      image.data.set([...Array.from(colour), 255], 4 * ((tall - 1 - Math.floor(k / wide)) * wide + (k % wide)));
+    });
+    [this.picture.width, this.picture.height] = [wide, tall];
+    this.picture.getContext("2d").putImageData(image, 0, 0);
   }
 
   // --- where the view is -----------------------------------------------------------------------------------------
 
-  /** Width and height of the plot on the screen. */
-  get size() {
-    const { clientWidth, clientHeight } = this.element;
-    return [Math.max(clientWidth - EDGE.left - EDGE.right, 10), Math.max(clientHeight - EDGE.top - EDGE.bottom, 10)];
-  }
-
   fit() {
-    if (!this.density) return;
-    const { a_low, a_high, b_low, b_high } = this.density;
-    const [width, height] = this.size;
-    this.centre = [(a_low + a_high) / 2, (b_low + b_high) / 2];
-    this.ratio = (b_high - b_low) / height / ((a_high - a_low) / width);
-    this.pixel = (a_high - a_low) / width;
+    if (this.points) this.seen = this.points.axes.map(({ low, high }) => [low, high]);
+    this.draw();
   }
 
-  /** The values at a place of the canvas. @param {number} x @param {number} y @returns {number[]} */
-  valuesAt(x, y) {
-    const [width, height] = this.size;
-    return [
-      this.centre[0] + (x - EDGE.left - width / 2) * this.pixel,
-      this.centre[1] - (y - EDGE.top - height / 2) * this.pixel * this.ratio,
-    ];
+  /** In screen pixels. */
+  pan(right, up) {
+    const [, , wide, tall] = this.area();
+    this.seen = this.seen.map(([low, high], k) => {
+      const by = ((high - low) * (k ? up / tall : right / wide));
+      return [low - by, high - by];
+    });
+    this.draw();
   }
 
-  /** The place of values on the canvas. @param {number[]} values @returns {number[]} */
+  /** `at`: place on the screen that stays; the middle where it is not given */
+  zoom(factor, at) {
+    if (!this.points) return;
+    const { axes } = this.points;
+    const span = axes[0].high - axes[0].low;
+    const now = this.seen[0][1] - this.seen[0][0];
+    const by = Math.max(CLOSEST * span, Math.min(FARTHEST * span, now / factor)) / now;
+    const about = at ? this.valuesAt(at) : this.seen.map(([low, high]) => (low + high) / 2);
+    this.seen = this.seen.map((range, k) => range.map((value) => about[k] + (value - about[k]) * by));
+    this.draw();
+  }
+
+  /** The plot on the screen: left, top, width and height. */
+  area() {
+    const { clientWidth: wide, clientHeight: tall } = this.element;
+    const pen = this.canvas.getContext("2d");
+    pen.font = FONT;
+    const widest = Math.max(0, ...this.ticks(1).map((tick) => pen.measureText(String(tick)).width));
+    const left = 30 + widest;
+    return [left, TOP, Math.max(wide - left - RIGHT, 10), Math.max(tall - TOP - BOTTOM, 10)];
+  }
+
+  ticks(k) {
+    const [low, high] = this.seen[k];
+    return ticks(low, high, Math.max(2, k ? this.element.clientHeight / 35 : this.element.clientWidth / 70));
+  }
+
+  /** The values at a place of the view. */
+  valuesAt([x, y]) {
+    const [left, top, wide, tall] = this.area();
+    const [[a0, a1], [b0, b1]] = this.seen;
+    return [a0 + ((x - left) / wide) * (a1 - a0), b1 - ((y - top) / tall) * (b1 - b0)];
+  }
+
+  /** The place of values in the view. */
   placeOf([a, b]) {
-    const [width, height] = this.size;
-    return [
-      EDGE.left + width / 2 + (a - this.centre[0]) / this.pixel,
-      EDGE.top + height / 2 - (b - this.centre[1]) / (this.pixel * this.ratio),
-    ];
+    const [left, top, wide, tall] = this.area();
+    const [[a0, a1], [b0, b1]] = this.seen;
+    return [left + (wide * (a - a0)) / (a1 - a0), top + (tall * (b1 - b)) / (b1 - b0)];
   }
 
   // --- drawing ---------------------------------------------------------------------------------------------------
 
   draw() {
-    if (!this.density || !this.element.clientWidth) return;
-    if (!Number.isFinite(this.pixel)) this.fit();
-    const { clientWidth: wide, clientHeight: high } = this.element;
-    const dense = window.devicePixelRatio || 1;
-    this.canvas.width = wide * dense;
-    this.canvas.height = high * dense;
-    this.canvas.style.width = `${wide}px`;
-    this.canvas.style.height = `${high}px`;
-    const context = this.canvas.getContext("2d");
-    const [width, height] = this.size;
-    const style = getComputedStyle(this.element);
-    context.setTransform(dense, 0, 0, dense, 0, 0);
-    context.font = `12px ${style.fontFamily}`;
-    context.save();
-    context.beginPath();
-    context.rect(EDGE.left, EDGE.top, width, height);
-    context.clip();
-    this.paint(context, this.points, this.region ? 0.35 : 1);
-    if (this.region) this.paint(context, this.region, 1);
-    const box = this.drag ? this.dragged() : this.brush;
-    if (box) this.frame(context, box);
-    context.restore();
-    this.axes(context, style.color);
-    this.showPlace();
-  }
-
-  paint(context, image, alpha) {
-    const { a_low, a_high, b_low, b_high } = /** @type {Density} */ (this.density);
-    const [left, top] = this.placeOf([a_low, b_high]);
-    const [right, bottom] = this.placeOf([a_high, b_low]);
-    context.imageSmoothingEnabled = false;
-    context.globalAlpha = alpha;
-    context.drawImage(image, left, top, right - left, bottom - top);
-    context.globalAlpha = 1;
-  }
-
-  frame(context, [a, b]) {
-    const [width, height] = this.size;
-    const within = (value, low, size) => Math.min(Math.max(value, low - 2), low + size + 2);
-    const [x0, y0] = this.placeOf([a[0], b[1]]).map((v, k) => within(v, [EDGE.left, EDGE.top][k], [width, height][k]));
-    const [x1, y1] = this.placeOf([a[1], b[0]]).map((v, k) => within(v, [EDGE.left, EDGE.top][k], [width, height][k]));
-    context.fillStyle = `rgba(${CHOSEN.join()}, 0.14)`;
-    context.strokeStyle = `rgb(${CHOSEN.join()})`;
-    context.lineWidth = 2;
-    context.fillRect(x0, y0, x1 - x0, y1 - y0);
-    context.strokeRect(x0, y0, x1 - x0, y1 - y0);
-  }
-
-  axes(context, colour) {
-    const [width, height] = this.size;
-    const [low, high] = [this.valuesAt(EDGE.left, EDGE.top + height), this.valuesAt(EDGE.left + width, EDGE.top)];
-    context.fillStyle = context.strokeStyle = colour;
-    context.lineWidth = 1;
-    context.strokeRect(EDGE.left + 0.5, EDGE.top + 0.5, width - 1, height - 1);
-    context.textAlign = "center";
-    for (const tick of ticks(low[0], high[0], Math.max(2, width / 80))) {
-      context.fillText(String(tick), this.placeOf([tick, 0])[0], EDGE.top + height + 14);
+    const { clientWidth: wide, clientHeight: tall } = this.element;
+    if (!wide) return;
+    const ratio = Math.min(window.devicePixelRatio || 1, 2);
+    [this.canvas.width, this.canvas.height] = [Math.round(wide * ratio), Math.round(tall * ratio)];
+    const pen = this.canvas.getContext("2d");
+    pen.scale(ratio, ratio);
+    const ink = getComputedStyle(this.element).color;
+    pen.font = FONT;
+    pen.fillStyle = pen.strokeStyle = ink;
+    if (this.withheld || !this.points) {
+      pen.fillText(this.withheld, 12, TOP + 20, wide - 24);
+      return;
     }
-    context.fillText(this.names[0], EDGE.left + width / 2, EDGE.top + height + 31);
-    context.textAlign = "right";
-    for (const tick of ticks(low[1], high[1], Math.max(2, height / 40))) {
-      context.fillText(String(tick), EDGE.left - 6, this.placeOf([0, tick])[1] + 4);
+    const [left, top, width, height] = this.area();
+    const { axes } = this.points;
+    pen.save();
+    pen.beginPath();
+    pen.rect(left, top, width, height);
+    pen.clip();
+    pen.imageSmoothingEnabled = false;
+    const [x0, y0] = this.placeOf([axes[0].low, axes[1].high]);
+    const [x1, y1] = this.placeOf([axes[0].high, axes[1].low]);
+    pen.drawImage(this.picture, x0, y0, x1 - x0, y1 - y0);
+    this.drawBrush(pen);
+    if (this.here?.every(Number.isFinite)) {
+      const [x, y] = this.placeOf(this.here);
+      stroked(pen, () => pen.arc(x, y, 5, 0, 7));
     }
-    context.save();
-    context.translate(12, EDGE.top + height / 2);
-    context.rotate(-Math.PI / 2);
-    context.textAlign = "center";
-    context.fillText(this.names[1], 0, 0);
-    context.restore();
+    pen.restore();
+    pen.strokeRect(left + 0.5, top + 0.5, width, height);
+    pen.textAlign = "center";
+    for (const tick of this.ticks(0)) pen.fillText(String(tick), this.placeOf([tick, 0])[0], top + height + 15);
+    pen.fillText(axes[0].label, left + width / 2, tall - 6, wide - 10);
+    pen.textAlign = "right";
+    for (const tick of this.ticks(1)) pen.fillText(String(tick), left - 5, this.placeOf([0, tick])[1] + 4);
+    pen.textAlign = "center";
+    pen.translate(13, top + height / 2);
+    pen.rotate(-Math.PI / 2);
+    pen.fillText(axes[1].label, 0, 0, tall - 10);
   }
 
-  showPlace() {
-    const focused = document.activeElement;
-    if (this.centreField !== focused) this.centreField.value = this.centre.map((v) => Number(v.toPrecision(7))).join(", ");
-    if (this.pixelField !== focused) this.pixelField.value = String(Number(this.pixel.toPrecision(5)));
+  drawBrush(pen) {
+    const [a, b] = this.drag ?? this.brush;
+    if (!a && !b) return;
+    const [x0, y1] = this.placeOf([(a ?? this.seen[0])[0], (b ?? this.seen[1])[0]]);
+    const [x1, y0] = this.placeOf([(a ?? this.seen[0])[1], (b ?? this.seen[1])[1]]);
+    stroked(pen, () => pen.rect(x0, y0, x1 - x0, y1 - y0), "#c22");
   }
 
-  // --- mouse, keys and fields ------------------------------------------------------------------------------------
-
-  dragged() {
-    const [x0, y0, x1, y1] = /** @type {number[]} */ (this.drag);
-    const [from, to] = [this.valuesAt(x0, y0), this.valuesAt(x1, y1)];
-    return [0, 1].map((k) => [Math.min(from[k], to[k]), Math.max(from[k], to[k])]);
+  svg() {
+    this.draw();
+    const { clientWidth: wide, clientHeight: tall } = this.element;
+    const whole = make("canvas", { width: this.canvas.width, height: this.canvas.height });
+    const pen = whole.getContext("2d");
+    pen.fillStyle = getComputedStyle(this.element).backgroundColor;
+    pen.fillRect(0, 0, whole.width, whole.height);
+    pen.drawImage(this.canvas, 0, 0);
+    return svgOf(whole, { wide, tall, title: this.points?.axes.map((axis) => axis.label).join(" and ") ?? "" });
   }
 
-  bind() {
-    const at = (/** @type {MouseEvent} */ event) => {
-      const box = this.element.getBoundingClientRect();
-      return [event.clientX - box.left, event.clientY - box.top];
-    };
-    this.element.addEventListener("pointerdown", (event) => {
-      if (event.button !== 0 || !this.density) return;
-      this.element.setPointerCapture(event.pointerId);
-      const [x, y] = at(event);
-      this.drag = [x, y, x, y];
-    });
-    this.element.addEventListener("pointermove", (event) => {
-      if (!this.drag) return;
-      this.drag = [this.drag[0], this.drag[1], ...at(event)];
-      this.draw();
-    });
-    this.element.addEventListener("pointerup", () => {
-      if (!this.drag) return;
-      const [x0, y0, x1, y1] = this.drag;
-      const picked = this.dragged();
-      this.drag = null;
-      if (Math.abs(x1 - x0) > LEAST_PX && Math.abs(y1 - y0) > LEAST_PX) this.listener.onBrush(picked[0], picked[1]);
-      this.draw();
-    });
-    this.element.addEventListener("pointercancel", () => {
-      this.drag = null;
-      this.draw();
-    });
-    this.element.addEventListener(
-      "wheel",
-      (event) => {
-        if (!this.density) return;
-        event.preventDefault();
-        this.zoom(Math.exp(event.deltaY / 400), at(event));
-      },
-      { passive: false },
-    );
-    this.element.addEventListener("keydown", (event) => this.key(event));
-    const place = (/** @type {string} */ text) => numbers(text, 2);
-    this.field(this.centreField, place, (point) => (this.centre = point), 'Scatter centre is "x, y": a value of each layer.');
-    this.field(this.pixelField, positive, ([um]) => (this.pixel = um), "Scatter: um per screen pixel is a number above 0.");
-  }
+  // --- keys ------------------------------------------------------------------------------------------------------
 
-  /**
-   * @param {HTMLInputElement} field
-   * @param {(text: string) => number[]|null} read
-   * @param {(values: number[]) => void} use
-   * @param {string} needed
-   */
-  field(field, read, use, needed) {
-    field.addEventListener("change", () => {
-      const values = read(field.value);
-      field.setAttribute("aria-invalid", String(!values));
-      if (!values) return this.listener.say(needed);
-      use(values);
-      this.draw();
-    });
-  }
-
-  /** @param {KeyboardEvent} event */
   key(event) {
-    if (event.ctrlKey || event.metaKey || event.altKey || !this.density) return;
-    const step = ARROWS[/** @type {keyof typeof ARROWS} */ (event.key)];
-    if (step) {
-      event.preventDefault();
-      const pixels = event.shiftKey ? 50 : 10;
-      this.centre = [
-        this.centre[0] + step[0] * pixels * this.pixel,
-        this.centre[1] + step[1] * pixels * this.pixel * this.ratio,
-      ];
-    } else if (event.key === "+" || event.key === "=") return this.zoom(Math.SQRT1_2);
-    else if (event.key === "-") return this.zoom(Math.SQRT2);
+    if (event.ctrlKey || event.metaKey || event.altKey || !this.points || event.target !== this.element) return;
+    const arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+    const step = arrows[event.key];
+    if (step) this.arrow(step, event.shiftKey);
+    else if (event.key === "Enter") {
+      const [a, b] = this.seen.map(([low, high]) => [low + 0.4 * (high - low), low + 0.6 * (high - low)]);
+      this.on.brush(a, b);
+    } else if (event.key === "Escape") this.on.clear();
+    else if (event.key === "+" || event.key === "=") this.zoom(Math.SQRT2);
+    else if (event.key === "-" || event.key === "−") this.zoom(Math.SQRT1_2);
     else if (event.key === "0") this.fit();
-    else if (event.key === "Escape") return this.listener.onClear();
-    this.draw();
+    else return;
+    event.preventDefault();
   }
 
-  /** @param {number} factor @param {number[]} [about] place on the canvas that stays */
-  zoom(factor, about) {
-    const [width, height] = this.size;
-    const [x, y] = about ?? [EDGE.left + width / 2, EDGE.top + height / 2];
-    const before = this.valuesAt(x, y);
-    this.pixel *= factor;
-    const after = this.valuesAt(x, y);
-    this.centre = [this.centre[0] + before[0] - after[0], this.centre[1] + before[1] - after[1]];
-    this.draw();
+  /** Move the rectangle, or with Shift its upper right corner; where there is none, the view. */
+  arrow(step, grow) {
+    const [a, b] = this.brush;
+    if (!a && !b) return this.pan(-20 * step[0], -20 * step[1]);
+    const moved = [a, b].map((range, k) => {
+      const [low, high] = range ?? this.seen[k];
+      const by = 0.02 * step[k] * (this.seen[k][1] - this.seen[k][0]);
+      return [grow ? low : low + by, Math.max(high + by, low + 1e-9)];
+    });
+    this.on.brush(moved[0], moved[1]);
+  }
+}
+
+/** A line that is seen on any ground. */
+function stroked(pen, path, colour = "#111") {
+  for (const [ink, width] of [["#fff", 4], [colour, 1.8]]) {
+    pen.strokeStyle = ink;
+    pen.lineWidth = width;
+    pen.beginPath();
+    path();
+    pen.stroke();
   }
 }

@@ -1,94 +1,125 @@
-/** Region, line and artefacts on both maps, as they stand and while they are drawn. */
+/** Region, line, artefacts and the cursor on both maps, as they stand and while they are drawn. */
 
 import { flipped } from "./mapview.js";
 
 /* global ol */
 
-const ACCENT = "#ff4800";
-const styled = (/** @type {string} */ stroke, /** @type {string} */ fill, /** @type {number[]} */ dash = []) => [
+const styled = (stroke, fill, dash = []) => [
   new ol.style.Style({ stroke: new ol.style.Stroke({ color: "#fff", width: 4 }) }),
   new ol.style.Style({
     stroke: new ol.style.Stroke({ color: stroke, width: 2, lineDash: dash }),
     fill: new ol.style.Fill({ color: fill }),
   }),
 ];
+const cursor = (color, width) =>
+  new ol.style.Style({
+    image: new ol.style.RegularShape({ points: 4, radius: 13, radius2: 0, stroke: new ol.style.Stroke({ color, width }) }),
+  });
 const STYLES = {
-  region: styled(ACCENT, "rgba(255, 72, 0, 0.08)"),
+  region: styled("#ff4800", "rgba(255, 72, 0, 0.08)"),
   line: styled("#0b5cad", "transparent"),
   artefact: styled("#7a1fa2", "rgba(122, 31, 162, 0.18)", [6, 4]),
+  drawn: styled("#ff4800", "rgba(255, 72, 0, 0.08)", [4, 4]),
+  cursor: [cursor("#fff", 4), cursor("#111", 1.6)],
 };
 const HOW = {
-  Box: "Click two corners of the region.",
-  LineString: "Click both ends of the line.",
-  Polygon: "Click the corners; a double click ends.",
+  Box: "Drag over the region, or click two corners.",
+  LineString: "Drag along the line, or click both ends.",
+  Polygon: "Click the corners; a double click, or a click on the last corner, ends.",
 };
+/** How near the last corner a click ends a polygon, in screen pixels. */
+const NEAR_PX = 8;
 
 export class Shapes {
-  /**
-   * @param {import("./mapview.js").MapView[]} views
-   * @param {{say: (text: string) => void, drawn: (type: string, points: number[][]) => void}} on
-   *   `drawn` gets the corners of a box or polygon, or the ends of a line, in um
-   */
+  /** `on.drawn` gets two corners of a box, all of a polygon, or the ends of a line, in um */
   constructor(views, on) {
     this.views = views;
     this.on = on;
-    /** @type {any[]|null} */
-    this.sketching = null;
+    /** What is being drawn */
+    this.tool = null;
+    this.points = [];
     this.source = new ol.source.Vector();
-    for (const { map } of views) {
-      const style = (/** @type {any} */ feature) => STYLES[/** @type {keyof STYLES} */ (feature.get("kind"))];
-      map.addLayer(new ol.layer.Vector({ source: this.source, style, zIndex: 5 }));
+    for (const view of views) {
+      const style = (feature) => STYLES[(feature.get("kind"))];
+      view.map.addLayer(new ol.layer.Vector({ source: this.source, style, zIndex: 5 }));
+      view.takes.push((at, shift) => (this.tool === "Polygon" || !(this.tool || shift) ? null : this.held(view, at)));
+      view.hovers.push((point) => this.tool && this.points.length && point && this.sketch([...this.points, point]));
     }
   }
 
-  /** @param {number[]|null} region x0, y0, x1, y1 in um */
+  /** A box or a line while it is dragged. */
+  held(view, at) {
+    this.tool ??= "Box";
+    const from = this.points[0] ?? view.pointAt(at);
+    const ends = (to) => [from, view.pointAt(to)];
+    return {
+      move: (to) => this.sketch(ends(to)),
+      end: (to) => this.finish(ends(to)),
+      cancel: () => this.end(),
+    };
+  }
+
+  /** Draw x0, y0, x1, y1 in um. */
   region(region) {
     const extent = region && [region[0], -region[3], region[2], -region[1]];
     this.show("region", extent ? [ol.geom.Polygon.fromExtent(extent)] : []);
   }
 
-  /** @param {number[]|null} line x0, y0, x1, y1 in um */
+  /** Draw x0, y0, x1, y1 in um. */
   line(line) {
     this.show("line", line ? [new ol.geom.LineString([flipped(line.slice(0, 2)), flipped(line.slice(2))])] : []);
   }
 
-  /** @param {number[][][]} polygons */
   artefacts(polygons) {
     this.show("artefact", polygons.map((one) => new ol.geom.Polygon([one.map((point) => flipped(point))])));
   }
 
-  /** @param {string} kind @param {any[]} geometries what stands for it from now on */
+  cursor(point) {
+    this.show("cursor", point ? [new ol.geom.Point(flipped(point))] : []);
+  }
+
+  /** Draw these geometries, and no others of their kind. */
   show(kind, geometries) {
-    const old = this.source.getFeatures().filter((/** @type {any} */ one) => one.get("kind") === kind);
+    const old = this.source.getFeatures().filter((one) => one.get("kind") === kind);
     for (const feature of old) this.source.removeFeature(feature);
     for (const geometry of geometries) this.source.addFeature(new ol.Feature({ geometry, kind }));
   }
 
-  /** Let a person draw in any of the maps. @param {keyof HOW} type */
-  sketch(type) {
+  /** Let a person draw in any of the maps. */
+  start(type) {
     this.end();
-    const box = { type: "Circle", geometryFunction: ol.interaction.Draw.createBox() };
-    const how = { Box: box, LineString: { type, maxPoints: 2 }, Polygon: { type } }[type];
-    this.sketching = this.views.map(({ map }) => {
-      const draw = new ol.interaction.Draw(how);
-      map.addInteraction(draw);
-      draw.on("drawend", (/** @type {any} */ event) => setTimeout(() => this.sketched(type, event.feature.getGeometry())));
-      return draw;
-    });
-    this.on.say(`${HOW[type]} Esc in a map leaves it.`);
+    this.tool = type;
+    this.on.say(`${HOW[type]} By keys: Enter sets a corner at the cross in the middle. Esc leaves it.`);
     this.views[0].element.focus();
   }
 
-  /** @param {string} type @param {any} geometry */
-  sketched(type, geometry) {
+  /** A corner that was clicked, or set by Enter. */
+  corner(point, view) {
+    const last = this.points.at(-1);
+    const again = last && Math.hypot(point[0] - last[0], point[1] - last[1]) < NEAR_PX * view.pixel;
+    if (!again) this.points.push(point);
+    const enough = this.tool === "Polygon" ? again && this.points.length > 2 : this.points.length > 1;
+    if (enough) this.finish(this.points);
+    else this.sketch(this.points);
+  }
+
+  sketch(points) {
+    const [first, last] = [points[0], points[points.length - 1]];
+    const corners = this.tool === "Box" ? [first, [last[0], first[1]], last, [first[0], last[1]]] : points;
+    const places = corners.map(flipped);
+    this.show("drawn", [this.tool === "LineString" || places.length < 3 ? new ol.geom.LineString(places) : new ol.geom.Polygon([places])]);
+  }
+
+  finish(points) {
+    const type = this.tool;
     this.end();
     this.on.say("");
-    const points = geometry.getCoordinates();
-    this.on.drawn(type, (type === "LineString" ? points : points[0].slice(0, -1)).map((/** @type {number[]} */ one) => flipped(one)));
+    this.on.drawn(type, points);
   }
 
   end() {
-    this.sketching?.forEach((draw, k) => this.views[k].map.removeInteraction(draw));
-    this.sketching = null;
+    this.tool = null;
+    this.points = [];
+    this.show("drawn", []);
   }
 }

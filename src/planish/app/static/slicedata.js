@@ -8,22 +8,18 @@
  */
 
 export class Slice {
-  /** @param {ArrayBuffer} data */
   constructor(data) {
     const length = new DataView(data).getUint32(0, true);
-    /** @type {Facts} */
     this.facts = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
     const { across, down, columns, lines, segments } = this.facts;
     let at = 4 + length;
     this.pixels = new Uint16Array(data, at, across.count * down.count);
     at += 4 * Math.ceil(this.pixels.byteLength / 4);
-    /** @type {Map<string, Float32Array>} */
     this.lines = new Map();
     for (const name of lines) {
       this.lines.set(name, new Float32Array(data, at, columns?.count ?? 0));
       at += 4 * (columns?.count ?? 0);
     }
-    /** @type {Map<string, Float32Array>} */
     this.contours = new Map();
     for (const [name, count] of Object.entries(segments)) {
       this.contours.set(name, new Float32Array(data, at, 4 * count));
@@ -31,7 +27,7 @@ export class Slice {
     }
   }
 
-  /** Grey value of a pixel, NaN where it is missing. @param {number} row @param {number} col */
+  /** Grey value of a pixel, NaN where it is missing. */
   value(row, col) {
     const { across, down, scale, offset, missing } = this.facts;
     if (row < 0 || col < 0 || row >= down.count || col >= across.count) return NaN;
@@ -39,7 +35,7 @@ export class Slice {
     return code === missing ? NaN : offset + scale * code;
   }
 
-  /** Column of the surfaces at a place across, -1 where there is none. @param {number} um */
+  /** Column of the surfaces at a place across, -1 where there is none. */
   column(um) {
     const { columns } = this.facts;
     if (!columns) return -1;
@@ -47,47 +43,46 @@ export class Slice {
     return at >= 0 && at < columns.count ? at : -1;
   }
 
-  /** Value of a line at a place across, NaN where there is none. @param {string} name @param {number} um */
+  /** Value of a line at a place across, NaN where there is none. */
   at(name, um) {
     const column = this.column(um);
     return column < 0 ? NaN : (this.lines.get(name)?.[column] ?? NaN);
   }
 
-  /** Codes between which most pixels lie. @returns {[number, number]} */
-  usual() {
+  /** How the greys of some thousand pixels are distributed; `range` holds nearly all of them. */
+  histogram() {
+    const { missing, offset, scale } = this.facts;
     const every = Math.max(1, Math.floor(this.pixels.length / 20000));
     const seen = [];
-    for (let k = 0; k < this.pixels.length; k += every) {
-      if (this.pixels[k] !== this.facts.missing) seen.push(this.pixels[k]);
-    }
+    for (let k = 0; k < this.pixels.length; k += every) if (this.pixels[k] !== missing) seen.push(this.pixels[k]);
     seen.sort((a, b) => a - b);
-    if (!seen.length) return [0, 1];
-    const pick = (/** @type {number} */ share) => seen[Math.min(seen.length - 1, Math.floor(share * seen.length))];
-    return [pick(0.002), Math.max(pick(0.998), pick(0.002) + 1)];
+    const pick = (share) => seen[Math.min(seen.length - 1, Math.floor(share * seen.length))] ?? 0;
+    const [low, high] = [pick(0), Math.max(pick(1), pick(0) + 1)];
+    const counts = Array(64).fill(0);
+    for (const code of seen) counts[Math.min(63, Math.floor((64 * (code - low)) / (high - low)))] += 1;
+    const grey = (code) => offset + scale * code;
+    const range = [grey(pick(0.002)), grey(Math.max(pick(0.998), pick(0.002) + 1))];
+    return { n: seen.length, low: grey(low), high: grey(high), counts, range };
   }
 
-  /**
-   * Place in the volume of a place in the slice, in um.
-   * @param {number} across @param {number} down @param {{rows: string, cols: string, through: string}} frame
-   * @returns {{x: number, y: number, z: number}}
-   */
+  /** Place in the volume of a place in the slice, in um. */
   place(across, down, frame) {
     const { facts } = this;
-    const found = /** @type {any} */ ({ [facts.normal]: facts.at_um, [facts.across.name]: across });
+    const found = { [facts.normal]: facts.at_um, [facts.across.name]: across };
     if (facts.direction !== "straight") {
       found[facts.down.name] = down;
       return found;
     }
     found[frame.through] = this.at("place", across);
-    for (const part of /** @type {const} */ (["rows", "cols", "through"])) {
+    for (const part of ["rows", "cols", "through"]) {
       found[frame[part]] += down * this.at(`normal_${part}`, across);
     }
     return found;
   }
 }
 
-/** Distance in um of a place from the first pixel of an axis. @param {Axis} axis @param {number} um */
+/** Distance in um of a place from the first pixel of an axis. */
 export const along = (axis, um) => (um - axis.first_um) * Math.sign(axis.step_um);
 
-/** The place so far from the first pixel. @param {Axis} axis @param {number} distance */
+/** The place so far from the first pixel. */
 export const placeAt = (axis, distance) => axis.first_um + distance * Math.sign(axis.step_um);

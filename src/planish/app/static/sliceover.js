@@ -1,19 +1,17 @@
 /** What is drawn over the pixels of a slice: faces, normals, errors, points, the cursor. */
 
-/** @typedef {import("./sliceview.js").SliceView} View */
-
 /** Colours as in the report: they need no red and green to be told apart. */
-export const LINES = /** @type {const} */ ([
+export const LINES = [
   ["top", "Top face", "#ffb000"],
   ["interface_top", "Interface, top side", "#39c5ff"],
   ["centre", "Centre surface", "#ffffff"],
   ["interface_bottom", "Interface, bottom side", "#4f8bff"],
   ["bottom", "Bottom face", "#ff5fa2"],
-]);
+];
 export const PREVIEW = "#7dff6a";
 const FOUND = "#b9b9b9";
 
-/** Draw all that a view shows. @param {View} view @param {CanvasRenderingContext2D} pen */
+/** Draw all that a view shows. */
 export function drawOver(view, pen) {
   if (view.shown.has("normals")) drawNormals(view, pen);
   if (view.shown.has("error")) drawErrors(view, pen);
@@ -27,12 +25,10 @@ export function drawOver(view, pen) {
   for (const face of ["preview_top", "preview_bottom"]) drawLine(view, pen, face, PREVIEW, [], true);
   drawPoints(view, pen);
   drawCursor(view, pen);
+  if (view.marked) drawCross(pen, view.onScreen(view.marked.across, view.marked.down));
 }
 
-/**
- * @param {View} view @param {CanvasRenderingContext2D} pen @param {string} name @param {string} colour @param {number[]} dash
- * @param {boolean} [onlyChanged] only where it differs from the face that was found
- */
+/** `onlyChanged`: only where it differs from the face that was found */
 function drawLine(view, pen, name, colour, dash, onlyChanged = false) {
   const { slice } = view;
   const line = slice?.lines.get(name);
@@ -64,7 +60,6 @@ function drawLine(view, pen, name, colour, dash, onlyChanged = false) {
   pen.setLineDash([]);
 }
 
-/** @param {View} view @param {CanvasRenderingContext2D} pen @param {string} name @param {string} colour */
 function drawContour(view, pen, name, colour) {
   const segments = view.slice?.contours.get(name);
   if (!segments) return;
@@ -78,18 +73,17 @@ function drawContour(view, pen, name, colour) {
   pen.stroke();
 }
 
-/** @param {View} view @param {CanvasRenderingContext2D} pen */
 function drawFound(view, pen) {
   for (const face of ["top", "bottom"]) drawLine(view, pen, `found_${face}`, FOUND, [2, 3]);
 }
 
-/** Every so many columns that two lie at least so many screen pixels apart. @param {View} view @param {number} apart */
+/** Every so many columns that two lie at least so many screen pixels apart. */
 function everyColumn(view, apart) {
   const columns = view.slice?.facts.columns;
   return columns ? Math.max(1, Math.ceil(apart / (Math.abs(columns.step_um) * view.zoom))) : 1;
 }
 
-/** Normals of the centre surface, from face to face. @param {View} view @param {CanvasRenderingContext2D} pen */
+/** Normals of the centre surface, from face to face. */
 function drawNormals(view, pen) {
   const { slice } = view;
   const columns = slice?.facts.columns;
@@ -116,7 +110,7 @@ function drawNormals(view, pen) {
   pen.stroke();
 }
 
-/** One standard error of the thickness at each face. @param {View} view @param {CanvasRenderingContext2D} pen */
+/** One standard error of the thickness at each face. */
 function drawErrors(view, pen) {
   const { slice } = view;
   const columns = slice?.facts.columns;
@@ -137,7 +131,6 @@ function drawErrors(view, pen) {
   pen.stroke();
 }
 
-/** @param {View} view @param {CanvasRenderingContext2D} pen */
 function drawPoints(view, pen) {
   for (const point of view.points) {
     const [x, y] = view.onScreen(point.across, point.down);
@@ -154,11 +147,13 @@ function drawPoints(view, pen) {
   pen.globalAlpha = 1;
 }
 
-/** @param {View} view @param {CanvasRenderingContext2D} pen */
 function drawCursor(view, pen) {
   if (!view.cursor || document.activeElement !== view.canvas || !view.canvas.matches(":focus-visible")) return;
-  const { x, y } = view.cursor;
-  for (const [colour, width] of /** @type {const} */ ([["#000", 3], ["#fff", 1]])) {
+  drawCross(pen, [view.cursor.x, view.cursor.y]);
+}
+
+function drawCross(pen, [x, y]) {
+  for (const [colour, width] of [["#000", 3], ["#fff", 1]]) {
     pen.strokeStyle = colour;
     pen.lineWidth = width;
     pen.beginPath();

@@ -1,44 +1,42 @@
 /** The picture of a slice: pixels, lines to the screen pixel, pan, zoom, a cursor for mouse and keys. */
 
 import { make } from "./dom.js";
+import { bindGestures } from "./gestures.js";
 import { along, placeAt } from "./slicedata.js";
 import { drawOver } from "./sliceover.js";
+import { drawScaleBar, lengthWords, roundLength, svgOf, viewBar } from "./viewbar.js";
 
 const CLOSEST = 64; // screen pixels of a voxel
-const CLICK_PX = 4; // a mouse that moves farther drags
 
 export class SliceView {
-  /**
-   * @param {{onCursor: (place: {across: number, down: number}|null) => void,
-   *   onPoint: (place: {across: number, down: number}) => void, onStep: (by: number) => void, onBack: () => void}} on
-   */
   constructor(on) {
     this.on = on;
     this.canvas = make("canvas", { role: "img", "aria-label": "Slice", tabindex: "0", class: "slice" });
-    this.frame = make("div", { class: "slice-frame" }, this.canvas);
-    /** @type {import("./slicedata.js").Slice|null} */
+    const zoom = (factor) => this.zoomBy(factor, this.canvas.clientWidth / 2, this.canvas.clientHeight / 2);
+    this.frame = make("div", { class: "slice-frame" }, this.canvas, viewBar("Slice", { zoom, fit: () => this.whole(), svg: () => this.svg() }));
+    /** The place that was chosen */
+    this.marked = null;
     this.slice = null;
-    /** @type {HTMLCanvasElement} */
     this.grey = document.createElement("canvas");
     this.shown = new Set(["faces", "interfaces", "centre"]);
-    /** @type {{across: number, down: number, face: string, draft: boolean, here: boolean}[]} */
     this.points = [];
     this.zoom = 0; // screen pixels a um
     this.isWhole = false;
     this.acrossIsRows = false; // whether the slice runs along the rows' axis
     this.left = 0; // um from the first pixel at the canvas' left and upper edge
     this.upper = 0;
-    /** @type {{x: number, y: number}|null} */
     this.cursor = null;
-    /** @type {[number, number]|null} */
-    this.range = null;
+    /** Codes that are black and white. */
+    this.range = [0, 1];
+    /** Takes the codes that a drag with Shift chose */
+    this.onWindow = null;
     new ResizeObserver(() => this.resized()).observe(this.frame);
     this.bind();
   }
 
-  /** Show a slice; the view stays where it is unless another plane is shown. @param {import("./slicedata.js").Slice} slice */
+  /** Show a slice; the view stays where it is unless another plane is shown. */
   show(slice) {
-    const key = (/** @type {import("./slicedata.js").Slice|null} */ s) =>
+    const key = (s) =>
       s && [s.facts.layer, s.facts.direction, s.facts.across.count, s.facts.down.count].join();
     const other = key(slice) !== key(this.slice);
     this.slice = slice;
@@ -51,7 +49,7 @@ export class SliceView {
   paintGrey() {
     if (!this.slice) return;
     const { across, down, missing } = this.slice.facts;
-    const [low, high] = this.range ?? this.slice.usual();
+    const [low, high] = this.range;
     const image = new ImageData(across.count, down.count);
     const words = new Uint32Array(image.data.buffer);
     const factor = 255 / (high - low || 1);
@@ -61,12 +59,12 @@ export class SliceView {
     });
     this.grey.width = across.count;
     this.grey.height = down.count;
-    /** @type {CanvasRenderingContext2D} */ (this.grey.getContext("2d")).putImageData(image, 0, 0);
+    this.grey.getContext("2d").putImageData(image, 0, 0);
   }
 
-  /** Size of the slice in um. @returns {[number, number]} */
+  /** Size of the slice in um. */
   size() {
-    const { across, down } = /** @type {import("./slicedata.js").Slice} */ (this.slice).facts;
+    const { across, down } = this.slice.facts;
     return [across.count * Math.abs(across.step_um), down.count * Math.abs(down.step_um)];
   }
 
@@ -78,28 +76,35 @@ export class SliceView {
     this.isWhole = true;
   }
 
-  /** Bring a distance from the first pixel to the middle. @param {number} a @param {number} b */
+  /** Bring a distance from the first pixel to the middle. */
   centre(a, b) {
-    const { across, down } = /** @type {import("./slicedata.js").Slice} */ (this.slice).facts;
+    const { across, down } = this.slice.facts;
     this.left = a - Math.abs(across.step_um) / 2 - this.canvas.clientWidth / this.zoom / 2;
     this.upper = b - Math.abs(down.step_um) / 2 - this.canvas.clientHeight / this.zoom / 2;
     this.isWhole = false;
     this.draw();
   }
 
-  /** Show a place at a scale. @param {number} across @param {number} down @param {number} [zoom] */
-  goTo(across, down, zoom) {
+  /** Bring a place into the middle. */
+  lookAt(across, down, zoom) {
     if (!this.slice) return;
     if (zoom) this.zoom = zoom;
     const { facts } = this.slice;
     const [a, b] = [along(facts.across, across), along(facts.down, down)];
     this.centre(a + Math.abs(facts.across.step_um) / 2, b + Math.abs(facts.down.step_um) / 2);
+  }
+
+  /** Show a place at a scale, and mark it. */
+  goTo(across, down, zoom) {
+    if (!this.slice) return;
+    this.marked = { across, down };
+    this.lookAt(across, down, zoom);
     this.cursor = { x: this.canvas.clientWidth / 2, y: this.canvas.clientHeight / 2 };
     this.say();
     this.draw();
   }
 
-  /** @param {number} factor @param {number} x @param {number} y place on the screen that stays */
+  /** `y`: place on the screen that stays */
   zoomBy(factor, x, y) {
     if (!this.slice) return;
     const [wide] = this.size();
@@ -112,15 +117,14 @@ export class SliceView {
     this.draw();
   }
 
-  /** Place in the slice of a place on the screen, in um along its axes. @param {number} x @param {number} y */
+  /** Place in the slice of a place on the screen, in um along its axes. */
   placeOf(x, y) {
-    const { across, down } = /** @type {import("./slicedata.js").Slice} */ (this.slice).facts;
+    const { across, down } = this.slice.facts;
     return { across: placeAt(across, this.left + x / this.zoom), down: placeAt(down, this.upper + y / this.zoom) };
   }
 
-  /** @param {number} across @param {number} down @returns {[number, number]} */
   onScreen(across, down) {
-    const { facts } = /** @type {import("./slicedata.js").Slice} */ (this.slice);
+    const { facts } = this.slice;
     return [
       (along(facts.across, across) - this.left) * this.zoom,
       (along(facts.down, down) - this.upper) * this.zoom,
@@ -143,7 +147,7 @@ export class SliceView {
   // --- drawing -------------------------------------------------------------------------------------------------
 
   draw() {
-    const pen = /** @type {CanvasRenderingContext2D} */ (this.canvas.getContext("2d"));
+    const pen = this.canvas.getContext("2d");
     const ratio = this.canvas.width / (this.canvas.clientWidth || 1);
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
     pen.clearRect(0, 0, this.canvas.clientWidth, this.canvas.clientHeight);
@@ -156,60 +160,69 @@ export class SliceView {
       wide * across.count, high * down.count,
     );
     drawOver(this, pen);
+    drawScaleBar(pen, 10, this.canvas.clientHeight - 8, 145, 1 / this.zoom, "#fff", "#000");
+  }
+
+  svg() {
+    this.draw();
+    const um = roundLength(145 / this.zoom);
+    const bar = { px: um * this.zoom, words: lengthWords(um) };
+    const { normal, at_um: at } = this.slice.facts;
+    return svgOf(this.canvas, { wide: this.canvas.clientWidth, tall: this.canvas.clientHeight, bar, title: `Slice at ${normal} = ${at.toFixed(2)} µm` });
   }
 
   // --- mouse and keys ------------------------------------------------------------------------------------------
 
   bind() {
     const { canvas } = this;
-    /** @type {{x: number, y: number, left: number, upper: number, moved: boolean}|null} */
-    let held = null;
-    canvas.addEventListener("pointerdown", (/** @type {PointerEvent} */ event) => {
-      if (event.button !== 0) return;
-      held = { x: event.offsetX, y: event.offsetY, left: this.left, upper: this.upper, moved: false };
-      canvas.setPointerCapture(event.pointerId);
+    bindGestures(this.frame, {
+      pan: (right, down) => {
+        this.isWhole = false;
+        this.left -= right / this.zoom;
+        this.upper -= down / this.zoom;
+        this.draw();
+      },
+      zoom: (factor, [x, y]) => {
+        this.zoomBy(factor, x, y);
+        this.say();
+      },
+      click: ([x, y]) => {
+        canvas.focus();
+        if (this.slice) this.on.onPoint(this.placeOf(x, y));
+      },
+      hover: (at) => {
+        this.cursor = at && { x: at[0], y: at[1] };
+        this.say();
+      },
+      take: (at, shift) => (shift && this.onWindow ? this.window(at) : null),
     });
-    canvas.addEventListener("pointermove", (/** @type {PointerEvent} */ event) => {
-      this.cursor = { x: event.offsetX, y: event.offsetY };
-      if (held) {
-        held.moved ||= Math.hypot(event.offsetX - held.x, event.offsetY - held.y) > CLICK_PX;
-        if (held.moved) {
-          this.isWhole = false;
-          this.left = held.left - (event.offsetX - held.x) / this.zoom;
-          this.upper = held.upper - (event.offsetY - held.y) / this.zoom;
-          this.draw();
-        }
-      }
-      this.say();
-    });
-    canvas.addEventListener("pointerup", (/** @type {PointerEvent} */ event) => {
-      const clicked = held && !held.moved;
-      held = null;
-      if (clicked && this.slice) this.on.onPoint(this.placeOf(event.offsetX, event.offsetY));
-    });
-    canvas.addEventListener("pointercancel", () => (held = null));
-    canvas.addEventListener("wheel", (/** @type {WheelEvent} */ event) => {
-      event.preventDefault();
-      this.zoomBy(Math.exp(-Math.max(-200, Math.min(200, event.deltaY)) / 300), event.offsetX, event.offsetY);
-      this.say();
-    }, { passive: false });
-    canvas.addEventListener("keydown", (/** @type {KeyboardEvent} */ event) => this.key(event));
+    canvas.addEventListener("keydown", (event) => this.key(event));
     canvas.addEventListener("focus", () => this.draw());
     canvas.addEventListener("blur", () => this.draw());
   }
 
-  /** @param {KeyboardEvent} event */
+  /** A drag with Shift: to the right for a wider range of grey, up for a darker picture. */
+  window(from) {
+    const [low, high] = this.range;
+    const move = (to) => {
+      const width = (high - low) * Math.exp((to[0] - from[0]) / 200);
+      const level = (low + high) / 2 + ((from[1] - to[1]) / 200) * (high - low);
+      this.onWindow?.(level - width / 2, level + width / 2);
+    };
+    return { move, end: move };
+  }
+
   key(event) {
     if (!this.slice || event.ctrlKey || event.metaKey || event.altKey) return;
     const { clientWidth, clientHeight } = this.canvas;
     this.cursor ??= { x: clientWidth / 2, y: clientHeight / 2 };
     const step = event.shiftKey ? 5 : 1;
     const moves = { ArrowLeft: [-step, 0], ArrowRight: [step, 0], ArrowUp: [0, -step], ArrowDown: [0, step] };
-    const move = moves[/** @type {keyof typeof moves} */ (event.key)];
+    const move = moves[event.key];
     if (move) this.moveCursor(move[0], move[1]);
     else if (event.key === "+" || event.key === "=") this.zoomBy(1.25, this.cursor.x, this.cursor.y);
     else if (event.key === "-") this.zoomBy(0.8, this.cursor.x, this.cursor.y);
-    else if (event.key === "Home") this.whole();
+    else if (event.key === "Home" || event.key === "0") this.whole();
     else if (event.key === "PageDown") this.on.onStep(event.shiftKey ? 10 : 1);
     else if (event.key === "PageUp") this.on.onStep(event.shiftKey ? -10 : -1);
     else if (event.key === "Enter") this.on.onPoint(this.placeOf(this.cursor.x, this.cursor.y));
@@ -220,9 +233,9 @@ export class SliceView {
     this.draw();
   }
 
-  /** Move the cursor; at an edge the slice moves under it. @param {number} x @param {number} y */
+  /** Move the cursor; at an edge the slice moves under it. */
   moveCursor(x, y) {
-    const cursor = /** @type {{x: number, y: number}} */ (this.cursor);
+    const cursor = this.cursor;
     const next = { x: cursor.x + x, y: cursor.y + y };
     this.cursor = {
       x: Math.max(0, Math.min(this.canvas.clientWidth, next.x)),

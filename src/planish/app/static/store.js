@@ -3,24 +3,18 @@
 import { ApiError } from "./api.js";
 
 /**
- * @typedef {[number, number]} Point
- * @typedef {{id: string|number, label: string, used: boolean, moving: Point|null, fixed: Point|null, source: string,
- *   residual_um: number|null, leave_one_out_um: number|null, predicted?: {moving?: Point, fixed?: Point},
+ * @typedef {{id: string|number, label: string, used: boolean, moving: number[]|null, fixed: number[]|null, source: string,
+ *   residual_um: number|null, leave_one_out_um: number|null, predicted?: {moving?: number[], fixed?: number[]},
  *   note?: string}} Mark
  * @typedef {{model: string, rms_um: number|null, loo_rms_um: number|null, follows?: boolean, error?: string,
- *   transform?: {scale: number, rotation_rad: number, shift_um: Point, mirrored: boolean}|null}} Fit
+ *   transform?: {scale: number, rotation_rad: number, shift_um: number[], mirrored: boolean}|null}} Fit
  * @typedef {{version: number, layer: string, marks: Mark[], model: string, fit: Fit|null, message?: string, said?: string,
  *   warnings: {id?: string|number, text: string}[], corrections: any[], regions: any[], can_undo: boolean,
  *   can_redo: boolean}} State
  */
 
 export class Store {
-  /**
-   * @param {import("./api.js").Api} api
-   * @param {any} session the facts of the run, which do not change
-   * @param {State} state
-   * @param {{message: (text: string) => void, alarm: (text: string|null) => void}} lines
-   */
+  /** `session`: the facts of the run, which do not change */
   constructor(api, session, state, lines) {
     this.api = api;
     this.session = session;
@@ -31,43 +25,40 @@ export class Store {
     this.did = "";
     /** Registration that is shown, by the name of its moving layer. */
     this.layer = state.layer;
-    /** @type {((state: State) => void)[]} */
     this.listeners = [];
     this.queue = Promise.resolve();
+    this.counted = {};
     this.readOnly = Boolean(session.read_only);
   }
 
-  /**
-   * Say what was done; where marks are seen, what the fit has to say of them stands behind it.
-   * @param {string} text
-   */
+  /** Say what was done; where marks are seen, what the fit has to say of them stands behind it. */
   say(text) {
     this.did = text;
     const ofMarks = document.body.dataset.tab === "marks" ? this.state.message : "";
     this.lines.message([text, ofMarks].filter(Boolean).join(" "));
   }
 
-  /** Show another registration. @param {string} layer */
+  /** How the valid values of a picture are distributed; counted once. */
+  histogram({ id }) {
+    return (this.counted[id] ??= this.api.get(`histogram?id=${id}`));
+  }
+
+  /** Show another registration. */
   async chooseLayer(layer) {
     this.layer = layer;
     await this.refresh(true);
   }
 
-  /** @param {string} path */
   ofLayer(path) {
     return `${path}${path.includes("?") ? "&" : "?"}layer=${encodeURIComponent(this.layer)}`;
   }
 
-  /**
-   * Call now and whenever the state is another.
-   * @param {(state: State) => void} listener
-   */
+  /** Call now and whenever the state is another. */
   onState(listener) {
     this.listeners.push(listener);
     listener(this.state);
   }
 
-  /** @param {State} state */
   setState(state) {
     if (state.version < this.state.version) return;
     this.state = state;
@@ -75,17 +66,14 @@ export class Store {
     for (const listener of this.listeners) listener(state);
   }
 
-  /**
-   * Take the state from the server.
-   * @param {boolean} [anew] whatever its version: the server may have been started again
-   */
+  /** Take the state from the server; `anew` also an older version, since it may have been started again. */
   async refresh(anew = false) {
     const state = await this.api.get(this.ofLayer("state"));
     if (anew) this.state = { ...this.state, version: -1 };
     this.setState(state);
   }
 
-  /** The server has another version: it is taken, where it is not this window's own write that led to it. @param {number} version */
+  /** The server has another version: it is taken, where it is not this window's own write that led to it. */
   async heard(version) {
     await this.queue;
     if (version > this.state.version) await this.refresh();
@@ -93,9 +81,8 @@ export class Store {
 
   /**
    * Change the session; what is to be changed is asked when all earlier changes are done.
-   * @param {object|((state: State) => object|null)} change
-   * @param {string} words what was done, said when it is saved
-   * @returns {Promise<State|null>} the new state, null where it was not changed
+   * `words`: what was done, said when it is saved
+   * The new state, null where it was not changed
    */
   change(change, words) {
     return this.write(() => {
@@ -104,7 +91,7 @@ export class Store {
     }, words);
   }
 
-  /** Write, and get the state of the registration that is shown. @param {string} path @param {object} [body] */
+  /** Write, and get the state of the registration that is shown. */
   post(path, body = {}) {
     return this.api.post(this.ofLayer(path), body);
   }
@@ -117,12 +104,7 @@ export class Store {
     return this.state.can_redo ? this.write(() => this.post("redo"), "Done again") : Promise.resolve(null);
   }
 
-  /**
-   * Send one write after all earlier ones and show what it led to.
-   * @param {() => Promise<State>|null} send
-   * @param {string} words
-   * @returns {Promise<State|null>}
-   */
+  /** Send one write after all earlier ones and show what it led to. */
   write(send, words) {
     const done = this.queue.then(async () => {
       if (this.readOnly) throw new ApiError(0, "This run is open to read only: nothing can be changed.");
@@ -138,11 +120,7 @@ export class Store {
     return caught;
   }
 
-  /**
-   * Say why something was not done.
-   * @param {any} error
-   * @returns {null}
-   */
+  /** Say why something was not done. */
   refused(error) {
     if (error.status === 409 && error.body?.version) this.setState(error.body);
     this.alarm(error.status === 0 && !this.readOnly ? `${error.message} The change was not saved.` : error.message);

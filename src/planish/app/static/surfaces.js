@@ -1,15 +1,17 @@
 /** The tab Surfaces: slices of the volume with what was found in them, and corrections of the faces. */
 
+import { Contrast } from "./contrast.js";
 import { Corrections } from "./corrections.js";
 import { button, choice, labelled, make, numbers } from "./dom.js";
 import { Slice } from "./slicedata.js";
 import { LINES } from "./sliceover.js";
 import { SliceView } from "./sliceview.js";
 
-/** @type {Tab|null} */
+/** A point that lies so many thicknesses of the sheet off the face is asked about. */
+const FAR = 0.5;
+
 let tab = null;
 
-/** @param {HTMLElement} panel @param {any} app */
 export async function mount(panel, app) {
   tab = new Tab(panel, app);
   await tab.start();
@@ -17,28 +19,22 @@ export async function mount(panel, app) {
 
 /**
  * Show the slice through a place of the volume; without z, through a place of the sheet's map.
- * @param {number} x_um
- * @param {number} y_um
- * @param {number} [z_um]
- * @param {string} [layer] sheet that it is in
+ * `layer`: sheet that it is in
  */
 export async function showSlice(x_um, y_um, z_um, layer) {
   if (!tab?.sheet) return;
   if (z_um !== undefined) return tab.showPlace({ x: x_um, y: y_um, z: z_um, layer });
-  const map = tab.app.pictures.find((/** @type {any} */ one) => one.plane === "moving");
+  const map = tab.app.pictures.find((one) => one.plane === "moving");
   const found = map && (await tab.app.api.get(`cursor?id=${encodeURIComponent(map.id)}&x=${x_um}&y=${y_um}`));
   if (found?.volume) await tab.showPlace(found.volume);
   else tab.app.say("There is no place of the volume under this pixel.");
 }
 
 class Tab {
-  /** @param {HTMLElement} panel @param {any} app */
   constructor(panel, app) {
     this.panel = panel;
     this.app = app;
-    /** @type {any[]} */
     this.sheets = [];
-    /** @type {any} */
     this.sheet = null;
     this.direction = "";
     this.index = 0;
@@ -50,8 +46,8 @@ class Tab {
   async start() {
     const { sheets, status } = await this.app.api.get("sheets");
     this.reasons = status;
-    this.sheets = sheets.filter((/** @type {any} */ one) => !one.error);
-    const faults = sheets.filter((/** @type {any} */ one) => one.error);
+    this.sheets = sheets.filter((one) => !one.error);
+    const faults = sheets.filter((one) => one.error);
     for (const fault of faults) this.panel.append(make("p", { class: "warned" }, `${fault.layer}: ${fault.error}`));
     if (!this.sheets.length) {
       if (!faults.length) this.panel.append(make("p", {}, "This run holds no sheet of a volume, so there are no slices."));
@@ -77,7 +73,12 @@ class Tab {
     this.directionBox = choice([], (value) => this.turn(value));
     this.slider = make("input", { type: "range", min: "0", step: "1", oninput: () => this.go(Number(this.slider.value)) });
     this.placeField = make("input", { type: "text", inputmode: "decimal", class: "short", onchange: () => this.goToText() });
-    this.rangeField = make("input", { type: "text", class: "short", onchange: () => this.setRange() });
+    const say = (text) => this.app.say(text);
+    this.contrast = new Contrast({ name: "Grey range", say, onChange: () => this.setRange() });
+    this.view.onWindow = (low, high) => {
+      const { offset, scale } = this.view?.slice.facts;
+      this.contrast?.set([offset + scale * low, offset + scale * high]);
+    };
     this.corrections = new Corrections(this.app, {
       sheet: () => this.sheet, first: this.sheets[0].layer, onTry: () => this.load(), onShow: (place) => this.showPlace(place),
     });
@@ -87,17 +88,11 @@ class Tab {
       make("div", { class: "tools" },
         this.sheets.length > 1 ? labelled("Sheet", this.layerBox) : null,
         labelled("Direction", this.directionBox), labelled("Slice", this.slider),
-        labelled("Slice at, um", this.placeField), labelled("Grey range", this.rangeField),
-        button("Whole slice", () => this.view?.whole())),
+        labelled("Slice at, um", this.placeField),
+        make("span", { class: "field grey" }, make("span", { class: "soft" }, "Grey"), this.contrast.element)),
       make("div", { class: "tools" }, lines),
       this.view.frame,
-      make("div", { class: "under" },
-        ...this.corrections.elements,
-        make("p", { class: "soft help" },
-          "Click, or Enter, sets a point on the face that is chosen; the green line shows the face as Correct and then ",
-          "Apply will make it. Drag moves the slice, the wheel or + and - zoom, Home shows all of it. Arrows move the ",
-          "cursor by a screen pixel (Shift: 5), Page Up and Page Down go to the slice before and after (Shift: 10), ",
-          "Backspace removes the last point.")),
+      make("div", { class: "under" }, ...this.corrections.elements),
     );
   }
 
@@ -114,7 +109,7 @@ class Tab {
         this.view?.draw();
       } });
       box.checked = this.view?.shown.has(String(kind));
-      const keys = /** @type {string[]} */ (colours).map((colour) => {
+      const keys = colours.map((colour) => {
         const key = make("span", { class: "key", "aria-hidden": "true" });
         key.style.background = colour;
         return key;
@@ -125,7 +120,6 @@ class Tab {
 
   // --- which slice ---------------------------------------------------------------------------------------------
 
-  /** @param {string} layer */
   choose(layer) {
     this.sheet = this.sheets.find((one) => one.layer === layer);
     const { rows, cols, through, top } = this.sheet;
@@ -140,7 +134,6 @@ class Tab {
     this.turn(rows);
   }
 
-  /** @param {string} direction @param {number} [index] */
   turn(direction, index) {
     this.direction = direction;
     this.directionBox.value = direction;
@@ -150,7 +143,6 @@ class Tab {
     return this.go(index ?? Math.floor(count / 2));
   }
 
-  /** @param {number} index */
   go(index) {
     const { count, first_um: first, step_um: step } = this.sheet.axes[this.direction];
     this.index = Math.max(0, Math.min(count - 1, index));
@@ -161,7 +153,6 @@ class Tab {
     return this.load();
   }
 
-  /** @param {number} by */
   step(by) {
     void this.go(this.index + by);
   }
@@ -175,13 +166,10 @@ class Tab {
   }
 
   setRange() {
-    const found = numbers(this.rangeField.value, 2);
-    const empty = !this.rangeField.value.trim();
-    this.rangeField.setAttribute("aria-invalid", String(!found && !empty));
     const facts = this.view?.slice?.facts;
-    if (!this.view || !facts || (!found && !empty)) return;
-    const code = (/** @type {number} */ value) => (value - facts.offset) / facts.scale;
-    this.view.range = found ? [code(found[0]), code(found[1])] : null;
+    if (!this.view || !facts) return;
+    const [low, high] = this.contrast.limits.map((value) => (value - facts.offset) / facts.scale);
+    this.view.range = [low, high];
     this.view.paintGrey();
     this.view.draw();
   }
@@ -201,14 +189,19 @@ class Tab {
       const slice = new Slice(await answer.arrayBuffer());
       if (number !== this.asked || !this.view) return;
       this.view.points = this.corrections.pointsIn(slice.facts);
+      this.contrast.show({ title: "Grey of the volume", name: "grey", units: "1", range: [0, 1], shade: (share) => Array(3).fill(255 * Math.max(0, Math.min(1, share))), counted: slice.histogram() });
+      const { offset, scale } = slice.facts;
+      const [low, high] = this.contrast.limits;
+      this.view.range = [(low - offset) / scale, (high - offset) / scale];
       this.view.show(slice);
+      this.corrections.compare(slice);
       if (!this.view.cursor) this.sayPlace(null);
-    } catch (/** @type {any} */ error) {
+    } catch (error) {
       if (number === this.asked && error.name !== "AbortError") this.app.alarm(error.message);
     }
   }
 
-  /** Show the slice through a place. @param {any} place */
+  /** Show the slice through a place. */
   async showPlace(place) {
     await this.app.openTab?.("surfaces");
     if (place.layer && place.layer !== this.sheet.layer && this.sheets.some((one) => one.layer === place.layer)) {
@@ -223,7 +216,6 @@ class Tab {
 
   // --- what is seen --------------------------------------------------------------------------------------------
 
-  /** @param {{across: number, down: number}|null} at */
   sayPlace(at) {
     const slice = this.view?.slice;
     if (!slice) return;
@@ -233,7 +225,7 @@ class Tab {
       return;
     }
     const place = slice.place(at.across, at.down, this.sheet);
-    const pixel = (/** @type {import("./slicedata.js").Axis} */ axis, /** @type {number} */ um) =>
+    const pixel = (axis, um) =>
       Math.round((um - axis.first_um) / axis.step_um);
     const grey = slice.value(pixel(facts.down, at.down), pixel(facts.across, at.across));
     const said = [`x ${place.x.toFixed(2)}, y ${place.y.toFixed(2)}, z ${place.z.toFixed(2)} um`];
@@ -242,7 +234,6 @@ class Tab {
     this.app.slicePosition?.(said.join("; "));
   }
 
-  /** @param {Slice} slice @param {number} across */
   columnWords(slice, across) {
     const said = [];
     for (const [name, words] of [["top", "top"], ["bottom", "bottom"]]) {
@@ -258,7 +249,6 @@ class Tab {
     return said;
   }
 
-  /** @param {{across: number, down: number}} at */
   addPoint(at) {
     const slice = this.view?.slice;
     if (!slice) return;
@@ -266,6 +256,15 @@ class Tab {
       this.app.say("A slice along the sheet shows no height. Choose another direction to set points.");
       return;
     }
-    this.corrections.add(slice.place(at.across, at.down, this.sheet));
+    const place = slice.place(at.across, at.down, this.sheet);
+    const outside = Object.entries(place).some(([axis, um]) => {
+      const { first_um: first, step_um: step, count } = this.sheet.axes[axis];
+      return um < first - step / 2 || um > first + (count - 0.5) * step;
+    });
+    if (outside) return this.app.say("There is no place of the volume here.");
+    const face = this.corrections.faceBox.value;
+    const off = Math.abs(at.down - slice.at(face, at.across));
+    if (off > FAR * this.sheet.thickness_um) this.corrections.question(place, `This point lies ${off.toFixed(0)} um from the ${face} face that was found.`);
+    else this.corrections.add(place);
   }
 }

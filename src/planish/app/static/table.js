@@ -1,49 +1,38 @@
 /** The table of marks: one row a pair, newest last unless a header sorts it. */
 
-import { make } from "./dom.js";
+import { make, shown, typeset } from "./dom.js";
 
-/**
- * @typedef {import("./store.js").Mark} Mark
- * @typedef {{name: string, value: (mark: Mark) => any, error?: boolean, text?: boolean}} Column
- */
+const place = (side, axis) => (mark) => mark[side][axis];
 
-const place = (/** @type {"moving"|"fixed"} */ side, /** @type {0|1} */ axis) => (/** @type {Mark} */ mark) =>
-  /** @type {number[]} */ (mark[side])[axis];
-
-/** @type {Column[]} */
-const COLUMNS = [
+const columnsOf = ({ moving, fixed }) => [
   { name: "Mark", value: (mark) => mark.label, text: true },
   { name: "Used", value: (mark) => Number(mark.used), text: true },
-  { name: "Volume x um", value: place("moving", 0) },
-  { name: "Volume y um", value: place("moving", 1) },
-  { name: "Image x um", value: place("fixed", 0) },
-  { name: "Image y um", value: place("fixed", 1) },
+  { name: `${moving.replace(" side", "")} x um`, value: place("moving", 0) },
+  { name: `${moving.replace(" side", "")} y um`, value: place("moving", 1) },
+  { name: `${fixed.replace(" side", "")} x um`, value: place("fixed", 0) },
+  { name: `${fixed.replace(" side", "")} y um`, value: place("fixed", 1) },
   { name: "Residual um", value: (mark) => mark.residual_um, error: true },
   { name: "Leave-one-out um", value: (mark) => mark.leave_one_out_um, error: true },
 ];
 
-/** From how many medians of the marks in use on an error is drawn as large, and as very large. */
-const LARGE = 2;
-const VERY_LARGE = 4;
+/** How many times the limit of the check asks for a look an error makes it fail. */
+const FAILS = 5;
 
 export class MarkTable {
-  /**
-   * @param {{choose: (id: any) => void, use: (mark: Mark, used: boolean) => void}} actions
-   */
-  constructor(actions) {
+  /** `limit_um`: from where on the check of the marks asks for a look */
+  constructor(actions, { names, limit_um }) {
     this.actions = actions;
+    this.limit = limit_um ?? Infinity;
+    this.columns = columnsOf(names);
     this.sorted = { column: -1, falling: false };
-    /** @type {Mark[]} */
     this.marks = [];
-    /** @type {any} */
     this.chosen = null;
-    /** @type {Map<any, Row>} */
     this.rows = new Map();
-    this.heads = COLUMNS.map((column, i) =>
+    this.heads = this.columns.map((column, i) =>
       make(
         "th",
         { scope: "col", "aria-sort": "none", class: column.text ? null : "n" },
-        make("button", { type: "button", onclick: () => this.sortBy(i) }, column.name),
+        make("button", { type: "button", "aria-label": column.name, onclick: () => this.sortBy(i) }, typeset(column.name)),
       ),
     );
     this.heads.push(make("th", { scope: "col" }, "Note"));
@@ -54,10 +43,6 @@ export class MarkTable {
     this.element = make("div", scroll, table, this.empty);
   }
 
-  /**
-   * @param {import("./store.js").State} state
-   * @param {any} chosen
-   */
   show(state, chosen) {
     this.marks = state.marks.filter((mark) => mark.moving && mark.fixed);
     this.chosen = chosen;
@@ -68,13 +53,13 @@ export class MarkTable {
     this.draw();
   }
 
-  /** Sort by a column: errors fall first, all else rises first; a third time gives the order of making. @param {number} i */
+  /** Sort by a column: errors fall first, all else rises first; a third time gives the order of making. */
   sortBy(i) {
-    const first = COLUMNS[i].error ?? false;
+    const first = this.columns[i].error ?? false;
     if (this.sorted.column !== i) this.sorted = { column: i, falling: first };
     else if (this.sorted.falling === first) this.sorted = { column: i, falling: !first };
     else this.sorted = { column: -1, falling: false };
-    this.heads.slice(0, COLUMNS.length).forEach((head, k) => {
+    this.heads.slice(0, this.columns.length).forEach((head, k) => {
       const sort = k !== this.sorted.column ? "none" : this.sorted.falling ? "descending" : "ascending";
       head.setAttribute("aria-sort", sort);
     });
@@ -82,11 +67,11 @@ export class MarkTable {
     this.element.scrollTop = 0;
   }
 
-  /** The marks in the order of the rows. @returns {Mark[]} */
+  /** The marks in the order of the rows. */
   get ordered() {
     const { column, falling } = this.sorted;
     if (column < 0) return this.marks;
-    const value = COLUMNS[column].value;
+    const value = this.columns[column].value;
     return [...this.marks].sort((one, other) => {
       const [a, b] = [value(one), value(other)];
       if (a === null || b === null) return Number(a === null) - Number(b === null); // what is not known stands last
@@ -97,17 +82,16 @@ export class MarkTable {
 
   /** Rows stay in the page while their marks do: a row made anew between the press and the release of a button loses the click. */
   draw() {
-    this.typical = COLUMNS.map((column) => (column.error ? median(this.marks.filter((m) => m.used).map(column.value)) : 0));
-    this.largest = COLUMNS.map((column) => (column.error ? Math.max(0, ...this.marks.map((m) => column.value(m) ?? 0)) : 0));
+    const largest = this.columns.map((column) => (column.error ? Math.max(Number.isFinite(this.limit) ? this.limit : 1e-9, ...this.marks.map((m) => column.value(m) ?? 0)) : 0));
     const rows = this.ordered.map((mark) => {
-      const row = this.rows.get(mark.id) ?? new Row(mark, this.actions);
-      row.show(mark, this.notes?.get(mark.id) ?? [], mark.id === this.chosen, (i) => [this.typical?.[i] ?? 0, this.largest?.[i] ?? 0]);
+      const row = this.rows.get(mark.id) ?? new Row(mark, this.columns, this.actions);
+      row.show(mark, this.notes?.get(mark.id) ?? [], mark.id === this.chosen, (i) => [this.limit, largest[i]]);
       return row;
     });
     this.rows = new Map(rows.map((row) => [row.mark.id, row]));
     const elements = rows.map((row) => row.element);
     if (elements.length === this.body.rows.length && elements.every((element, i) => element === this.body.rows[i])) return;
-    const focused = /** @type {HTMLElement|null} */ (document.activeElement);
+    const focused = document.activeElement;
     const held = this.body.contains(focused);
     this.body.replaceChildren(...elements);
     if (held && focused?.isConnected) focused.focus();
@@ -121,29 +105,21 @@ export class MarkTable {
 
 /** A row of the table. */
 class Row {
-  /**
-   * @param {Mark} mark
-   * @param {{choose: (id: any) => void, use: (mark: Mark, used: boolean) => void}} actions
-   */
-  constructor(mark, actions) {
+  constructor(mark, columns, actions) {
     this.mark = mark;
+    this.columns = columns;
     this.used = make("input", { type: "checkbox", onchange: () => actions.use(this.mark, this.used.checked) });
     this.label = make("button", { type: "button", class: "plain", onclick: () => actions.choose(this.mark.id) });
-    this.cells = COLUMNS.slice(2).map(() => make("td"));
+    this.cells = columns.slice(2).map(() => make("td"));
     this.note = make("td");
     this.element = make("tr", {}, make("td", {}, this.label), make("td", {}, this.used), ...this.cells, this.note);
-    this.element.addEventListener("click", (/** @type {MouseEvent} */ event) => {
+    this.element.addEventListener("click", (event) => {
       const own = event.target instanceof HTMLInputElement || event.target instanceof HTMLButtonElement;
       if (!own) actions.choose(this.mark.id);
     });
   }
 
-  /**
-   * @param {Mark} mark
-   * @param {string[]} notes
-   * @param {boolean} chosen
-   * @param {(i: number) => [number, number]} errors typical and largest value of a column of errors
-   */
+  /** `errors`: limit of the check and largest value of a column of errors */
   show(mark, notes, chosen, errors) {
     this.mark = mark;
     this.element.className = mark.used ? "" : "unused";
@@ -152,31 +128,23 @@ class Row {
     written(this.label, mark.label);
     this.used.setAttribute("aria-label", `Use ${mark.label}`);
     this.used.checked = mark.used;
-    this.cells.forEach((cell, k) => this.cell(cell, COLUMNS[k + 2], errors(k + 2)));
+    this.cells.forEach((cell, k) => this.cell(cell, this.columns[k + 2], errors(k + 2)));
     written(this.note, notes.join(" "));
     this.note.className = notes.length ? "warned" : "";
   }
 
-  /** @param {HTMLElement} cell @param {Column} column @param {[number, number]} errors */
-  cell(cell, column, [typical, largest]) {
+  cell(cell, column, [limit, largest]) {
     const value = column.value(this.mark) ?? null;
     written(cell, value === null ? "–" : value.toFixed(2));
     cell.className = "n";
-    if (value === null || !column.error || !largest) return;
-    const times = value / (typical || value);
-    cell.classList.add("error", times >= VERY_LARGE ? "very" : times >= LARGE ? "large" : "usual");
+    if (value === null || !column.error) return;
+    cell.classList.add("error", value > FAILS * limit ? "very" : value > limit ? "large" : "usual");
+    if (Number.isFinite(limit)) cell.title = `The check of the marks asks for a look from ${shown(limit)} µm on, and fails from ${shown(FAILS * limit)} µm on.`;
     cell.style.setProperty("--share", `${(100 * value) / largest}%`);
   }
 }
 
-/** Write a text where it is another. @param {HTMLElement} element @param {string} text */
+/** Write a text where it is another. */
 function written(element, text) {
   if (element.textContent !== text) element.textContent = text;
-}
-
-/** @param {(number|null)[]} values */
-function median(values) {
-  const known = /** @type {number[]} */ (values.filter((value) => value !== null)).sort((a, b) => a - b);
-  const middle = known.length >> 1;
-  return known.length % 2 ? known[middle] : known.length ? (known[middle - 1] + known[middle]) / 2 : 0;
 }

@@ -4,10 +4,7 @@ import { button, make } from "./dom.js";
 
 /**
  * The button `Find by texture` and, where no place stands out, a button for each of the best ones; null for a run that
- * is linked.
- * @param {any} app
- * @param {{newest: () => (import("./store.js").Mark|null), goTo: (point: import("./store.js").Point) => void}} marks
- * @returns {HTMLElement|null}
+ * is linked. `marks` gives the newest mark that waits for an end, and goes to a place in the image.
  */
 export function texture(app, marks) {
   if (app.session.linked) return null;
@@ -27,19 +24,18 @@ export function texture(app, marks) {
     find.disabled = app.readOnly;
   }
 
-  /** @param {any} body @param {string} words */
   async function take(body, words) {
     return app.write(async () => {
       try {
         return await app.post("marks/texture", { ...body, layer: app.layer });
-      } catch (/** @type {any} */ error) {
+      } catch (error) {
         if (error.body?.places) places.replaceChildren("If you know the place: ", ...error.body.places.map(offered));
         throw error;
       }
     }, words);
   }
 
-  /** @param {any} one a place that chance may reach as well */
+  /** The button of a place that chance may reach as well. */
   function offered(one) {
     return button(one.text.replace(/: [\d.]+$/, ""), () => {
       marks.goTo(one.middle_um);

@@ -5,24 +5,49 @@ const width_um = grid.cols * grid.dx, height_um = grid.rows * grid.dy;
 class MapView {
   constructor(side) {
     this.side = side;
+    this.name = `${side === "left" ? "Left" : "Right"} map`;
     this.frame = at(`${side}-view`);
     this.canvas = at(`${side}-map`);
     this.picture = document.createElement("canvas");
     [this.picture.width, this.picture.height] = [grid.cols, grid.rows];
     this.pixels = new ImageData(grid.cols, grid.rows);
     this.words = new Uint32Array(this.pixels.data.buffer);
-    this.limits = null;
-    this.frame.addEventListener("pointermove", (event) => this.moved(event));
-    this.frame.addEventListener("pointerdown", (event) => this.pressed(event));
-    this.frame.addEventListener("pointerup", (event) => this.released(event));
-    this.frame.addEventListener("pointercancel", () => { this.start = null; });
-    this.frame.addEventListener("keydown", (event) => this.key(event));
-    this.frame.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
+    const say = (words) => { at("message").textContent = words; };
+    this.contrast = new Contrast({ name: `${this.name.split(" ")[0]} colour range`, say, onChange: () => { say(""); redraw("colours"); } });
+    this.contrast.field.id = `${side}-range`;
+    this.tool = make("button", { type: "button", "aria-pressed": "false", title: "Drag a region; or drag with Shift" }, "Region");
+    this.tool.addEventListener("click", () => this.tool.setAttribute("aria-pressed", String(this.tool.ariaPressed !== "true")));
+    const tools = viewBar(this.name, { zoom, fit: () => zoom(0), svg: () => this.svg() });
+    tools.prepend(this.tool);
+    this.frame.previousElementSibling.append(tools);
+    this.frame.after(this.contrast.element);
+    bindGestures(this.frame, {
+      pan: (right, down) => { view.x -= right * view.um; view.y -= down * view.um; redraw("window"); },
+      zoom: (factor, place) => zoom(factor, this.um(place)),
+      hover: (place) => { if (place && !state.held) this.go(place); },
+      click: (place) => { this.go(place); state.held = !state.held; redraw("cursor"); },
+      take: (from, shift) => (shift || this.tool.ariaPressed === "true" ? this.region(this.um(from)) : null),
+    });
+    this.frame.addEventListener("keydown", (event) => { if (event.target === this.frame) this.key(event); });
+  }
+
+  // The map that is shown: colours begin with its limits, and with how its values are distributed.
+  choose() {
+    const map = shown(this.side), { low, step, codes, palette } = map, valid = data.groups[map.group].valid?.codes;
+    const [from, to] = map.span, counts = new Array(128).fill(0);
+    for (let i = 0; i < pixels; i++) {
+      const k = codes[i] && (!valid || valid[i]) ? Math.floor((128 * (low + step * (codes[i] - 2) - from)) / (to - from)) : -1;
+      if (k >= 0 && k < 128) counts[k]++;
+    }
+    const n = counts.reduce((sum, one) => sum + one, 0);
+    const shade = (share) => { const k = 3 * clamp(Math.round(254 * share), 0, 254); return [palette[k], palette[k + 1], palette[k + 2]]; };
+    const title = named(map);
+    this.contrast.show({ title, name: title, units: map.units, range: map.range, shade, counted: { n, low: from, high: to, counts, range: map.range } });
   }
 
   // Colours of all pixels; those that do not count are pale.
   paint() {
-    const map = shown(this.side), [low, high] = this.limits || map.range, shades = map.palette;
+    const map = shown(this.side), [low, high] = this.contrast.limits, shades = map.palette;
     const none = parseInt(data.missing.slice(1), 16), grey = [none >> 16, (none >> 8) & 255, none & 255];
     const word = (share, of) => {
       const k = 3 * clamp(Math.round(254 * share), 0, 254);
@@ -34,12 +59,6 @@ class MapView {
     const valid = data.groups[map.group].valid?.codes, marked = state.found.marked;
     for (let i = 0; i < pixels; i++) this.words[i] = (marked ? counts[i] : !valid || valid[i]) ? full[codes[i]] : pale[codes[i]];
     this.picture.getContext("2d").putImageData(this.pixels, 0, 0);
-    const bar = at(`${this.side}-bar`).getContext("2d"), strip = new ImageData(255, 1);
-    for (let k = 0; k < 255; k++) strip.data.set([shades[3 * k], shades[3 * k + 1], shades[3 * k + 2], 255], 4 * k);
-    bar.putImageData(strip, 0, 0);
-    const scale = at(`${this.side}-scale`), digits = Math.max(map.digits, high - low < 10 ? 1 : 0);
-    scale.replaceChildren(...[low, (low + high) / 2, high].map((v) => Object.assign(document.createElement("span"), { textContent: fixed(v, digits) })));
-    scale.children[1].textContent += map.units ? ` ${map.units}` : "";
   }
 
   draw() {
@@ -65,7 +84,13 @@ class MapView {
       for (const [a, b] of [[-14, -4], [4, 14]]) { pen.moveTo(x + a, y); pen.lineTo(x + b, y); pen.moveTo(x, y + a); pen.lineTo(x, y + b); }
       pen.stroke();
     }
-    scaleBar(pen, 12, h - 12, Math.min(w / 3, 160), view.um, "#111", "#fff");
+    drawScaleBar(pen, 12, h - 12, Math.min(w / 3, 160), view.um, "#111", "#fff");
+  }
+
+  svg() {
+    const map = shown(this.side), [wide, tall] = this.size, { limits, values } = this.contrast;
+    const words = limits.map((v, k) => fixed(v, map.digits) + (k && map.units ? ` ${map.units}` : ""));
+    return svgOf(this.canvas, { wide, tall, title: named(map), colours: { shade: values.shade, limits, words } });
   }
 
   // Where the slice cuts the sheet, from A to B.
@@ -88,47 +113,22 @@ class MapView {
 
   screen(x, y) { return [(x - view.x) / view.um + this.size[0] / 2, (y - view.y) / view.um + this.size[1] / 2]; }
 
-  um(event) {
-    const box = this.frame.getBoundingClientRect();
-    return [view.x + (event.clientX - box.left - this.size[0] / 2) * view.um, view.y + (event.clientY - box.top - this.size[1] / 2) * view.um];
-  }
+  um([right, down]) { return [view.x + (right - this.size[0] / 2) * view.um, view.y + (down - this.size[1] / 2) * view.um]; }
 
-  go(event) {
-    const [x, y] = this.um(event);
+  go(place) {
+    const [x, y] = this.um(place);
     moveTo(Math.round((y - grid.y0) / grid.dy), Math.round((x - grid.x0) / grid.dx));
   }
 
-  moved(event) {
-    if (this.start && event.pointerType !== "touch") {
-      const [x, y] = this.um(event), [x0, y0] = this.start.um;
-      if (this.start.pan) { view.x += x0 - x; view.y += y0 - y; redraw("window"); return; }
-      if (Math.hypot(event.clientX - this.start.x, event.clientY - this.start.y) > 4) {
-        this.drag = [Math.min(x, x0), Math.min(y, y0), Math.max(x, x0), Math.max(y, y0)];
-        redraw("window");
-        return;
-      }
-    }
-    if (!state.held && event.pointerType !== "touch") this.go(event);
-  }
-
-  pressed(event) {
-    if (event.button) return;
-    this.start = { um: this.um(event), x: event.clientX, y: event.clientY, pan: event.shiftKey };
-    if (event.pointerType !== "touch") this.frame.setPointerCapture(event.pointerId);
-  }
-
-  released(event) {
-    if (!this.start) return;
-    const { pan } = this.start, drag = this.drag;
-    this.start = this.drag = null;
-    if (drag) setRegion(drag);
-    else if (!pan) { this.go(event); state.held = event.pointerType === "touch" || !state.held; redraw("cursor"); }
-  }
-
-  wheel(event) {
-    if (!event.ctrlKey && !event.metaKey) return;
-    event.preventDefault();
-    zoom(event.deltaY < 0 ? 1.25 : 0.8, this.um(event));
+  // A region while it is dragged.
+  region([x0, y0]) {
+    const move = (to) => {
+      const [x, y] = this.um(to);
+      this.drag = [Math.min(x, x0), Math.min(y, y0), Math.max(x, x0), Math.max(y, y0)];
+      redraw("window");
+    };
+    const cancel = () => { this.drag = null; redraw("window"); };
+    return { move, cancel, end: (to) => { move(to); setRegion(this.drag); cancel(); } };
   }
 
   key(event) {

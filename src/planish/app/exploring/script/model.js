@@ -99,15 +99,6 @@ function volumeAt(group) {
   return "x" in out ? out : null;
 }
 
-// Numbers of a field; null where it is empty, an error where it does not hold so many.
-function numbers(field, many) {
-  const given = field.value.trim();
-  if (!given) return null;
-  const found = given.replaceAll("−", "-").split(/[,;\s]+/).map(Number);
-  if (found.length !== many || found.some((v) => !Number.isFinite(v))) throw new Error(`${field.placeholder}: ${many} numbers are needed.`);
-  return found;
-}
-
 const colours = {};
 function readColours() {
   const style = getComputedStyle(document.documentElement);
@@ -126,22 +117,4 @@ function prepared(canvas, high) {
   pen.setTransform(ratio, 0, 0, ratio, 0, 0);
   pen.clearRect(0, 0, wide, high);
   return [pen, wide, high];
-}
-
-function roundLength(most) {
-  const power = 10 ** Math.floor(Math.log10(most));
-  return [5, 2, 1].map((k) => k * power).find((v) => v <= most);
-}
-
-function scaleBar(pen, x, y, most, umPerPixel, ink, halo) {
-  const um = roundLength(most * umPerPixel), wide = um / umPerPixel;
-  const label = um >= 1000 ? `${um / 1000} mm` : `${um} µm`;
-  pen.font = "12px sans-serif";
-  pen.lineJoin = "round";
-  for (const [colour, width] of [[halo, 4], [ink, 0]]) {
-    pen.strokeStyle = pen.fillStyle = colour;
-    pen.lineWidth = 4 + width;
-    pen.beginPath(); pen.moveTo(x, y); pen.lineTo(x + wide, y); pen.stroke();
-    if (width) { pen.lineWidth = 3; pen.strokeText(label, x, y - 7); } else pen.fillText(label, x, y - 7);
-  }
 }

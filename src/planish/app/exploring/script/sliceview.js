@@ -9,6 +9,8 @@ class SliceView {
     this.k = -1;
     this.frame.addEventListener("pointerdown", (event) => this.pressed(event));
     this.frame.addEventListener("keydown", (event) => this.key(event));
+    const whole = at("slice-whole"), svg = () => svgOf(at("slice-near"), { wide: whole.clientWidth, tall: at("slice-near").clientHeight, title: at("slice-position").textContent });
+    this.frame.before(viewBar("Slice", { svg }));
   }
 
   // The sheet of the left map, or else of the right one, or else the first.
@@ -118,7 +120,7 @@ class SliceView {
     pen.beginPath(); pen.arc(x(along), y(height), 4, 0, 7); pen.stroke();
     pen.font = "bold 13px sans-serif"; pen.fillStyle = "#fff";
     if (near) { pen.fillText("A", 4, 14); pen.fillText("B", w - 14, 14); }
-    scaleBar(pen, 10, h - 8, Math.min(w / 4, 140), window.across, "#fff", "#000");
+    drawScaleBar(pen, 10, h - 8, Math.min(w / 4, 140), window.across, "#fff", "#000");
     return window;
   }
 

@@ -11,13 +11,19 @@ function drawDue() {
   const what = due;
   due = new Set();
   waiting = false;
-  if (what.has("choice")) { choose(); scatter.paint(); tellSelection(); }
+  if (what.has("choice")) { choose(); showPoints(); tellSelection(); }
   if (what.has("choice") || what.has("colours")) for (const one of views) one.paint();
   if (slice && (what.has("cursor") || what.has("choice"))) slice.seek();
   for (const one of views) one.draw();
-  if (what.has("choice") || what.has("cursor") || what.has("window")) scatter.draw();
+  if (what.has("cursor")) { scatter.here = sides.map((side) => valueOf(shown(side), shown(side).codes[state.row * grid.cols + state.col])); scatter.draw(); }
   if (slice) slice.draw();
   if (what.has("cursor") || what.has("choice")) tellCursor();
+}
+
+function showPoints() {
+  scatter.brush = sides.map((side) => state.brush[side]);
+  const withheld = doubtOf(state.left, state.right)?.trust === "withheld";
+  scatter.show(withheld ? null : pointsOf(...sides.map(shown)), withheld ? "Withheld by the checks; not drawn." : "");
 }
 
 function moveTo(row, col) {
@@ -75,33 +81,31 @@ function clearSelection() {
 }
 
 function field(id, many, use) {
-  at(id).addEventListener("change", () => {
-    try { use(numbers(at(id), many)); at("message").textContent = ""; } catch (error) { at("message").textContent = error.message; }
-  });
+  const say = (words) => { at("message").textContent = words; };
+  const refuse = () => say(`${at(id).placeholder}: ${many} numbers are needed.`);
+  onNumbers(at(id), { count: many, refuse, use: (found) => { say(""); use(found); } });
 }
 
 function join() {
   views = sides.map((side) => new MapView(side));
-  scatter = new Scatter();
+  const ramp = (share) => { const k = 3 * Math.round(254 * share); return data.ramp.subarray(k, k + 3); };
+  scatter = new Scatter({ element: at("scatter"), shade: ramp, onBrush: setBrush, onClear: clearSelection });
+  scatter.canvas.id = "scatter-plot";
+  at("scatter").before(scatter.bar);
   slice = data.stacks.length ? new SliceView() : null;
   at("slices").hidden = !slice;
-  sides.forEach((side, k) => {
+  sides.forEach((side) => {
     const box = at(`${side}-layer`);
     box.replaceChildren(...data.maps.map((map, i) => new Option(named(map) + (map.trust === "ok" ? "" : ` (${map.trust})`), i)));
     box.value = state[side];
-    box.addEventListener("change", () => { state[side] = Number(box.value); views[k].limits = null; chosen(); });
-    at(`${side}-reset`).addEventListener("click", () => { views[k].limits = null; limits(side); redraw("colours"); });
-    field(`${side}-range`, 2, (found) => {
-      if (found && found[0] >= found[1]) throw new Error("Colours: the first number has to be the smaller one.");
-      views[k].limits = found; limits(side); redraw("colours");
-    });
+    box.addEventListener("change", () => { state[side] = Number(box.value); chosen(); });
     field(`brush-${side}`, 2, (found) => setBrush(...sides.map((one) => (one === side ? found && [Math.min(...found), Math.max(...found)] : state.brush[one]))));
   });
   field("region", 4, (found) => setRegion(found && [Math.min(found[0], found[2]), Math.min(found[1], found[3]), Math.max(found[0], found[2]), Math.max(found[1], found[3])]));
   at("clear").addEventListener("click", clearSelection);
-  at("nearer").addEventListener("click", () => zoom(1.6));
-  at("farther").addEventListener("click", () => zoom(0.625));
-  at("whole").addEventListener("click", () => zoom(0));
+  document.addEventListener("keydown", (event) => {
+    if (event.key === "?" && !event.target.matches("input")) { at("keys").open = !at("keys").open; at("keys").scrollIntoView({ block: "nearest" }); }
+  });
   at("values").replaceChildren(...data.maps.map((map) => {
     const row = document.createElement("tr"), name = document.createElement("th"), cell = document.createElement("td"), unit = document.createElement("small");
     name.scope = "row"; name.textContent = named(map) + (map.trust === "ok" ? "" : ` (${map.trust})`);
@@ -125,15 +129,10 @@ function join() {
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { readColours(); redraw("choice"); });
 }
 
-function limits(side) {
-  const map = shown(side), [low, high] = views[sides.indexOf(side)].limits || map.range;
-  at(`${side}-range`).value = [low, high].map((v) => v.toFixed(map.digits)).join(", ");
-}
-
 // Other layers were chosen: brushes were of the old ones.
 function chosen() {
-  sides.forEach((side) => {
-    limits(side);
+  sides.forEach((side, k) => {
+    views[k].choose();
     at(`brush-${side}-label`).textContent = `Brush ${named(shown(side))}`;
   });
   slice?.choose();
