@@ -106,7 +106,7 @@ def test_errors_of_marks_on_a_line_or_at_one_place_are_named():
     found = shown(moving, fixed)
     assert [(w.id, "hole 2 on the volume side" in w.text) for w in found.warnings if w.id] == [("m0-6", True)]
     assert "hole 6" in found.error
-    assert "(counted from 0)" not in found.error
+    assert "(counted from 1)" not in found.error
 
 
 @pytest.mark.parametrize("n", [0, 1, 2])

@@ -49,7 +49,7 @@ def test_doubles_are_refused_and_repeated_pairs_count_once():
     there = TURN(points) + np.tile(np.random.default_rng(1).normal(0, 2, (7, 2)), (2, 1))[:9]
     there[7:] = there[2:4]
     fit, once = fit_transform(points, there), fit_transform(points[:7], there[:7])
-    assert "Pairs 7, 8 (counted from 0) repeat others exactly and count once" in fit.warnings[0]
+    assert "Pairs 8, 9 (counted from 1) repeat others exactly and count once" in fit.warnings[0]
     np.testing.assert_allclose(fit(points), once(points), rtol=0, atol=1e-9)
     assert fit.agreement("abcdefghi") == once.agreement("abcdefg")
     assert fit.agreement("abcdefghi").startswith("7 marks agree to ")

@@ -50,7 +50,7 @@ def test_first_page_of_a_link_shows_the_result_and_nothing_else(link_page: str) 
         ("3", "Points of 100\u202fµm"),
     ]
     assert "What would make it more certain" in page.text("h2")
-    assert "The check is passed." in page.text("p")
+    assert "The check passed." in page.text("p")
     assert "90 % of the columns" not in page.text("header")
 
 

@@ -145,7 +145,7 @@ def test_page_shows_every_layer_and_pair(page: str) -> None:
     assert read.sections == ["relation", "linked", "registration", "inputs", "checks", "record"]
     assert read.text("title") == "3 layers on the pixels of after"
     for expected in ("before.tif", "photo.tif", "after.tif", "86\u202f%", "1.4; 2.6", "before → after",
-                     f"3 marks of before agree to 0.9{MICRO}.", "at 30° in after", "The check is passed.",
+                     f"3 marks of before agree to 0.9{MICRO}.", "at 30° in after", "The check passed.",
                      "3 matched, of 5 holes in before and 6 in after", f"Points of 60{MICRO}",
                      f"The expected error is 1.4{MICRO} (rms, median over the worst layer), at most 2.6"):  # fmt: skip
         assert expected in text

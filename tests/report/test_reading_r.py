@@ -38,10 +38,10 @@ def read(run: Run) -> str:
 def test_side_light_lag_and_strain_are_reconciled_beside_r() -> None:
     text = read(with_lag(0.62, (0.0, -19.0)))
     assert "A straight line explains r² = 64 % of the variance" in text
-    assert "Misplacement would leave a perfect relation an r of 0.93." in text
+    assert "A perfect relation would show an r of 0.93 here; the rest is lost to misplacement." in text
     assert "62 % of what image and sheet share follows slopes" in text
     assert "side light bears on r" in text
-    assert "The largest r, 0.85, has the maps moved by 19\u202fµm" in text
+    assert "r would be largest, 0.85, with one map shifted by 19\u202fµm." in text
     assert "the light moves the peak, and the registration stands" in text
     assert "less than the 0.5" in text
     assert '<h2 id="reading">How to read r</h2>' in page_of(with_lag(0.62, (0.0, -19.0)))
@@ -51,8 +51,8 @@ def test_side_light_lag_and_strain_are_reconciled_beside_r() -> None:
     ("light", "lag_um", "says", "says_not"),
     [
         (0.05, (0.0, -19.0), "the peak is broad, and the registration stands", "the light moves"),
-        (0.05, (0.0, 0.2), "about the error of the registration", "the peak is broad"),
-        (None, (0.0, -19.0), "their fine texture lies", "slopes allowed for"),
+        (0.05, (0.0, 0.2), "That is about the error of the registration", "the peak is broad"),
+        (None, (0.0, -19.0), "The fine texture lies", "slopes allowed for"),
     ],
 )
 def test_what_moves_the_largest_r_is_named(
@@ -61,6 +61,17 @@ def test_what_moves_the_largest_r_is_named(
     text = read(with_lag(light, lag_um))
     assert says in text
     assert says_not not in text
+
+
+@pytest.mark.parametrize(("r", "said"), [(0.95, "longer ones, such as uneven light, lower it"), (0.8, "")])
+def test_long_waves_that_change_r_are_named(r: float, said: str) -> None:
+    run = with_lag(0.05, (0.0, 0.2))
+    low, high = r - 0.03, r + 0.03
+    short = {"point_um": 100.0, "r": r, "interval": [low, high], "n": 200, "n_eff": 90.0}
+    run["results"]["evidence"][0] |= {"short_waves": short, "short_waves_um": 350.0}
+    text = read(run)
+    assert said in text
+    assert ("Waves below 350" in text) == bool(said)
 
 
 def test_nothing_is_read_into_an_r_that_is_withheld() -> None:
@@ -95,5 +106,5 @@ def test_the_page_says_who_made_it_when_and_of_what() -> None:
     assert "<title>Trial 7 &lt;b&gt;: " in html
     about = re.search(r'<dl class="about">.*?</dl>', html, flags=re.DOTALL)
     assert about is not None
-    assert re.findall(r"<dd>(.*?)</dd>", about[0]) == ["Trial 7 &lt;b&gt;", "A. Hofer", "not given", "not given"]
+    assert re.findall(r"<dd>(.*?)</dd>", about[0]) == ["A. Hofer", "not given", "not given"]
     assert "How to cite" in html

@@ -120,7 +120,7 @@ def test_page_states_what_is_known_of_the_registration() -> None:
     ):
         assert expected in text
     assert re.search(r'<p class="check amber">', html)
-    assert "The check is passed." in text
+    assert "The check passed." in text
     # Beside each r: the sentence, two numbers and the scatter of the first page, the figure of the relation, tables.
     assert len(re.findall("registration: marks only", text, flags=re.IGNORECASE)) == 3 + 1 + 1 + 2
 

@@ -215,7 +215,7 @@ def fitted(
             leave_one_out_um = fit_to_others.leave_one_out_um
     warnings += _warnings_of_marks(pairs, is_used, is_outlier, fit, residual_um, leave_one_out_um)
     # Those of the fit that are about single marks stand beside them already.
-    mark_phrases = "(counted from 0)", "marks only"
+    mark_phrases = "(counted from 1)", "marks only"
     warnings += [FitWarning(text=text) for text in fit.warnings if not any(phrase in text for phrase in mark_phrases)]
     return replace(
         unfitted, fit=fit, residual_um=residual_um, leave_one_out_um=leave_one_out_um, error=error_text,

@@ -175,16 +175,16 @@ def _warn_of_marks(fit: FittedTransform, repeated_rows: Ints) -> Iterator[str]:
     if excluded.size:
         distances_um = np.linalg.norm(fit.residuals_um, axis=1)[excluded[:8]]
         off_text = f"off by {', '.join(f'{distance:.3g}' for distance in distances_um)} um"
-        subject = f"{listed(excluded)} (counted from 0)"
+        subject = f"{listed(excluded + 1)} (counted from 1)"
         if excluded.size > 1:
             yield f"Marks {subject} do not agree with the others ({off_text}) and were left out. Check them."
         else:
             yield f"Mark {subject} does not agree with the others ({off_text}) and was left out. Check it."
     if repeated_rows.size:
         if repeated_rows.size > 1:
-            yield f"Pairs {listed(repeated_rows)} (counted from 0) repeat others exactly and count once."
+            yield f"Pairs {listed(repeated_rows + 1)} (counted from 1) repeat others exactly and count once."
         else:
-            yield f"Pair {listed(repeated_rows)} (counted from 0) repeats another one exactly and counts once."
+            yield f"Pair {listed(repeated_rows + 1)} (counted from 1) repeats another one exactly and counts once."
     count = int(np.count_nonzero(fit.weights > 0))
     if count < 6:
         yield f"{count} marks only: their error, and with it the expected error, is known to no better than about 40 %."

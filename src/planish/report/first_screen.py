@@ -77,7 +77,7 @@ def recommendations(results: Results) -> list[tuple[str, Check | None]]:
     ]  # fmt: skip
     study_text = ""
     if results.evidence and not results.evidence[0].declared and any(x.headline != "image" for x in results.layers):
-        study_text = "Declare the map that leads in the study before the next specimen is looked at."
+        study_text = "Declare the map that leads in the study before you look at the next specimen."
     advice += [(text, None) for text in (_field_advice(lead_pair(results)), _marks_advice(results), study_text) if text]
     usual_text = (
         "A second specimen would show whether the relation holds beyond this one."

@@ -9,7 +9,7 @@ from planish.core.numbers import fixed, length, percent, plain
 from planish.report.relation import largest
 from planish.report.statement import r2_limits
 from planish.report.summary import key_of, lead_pair
-from planish.results import EvidenceFacts, LayerFacts, Results
+from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results
 
 # Share of what image and sheet have in common that needs the slopes. On synthetic sheets with less, no displacement
 # raises r of 100 um points by 0.005; at 0.56 to 0.71, one of 30 um raises it by 0.03 to 0.1: tests/test_side_light.py.
@@ -31,34 +31,49 @@ def reading(results: Results) -> list[str]:
     )
     evidence = next((e for e in results.evidence if key_of(e) == key_of(row)), None)
     moving = next((layer for layer in results.moving if layer.name in (row.a, row.b)), None)
-    texts = [strength, _ceiling_text(evidence), *_bearing_texts(evidence, moving)]
+    texts = [strength, _ceiling_text(evidence), _short_waves_text(row, evidence), *_bearing_texts(evidence, moving)]
     return [text for text in texts if text]
 
 
 def _ceiling_text(evidence: EvidenceFacts | None) -> str:
     if evidence is None or evidence.ceiling is None:
         return ""
-    highest, causes = evidence.ceiling_both, "Misplacement and noise that differs between columns"
+    highest, causes = evidence.ceiling_both, "misplacement and noise"
     if highest is None:
-        highest, causes = evidence.ceiling, "Misplacement"
-    ceiling_text = "above 0.99" if highest > 0.99 else f"of {fixed(highest, 2)}"
-    return f"{causes} would leave a perfect relation an r {ceiling_text}."
+        highest, causes = evidence.ceiling, "misplacement"
+    if highest > 0.99:
+        return f"A perfect relation would show an r above 0.99 here: little is lost to {causes}."
+    return f"A perfect relation would show an r of {fixed(highest, 2)} here; the rest is lost to {causes}."
+
+
+def _short_waves_text(row: CorrelationRow, evidence: EvidenceFacts | None) -> str:
+    """Say that long waves change r, where that is certain."""
+    if evidence is None or evidence.short_waves is None or not is_known(evidence.short_waves.interval):
+        return ""
+    short_r, (low, high) = evidence.short_waves.r, evidence.short_waves.interval
+    if low <= row.r <= high or not evidence.short_waves_um:
+        return ""
+    change = "lower" if abs(short_r) > abs(row.r) else "raise"
+    return (
+        f"Waves below {plain(round(evidence.short_waves_um, -1))} alone have r = {fixed(short_r, 2)}: longer ones, "
+        f"such as uneven light, {change} it."
+    )
 
 
 def _bearing_texts(evidence: EvidenceFacts | None, moving: LayerFacts | None) -> list[str]:
     """Reconcile side light, the lag of the largest r and that with slopes allowed for; then the strain."""
     registration = None if moving is None else moving.registration
     lag = None if registration is None else registration.lag
-    texts = [""]
+    texts: list[str] = []
     if lag is not None and is_known(lag.light):
         weight = "side light bears on r" if lag.light >= SIDE_LIGHT else "too little to bear on r"
-        texts[0] = (
+        texts.append(
             f"{100 * lag.light:.0f} % of what image and sheet share follows slopes of the face, as under light from "
             f"one side: {weight}."
         )
     profiles = None if evidence is None else evidence.correlogram
     if lag is not None and profiles is not None and profiles.inner:
-        texts[0] = f"{texts[0]} {_lag_text(lag, profiles)}".strip()
+        texts.append(_lag_text(lag, profiles))
     if moving is not None and moving.sheet is not None and is_known(moving.sheet.flatten.edge_strain_p95):
         strain, limit = moving.sheet.flatten.edge_strain_p95 or 0.0, moving.sheet.flatten.curvature.limit
         texts.append(
@@ -71,16 +86,15 @@ def _bearing_texts(evidence: EvidenceFacts | None, moving: LayerFacts | None) ->
 def _lag_text(lag: LagNumbers, profiles: CorrelogramProfiles) -> str:
     """Say why the largest r may lie at a lag that the marks exclude."""
     lag_um = math.hypot(*profiles.lag_um)
-    peak = f"The largest r, {fixed(profiles.peak_r, 2)}, has the maps moved by {length(lag_um, 2)}"
+    peak = f"r would be largest, {fixed(profiles.peak_r, 2)}, with one map shifted by {length(lag_um, 2)}."
     if not is_known(lag.length_um):
-        return f"{peak}; the fine texture does not tell whether that is an error of the registration."
+        return f"{peak} The fine texture does not tell whether that is an error of the registration."
     expected_text = length(lag.expected_um, 2)
-    texture = (
-        f"their fine texture{', slopes allowed for,' if is_known(lag.light) else ''} lies {length(lag.length_um, 2)}"
-    )
+    light_text = ", slopes allowed for" if is_known(lag.light) else ""
+    texture = f"The fine texture lies {length(lag.length_um, 2)} apart{light_text}"
     if not lag.agrees:
-        return f"{peak}, and {texture} apart, where {expected_text} are expected: see Registration."
+        return f"{peak} {texture}, where {expected_text} are expected: see Registration."
     if lag_um <= _ABOVE_ERROR * max(lag.expected_um, lag.length_se_um):
-        return f"{peak}, about the error of the registration."
+        return f"{peak} That is about the error of the registration."
     cause = "the light moves the peak" if lag.light >= SIDE_LIGHT else "the peak is broad"
-    return f"{peak}, but {texture} apart ({expected_text} expected): {cause}, and the registration stands."
+    return f"{peak} {texture} ({expected_text} expected): {cause}, and the registration stands."

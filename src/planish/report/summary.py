@@ -46,7 +46,7 @@ def check_summary(results: Results) -> str:
     fail, look, unknown = (len(results.checks_in(state)) for state in ("fail", "look", "unknown"))
     total = len(results.checks)
     if not (fail or look or unknown):
-        return f"All {total} checks are passed." if total != 1 else "The check is passed."
+        return f"All {total} checks passed." if total != 1 else "The check passed."
     subjects = {n: "it concerns" if n == 1 else "they concern" for n in (fail, look)}
     clauses = [
         f"{fail} failed, and what {subjects[fail]} is withheld" if fail else "",

@@ -12,12 +12,15 @@ export function cornersOf(text) {
   return corners.length >= 3 && corners.every((one) => one.length === 2 && one.every(Number.isFinite)) ? corners : null;
 }
 
+const FIELDS = ["Name", "Author", "Reason"];
+
 export class Artefacts {
   /** `maps`: `draw` lets a person draw a polygon, which comes back by `drawn` */
   constructor(app, maps) {
     this.app = app;
     this.maps = maps;
     this.shown = "";
+    this.declared = [];
     this.name = make("input", { type: "text", size: 14, maxlength: 60 });
     this.author = make("input", { type: "text", size: 14, maxlength: 100 });
     this.reason = make("input", { type: "text", size: 26, maxlength: 300 });
@@ -28,20 +31,9 @@ export class Artefacts {
       { class: "panel", "aria-label": "Artefacts" },
       make("h2", {}, "Artefacts"),
       make("p", { class: "soft" }, "A stain or fold that shall not count: draw it, declare it, then Apply."),
-      make(
-        "div",
-        { class: "group" },
-        labelled("Name", this.name, "Artefact: "),
-        labelled("Author", this.author, "Artefact: "),
-        labelled("Reason", this.reason, "Artefact: "),
-      ),
-      make(
-        "div",
-        { class: "group" },
-        button("Draw polygon", () => maps.draw()),
-        labelled("Polygon, um", this.polygon),
-        button("Declare artefact", () => void this.declare()),
-      ),
+      make("div", { class: "group" }, ...FIELDS.map((name) => labelled(name, this[name.toLowerCase()], "Artefact: "))),
+      make("div", { class: "group" }, button("Draw polygon", () => maps.draw()), labelled("Polygon, um", this.polygon)),
+      button("Declare artefact", () => void this.declare()),
       this.list,
     );
     app.onState((state) => this.show(state.regions ?? []));
@@ -50,6 +42,8 @@ export class Artefacts {
   /** A polygon that was drawn. */
   drawn(corners) {
     this.polygon.value = corners.map((point) => point.map((um) => um.toFixed(1)).join(", ")).join("; ");
+    this.polygon.removeAttribute("aria-invalid");
+    this.maps.show([...this.declared, corners]);
     this.name.focus();
   }
 
@@ -57,8 +51,8 @@ export class Artefacts {
     const polygon = cornersOf(this.polygon.value);
     this.polygon.setAttribute("aria-invalid", String(!polygon));
     if (!polygon) return this.app.say('A polygon is "x, y; x, y; x, y": three corners or more, in um.');
-    const name = this.name.value.trim() || "artefact";
-    const [author, reason] = [this.author.value.trim(), this.reason.value.trim()];
+    const [name, author, reason] = [this.name, this.author, this.reason].map((field) => field.value.trim());
+    if (!(name && author && reason)) return this.app.say("Give it a name, an author and a reason: they stand in the report.");
     const done = await this.app.change({ do: "region", name, author, reason, polygon }, `${name} declared an artefact`);
     if (done) this.name.value = this.reason.value = this.polygon.value = "";
   }
@@ -67,7 +61,8 @@ export class Artefacts {
     const shown = JSON.stringify(regions);
     if (shown === this.shown) return; // a button that is being pressed stays
     this.shown = shown;
-    this.maps.show(regions.map((one) => one.polygon));
+    this.declared = regions.map((one) => one.polygon);
+    this.maps.show(this.declared);
     this.list.replaceChildren(
       ...regions.map((one) => {
         const by = [one.reason, one.author && `by ${one.author}`].filter(Boolean).join(", ");

@@ -113,11 +113,11 @@ export class MarkLayer {
     return found;
   }
 
-  /** Let the chosen mark be dragged. */
+  /** Let a mark be dragged. */
   dragging(onMove, onMoved) {
     this.view.takes.push((at) => {
       const feature = this.near(at);
-      if (!feature?.get("chosen")) return null;
+      if (!feature) return null;
       const id = feature.get("id");
       return {
         move: (to) => {

@@ -145,7 +145,10 @@ class Marks {
       const marks = this.app.state.marks.map((one) => (one.id === id ? { ...one, [side]: point } : one));
       this.overlay.follow(marks);
     };
-    this.layers[side].dragging(moving, (id, point) => this.app.change({ do: "move", id, [side]: point }, "Mark moved"));
+    this.layers[side].dragging(moving, (id, point) => {
+      this.chosen = id;
+      void this.app.change({ do: "move", id, [side]: point }, "Mark moved");
+    });
   }
 
   // --- what is shown ---------------------------------------------------------------------------------------------

@@ -25,9 +25,9 @@ const STYLES = {
 const HOW = {
   Box: "Drag over the region, or click two corners.",
   LineString: "Drag along the line, or click both ends.",
-  Polygon: "Click the corners; a double click, or a click on the last corner, ends.",
+  Polygon: "Click the corners; a click on the first one, or a double click, ends.",
 };
-/** How near the last corner a click ends a polygon, in screen pixels. */
+/** How near the first or the last corner a click ends a polygon, in screen pixels. */
 const NEAR_PX = 8;
 
 export class Shapes {
@@ -96,7 +96,8 @@ export class Shapes {
   /** A corner that was clicked, or set by Enter. */
   corner(point, view) {
     const last = this.points.at(-1);
-    const again = last && Math.hypot(point[0] - last[0], point[1] - last[1]) < NEAR_PX * view.pixel;
+    const near = (corner) => corner && Math.hypot(point[0] - corner[0], point[1] - corner[1]) < NEAR_PX * view.pixel;
+    const again = near(last) || (this.points.length > 2 && near(this.points[0]));
     if (!again) this.points.push(point);
     const enough = this.tool === "Polygon" ? again && this.points.length > 2 : this.points.length > 1;
     if (enough) this.finish(this.points);

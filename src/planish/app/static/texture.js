@@ -2,10 +2,7 @@
 
 import { button, make } from "./dom.js";
 
-/**
- * The button `Find by texture` and, where no place stands out, a button for each of the best ones; null for a run that
- * is linked. `marks` gives the newest mark that waits for an end, and goes to a place in the image.
- */
+/** The button `Find by texture`, and one for each of the best places where none stands out; null for a linked run. */
 export function texture(app, marks) {
   if (app.session.linked) return null;
   const places = make("div", { class: "group", role: "group", "aria-label": "Best places" });
