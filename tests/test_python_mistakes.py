@@ -1,5 +1,7 @@
 """What is easily written wrong in Python, and the sentence that each gets: given, needed, what to write."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -110,7 +112,7 @@ CASES = [
     (lambda: pl.map_sheet(VOLUME, image_side="top"),
      "pl.map_sheet: image_side= is for pl.link, which has an image and marks. Leave it out."),
     (lambda: pl.map_sheet(VOLUME, cutoff_um=-3), "cutoff_um: Input should be greater than 0 (found -3)"),
-    (lambda: pl.open_run("nowhere"), "nowhere is no run. Give the folder that 'planish map' or 'planish link' made."),
+    (lambda: pl.open_run("nowhere"), f"{Path('nowhere').absolute()} does not exist. Check the name and the folder."),
     (lambda: pl.open_run(None),
      "pl.open_run takes the folder of a run, and None was given. Write pl.open_run(\"run\")."),
     (lambda: pl.export("nowhere", "maps", to="tif"),

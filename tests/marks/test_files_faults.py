@@ -152,7 +152,7 @@ def test_matlab_files_that_are_wrong(put, data, error, message):
 
 
 def test_files_that_are_missing_or_do_not_go_together(tmp_path, put):
-    refused(FileError, r"none\.csv cannot be read", read_any, tmp_path / "none.csv")
+    refused(FileError, r"none\.csv does not exist", read_any, tmp_path / "none.csv")
     refused(FileError, "is no file", read_any, tmp_path)
     a, b = put(elastix(MOVING / 1000), "mp.txt"), put(elastix(FIXED[:3] / 1000), "fp.txt")
     refused(MarkError, r"4 moving points \(mp.txt\) and 3 fixed points \(fp.txt\).*same number", read_any, a, b)

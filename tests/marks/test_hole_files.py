@@ -116,7 +116,7 @@ def test_what_has_no_place_in_the_file(found, tmp_path):
     refused(FileError, "already there", write_holes, found, tmp_path / "holes.json")
     refused(FileError, "damaged JSON", read_holes, tmp_path / "holes.json")
     refused(FileError, "cannot be written", write_holes, found, tmp_path / "no" / "holes.json")
-    refused(FileError, "cannot be read", read_holes, tmp_path / "none.csv")
+    refused(FileError, "does not exist", read_holes, tmp_path / "none.csv")
 
 
 @pytest.mark.parametrize(("text", "words"), [
