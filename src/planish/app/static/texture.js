@@ -1,6 +1,6 @@
 /** Marks by the texture of map and image: searched, or put where a person says that the sheet lies. */
 
-import { button, make } from "./dom.js";
+import { button, make, typeset } from "./dom.js";
 
 /** The button `Find by texture`, and one for each of the best places where none stands out; null for a linked run. */
 export function texture(app, marks) {
@@ -34,7 +34,7 @@ export function texture(app, marks) {
 
   /** The button of a place that chance may reach as well. */
   function offered(one) {
-    return button(one.text.replace(/: [\d.]+$/, ""), () => {
+    return button(typeset(one.text.replace(/: [\d.]+$/, "")), () => {
       marks.goTo(one.middle_um);
       void take({ place: one.place }, "Tiles put at the chosen place: nothing says how likely chance finds it");
     }, { title: "Looks for tiles of the texture there" });
