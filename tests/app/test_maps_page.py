@@ -164,8 +164,11 @@ def test_an_artefact_is_declared_by_keys_and_by_drawing_and_undone(maps):
     for dx, dy in ((-40, -40), (40, -40), (0, 40)):
         maps.page.mouse.click(x + dx, y + dy)
         maps.page.wait_for_timeout(300)  # two clicks at once would be a double click
-    maps.page.mouse.dblclick(x - 40, y + 20)
+    maps.page.mouse.click(x - 40, y - 38)  # the first corner
     expect(maps.page.get_by_label("Polygon, um", exact=True)).to_have_value(re.compile(r"(-?[\d.]+, -?[\d.]+; ){2,}"))
+    maps.role("button", "Declare artefact").click()
+    expect(maps.role("status", "Message")).to_contain_text("Give it an author and a reason")
+    maps.fill("Artefact: Reason", "a second one")
     maps.role("button", "Declare artefact").click()
     expect(artefacts.get_by_role("listitem")).to_have_count(2)
     maps.role("button", "Undo").click()

@@ -135,6 +135,7 @@ def test_a_stain_is_excluded_and_the_report_of_the_new_run_read(person):
     corners = [person.place("Left map", *at) for at in ((0.45, 0.45), (0.55, 0.45), (0.5, 0.6))]
     for corner in [*corners, corners[-1]]:  # the last corner once more ends it
         person.click(*corner)
+    person.write("Artefact: Author", "me")
     person.write("Artefact: Reason", "a stain")
     person.press("button", "Declare artefact")
     expect(person.shown.role("list", "Declared artefacts")).to_contain_text("a stain")

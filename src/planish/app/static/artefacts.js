@@ -52,8 +52,8 @@ export class Artefacts {
     this.polygon.setAttribute("aria-invalid", String(!polygon));
     if (!polygon) return this.app.say('A polygon is "x, y; x, y; x, y": three corners or more, in um.');
     const [name, author, reason] = [this.name, this.author, this.reason].map((field) => field.value.trim());
-    if (!(name && author && reason)) return this.app.say("Give it a name, an author and a reason: they stand in the report.");
-    const done = await this.app.change({ do: "region", name, author, reason, polygon }, `${name} declared an artefact`);
+    if (!(author && reason)) return this.app.say("Give it an author and a reason: they stand in the report.");
+    const done = await this.app.change({ do: "region", name: name || "artefact", author, reason, polygon }, `${name || "One"} declared an artefact`);
     if (done) this.name.value = this.reason.value = this.polygon.value = "";
   }
 
