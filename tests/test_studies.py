@@ -170,7 +170,7 @@ def test_the_discussion_and_a_large_sheet(make, tmp_path, capsys):
 @pytest.mark.study
 def test_no_holes_by_texture_and_by_holes(make, tmp_path, capsys):
     said = stated(make, capsys, "no-holes", tmp_path)
-    assert "Without holes, 2 of 2 sheets were linked, with a probability of a false link below 1e-06." in said
+    assert "Without holes, 2 of 2 sheets were linked, with a probability of a false link below 0.000001." in said
     texture, holes = numbers(rf"expected error \(median\) is {NUMBER} um by texture and {NUMBER} um by holes", said)
     assert 0 < texture < 4
     assert 0 < holes < 4

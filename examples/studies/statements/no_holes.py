@@ -158,7 +158,7 @@ def _short_waves(maps: xr.Dataset, valid: np.ndarray) -> list[np.ndarray]:
 
 def _largest(probabilities: Sequence[float]) -> str:
     largest = max(probabilities)
-    return f"below {LEAST_SHOWN:g}" if largest < LEAST_SHOWN else f"of at most {largest:.1g}"
+    return f"below {LEAST_SHOWN:f}" if largest < LEAST_SHOWN else f"of at most {largest:.1g}"
 
 
 def _draw(figure: Figure, bare: Sequence[Sheet], holed: Sequence[Sheet]) -> None:
