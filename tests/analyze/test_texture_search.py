@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -212,6 +214,16 @@ def test_transmitted_light_is_found_by_the_thickness_and_said_so(mirrored):
     assert found.fit.mirrored is mirrored
     assert "The thickness leads" in found.sentence
     assert np.linalg.norm(found(CORNERS) - place(CORNERS), axis=1).max() < 4.0
+
+
+@pytest.mark.parametrize(("right_um", "said"), [(1e6, "lies beside it"), (1500.0, "4 are needed")])
+def test_a_given_place_that_is_none_is_refused(right_um, said):
+    place = placed(40.0)
+    maps, image = pair(place=place, r=0.6)
+    assert "The place was given" in pl.register_texture(maps, image, place=place).sentence
+    wrong = replace(place, shift_um=(place.shift_um[0] + right_um, place.shift_um[1]))
+    with pytest.raises(CannotRegister, match=said):
+        pl.register_texture(maps, image, place=wrong)
 
 
 def test_a_pattern_that_repeats_is_refused_by_its_name():

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterable, Sequence
+from decimal import Decimal
 from difflib import get_close_matches
 from unicodedata import category
 
@@ -12,11 +13,11 @@ _MINUS_ZERO = re.compile(r"(?<![\w.])-(?=0(?:\.0+)?(?![\w.]\w|\w))")
 def plain_numbers(text: str) -> str:
     """Write out the powers of ten in a sentence, which rounding to a few digits makes, and no minus sign on a zero.
 
-    >>> plain_numbers("6 marks agree to 1e+02 um, near (5.357e+04, 1.42e+04) um; p below 1e-06, lag -0.0 um, x -0.04")
-    '6 marks agree to 100 um, near (53570, 14200) um; p below 0.000001, lag 0.0 um, x -0.04'
+    >>> plain_numbers("6 marks agree to 1e+02 um, near (5.357e+04, 1.42e+04) um; p below 1e-15, lag -0.0 um, x -0.04")
+    '6 marks agree to 100 um, near (53570, 14200) um; p below 0.000000000000001, lag 0.0 um, x -0.04'
     """
     text = _MINUS_ZERO.sub("", text)
-    return _POWER.sub(lambda power: f"{float(power[0]):.12f}".rstrip("0").rstrip("."), text)
+    return _POWER.sub(lambda power: f"{Decimal(power[0]):f}", text)
 
 
 def printable(text: str) -> str:

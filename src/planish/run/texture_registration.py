@@ -301,6 +301,8 @@ def _tiles_near(
     a, b = layers.a, layers.b.scaled(scaled)
     seen = place(a.corners_um)
     b = b.part(seen.min(axis=0) - _AROUND_UM, seen.max(axis=0) + _AROUND_UM)
+    if not all(b.grid.shape):
+        raise CannotRegister("The other layer shows no texture at this place: it lies beside it. Give another place.")
     has_light = not b.is_sheet
     (moving, moving_first), (fixed, fixed_first) = a.texture(_FINE_UM, slopes=has_light), b.texture(_FINE_UM)
     light = tuple(name for name in a.light if has_light and name in moving.maps)
