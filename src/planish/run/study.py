@@ -50,9 +50,8 @@ class AboutParams(Params):
 
 SECTIONS: dict[str, type[Params]] = {
     "about": AboutParams, "volume": VolumeParams, "image": ImageParams, "surface": SurfaceParams,
-    "properties": MeasureParams,
-    "flatten": FlattenParams, "holes": HoleParams,
-    "registration": RegistrationParams, "correlate": CorrelateParams,
+    "properties": MeasureParams, "flatten": FlattenParams, "holes": HoleParams, "registration": RegistrationParams,
+    "correlate": CorrelateParams,
 }  # fmt: skip
 """Sections of a study with options, and the models of these."""
 
