@@ -4,12 +4,13 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
-from folders import make_once
+from folders import chromium_path, make_once
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line has it; tests run side by side
 
@@ -304,3 +305,16 @@ def refuses(planish, tmp_path):
         return message
 
     return call
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator[Any]:
+    """One Chromium for all tests; skipped where it or playwright is absent."""
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is absent: pip install playwright")
+    path = chromium_path()
+    if path is None:
+        pytest.skip("Chromium is absent: install it (apt-get install chromium), or name it in PLANISH_CHROMIUM")
+    with api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        yield browser
+        browser.close()

@@ -1,6 +1,7 @@
 """What tests of several folders share: files that they write and compare, and calls that are refused."""
 
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -52,3 +53,9 @@ def refused(error, words: str, call: Callable[..., object], /, *args, **options)
     """The call ends with this error, whose message holds these words (a regular expression)."""
     with pytest.raises(error, match=words):
         call(*args, **options)
+
+
+def chromium_path() -> str | None:
+    """The Chromium of ``PLANISH_CHROMIUM``, or the one on the path."""
+    named = os.environ.get("PLANISH_CHROMIUM")
+    return named or next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

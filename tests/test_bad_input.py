@@ -7,6 +7,7 @@ from PIL import Image
 
 from folders import disc_image, write_image, write_volume
 from planish.io import new_folder
+from planish.run import open_run
 
 
 @pytest.fixture(scope="module")
@@ -59,8 +60,8 @@ def test_too_few_holes_in_the_image(refuses, linked_run, holes_um, tmp_path, cou
 
 
 @pytest.mark.study
-def test_too_few_holes_in_the_volume(planish, specimen, specimen_files, tmp_path):
-    """Fill all holes of the volume but two with the sheet beside them."""
+def test_too_few_holes_in_the_volume(planish, specimen, specimen_files, holes_um, tmp_path):
+    """All holes of the volume but two are filled with the sheet beside them: its texture links, or nothing does."""
     volume = specimen.volume.values.copy()
     for u, v in specimen.sheet.holes[2:]:
         x, y, _ = specimen.warp.points(np.array([u]), np.array([v]))[0] / 4.0
@@ -70,9 +71,20 @@ def test_too_few_holes_in_the_volume(planish, specimen, specimen_files, tmp_path
         donor = volume[:, ys][:, :, [max(xs[0] - 1, 0)]]
         volume[:, i, j] = np.broadcast_to(donor, volume[:, i, j].shape)
     path = write_volume(tmp_path / "filled.tif", volume)
+
     code, _, err = planish("link", path, specimen_files[1], "--out", tmp_path / "run")
+    assert code == 0, err
+    run = open_run(tmp_path / "run")
+    assert run.results.layers[0].registration.source == "texture"
+    off_um = np.hypot(*(run.groups["linked"][k] - specimen.truth[k] for k in ("volume_x", "volume_y"))).values
+    off_um = off_um[run.groups["linked"]["valid"].values]
+    print(f"off by {np.nanmedian(off_um):.2f} um (median), {np.nanquantile(off_um, 0.95):.2f} um (95 %)")
+    assert np.nanmedian(off_um) < 3.0
+
+    plain = write_image(tmp_path / "plain.tif", disc_image(holes_um, (300, 330)))
+    code, _, err = planish("link", path, plain, "--out", tmp_path / "none")
     assert (code, "in the sheet" in err, "hole" in err) == (3, True, True), err
-    assert not (tmp_path / "run").exists()
+    assert not (tmp_path / "none").exists()
 
 
 @pytest.mark.study

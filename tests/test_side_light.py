@@ -7,7 +7,7 @@ from scipy import ndimage
 import planish as pl
 from planish.analyze import texture_lag, textures
 from planish.core.grid import Grid
-from planish.report import tables
+from planish.report import reading_r, tables
 from planish.results import Results
 from planish.synthetic import PRESETS, CameraParams, SpecimenParams, Warp, image_material, make_specimen
 from report.runs import a_run
@@ -48,7 +48,7 @@ def test_a_displacement_towards_the_light_raises_r_only_under_light_from_one_sid
     found = textures(known, use, Grid.of(image).pixel_um).with_slopes("face")
     lag = texture_lag(found, ["coating", "face_x", "face_y"], "image", slopes=2, reach_um=150.0)
     print(f"{paper}, shading {shading}: {towards:.3f}, {right:.3f}, {away:.3f}; light {lag.light:.2f}")
-    assert (lag.light < tables._SIDE_LIGHT) == diffuse
+    assert (lag.light < reading_r.SIDE_LIGHT) == diffuse
     assert lag.length_um < 1.0  # with the slopes beside the coating, the lag stays right
     assert away < right  # by 0.02 and more
     if diffuse:

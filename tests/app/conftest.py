@@ -1,11 +1,10 @@
 """A server on a copy of a run, and a browser: for the tests of the page with real mouse and keys."""
 
 import json
-import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
@@ -14,7 +13,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from folders import make_once
+from folders import disc_image, make_once, write_image
 from planish.app import Session
 from planish.cli import main
 from planish.run import link, open_run
@@ -125,44 +124,17 @@ def laid_run(laid, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="session")
 def refused(specimen_files, linked_run, tmp_path_factory) -> tuple[Path, Path]:
-    """Maps and an image with two holes left, as a link leaves them that was refused at the marks."""
+    """Maps and an image of two holes on a plain sheet, as a link leaves them that was refused at the marks."""
     volume, image = specimen_files
     folder = tmp_path_factory.mktemp("refused")
     run = open_run(linked_run)
-    marks, stored = run.marks, tifffile.imread(image)
-    grey = stored.astype(np.float32)
-    pixel = run.linked.x.values[1] - run.linked.x.values[0]
-    y, x = np.mgrid[: grey.shape[0], : grey.shape[1]] * pixel
-    at = np.flatnonzero(np.isfinite(marks.fixed_x.values))[2:]
-    for k in at:
-        away = np.hypot(x - marks.fixed_x.values[k], y - marks.fixed_y.values[k])
-        around = grey[(away > 130) & (away < 220)]
-        inside = away < 130
-        grey[inside] = np.resize(around, int(inside.sum()))
-    per_cm = (1e4 / float(pixel),) * 2
-    tifffile.imwrite(folder / "image.tif", grey.astype(stored.dtype), resolution=per_cm, resolutionunit="CENTIMETER")
+    marks, pixel = run.marks, float(run.linked.x.values[1] - run.linked.x.values[0])
+    at = np.flatnonzero(np.isfinite(marks.fixed_x.values))[:2]
+    holes = [(marks.fixed_x.values[k], marks.fixed_y.values[k]) for k in at]
+    write_image(folder / "image.tif", disc_image(holes, tifffile.imread(image).shape, pixel), pixel)
     with pytest.raises(SystemExit):
         main(["map", str(volume), "--out", str(folder / "out-map")])
     return folder / "out-map", folder / "image.tif"
-
-
-def chromium_path() -> str | None:
-    """The Chromium of ``PLANISH_CHROMIUM``, or the one on the path."""
-    named = os.environ.get("PLANISH_CHROMIUM")
-    return named or next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-
-
-@pytest.fixture(scope="session")
-def chromium() -> Iterator[Any]:
-    """One Chromium for all tests; skipped where it or playwright is absent."""
-    api = pytest.importorskip("playwright.sync_api", reason="playwright is absent: pip install playwright")
-    path = chromium_path()
-    if path is None:
-        pytest.skip("Chromium is absent: install it (apt-get install chromium), or name it in PLANISH_CHROMIUM")
-    with api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
-        yield browser
-        browser.close()
 
 
 @dataclass

@@ -35,7 +35,7 @@ def test_all_tabs_of_an_exposed_server_ask_nothing_of_other_machines(serve, wind
     shown = window(server, context=context)
     settled(shown)
     shown.role("tab", "Surfaces").click()
-    expect(shown.role("status", "Slice position")).to_contain_text("um")
+    expect(shown.role("status", "Slice position")).to_contain_text("µm")
     shown.role("tab", "Maps").click()
     expect(shown.page.get_by_text(re.compile("Scatter of [0-9]+ points"))).to_be_visible()
     shown.role("tab", "Flattening").click()

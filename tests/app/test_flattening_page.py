@@ -5,8 +5,8 @@ import statistics
 
 import pytest
 
-from app.conftest import chromium_path
 from app.marks_page import expect, settled
+from folders import chromium_path
 
 pytestmark = pytest.mark.study
 
@@ -30,19 +30,19 @@ COLOURS = """(canvas) => {
 }"""
 
 OFF_THE_BAR = """(canvas) => {
-  const pixelsOf = (shown) => {
+  const pixelsOf = (shown, above = 0) => {
     const copy = document.createElement("canvas");
     [copy.width, copy.height] = [shown.width, shown.height];
     const context = copy.getContext("2d", { willReadFrequently: true });
     context.drawImage(shown, 0, 0);
-    const { data } = context.getImageData(0, 0, copy.width, copy.height), found = [];
+    const { data } = context.getImageData(0, above, copy.width, copy.height - above), found = [];
     for (let k = 0; k < data.length; k += 4) {
       const [r, g, b] = data.slice(k, k + 3), length = Math.hypot(r, g, b);
       if (data[k + 3] > 250 && length > 40) found.push([r / length, g / length, b / length]);
     }
     return found;
   };
-  const bars = document.querySelectorAll(".scale-bar canvas"), bar = pixelsOf(bars[bars.length - 1]);
+  const bar = pixelsOf(canvas.parentElement.querySelector(".contrast canvas"), 20); // below its histogram
   const angles = pixelsOf(canvas).filter((_, k) => k % 97 === 0).map((one) => Math.acos(Math.min(1, Math.max(
     ...bar.map((other) => one[0] * other[0] + one[1] * other[1] + one[2] * other[2])))) * 180 / Math.PI);
   return angles.sort((a, b) => a - b)[Math.floor(0.5 * angles.length)];

@@ -22,7 +22,7 @@ def test_a_wrong_mark_among_exact_ones_changes_nothing(model):
     fit = fit_transform(points, seen, model=model)
     assert fit.robust_weights.tolist() == [float(k != 4) for k in range(12)]
     np.testing.assert_allclose(fit(points), truth(points), rtol=0, atol=1e-6)
-    assert "Mark 4 " in fit.warnings[0]
+    assert "Mark 5 (counted from 1) " in fit.warnings[0]
     # What is left out is missed by its residual, and does not count in the rms.
     assert fit.leave_one_out_um[4] == pytest.approx(np.hypot(90, 40), abs=1e-6)
     assert fit.rms_um < 1e-6

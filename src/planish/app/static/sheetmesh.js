@@ -1,8 +1,5 @@
 /** Triangles of a sheet that is known at the points of a grid, and a picture of it with shadows where there is no WebGL. */
 
-/** Light adds up in linear levels: of those of the screen it would change the hue. */
-const LINEAR = Uint8Array.from({ length: 256 }, (_, level) => Math.round(255 * (level / 255) ** 2.2));
-
 /**
  * Triangles between two rows of a grid, without those of points where there is no sheet.
  * A geometry of three.js; null where there is none
@@ -32,7 +29,7 @@ export function stripOf(three, { rows, cols, x, y, z, colours }, top, bottom) {
   const geometry = new three.BufferGeometry();
   geometry.setAttribute("position", new three.BufferAttribute(places, 3));
   geometry.setAttribute("normal", new three.BufferAttribute(normalsOf({ rows, cols, x, y, z }, top, bottom), 3));
-  geometry.setAttribute("color", new three.BufferAttribute(colours.subarray(3 * from, 3 * (from + points)).map((level) => LINEAR[level]), 3, true));
+  geometry.setAttribute("color", new three.BufferAttribute(colours.subarray(3 * from, 3 * (from + points)), 3, true));
   geometry.setIndex(new three.BufferAttribute(index.subarray(0, used), 1));
   return geometry;
 }
