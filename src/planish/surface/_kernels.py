@@ -181,35 +181,38 @@ def presence(slab, first, deep, lead_r, lead_c, centre, normal_r, normal_c, norm
 
 
 @njit(cache=True, nogil=True)
-def block_sums(voxels, wide, missing, sums, bad):
+def block_sums(voxels, wide, corner, sums, bad, holds):
     """Sums over blocks of columns, in the order in which the voxels lie in memory.
 
-    voxels    : (a, b, c), as they lie in memory, the last axis without jumps; one of the axes is the depth
-    wide      : voxels of a block along each axis, 1 along the depth. The last block of an axis takes what is left over
-    missing   : value that counts as missing; NaN where there is none
-    sums, bad : (blocks along a, b, c), zeros before; ``sums`` NaN where a voxel is missing, ``bad`` how many voxels are
-                not finite
+    voxels : (a, b, c), as they lie in memory, the last axis without jumps; one of the axes is the depth
+    wide   : voxels of a block along each axis, 1 along the depth. The last block of an axis takes what is left over
+    corner : value that may be the padding; NaN where there is none
+    sums, bad, holds : (blocks along a, b, c), zeros before; ``sums`` not finite where a voxel is not, ``bad`` how many
+                       voxels are not finite, ``holds`` whether a voxel has the value of the corner
     """
     last = np.array([n - 1 for n in sums.shape])
-    total, lost = np.empty(voxels.shape[2]), np.empty(voxels.shape[2])
+    total, lost, seen = np.empty(voxels.shape[2]), np.empty(voxels.shape[2]), np.empty(voxels.shape[2])
     for p in range(sums.shape[0]):
         end_i = voxels.shape[0] if p == last[0] else (p + 1) * wide[0]
         for i in range(p * wide[0], end_i):
             for q in range(sums.shape[1]):
                 total[:] = 0.0
                 lost[:] = 0.0
+                seen[:] = 0.0
                 end_j = voxels.shape[1] if q == last[1] else (q + 1) * wide[1]
                 for j in range(q * wide[1], end_j):
                     row = voxels[i, j]
                     for k in range(row.size):
                         value = np.float64(row[k])
-                        total[k] += np.nan if value == missing else value
+                        total[k] += value
                         lost[k] += 0.0 if isfinite(value) else 1.0
+                        seen[k] += 1.0 if value == corner else 0.0
                 for r in range(sums.shape[2]):
                     end_k = voxels.shape[2] if r == last[2] else (r + 1) * wide[2]
                     for k in range(r * wide[2], end_k):
                         sums[p, q, r] += total[k]
                         bad[p, q, r] += lost[k]
+                        holds[p, q, r] |= seen[k] > 0.0
 
 
 @njit(cache=True, nogil=True)

@@ -180,7 +180,7 @@ def check_axis(columns: Columns, survey: Survey, params: SurfaceParams, engine: 
         return
     turned_columns = replace(columns, frame=Frame(through=likely_axis), padding=None)
     try:
-        turned_sheet = take_survey(turned_columns, params, engine).coarse
+        turned_sheet = take_survey(turned_columns, params, replace(engine, folder=None)).coarse
     except VolumeError:
         return
     sheets_and_columns = (coarse_sheet, columns), (turned_sheet, turned_columns)

@@ -1,6 +1,6 @@
 """The first look at a volume, in one pass: block means, a sample of its columns, levels, noise and gaps."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,6 @@ from scipy import ndimage
 from planish.core.errors import VolumeError
 from planish.core.grid import first_and_last
 from planish.core.robust import mad_sd
-from planish.core.threads import map_threads
 from planish.core.tiles import Engine, Tile
 from planish.core.typing import Bools, Floats
 from planish.surface._kernels import block_sums
@@ -39,15 +38,15 @@ class Survey:
 def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Survey:
     """Find the sheet roughly; VolumeError if there is none, several, or one that fills the volume from end to end."""
     depth = columns.shape[2]
-    block, stride = _block(columns)
-    profiles = _sampled(columns, stride, engine).reshape(-1, depth)
+    reading = _read(columns, engine)
+    profiles, missing_share = reading.profiles.reshape(-1, depth), reading.missing_share
     padding = padding_value(profiles)
-    blocks, sharp_blocks, missing_share = _blocks(replace(columns, padding=padding), block, engine)
+    blocks, sharp_blocks = reading.blocks(padding)
     if params.seed_um is None:
         sharp_blocks = blocks  # only a seed needs both
     if missing_share > 0.9:
         raise VolumeError("More than 90 % of the volume's voxels are NaN or infinite. Check how it was exported.")
-    choice = make_choice(columns, block, blocks.shape, params)
+    choice = make_choice(columns, reading.block, blocks.shape, params)
     # The level comes from means over blocks: where the export has cut the air's noise at 0, single voxels crowd there.
     end_grey = _ends(blocks.reshape(-1, depth), np.isfinite(blocks).reshape(-1, depth))
     end_voxels = _ends(profiles, np.ones(profiles.shape, bool) if padding is None else profiles != padding)
@@ -70,9 +69,9 @@ def survey_labels(columns: Columns, params: SurfaceParams, engine: Engine) -> tu
 
     VolumeError as of :func:`take_survey`.
     """
-    block = _block(columns)[0]
-    shares = _blocks(columns, block, engine)[1]
-    coarse_sheet = search_sheet(shares, shares > 0.5, 0.5, make_choice(columns, block, shares.shape, params))
+    reading = _read(columns, engine)
+    shares = reading.blocks(None)[1]
+    coarse_sheet = search_sheet(shares, shares > 0.5, 0.5, make_choice(columns, reading.block, shares.shape, params))
     return coarse_sheet, float(1.0 - (shares > 0).any(axis=2).mean())
 
 
@@ -94,58 +93,81 @@ def _block(columns: Columns) -> tuple[int, tuple[int, int]]:
     return block, (max(rows // 24, 1), max(cols * 24 // _SAMPLE, 1))
 
 
-def _sampled(columns: Columns, stride: tuple[int, int], engine: Engine) -> NDArray[Any]:
-    rows, cols, _ = columns.shape
-    k, single = columns.step, replace(columns, step=1)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Reading:
+    """What one reading of all columns leaves."""
 
-    def read(row: int) -> NDArray[Any]:
-        return single.voxels(Tile(row * k, row * k + 1, 0, cols * k))[0, :: stride[1] * k].copy()
+    means: NDArray[np.float32]  # (block rows, block cols, depth), of blocks; not finite where a voxel is not
+    holds_corner: Bools  # blocks with a voxel of the volume's first value, which may be that of the padding
+    profiles: NDArray[Any]  # (rows, cols, depth), of the sampled columns
+    missing_share: float  # voxels that are NaN or infinite
+    block: int
 
-    return np.stack(map_threads(read, range(0, rows, stride[0]), number=engine.at_once))
+    def blocks(self, padding: float | None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Block means, smoothed and as they are, NaN for gaps."""
+        means, is_missing = self.means, ~np.isfinite(self.means)
+        if padding is not None:
+            is_missing |= self.holds_corner
+        if not is_missing.any():
+            return ndimage.uniform_filter(means, (3, 3, 3) if self.block < 3 else (1, 1, 3), mode="nearest"), means
+        means[is_missing] = np.nan
+        return means, means
 
 
-def _blocks(columns: Columns, block: int, engine: Engine) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
-    """Block means (block rows, block cols, depth), smoothed and as they are, NaN for gaps; share of missing voxels."""
+def _read(columns: Columns, engine: Engine) -> _Reading:
+    block, stride = _block(columns)
     rows, cols, depth = columns.shape
-    block_means, missing_count = np.empty((max(rows // block, 1), max(cols // block, 1), depth), dtype=np.float32), 0.0
+    means = np.empty((max(rows // block, 1), max(cols // block, 1), depth), dtype=np.float32)
+    holds_corner, missing_count = np.empty(means.shape, dtype=bool), 0.0
+    profiles = np.empty((-(-rows // stride[0]), -(-cols // stride[1]), depth), dtype=columns.volume.dtype)
+    corner = float(columns.voxels(Tile(0, 1, 0, 1), slice(1))[0, 0, 0])
     tiles = [
         # What remains belongs to the last block of the axis, and so to the last tile.
         Tile(t.r0, rows if t.r1 > rows - block else t.r1, t.c0, cols if t.c1 > cols - block else t.c1)
         for t in columns.tiles(engine, multiple=block)
         if t.r0 <= max(rows - block, 0) and t.c0 <= max(cols - block, 0)
     ]
-    for tile, tile_blocks in engine.map("survey", _tile_blocks, lambda _tile: (columns, block), tiles):
-        r, c = tile.r0 // block, tile.c0 // block
-        tile_means = tile_blocks[..., :-1]
-        block_means[r : r + tile_means.shape[0], c : c + tile_means.shape[1]] = tile_means
-        missing_count += float(tile_blocks[..., -1].sum(dtype=np.float64))
-    is_missing, smoothed = ~np.isfinite(block_means), block_means
-    if is_missing.any():
-        block_means[is_missing] = np.nan
-    else:
-        smoothed = ndimage.uniform_filter(block_means, (3, 3, 3) if block < 3 else (1, 1, 3), mode="nearest")
-    return smoothed, block_means, missing_count / (rows * cols * depth * columns.step**2)
+    for tile, found in engine.map("survey", _read_tile, lambda _tile: (columns, block, stride, corner), tiles):
+        row, col = tile.r0 // block, tile.c0 // block
+        sample_row, sample_col = -(-tile.r0 // stride[0]), -(-tile.c0 // stride[1])
+        for field, part, r, c in (
+            (means, found["means"], row, col),
+            (holds_corner, found["holds_corner"], row, col),
+            (profiles, found["profiles"], sample_row, sample_col),
+        ):
+            field[r : r + part.shape[0], c : c + part.shape[1]] = part
+        missing_count += float(found["missing"])
+    missing_share = missing_count / (rows * cols * depth * columns.step**2)
+    return _Reading(
+        means=means, holds_corner=holds_corner, profiles=profiles, missing_share=missing_share, block=block
+    )
 
 
-def _tile_blocks(job: tuple[Columns, int], tile: Tile) -> NDArray[np.float32]:
-    """Block means of a tile, (block rows, block cols, depth + 1); the last number counts the missing voxels."""
-    columns, block = job
+def _read_tile(job: tuple[Columns, int, tuple[int, int], float], tile: Tile) -> NDArray[Any]:
+    """Part of a :class:`_Reading` that a tile gives, as one record; ``missing`` counts its missing voxels."""
+    columns, block, stride, corner = job
     voxels = columns.voxels(tile)
     block_px = block * columns.step
     block_counts = [max(n // block_px, 1) for n in voxels.shape[:2]]
     # As it lies in memory: the depth may be the first, the second or the last axis.
     axis_order = np.argsort(voxels.strides, kind="stable")[::-1]
     sums_shape, block_sides = np.array([*block_counts, voxels.shape[2]]), np.array([block_px, block_px, 1])
-    sums, missing_counts = np.zeros(sums_shape[axis_order]), np.zeros(sums_shape[axis_order])
-    missing_value = np.nan if columns.padding is None else columns.padding
+    sums, missing, holds_corner = (np.zeros(sums_shape[axis_order], dtype) for dtype in (float, float, bool))
     stored = np.ascontiguousarray(voxels.transpose(axis_order))
-    block_sums(stored, tuple(block_sides[axis_order].tolist()), missing_value, sums, missing_counts)
-    sums, missing_counts = (field.transpose(np.argsort(axis_order)) for field in (sums, missing_counts))
+    block_sums(stored, tuple(block_sides[axis_order].tolist()), corner, sums, missing, holds_corner)
+    sums, holds_corner = (field.transpose(np.argsort(axis_order)) for field in (sums, holds_corner))
     block_widths = [np.diff([*(block_px * np.arange(k)), n]) for k, n in zip(block_counts, voxels.shape, strict=False)]
-    blocks = np.empty((*block_counts, voxels.shape[2] + 1), dtype=np.float32)
-    blocks[..., :-1] = sums / np.multiply.outer(*block_widths)[..., None]
-    blocks[..., -1] = missing_counts.sum(axis=2)
-    return blocks
+    # Columns of the sample lie at multiples of the stride in the whole grid.
+    sampled = voxels[tuple(slice((-k % n) * columns.step, None, n * columns.step)
+                           for k, n in zip(tile[::2], stride, strict=True))]  # fmt: skip
+    fields = {
+        "means": (sums / np.multiply.outer(*block_widths)[..., None]).astype(np.float32), "holds_corner": holds_corner,
+        "profiles": sampled, "missing": missing.sum(),
+    }  # fmt: skip
+    record = np.empty((), [(name, field.dtype, field.shape) for name, field in fields.items()])
+    for name, field in fields.items():
+        record[name] = field
+    return record
 
 
 def _ends(profiles: NDArray[Any], inside: Bools) -> Floats:
