@@ -24,6 +24,8 @@ _ALL = (
     "registration",
     "specimens",
     "size",
+    "reading",
+    "startup",
     "large_image",
     "exporting",
     "programs",

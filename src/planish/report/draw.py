@@ -365,7 +365,8 @@ def magnified(vectors: Array, length_um: float) -> Magnified:
     longest = float(lengths[np.isfinite(lengths)].max(initial=0.0))
     times = round_step(length_um / longest) if longest > 1e-9 else 1.0
     factor = count(round(times)) if times >= 1 else f"{times:g}"
-    return Magnified(times, longest, f"magnified {factor} times; the longest is {length(longest, 2)}")
+    size = "in true size" if times == 1 else f"magnified {factor} times"
+    return Magnified(times, longest, f"{size}; the longest is {length(longest, 2)}")
 
 
 def pitch(coordinates: Array) -> float:
