@@ -20,7 +20,7 @@ import xarray as xr
 from playwright.sync_api import Page, sync_playwright
 
 from planish.core.area import overviews
-from planish.io.run_folder import write_tree
+from planish.io.map_groups import write_tree
 
 ROWS, COLS, PITCH_UM = 1500, 2000, 10.0
 SOFTWARE = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]

@@ -24,8 +24,8 @@ import xarray as xr
 
 from benchmarks.size import folder_for
 from planish.core.grid import Grid
+from planish.io.map_groups import write_tree
 from planish.io.map_store import StoredMaps, map_tiles
-from planish.io.run_folder import write_tree
 from planish.register.params import RegistrationParams
 from planish.run import link
 from planish.synthetic import BurnParams, CameraParams, ScannerParams, SpecimenParams, make_specimen, write_instruments
@@ -66,7 +66,7 @@ for word in sys.stdin:
 _READ = """
 import sys, time, zarr
 from planish.core.bands import band_of, bands
-from planish.io.run_folder import read_group
+from planish.io.map_groups import read_group
 from pathlib import Path
 data = read_group(Path(sys.argv[1]), "linked", ["coating_top"])["coating_top"]
 begun = time.perf_counter()

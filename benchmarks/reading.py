@@ -114,6 +114,7 @@ def main(mvoxel: int = 300, times: int = 5) -> int:
             def imported(command: list[str] = command) -> None:
                 subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=True)
 
+            shutil.rmtree(out, ignore_errors=True)
             imported()
             decoding = _seconds(lambda path=path: _decode(path), times)
             took = _seconds(imported, times, out) - start

@@ -14,7 +14,7 @@ from planish.app.changes import ChangeError, Import, checked_label
 from planish.app.fits import Fitted
 from planish.app.picture import PLANES, Plane, layer_run
 from planish.app.session import Session, dataset_of, pairs_of
-from planish.io.run_folder import read_group
+from planish.io.map_groups import read_group
 from planish.marks.exchange import FORMATS, LayerPixels, marks_bytes, pair_of_layers, read_any
 from planish.marks.exchange.formats import TARGETS
 from planish.marks.exchange.lists import Part

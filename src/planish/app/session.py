@@ -31,8 +31,8 @@ from planish.core.errors import FileError, InputError, PlanishError
 from planish.core.facts import Side
 from planish.core.typing import Floats
 from planish.io import fingerprint, read_image
+from planish.io.map_groups import read_group
 from planish.io.params import ImageParams
-from planish.io.run_folder import read_group
 from planish.marks.exchange import MarkPlaces, holes_of, make_marks, model
 from planish.marks.exchange.model import EXTRAS
 from planish.marks.regions import read_regions

@@ -13,8 +13,8 @@ from planish.app.picture import layer_run
 from planish.core.bands import bands
 from planish.core.frame import Frame
 from planish.core.lazy import Where, computed
+from planish.io.map_groups import read_group
 from planish.io.map_store import stored_group
-from planish.io.run_folder import read_group
 from planish.run.run import MAPS
 from planish.run.study import RUN_TOML, read_study
 

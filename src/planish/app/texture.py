@@ -4,7 +4,7 @@ from planish.app.changes import ChangeError, Import
 from planish.app.session import Session, pairs_of
 from planish.core.transform import Similarity
 from planish.core.typing import Pair
-from planish.io.run_folder import read_group
+from planish.io.map_groups import read_group
 from planish.run import register_texture
 from planish.run.run import MAPS
 from planish.run.study import changed

@@ -47,7 +47,8 @@ _ONE_FILE: dict[str, Any] = {"type": PATH, "cls": Option}
 
 
 def _write(out: Path, groups: dict[str, xr.Dataset], summary: str) -> None:
-    from planish.io.run_folder import new_folder, write_tree
+    from planish.io.map_groups import write_tree
+    from planish.io.run_folder import new_folder
 
     with new_folder(out) as folder:
         write_tree(folder, groups)
@@ -57,7 +58,7 @@ def _write(out: Path, groups: dict[str, xr.Dataset], summary: str) -> None:
 def _read(path: Path, group: str, command: str) -> xr.Dataset:
     """Read one group of a store, or of the maps.zarr in a run folder."""
     from planish.core.errors import FileError
-    from planish.io.run_folder import open_tree
+    from planish.io.map_groups import open_tree
 
     groups = open_tree(path / "maps.zarr" if (path / "maps.zarr").is_dir() else path)
     if group not in groups:

@@ -1,13 +1,13 @@
 """A hash by which two inputs, in one file or many, can be compared, and the lists of checksums in a store."""
 
+from __future__ import annotations
+
 import hashlib
 import os
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
-
-import zarr
+from typing import TYPE_CHECKING, Any
 
 from planish.core.files import delete, write_whole
 from planish.io.formats import SLICES, TIFF, Place, find_place, format_of, loader
@@ -15,10 +15,14 @@ from planish.io.guard import reading, size_of_file
 from planish.io.sections import COUNTER, is_section_folder
 from planish.io.slice_volume import is_slice_name, read_scan, slice_files
 
+if TYPE_CHECKING:
+    import zarr
+
+    Array = zarr.Array[Any]
+
 # List of the shards of a level with their SHA-256, in the folder of the level, as ``sha256sum -c`` reads it.
 CHECKSUMS = "checksums.sha256"
 Where = tuple[slice, slice, slice]
-Array = zarr.Array[Any]
 
 
 def missing_shards(path: Path) -> list[str]:

@@ -5,23 +5,16 @@ import os
 import secrets
 import shutil
 import time
-import warnings
 from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import contextmanager, suppress
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-import xarray as xr
-import zarr
 from filelock import FileLock, Timeout
-from zarr.errors import ZarrUserWarning
 
 from planish.core.errors import FileError
-from planish.core.files import DiskFull, check_exists, check_length, check_name, delete, disk_full, move, writing
-from planish.core.lazy import ReadOnDemand
+from planish.core.files import DiskFull, check_length, check_name, delete, disk_full, move, writing
 from planish.io.formats import find_place
-from planish.io.map_store import CHUNK, CODECS, COMPLETE, OVERVIEWS, is_large, overviews_of, readable, stored_group
 
 WORK_MARKER = "planish-work-folder"  # file that marks a folder as one that planish made and may remove
 _METADATA = "zarr.json"
@@ -186,100 +179,6 @@ def refuse_existing(*paths: Path) -> None:
                 f"{path} exists already. Results are never written over: give another name with --out, or remove it "
                 "first."
             )
-
-
-def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
-    """Write datasets as groups of a zarr store for ``xarray.open_datatree(path, engine="zarr")``; others in it stay."""
-    tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs={COMPLETE: True}), **groups})
-    encoding: dict[str, dict[str, dict[str, Any]]] = {}
-    for name, group in groups.items():
-        encoding[f"/{name}"] = {str(key): {"compressors": CODECS} for key in group.variables}
-        for key, maps in group.variables.items():
-            if maps.ndim > 1:
-                encoding[f"/{name}"][str(key)]["chunks"] = tuple(min(n, CHUNK) for n in maps.shape)
-    with warnings.catch_warnings(), zarr.config.set({"array.write_empty_chunks": True}):
-        # zarr 3 warns that consolidated metadata are no part of its specification yet; without them every open warns.
-        warnings.simplefilter("ignore", ZarrUserWarning)
-        tree.to_zarr(path, mode="a", zarr_format=3, consolidated=True, write_inherited_coords=False, encoding=encoding)
-
-
-def take_group(path: Path, source: Path, name: str) -> None:
-    """Put a group of one store into another with its smaller copies; chunks as links where the disk has these."""
-    overviews = f"{OVERVIEWS}/{name}"
-    for group in (name, overviews) if (source / overviews).is_dir() else (name,):
-        shutil.copytree(source / group, path / group, copy_function=_link_or_copy)
-    if (path / OVERVIEWS).is_dir():
-        shutil.copy2(source / OVERVIEWS / _METADATA, path / OVERVIEWS)
-
-
-def _link_or_copy(source: str, target: str) -> None:
-    if Path(source).name != _METADATA:
-        with suppress(OSError):  # another disk, or one without links
-            os.link(source, target)
-            return
-    shutil.copy2(source, target)
-
-
-def open_tree(path: Path, among: Iterable[str] | None = None) -> Mapping[str, xr.Dataset]:
-    """Groups of a store by name, of ``among`` only, read when asked for; large ones come with their smaller copies."""
-    return ReadOnDemand(partial(_group_names, path, among), partial(read_group, path))
-
-
-def read_tree(path: Path) -> dict[str, xr.Dataset]:
-    """Read all groups of a store, as :func:`open_tree` gives them, into memory as far as they are not large.
-
-    Raises
-    ------
-    FileError
-        If there is no store, or it is damaged.
-    """
-    return dict(open_tree(path))
-
-
-def _group_names(path: Path, among: Iterable[str] | None) -> list[str]:
-    """Names of the groups of a store that hold arrays, checked to be whole; FileError as `read_tree`."""
-    check_exists(path)
-    if not (path / _METADATA).is_file():
-        raise FileError(f"{path} is no zarr store. Give the maps.zarr of a run, or what a stage's command wrote.")
-    with readable(path):
-        root = zarr.open_group(path, mode="r")
-        if among is not None:
-            present = [name for name in among if name in root]
-            _check_chunks(path, present)
-            return present
-        _check_chunks(path)
-        members = sorted(root.members(max_depth=None))
-        groups = {name: [*node.array_values()] for name, node in members if isinstance(node, zarr.Group)}
-        names = [name for name, arrays in groups.items() if arrays and not name.startswith(f"{OVERVIEWS}/")]
-        return names + [copy for name in names if is_large(groups[name]) for copy in overviews_of(path, name)]
-
-
-def read_group(path: Path, name: str, variables: Iterable[str] | None = None) -> xr.Dataset:
-    """Read one group of a store, or some of its variables; of half a gigabyte and more, part by part when asked for.
-
-    Raises
-    ------
-    FileError
-        If it is damaged.
-    """
-    with readable(path):
-        group = stored_group(path, name)
-        selection = group if variables is None else group[list(variables)]
-        return selection if is_large(group.data_vars.values()) else selection.load()
-
-
-def _check_chunks(path: Path, groups: Iterable[str] = ("",)) -> None:
-    """Raise FileError where a chunk was lost: zarr takes it for missing values."""
-    root = zarr.open_group(path, mode="r")
-    if not root.attrs.get(COMPLETE):
-        return
-    for group in (zarr.open_group(path, path=name, mode="r") for name in groups):
-        for name, node in group.members(max_depth=None):
-            if isinstance(node, zarr.Array) and node.nchunks_initialized < node.nchunks:
-                raise FileError(
-                    f"{path} is damaged: {node.nchunks - node.nchunks_initialized} of {node.nchunks} chunks of {name} "
-                    "are not there. Copy it once more, or repeat the run."
-                )
 
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:

@@ -26,7 +26,7 @@ from planish.core.errors import InputError, ResourceError
 from planish.core.files import delete, move, writing
 from planish.core.memory import BLOCKS_AT_WORK, PROGRAM_BYTES, bytes_to_hold, enough_gb
 from planish.core.threads import count_threads, limit_threads, thread_pool
-from planish.io.hashes import Array, ShardLists, Where
+from planish.io.hashes import ShardLists, Where
 from planish.io.run_folder import acquire_lock, claim_folder, is_link, refuse_existing, remove
 
 # Voxels that are decompressed together; divisible by the widths of columns that are measured, 1 to 4 voxels.
@@ -35,6 +35,7 @@ SHARD = (64, 384, 384)  # voxels that lie in one file
 _SOURCE = "source.json"
 _LOCK = "lock"
 _SMALLEST, _LEAST_DEPTH = 256, 16  # voxels along the longest and the shortest axis of the last level
+Array = zarr.Array[Any]
 _OPENING = threading.Lock()  # what zarr is set to holds for all threads
 Progress = Callable[[str, int, int], None]
 

@@ -14,7 +14,7 @@ from planish.core.errors import FileError
 from planish.core.facts import is_known
 from planish.core.files import check_exists
 from planish.core.lazy import ReadOnDemand
-from planish.io.run_folder import open_tree
+from planish.io.map_groups import open_tree
 from planish.marks.regions import Regions, read_regions
 from planish.results import Results
 from planish.run.layers import Layer

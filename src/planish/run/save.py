@@ -13,8 +13,9 @@ from planish.core.files import move
 from planish.core.memory import KEPT_SHARE
 from planish.core.threads import limit_threads
 from planish.io import fingerprint
+from planish.io.map_groups import take_group, write_tree
 from planish.io.map_store import OVERVIEWS, StoredMaps, stored_group
-from planish.io.run_folder import new_folder, refuse_existing, refuse_inside, take_group, work_folder, write_tree
+from planish.io.run_folder import new_folder, refuse_existing, refuse_inside, work_folder
 from planish.marks import write_marks
 from planish.marks.regions import Regions, geojson_text
 from planish.report import FIGURES, write_report

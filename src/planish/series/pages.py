@@ -13,8 +13,8 @@ import xarray as xr
 from planish.core.errors import PlanishError
 from planish.core.files import delete, write_whole
 from planish.core.tables import table_text
+from planish.io.map_groups import read_group
 from planish.io.map_store import overviews_of
-from planish.io.run_folder import read_group
 from planish.report import SmallMap, series_page, small_map
 from planish.run.run import MAPS
 from planish.run.study import relative_path

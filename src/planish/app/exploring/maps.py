@@ -18,8 +18,8 @@ from planish.core.facts import Trust
 from planish.core.grid import Grid
 from planish.core.typing import Floats
 from planish.exports.run_contents import IMAGE
+from planish.io.map_groups import read_group
 from planish.io.map_store import overviews_of
-from planish.io.run_folder import read_group
 from planish.report.colours import Scale, colours_of
 from planish.report.text import title_of, unit_of
 from planish.results import LayerFacts, Results
