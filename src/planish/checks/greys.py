@@ -15,7 +15,7 @@ from planish.core.checks import PROPERTIES, Check, CheckRule
 from planish.core.facts import SIDES
 from planish.core.frame import Frame
 from planish.core.robust import mad_sd
-from planish.core.typing import Array, Floats
+from planish.core.typing import Array, Floats, Ints
 from planish.measure.registry import FWHM, Greys
 from planish.surface.learn import POROUS
 
@@ -73,7 +73,7 @@ def denser_coating(greys: Greys) -> float | None:
 def clipping(sample: Array, greys: Greys) -> tuple[float, float, float]:
     """Find a spike at the sheet's end of the grey scale: height over what bins beside it suggest, share, grey."""
     is_integer = sample.dtype.kind != "f"  # Whole numbers are counted once: a large part of a volume is looked at.
-    levels, counts = np.unique(sample, return_counts=True) if is_integer else (sample[np.isfinite(sample)], None)
+    levels, counts = _levels(sample) if is_integer else (sample[np.isfinite(sample)], None)
     if levels.size == 0:
         return 0.0, 0.0, float("nan")
     end_grey = float(levels.max() if greys.polarity > 0 else levels.min())
@@ -96,6 +96,15 @@ def clipping(sample: Array, greys: Greys) -> tuple[float, float, float]:
     expected = float(np.exp(np.polyfit(bin_numbers, np.log(other_counts), 1, w=np.sqrt(other_counts))[1]))
     n_voxels = levels.size if counts is None else int(counts.sum())
     return end_count / (expected + 3 * np.sqrt(expected) + 1), end_count / n_voxels, end_grey
+
+
+def _levels(sample: Array) -> tuple[Array, Ints]:
+    """Greys of whole numbers that occur, in their order, and how often."""
+    if sample.dtype.kind != "u" or sample.dtype.itemsize > 2:
+        return np.unique(sample, return_counts=True)
+    counts = np.bincount(sample.ravel())
+    levels = np.flatnonzero(counts)
+    return levels.astype(sample.dtype), counts[levels]
 
 
 def steady_grey(rule: CheckRule, scan: GreyScan) -> Check:

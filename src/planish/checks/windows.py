@@ -13,7 +13,7 @@ from planish.core.frame import Axis
 from planish.core.lazy import chunks_of
 from planish.core.memory import WINDOW_BYTES
 from planish.core.threads import map_threads
-from planish.core.typing import Array, Bools, Floats, Ints
+from planish.core.typing import Array, Floats, Ints
 
 Index = Ints
 Places = NDArray[np.signedinteger[Any]]
@@ -62,16 +62,22 @@ def read_windows(
     axes: tuple[Axis, ...] = ("z", "y", "x")
     boxes: dict[Axis, dict[str, slice]] = {axis: _place(volume, axis, through, sheet_slices) for axis in axes}
     points = np.empty((0, 3), np.int32) if points is None else points
-    window_number = np.full(len(points), -1, np.int8)  # of the axis in whose window each point is read; -1 for none
-    for i, box in enumerate(boxes.values()):
-        box_start, box_stop = np.array([(box[name].start, box[name].stop) for name in "zyx"], points.dtype).T
-        window_number[((points >= box_start) & (points < box_stop)).all(axis=1)] = i
+    wanted = _by_window(points, list(boxes.values()))
     z_range = slice(min(p["z"].start for p in boxes.values()), max(p["z"].stop for p in boxes.values()))
 
     def read(piece: slice) -> list[_Part | None]:
         return [
-            _read_part(volume, axis, box, piece, points, window_number == k, fill_grey, is_sampled=axis != through)
-            for k, (axis, box) in enumerate(boxes.items())
+            _read_part(
+                volume,
+                axis,
+                box,
+                piece,
+                points,
+                indices[slice(*np.searchsorted(z, [piece.start, piece.stop]))],
+                fill_grey,
+                is_sampled=axis != through,
+            )
+            for (indices, z), (axis, box) in zip(wanted, boxes.items(), strict=True)
         ]
 
     pieces = map_threads(read, _pieces(volume, boxes, z_range), number=threads)
@@ -90,6 +96,20 @@ def read_windows(
     return WindowReading(windows=windows, sample=sample, grey=grey)
 
 
+def _by_window(points: Places, boxes: list[dict[str, slice]]) -> list[tuple[Index, Places]]:
+    """Indices of the points in each window, ordered by z, and their z; those in several belong to the last one."""
+    columns = np.ascontiguousarray(points.T)
+    window_number = np.full(len(points), -1, np.int8)
+    for i, box in enumerate(boxes):
+        is_inside = np.ones(len(points), bool)
+        for places, name in zip(columns, "zyx", strict=True):
+            is_inside &= (places >= box[name].start) & (places < box[name].stop)
+        window_number[is_inside] = i
+    inside = (np.flatnonzero(window_number == i) for i in range(len(boxes)))
+    ordered = [indices[np.argsort(columns[0, indices], kind="stable")] for indices in inside]
+    return [(indices, columns[0, indices]) for indices in ordered]
+
+
 class _Part(NamedTuple):
     """Part of a window: its sums, some of its greys, and the greys of the points ``indices``."""
 
@@ -100,14 +120,14 @@ class _Part(NamedTuple):
 
 
 def _read_part(
-    volume: xr.DataArray, axis: Axis, window_box: dict[str, slice], piece: slice, points: Places, is_wanted: Bools,
+    volume: xr.DataArray, axis: Axis, window_box: dict[str, slice], piece: slice, points: Places, wanted: Index,
     fill_grey: float, *, is_sampled: bool,
 ) -> _Part | None:  # fmt: skip
-    """Read the slices ``piece`` along z of a window at ``window_box``; None where they lie outside of it."""
+    """Read the slices ``piece`` along z of a window at ``window_box``, with the points ``wanted``; None if outside."""
     start, stop = max(piece.start, window_box["z"].start), min(piece.stop, window_box["z"].stop)
     if stop <= start:
         return None
-    is_wanted = is_wanted & (points[:, 0] >= start) & (points[:, 0] < stop)
+    places = points[wanted]
     # Pairs across the border between two pieces belong to the second one.
     n_before = min(2, start - window_box["z"].start) if axis == "z" else 0
     piece_box = window_box | {"z": slice(start - n_before, stop)}
@@ -117,8 +137,9 @@ def _read_part(
     for cut in [piece_box[axis]] if axis == "z" else _cuts(volume, piece_box, axis):
         cut_box = piece_box | {axis: cut}
         greys = np.asarray(volume.isel(cut_box).values)
-        indices = np.flatnonzero(is_wanted & (points[:, k] >= cut.start) & (points[:, k] < cut.stop))
-        z, y, x = (points[indices] - [cut_box[name].start for name in "zyx"]).T
+        is_here = (places[:, k] >= cut.start) & (places[:, k] < cut.stop)
+        indices = wanted[is_here]
+        z, y, x = (places[is_here] - np.array([cut_box[name].start for name in "zyx"], places.dtype)).T
         grey = greys[z, y, x].astype(np.float32)
         sample = (greys[::3, ::3, ::3] if is_sampled else greys[:0]).ravel()  # for a histogram
         if last_slices is not None:

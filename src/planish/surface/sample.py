@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -10,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import VolumeError
-from planish.core.memory import SAMPLE_BYTES
 from planish.core.robust import mad_sd
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile
@@ -20,7 +18,6 @@ from planish.surface.columns import Columns, Edge, GreyScale, Guide, Side, orien
 from planish.surface.survey import Survey
 
 _QUIET = 8.0  # contrast-to-noise ratio below which columns are smoothed with their neighbours
-_WIDEST = 2.0  # standard deviation of the widest blending, in columns
 _ASTRAY = 400.0  # cost of a column whose fit went astray; no worse one counts for more
 
 
@@ -66,37 +63,23 @@ class Sampler:
         start_shares = (np.arange(row_indices.size) * 0.6180339887498949) % 1.0
         col_starts = (start_shares * (columns.shape[1] - col_count + 1)).astype(int).tolist()
         self.rows = [Tile(r, r + 1, c, c + col_count) for r, c in zip(row_indices.tolist(), col_starts, strict=True)]
-        self.parts = self._held()
-        self.cache: dict[Tile, NDArray[np.float32]] = {}
-
-    def _held(self) -> dict[Tile, tuple[Columns, Tile]]:
-        """Each row and its surroundings as columns in memory, which are looked at several times, and its place there.
-
-        The volume itself where they are too large: what is wide by many voxels is seldom blended.
-        """
-        columns, k = self.columns, self.columns.step
-        halo = replace(self.scale, blend_sd=_WIDEST).halo
-        boxes = {tile: tile.grown(halo, halo, columns.shape[:2]) for tile in self.rows}
-        column_bytes = k**2 * columns.shape[2] * columns.volume.dtype.itemsize
-        if sum(math.prod(box.shape) for box in boxes.values()) * column_bytes > SAMPLE_BYTES:
-            return {tile: (columns, tile) for tile in self.rows}
-
-        def read(box: Tile) -> Columns:
-            rows, cols = (slice(s.start * k, s.stop * k) for s in (box.rows, box.cols))
-            return replace(columns, volume=columns.volume.isel({columns.axes[0]: rows, columns.axes[1]: cols}).load())
-
-        parts = map_threads(read, boxes.values())
-        return {tile: (part, tile.within(box)) for part, (tile, box) in zip(parts, boxes.items(), strict=True)}
+        self.cache: dict[tuple[float, Tile], NDArray[np.float32]] = {}  # by the blending
 
     def _blend(self, blend_sd: float) -> None:
-        self.scale, self.cache = replace(self.scale, blend_sd=blend_sd), {}
+        self.scale = replace(self.scale, blend_sd=blend_sd)
 
     def _read(self, tile: Tile, *, from_high: bool) -> NDArray[np.float32]:
-        if tile not in self.cache:
-            guide = self.guide.part(self.scale.grown(tile, self.columns.shape[:2]))
-            columns, place = self.parts[tile]
-            self.cache[tile] = oriented(columns, place, guide, self.scale)[0][0]
-        grey = self.cache[tile]
+        scale = self.scale
+        if (scale.blend_sd, tile) not in self.cache:  # The same columns are looked at several times: all are read.
+
+            def read(tile: Tile) -> NDArray[np.float32]:
+                guide = self.guide.part(scale.grown(tile, self.columns.shape[:2]))
+                return oriented(self.columns, tile, guide, scale)[0][0]
+
+            self.cache |= {
+                (scale.blend_sd, row): grey for row, grey in zip(self.rows, map_threads(read, self.rows), strict=True)
+            }
+        grey = self.cache[scale.blend_sd, tile]
         return np.ascontiguousarray(grey[:, ::-1]) if from_high else grey
 
     def sample(self, *, from_high: bool) -> Sample:
@@ -124,7 +107,7 @@ class Sampler:
         if air_noise > 1.15 * self.noise:
             # Neighbouring voxels share their noise, or streaks lie in the air: averaging helps less, so it is tried.
             self.noise = self.single_noise = air_noise
-            for blend_sd in (0.5, 0.75, 1.0, 1.5, _WIDEST):  # voxels
+            for blend_sd in (0.5, 0.75, 1.0, 1.5, 2.0):  # voxels
                 if base_level / self.noise >= _QUIET:
                     break
                 self._blend(blend_sd)
@@ -157,7 +140,7 @@ class Sampler:
     def quiet(self, samples: Samples, width: float) -> Samples:
         """Sample columns that are means over their neighbours, as far as the sheet's slope does not widen the blur."""
         steep_slope = float(np.nanpercentile(np.hypot(self.guide.slope_r, self.guide.slope_c), 90)) * self.columns.step
-        blend_sd, previous_sd = min(_WIDEST, 0.3 * width / max(steep_slope, 1e-3)), self.scale.blend_sd  # columns
+        blend_sd, previous_sd = min(2.0, 0.3 * width / max(steep_slope, 1e-3)), self.scale.blend_sd  # columns
         if blend_sd <= max(previous_sd, 0.3):
             return samples
         self._blend(blend_sd)
