@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from planish.core.lazy import LazyArray, Where
 from planish.core.memory import DECODED_BYTES, EAGER_BYTES
+from planish.core.threads import map_threads
 from planish.io.guard import check_memory, memory_limit, reading
 from planish.io.tiff import damaged
 
@@ -179,10 +180,18 @@ def read_if_small(array: Values, *, memory_bytes: int | None) -> Values:
     if not is_small(array, limit):
         check_memory(array.path, needed_bytes=array.piece_bytes, limit_bytes=limit)
         return array
-    if not isinstance(array, WholeArray):
-        return array[...]
-    with array.guarded():
-        return array.decode()
+    if isinstance(array, WholeArray):
+        with array.guarded():
+            return array.decode()
+    values = np.empty(array.shape, array.dtype)
+    chunk = (array.chunks or (1,))[0]
+    step = chunk * max(array.shape[0] // (16 * chunk), 1)  # whole chunks; parts enough for all threads
+
+    def read(start: int) -> None:
+        values[start : start + step] = array[start : start + step]
+
+    map_threads(read, range(0, array.shape[0], step))
+    return values
 
 
 def widened(array: FileArray) -> FileArray:

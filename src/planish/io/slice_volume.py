@@ -22,6 +22,7 @@ from planish.core.arrays import agree
 from planish.core.errors import FileError, SizeError, VolumeError
 from planish.core.memory import EAGER_BYTES
 from planish.core.tables import finite
+from planish.core.threads import map_threads
 from planish.core.typing import Pair
 from planish.io.formats import LoadedVolume, Place, check_type, colour_attrs, grey_of
 from planish.io.guard import check_memory, memory_limit, reading
@@ -286,10 +287,13 @@ def load_pictures(
     if math.prod(shape) * dtype.itemsize <= eager_bytes:
         values = np.empty(shape, dtype)
         values[0] = grey
-        for i, file in enumerate(files[1:], start=1):
-            picture = load_picture(file, memory_bytes=limit)
-            _check_same(picture, first, file=file, first_file=files[0])
-            values[i] = _grey_values(picture, file, channel)
+
+        def read(i: int) -> None:
+            picture = load_picture(files[i], memory_bytes=limit)
+            _check_same(picture, first, file=files[i], first_file=files[0])
+            values[i] = _grey_values(picture, files[i], channel)
+
+        map_threads(read, range(1, len(files)))
         return values, first
     # Threads decode photographs while others are compared.
     check_memory(folder, needed_bytes=4 * first.values.nbytes if photographs else 2 * grey.nbytes, limit_bytes=limit)

@@ -2,16 +2,9 @@
 
 import { ApiError } from "./api.js";
 
-/**
- * @typedef {{id: string|number, label: string, used: boolean, moving: number[]|null, fixed: number[]|null, source: string,
- *   residual_um: number|null, leave_one_out_um: number|null, predicted?: {moving?: number[], fixed?: number[]},
- *   note?: string}} Mark
- * @typedef {{model: string, rms_um: number|null, loo_rms_um: number|null, follows?: boolean, error?: string,
- *   transform?: {scale: number, rotation_rad: number, shift_um: number[], mirrored: boolean}|null}} Fit
- * @typedef {{version: number, layer: string, marks: Mark[], model: string, fit: Fit|null, message?: string, said?: string,
- *   warnings: {id?: string|number, text: string}[], corrections: any[], regions: any[], can_undo: boolean,
- *   can_redo: boolean}} State
- */
+/** Tabs whose part of the state is another one: undo and redo are the same on all of them. */
+const tabsOf = (before, after) => [["marks", "Marks"], ["corrections", "Surfaces"], ["regions", "Maps"]]
+  .filter(([part]) => JSON.stringify(before[part]) !== JSON.stringify(after[part])).map(([, tab]) => tab).join(", ");
 
 export class Store {
   /** `session`: the facts of the run, which do not change */
@@ -97,11 +90,11 @@ export class Store {
   }
 
   undo() {
-    return this.state.can_undo ? this.write(() => this.post("undo"), "Undone") : Promise.resolve(null);
+    return this.state.can_undo ? this.write(() => this.post("undo"), (before, after) => `Undone in ${tabsOf(before, after)}`) : Promise.resolve(null);
   }
 
   redo() {
-    return this.state.can_redo ? this.write(() => this.post("redo"), "Done again") : Promise.resolve(null);
+    return this.state.can_redo ? this.write(() => this.post("redo"), (before, after) => `Done again in ${tabsOf(before, after)}`) : Promise.resolve(null);
   }
 
   /** Send one write after all earlier ones and show what it led to. */
@@ -111,8 +104,9 @@ export class Store {
       const state = await send();
       if (!state) return null;
       this.alarm(null);
+      const said = typeof words === "function" ? words(this.state, state) : words;
       this.setState(state);
-      this.say(`${state.said ? `${words}. ${state.said}` : `${words}.`} Saved.`);
+      this.say(`${state.said ? `${said}. ${state.said}` : `${said}.`} Saved.`);
       return state;
     });
     const caught = done.catch((error) => this.refused(error));
