@@ -99,10 +99,17 @@ def likely_through(values: NDArray[Any] | LazyArray | xr.Variable) -> Axis | Non
     """
     import numpy as np
 
-    # 24 of the slices, which are read whole, and 200 places along either other axis.
+    # 24 of the slices and 200 places along either other axis; of a file in chunks only three rows of these, each once.
+    depth, height, _ = getattr(values, "encoding", {}).get("chunks") or (1, 1, 1)
     slice_indices = np.unique(np.linspace(0, values.shape[0] - 1, 24).astype(int))
     steps = [max(1, n // 200) for n in values.shape[1:]]
-    planes = [np.asarray(values[int(k)])[:: steps[0], :: steps[1]] for k in slice_indices]
+    starts = height * np.linspace(0, values.shape[1] // height - 1, 3).astype(int)
+    bands = [slice(k, k + height) for k in starts] if depth > 1 and 6 * height < values.shape[1] else [slice(None)]
+    planes: list[NDArray[Any]] = []
+    for layer in np.unique(slice_indices // depth):
+        indices = slice_indices[slice_indices // depth == layer]
+        parts = [np.asarray(values[indices[0] : indices[-1] + 1, band])[indices - indices[0]] for band in bands]
+        planes += [*np.concatenate([part[:, :: steps[0], :: steps[1]] for part in parts], axis=1)]
     sample: NDArray[np.float64] = np.stack(planes).astype(np.float64)
     sample[~np.isfinite(sample)] = np.nanmean(sample[np.isfinite(sample)]) if np.isfinite(sample).any() else 0.0
     variances = [float(sample.mean(axis=tuple({0, 1, 2} - {k})).var()) for k in range(3)]
