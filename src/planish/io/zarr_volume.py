@@ -19,6 +19,7 @@ from planish.io.formats import ADVICE, LoadedVolume, Place, check_chunks, check_
 from planish.io.guard import reading
 from planish.io.hashes import missing_shards
 from planish.io.lazy import FileArray, transposed
+from planish.io.shards import is_plain, read_plain
 from planish.io.sizes import Stated, stated_in
 from planish.io.tiff import damaged, size_words
 
@@ -70,6 +71,8 @@ def _read_part(path: Path, name: str, shape: tuple[int, ...], where: Where) -> N
     array = _open_node(path, name)
     if tuple(array.shape) != shape:
         raise FileError(f"{path.name} was changed while planish read it. Start again.")
+    if is_plain(array) and all(w.step == 1 for w in where):
+        return read_plain(path / name, array, where)
     # In shards, and behind other codecs, a checksum guards the chunks.
     codec_names = [type(codec).__name__.casefold() for codec in array.compressors]
     if array.shards is None and codec_names and "blosc" in codec_names[-1]:

@@ -1,0 +1,81 @@
+"""Parts of a working store's array, decoded by the threads that ask for them.
+
+zarr makes a task for every chunk and copies all of them in one thread; here each reading thread decodes and copies its
+own. The layout is that of the sharding codec of zarr 3: chunks in any order, then an index of the place and size of
+each, 8 bytes little endian either, and its CRC-32C.
+"""
+
+import math
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+from google_crc32c import value as crc32c
+from imagecodecs import zstd_decode
+from numpy.typing import NDArray
+from zarr.codecs import BytesCodec, Crc32cCodec, ShardingCodec, ShardingCodecIndexLocation, ZstdCodec
+
+from planish.core.lazy import Where
+
+_ABSENT = np.uint64(2**64 - 1)  # place of a chunk that holds the fill value
+
+
+def is_plain(array: zarr.Array[Any]) -> bool:
+    """Whether an array lies in shards of chunks that zstd packs and nothing else, as those of a working store."""
+    codecs = getattr(array.metadata, "codecs", ())
+    if len(codecs) != 1 or not isinstance(codecs[0], ShardingCodec):
+        return False
+    (sharding,) = codecs
+    kinds = ([type(codec) for codec in part] for part in (sharding.codecs, sharding.index_codecs))
+    return (
+        [*kinds] == [[BytesCodec, ZstdCodec], [BytesCodec, Crc32cCodec]]
+        and sharding.index_location is ShardingCodecIndexLocation.end
+        and array.dtype.newbyteorder("<") == array.dtype
+    )
+
+
+def read_plain(folder: Path, array: zarr.Array[Any], where: Where) -> NDArray[Any]:
+    """Read a part (slices without steps) of an array that :func:`is_plain`; ValueError or OSError if it is damaged."""
+    assert array.shards is not None
+    values = np.full([w.stop - w.start for w in where], array.fill_value, array.dtype)
+    per_shard = [s // c for s, c in zip(array.shards, array.chunks, strict=True)]
+    ranges = [range(w.start // s, -(-w.stop // s)) for w, s in zip(where, array.shards, strict=True)]
+    for shard in product(*ranges):
+        file = folder / array.metadata.encode_chunk_key(shard)
+        if file.is_file():
+            firsts = [k * n for k, n in zip(shard, per_shard, strict=True)]
+            _read_shard(file, firsts, per_shard, array.chunks, where, values)
+    return values
+
+
+def _read_shard(
+    path: Path, firsts: list[int], per_shard: list[int], chunk: tuple[int, ...], where: Where, values: NDArray[Any]
+) -> None:
+    """Put what lies ``where`` of the chunks of one shard into ``values``; ``firsts``: number of its first chunk."""
+    index_bytes = 16 * math.prod(per_shard)
+    block = np.empty(chunk, values.dtype)
+    with path.open("rb") as file:
+        file.seek(-index_bytes - 4, 2)
+        raw = file.read()
+        if crc32c(raw[:-4]) != int.from_bytes(raw[-4:], "little"):
+            raise ValueError(f"the index of {path.name} is damaged")
+        index = np.frombuffer(raw, "<u8", 2 * math.prod(per_shard)).reshape(*per_shard, 2)
+        spans = [
+            range(max(w.start // c - first, 0), min(-(-w.stop // c) - first, n))
+            for w, c, first, n in zip(where, chunk, firsts, per_shard, strict=True)
+        ]
+        for place in product(*spans):
+            offset, size = index[place]
+            if offset == _ABSENT:
+                continue
+            file.seek(int(offset))
+            if len(zstd_decode(file.read(int(size)), out=block.reshape(-1).view(np.uint8))) != block.nbytes:
+                raise ValueError(f"a chunk of {path.name} is damaged")
+            starts = [(first + k) * c for first, k, c in zip(firsts, place, chunk, strict=True)]
+            overlaps = [
+                (max(w.start, start), min(w.stop, start + c)) for w, start, c in zip(where, starts, chunk, strict=True)
+            ]
+            target = tuple(slice(a - w.start, b - w.start) for (a, b), w in zip(overlaps, where, strict=True))
+            values[target] = block[tuple(slice(a - s, b - s) for (a, b), s in zip(overlaps, starts, strict=True))]
