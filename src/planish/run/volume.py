@@ -16,8 +16,6 @@ from planish.io import find_place, read_volume
 from planish.io.params import VolumeParams
 from planish.io.sections import is_section_folder, read_section_stack
 from planish.run.compute import Compute, Progress
-from planish.run.facts import section_facts
-from planish.sections import SectionSeries, align_sections, fixed_places, normalise_sections, regular_volume
 
 
 def read_sheet_volume(
@@ -63,6 +61,8 @@ def read_whole(params: VolumeParams, compute: Compute, progress: Progress) -> xr
     if not is_section_folder(params.path):
         return _read(params, compute)
     volume, sections = _join_sections(params, compute, progress)
+    from planish.run.facts import section_facts
+
     return volume.assign_attrs(sections=section_facts(sections).model_dump())
 
 
@@ -89,6 +89,8 @@ def _join_sections(params: VolumeParams, compute: Compute, progress: Progress) -
         )
     stack = read_section_stack(path, **params.how, memory_bytes=compute.volume_bytes // COPIES_OF_SECTIONS)
     progress("align", f"{stack.values.shape[0]} sections")
+    from planish.sections import SectionSeries, align_sections, fixed_places, normalise_sections, regular_volume
+
     series = SectionSeries(stack.values, stack.positions_um, stack.pixel_um)
     fixed_features = None
     if params.fixed_rows is not None or params.fixed_cols is not None:
