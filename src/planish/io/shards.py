@@ -39,7 +39,8 @@ def is_plain(array: zarr.Array[Any]) -> bool:
 def read_plain(folder: Path, array: zarr.Array[Any], where: Where) -> NDArray[Any]:
     """Read a part (slices without steps) of an array that :func:`is_plain`; ValueError or OSError if it is damaged."""
     assert array.shards is not None
-    values = np.full([w.stop - w.start for w in where], array.fill_value, array.dtype)
+    shape = [w.stop - w.start for w in where]
+    values = np.full(shape, array.fill_value, array.dtype) if array.fill_value else np.zeros(shape, array.dtype)
     per_shard = [s // c for s, c in zip(array.shards, array.chunks, strict=True)]
     ranges = [range(w.start // s, -(-w.stop // s)) for w, s in zip(where, array.shards, strict=True)]
     for shard in product(*ranges):

@@ -3,7 +3,7 @@
 import math
 import struct
 from collections.abc import Iterator, Mapping
-from functools import partial
+from functools import lru_cache, partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -68,7 +68,8 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
 
 
 def _read_part(path: Path, name: str, shape: tuple[int, ...], where: Where) -> NDArray[Any]:
-    array = _open_node(path, name)
+    changed_ns = max((file.stat().st_mtime_ns for m in METADATA if (file := path / name / m).is_file()), default=0)
+    array = _open_again(path, name, changed_ns)
     if tuple(array.shape) != shape:
         raise FileError(f"{path.name} was changed while planish read it. Start again.")
     if is_plain(array) and all(w.step == 1 for w in where):
@@ -78,6 +79,12 @@ def _read_part(path: Path, name: str, shape: tuple[int, ...], where: Where) -> N
     if array.shards is None and codec_names and "blosc" in codec_names[-1]:
         _check_blosc(array, where, path / name, path)
     return np.asarray(array[where], array.dtype.newbyteorder("="))
+
+
+@lru_cache(maxsize=8)
+def _open_again(path: Path, name: str, _changed_ns: int) -> Any:
+    """Open an array, once for all of its parts as long as nobody changes it."""
+    return _open_node(path, name)
 
 
 def _part_of(path: Path, part: str) -> str:
