@@ -57,6 +57,7 @@ def _read_shard(
     """Put what lies ``where`` of the chunks of one shard into ``values``; ``firsts``: number of its first chunk."""
     index_bytes = 16 * math.prod(per_shard)
     block = np.empty(chunk, values.dtype)
+    raw_block = memoryview(block.reshape(-1).view(np.uint8))
     with path.open("rb") as file:
         file.seek(-index_bytes - 4, 2)
         raw = file.read()
@@ -72,7 +73,7 @@ def _read_shard(
             if offset == _ABSENT:
                 continue
             file.seek(int(offset))
-            if len(zstd_decode(file.read(int(size)), out=block.reshape(-1).view(np.uint8))) != block.nbytes:
+            if len(zstd_decode(file.read(int(size)), out=raw_block)) != block.nbytes:
                 raise ValueError(f"a chunk of {path.name} is damaged")
             starts = [(first + k) * c for first, k, c in zip(firsts, place, chunk, strict=True)]
             overlaps = [

@@ -138,9 +138,7 @@ def _read(columns: Columns, engine: Engine) -> _Reading:
             field[r : r + part.shape[0], c : c + part.shape[1]] = part
         missing_count += float(found["missing"])
     missing_share = missing_count / (rows * cols * depth * columns.step**2)
-    return _Reading(
-        means=means, holds_corner=holds_corner, profiles=profiles, missing_share=missing_share, block=block
-    )
+    return _Reading(means=means, holds_corner=holds_corner, profiles=profiles, missing_share=missing_share, block=block)
 
 
 def _read_tile(job: tuple[Columns, int, tuple[int, int], float], tile: Tile) -> NDArray[Any]:
