@@ -56,8 +56,8 @@ def _read_shard(
 ) -> None:
     """Put what lies ``where`` of the chunks of one shard into ``values``; ``firsts``: number of its first chunk."""
     index_bytes = 16 * math.prod(per_shard)
-    block = np.empty(chunk, values.dtype)
-    raw_block = memoryview(block.reshape(-1).view(np.uint8))
+    raw_block = bytearray(math.prod(chunk) * values.itemsize)
+    block = np.frombuffer(raw_block, values.dtype).reshape(chunk)
     with path.open("rb") as file:
         file.seek(-index_bytes - 4, 2)
         raw = file.read()
@@ -73,7 +73,7 @@ def _read_shard(
             if offset == _ABSENT:
                 continue
             file.seek(int(offset))
-            if len(zstd_decode(file.read(int(size)), out=raw_block)) != block.nbytes:
+            if len(zstd_decode(file.read(int(size)), out=raw_block)) != len(raw_block):
                 raise ValueError(f"a chunk of {path.name} is damaged")
             starts = [(first + k) * c for first, k, c in zip(firsts, place, chunk, strict=True)]
             overlaps = [
