@@ -31,7 +31,6 @@ from planish.io.store import CHUNK, SHARD
 
 _KINDS = {"stack": None, "plain": None, "lzw": "lzw", "deflate": "zlib"}
 _LEAST = {"stack": 0.4, "plain": 0.4, "lzw": 0.8, "deflate": 0.8}
-_SLAB = SHARD[0]
 
 
 def _write(values: NDArray[np.uint16], path: Path, kind: str) -> None:
@@ -99,19 +98,10 @@ def main(mvoxel: int = 300, times: int = 5) -> int:
             path = folder / kind
             _write(values, path, kind)
             path = path if path.is_dir() else path.with_suffix(".tif")
-            command = [
-                sys.executable,
-                "-m",
-                "planish",
-                "import",
-                str(path),
-                "--voxel-um",
-                str(VOXEL_UM),
-                "-o",
-                str(out),
-            ]
+            given = [str(path), "--voxel-um", str(VOXEL_UM), "-o", str(out)]
 
-            def imported(command: list[str] = command) -> None:
+            def imported(given: list[str] = given) -> None:
+                command = [sys.executable, "-m", "planish", "import", *given]
                 subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=True)
 
             shutil.rmtree(out, ignore_errors=True)

@@ -69,3 +69,13 @@ def test_other_codecs_are_left_to_zarr(tmp_path):
         path = tmp_path / f"{number}.zarr"
         array = zarr.create_array(path, shape=(40, 48, 40), dtype="u1", chunks=(20, 24, 20), **options)
         assert not shards.is_plain(array)
+
+
+def test_another_byte_order_reads_as_zarr_reads_it(tmp_path):
+    values = np.arange(40 * 48 * 40, dtype=np.uint16).reshape(40, 48, 40)
+    array = zarr.create_array(
+        tmp_path / "big.zarr", shape=values.shape, dtype="u2", chunks=(20, 24, 20), shards=(40, 48, 40),
+        serializer=zarr.codecs.BytesCodec(endian="big"), compressors=zarr.codecs.ZstdCodec(),
+    )  # fmt: skip
+    array[...] = values
+    assert not shards.is_plain(zarr.open_array(tmp_path / "big.zarr", mode="r"))

@@ -32,6 +32,10 @@ def is_plain(array: zarr.Array[Any]) -> bool:
     return (
         [*kinds] == [[BytesCodec, ZstdCodec], [BytesCodec, Crc32cCodec]]
         and sharding.index_location is ShardingCodecIndexLocation.end
+        and all(
+            part[0] in (BytesCodec(endian=None), BytesCodec(endian="little"))
+            for part in (sharding.codecs, sharding.index_codecs)
+        )
         and array.dtype.newbyteorder("<") == array.dtype
     )
 
