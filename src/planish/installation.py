@@ -5,6 +5,7 @@ import locale
 import os
 import pkgutil
 import platform
+import re
 import shutil
 import struct
 import sys
@@ -132,13 +133,9 @@ def _modules(library: str) -> list[str]:
     packages = [file.split("/")[0] for file in files if file.endswith("/__init__.py")]
     module_files = [file.removesuffix(".py") for file in files if "/" not in file and file.endswith(".py")]
     modules = dict.fromkeys([*packages, *module_files])
-    plain = {name: _normalised(name) for name in (*modules, library)}
+    plain = {name: re.sub("[-_.]", "", name.casefold()) for name in (*modules, library)}
     matching = [name for name in modules if plain[name] in plain[library] or plain[library] in plain[name]]
     return matching or [name for name in modules if name.isidentifier() and not name.startswith("_")][:1]
-
-
-def _normalised(name: str) -> str:
-    return name.casefold().replace("-", "").replace("_", "").replace(".", "")
 
 
 def _requirements(extra: str | None) -> list[Requirement] | None:

@@ -4,7 +4,7 @@ from scipy import ndimage
 
 from analyze.fields import gaussian_maps, related_maps
 from folders import refused
-from planish.analyze import ceiling, commonality, correlate, of_short_waves, origins, partial, without_trends
+from planish.analyze import ceiling, commonality, correlate, of_short_waves, origins, partial
 from planish.core.errors import CannotMeasure, InputError, SizeError
 
 
@@ -55,7 +55,7 @@ def test_origins_scatter_about_r():
     refused(SizeError, "smaller points", origins, a[:4, :4], b[:4, :4], pixel_um=2.0, point_um=24.0)
 
 
-def test_long_waves_and_trends_are_taken_off():
+def test_long_waves_are_taken_off():
     rng = np.random.default_rng(4)
     a, b = related_maps(rng, (90, 120), 2.0, 0.6)
     waves = gaussian_maps(rng, (90, 120), 40.0, kind="gauss")
@@ -63,10 +63,6 @@ def test_long_waves_and_trends_are_taken_off():
     assert (longest, found.r) == (pytest.approx(18), pytest.approx(0.6, abs=0.1))
     whole = correlate(a + 3 * waves[0], b + 3 * waves[1], pixel_um=1.0)
     assert found.n_eff > 10 * whole.n_eff
-    a, b = related_maps(np.random.default_rng(5), (60, 80), 2.0, 0.5)
-    slope = np.linspace(0, 9, 80)
-    assert correlate(a + slope, b - slope, pixel_um=1.0).r < -0.5
-    assert without_trends(a + slope, b - slope, pixel_um=1.0).r == pytest.approx(0.5, abs=0.1)
 
 
 def test_partial_r_leaves_what_the_others_do_not_explain():
@@ -84,7 +80,6 @@ def test_maps_without_common_pixels_are_refused():
     none = np.full(a.shape, np.nan)
     for call in (
         lambda: of_short_waves(none, b, pixel_um=1.0),
-        lambda: without_trends(none, b, pixel_um=1.0),
         lambda: partial(a, b, [none], pixel_um=1.0),
         lambda: commonality(b, {"x": a, "y": none}),
         lambda: commonality(np.ones(a.shape), {"x": a, "y": b}),

@@ -84,7 +84,6 @@ from .robustness import commonality as commonality
 from .robustness import of_short_waves as of_short_waves
 from .robustness import origins as origins
 from .robustness import partial as partial
-from .robustness import without_trends as without_trends
 from .second_opinion import SecondOpinion as SecondOpinion
 from .second_opinion import second_opinion as second_opinion
 from .sheets import Fields as Fields

@@ -14,7 +14,6 @@ from pydantic import Field
 
 from planish.analyze.correlation import LEAST, Correlation, PointsCorrelation, check_varying, correlate, valid_pixels
 from planish.analyze.curve_of_sizes import SizeRow
-from planish.analyze.detrend import without_trend
 from planish.analyze.texture import low_pass
 from planish.core.area import common_means
 from planish.core.errors import InputError, PlanishError, SizeError
@@ -97,24 +96,6 @@ def of_short_waves(
         for m in (np.where(is_valid, v - np.mean(v[is_valid]), 0.0) for v in (a, b))
     ]
     return correlate(*short, pixel_um=pixel, point_um=point_um), longest
-
-
-def without_trends(
-    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel, point_um: float | None = None
-) -> Correlation:
-    """Correlate two maps without their plane and second-order surface.
-
-    Raises
-    ------
-    InputError, SizeError
-        As :func:`planish.correlate`.
-    CannotMeasure
-        If fewer than 3 pixels are valid.
-    """
-    is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
-    check_varying(is_valid)
-    x, y = (np.where(is_valid, without_trend(np.where(is_valid, m, 0.0), is_valid), np.nan) for m in (a, b))
-    return correlate(x, y, pixel_um=pixel, point_um=point_um)
 
 
 def partial(

@@ -184,7 +184,8 @@ def fitted(
     is_outlier = np.zeros(len(pairs), dtype=np.bool_)
     is_outlier[is_used] = find_outliers(moving[is_used], fixed[is_used], is_mirrored, tolerance_um=params.tolerance_um)
     nans = np.full(len(pairs), np.nan)
-    warnings, error_text = _coincidence_warnings(pairs, where), ""
+    coincident, error_text = _coincidence_warnings(pairs, where), ""
+    warnings = [*coincident]
     if (n_used := int(is_used.sum())) < 3:
         needed_text = "a registration needs 3, far apart, and more to say how good it is."
         warnings.append(FitWarning(text=f"{n_used} pair{'s' * (n_used != 1)} of marks in use: {needed_text}"))
@@ -199,7 +200,10 @@ def fitted(
             fitted_model = model if not quick or model in QUICK else "similarity"
             fit = _least_squares(moving[is_used], fixed[is_used], fitted_model, mirrored, inspect=not quick)
     except PlanishError as refusal:
-        error_text = _refusal(refusal, pairs, is_used, where)
+        error_text = refusal.text if is_used.any() else ""
+        if coincident and "at one place" in refusal.text:
+            label = next(mark.label for mark in pairs if mark.id == coincident[0].id)
+            error_text = f"{label}: {coincident[0].text} Move or delete one of them."
         try:  # there is something to look at: which marks are wrong
             fit = _least_squares(moving[is_used], fixed[is_used], "similarity", mirrored)
         except PlanishError:
@@ -269,12 +273,3 @@ def _warnings_of_marks(
         elif is_outlier[k]:
             warnings.append(FitWarning(id=mark.id, text=f"Stands out: {leave_one_out_um[k]:.0f} um off the others."))
     return warnings
-
-
-def _refusal(error: PlanishError, pairs: Sequence[Mark], is_used: Bools, where: Mapping[Plane, str]) -> str:
-    """An error of the fit; where it is about marks at one place, with their labels."""
-    coincident = _coincidence_warnings(pairs, where)
-    if coincident and "at one place" in error.text:
-        label = next(mark.label for mark in pairs if mark.id == coincident[0].id)
-        return f"{label}: {coincident[0].text} Move or delete one of them."
-    return error.text if is_used.any() else ""

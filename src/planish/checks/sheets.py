@@ -14,7 +14,7 @@ from planish.core.facts import SIDES, Side
 from planish.core.grid import pitch
 from planish.core.robust import mad_sd
 from planish.core.status import Status
-from planish.core.typing import Bools, Floats, Ints, Pair
+from planish.core.typing import Bools, Floats, Pair
 from planish.results import SheetFacts
 from planish.surface import Corrections
 
@@ -166,7 +166,10 @@ def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
     inwards = np.copysign(1.0, mean_grey - greys.air)
     doubt = 3.0 * np.nanstd(profiles, axis=1, dtype=np.float64) / root_n
     is_dark = ((inwards * (mean_grey - mean) - doubt) / abs(mean_grey - greys.air)).max(axis=1) > 0.4
-    n_dark = _largest_cluster(*(numbers[is_seen][is_dark] for numbers in core.tiles))
+    row, col = (numbers[is_seen][is_dark] for numbers in core.tiles)
+    dark_tiles = np.zeros((row.max(initial=0) + 1, col.max(initial=0) + 1), bool)
+    dark_tiles[row, col] = True
+    n_dark = int(np.bincount(ndimage.label(dark_tiles)[0].ravel())[1:].max(initial=0))  # side by side
     median_profiles = np.nanmedian(profiles, axis=1)
     # 3 standard errors of the median of a tile's columns: 1.86 is 1.4826 of the median deviation, 1.253 of the median.
     profiles -= median_profiles[:, None]
@@ -191,12 +194,6 @@ def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
         sentence=f"Tiles of {TILE_UM:g} um with air inside the base: {n_dark} side by side at most{end_text}",
         advice="Look at the slices. Crop the volume to one sheet that is whole.",
     )  # fmt: skip
-
-
-def _largest_cluster(row: Ints, col: Ints) -> int:
-    mask = np.zeros((row.max(initial=0) + 1, col.max(initial=0) + 1), bool)
-    mask[row, col] = True
-    return int(np.bincount(ndimage.label(mask)[0].ravel())[1:].max(initial=0))
 
 
 def voxels_through(rule: CheckRule, scan: ScannedSheet) -> Check:

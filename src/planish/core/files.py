@@ -11,6 +11,7 @@ import shutil
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
+from itertools import chain, count
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -122,11 +123,8 @@ def new_file(
 
 def free_path(path: Path) -> Path:
     """Give the first of path, path-2, path-3 ... that does not exist."""
-    candidate, k = path, 1
-    while candidate.exists():
-        k += 1
-        candidate = path.with_name(f"{path.name}-{k}")
-    return candidate
+    others = (path.with_name(f"{path.name}-{k}") for k in count(2))
+    return next(candidate for candidate in chain([path], others) if not candidate.exists())
 
 
 @contextmanager

@@ -266,19 +266,15 @@ def take_sums(slices: Iterator[tuple[int, Slice]], turning: Turning, levels: Lev
             for number, grey, label, depth in pool.map(partial(_classify, levels=levels), batch):
                 k = min(int(number * blocks / length), blocks - 1)
                 _add_to_rings(sums, k, grey, label, depth, radius_bins, sectors)
-                _add_to_histogram(sums.histogram[k], grey, label, depth, quarters, coarse_bins)
+                # The voxels inside the sheet by quarter of the turn, radius, depth and grey.
+                grey_bins = ((grey / UNIT - GREYS[0]) / (GREYS[1] - GREYS[0])).astype(np.int64)
+                depths = np.searchsorted(DEPTHS, depth, side="right") - 1
+                histogram = sums.histogram[k]
+                bins = quarters, coarse_bins, depths, np.clip(grey_bins, 0, GREYS.size - 2)
+                cells = np.ravel_multi_index(bins, histogram.shape)[label > 1 + AIR]
+                histogram += np.bincount(cells, minlength=histogram.size).reshape(histogram.shape)
             n_slices += len(batch)
     return replace(sums, slices=n_slices)
-
-
-def _add_to_histogram(
-    histogram: Counts, grey: Counts, label: Labels, depth: Counts, quarters: Counts, coarse_bins: Counts
-) -> None:
-    """Count the voxels of a slice inside the sheet by quarter of the turn, radius, depth and grey."""
-    grey_bins = np.clip(((grey / UNIT - GREYS[0]) / (GREYS[1] - GREYS[0])).astype(np.int64), 0, GREYS.size - 2)
-    depth_classes = np.searchsorted(DEPTHS, depth, side="right") - 1
-    cells = np.ravel_multi_index((quarters, coarse_bins, depth_classes, grey_bins), histogram.shape)
-    histogram += np.bincount(cells[label > 1 + AIR], minlength=histogram.size).reshape(histogram.shape)
 
 
 def _add_to_rings(

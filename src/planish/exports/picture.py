@@ -90,14 +90,11 @@ def _figure(maps: Maps, pixels: NDArray[np.float32], reduction: float, scale: Sc
     figure.text(
         _LEFT / size_px[0], 1 - 0.6 * _TOP / size_px[1], maps.titles[name], fontsize=10, fontweight="bold", va="center"
     )
-    _scale_bar(figure, size_px, width_px, map_um=cols * dx_um * reduction)
-    return figure
-
-
-def _scale_bar(figure: Figure, size_px: tuple[int, int], width_px: int, *, map_um: float) -> None:
+    map_um = cols * dx_um * reduction
     length_um = round_step(map_um / 4)
     y = 30 / size_px[1]
     bar_ends = _LEFT / size_px[0], (_LEFT + length_um / map_um * width_px) / size_px[0]
     figure.add_artist(Line2D(bar_ends, (y, y), color=_INK, lw=2.4, solid_capstyle="butt"))
     length_text = f"{length_um / 1000:g} mm" if length_um >= 1000 else f"{length_um:g} µm"
     figure.text(bar_ends[1] + 18 / size_px[0], y, length_text, va="center")
+    return figure

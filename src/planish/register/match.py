@@ -229,7 +229,13 @@ def match_by_design(
             f"{sentence} Turned over, the design fits nearly as well, so the holes cannot be identified. Leave the "
             f"design out, or {_PAIRS_HINT}."
         )
-    pairs, shared_holes = _join_on_design(first_match, second_match)
+    # The designed holes that both sides have, sorted by the marks of the first.
+    shared_holes, i, j = np.intersect1d(
+        first_match.pairs[:, 0], second_match.pairs[:, 0], assume_unique=True, return_indices=True
+    )
+    pairs = np.stack([first_match.pairs[i, 1], second_match.pairs[j, 1]], axis=1)
+    order = np.argsort(pairs[:, 0])
+    pairs, shared_holes = np.ascontiguousarray(pairs[order]), shared_holes[order]
     mirrored = first_match.mirrored != second_match.mirrored
     # From so many marks on both sides on, they alone give the transformation; with fewer, the design helps.
     if len(pairs) >= 4:
@@ -245,16 +251,6 @@ def match_by_design(
         design=f"Holes identified by the pattern {name} of {len(holes)} holes{_FROM_BEHIND * second_match.mirrored}.",
         sentence=f"{sentence} {len(pairs)} holes are on both sides ({_similarity_text(transform)}, {basis_text}).",
     )  # fmt: skip
-
-
-def _join_on_design(first_match: BestMatch, second_match: BestMatch) -> tuple[Ints, Ints]:
-    """Pair the marks of two sides at the designed holes that both have, sorted by the first; and number these holes."""
-    shared_holes, i, j = np.intersect1d(
-        first_match.pairs[:, 0], second_match.pairs[:, 0], assume_unique=True, return_indices=True
-    )
-    pairs = np.stack([first_match.pairs[i, 1], second_match.pairs[j, 1]], axis=1)
-    order = np.argsort(pairs[:, 0])
-    return np.ascontiguousarray(pairs[order]), shared_holes[order]
 
 
 def _choose_hands(

@@ -8,7 +8,7 @@ what five eighths of its cut-off move. What is left of the poses of serial secti
 errors, of which the alignment sees most, and a slow wander that it leaves alone, since it looks like the sheet's own.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 import xarray as xr
@@ -132,7 +132,19 @@ def _moved(sheet: Mapping[str, xr.Dataset], chain: Chain, places: Floats) -> dic
         other_neutral, error_factor = centre_plane + 0.01 * float(surfaces.attrs["thickness_um"]), 1.0
     shorter = neutral + surfaces["centre_shorter"].values
     moves = flat_moves(surfaces, {"neutral": other_neutral, "smoothing": shorter}, neutral=neutral, rest=attrs["rest"])
-    fit, uv, moves_of = chain.fits[0], chain.inverse(places), _moves_in_map(moves, sheet["flat"])
+    # From the nodes of their mesh to places of the flat map, carried on beyond the sheet.
+    nodes = sheet["flat"][["u", "v"]].sel(y=moves["y"], x=moves["x"])
+    nodes_uv = np.stack([nodes[axis].values for axis in "uv"], axis=-1)
+    grid = covering_grid(nodes_uv, min(pitch(moves)))
+    map_places = find_places(nodes_uv, grid)
+    fields = {str(name): filled(resample(moves[name].values, map_places)) for name in moves}
+    (x, y), (dy_um, dx_um), (rows, cols) = grid.origin_um, grid.pixel_um, grid.shape
+
+    def moves_of(name: str, uv: Floats) -> Floats:
+        row, col = np.clip((uv[..., 1] - y) / dy_um, 0, rows - 1), np.clip((uv[..., 0] - x) / dx_um, 0, cols - 1)
+        return np.stack([bilinear(fields[f"{name}_{axis}"], row, col) for axis in "uv"], axis=-1)
+
+    fit, uv = chain.fits[0], chain.inverse(places)
     errors_um: dict[str, Floats] = {}
     for name, scale in (("neutral", error_factor), ("smoothing", 1.0)):
         shifted_places = fit.refitted(fit.moving + moves_of(name, fit.moving))(uv + moves_of(name, uv))
@@ -140,19 +152,3 @@ def _moved(sheet: Mapping[str, xr.Dataset], chain: Chain, places: Floats) -> dic
             shifted_places = link(shifted_places)
         errors_um[name] = scale * filled(np.linalg.norm(shifted_places - chain(uv), axis=-1))
     return errors_um
-
-
-def _moves_in_map(node_moves: xr.Dataset, flat_coords: xr.Dataset) -> Callable[[str, Floats], Floats]:
-    """Moves of places (u, v) of the flat map, from those of the nodes of their mesh; carried on beyond the sheet."""
-    nodes = flat_coords[["u", "v"]].sel(y=node_moves["y"], x=node_moves["x"])
-    uv = np.stack([nodes[axis].values for axis in "uv"], axis=-1)
-    grid = covering_grid(uv, min(pitch(node_moves)))
-    places = find_places(uv, grid)
-    move_fields = {str(name): filled(resample(node_moves[name].values, places)) for name in node_moves}
-    (x, y), (dy_um, dx_um), (rows, cols) = grid.origin_um, grid.pixel_um, grid.shape
-
-    def moves_of(name: str, uv: Floats) -> Floats:
-        row, col = np.clip((uv[..., 1] - y) / dy_um, 0, rows - 1), np.clip((uv[..., 0] - x) / dx_um, 0, cols - 1)
-        return np.stack([bilinear(move_fields[f"{name}_{axis}"], row, col) for axis in "uv"], axis=-1)
-
-    return moves_of

@@ -202,7 +202,10 @@ def _solve(
         residual = right_side - np.einsum("pkij,pj->pki", normal_matrix, solution)
         scatter = np.einsum("pk,pki,pkj->pij", part_weights**2, residual, residual)
         covariance = np.einsum("pij,pjk,pkl->pil", inverse, scatter, inverse)
-        part_weights = _part_weights(normal_matrix, residual)
+        # A part of the columns weighs less where it pulls farther than the others.
+        pull = np.abs(residual / np.sqrt(np.maximum(np.einsum("pkii->pki", normal_matrix), 0.0) + 1e-12))
+        sigmas = np.max(pull / (1.4826 * np.median(pull, axis=1, keepdims=True) + 1e-12), axis=2)
+        part_weights = np.where(sigmas > _OUTLIER_SIGMAS, _OUTLIER_SIGMAS / np.maximum(sigmas, 1e-9), 1.0)
     offset = base_offset.copy()
     offset[:, :n_unknowns] += solution / scale
     n_parts = normal_sums.shape[1]
@@ -212,13 +215,6 @@ def _solve(
     sigma = np.maximum(sigma, 0.02)  # no pair is better than this, whatever its parts say
     sigma[:, 2] /= _TURN_UM
     return SectionPairs(first, second, offset, sigma, is_same_sheet, is_sound, normal_sums, base_offset, is_fine)
-
-
-def _part_weights(normal_matrix: Floats, residual: Floats) -> Floats:
-    """Weigh each part of the columns (pairs, parts): less where it pulls farther than the others."""
-    scaled_residual = np.abs(residual / np.sqrt(np.maximum(np.einsum("pkii->pki", normal_matrix), 0.0) + 1e-12))
-    sigmas = np.max(scaled_residual / (1.4826 * np.median(scaled_residual, axis=1, keepdims=True) + 1e-12), axis=2)
-    return np.where(sigmas > _OUTLIER_SIGMAS, _OUTLIER_SIGMAS / np.maximum(sigmas, 1e-9), 1.0)
 
 
 def _gaussian(sigma: float) -> Samples:

@@ -131,8 +131,12 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
 def _points_text(objects: Sequence[Bools], blocks: Blocks, inside: Bools, threshold: float, choice: Choice) -> str:
     points: list[str] = []
     for in_object in objects:
+        rows, cols = np.nonzero(in_object.any(axis=-1))
+        k = int(np.argmin((rows - np.median(rows)) ** 2 + (cols - np.median(cols)) ** 2))
+        depth = np.flatnonzero(in_object[rows[k], cols[k]])
+        point = int(rows[k]), int(cols[k]), int(depth[depth.size // 2])
         with suppress(VolumeError):
-            followed_sheet(blocks, inside, threshold, replace(choice, seed=(point := _inner_point(in_object))))
+            followed_sheet(blocks, inside, threshold, replace(choice, seed=point))
             points.append(choice.describe(point))
     if points:
         return f"Points to start from: {'; '.join(points)}."
@@ -239,13 +243,6 @@ def to_columns(field: Floats, block: int, shape: tuple[int, int]) -> Floats:
         np.clip((np.arange(n) - 0.5 * (block - 1)) / block, 0, m - 1) for n, m in zip(shape, field.shape, strict=True)
     ]
     return interpolate(field, axis_positions, order=1)
-
-
-def _inner_point(in_object: Bools) -> tuple[int, int, int]:
-    rows, cols = np.nonzero(in_object.any(axis=-1))
-    k = int(np.argmin((rows - np.median(rows)) ** 2 + (cols - np.median(cols)) ** 2))
-    depth = np.flatnonzero(in_object[rows[k], cols[k]])
-    return int(rows[k]), int(cols[k]), int(depth[depth.size // 2])
 
 
 def _extent(blocks: Blocks, low: NDArray[np.int64], high: NDArray[np.int64], threshold: float) -> tuple[Floats, Floats]:

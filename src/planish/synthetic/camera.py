@@ -151,12 +151,17 @@ def _finish_paper(
 ) -> None:  # fmt: skip
     """Add to a reflectance in place what is not due to the coating (field, gain), the print, and the burnt rims."""
     field, gain = nuisance
-    first_cell, radius_um = _dot_radii(sheet, screen, tone) if screen else ((0, 0), np.empty(0))
+    first_cell, radius_um = _dot_radii(sheet, screen, tone) if screen else ((0, 0), np.empty((0, 0)))
     for rows in _row_blocks(len(image)):
         uv = (u[rows], v[rows])
         reflectance = image[rows] + gain * _sample(sheet, field, *uv)
         if screen:
-            ink_share = _ink_share(*uv, screen, first_cell, radius_um, pixel_um)
+            a, b = _screen_coordinates(*uv, screen)
+            col, row = np.floor(a), np.floor(b)
+            distance = 1e4 / screen.screen_per_cm * np.hypot(a - col - 0.5, b - row - 0.5)
+            i = np.clip(row.astype(int) - first_cell[0], 0, radius_um.shape[0] - 1)
+            j = np.clip(col.astype(int) - first_cell[1], 0, radius_um.shape[1] - 1)
+            ink_share = np.clip((radius_um[i, j] - distance) / pixel_um + 0.5, 0, 1)
             reflectance = reflectance * (1 - ink_share) + screen.ink * ink_share  # Murray and Davies
         image[rows] = reflectance * (1 - 2 * (1 - _CHAR_RIM) * (1 - sheet.at(sheet.char, *uv)))
 
@@ -246,17 +251,6 @@ def _dot_radii(sheet: DrawnSheet, screen: PrintParams, tone: Floats) -> tuple[tu
     # A larger dot would touch its neighbours: then the tone is no longer pi r^2.
     dot_area = np.clip(screen.tone + cell_change, 0.0, 0.25 * np.pi)
     return first_cell, pitch * np.sqrt(dot_area / np.pi)
-
-
-def _ink_share(
-    u: Floats, v: Floats, screen: PrintParams, first_cell: tuple[int, int], radius_um: Floats, pixel_um: float
-) -> Floats:  # fmt: skip
-    a, b = _screen_coordinates(u, v, screen)
-    col, row = np.floor(a), np.floor(b)
-    distance = 1e4 / screen.screen_per_cm * np.hypot(a - col - 0.5, b - row - 0.5)
-    i = np.clip(row.astype(int) - first_cell[0], 0, radius_um.shape[0] - 1)
-    j = np.clip(col.astype(int) - first_cell[1], 0, radius_um.shape[1] - 1)
-    return np.clip((radius_um[i, j] - distance) / pixel_um + 0.5, 0, 1)
 
 
 def _screen_coordinates(u: Floats, v: Floats, screen: PrintParams) -> tuple[Floats, Floats]:

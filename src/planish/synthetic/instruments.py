@@ -143,7 +143,9 @@ class Scanner:
             slab = slab + p.noise * abs(contrast) * self._noise(start, stop)
         slab = slab + np.float32(p.grey[0])
         if p.section_gain:
-            slab *= self._gains(start, stop)
+            rngs = (generator(self.seed, "gain", str(row)) for row in range(start, stop))
+            gains = np.array([1 + p.section_gain * rng.standard_normal() for rng in rngs], np.float32)
+            slab *= gains[:, None, None]
         if p.dtype != "float32":
             limits = np.iinfo(p.dtype)
             slab = np.clip(np.rint(slab), limits.min, limits.max)
@@ -168,12 +170,6 @@ class Scanner:
                 blurred = blurred - np.float32(p.fringe) * fringe
             slab[:, col : col + blurred.shape[1], depth : depth + blurred.shape[2]] = blurred
         return slab
-
-    def _gains(self, start: int, stop: int) -> Slab:
-        rngs = (generator(self.seed, "gain", str(row)) for row in range(start, stop))
-        return np.array([1 + self.params.section_gain * rng.standard_normal() for rng in rngs], np.float32)[
-            :, None, None
-        ]
 
     def _noise(self, start: int, stop: int) -> Slab:
         """White or correlated noise of unit standard deviation; every row has random numbers of its own."""

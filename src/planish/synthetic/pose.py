@@ -1,6 +1,5 @@
 """Where the camera stands: from material coordinates of the sheet to the image, and exactly back."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -106,19 +105,14 @@ def draw_pose(camera: CameraParams, spread: ArrayLike, rng: np.random.Generator)
     shape = (max(int(_TALL * height_um / camera.pixel_um), 2), max(int(_WIDE * width_um / camera.pixel_um), 2))
     while in_view(shape, no_shift) < _CENTRED_IN_VIEW:
         shape = (int(_GROWTH * shape[0]) + 1, int(_GROWTH * shape[1]) + 1)
-    drawn_shift = camera.shift_range_um * np.array([shift_x, shift_y])
-    return shape, posed(shape, _shortened(drawn_shift, lambda shift: in_view(shape, shift) >= _LEAST_IN_VIEW))
-
-
-def _shortened(shift: Floats, is_enough: Callable[[Floats], bool]) -> Floats:
-    if is_enough(shift):
-        return shift
+    drawn_shift, low, high = camera.shift_range_um * np.array([shift_x, shift_y]), 0.0, 1.0
+    if in_view(shape, drawn_shift) >= _LEAST_IN_VIEW:
+        return shape, posed(shape, drawn_shift)
     # A frame that moves away from the middle of a rectangle loses field all the way, so halving finds the limit.
-    low, high = 0.0, 1.0
     for _ in range(30):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if is_enough(middle * shift) else (low, middle)
-    return low * shift
+        share = 0.5 * (low + high)
+        low, high = (share, high) if in_view(shape, share * drawn_shift) >= _LEAST_IN_VIEW else (low, share)
+    return shape, posed(shape, low * drawn_shift)
 
 
 def _frame_sides(field: Floats, rotation: float) -> tuple[float, float]:

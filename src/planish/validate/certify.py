@@ -12,7 +12,7 @@ from planish.core.errors import InputError, PlanishError, ResourceError
 from planish.report.draw import Picture
 from planish.run import run_study
 from planish.run.compute import Compute, Progress, silent
-from planish.synthetic import InstrumentFiles, Specimen, make_specimen, write_instruments
+from planish.synthetic import make_specimen, write_instruments
 from planish.synthetic.params import SpecimenParams
 from planish.synthetic.presets import NUISANCES
 from planish.validate.errors import LINK_STAGES, MAP_STAGES, pair_errors
@@ -156,7 +156,15 @@ def run_specimen(
     with tempfile.TemporaryDirectory(prefix="planish-validate-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
         try:
-            specimens = _make_specimens(scenario, params, seed, folder)
+            specimen = make_specimen(params)
+            if scenario.second is None:
+                specimens = [(specimen, write_instruments(specimen, folder / "specimen", volume=scenario.instrument))]
+            else:
+                both = specimen, make_specimen(scenario.second_params(seed), sheet=specimen.sheet)
+                layers = zip(PAIR, both, (scenario.instrument, scenario.second.instrument), strict=True)
+                specimens = [
+                    (s, write_instruments(s, folder / name, volume=volume, image=False)) for name, s, volume in layers
+                ]
         except ValueError as error:
             raise InputError(f"The specimen of {scenario.name} cannot be made: {error}") from error
         study = scenario.study_of([(files.volume, files.through) for _, files in specimens], specimens[0][1].image)
@@ -178,17 +186,6 @@ def run_specimen(
 
             pictures = tuple(draw_example(comparison, seed))
         return Entry(seed=seed, values=make_ledger(comparison), failed=failed, looks=looks, pictures=pictures)
-
-
-def _make_specimens(
-    scenario: Scenario, params: SpecimenParams, seed: int, folder: Path
-) -> list[tuple[Specimen, InstrumentFiles]]:
-    first_specimen = make_specimen(params)
-    if scenario.second is None:
-        return [(first_specimen, write_instruments(first_specimen, folder / "specimen", volume=scenario.instrument))]
-    specimens = first_specimen, make_specimen(scenario.second_params(seed), sheet=first_specimen.sheet)
-    layers = zip(PAIR, specimens, (scenario.instrument, scenario.second.instrument), strict=True)
-    return [(s, write_instruments(s, folder / name, volume=volume, image=False)) for name, s, volume in layers]
 
 
 def seed_numbers(scenario: Scenario, seeds: int | Sequence[int] | None) -> list[int]:
