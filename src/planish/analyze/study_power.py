@@ -1,7 +1,6 @@
 """How many sheets and fields a study needs to see a difference of r²."""
 
 import math
-from bisect import bisect_left
 from functools import partial
 
 import numpy as np
@@ -122,11 +121,17 @@ def sheets_needed(
         power_of_study, r2, fields=fields, n_eff=n_eff, between_sheets=between_sheets, paired=paired,
         change_between_sheets=change_between_sheets, shared=shared,
     )  # fmt: skip
-    numbers = range(LEAST_SHEETS, 100_001)
-    k = bisect_left(numbers, True, key=lambda sheets: design_of(sheets=sheets).power >= power)
-    if k == len(numbers):
-        raise InputError(f"100000 sheets do not see a difference of {abs(r2[1] - r2[0]):g} in r². Give a larger one.")
-    return design_of(sheets=numbers[k])
+    low, high = LEAST_SHEETS - 1, LEAST_SHEETS
+    while design_of(sheets=high).power < power:
+        low, high = high, 2 * high
+        if high > 100_000:
+            raise InputError(
+                f"100000 sheets do not see a difference of {abs(r2[1] - r2[0]):g} in r². Give a larger one."
+            )
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if design_of(sheets=middle).power >= power else (middle, high)
+    return design_of(sheets=high)
 
 
 def expected_n_eff(field_um: Pair, *, length_um: Pixel, point_um: float) -> float:
