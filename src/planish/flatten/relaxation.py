@@ -137,7 +137,11 @@ def relax_dynamically(
 
 def _motion(x: Floats, springs: Springs, mask: Floats, p: RelaxationParams) -> tuple[Outcome, float, Floats]:
     """Move ``x`` (2, rows + 2, cols + 2) until it rests; give the energy, and time step, damping ... of each step."""
-    weights, nodes, period = _difference_weights(mask), np.count_nonzero(mask), 2.0 * (max(mask.shape) - 2)
+    # Weights of the differences to the neighbours right, left, below and above (4, rows + 2, cols + 2).
+    right, left, below, above = (np.roll(mask, shift, axis) for shift, axis in ((-1, 1), (1, 1), (-1, 0), (1, 0)))
+    opposite_pairs = ((right, left), (left, right), (below, above), (above, below))
+    weights = np.stack([mask * side * (1.0 - 0.5 * opposite) for side, opposite in opposite_pairs])
+    nodes, period = np.count_nonzero(mask), 2.0 * (max(mask.shape) - 2)
     v, next_v, f = np.zeros_like(x), np.zeros_like(x), np.zeros_like(x)
     energy, largest_force = set_force(x, *springs, f)
     dt, c = p.fixed_dt, max(p.c_min, np.sqrt(mix(v, 0.0, f, 1.0, weights, next_v)[0] / p.b))
@@ -209,10 +213,3 @@ def _runge_kutta(x: Floats, v: Floats, f: Floats, springs: Springs, dt: float, c
 
 def _framed(values: Floats) -> Floats:
     return np.pad(values, [(0, 0)] * (values.ndim - 2) + [(1, 1), (1, 1)])
-
-
-def _difference_weights(mask: Floats) -> Floats:
-    """Weights of the differences to the neighbours right, left, below and above (4, rows + 2, cols + 2)."""
-    right, left, below, above = (np.roll(mask, shift, axis) for shift, axis in ((-1, 1), (1, 1), (-1, 0), (1, 0)))
-    opposite_pairs = ((right, left), (left, right), (below, above), (above, below))
-    return np.stack([mask * side * (1.0 - 0.5 * opposite) for side, opposite in opposite_pairs])

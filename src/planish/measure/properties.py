@@ -3,7 +3,7 @@
 Further maps are worked out on row tiles on threads: the same bytes however they are cut.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
@@ -150,7 +150,14 @@ def _with_errors(measured: xr.Dataset, noise_um: float) -> xr.Dataset:
             # A crossing of half the step uses one place of the edge, a fit all of it.
             crossing_factor = np.sqrt(max(1.0, np.sqrt(np.pi) * greys.blur_um / through_um))
             errors = {name: se * crossing_factor for name, se in errors.items()}
-    errors, common = _with_added_errors(measured, errors, common)
+    level_um = 0.0  # what corrections and the grey of a bare base leave open; a wrong grey moves all columns alike
+    for side in SIDES:
+        for added in (measured.get(f"correction_{side}_error"), measured.get(f"level_{side}_error")):
+            if added is not None:
+                added_um = np.nan_to_num(added.values.astype(np.float64))
+                errors |= {k: np.hypot(errors[k], added_um) for k in (f"coating_{side}", "base_thickness", "thickness")}
+                level_um += float(added.attrs.get("common_um", 0.0))
+    common = {**common, **{k: float(np.hypot(common[k], level_um)) for k in ("base_thickness", "thickness")}}
     variables: dict[str, xr.Variable] = {}
     for name in ("coating_top", "coating_bottom", "base_thickness", "thickness"):
         se = np.where(np.isfinite(measured[name].values), errors[name], np.nan).astype(np.float32)
@@ -158,20 +165,6 @@ def _with_errors(measured: xr.Dataset, noise_um: float) -> xr.Dataset:
             attrs_of_se = {"units": "um", "long_name": _se_name(PROPERTIES[name]), "common_um": common[name]}
             variables[f"{name}_se"] = xr.Variable(("y", "x"), se, attrs_of_se | {"patch_um2": patch_um2})
     return measured.assign(variables)
-
-
-def _with_added_errors(
-    measured: xr.Dataset, errors: dict[str, Floats], common: Mapping[str, float]
-) -> tuple[dict[str, Floats], Mapping[str, float]]:
-    """Add what corrections, and the grey of the walls of a bare base, leave open; in each column and in common."""
-    level_um = 0.0  # a wrong grey moves all columns of both sides alike
-    for side in SIDES:
-        for added in (measured.get(f"correction_{side}_error"), measured.get(f"level_{side}_error")):
-            if added is not None:
-                added_um = np.nan_to_num(added.values.astype(np.float64))
-                errors |= {k: np.hypot(errors[k], added_um) for k in (f"coating_{side}", "base_thickness", "thickness")}
-                level_um += float(added.attrs.get("common_um", 0.0))
-    return errors, {**common, **{k: float(np.hypot(common[k], level_um)) for k in ("base_thickness", "thickness")}}
 
 
 def _se_name(long_name: str) -> str:

@@ -128,9 +128,14 @@ def gather_link(linked: LinkedLayers) -> Run:
     is_one_sheet = study.is_sheet_on_image
     groups = {f"layers/{name}": data for name, data in maps.items()}
     if is_one_sheet:
-        sheet_fields, groups = _sheet_on_image(linked, facts[0].headline)
-        result_fields |= sheet_fields
-        checks += run_checks(sheet_fields["linked"], layers[0].name, layers[1].name)
+        sheet, linked_maps = layers[0], linked.sink.group(LINKED)
+        groups = sheet.groups | {LINKED: linked_maps}
+        result_fields["linked"] = linked_area(linked_maps, linked.mask)
+        result_fields["comparison"] = comparison_rows(
+            linked_maps, sheet.groups, linked.links[sheet.name].registration.fit, name=facts[0].headline,
+            point_um=correlate.point_um, away=linked.mask,
+        )  # fmt: skip
+        checks += run_checks(result_fields["linked"], sheet.name, layers[1].name)
     if study.registration.refine is not None:
         groups["refined"], result_fields["refinement"] = _refined(linked, facts, study.registration.refine)
     regions = linked.mask.regions
@@ -181,15 +186,6 @@ def _evidence(linked: LinkedLayers, facts: tuple[LayerFacts, ...]) -> Iterator[E
             )  # fmt: skip
             if evidence is not None:
                 yield evidence
-
-
-def _sheet_on_image(linked: LinkedLayers, headline: str) -> tuple[dict[str, Any], dict[str, xr.Dataset]]:
-    sheet, maps = linked.layers[0], linked.sink.group(LINKED)
-    comparison = comparison_rows(
-        maps, sheet.groups, linked.links[sheet.name].registration.fit, name=headline,
-        point_um=linked.study.correlate.point_um, away=linked.mask,
-    )  # fmt: skip
-    return {"linked": linked_area(maps, linked.mask), "comparison": comparison}, sheet.groups | {LINKED: maps}
 
 
 def _refined(

@@ -23,7 +23,7 @@ from planish.run.overlay import ValidMask, hole_circles, resample_layers
 from planish.run.regions import regions_on
 from planish.run.registration import Link, Registration, check_marks, register_layers
 from planish.run.run import Run, open_sheet
-from planish.run.study import LayerParams, Study, changed
+from planish.run.study import Study, changed
 from planish.run.texture_registration import register_layers_by_texture, uses_texture
 
 
@@ -75,7 +75,12 @@ def read_inputs(study: Study, regions: Regions | None, progress: Progress) -> Li
             continue
         progress("read", Path(params.path).name)
         if params.image is None:
-            layers[params.name] = _read_run(params, study)
+            sheet = open_sheet(params.path)
+            md_deg = sheet.md_deg if params.md_deg is None else params.md_deg
+            if study.is_sheet_on_image and sheet.params.volume is not None:
+                # The study of the run becomes part of this one: the volume linked to the image has the same bytes.
+                params = changed(sheet.params, name=params.name, marks=params.marks, volume={"md_deg": md_deg})
+            layers[params.name] = replace(sheet, params=params, md_deg=md_deg)
             continue
         image = read_image(params.path, **params.image.how)
         sized_params = changed(params, image={"pixel_um": tuple(float(v) for v in image.attrs["pixel_um"])})
@@ -97,15 +102,6 @@ def read_inputs(study: Study, regions: Regions | None, progress: Progress) -> Li
             is_compared = None if image_regions is None else ~image_regions.inside(layer.grid)
             layers[name] = replace(layer, compared=compared_image(layer.image, layer.params.image, mask=is_compared))
     return LinkInputs(layers, regions, holes)
-
-
-def _read_run(params: LayerParams, study: Study) -> Layer:
-    sheet = open_sheet(params.path)
-    md_deg = sheet.md_deg if params.md_deg is None else params.md_deg
-    if study.is_sheet_on_image and sheet.params.volume is not None:
-        # The study of the run becomes part of this one: the volume linked to the image has the same bytes.
-        params = changed(sheet.params, name=params.name, marks=params.marks, volume={"md_deg": md_deg})
-    return replace(sheet, params=params, md_deg=md_deg)
 
 
 def _register(

@@ -87,10 +87,16 @@ def assemble(
             "Is the voxel size in um? Check --voxel-um, --rim-um and --sheet-grey."
         )
     centre, cutoff_used = centre_surface(face_mean, in_outline, pitch, params)
-    variables = {name: _variable(height, _TITLES[name]) for name, height in heights.items()} | _level_errors(faces)
+    variables = {name: _variable(height, _TITLES[name]) for name, height in heights.items()}
+    for side, (level_error, mean_um) in faces.level_errors.items():
+        title = f"Standard error of the {side} face from the wall's grey"
+        variables[f"level_{side}_error"] = _variable(level_error.astype(np.float32), title, common_um=mean_um)
     variables["centre"] = _variable(centre, "Centre surface")
-    if params.envelope_um is not None:
-        variables |= _envelopes(heights, columns.frame.sign, pitch, params.envelope_um)
+    for name, outwards in (("top", 1), ("bottom", -1)) if params.envelope_um is not None else ():
+        outward = outwards * columns.frame.sign * heights[name]
+        rolled_over = np.where(np.isfinite(outward), rolled(filled(outward), pitch, params.envelope_um), np.nan)
+        title = f"{_TITLES[name]} below a ball of {params.envelope_um:g} um"
+        variables[f"{name}_envelope"] = _variable(outwards * columns.frame.sign * rolled_over, title)
     base_offset = 0.5 * (heights["interface_top"] + heights["interface_bottom"]) - face_mean
     surfaces = alternative_surfaces(base_offset, face_mean, centre, in_outline, pitch, params)
     variables |= {name: _variable(height.astype(np.float32), title) for name, (height, title) in surfaces.items()}
@@ -124,23 +130,6 @@ def assemble(
     return xr.Dataset(
         variables, {axis: (axis, um, {"units": "um"}) for axis, um in zip("yx", lateral_um, strict=True)}, attrs
     )
-
-
-def _level_errors(faces: Faces) -> dict[str, Variable]:
-    variables: dict[str, Variable] = {}
-    for side, (level_error, mean_um) in faces.level_errors.items():
-        title = f"Standard error of the {side} face from the wall's grey"
-        variables[f"level_{side}_error"] = _variable(level_error.astype(np.float32), title, common_um=mean_um)
-    return variables
-
-
-def _envelopes(heights: dict[str, Floats], up_sign: float, pitch: Pair, radius_um: float) -> dict[str, Variable]:
-    variables: dict[str, Variable] = {}
-    for name, outward_sign in (("top", up_sign), ("bottom", -up_sign)):
-        outward = outward_sign * heights[name]
-        envelope = outward_sign * np.where(np.isfinite(outward), rolled(filled(outward), pitch, radius_um), np.nan)
-        variables[f"{name}_envelope"] = _variable(envelope, f"{_TITLES[name]} below a ball of {radius_um:g} um")
-    return variables
 
 
 def _variable(field: NDArray[np.generic], title: str, units: str = "um", **attrs: object) -> Variable:
