@@ -120,22 +120,19 @@ def _version_and_fault(requirement: Requirement) -> tuple[str, str | None]:
     if not requirement.specifier.contains(version, prereleases=True):
         return version, f"{requirement.name} is {version}, needed is {requirement.specifier}"
     try:
-        for module in _modules(requirement.name):
+        # Names by which the packages of a library are imported, which need not be its own.
+        files = [str(file) for file in metadata.files(requirement.name) or ()]
+        packages = [file.split("/")[0] for file in files if file.endswith("/__init__.py")]
+        module_files = [file.removesuffix(".py") for file in files if "/" not in file and file.endswith(".py")]
+        modules = dict.fromkeys([*packages, *module_files])
+        plain = {name: re.sub("[-_.]", "", name.casefold()) for name in (*modules, requirement.name)}
+        library = plain[requirement.name]
+        matching = [name for name in modules if plain[name] in library or library in plain[name]]
+        for module in matching or [name for name in modules if name.isidentifier() and name[0] != "_"][:1]:
             importlib.import_module(module)
     except Exception as error:  # noqa: BLE001  # a library that does not load may raise anything
         return version, f"{requirement.name} {version} cannot be loaded ({' '.join(str(error).split())[:120]})"
     return version, None
-
-
-def _modules(library: str) -> list[str]:
-    """Names by which the packages of a library are imported, which need not be its own."""
-    files = [str(file) for file in metadata.files(library) or ()]
-    packages = [file.split("/")[0] for file in files if file.endswith("/__init__.py")]
-    module_files = [file.removesuffix(".py") for file in files if "/" not in file and file.endswith(".py")]
-    modules = dict.fromkeys([*packages, *module_files])
-    plain = {name: re.sub("[-_.]", "", name.casefold()) for name in (*modules, library)}
-    matching = [name for name in modules if plain[name] in plain[library] or plain[library] in plain[name]]
-    return matching or [name for name in modules if name.isidentifier() and not name.startswith("_")][:1]
 
 
 def _requirements(extra: str | None) -> list[Requirement] | None:

@@ -217,7 +217,14 @@ def fitted(
         with suppress(PlanishError):  # too few are left for this model
             fit_to_others = _least_squares(moving, fixed, fitted_model, mirrored, weights=weights)
             leave_one_out_um = fit_to_others.leave_one_out_um
-    warnings += _warnings_of_marks(pairs, is_used, is_outlier, fit, residual_um, leave_one_out_um)
+    is_rejected = np.zeros(len(pairs), dtype=np.bool_)
+    is_rejected[is_used] = fit.robust_weights == 0
+    for k, mark in enumerate(pairs):
+        if is_rejected[k]:
+            text = f"{residual_um[k]:.0f} um off: does not agree with the others and is left out of the fit."
+            warnings.append(FitWarning(id=mark.id, text=text))
+        elif is_outlier[k]:
+            warnings.append(FitWarning(id=mark.id, text=f"Stands out: {leave_one_out_um[k]:.0f} um off the others."))
     # Those of the fit that are about single marks stand beside them already.
     mark_phrases = "(counted from 1)", "marks only"
     warnings += [FitWarning(text=text) for text in fit.warnings if not any(phrase in text for phrase in mark_phrases)]
@@ -256,20 +263,4 @@ def _coincidence_warnings(pairs: Sequence[Mark], where: Mapping[Plane, str]) -> 
             earlier = mark_at.setdefault(getattr(mark, plane).xy, mark)
             if earlier is not mark:
                 warnings.append(FitWarning(id=mark.id, text=f"Lies at the same place as {earlier.label} {plane_text}."))
-    return warnings
-
-
-def _warnings_of_marks(
-    pairs: Sequence[Mark], is_used: Bools, is_outlier: Bools, fit: FittedTransform, residual_um: Floats,
-    leave_one_out_um: Floats,
-) -> list[FitWarning]:  # fmt: skip
-    warnings: list[FitWarning] = []
-    is_rejected = np.zeros(len(pairs), dtype=np.bool_)
-    is_rejected[is_used] = fit.robust_weights == 0
-    for k, mark in enumerate(pairs):
-        if is_rejected[k]:
-            text = f"{residual_um[k]:.0f} um off: does not agree with the others and is left out of the fit."
-            warnings.append(FitWarning(id=mark.id, text=text))
-        elif is_outlier[k]:
-            warnings.append(FitWarning(id=mark.id, text=f"Stands out: {leave_one_out_um[k]:.0f} um off the others."))
     return warnings

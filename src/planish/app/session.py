@@ -250,7 +250,17 @@ class Session:
         self.changed_at = self.version
 
     def _replay(self) -> None:
-        self._states = [self._original_state()]
+        regions: list[DrawnRegion] = []
+        for region in read_regions(self.folder / REGIONS).declared if self.results.regions else ():
+            for polygon, *holes in ([*map(_ring, rings)] for rings in region.polygons):
+                texts = {"name": region.name, "author": region.author, "reason": region.reason}
+                texts["id"] = f"r0-{len(regions) + 1}"
+                regions.append(DrawnRegion(polygon=polygon, holes=tuple(holes), **texts))
+        marks = {layer: pairs_of(registration.marks) for layer, registration in self.registrations.items()}
+        self._states = [State(
+            marks=marks or {self.layers[0]: ()}, model=self.study.registration.model, regions=tuple(regions),
+            corrections=corrections_of(self.study), first_layer=self.layers[0],
+        )]  # fmt: skip
         for k, line in enumerate(self.journal.lines, 1):
             try:
                 self._step(line, save=False)
@@ -259,19 +269,6 @@ class Session:
                     f"{self.journal.path} is damaged: its change {k} cannot be made ({error.text}) Cut the file before "
                     "that line to keep the changes that were made until then."
                 ) from error
-
-    def _original_state(self) -> State:
-        regions: list[DrawnRegion] = []
-        for region in read_regions(self.folder / REGIONS).declared if self.results.regions else ():
-            for polygon, *holes in ([*map(_ring, rings)] for rings in region.polygons):
-                texts = {"name": region.name, "author": region.author, "reason": region.reason}
-                texts["id"] = f"r0-{len(regions) + 1}"
-                regions.append(DrawnRegion(polygon=polygon, holes=tuple(holes), **texts))
-        marks = {layer: pairs_of(registration.marks) for layer, registration in self.registrations.items()}
-        return State(
-            marks=marks or {self.layers[0]: ()}, model=self.study.registration.model, regions=tuple(regions),
-            corrections=corrections_of(self.study), first_layer=self.layers[0],
-        )  # fmt: skip
 
     def publish(self) -> None:
         """Count the version up, and call everybody who listens; from any thread."""

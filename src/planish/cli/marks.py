@@ -119,7 +119,7 @@ def simulate(
     """
     from planish.core.tables import read_text
     from planish.design import dry_run, read_pattern
-    from planish.design.draw import path_picture
+    from planish.design.draw import encode, house_style, path_page
     from planish.io.run_folder import refuse_existing
 
     stage = build_params(StageParams, values)
@@ -144,7 +144,9 @@ def simulate(
                 )
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
-        picture = path_picture(run, out.suffix.lower().lstrip("."), title=f"Path of the stage: {program.name}")
+        title = f"Path of the stage: {program.name}"
+        with house_style():
+            picture = encode([path_page(run, title=title)], out.suffix.lower().lstrip("."), title)
         write_whole(out, picture)
     if as_json:
         facts = {

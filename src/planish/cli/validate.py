@@ -9,6 +9,7 @@ import click
 
 from planish.cli.console import print_json, table, warn
 from planish.cli.options import PATH, build_params, json_option, options, out_option, verb
+from planish.core.files import write_whole
 from planish.core.numbers import in_ascii
 from planish.run.compute import Compute
 from planish.synthetic.presets import SpecimenOptions
@@ -83,7 +84,7 @@ def validate(
     from planish.io.run_folder import new_folder, refuse_existing, write_json
     from planish.validate import table as tables
     from planish.validate.certify import run_scenario, sensitivity
-    from planish.validate.page import write_page
+    from planish.validate.page import render_page
     from planish.validate.scenario import read_scenario, scenario_names
 
     if listed:
@@ -132,7 +133,7 @@ def validate(
                 write_json(place / "certificate.json", tables.as_json(certificate, nuisances))
                 text = tables.markdown(certificate, nuisances)
                 (place / "certificate.md").write_text(text, encoding="utf-8", newline="\n")
-                write_page(place / "certificate.html", certificate, nuisances)
+                write_whole(place / "certificate.html", render_page(certificate, nuisances).encode())
         click.echo(f"certificate: {out}", err=True)
     return 0 if all(certificate.passed for certificate, _ in results) else 4
 

@@ -360,9 +360,3 @@ def write_design(
     for name, content in files.items():
         (Path(folder) / name).write_bytes(content)
     return tuple(files), run, predicted
-
-
-def path_picture(run: DryRun, kind: str, *, title: str = "Path of the stage") -> bytes:
-    """Draw the path of a dry run as ``png``, ``svg`` or ``pdf``."""
-    with house_style():
-        return encode([path_page(run, title=title)], kind, title)

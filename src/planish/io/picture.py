@@ -100,12 +100,6 @@ def is_mapped(path: Path) -> bool:
         return mapped_from(series) is not None and not palette
 
 
-def pixels_of(path: Path) -> tuple[int, int]:
-    """Rows and columns of a picture, by its header."""
-    rows, cols = load_picture(path, decode=False).values.shape[:2]
-    return int(rows), int(cols)
-
-
 def constant_zeros(shape: Sequence[int], dtype: np.dtype[Any]) -> NDArray[Any]:
     """An array of any size in no memory; all its values are the same 0."""
     return np.broadcast_to(np.zeros((), dtype.newbyteorder("=")), tuple(shape))

@@ -152,7 +152,16 @@ def draw_correlogram(profiles: CorrelogramProfiles, *, names: tuple[str, str], e
     """Draw r of both maps, one moved along x and along y, with what unrelated maps reach."""
     canvas = Canvas(FULL, 345)
     for left_px, axis, profile in ((_LEFT, "x", profiles.along_x), (_RIGHT, "y", profiles.along_y)):
-        _draw_profile(canvas, left_px, axis, profile)
+        magnitudes = [abs(v) for row in (profile.r, profile.limit_of_any, profile.limit) for v in row if is_known(v)]
+        r_max = min(_ROOM * max(magnitudes, default=1.0), 1.0)
+        axes = canvas.axes(left_px, _TOP, _WIDE, _HIGH, (profile.lags_um[0], profile.lags_um[-1], -r_max, r_max))
+        _draw_band(axes, profile.lags_um, [(v, -v) for v in profile.limit])
+        axes.across(0.0)
+        axes.upright(0.0)
+        for sign in (1, -1):
+            axes.curve(profile.lags_um, [sign * v for v in profile.limit_of_any], colour=POINT, width=1.2, dash="6 4")
+        axes.curve(profile.lags_um, profile.r, colour=ACCENT, width=2.2)
+        canvas.ticks(axes, f"lag along {axis} / µm", "r")
     return canvas.picture(
         title=f"{capital(names[0])} moved against {names[1]}",
         caption=(
@@ -170,19 +179,6 @@ def _lag_table(axis: str, profile: LagProfile) -> Table:
     headings = f"lag along {axis} / µm", "r", "|r| that 1 % exceed at this lag", "|r| that 1 % exceed at any lag"
     column_values = profile.lags_um, profile.r, profile.limit, profile.limit_of_any
     return dict(zip(headings, map(or_blank, column_values), strict=True))
-
-
-def _draw_profile(canvas: Canvas, left_px: float, axis: str, profile: LagProfile) -> None:
-    magnitudes = [abs(v) for row in (profile.r, profile.limit_of_any, profile.limit) for v in row if is_known(v)]
-    r_max = min(_ROOM * max(magnitudes, default=1.0), 1.0)
-    axes = canvas.axes(left_px, _TOP, _WIDE, _HIGH, (profile.lags_um[0], profile.lags_um[-1], -r_max, r_max))
-    _draw_band(axes, profile.lags_um, [(v, -v) for v in profile.limit])
-    axes.across(0.0)
-    axes.upright(0.0)
-    for sign in (1, -1):
-        axes.curve(profile.lags_um, [sign * v for v in profile.limit_of_any], colour=POINT, width=1.2, dash="6 4")
-    axes.curve(profile.lags_um, profile.r, colour=ACCENT, width=2.2)
-    canvas.ticks(axes, f"lag along {axis} / µm", "r")
 
 
 def draw_rings(agreement: Twice, *, name: str, layers: tuple[str, str], excluded_text: str = HOLES) -> Picture:

@@ -47,7 +47,21 @@ def link_layers(
     reference = layers[-1]
     if reference.params.kind == "volume" and regions is not None:
         regions = regions_on(regions, reference.grid, study.correlate.regions)
-    layers, links = _register(layers, holes, study, progress)
+    registrations, links = dict[str, Registration](), dict[str, Link]()
+    next_of = [k + 1 if study.chain else len(layers) - 1 for k in range(len(layers) - 1)]
+    for k, k_fixed in enumerate(next_of):
+        layer, fixed = layers[k], layers[k_fixed]
+        progress("register", f"{layer.name} to {fixed.name}")
+        register = register_layers_by_texture if uses_texture(layer, fixed, holes, study) else register_layers
+        registration = registrations[layer.name] = register(layer, fixed, holes, study)
+        is_of_sheet = layer.kind != fixed.kind and registration.source == "texture" and not study.registration.mirror
+        for image_k in (k, k_fixed) if is_of_sheet and registration.fit.mirrored else ():
+            if layers[image_k].kind == "image" and layers[image_k].side_given is None:
+                layers[image_k] = replace(layers[image_k], side_found="bottom")
+    for k, k_fixed in enumerate(next_of):
+        path = layers[k:] if study.chain else [layers[k], layers[k_fixed]]
+        chain = Chain(fits=tuple(registrations[layer.name].fit for layer in path[:-1]))
+        links[layers[k].name] = Link(path, registrations[layers[k].name], chain)
     reference = layers[-1]
     chains = {name: link.chain for name, link in links.items()}
     progress("link", f"{' x '.join(map(str, reference.grid.shape))} pixels of the {reference.name}")
@@ -102,26 +116,3 @@ def read_inputs(study: Study, regions: Regions | None, progress: Progress) -> Li
             is_compared = None if image_regions is None else ~image_regions.inside(layer.grid)
             layers[name] = replace(layer, compared=compared_image(layer.image, layer.params.image, mask=is_compared))
     return LinkInputs(layers, regions, holes)
-
-
-def _register(
-    layers: list[Layer], holes: LayerHoles, study: Study, progress: Progress
-) -> tuple[list[Layer], dict[str, Link]]:
-    """Register every layer but the last one, and compose the chains; layers know their side where that was found."""
-    layers, registrations = layers.copy(), dict[str, Registration]()
-    next_of = [k + 1 if study.chain else len(layers) - 1 for k in range(len(layers) - 1)]
-    for k, k_fixed in enumerate(next_of):
-        layer, fixed = layers[k], layers[k_fixed]
-        progress("register", f"{layer.name} to {fixed.name}")
-        register = register_layers_by_texture if uses_texture(layer, fixed, holes, study) else register_layers
-        registration = registrations[layer.name] = register(layer, fixed, holes, study)
-        is_of_sheet = layer.kind != fixed.kind and registration.source == "texture" and not study.registration.mirror
-        for image_k in (k, k_fixed) if is_of_sheet and registration.fit.mirrored else ():
-            if layers[image_k].kind == "image" and layers[image_k].side_given is None:
-                layers[image_k] = replace(layers[image_k], side_found="bottom")
-    links = dict[str, Link]()
-    for k, k_fixed in enumerate(next_of):
-        path = layers[k:] if study.chain else [layers[k], layers[k_fixed]]
-        chain = Chain(fits=tuple(registrations[layer.name].fit for layer in path[:-1]))
-        links[layers[k].name] = Link(path, registrations[layers[k].name], chain)
-    return layers, links

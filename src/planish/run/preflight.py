@@ -6,7 +6,7 @@ from planish.core.errors import InputError, ResourceError
 from planish.core.memory import enough_gb
 from planish.design import read_pattern
 from planish.io.info import LINK_BYTES, PIXEL_BYTES
-from planish.io.picture import pixels_of
+from planish.io.picture import load_picture
 from planish.marks.regions import Regions, read_regions
 from planish.measure import PROPERTIES, check_maps, possible_maps
 from planish.run.compute import Compute
@@ -55,7 +55,7 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> Regi
     regions = None if study.correlate.regions is None else read_regions(study.correlate.regions)
     for layer in study.layers:
         if layer.image is not None:
-            rows, cols = pixels_of(Path(layer.path))
+            rows, cols = load_picture(Path(layer.path), decode=False).values.shape[:2]
             is_changed = layer.image.dark_grey is not None or layer.image.screen_um is not None
             bytes_per_pixel = PIXEL_BYTES if study.registration.refine is None else _REFINED_BYTES
             bytes_per_pixel += _HELD_BYTES * held + _COMPARED_BYTES * is_changed

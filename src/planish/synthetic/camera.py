@@ -112,7 +112,19 @@ def photograph(
         gain = _oracle_gain(truth_maps, rim > _HOLE_CLEARANCE_UM, camera.pixel_um, camera.oracle_r2)
     screen = (camera.screen or PrintParams()) if printed else None
     tone = _coarse_noise(sheet, _TONE_UM, for_tone)
-    _finish_paper(image, sheet, u, v, nuisance=(nuisance, gain), screen=screen, tone=tone, pixel_um=camera.pixel_um)
+    first_cell, radius_um = _dot_radii(sheet, screen, tone) if screen else ((0, 0), np.empty((0, 0)))
+    for rows in _row_blocks(len(image)):  # what is not due to the coating, the print, and the burnt rims
+        uv = (u[rows], v[rows])
+        reflectance = image[rows] + gain * _sample(sheet, nuisance, *uv)
+        if screen:
+            a, b = _screen_coordinates(*uv, screen)
+            col, row = np.floor(a), np.floor(b)
+            distance = 1e4 / screen.screen_per_cm * np.hypot(a - col - 0.5, b - row - 0.5)
+            i = np.clip(row.astype(int) - first_cell[0], 0, radius_um.shape[0] - 1)
+            j = np.clip(col.astype(int) - first_cell[1], 0, radius_um.shape[1] - 1)
+            ink_share = np.clip((radius_um[i, j] - distance) / camera.pixel_um + 0.5, 0, 1)
+            reflectance = reflectance * (1 - ink_share) + screen.ink * ink_share  # Murray and Davies
+        image[rows] = reflectance * (1 - 2 * (1 - _CHAR_RIM) * (1 - sheet.at(sheet.char, *uv)))
     paper_share = np.clip(rim / camera.pixel_um + 0.5, 0, 1)
     image = np.asarray(hole + (image - hole) * paper_share, dtype=np.float32)
     return _expose(image, top, paper_share, camera, for_print_noise if printed else for_noise)
@@ -143,27 +155,6 @@ def _bare_sheet(
             base_s_m2_per_kg=np.maximum(BASE_S_M2_PER_KG + _sample(sheet, scattering_field, *uv), 0),
         )
     return top_um, coating_um, rim_um, hole_reflectance, reflectance
-
-
-def _finish_paper(
-    image: Field, sheet: DrawnSheet, u: Floats, v: Floats, *, nuisance: tuple[Floats, float],
-    screen: PrintParams | None, tone: Floats, pixel_um: float,
-) -> None:  # fmt: skip
-    """Add to a reflectance in place what is not due to the coating (field, gain), the print, and the burnt rims."""
-    field, gain = nuisance
-    first_cell, radius_um = _dot_radii(sheet, screen, tone) if screen else ((0, 0), np.empty((0, 0)))
-    for rows in _row_blocks(len(image)):
-        uv = (u[rows], v[rows])
-        reflectance = image[rows] + gain * _sample(sheet, field, *uv)
-        if screen:
-            a, b = _screen_coordinates(*uv, screen)
-            col, row = np.floor(a), np.floor(b)
-            distance = 1e4 / screen.screen_per_cm * np.hypot(a - col - 0.5, b - row - 0.5)
-            i = np.clip(row.astype(int) - first_cell[0], 0, radius_um.shape[0] - 1)
-            j = np.clip(col.astype(int) - first_cell[1], 0, radius_um.shape[1] - 1)
-            ink_share = np.clip((radius_um[i, j] - distance) / pixel_um + 0.5, 0, 1)
-            reflectance = reflectance * (1 - ink_share) + screen.ink * ink_share  # Murray and Davies
-        image[rows] = reflectance * (1 - 2 * (1 - _CHAR_RIM) * (1 - sheet.at(sheet.char, *uv)))
 
 
 def _expose(image: Field, top_um: Field, paper_share: Field, camera: CameraParams, rng: np.random.Generator) -> Field:

@@ -1,12 +1,10 @@
 """The certificate as one HTML file that needs nothing else, styled as the report of a run, with its figures."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
 from planish import __version__
-from planish.core.files import write_whole
 from planish.core.grid import pitch
 from planish.core.numbers import length, number, plain
 from planish.report.colours import ERROR, GREYS, SIGNED, Array, Scale, limits
@@ -105,13 +103,8 @@ def dots(seed_values: Sequence[float], bound: float | None) -> str:
     return f'<svg {size} role="img" aria-label="{len(seed_values)} specimens">{"".join(elements)}</svg>'
 
 
-def write_page(path: Path, certificate: Certificate, table: Sensitivity | None = None) -> None:
-    """Write the certificate; the same certificate gives the same bytes."""
-    write_whole(path, render_page(certificate, table).encode())
-
-
 def render_page(certificate: Certificate, table: Sensitivity | None = None) -> str:
-    """Return the page of :func:`write_page` as text."""
+    """Return the page of a certificate as text; the same certificate gives the same bytes."""
     heat_rows: list[list[tuple[str, bool]]] = []
     for row in table.rows if table is not None else ():
         # Three times the baseline is the darkest cell of the heat table.

@@ -1,6 +1,5 @@
 """Files of marks -> marks, and back: in any format, recognised by its content and not by its name."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ from planish.core.errors import FileError, MarkError, SizeError
 from planish.core.files import write_whole
 from planish.core.typing import Floats
 from planish.marks.exchange import model
-from planish.marks.exchange.formats import FORMATS, MarkFormat, Unit, known_formats, module_of, target_of
+from planish.marks.exchange.formats import FORMATS, Unit, known_formats, module_of, target_of
 from planish.marks.exchange.lists import Content, LayerPixels, PointList, join_lists, read_content
 from planish.marks.exchange.model import about_layer, check_marks, check_plausible, layer_names
 
@@ -163,16 +162,37 @@ def marks_bytes(
     unit: Unit | None = None, swap: bool = False,
 ) -> dict[str, bytes]:  # fmt: skip
     """Give what `write_any` writes, by what it puts before the suffix of the name."""
-    mark_format, points = FORMATS[to], dict[str, Floats]()
+    mark_format = FORMATS[to]
     check_marks(marks, "The marks")
     if unit is not None and not mark_format.free_unit:
         titles = " and ".join(other.title for other in FORMATS.values() if other.free_unit)
         raise SizeError(
             f"A file for {mark_format.title} has its own unit; only those for {titles} are written in --out-unit."
         )
-    if mark_format.unit is not None:
-        marks, points = _outgoing(marks, mark_format, (moving, fixed), unit or mark_format.unit, swap)
-    return module_of(to).write(marks, points)
+    if mark_format.unit is None:
+        return module_of(to).write(marks, {})
+    # Marks as the other program expects them, and positions by role or by the name of the only layer.
+    names, overrides = layer_names(marks), [moving, fixed]
+    single = len(names) == 1 and mark_format.single
+    sides = names if single else list(model.pair_of_layers(marks, name="This set of marks"))
+    if mark_format.pairs_only:
+        keep = model.used_of(marks) & model.in_layers(marks, sides)
+        if not keep.any():
+            raise MarkError(f"No mark is used and lies in {' and '.join(sides)}. Use at least one.")
+        marks = marks.isel(mark=np.flatnonzero(keep))
+    if single:
+        overrides = [moving if moving.pixel_um else fixed]
+    file_points: list[Floats] = []
+    for layer, override, role in zip(sides, overrides, ("moving", "fixed"), strict=False):
+        about, points = about_layer(marks, layer), model.points_of(marks, layer)
+        pixel, first = about.get("pixel_um"), about.get("origin_um", {"x": 0.0, "y": 0.0})
+        pixel_um = override.pixel_um or (pixel and (pixel["y"], pixel["x"]))
+        layer_pixels, file_text = LayerPixels(pixel_um, (first["x"], first["y"])), f"The file for {mark_format.title}"
+        origin, factor = layer_pixels.frame(unit or mark_format.unit, points.shape[1], file_text, role)
+        file_points.append((points - origin) / factor)
+    roles = names if single else ("moving", "fixed")
+    ordered = file_points[::-1] if swap else file_points
+    return module_of(to).write(marks, dict(zip(roles, ordered, strict=True)))
 
 
 def _recognised(content: Content) -> str:
@@ -213,29 +233,3 @@ def _single_list(marks: xr.Dataset, name: str) -> PointList:
         source=places.source,
         about=about_layer(marks, names[0]),
     )
-
-
-def _outgoing(
-    marks: xr.Dataset, mark_format: MarkFormat, overrides: Sequence[LayerPixels], unit: Unit, swap: bool
-) -> tuple[xr.Dataset, dict[str, Floats]]:
-    """Give marks as another program expects them, and positions by role or by the name of the only layer."""
-    names = layer_names(marks)
-    single = len(names) == 1 and mark_format.single
-    sides = names if single else list(model.pair_of_layers(marks, name="This set of marks"))
-    if mark_format.pairs_only:
-        keep = model.used_of(marks) & model.in_layers(marks, sides)
-        if not keep.any():
-            raise MarkError(f"No mark is used and lies in {' and '.join(sides)}. Use at least one.")
-        marks = marks.isel(mark=np.flatnonzero(keep))
-    if single:
-        overrides = [overrides[0] if overrides[0].pixel_um else overrides[1]]
-    file_points: list[Floats] = []
-    for layer, override, role in zip(sides, overrides, ("moving", "fixed"), strict=False):
-        about, points = about_layer(marks, layer), model.points_of(marks, layer)
-        pixel, first = about.get("pixel_um"), about.get("origin_um", {"x": 0.0, "y": 0.0})
-        pixel_um = override.pixel_um or (pixel and (pixel["y"], pixel["x"]))
-        layer_pixels = LayerPixels(pixel_um, (first["x"], first["y"]))
-        origin, factor = layer_pixels.frame(unit, points.shape[1], f"The file for {mark_format.title}", role)
-        file_points.append((points - origin) / factor)
-    roles = names if single else ("moving", "fixed")
-    return marks, dict(zip(roles, file_points[::-1] if swap else file_points, strict=True))
