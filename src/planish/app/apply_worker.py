@@ -34,13 +34,22 @@ def main() -> None:
         with suppress(OSError):  # nobody listens any more
             print(json.dumps(message), file=parent_stream, flush=True)
 
+    main_thread = threading.get_ident()
+
+    def interrupt_after_input() -> None:
+        sys.stdin.read()
+        if hasattr(signal, "pthread_kill"):
+            signal.pthread_kill(main_thread, signal.SIGINT)  # also out of a wait
+        else:
+            _thread.interrupt_main()
+
     signal.signal(signal.SIGINT, signal.default_int_handler)  # it may be ignored where the server was started
     with suppress(OSError, AttributeError):
         os.nice(5)  # the page and whatever else a person does come first
     try:
         _warm_up()
         if order := sys.stdin.readline():
-            _interrupt_after(sys.stdin)
+            threading.Thread(target=interrupt_after_input, daemon=True).start()
             _make_run(json.loads(order), send)
     except KeyboardInterrupt:
         send({"state": "cancelled"})
@@ -89,19 +98,6 @@ def _make_run(order: Mapping[str, Any], send: Any) -> None:
     finally:
         shutil.rmtree(staging, ignore_errors=True)
     send(outcome)
-
-
-def _interrupt_after(stream: TextIO) -> None:
-    main_thread = threading.get_ident()
-
-    def watch() -> None:
-        stream.read()
-        if hasattr(signal, "pthread_kill"):
-            signal.pthread_kill(main_thread, signal.SIGINT)  # also out of a wait
-        else:
-            _thread.interrupt_main()
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 if __name__ == "__main__":

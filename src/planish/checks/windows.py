@@ -147,13 +147,11 @@ def _read_part(
             greys = np.concatenate([last_slices, greys], axis=k)
         parts.append(_Part(_part_sums(greys, axis, n_before, fill_grey), sample, indices, grey))
         last_slices = greys.take(range(max(greys.shape[k] - 2, 0), greys.shape[k]), axis=k)
-    return parts[0] if len(parts) == 1 else _join(parts)
-
-
-def _join(parts: list[_Part]) -> _Part:
-    sums, *greys = zip(*parts, strict=True)
+    if len(parts) == 1:
+        return parts[0]
+    sums, *all_greys = zip(*parts, strict=True)
     square, product, blocks = (np.concatenate(s) for s in zip(*sums, strict=True))
-    return _Part((square, product, blocks), *(np.concatenate(g) for g in greys))
+    return _Part((square, product, blocks), *(np.concatenate(g) for g in all_greys))
 
 
 def _cuts(volume: xr.DataArray, piece_box: dict[str, slice], axis: Axis) -> list[slice]:

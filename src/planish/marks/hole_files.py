@@ -11,9 +11,9 @@ from pydantic import Field, TypeAdapter
 
 from planish.core.errors import FileError, MarkError
 from planish.core.files import write_whole
-from planish.core.tables import naming_faults, parse_table, read_text
+from planish.core.tables import naming_faults, parse_table, raise_faults, read_text
 from planish.marks.exchange.csv_marks import holes_text
-from planish.marks.exchange.lists import Part, json_file, json_text, read_object, refuse
+from planish.marks.exchange.lists import Part, json_file, json_text, read_object
 
 FORMAT, VERSION = "planish-holes", 1
 _REMEDY = "Find the holes again, or correct these parts."
@@ -74,7 +74,8 @@ def holes_to_json(holes: xr.Dataset) -> dict[str, Any]:
             attributes = _plain(variable.attrs, str(name), faults)
             variables[str(name)] = {"type": kind, "attributes": attributes, "values": _plain(variable.values)}
     attributes = _plain(holes.attrs, "the holes", faults)
-    refuse("The holes cannot be written", faults, f"Types are {', '.join(_COLUMN_TYPES)}, along 'mark'.")
+    remedy = f"Types are {', '.join(_COLUMN_TYPES)}, along 'mark'."
+    raise_faults("The holes cannot be written", faults, remedy, error=MarkError)
     head = {"format": FORMAT, "version": VERSION, "units": "um", "plane": attributes.pop("plane", None)}
     return head | {"attributes": attributes, "variables": variables}
 
@@ -114,7 +115,7 @@ def holes_from_json(content: Mapping[str, Any], name: str = "The JSON") -> xr.Da
     faults = [f"no {key}" for key in "xy" if key not in variables]
     if len(counts) > 1:
         faults.append(f"variables have {', '.join(map(str, counts))} values; as many of each are needed")
-    refuse(name, faults, _REMEDY)
+    raise_faults(name, faults, _REMEDY, error=MarkError)
     plane = {} if file.plane is None else {"plane": file.plane}
     return xr.Dataset(variables, attrs=_missing_as_nan(file.attributes) | plane)
 

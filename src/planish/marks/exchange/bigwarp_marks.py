@@ -7,9 +7,9 @@ import numpy as np
 import xarray as xr
 
 from planish.core.errors import MarkError
-from planish.core.tables import finite, table_text
+from planish.core.tables import finite, raise_faults, table_text
 from planish.core.typing import Floats
-from planish.marks.exchange.lists import Content, PointList, refuse
+from planish.marks.exchange.lists import Content, PointList
 from planish.marks.exchange.model import labels_of, used_of
 
 _NEEDED = "name, active, moving x, y, target x, y (6 columns), or with z (8 columns)"
@@ -63,7 +63,7 @@ def read(content: Content) -> list[PointList]:
         points.append([np.inf if str(v).lstrip("+-").lower() in ("infinity", "inf") else finite(v) for v in row[2:]])
         if None in points[-1]:
             faults.append(f"row {number}: {row[2 + points[-1].index(None)]!r} is no number")
-    refuse(name, faults, f"BigWarp writes {_NEEDED}.")
+    raise_faults(name, faults, f"BigWarp writes {_NEEDED}.", error=MarkError)
     labels = [str(row[0]) or f"row {number}" for number, row in rows]
     used = [str(row[1]).lower() == "true" for _, row in rows]
     # One coordinate that is not set leaves the point without a position.

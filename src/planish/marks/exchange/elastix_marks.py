@@ -11,9 +11,9 @@ import numpy as np
 import xarray as xr
 
 from planish.core.errors import MarkError
-from planish.core.tables import finite
+from planish.core.tables import finite, raise_faults
 from planish.core.typing import Floats
-from planish.marks.exchange.lists import Content, PointList, refuse
+from planish.marks.exchange.lists import Content, PointList
 
 _HEAD = re.compile(r"\s*(?:(point|index)(?:\s+|$))?(\S*)\s*?(?:\n|$)")
 _NEEDED = "'point' or 'index', the number of points, and one point a line, two or three numbers with spaces between"
@@ -50,7 +50,7 @@ def read(content: Content) -> list[PointList]:
             faults.append(f"point {k} has {len(cells)} numbers")
         elif None in coordinates:
             faults.append(f"point {k}: {cells[coordinates.index(None)]!r} is no finite number")
-    refuse(name, faults, f"elastix reads {_NEEDED}.")
+    raise_faults(name, faults, f"elastix reads {_NEEDED}.", error=MarkError)
     unit, stated = ("mm", False) if word == "point" else ("pixel", True)
     return [PointList(title=name, points=np.array(points, dtype=np.float64), unit=unit, stated=stated)]
 

@@ -8,10 +8,10 @@ import xarray as xr
 from pydantic import Field, PositiveFloat
 
 from planish.core.errors import MarkError
-from planish.core.tables import naming_faults
+from planish.core.tables import naming_faults, raise_faults
 from planish.core.typing import Floats
 from planish.marks.exchange import model
-from planish.marks.exchange.lists import MOST_MARKS, Content, Part, check_count, json_file, json_text, refuse
+from planish.marks.exchange.lists import MOST_MARKS, Content, Part, check_count, json_file, json_text
 from planish.marks.exchange.model import RESIDUAL, RESULTS, MarkPlaces, check_marks
 
 FORMAT = "planish-marks"
@@ -89,7 +89,7 @@ def read(content: Content) -> xr.Dataset:
     with naming_faults(name, _PAGE, error=MarkError):
         file = _File.model_validate(dict(entries))
     names = [layer.name for layer in file.layers]
-    refuse(name, _cross_field_faults(file, names), _PAGE)
+    raise_faults(name, _cross_field_faults(file, names), _PAGE, error=MarkError)
     results = {key: _column(file.marks, f"{key}_um") for key in RESULTS}
     marks = model.make_marks(
         [mark.label for mark in file.marks],

@@ -12,7 +12,7 @@ import xarray as xr
 from pydantic import BaseModel, ConfigDict
 
 from planish.core.errors import FileError, MarkError, SizeError
-from planish.core.tables import Rows, decode_text, raise_faults, read_bytes, split_rows
+from planish.core.tables import Rows, decode_text, read_bytes, split_rows
 from planish.core.typing import Floats
 from planish.marks.exchange.formats import Unit, known_formats
 from planish.marks.exchange.model import EXTRAS, MarkPlaces, make_marks
@@ -63,11 +63,6 @@ def check_count(name: str, count: int) -> None:
     """Refuse more marks than a sheet can have."""
     if count > MOST_MARKS:
         raise MarkError(f"{name} holds {count} marks; {MOST_MARKS} are the most. Give a file with marks only.")
-
-
-def refuse(name: str, faults: Sequence[str], remedy: str) -> None:
-    """Raise all faults of a file as one message; nothing where there is none."""
-    raise_faults(name, faults, remedy, error=MarkError)
 
 
 def json_text(content: object) -> str:

@@ -13,9 +13,9 @@ import numpy as np
 import xarray as xr
 
 from planish.core.errors import MarkError
-from planish.core.tables import finite
+from planish.core.tables import finite, raise_faults
 from planish.core.typing import Floats
-from planish.marks.exchange.lists import Content, PointList, refuse
+from planish.marks.exchange.lists import Content, PointList
 from planish.marks.exchange.model import labels_of, used_of
 
 SCHEMA = (
@@ -108,7 +108,7 @@ def _point_list(markup: Mapping[str, Any], k: int, name: str) -> PointList:
         if status == "defined" and None in point:
             faults.append(f"point {number} of {title} has the position {str(position)[:40]}, not three finite numbers")
         points.append(point if status == "defined" else [None] * 3)
-    refuse(name, faults, "Save the list in Slicer again.")
+    raise_faults(name, faults, "Save the list in Slicer again.", error=MarkError)
     signs = np.array([1.0, 1.0, 1.0] if coordinate_system == "LPS" else [-1.0, -1.0, 1.0])
     return PointList(
         title=title,
