@@ -4,8 +4,9 @@ import json
 import shutil
 import subprocess
 import sys
+import urllib.request
 from collections.abc import Callable, Generator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO, Any
 
@@ -44,10 +45,30 @@ class Served:
     def port(self) -> int:
         return int(self.base.rpartition(":")[2])
 
+    def ask(self, path: str, *, body: dict[str, Any] | None = None) -> Any:
+        """Answer of the server; a body makes it a request that changes something."""
+        headers = {"Authorization": f"Bearer {self.token}", "Origin": self.base, "Content-Type": "application/json"}
+        data = None if body is None else json.dumps(body).encode()
+        with urllib.request.urlopen(urllib.request.Request(f"{self.base}/api/{path}", data, headers)) as answer:
+            return json.load(answer)
+
+    def take_back(self) -> None:
+        """Undo all changes: the run stands as it was linked."""
+        while self.ask("state")["can_undo"]:
+            self.ask("undo", body={})
+
     def kill(self) -> None:
         """End it at once, as a machine that fails does."""
         self.process.kill()
         self.process.wait()
+
+    def end(self) -> None:
+        """End it in an orderly way."""
+        if self.process.poll() is None:
+            self.process.terminate()
+        self.process.wait(timeout=START_S)
+        assert self.process.stdout is not None
+        self.process.stdout.close()
 
 
 def start(run: Path, *arguments: str, stderr: IO[str] | int = subprocess.DEVNULL) -> Served:
@@ -71,11 +92,7 @@ def serve() -> Generator[Callable[..., Served]]:
 
     yield begin
     for server in servers:
-        if server.process.poll() is None:
-            server.process.terminate()
-        server.process.wait(timeout=START_S)
-        assert server.process.stdout is not None
-        server.process.stdout.close()
+        server.end()
 
 
 def beside(run: Path, tmp_path: Path) -> Path:
@@ -88,6 +105,21 @@ def beside(run: Path, tmp_path: Path) -> Path:
 def run_copy(linked_run, tmp_path) -> Path:
     """A copy of the small run."""
     return beside(linked_run, tmp_path)
+
+
+@pytest.fixture(scope="module")
+def module_server(linked_run, tmp_path_factory) -> Generator[Served]:
+    """A server on a copy of the small run for all tests of a module: it takes seconds to start."""
+    server = start(beside(linked_run, tmp_path_factory.mktemp("served")))
+    yield server
+    server.end()
+
+
+@pytest.fixture
+def served(module_server) -> Generator[Served]:
+    """That server, with the run as it was linked: what the test changes is taken back."""
+    yield module_server
+    module_server.take_back()
 
 
 @pytest.fixture
@@ -108,6 +140,20 @@ def demo_run(tmp_path_factory) -> Path:
         link(files.volume, files.image, out=folder / "run")
 
     return make_once(make, "demo", tmp_path_factory) / "run"
+
+
+@pytest.fixture(scope="session")
+def images_run(specimen, specimen_files, tmp_path_factory) -> Path:
+    """The run of two images of the small specimen, `white` on the pixels of `uv`, by two cameras."""
+    camera = replace(specimen.params.camera, pixel_um=6.0, turn_deg=40.0)
+    turned = make_specimen(replace(specimen.params, camera=camera, seed=6), sheet=specimen.sheet)
+
+    def make(folder: Path) -> None:
+        folder.mkdir()
+        write_image(folder / "uv.tif", np.rint(turned.image.values * 60000).astype(np.uint16), camera.pixel_um)
+        link(f"white={specimen_files[1]}", f"uv={folder / 'uv.tif'}", out=folder / "link" / "run")
+
+    return make_once(make, "images", tmp_path_factory) / "link" / "run"
 
 
 @pytest.fixture(scope="session")

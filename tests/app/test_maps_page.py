@@ -44,13 +44,13 @@ def painted(shown, name):
     )
 
 
-def known(linked, region=None):
+def known(linked, region=None, names=(LEFT, RIGHT)):
     """Values of both layers where they count."""
     part = linked.where(linked.valid)
     if region is not None:
         x0, y0, x1, y1 = region
         part = part.sel(x=slice(x0, x1), y=slice(y0, y1))
-    a, b = part[LEFT].values, part[RIGHT].values
+    a, b = (part[name].values for name in names)
     both = np.isfinite(a) & np.isfinite(b)
     return a[both].astype(float), b[both].astype(float)
 

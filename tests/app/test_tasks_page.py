@@ -1,14 +1,21 @@
-"""Four tasks that a person comes with, done with what the screen offers; a click, drag, choice or text is an action."""
+"""Four tasks that a person comes with, done with what the screen offers; a click, drag, choice or text is an action.
+
+Once on a sheet and its image, once on two images.
+"""
 
 import re
+from collections.abc import Generator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 
+from app.conftest import Served, beside, start
 from app.marks_page import api, drag, expect
 from app.test_maps_page import known
+from planish.run import open_run
 
 pytestmark = pytest.mark.study
 
@@ -16,11 +23,23 @@ MOST = 12
 """Actions that a task may take."""
 
 
+@dataclass(frozen=True)
+class Case:
+    """A run that is served, and what its page calls what it shows."""
+
+    server: Served
+    panes: tuple[str, str]
+    maps: xr.Dataset  #: two maps on the pixels of the reference, and ``valid``
+    layers: tuple[str, str]  #: names of the two maps
+    titles: tuple[str, str]
+
+
 @dataclass
 class Person:
     """A page, and how many actions were taken on it."""
 
     shown: Any
+    case: Case
     actions: int = 0
 
     def press(self, role: str, name: str, **more: Any) -> None:
@@ -50,8 +69,10 @@ class Person:
 
     def applied(self) -> str:
         """Make the new run, and give the text of the report that the page opens."""
+        run = self.case.server.run
+        made = run.with_name(f"{run.name}-{len([*run.parent.iterdir()]) + 1}")
         self.press("button", "Apply")
-        link = self.shown.page.get_by_role("link", name=re.compile("^Open report of"))
+        link = self.shown.role("link", f"Open report of {made}")
         link.wait_for(timeout=180_000)
         self.actions += 1
         with self.shown.page.context.expect_page() as report:
@@ -59,12 +80,35 @@ class Person:
         return report.value.locator("body").inner_text()
 
 
+def sheet_and_image(_run, linked) -> tuple[Any, ...]:
+    titles = ("Coating thickness, top side, µm", "Relative grey")
+    return ("Volume side", "Image side"), linked, ("coating_top", "image"), titles
+
+
+def two_images(run, _linked) -> tuple[Any, ...]:
+    white, uv = (open_run(run).groups[f"layers/{name}"].load() for name in ("white", "uv"))
+    maps = xr.Dataset({"white/image": white.image, "uv/image": uv.image, "valid": white.valid & uv.valid})
+    return ("white", "uv"), maps, ("white/image", "uv/image"), ("white: Relative grey", "uv: Relative grey")
+
+
+@pytest.fixture(
+    scope="module", params=[("linked_run", sheet_and_image), ("images_run", two_images)], ids=["sheet", "images"]
+)
+def case(request, linked, tmp_path_factory) -> Generator[Case]:
+    name, facts_of = request.param
+    run = beside(request.getfixturevalue(name), tmp_path_factory.mktemp("case"))
+    server = start(run)
+    yield Case(server, *facts_of(run, linked))
+    server.end()
+
+
 @pytest.fixture(params=[(1366, 768), (1920, 1080)], ids=["1366", "1920"])
-def person(request, serve, window, run_copy):
+def person(request, case, window):
     width, height = request.param
-    shown = window(serve(run_copy), width=width, height=height)
+    shown = window(case.server, width=width, height=height)
     expect(shown.role("table", "Marks").get_by_role("row").nth(1)).to_be_visible()
-    return Person(shown)
+    yield Person(shown, case)
+    case.server.take_back()
 
 
 def scattered(person):
@@ -74,7 +118,7 @@ def scattered(person):
 def test_a_mark_is_corrected_and_applied(person):
     label = person.shown.rows()[0][0]
     person.press("button", label)  # the views go to it
-    x, y = person.place("Image side", 0.5, 0.5)
+    x, y = person.place(person.case.panes[1], 0.5, 0.5)
     person.drag((x, y), (x + 14, y + 9))
     expect(person.shown.role("status", "Message")).to_contain_text("Mark moved")
     moved = person.shown.rows()[0]
@@ -85,7 +129,7 @@ def test_a_mark_is_corrected_and_applied(person):
     assert person.actions <= MOST
 
 
-def test_r_of_a_region_and_its_interval(person, linked):
+def test_r_of_a_region_and_its_interval(person):
     person.press("tab", "Maps")
     scattered(person)
     expect(person.shown.role("status", "Whole maps")).to_contain_text("95 % interval")
@@ -103,28 +147,29 @@ def test_r_of_a_region_and_its_interval(person, linked):
     assert box["y"] + box["height"] <= person.shown.page.viewport_size["height"]
     assert abs(box["x"] - scatter["x"]) < 2
     region = [float(v) for v in person.shown.page.get_by_label("Region, um", exact=True).input_value().split(",")]
-    a, b = known(linked, region)
+    a, b = known(person.case.maps, region, person.case.layers)
     assert int(re.match(r"n (\d+)", words)[1]) == pytest.approx(a.size, rel=0.02)
     assert float(re.search(r"r (-?[0-9.]+);", words)[1]) == pytest.approx(np.corrcoef(a, b)[0, 1], abs=0.02)
+    assert " and ".join(title.removesuffix(", µm") for title in person.case.titles) in words
     assert person.actions <= MOST
 
 
-def test_a_profile_of_the_coating_is_saved_as_a_picture(person, tmp_path):
+def test_a_profile_is_saved_as_a_picture(person, tmp_path):
     person.press("tab", "Maps")
     scattered(person)
     person.press("button", "Draw line")
     person.drag(person.place("Left map", 0.4, 0.4), person.place("Left map", 0.6, 0.6))
-    expect(
-        person.shown.page.get_by_role("img", name=re.compile("^Profile over .* of coating_top and image"))
-    ).to_be_visible()
-    for kind, start in (("PNG", b"\x89PNG"), ("SVG", b"<svg")):
+    names = " and ".join(person.case.layers).replace("/", ".")  # which would end the pattern in the browser
+    expect(person.shown.page.get_by_role("img", name=re.compile(f"^Profile over .* of {names}$"))).to_be_visible()
+    for kind, first_bytes in (("PNG", b"\x89PNG"), ("SVG", b"<svg")):
         with person.shown.page.expect_download() as download:
             person.press("button", f"Profile: save as {kind}")
         download.value.save_as(tmp_path / kind)
         data = (tmp_path / kind).read_bytes()
-        assert data.startswith(start)
+        assert data.startswith(first_bytes)
     assert b"var(" not in data  # as other programs read it
-    assert "Coating thickness, top side, µm" in data.decode()
+    for title in person.case.titles:
+        assert title in data.decode()
     assert person.actions <= MOST
 
 

@@ -254,7 +254,7 @@ class Maps {
     const found = await this.latest("selection", `selection?${this.query}${brushes}`);
     if (!found) return;
     const said = [saidOf(found), ...(a || b ? ["no r: values were picked, which biases it"] : [])].join("; ");
-    const what = `${this.left.picture.title} and ${this.right.picture.title}`;
+    const what = this.sides.map((side) => titled({ ...side.picture, units: "" })).join(" and ");
     const words = [`${said} (${what}, pixels of ${shown(found.pixel_um[1])} um).`, ...found.warnings];
     this.selection.textContent = typeset(words.join(" "));
   }
