@@ -200,6 +200,31 @@ def test_two_instruments_of_one_sheet_are_compared_by_their_difference() -> None
     assert "on the pixels of after" in read.text("figcaption")
 
 
+def test_two_images_are_called_by_their_names_and_nothing_is_said_of_a_volume() -> None:
+    given = layers()
+    white, results = given["groups"]["layers/photo"], given["results"]
+    uv = white.drop_vars("expected_error").assign(image=-white["image"])
+    photo = results["layers"][1]
+    maps, registration = {"white": white, "uv": uv}, registration_of("white", "uv")
+    rows = [row | {"same_quantity": False} for row in rows_of(maps, "white", "image", "uv", "image")]
+    results |= {
+        "layers": [
+            photo | {"name": "white", "registration": registration},
+            photo | {"name": "uv", "registration": None},
+        ],
+        "correlations": rows,
+    }
+    given |= {"groups": {f"layers/{name}": data for name, data in maps.items()}, "marks": {"white": marks_of(1)}}
+    read = Page(page_of(given))
+    assert "Uv is darker (relative grey, luminance) where white is brighter: r = −1.00" in read.text("p")
+    assert "A pixel is one of uv." in read.text("p")
+    assert "volume" not in read.text("p")
+    axes = [f"Relative grey, luminance, {name}" for name in ("white", "uv")]
+    assert [read.text("svg").count(axis) for axis in axes] == [3, 3]  # on the first page, and of pixels and of points
+    rows[0]["trust"] = rows[1]["trust"] = "doubtful"
+    assert "The correlation of white and uv is doubtful" in Page(page_of(given)).text("p")
+
+
 def test_marks_of_a_chain_are_drawn_in_the_layer_that_they_join(page: str, chain_page: str) -> None:
     text = Page(chain_page).text()
     assert "before → photo → after" in text

@@ -39,8 +39,7 @@ def draw_first(run_maps: RunMaps, pairs: Mapping[PairKey, MapPair]) -> list[Pict
     ]
     point_pair = pairs.get(key_of(row))
     if point_pair is not None and row.trust != "withheld":
-        names = titles_of(row, run_maps.titles)
-        names = titles_of(row, run_maps.titles, with_layers=row.same_quantity or names[0] == names[1])
+        names = titles_of(row, run_maps.titles, with_layers=row.same_quantity or row.a_map == row.b_map)
         pictures.append(draw_points(
             point_pair, names=names, height=pictures[0].height, registered=run_maps.registered
         ))  # fmt: skip

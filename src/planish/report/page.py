@@ -235,7 +235,7 @@ def _map_pairs(run_maps: maps.RunMaps) -> dict[summary.PairKey, MapPair]:
 
 
 def _draw_pair(run_maps: maps.RunMaps, pair: MapPair) -> Picture:
-    with_layers = len(run_maps.results.layers) > 2 or pair.coarse.same_quantity
+    with_layers = len(run_maps.results.layers) > 2 or pair.coarse.a_map == pair.coarse.b_map
     titles = summary.titles_of(pair.coarse, run_maps.titles, with_layers=with_layers)
     return draw_pair(pair, names=titles, excluded_text=run_maps.excluded_text, registered=run_maps.registered)
 
@@ -245,19 +245,19 @@ def _evidence_section(
 ) -> dict[str, Any]:
     titles, excluded_text, is_same_map = run_maps.titles, run_maps.excluded_text, e.a_map == e.b_map
     titles_text, pair = summary.names_in_words(e, titles), pairs.get(summary.key_of(e))
+    names = (f"{titles_text[0]} of {e.a}", f"that of {e.b}") if is_same_map else titles_text
     figures: dict[Section, list[Picture]] = {"scale": [], "distance": [], "repeated": [], "light": []}
     if e.sizes or e.bands:
         figures["scale"].append(diagnostics.draw_scale(
-            e, names=titles_text, excluded_text=excluded_text, registered=run_maps.registered
+            e, names=names, excluded_text=excluded_text, registered=run_maps.registered
         ))  # fmt: skip
     map_keys = [(curve.layer, curve.map) for curve in e.variograms]
     map_titles = tuple(titles.get(key, key[1]) + (f", {key[0]}" if is_same_map else "") for key in map_keys)
     if e.variograms:
         figures["distance"].append(diagnostics.draw_variograms(e, titles=map_titles, excluded_text=excluded_text))
     if e.correlogram is not None:
-        moved_names = (f"{titles_text[0]} of {e.a}", f"that of {e.b}") if is_same_map else titles_text
         figures["distance"].append(
-            diagnostics.draw_correlogram(e.correlogram, names=moved_names, excluded_text=excluded_text)
+            diagnostics.draw_correlogram(e.correlogram, names=names, excluded_text=excluded_text)
         )
     if e.twice is not None and e.twice.rings:
         rings = diagnostics.draw_rings(e.twice, name=titles_text[0], layers=(e.a, e.b), excluded_text=excluded_text)

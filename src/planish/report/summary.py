@@ -199,24 +199,28 @@ def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles
     if not pair_rows or (pair_rows[0].trust == "ok" and not is_known(pair_rows[0].r)):
         n = count(pair_rows[0].n if pair_rows else 0)
         return f"The two layers could not be correlated: {n} pixels are valid in both, or one of the maps is constant."
-    pixel, row, (a, b) = pair_rows[0], largest(pair_rows), names_in_words(pair_rows[0], titles)
+    pixel, row = pair_rows[0], largest(pair_rows)
+    is_image = results.layer(pixel.b).kind == "image"
+    are_images = is_image and results.layer(pixel.a).kind == "image"
+    a, b = (with_article(pixel.a), with_article(pixel.b)) if are_images else names_in_words(pixel, titles)
     if pixel.trust != "ok":
         return f"The correlation of {a} and {b} {doubt(results, pixel.trust, (pixel.a, pixel.b))}."
-    is_image = results.layer(pixel.b).kind == "image"
-    second_text, first_text = ("the image", a) if is_image else (f"{b} of {pixel.b}", f"{a} of {pixel.a}")
+    if not are_images:
+        a, b = (a, "the image") if is_image else (f"{a} of {pixel.a}", f"{b} of {pixel.b}")
     points_text = f"{count(row.n)} points of {point_of(row)}"
     if is_known(row.n_eff):
         points_text += f", {count(round(row.n_eff))} of them independent"
     if not is_known(row.interval):
-        return f"Nothing is claimed about {first_text} and {second_text}: of {points_text} ({registered_by(results)})."
+        return f"Nothing is claimed about {a} and {b}: of {points_text} ({registered_by(results)})."
     interval = f"a 95 % interval of {r_interval_text(row)}"
     limits_text = f"r = {r_text(row)} with {interval}, over {points_text} ({registered_by(results)})."
     if not row.direction:
-        return f"No relation of {second_text} with {first_text} is certain: {limits_text}"
+        return f"No relation of {b} with {a} is certain: {limits_text}"
     comparative = (("brighter", "darker") if is_image else ("larger", "smaller"))[row.direction < 0]
     title = titles.get((pixel.b, pixel.b_map)) if is_image else None
     title_text = f" ({title[:1].lower()}{title[1:]})" if title else ""
-    return f"{capital(second_text)} is {comparative}{title_text} where {first_text} is larger: {limits_text}"
+    larger = "brighter" if are_images else "larger"
+    return f"{capital(b)} is {comparative}{title_text} where {a} is {larger}: {limits_text}"
 
 
 def cautions(results: Results) -> list[str]:
