@@ -117,7 +117,10 @@ def module_server(linked_run, tmp_path_factory) -> Generator[Served]:
 
 @pytest.fixture
 def served(module_server) -> Generator[Served]:
-    """That server, with the run as it was linked: what the test changes is taken back."""
+    """That server, with the run as it was linked: what the test changes is taken back.
+
+    To be asked for before ``window``, so that the page is closed by then.
+    """
     yield module_server
     module_server.take_back()
 

@@ -13,9 +13,9 @@ LEFT, RIGHT = "coating_top", "image"
 
 
 @pytest.fixture
-def maps(serve, window, run_copy):
+def maps(served, window):
     """The page at its tab Maps."""
-    shown = window(serve(run_copy))
+    shown = window(served)
     expect(shown.role("table", "Marks")).to_be_visible()
     shown.role("tab", "Maps").click()
     expect(shown.page.get_by_text(re.compile("Scatter of [0-9]+ points"))).to_be_visible()

@@ -13,12 +13,23 @@ from planish.register import fit_transform
 pytestmark = pytest.mark.study
 
 
-@pytest.fixture
-def shown(serve, window, run_copy):
-    """The page on a copy of the small run, when its marks are there."""
-    found = window(serve(run_copy))
+def opened(window, server):
+    """The page of a server, when the marks of the small run are there."""
+    found = window(server)
     expect(found.role("table", "Marks").get_by_role("row")).to_have_count(6)
     return found
+
+
+@pytest.fixture
+def shown(served, window):
+    """The page on the small run."""
+    return opened(window, served)
+
+
+@pytest.fixture
+def shown_alone(window, serve, run_copy):
+    """The page of a server that a test may end."""
+    return opened(window, serve(run_copy))
 
 
 def test_the_table_shows_the_fit_of_the_run_and_is_walked_through(shown):
@@ -216,7 +227,8 @@ def test_another_window_follows(shown, window):
     expect(twin.page.get_by_label(f"Use {rows[0][0]}", exact=True)).not_to_be_checked(timeout=2000)
 
 
-def test_a_lost_server_is_said_and_found_again(shown, serve, run_copy):
+def test_a_lost_server_is_said_and_found_again(shown_alone, serve, run_copy):
+    shown = shown_alone
     rows = settled(shown)
     shown.server.kill()
     expect(shown.page.get_by_role("alert")).to_contain_text("connection", timeout=2000)
@@ -231,7 +243,8 @@ def test_a_lost_server_is_said_and_found_again(shown, serve, run_copy):
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="needs a system on which a process can be halted")
-def test_a_server_that_answers_again_is_found(shown):
+def test_a_server_that_answers_again_is_found(shown_alone):
+    shown = shown_alone
     rows = settled(shown)
     shown.server.process.send_signal(signal.SIGSTOP)
     expect(shown.page.get_by_role("alert")).to_contain_text("connection", timeout=2000)

@@ -98,8 +98,8 @@ def accessible(shown, *, controls):
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_names_roles_contrast_and_focus(serve, window, run_copy, scheme):
-    shown = window(serve(run_copy), color_scheme=scheme)
+def test_names_roles_contrast_and_focus(served, window, scheme):
+    shown = window(served, color_scheme=scheme)
     rows = settled(shown)
     shown.role("button", rows[0][0]).click()
     shown.page.get_by_label(f"Use {rows[1][0]}", exact=True).uncheck()
@@ -113,8 +113,8 @@ def test_names_roles_contrast_and_focus(serve, window, run_copy, scheme):
 
 
 @pytest.mark.parametrize(("width", "height"), [(390, 844), (683, 384), (1366, 768)], ids=["390", "200 %", "1366"])
-def test_every_tab_fits_small_windows_which_scroll_one_way_only(serve, window, run_copy, width, height):
-    shown = window(serve(run_copy), width=width, height=height)
+def test_every_tab_fits_small_windows_which_scroll_one_way_only(served, window, width, height):
+    shown = window(served, width=width, height=height)
     settled(shown)
     wide, high = shown.page.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
     assert wide <= width
@@ -166,8 +166,8 @@ def test_a_mark_is_corrected_and_applied_by_keys_alone(serve, window, run_copy):
     tab_to("link", link.inner_text(), "Shift+Tab")
 
 
-def test_enter_sets_a_pair_at_the_crosses(serve, window, run_copy):
-    shown = window(serve(run_copy))
+def test_enter_sets_a_pair_at_the_crosses(served, window):
+    shown = window(served)
     settled(shown)
     for view, at in ((VOLUME, (220.0, 260.0)), (IMAGE, (410.0, 380.0))):
         shown.go(view, *at)

@@ -102,13 +102,19 @@ def case(request, linked, tmp_path_factory) -> Generator[Case]:
     server.end()
 
 
-@pytest.fixture(params=[(1366, 768), (1920, 1080)], ids=["1366", "1920"])
-def person(request, case, window):
-    width, height = request.param
-    shown = window(case.server, width=width, height=height)
-    expect(shown.role("table", "Marks").get_by_role("row").nth(1)).to_be_visible()
-    yield Person(shown, case)
+@pytest.fixture
+def as_linked(case) -> Generator[Case]:
+    """The case as it was linked: what the person changes is taken back when the page is closed."""
+    yield case
     case.server.take_back()
+
+
+@pytest.fixture(params=[(1366, 768), (1920, 1080)], ids=["1366", "1920"])
+def person(request, as_linked, window):
+    width, height = request.param
+    shown = window(as_linked.server, width=width, height=height)
+    expect(shown.role("table", "Marks").get_by_role("row").nth(1)).to_be_visible()
+    return Person(shown, as_linked)
 
 
 def scattered(person):

@@ -11,8 +11,8 @@ pytestmark = pytest.mark.study
 
 
 @pytest.fixture
-def shown(serve, window, run_copy):
-    shown = window(serve(run_copy))
+def shown(served, window):
+    shown = window(served)
     expect(shown.role("table", "Marks").get_by_role("row").nth(1)).to_be_visible()
     return shown
 
