@@ -1,6 +1,7 @@
 """What a reader finds who has only the page of a run: counted in actions, by what is seen on the screen."""
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,15 +45,25 @@ class Reader:
         """Go on, screen by screen, until it is seen."""
         while not (found := re.search(pattern, self.seen())):
             assert self.actions < MOST, f"{pattern} is not seen"
-            self.actions += 1
-            self.page.keyboard.press("PageDown")
-            self.page.wait_for_timeout(300)  # it glides
+            self.act(lambda: self.page.keyboard.press("PageDown"))
         return found
 
     def follow(self, link: str) -> None:
+        """Click a link to another place of the page."""
+        self.act(self.page.get_by_role("link", name=link, exact=True).click)
+
+    def act(self, action: Callable[[], None]) -> None:
+        """Do what moves the page, which glides, and wait until it stands still."""
         self.actions += 1
-        self.page.get_by_role("link", name=link, exact=True).click()
-        self.page.wait_for_timeout(300)
+        start = before = self.page.evaluate("scrollY")
+        action()
+        for _ in range(100):
+            self.page.wait_for_timeout(200)
+            now = self.page.evaluate("scrollY")
+            if now == before != start:
+                return
+            before = now
+        pytest.fail("The page did not move.")
 
 
 @pytest.fixture(scope="module")
