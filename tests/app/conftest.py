@@ -49,7 +49,8 @@ class Served:
         """Answer of the server; a body makes it a request that changes something."""
         headers = {"Authorization": f"Bearer {self.token}", "Origin": self.base, "Content-Type": "application/json"}
         data = None if body is None else json.dumps(body).encode()
-        with urllib.request.urlopen(urllib.request.Request(f"{self.base}/api/{path}", data, headers)) as answer:
+        request = urllib.request.Request(f"{self.base}/api/{path}", data, headers)
+        with urllib.request.urlopen(request, timeout=START_S) as answer:
             return json.load(answer)
 
     def take_back(self) -> None:
