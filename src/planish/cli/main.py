@@ -4,6 +4,7 @@
 5 memory or disk used up; 130 interrupted.
 """
 
+import ast
 import json
 import logging
 import os
@@ -45,6 +46,17 @@ class LazyGroup(click.Group):
             return None
         module = import_module(f"planish.cli.{_MODULES[cmd_name]}")
         return cast("click.Command", getattr(module, f"{cmd_name}_", None) or getattr(module, cmd_name))
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        """List the verbs with what their docstrings say; importing them all would take longer than all else."""
+        folder, docstrings = Path(__file__).parent, dict[str, str | None]()
+        for module in set(_MODULES.values()):
+            tree = ast.parse((folder / f"{module}.py").read_text(encoding="utf-8"))
+            docstrings |= {f.name: ast.get_docstring(f) for f in tree.body if isinstance(f, ast.FunctionDef)}
+        verbs = [click.Command(name, help=docstrings.get(f"{name}_") or docstrings[name]) for name in _MODULES]
+        limit = formatter.width - 6 - max(map(len, _MODULES))
+        with formatter.section("Commands"):
+            formatter.write_dl([(verb.name or "", verb.get_short_help_str(limit)) for verb in verbs])
 
 
 _START_TEXT = """\
