@@ -16,7 +16,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, ndimage, optimize
+from scipy import fft, ndimage, special
 
 from planish.analyze.texture import Textures
 from planish.core.errors import CannotRegister
@@ -37,6 +37,8 @@ _SCALE_STEP = 45.0  # um: scales in steps of this over the size of the map
 _CANDIDATES = 5
 _LEAST_WINDOW = 384  # pixels of a part of the image that is transformed as a whole
 _LEAST_ROTATIONS = 20  # that show how high chance gets
+_INDEPENDENT = 0.25  # of the rotations, measured on unrelated fields; those beside each other are alike
+_FACTORS = 0.8, 3.0  # to z, least and largest; below the least it is chance among few rotations
 Slab = NDArray[np.float32]
 Names = tuple[str, str]
 """A map of the moving layer, and that of the fixed one which it is compared with."""
@@ -117,8 +119,8 @@ def search_place(
 
     A search in steps twice as wide finds most places in a quarter of the time; it comes first, and the probability
     counts both. Of textures that are unrelated, the correlation at all shifts is a smooth Gaussian field, whose maximum
-    exceeds z with a probability near ``A z exp(-z**2 / 2)`` (Adler and Taylor 2007, chapter 14). A, and a factor to z
-    for fields that are not quite Gaussian, are those that make the best of the other rotations most likely.
+    exceeds z with a probability near ``A z exp(-z**2 / 2)`` (Adler and Taylor 2007, chapter 14). The best of the other
+    rotations tell A, and a factor to z for fields that are not quite Gaussian.
     """
     scanner = _Scanner(moving, fixed, scale_tolerance)
     hands = (False, True) if mirrored is None else (mirrored,)
@@ -215,24 +217,24 @@ def _apart(a: Similarity, b: Similarity, middle_um: Floats) -> bool:
 
 
 def _exceeded(z: float, others: Floats) -> float:
-    """Probability that any of so many rotations, and one more, of unrelated textures reaches z."""
+    """Probability that any of so many rotations, and one more, of unrelated textures reaches z.
+
+    The best of a rotation is distributed as ``exp(-A x exp(-x**2 / 2))`` with x = z / s. What is not known of A and s is
+    integrated over, as few rotations leave both uncertain, and the tail more so.
+    """
     if not np.quantile(others, 0.5) > 0.0:  # a constant image, or none of it known, is like nothing
         return 1.0
 
-    def rates(x: Floats | float, s: float) -> Floats:
-        return np.asarray(x) / s * np.exp(-0.5 * (np.asarray(x) / s) ** 2)
+    def rates(x: Floats) -> Floats:
+        return x * np.exp(-0.5 * x**2)
 
-    def unlikely(log_s: float) -> float:
-        """Minus the log-likelihood of the distribution ``exp(-A x exp(-x**2 / 2))`` of x = z / s, its best A taken."""
-        s = math.exp(log_s)
-        x = np.maximum(others / s, 1.2)
-        return float(np.sum(log_s + 0.5 * x**2 - np.log(x**2 - 1.0))) + others.size * math.log(np.sum(rates(others, s)))
-
-    # A factor below 0.8 is chance among few rotations.
-    found = optimize.minimize_scalar(unlikely, bounds=(math.log(0.8), math.log(3.0)), method="bounded")
-    s = math.exp(float(found.x))
-    rate = others.size / float(np.sum(rates(others, s))) * float(rates(z, s))
-    return -math.expm1(-(others.size + 1) * rate)
+    s = np.geomspace(*_FACTORS, 67)[:, None]
+    x = np.maximum(others / s, 1.2)
+    sums, independent = rates(others / s).sum(axis=1), _INDEPENDENT * others.size
+    log_likelihood = -_INDEPENDENT * np.sum(np.log(s) + 0.5 * x**2 - np.log(x**2 - 1.0), axis=1)
+    weights = special.softmax(log_likelihood - independent * np.log(sums))
+    expected = (others.size + 1) * rates(z / s[:, 0]) / (_INDEPENDENT * sums)
+    return float(np.sum(weights * -np.expm1(-independent * np.log1p(expected))))
 
 
 class _Window(NamedTuple):

@@ -1,22 +1,24 @@
 """Arrays that are read or computed part by part: shape and type are known, values only where they are asked for."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import cache
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
-from xarray.backends import BackendArray
-from xarray.core.indexing import ExplicitIndexer, IndexingSupport, LazilyIndexedArray, explicit_indexing_adapter
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 T = TypeVar("T")
 Where = tuple[slice, ...]  # one slice an axis: start, stop just behind the last place, step above 0
 
 
-class LazyArray(BackendArray):
+class LazyArray:
     """An array read in parts, by integers and slices, from any thread; ``read`` gives one as native ``dtype``."""
 
     chunks: tuple[int, ...] | None = None  # what is decoded together, where the file is chunked
@@ -24,6 +26,11 @@ class LazyArray(BackendArray):
 
     def __init__(self, shape: tuple[int, ...], dtype: np.dtype[Any], read: Callable[[Where], NDArray[Any]]) -> None:
         self.shape, self.dtype, self._read = shape, dtype, read
+
+    @property
+    def ndim(self) -> int:
+        """Number of axes."""
+        return len(self.shape)
 
     @property
     def nbytes(self) -> int:
@@ -39,9 +46,7 @@ class LazyArray(BackendArray):
         return nullcontext()
 
     def __getitem__(self, key: Any) -> NDArray[Any]:
-        """Read what integers and slices select, or what xarray asks for."""
-        if isinstance(key, ExplicitIndexer):
-            return explicit_indexing_adapter(key, self.shape, IndexingSupport.BASIC, self.__getitem__)
+        """Read what integers and slices select."""
         keys = key if isinstance(key, tuple) else (key,)
         if Ellipsis in keys:
             ellipsis_axis = keys.index(Ellipsis)
@@ -76,6 +81,8 @@ def labelled(
 
     A :class:`LazyArray` stays one: ``isel`` moves borders, ``values`` reads; ``encoding`` says how it is best read.
     """
+    import xarray as xr
+
     coords = {
         axis: (axis, np.arange(n) * um, {"units": "um"})
         for axis, n, um in zip(dims, values.shape, size_um, strict=True)
@@ -93,6 +100,8 @@ def chunks_of(volume: xr.DataArray) -> tuple[int, ...]:
 
 def computed(like: xr.DataArray, read: Callable[[Where], NDArray[Any]], dtype: Any = None) -> xr.DataArray:
     """Give the same array with other values, of which ``read`` gives the part that is asked for."""
+    import xarray as xr
+
     values = LazyArray(like.shape, np.dtype(dtype or like.dtype), read)
     array = xr.DataArray(xr.Variable(like.dims, variable_data(values), like.attrs), coords=like.coords, name=like.name)
     array.encoding.update(like.encoding)
@@ -108,7 +117,11 @@ def read_box(volume: xr.DataArray, box: Mapping[str, slice]) -> NDArray[Any]:
 
 def variable_data(values: NDArray[Any] | LazyArray) -> Any:
     """Wrap values for a variable: an array, or a lazy one that stays one."""
-    return LazilyIndexedArray(values) if isinstance(values, LazyArray) else values
+    if not isinstance(values, LazyArray):
+        return values
+    from planish.core.lazy_variable import variable_data_of  # what only looks at a file waits for no xarray
+
+    return variable_data_of(values)
 
 
 class ReadOnDemand(Mapping[str, T]):
