@@ -1,9 +1,10 @@
-"""The app with two layers of 14 592 x 10 944: first view, clicks, full zoom, brush to repaint, r of a region, memory.
+"""The app with two layers of 14 592 x 10 944: first view, clicks, warp while a mark is dragged, zoom, brush, r, memory.
 
-    python -m benchmarks app [--folder DIR] [--rows 10944] [--cols 14592]
+    python -m benchmarks app [--folder DIR] [--rows 10944] [--cols 14592] [--warp RUN]
 
 The run is written as a link of two images would be, and served by ``planish view``; Chromium clicks. Times are on the
-clock, from the act to the screen, beside the machine's load.
+clock, from the act to the screen, beside the machine's load. The picture that is laid over the other follows a dragged
+mark at 10 frames a second or more; ``--warp`` measures that alone in another run (the demo's: 20).
 """
 
 from __future__ import annotations
@@ -45,7 +46,13 @@ def main(*arguments: str | int) -> int:
     parser.add_argument("--folder", type=Path, default=None, help="where the run is made, and kept for the next time")
     parser.add_argument("--rows", type=int, default=10944)
     parser.add_argument("--cols", type=int, default=14592)
+    parser.add_argument("--warp", type=Path, default=None, help="a run of which only the warp is measured")
     asked = parser.parse_args([str(a) for a in arguments])
+    if asked.warp is not None:
+        with opened(asked.warp) as (page, url, _):
+            page.goto(url)
+            warp(page, "Image side")
+        return 0
     with folder_for(asked.folder) as folder:
         run = Path(folder) / f"run-{asked.rows}"
         if not run.exists():
@@ -116,6 +123,7 @@ def measure(run: Path) -> None:
     with opened(run) as (page, url, server):
         say("first view of the page", _times(page, _SIDE, 1, lambda: page.goto(url)))
         clicks(page)
+        warp(page, _SIDE[0])
         maps = page.get_by_role("tab", name="Maps", exact=True)
         say("first view of the maps", _times(page, _MAPS, 1, maps.click))
         page.get_by_text(re.compile("Scatter of [0-9]+ points")).wait_for(timeout=120_000)
@@ -163,6 +171,43 @@ def clicks(page: Any) -> None:
         if any(followed):
             say(f"... {name} itself", [ms / 1000 for ms in followed], digits=3)
     print(f"{page.locator(f'{_TABLE} tbody tr').count()} marks")
+
+
+def warp(page: Any, view: str) -> None:
+    """Drag the first mark about with one picture blended over the other, and say how often a second it followed."""
+    page.locator(f"{_TABLE} tbody tr").first.get_by_role("button").first.click()
+    page.get_by_label("View", exact=True).select_option("blend")
+    until(page, "!document.querySelector('[aria-busy=true]')")
+    box = page.get_by_role("application", name=view, exact=True).bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.evaluate(_FOLLOWED)
+    begun = time.perf_counter()
+    while (passed := time.perf_counter() - begun) < 4.0:
+        page.mouse.move(x + 40 * np.sin(3 * passed), y + 40 * np.cos(2 * passed))
+    followed, gaps = page.evaluate("[followed.count, followed.gaps]")
+    page.mouse.up()
+    rate = f"{followed / passed:.0f} frames a second, longest {max(gaps):.0f} ms (load {os.getloadavg()[0]:.1f})"
+    print(f"warp while a mark is dragged, {box['width']:.0f} x {box['height']:.0f} pixels: {rate}", flush=True)
+    page.get_by_label("View", exact=True).select_option("two")
+
+
+# Frames in which the picture lay otherwise than in the one before, and milliseconds between them.
+_FOLLOWED = """() => {
+  window.followed = { count: 0, gaps: [0] };
+  const over = document.querySelector(".over-inner");
+  let [before, at] = [over.style.transform, performance.now()];
+  const next = (now) => {
+    if (over.style.transform !== before) {
+      followed.count += 1;
+      followed.gaps.push(now - at);
+      [before, at] = [over.style.transform, now];
+    }
+    requestAnimationFrame(next);
+  };
+  requestAnimationFrame(next);
+}"""
 
 
 def until(page: Any, truth: str) -> None:
