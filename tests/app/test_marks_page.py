@@ -27,7 +27,7 @@ def shown(served, window):
 
 
 @pytest.fixture
-def shown_alone(window, serve, run_copy):
+def shown_alone(serve, run_copy, window):
     """The page of a server that a test may end."""
     return opened(window, serve(run_copy))
 
