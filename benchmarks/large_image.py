@@ -1,14 +1,15 @@
 """Links to images of 15 and of 160 million pixels: time a pixel, peak memory, size of the page.
 
     python -m benchmarks large_image [--memory 4GB] [--folder DIR] [--rows 3416,10944]
-    python -m benchmarks large_image --texture [--hand]
+    python -m benchmarks large_image --texture [--hand] [--near]
 
 A specimen is made with a voxel of 5 um and a pixel of 1.37 um, so large that its image has so many rows and 4/3 as many
 columns; ``planish link`` maps and links it in a process of its own. The specimen of 160 million pixels takes some nine
 minutes and 10 GB to make.
 
 With ``--texture`` a map of 2.5 x 2 mm without holes is found in an image of 60 x 45 mm at 4 um, with either hand, or
-with the right one (``--hand``): time, peak memory, and how far off.
+with the right one (``--hand``), or about a place known to 150 um, as a hole gives it (``--near``): time, peak memory,
+and how far off.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from scipy import ndimage
 
 from benchmarks.size import folder_for, timed
 from planish.core.transform import Similarity, nearest_similarity
+from planish.register import RegistrationParams
 from planish.run import register_texture
 from planish.synthetic import BurnParams, CameraParams, ScannerParams, SpecimenParams, make_specimen, write_instruments
 
@@ -45,9 +47,10 @@ def main(*arguments: str | int) -> int:
     )
     parser.add_argument("--texture", action="store_true", help="find a map without holes in 160 million pixels")
     parser.add_argument("--hand", action="store_true", help="it is not mirrored")
+    parser.add_argument("--near", action="store_true", help="where its middle lies is known to 150 um")
     asked = parser.parse_args([str(a) for a in arguments])
     if asked.texture:
-        return find_texture(mirrored=False if asked.hand else None)
+        return find_texture(mirrored=False if asked.hand else None, is_near=asked.near)
     with folder_for(asked.folder) as folder:
         for rows in map(int, asked.rows.split(",")):
             measure(rows, rows * 4 // 3, Path(folder), asked.memory)
@@ -104,7 +107,7 @@ if __name__ == "__main__":
     raise SystemExit(main(*sys.argv[1:]))
 
 
-def find_texture(*, mirrored: bool | None) -> int:
+def find_texture(*, mirrored: bool | None, is_near: bool = False) -> int:
     """Find a map with a texture r of .5 in a large image, and print what that took; 1 where it lies 6 um off."""
     rng, pixel, (rows, cols), (ny, nx) = np.random.default_rng(1), 4.0, (11250, 15000), (500, 625)
 
@@ -136,7 +139,8 @@ def find_texture(*, mirrored: bool | None) -> int:
         attrs={"pixel_um": [pixel, pixel]},
     )  # fmt: skip
     begun, begun_cpu = time.perf_counter(), time.process_time()
-    registration = register_texture(moving, fixed, mirrored=mirrored)
+    params = RegistrationParams(near=(41000.0, 22000.0, 150.0) if is_near else None)
+    registration = register_texture(moving, fixed, mirrored=mirrored, params=params)
     seconds, cpu = time.perf_counter() - begun, time.process_time() - begun_cpu
     corners = np.array([[0.0, 0.0], [nx * pixel, ny * pixel]])
     off_um = float(np.linalg.norm(registration(corners) - place(corners), axis=1).max())
