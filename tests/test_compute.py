@@ -16,7 +16,8 @@ from folders import bytes_of
 from planish.cli import show
 from planish.core.errors import FileError, InputError, ResourceError
 from planish.core.frame import Frame
-from planish.core.lazy import LazyArray, labelled
+from planish.core.labelled import labelled
+from planish.core.lazy import LazyArray
 from planish.core.memory import COLUMN_BYTES
 from planish.core.tiles import tiles_of
 from planish.io import VolumeParams, describe, new_folder, read_volume, work_folder, write_store

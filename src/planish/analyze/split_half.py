@@ -229,10 +229,11 @@ def say_reliability(evidence: EvidenceFacts) -> Iterator[str]:
             yield f"Reliability of {map_text}: not known. {reliability.silence or ''}".strip()
             continue
         size_text = f"over {count(reliability.n)} points of {plain(reliability.point_um)}"
+        share_text = ("below " if reliability.value > 0.99 else "") + percent(max(1 - reliability.value, 0.01), 1)
         text = (
             f"Odd and even rows of columns are two half measurements of {map_text}: {size_text} they correlate with r "
             f"{_near_one(reliability.halves_r)}, so that noise which differs between them is "
-            f"{_below(1 - reliability.value)} of the variance of the map"
+            f"{share_text} of the variance of the map"
         )
         if k == len(evidence.reliability) - 1 and evidence.ceiling_noise is not None:
             ceiling_both = evidence.ceiling_both
@@ -248,7 +249,3 @@ def say_reliability(evidence: EvidenceFacts) -> Iterator[str]:
 def _near_one(value: float) -> str:
     """Write r with its sign of equality; more than two nines would claim what halves of one scan cannot show."""
     return "above 0.99" if value > 0.99 else f"= {fixed(value, 2)}"
-
-
-def _below(share: float) -> str:
-    return f"below {percent(0.01, 1)}" if share < 0.01 else percent(share, 1)

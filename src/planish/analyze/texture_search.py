@@ -38,7 +38,6 @@ _CANDIDATES = 5
 _LEAST_WINDOW = 384  # pixels of a part of the image that is transformed as a whole
 _LEAST_ROTATIONS = 20  # that show how high chance gets
 _INDEPENDENT = 0.25  # of the rotations, measured on unrelated fields; those beside each other are alike
-_FACTORS = 0.8, 3.0  # to z, least and largest; below the least it is chance among few rotations
 Slab = NDArray[np.float32]
 Names = tuple[str, str]
 """A map of the moving layer, and that of the fixed one which it is compared with."""
@@ -219,8 +218,8 @@ def _apart(a: Similarity, b: Similarity, middle_um: Floats) -> bool:
 def _exceeded(z: float, others: Floats) -> float:
     """Probability that any of so many rotations, and one more, of unrelated textures reaches z.
 
-    The best of a rotation is distributed as ``exp(-A x exp(-x**2 / 2))`` with x = z / s. What is not known of A and s is
-    integrated over, as few rotations leave both uncertain, and the tail more so.
+    The best of a rotation is distributed as ``exp(-A x exp(-x**2 / 2))`` with x = z / s. Few rotations leave A and s
+    uncertain, and the tail more so: both are integrated over.
     """
     if not np.quantile(others, 0.5) > 0.0:  # a constant image, or none of it known, is like nothing
         return 1.0
@@ -228,7 +227,7 @@ def _exceeded(z: float, others: Floats) -> float:
     def rates(x: Floats) -> Floats:
         return x * np.exp(-0.5 * x**2)
 
-    s = np.geomspace(*_FACTORS, 67)[:, None]
+    s = np.geomspace(0.8, 3.0, 67)[:, None]  # below 0.8 it is chance among few rotations
     x = np.maximum(others / s, 1.2)
     sums, independent = rates(others / s).sum(axis=1), _INDEPENDENT * others.size
     log_likelihood = -_INDEPENDENT * np.sum(np.log(s) + 0.5 * x**2 - np.log(x**2 - 1.0), axis=1)

@@ -12,21 +12,24 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response, StreamingResponse
 
 from planish.app.apply import Applying, Busy, Progress
-from planish.app.changes import FARTHEST_UM, Change, ChangeError, Id, Layer
+from planish.app.changes import FARTHEST_UM, Change, ChangeError, Id, Import, Layer
 from planish.app.exchange import MarkFile, exported, imported
 from planish.app.live import Live
 from planish.app.picture import PLANES, finite_or_none
-from planish.app.session import Stale
+from planish.app.session import Stale, pairs_of
 from planish.app.snap import not_snapped, snapped
-from planish.app.texture import texture_marks
 from planish.app.view_routes import required_numbers, route, session_of
 from planish.core.tables import naming_faults
 from planish.core.transform import Similarity
 from planish.core.typing import Pair
+from planish.io.map_groups import read_group
 from planish.marks.exchange import FORMATS
 from planish.marks.exchange.formats import TARGETS
 from planish.marks.exchange.lists import Part
 from planish.register import RegistrationParams
+from planish.run import register_texture
+from planish.run.run import MAPS
+from planish.run.study import changed
 
 
 class _Body(Part):
@@ -149,12 +152,18 @@ def _import(request: Request, body: _ImportBody) -> str:
 
 
 def _find_texture(request: Request, body: _TextureBody) -> str:
-    """Take tiles of the texture in place of all marks that are there."""
+    """Take tiles of the texture in place of all marks: about a place in the image, or where a person laid the maps."""
     session = session_of(request)
     layer = body.layer or session.state.first_layer
-    change, sentence = texture_marks(session, layer, near=body.near, place=body.place)
-    session.change(change, version=body.version)
-    return sentence
+    if session.image is None:
+        raise ChangeError("This run is linked. Link it anew by its texture: planish link ... --by texture.")
+    holes = session.holes(layer)
+    registration = register_texture(
+        read_group(session.folder / MAPS, "maps"), session.image, mirrored=session.mirrored(layer), place=body.place,
+        params=changed(session.study.registration, near=body.near), holes=(holes["moving"], holes["fixed"]),
+    )  # fmt: skip
+    session.change(Import(layer=layer, marks=pairs_of(registration.marks)), version=body.version)
+    return registration.sentence or ""
 
 
 def get_predict(request: Request) -> Response:

@@ -18,7 +18,8 @@ from planish.app.strain import strains
 from planish.core.area import middles, overview_count
 from planish.core.errors import InputError
 from planish.core.grid import Grid
-from planish.core.lazy import LazyArray, Where, variable_data
+from planish.core.labelled import variable_data
+from planish.core.lazy import LazyArray, Where
 from planish.core.memory import TILE_BYTES
 from planish.io import ImageParams
 from planish.io.image import across, channel_of

@@ -20,7 +20,8 @@ from planish.core.area import valid_in_all
 from planish.core.bands import read_bands
 from planish.core.errors import InputError
 from planish.core.facts import is_known
-from planish.core.lazy import Where, computed
+from planish.core.labelled import computed
+from planish.core.lazy import Where
 from planish.core.typing import Bools, Floats
 
 MOST_SAMPLES = 2000

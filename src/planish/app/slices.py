@@ -17,7 +17,7 @@ from planish.core.errors import FileError, InputError
 from planish.core.facts import ResultModel
 from planish.core.frame import Axis, Frame
 from planish.core.grid import pitch
-from planish.core.lazy import read_box
+from planish.core.labelled import read_box
 from planish.core.memory import LOOK_BYTES
 from planish.core.typing import Floats
 from planish.io import find_place, read_volume

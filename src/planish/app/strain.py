@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from planish.app.picture import layer_run
 from planish.core.bands import bands
 from planish.core.frame import Frame
-from planish.core.lazy import Where, computed
+from planish.core.labelled import computed
+from planish.core.lazy import Where
 from planish.io.map_groups import read_group
 from planish.io.map_store import stored_group
 from planish.run.run import MAPS

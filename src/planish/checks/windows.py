@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from planish.checks import _kernels
 from planish.core.frame import Axis
-from planish.core.lazy import chunks_of
+from planish.core.labelled import chunks_of
 from planish.core.memory import WINDOW_BYTES
 from planish.core.threads import map_threads
 from planish.core.typing import Array, Floats, Ints

@@ -1,18 +1,13 @@
 """Arrays that are read or computed part by part: shape and type are known, values only where they are asked for."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from functools import cache
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 T = TypeVar("T")
 Where = tuple[slice, ...]  # one slice an axis: start, stop just behind the last place, step above 0
@@ -71,57 +66,6 @@ class LazyArray:
             # A view would keep the whole file mapped, or the slice that it was cut from.
             is_copy = chosen.base is None or (chosen.base is part and part.base is None and chosen.size == part.size)
             return np.ascontiguousarray(chosen, self.dtype) if is_copy else np.array(chosen, dtype=self.dtype)
-
-
-def labelled(
-    values: NDArray[Any] | LazyArray, dims: Sequence[str], size_um: Sequence[float], *, name: str,
-    attrs: Mapping[str, Any],
-) -> xr.DataArray:  # fmt: skip
-    """Give an array coordinates in um: place i of an axis has its centre at i × size.
-
-    A :class:`LazyArray` stays one: ``isel`` moves borders, ``values`` reads; ``encoding`` says how it is best read.
-    """
-    import xarray as xr
-
-    coords = {
-        axis: (axis, np.arange(n) * um, {"units": "um"})
-        for axis, n, um in zip(dims, values.shape, size_um, strict=True)
-    }
-    array = xr.DataArray(xr.Variable(tuple(dims), variable_data(values)), coords=coords, name=name, attrs=attrs)
-    if isinstance(values, LazyArray):
-        array.encoding.update(chunks=values.chunks, whole_slices=values.whole_slices)
-    return array
-
-
-def chunks_of(volume: xr.DataArray) -> tuple[int, ...]:
-    """Voxels along z, y and x that are decoded together; 1 where the file is not chunked."""
-    return volume.encoding.get("chunks") or (1, 1, 1)
-
-
-def computed(like: xr.DataArray, read: Callable[[Where], NDArray[Any]], dtype: Any = None) -> xr.DataArray:
-    """Give the same array with other values, of which ``read`` gives the part that is asked for."""
-    import xarray as xr
-
-    values = LazyArray(like.shape, np.dtype(dtype or like.dtype), read)
-    array = xr.DataArray(xr.Variable(like.dims, variable_data(values), like.attrs), coords=like.coords, name=like.name)
-    array.encoding.update(like.encoding)
-    return array
-
-
-def read_box(volume: xr.DataArray, box: Mapping[str, slice]) -> NDArray[Any]:
-    """Read a part of a volume, with its axes in the order of ``box``."""
-    box_array = volume.isel(box)
-    # Turned only after it was read: what is read lazily may not know how to turn.
-    return box_array.values.transpose([box_array.get_axis_num(axis) for axis in box])
-
-
-def variable_data(values: NDArray[Any] | LazyArray) -> Any:
-    """Wrap values for a variable: an array, or a lazy one that stays one."""
-    if not isinstance(values, LazyArray):
-        return values
-    from planish.core.lazy_variable import variable_data_of  # what only looks at a file waits for no xarray
-
-    return variable_data_of(values)
 
 
 class ReadOnDemand(Mapping[str, T]):

@@ -14,7 +14,7 @@ from scipy import ndimage
 
 from planish.core.errors import InputError, SizeError, VolumeError
 from planish.core.frame import Axis, Frame
-from planish.core.lazy import read_box
+from planish.core.labelled import read_box
 from planish.core.robust import MAD_TO_SD, mad_sd, otsu_borders
 from planish.core.threads import thread_pool
 from planish.core.typing import Bools, Floats

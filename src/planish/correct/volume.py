@@ -10,7 +10,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import InputError
-from planish.core.lazy import Where, computed
+from planish.core.labelled import computed
+from planish.core.lazy import Where
 from planish.core.threads import count_threads
 from planish.core.typing import Floats
 from planish.correct.cupping import factor, find_cupping, middle_factor

@@ -12,7 +12,8 @@ from planish.core.arrays import IMAGE, VOLUME, ArrayKind, check_values, conversi
 from planish.core.errors import VolumeError, check_choice
 from planish.core.facts import SIDES, Side
 from planish.core.frame import Axis, End, Frame
-from planish.core.lazy import LazyArray, Where, labelled, variable_data
+from planish.core.labelled import labelled, variable_data
+from planish.core.lazy import LazyArray, Where
 from planish.io.formats import full_scale
 from planish.io.lazy import read_if_small, supported_type
 from planish.io.sizes import PIXEL, VOXEL, Stated, agreed_size

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from planish.core.arrays import check_path
 from planish.core.errors import FileError, InputError, check_choice
 from planish.core.facts import SIDES, Side
-from planish.core.lazy import labelled
+from planish.core.labelled import labelled
 from planish.core.typing import Pair
 from planish.io.formats import COLOURS, LUMINANCE, full_scale
 from planish.io.guard import check_memory, size_of_file

@@ -19,7 +19,8 @@ from planish.core.area import halved, middles, overview_count
 from planish.core.errors import FileError, PlanishError
 from planish.core.files import writing
 from planish.core.grid import Grid
-from planish.core.lazy import LazyArray, Where, variable_data
+from planish.core.labelled import variable_data
+from planish.core.lazy import LazyArray, Where
 from planish.core.memory import LARGE_BYTES
 from planish.core.tiles import Tile, tiles_of
 

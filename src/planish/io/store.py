@@ -213,10 +213,10 @@ def _write_shards(level: Array, where: Where, values: NDArray[Any], folder: Path
 
 def halve(values: NDArray[Any]) -> NDArray[Any]:
     """Means of 2 x 2 x 2 voxels; what is left over at an end is the mean of fewer. Integers are rounded."""
-    from planish.io import _kernels
+    from planish.core._overview_kernels import halve_voxels
 
     out = np.empty(tuple(-(-n // 2) for n in values.shape), dtype=values.dtype)
-    _kernels.halve(values, out, values.dtype.kind in "ui")
+    halve_voxels(values, out, values.dtype.kind in "ui")
     return out
 
 

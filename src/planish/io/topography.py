@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from planish.core.errors import FileError, SizeError
-from planish.core.lazy import labelled
+from planish.core.labelled import labelled
 from planish.core.typing import Pair
 from planish.io.formats import extra
 from planish.io.guard import check_memory, quiet, reading, size_of_file

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from planish.core.arrays import check_path
 from planish.core.errors import VolumeError
 from planish.core.frame import Axis, End, Frame
-from planish.core.lazy import labelled
+from planish.core.labelled import labelled
 from planish.io.formats import (
     ADVICE,
     LoadedVolume,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from planish.core.errors import CannotMeasure, SurfaceError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
-from planish.core.lazy import read_box
+from planish.core.labelled import read_box
 from planish.core.status import Status
 from planish.core.typing import Bools, Floats, Pair
 from planish.measure import _ray_kernels

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from planish.core.errors import StudyError, SurfaceError
 from planish.core.frame import Frame
 from planish.core.grid import Grid, bilinear, pitch
-from planish.core.lazy import LazyArray, Where, variable_data
+from planish.core.labelled import variable_data
+from planish.core.lazy import LazyArray, Where
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
 from planish.core.typing import Floats, Pair

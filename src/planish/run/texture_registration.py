@@ -244,8 +244,10 @@ def _searched(layers: _Layers, params: RegistrationParams, *, mirrored: bool | N
     half = 0.5 * _SEARCHED_UM
     a = layers.a.part(layers.a.middle_um - half, layers.a.middle_um + half)
     (a_texture, a_first), best = a.texture(_SEARCH_UM), None
-    guesses = _guesses(params.scale_tolerance)
     tolerance = min(params.scale_tolerance, _GUESS_TOLERANCE)
+    beyond = math.log((1.0 + params.scale_tolerance) / (1.0 + _GUESS_TOLERANCE))
+    count = max(math.ceil(beyond / math.log(_SCALE_GUESS)), 0)
+    guesses = sorted((_SCALE_GUESS**k for k in range(-count, count + 1)), key=lambda g: abs(math.log(g)))
     for guess in guesses:
         b = layers.b.scaled(guess)
         b_texture, b_first = b.texture(_SEARCH_UM)
@@ -277,11 +279,6 @@ def _between_layers(place: Similarity, scaled: float, *, swapped: bool) -> Simil
         return replace(place.inverse, scale=place.inverse.scale * scaled)
     x, y = place.shift_um
     return replace(place, scale=place.scale / scaled, shift_um=(x / scaled, y / scaled))
-
-
-def _guesses(tolerance: float) -> list[float]:
-    count = max(math.ceil(math.log((1.0 + tolerance) / (1.0 + _GUESS_TOLERANCE)) / math.log(_SCALE_GUESS)), 0)
-    return sorted((_SCALE_GUESS**k for k in range(-count, count + 1)), key=lambda g: abs(math.log(g)))
 
 
 def _of_textures(near: Near, a: TextureLayer, a_first: Floats, b_first: Floats, guess: float) -> Near:

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from planish.core.errors import InputError, ResourceError, VolumeError
 from planish.core.frame import Frame
-from planish.core.lazy import Where, computed
+from planish.core.labelled import computed
+from planish.core.lazy import Where
 from planish.core.memory import COPIES_OF_SECTIONS, PROGRAM_BYTES, bytes_to_hold, enough_gb
 from planish.io import find_place, read_volume
 from planish.io.params import VolumeParams

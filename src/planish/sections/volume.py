@@ -11,7 +11,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import VolumeError
-from planish.core.lazy import LazyArray, Where, labelled
+from planish.core.labelled import labelled
+from planish.core.lazy import LazyArray, Where
 from planish.core.threads import map_threads
 from planish.core.typing import Bools, Floats
 from planish.sections._kernels import interpolate

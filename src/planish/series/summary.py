@@ -64,8 +64,12 @@ def summary_of(gathered: Gathered, declared: Declared) -> SeriesResults:
         sheets_given=bool(counted) and all(specimen.factor("sheet") for specimen in counted),
         specimens=tuple(specimens), groups=tuple(groups),
         differences=tuple(
-            _difference(labels, difference, margin_of(quantities[labels["quantity"]], declared))
+            DifferenceFacts.holding(
+                difference, **labels, smallest_seen=difference.smallest_seen(),
+                equivalence=None if margin is None else analyze.equivalence(difference, margin=margin),
+            )
             for (labels, _), difference in zip(pairs, adjusted, strict=True)
+            for margin in (margin_of(quantities[labels["quantity"]], declared),)
         ),
         instruments=tuple(facts for run in gathered.runs.values() for facts in run.instruments),
         cautions=tuple(cautions_of(gathered, specimens, quantities, grouped_by, compared_by, _MOST_LEVELS)),
@@ -187,10 +191,3 @@ def _compare(
         difference = analyze.paired_over_sheets(*fields) if paired else analyze.two_groups(*fields)
     sheets = dict.fromkeys(specimen.sheet for specimen in (*first, *second))
     return difference.model_copy(update={"unpaired": tuple(sheet for sheet in sheets if sheet in difference.unpaired)})
-
-
-def _difference(
-    labels: Mapping[str, Any], difference: analyze.SheetDifference, margin: float | None
-) -> DifferenceFacts:
-    verdict = None if margin is None else analyze.equivalence(difference, margin=margin)
-    return DifferenceFacts.holding(difference, **labels, smallest_seen=difference.smallest_seen(), equivalence=verdict)

@@ -15,7 +15,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.frame import Axis, Frame
-from planish.core.lazy import chunks_of, read_box
+from planish.core.labelled import chunks_of, read_box
 from planish.core.tiles import Engine, Tile, tiles_of
 from planish.core.typing import Floats
 from planish.surface import _kernels

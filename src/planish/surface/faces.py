@@ -101,7 +101,11 @@ def faces_from_depths(
     for k, side in enumerate(("top", "bottom") if columns.frame.top == "high" else ("bottom", "top")):
         outer, thickness = depths[2 * k : 2 * k + 2]
         if len(depths) > 4:
-            level_errors[side] = step_um * _rms_around(depths[4 + k]), step_um * float(np.nanmean(depths[4 + k]))
+            # The rms of neighbours: whether a wall is seen or not is chance in one column.
+            squares, known = depths[4 + k] ** 2, np.isfinite(depths[4 + k])
+            mean_square, weight = masked_gaussian(squares, known, [3.0, 3.0], truncate=3.0)
+            rms = np.sqrt(mean_square / np.maximum(weight, 1e-9))
+            level_errors[side] = step_um * rms, step_um * float(np.nanmean(depths[4 + k]))
         is_finite = np.isfinite(outer)
         if cleaned[k] and is_finite.any():
             outer, is_particle = _cleaned(outer, columns.pitch)
@@ -125,12 +129,6 @@ def _cleaned(outer: Floats, pitch: tuple[float, float, float]) -> tuple[Floats, 
     top_hat = filled_face - _opened(filled_face, (rows, cols))
     is_particle = is_finite & (top_hat > max(8.0 * mad_sd(top_hat[is_finite]) + 1.0, 6.0 / step_um, 3.0))
     return np.where(is_particle, np.nan, outer), is_particle
-
-
-def _rms_around(values: Floats) -> Floats:
-    """Root mean square of the known values near each column: whether a wall is seen or not is chance in one column."""
-    mean_square, weight = masked_gaussian(values**2, np.isfinite(values), [3.0, 3.0], truncate=3.0)
-    return np.sqrt(mean_square / np.maximum(weight, 1e-9))
 
 
 def _plates(outward: Floats, pitch: tuple[float, float, float]) -> tuple[NDArray[np.int32], Floats]:

@@ -103,7 +103,9 @@ def photograph(
     the usual screen where that is None. ``seed`` is not changed: the same one gives the same image. ValueError if
     ``camera.oracle_r2`` is out of reach.
     """
-    for_scatter, for_nuisance, for_tone, for_noise, for_print_noise = (_child(seed, k) for k in range(5))
+    # As ``seed.spawn`` makes them, which counts in the caller's object and gives others next time.
+    seeds = (np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, k)) for k in range(5))
+    for_scatter, for_nuisance, for_tone, for_noise, for_print_noise = map(np.random.default_rng, seeds)
     u, v = image_material(pose, shape, camera.pixel_um)
     top, coating, rim, hole, image = _bare_sheet(sheet, camera, u, v, for_scatter)
     nuisance, gain = _coarse_noise(sheet, _PAPER_UM, for_nuisance), camera.nuisance_sd
@@ -260,11 +262,6 @@ def _sample(sheet: DrawnSheet, coarse_field: Floats, u: Floats, v: Floats) -> Fl
     pitch_um = PITCH_UM * _COARSE_STEP
     node_positions = np.stack([(v - sheet.origin[1]) / pitch_um, (u - sheet.origin[0]) / pitch_um])
     return np.asarray(ndimage.map_coordinates(coarse_field, node_positions, order=1, mode="nearest"))
-
-
-def _child(seed: np.random.SeedSequence, k: int) -> np.random.Generator:
-    """Stream ``k`` of the seed: as ``seed.spawn``, which counts in the caller's object and gives others next time."""
-    return np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, k)))
 
 
 def _row_blocks(rows: int) -> list[slice]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from planish.core.arrays import not_taken
 from planish.core.errors import FileError
-from planish.core.lazy import labelled
+from planish.core.labelled import labelled
 from planish.core.typing import Floats
 from planish.synthetic.camera import image_material, photograph
 from planish.synthetic.instruments import Microtome, Poses, Scanner, draw_poses

@@ -6,7 +6,8 @@ import xarray as xr
 
 from planish.app.exploring import slices
 from planish.core.frame import Frame
-from planish.core.lazy import LazyArray, labelled
+from planish.core.labelled import labelled
+from planish.core.lazy import LazyArray
 from planish.report import Scale
 from planish.run import silent
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from planish.app.exploring.maps import Packed, packed
 from planish.core.errors import PlanishError
 from planish.core.frame import Frame
-from planish.core.lazy import chunks_of, read_box
+from planish.core.labelled import chunks_of, read_box
 from planish.core.memory import SLICES_VOXELS
 from planish.exports.run_contents import sheet_facts, sheet_run, volume_params
 from planish.io.sections import is_section_folder
