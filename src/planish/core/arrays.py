@@ -11,8 +11,8 @@ import numpy as np
 import xarray as xr
 
 from planish.core.errors import InputError, SizeError, VolumeError
+from planish.core.numbers import TOLERANCE, agree
 
-TOLERANCE = 0.01  # sizes that differ by more than this share are different sizes; less is rounding
 _UM = ("um", "µm", "μm", "micrometer", "micrometre", "micron")
 _CURES = {"b": "Give the grey values that it was made from.", "c": "Give their magnitude: abs(array)."}
 
@@ -100,11 +100,6 @@ def step_um(array: xr.DataArray, axis: str) -> float | None:
             f"The coordinates along {axis} {fault_text}. Write {fix}, or drop them: array.drop_vars({axis!r})."
         )
     return float(np.diff(values.astype(np.float64)).mean())
-
-
-def agree(first: float, second: float) -> bool:
-    """Return True if two sizes are the same within :data:`TOLERANCE`."""
-    return abs(first - second) <= TOLERANCE * min(first, second)
 
 
 def conversion_call(value: object, kind: ArrayKind) -> str:

@@ -1,4 +1,4 @@
-"""How numbers and units are written in sentences: digits that mean something, real minus signs, typeset units."""
+"""Numbers and units in sentences: digits that mean something, real minus signs, typeset units; sizes that agree."""
 
 import math
 import re
@@ -14,6 +14,12 @@ _MICROMETRES, _DEGREES, _MINUS = re.compile(r" um\b"), re.compile(r" deg\b"), re
 _ASCII_FORMS = {"−": "-", _SPACE: " ", "–": "-", "≤": "<=", "≥": ">=", "µm": "um", "±": "+-", "²": "2"}
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 MOST_DECIMALS = 5
+TOLERANCE = 0.01  # sizes that differ by more than this share are different sizes; less is rounding
+
+
+def agree(first: float, second: float) -> bool:
+    """Return True if two sizes are the same within :data:`TOLERANCE`."""
+    return abs(first - second) <= TOLERANCE * min(first, second)
 
 
 def number(value: float | None, digits: int = 3) -> str:

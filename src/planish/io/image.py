@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.core.arrays import check_path
 from planish.core.errors import FileError, InputError, check_choice
 from planish.core.facts import SIDES, Side
-from planish.core.labelled import labelled
 from planish.core.typing import Pair
 from planish.io.formats import COLOURS, LUMINANCE, full_scale
 from planish.io.guard import check_memory, size_of_file
@@ -78,6 +76,9 @@ def read_image(
     and an orientation tag turns nothing, it is only reported. In TIFF files whose white is zero the values are
     turned round; palettes are looked up.
     """
+    from planish.core.arrays import check_path  # here, so that a look at a file waits for no xarray
+    from planish.core.labelled import labelled
+
     path = check_path(path, "the path of a file", "pl.read_image", "pl.image(array, pixel_um=...)")
     if side is not None:
         check_choice("side", side, SIDES)

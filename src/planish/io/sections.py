@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planish.core.arrays import agree
 from planish.core.errors import FileError, SizeError, VolumeError
+from planish.core.numbers import agree
 from planish.core.tables import CsvTable, parse_table, read_text
 from planish.core.typing import Floats, Pair
 from planish.io.formats import check_channel, colour_attrs, full_scale

@@ -11,8 +11,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from planish.core.arrays import agree
 from planish.core.errors import FileError, SizeError
+from planish.core.numbers import agree
 from planish.core.text import and_join
 from planish.core.typing import Pair
 from planish.io.guard import reading

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from tifffile import PHOTOMETRIC
 
-from planish.core.arrays import agree
 from planish.core.errors import FileError, SizeError, VolumeError
 from planish.core.memory import EAGER_BYTES
+from planish.core.numbers import agree
 from planish.core.tables import finite
 from planish.core.threads import map_threads
 from planish.core.typing import Pair

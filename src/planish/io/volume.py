@@ -6,10 +6,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from planish.core.arrays import check_path
 from planish.core.errors import VolumeError
 from planish.core.frame import Axis, End, Frame
-from planish.core.labelled import labelled
 from planish.io.formats import (
     ADVICE,
     LoadedVolume,
@@ -87,6 +85,9 @@ def read_volume(
     ResourceError
         If not even a slice of it fits into the memory.
     """
+    from planish.core.arrays import check_path  # here, so that a look at a file waits for no xarray
+    from planish.core.labelled import labelled
+
     frame_attrs = Frame(through=through or "z", top=top or "high").lies() if through or top else {}
     place = find_place(check_path(path, "the path of a file", "pl.read_volume", "pl.volume(array, voxel_um=...)"))
     loaded = load_volume(place, channel=channel, memory_bytes=memory_bytes)

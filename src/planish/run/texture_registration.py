@@ -200,19 +200,14 @@ def _searched_sides(
 ) -> tuple[_Layers, _Found]:  # fmt: skip
     """Search by the maps of one side or of either, where holes say so first; stop where the place is sure."""
     tried: list[tuple[_Layers, _Found]] = []
-    for side, hand in _sides(mirrored, params):
-        layers = _Layers.of(moving, fixed, side, holes)
+    for is_bottom in (False, True) if mirrored is None else (mirrored,):
+        layers = _Layers.of(moving, fixed, "bottom" if is_bottom else "top", holes)
         for near in _nears(layers, params, holes):
+            hand = None if params.mirror else is_bottom
             tried.append((layers, _searched(layers, params, mirrored=hand, near=near)))
             if tried[-1][1].search.is_sure:
                 return tried[-1]
     return min(tried, key=lambda t: t[1].search.false_probability)
-
-
-def _sides(mirrored: bool | None, params: RegistrationParams) -> Iterator[tuple[Side, bool | None]]:
-    """Sides that an image may show, and the hand with which it shows them; None for either."""
-    for is_bottom in (False, True) if mirrored is None else (mirrored,):
-        yield "bottom" if is_bottom else "top", None if params.mirror else is_bottom
 
 
 def _nears(
