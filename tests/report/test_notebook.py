@@ -10,7 +10,7 @@ def test_a_link_shows_its_numbers_and_both_maps() -> None:
     run = a_run()
     html = run_html(Results.model_validate(run["results"]), run["groups"])
     page = Page(html)
-    for expected in ("sheet.tif · image.png", "r² 0.81", "r² 0.6 (0.4 to 0.8)", "0.51", "The check passed.",
+    for expected in ("sheet.tif · image.png", "r² 0.81", "r² 0.64 (0.40 to 0.81)", "0.51", "The check passed.",
                      "volume: Coating thickness, top side / µm", "image: Relative grey, luminance"):  # fmt: skip
         assert expected in page.text("div")
     assert len(page.addresses) == 2

@@ -29,15 +29,16 @@ def test_sections_stand_in_the_order_in_which_a_reader_asks(link_page: str, bare
     assert Page(bare_page).sections == OF_A_MAP
     page = Page(link_page)
     assert page.sections == OF_A_LINK
-    assert [a for a in page.addresses if a.startswith("#")] == ["#checks", *(f"#{name}" for name in page.sections)]
+    sections = [f"#{name}" for name in page.sections]
+    assert [a for a in page.addresses if a.startswith("#")] == ["#checks", *sections, "#cite"]
     assert page.text("title") == "sheet.tif linked to image.png"
 
 
 def test_verdict_states_the_results_and_no_more(link_page: str) -> None:
     text = Page(link_page).text()
     for expected in (
-        "95 %: 0.63 to 0.90; r² 0.6 (0.4 to 0.8); 31 independent points of 40", "r² 0.81", "0.51\u202fµm", "not on n",
-        "81\u202f% are valid in all maps", "not a cause",
+        "95 %: 0.63 to 0.90; r² 0.64 (0.40 to 0.81); 31 independent points of 40", "r² 0.81", "0.51\u202fµm",
+        "not on n", "81\u202f% are valid in all maps", "not a cause",
         "image is brighter (relative grey, luminance) where coating thickness (top side) is larger: r = 0.80 with a",
     ):  # fmt: skip
         assert expected in text

@@ -145,7 +145,8 @@ class Applying:
         if state == "done":
             ticket = secrets.token_urlsafe(24)
             self.reports[ticket] = out / "report.html"
-            page, message = f"/report/{ticket}", f"{out} is made."
+            page = f"/report/{ticket}"
+            message = f"{out.name} is made: planish view {out}. This page still shows {self.session.folder.name}."
             final = Progress(state="done", share=1.0, message=message, run=str(out), report=page)
         elif state == "failed":
             final = Progress(**last_message)

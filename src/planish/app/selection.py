@@ -63,7 +63,7 @@ def nearest(tiles: Tiles, picture: PlanePicture, layer: str, place_um: dict[str,
 
 
 def profile(tiles: Tiles, pictures: list[PlanePicture], line: tuple[float, float, float, float]) -> dict[str, Any]:
-    """Values of pictures on one grid along a line (x0, y0, x1, y1) in um, at ``at_um``, of pixels ``pixel_um`` wide."""
+    """Values along a line (x0, y0, x1, y1), at ``at_um``, of pixels ``pixel_um`` wide; None in holes."""
     x0, y0, x1, y1 = line
     length_um = math.hypot(x1 - x0, y1 - y0)
     if length_um == 0:
@@ -77,8 +77,10 @@ def profile(tiles: Tiles, pictures: list[PlanePicture], line: tuple[float, float
     rows, cols, is_inside = _pixels(grid_picture, points_um, level)
     lines: list[dict[str, Any]] = []
     for picture in pictures:
-        values = np.full(distances_um.size, np.nan)
-        values[is_inside] = tiles.values_at(picture, level, rows[is_inside], cols[is_inside])
+        values, at = np.full(distances_um.size, np.nan), (level, rows[is_inside], cols[is_inside])
+        values[is_inside] = tiles.values_at(picture, *at)
+        for mask in tiles.pictures.valid_of(picture):
+            values[is_inside] = np.where(tiles.values_at(mask, *at), values[is_inside], np.nan)
         samples = [*map(finite_or_none, values)]
         lines.append({"id": picture.id, "name": picture.name, "units": picture.units, "values": samples})
     return {"pixel_um": step_um, "at_um": distances_um.tolist(), "lines": lines}

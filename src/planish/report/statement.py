@@ -1,19 +1,10 @@
 """How a correlation is written: with its interval, and with the figures that the interval allows."""
 
-import math
-
 from planish.core.facts import is_known
-from planish.core.numbers import MOST_DECIMALS, NONE, count, decimals_of_r, fixed, interval_text, number
+from planish.core.numbers import NONE, count, decimals_of_r, fixed, interval_text, number
 from planish.results import ComparisonRow, CorrelationRow
 
 Row = CorrelationRow | ComparisonRow
-
-
-def decimals(row: Row) -> int:
-    """Decimals of r² that its interval allows: those of one significant digit of half its width."""
-    limits = r2_limits(row)
-    half_width = (limits[1] - limits[0]) / 2 if limits else 0.0
-    return min(max(-math.floor(math.log10(half_width)), 1), MOST_DECIMALS) if half_width > 0 else 2
 
 
 def r2_limits(row: Row) -> tuple[float, float] | None:
@@ -25,13 +16,14 @@ def r2_limits(row: Row) -> tuple[float, float] | None:
 
 
 def r2_text(row: Row | None) -> str:
-    """Write r² as far as it is known."""
-    return NONE if row is None else fixed(row.r2, decimals(row))
+    """Write r² with two decimals, as the page writes it in per cent; three where the interval is narrow."""
+    return NONE if row is None else fixed(row.r2, decimals_of_r(r2_limits(row)))
 
 
 def r2_interval_text(row: Row | None) -> str:
     """Write the interval of r²."""
-    return NONE if row is None else interval_text(r2_limits(row), decimals(row))
+    limits = None if row is None else r2_limits(row)
+    return NONE if row is None else interval_text(limits, decimals_of_r(limits))
 
 
 def r_text(row: Row | None) -> str:

@@ -62,7 +62,7 @@ export function mountApply(place, app) {
     link.hidden = !now.report;
     if (now.report) {
       link.href = now.report;
-      link.textContent = `Open report of ${now.run ?? "the new run"}`;
+      link.textContent = `Open report of ${(now.run ?? "the new run").split(/[\\/]/).at(-1)}`;
     }
     if (hadFocus) (working ? cancel : now.report ? link : apply).focus();
     if (working) void watch();

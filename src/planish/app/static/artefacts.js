@@ -12,7 +12,7 @@ export function cornersOf(text) {
   return corners.length >= 3 && corners.every((one) => one.length === 2 && one.every(Number.isFinite)) ? corners : null;
 }
 
-const FIELDS = ["Name", "Author", "Reason"];
+const FIELDS = { Name: "Its name", Author: "Your name", Reason: "Reason" };
 
 export class Artefacts {
   /** `maps`: `draw` lets a person draw a polygon, which comes back by `drawn` */
@@ -31,10 +31,10 @@ export class Artefacts {
       { class: "panel", "aria-label": "Artefacts" },
       make("h2", {}, "Artefacts"),
       make("p", { class: "soft" }, "A stain or fold that shall not count: draw it, declare it, then Apply."),
-      make("div", { class: "group" }, ...FIELDS.map((name) => labelled(name, this[name.toLowerCase()], "Artefact: "))),
+      this.list, // grows upwards: Declare stays where it is
+      make("div", { class: "group" }, ...Object.entries(FIELDS).map(([name, seen]) => labelled(name, this[name.toLowerCase()], "Artefact: ", seen))),
       make("div", { class: "group" }, button("Draw polygon", () => maps.draw()), labelled("Polygon, um", this.polygon)),
       button("Declare artefact", () => void this.declare()),
-      this.list,
     );
     app.onState((state) => this.show(state.regions ?? []));
   }
@@ -53,8 +53,10 @@ export class Artefacts {
     if (!polygon) return this.app.say('A polygon is "x, y; x, y; x, y": three corners or more, in um.');
     const [name, author, reason] = [this.name, this.author, this.reason].map((field) => field.value.trim());
     if (!(author && reason)) return this.app.say("Give it an author and a reason: they stand in the report.");
+    this.polygon.value = ""; // a second click declares nothing
     const done = await this.app.change({ do: "region", name: name || "artefact", author, reason, polygon }, `${name || "One"} declared an artefact`);
-    if (done) this.name.value = this.reason.value = this.polygon.value = "";
+    if (done) this.name.value = this.reason.value = "";
+    else this.drawn(polygon);
   }
 
   show(regions) {

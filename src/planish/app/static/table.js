@@ -129,7 +129,7 @@ class Row {
     this.used.setAttribute("aria-label", `Use ${mark.label}`);
     this.used.checked = mark.used;
     this.cells.forEach((cell, k) => this.cell(cell, this.columns[k + 2], errors(k + 2)));
-    written(this.note, notes.join(" "));
+    written(this.note, typeset(notes.join(" ")));
     this.note.className = notes.length ? "warned" : "";
   }
 
