@@ -37,6 +37,7 @@ PIXEL_UM = 1.37
 _SMALL = 900  # pixels a side of the images of which the run is made that is then given large maps
 _REPEATS = 5
 _FREE = 4  # pairs from which on every model has a residual
+_WINDOW: Any = {"width": 1366, "height": 768}
 _TABLE = "table[aria-label=Marks]"
 _SIDE, _MAPS = ("two",), ("Left map", "Right map")
 
@@ -111,7 +112,7 @@ def opened(run: Path) -> Generator[tuple[Any, str, int]]:
         path = os.environ.get("PLANISH_CHROMIUM") or shutil.which("chromium") or "/usr/bin/chromium"
         with sync_playwright() as playwright:
             browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
-            yield browser.new_page(viewport={"width": 1366, "height": 768}), url, server.pid
+            yield browser.new_page(viewport=_WINDOW), url, server.pid
             browser.close()
     finally:
         server.terminate()
@@ -175,6 +176,7 @@ def clicks(page: Any) -> None:
 
 def warp(page: Any, view: str) -> None:
     """Drag the first mark about with one picture blended over the other, and say how often a second it followed."""
+    page.set_viewport_size({"width": 1920, "height": 1080})
     page.locator(f"{_TABLE} tbody tr").first.get_by_role("button").first.click()
     page.get_by_label("View", exact=True).select_option("blend")
     until(page, "!document.querySelector('[aria-busy=true]')")
@@ -191,6 +193,7 @@ def warp(page: Any, view: str) -> None:
     rate = f"{followed / passed:.0f} frames a second, longest {max(gaps):.0f} ms (load {os.getloadavg()[0]:.1f})"
     print(f"warp while a mark is dragged, {box['width']:.0f} x {box['height']:.0f} pixels: {rate}", flush=True)
     page.get_by_label("View", exact=True).select_option("two")
+    page.set_viewport_size(_WINDOW)
 
 
 # Frames in which the picture lay otherwise than in the one before, and milliseconds between them.

@@ -104,7 +104,7 @@ class Maps {
     this.shareBox = labelled("Share of the right layer", this.share);
     this.shareBox.hidden = true;
     this.onlyValid = make("input", { type: "checkbox", onchange: () => this.draw() });
-    const places = { type: "text", size: 25, spellcheck: "false", placeholder: "x0, y0, x1, y1" };
+    const places = { type: "text", size: 28, spellcheck: "false", placeholder: "x0, y0, x1, y1" };
     this.regionField = make("input", { ...places, "aria-label": "Region, um" });
     this.lineField = make("input", { ...places, "aria-label": "Line, um" });
     const read = (field, name, use) =>
