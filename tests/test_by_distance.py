@@ -120,7 +120,7 @@ def test_the_page_names_ranges_directions_and_the_lag():
     assert "along and" in first
     assert "across the machine direction" in first
     assert "relative grey²" in second or "no nugget" in second
-    assert both.startswith("Moved against each other, the maps agree best at a lag of ")
+    assert both.startswith("Shifted against each other, the maps agree best at a lag of ")
     assert "is exceeded at any lag by 1 % of unrelated maps." in both
     assert "the machine direction is not given (--md-deg" in of_each(facts(), titles)[0]
     unrelated = of_each(facts(seed=5, r=0.0, length=3.0), titles)[-1]

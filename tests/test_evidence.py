@@ -102,7 +102,7 @@ def test_a_relation_that_saturates_is_named():
 def test_the_page_says_who_named_the_headline(linked_run):
     page = (linked_run / "report.html").read_text(encoding="utf-8")
     assert "the study declared none" in page
-    assert "At which scale coating thickness (top side) and" in page
+    assert "Scales at which coating thickness (top side) and" in page
     assert "<script" not in page
 
 

@@ -168,7 +168,7 @@ def test_an_image_of_the_bottom_is_mirrored_when_it_is_given_as_such_and_refused
     # It is a picture of the top for all that: its texture shows it.
     side = ("--image-side", "bottom", "-o", tmp_path / "run")
     out, err = passes("link", linked_run, flipped, *size, *side, codes=(4,))
-    assert "fail: side and specimen: The image goes with the coating of the top side" in err
+    assert "fail: side and specimen: The image correlates with the coating of the top side" in err
     sheet = json.loads(out)["layers"][0]
     registration = sheet["registration"]
     assert registration["mirrored"] is True

@@ -38,7 +38,7 @@ def test_a_sheet_and_its_image_in_either_order():
     for a, b, names in ((sheet, image, ("sheet", "photo")), (image, sheet, ("photo", "sheet"))):
         lag, (side, position) = texture_of(a, b, names)
         assert side.state == "pass"
-        assert side.sentence.startswith("The photo goes with the coating of the top side (r = -0.6")
+        assert side.sentence.startswith("Photo correlates with the coating of the top side (r = -0.6")
         assert (position.state, position.figures) == ("look", ("position", "correlation"))
         assert (lag.lag_um, lag.property) == (pytest.approx((15.0, 0.0), abs=1.0), "coating_top")
     far = layer(image=200 - 20 * np.roll(field(0), 16, axis=1) + 10 * field(9))

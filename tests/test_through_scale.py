@@ -101,7 +101,7 @@ def test_marks_find_a_wrong_spacing(stated):
 def test_a_right_spacing_passes_also_with_a_stretch_or_a_wrong_mark():
     found, check = checked(sheet())
     assert (check.state, check.advice, found.scale) == ("pass", "", pytest.approx(1, abs=3 * found.error))
-    assert check.sentence.startswith("The marks ask for a voxel spacing along z that is ")
+    assert check.sentence.startswith("The marks imply a voxel spacing along z that is ")
     # A stretch by 4 % explains the marks better than any spacing does.
     found, check = checked(sheet(), linear=[[1.04, 0], [0, 1]])
     assert check.state != "fail"
@@ -199,4 +199,4 @@ def test_thickness_tells_a_spacing_from_a_stretch():
     doubtful = found.model_copy(update={"over_stretch": 0.0})
     check = through_scale.judge_marks(BY_MARKS, RegisteredSheet(measured=seen, flat=None, fit=None), doubtful, slope)
     assert check.state == "fail"
-    assert "Thickness against slope asks for the same" in check.sentence
+    assert "Thickness against slope implies the same" in check.sentence

@@ -50,7 +50,7 @@ def test_spacing_along_z_half_as_large_again(ended, specimen, specimen_files, tm
     check = checks["scale through the sheet"]
     assert (code, check["state"]) == (4, "fail"), check
     assert check["value"] == pytest.approx(4 / 6, abs=0.05)
-    assert "The marks ask for a voxel spacing along z that is 0.6" in check["sentence"]
+    assert "The marks imply a voxel spacing along z that is 0.6" in check["sentence"]
     assert "um for 6." in check["sentence"]
     assert check["sentence"] in " ".join(printed.split())
     sheet = results["layers"][0]["sheet"]
@@ -137,7 +137,7 @@ MAPPED = {
                           "clipped grey", "look", "where the scale was cut off"),
     "cut off in 12 bits": (cut_off_in_12_bits,
                            "clipped grey", "look", "have the grey 4095, where the scale was cut off"),
-    "dusty": (dusty, "dust, top", "look", "particles stand out of the top coating"),
+    "dusty": (dusty, "dust, top", "look", "particles stick out of the top coating"),
 }  # fmt: skip
 
 
@@ -193,7 +193,7 @@ def test_a_stack_of_the_wrong_hand(ended, specimen, specimen_files, tmp_path):
     code, results, checks, _ = ended("link", volume, specimen_files[1], "--mirror")
     found = [c for c in checks.values() if "side" in c["name"]]
     assert (code, [c["state"] for c in found]) == (4, ["fail"]), found
-    assert "goes with the coating of the bottom side" in found[0]["sentence"]
+    assert "correlates with the coating of the bottom side" in found[0]["sentence"]
     assert all(row["r"] is None for row in results["correlations"])
 
 

@@ -114,7 +114,7 @@ def test_what_is_said_and_with_which_light():
     assert right.sentence.endswith("um), expected error 6.0 um: agrees.")
     assert off.value == pytest.approx(8.0, abs=1.5)
     assert off.limit == pytest.approx(1.73 * np.hypot(0.3, np.hypot(*found.se_um)), rel=0.01)
-    assert "Such a shift of all marks together shows nowhere else" in off.sentence
+    assert "Nothing else shows a shift that all marks share" in off.sentence
     assert off.figures == ("position", "correlation")
     nothing = lag_of(a, pair(0.8, (0, 0), 41)[1], valid).check(3.0)
     assert nothing.state == "unknown"

@@ -46,7 +46,7 @@ def test_both_opinions_agree_on_even_maps_and_the_second_is_wider_on_uneven_ones
     level = np.exp(1.2 * gaussian_maps(rng, a.shape, 25.0, kind="gauss")[0])
     first, second = (f(a * level, b * level, pixel_um=3.0) for f in (correlate, second_opinion))
     assert second.ratio > 1.4
-    assert any("do not vary alike" in text for text in first.warnings)
+    assert any("vary unevenly" in text for text in first.warnings)
 
 
 def test_points_masks_and_what_is_withheld():

@@ -39,7 +39,7 @@ def test_the_side_that_the_image_shows_is_told_whatever_the_sign(shown, state, s
     check = found.check
     assert (check.state, found.side) == (state, shown)
     assert check.value * sign > check.limit
-    assert f"goes with the coating of the {shown} side (r = {sign * 0.7:.1f}" in check.sentence
+    assert f"correlates with the coating of the {shown} side (r = {sign * 0.7:.1f}" in check.sentence
     assert check.sentence.endswith("The top side was given.")
     if state == "fail":
         assert check.figures == ("coating_top", "coating_bottom", "topography_top", "topography_bottom", "correlation")
@@ -63,7 +63,7 @@ def test_what_cannot_be_told_is_said():
     assert "so both show one specimen" in judged(coated=(), thickness=maps["coating_top"] + field(9)).sentence
     both = judged(image=maps["coating_top"] + maps["coating_bottom"])
     assert both.state == "unknown"
-    assert "goes with both coatings" in both.sentence
+    assert "correlates with both coatings" in both.sentence
     assert "was assumed (--image-side not given)" in judged(given=False).sentence
     assert judged(coated=("bottom",), image=maps["coating_bottom"]).state == "look"
 

@@ -399,7 +399,7 @@ def test_what_both_left_when_they_were_killed_goes_at_the_next_start(run):
         applied._process.kill()
         end = ended(applied)
         assert end.state == "failed"
-        assert "ended without a word" in end.message
+        assert "ended unexpectedly" in end.message
         assert [p.name for p in run.parent.iterdir()] == ["run"]
         # As if the server had gone first.
         (run / orders.STAGING).mkdir()

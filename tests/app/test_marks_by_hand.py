@@ -25,7 +25,7 @@ def missed(draw, count, pixel_um):
 def rms(shown):
     """Residual of the fit that the page states."""
     settled(shown)
-    text = shown.page.get_by_text(re.compile("pairs, residual .*rms")).inner_text()
+    text = shown.page.get_by_text(re.compile("pairs in use, residual .*rms")).inner_text()
     return float(re.search(r"residual ([\d.]+) µm", text)[1])
 
 

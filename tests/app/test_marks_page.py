@@ -43,7 +43,7 @@ def test_the_table_shows_the_fit_of_the_run_and_is_walked_through(shown):
     at = [float(v) for v in shown.page.get_by_label(f"{VOLUME} centre, um", exact=True).input_value().split(",")]
     assert at == pytest.approx(ends(shown.rows())[-1, :2], abs=0.011)
     shown.page.get_by_label("Model", exact=True).select_option("similarity")
-    expect(shown.page.get_by_text(re.compile("^5 pairs, residual .*rms"))).to_be_visible()
+    expect(shown.page.get_by_text(re.compile("^5 pairs in use, residual .*rms"))).to_be_visible()
     rows = settled(shown)
     moving, fixed = ends(rows)[:, :2], ends(rows)[:, 2:]
     fit = fit_transform(moving, fixed, model="similarity", robust=False)

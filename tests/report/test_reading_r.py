@@ -40,7 +40,7 @@ def test_side_light_lag_and_strain_are_reconciled_beside_r() -> None:
     assert "A straight line explains r² = 64 % of the variance" in text
     assert "A perfect relation would show an r of 0.93 here; the rest is lost to misplacement." in text
     assert "62 % of what image and sheet share follows slopes" in text
-    assert "side light bears on r" in text
+    assert "side light affects r" in text
     assert "r would be largest, 0.85, with one map shifted by 19\u202fµm." in text
     assert "the light moves the peak, and the registration stands" in text
     assert "less than the 0.5" in text

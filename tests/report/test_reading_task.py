@@ -118,7 +118,7 @@ def test_a_reader_finds_what_how_sure_why_who_and_how_to_cite(signed_run, chromi
     # Whether light from one side explains it.
     light = reader.look_for(
         r"(\d+) % of what image and sheet share follows slopes of the face, as under light from one side: "
-        "too little to bear on r"
+        "too little to affect r"
     )
     assert int(light[1]) == round(100 * results.moving[0].registration.lag.light)
     assert reader.actions <= 2

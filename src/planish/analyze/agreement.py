@@ -248,10 +248,10 @@ def say_twice(agreement: Twice, evidence: EvidenceFacts, _: PairWords) -> Iterat
         yield f"{text}."
     if is_known(agreement.error_ratio):
         if not is_known(agreement.error_slope):
-            yield "No line between both: they do not vary together, or too few points are independent."
+            yield "No line is given: the two do not vary together, or too few points are independent."
             return
         yield (
-            "Line between both where each has errors (Deming, variances in a ratio of "
+            "Line with errors in both (Deming, variances in a ratio of "
             f"{number(agreement.error_ratio)}, as declared): slope {number(agreement.error_slope)} "
             f"({limits_text(agreement.error_interval) or 'no interval'})."
         )
@@ -328,7 +328,7 @@ def compare_instruments(
         try:
             n_eff = independent_points(*points, pixel_um=size).n_eff
             if math.isnan(n_eff):
-                raise CannotMeasure("How many points of the line are independent cannot be told.")
+                raise CannotMeasure("The number of independent points of the line is not known.")
             line = deming(*points, error_ratio=error_ratio, n_eff=n_eff)
         except CannotMeasure as error:
             notes.append(error.text)

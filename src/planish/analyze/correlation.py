@@ -31,6 +31,7 @@ LEAST = 3
 UNEVEN = 1.4
 """Standard error of the second opinion over that of the covariances, from which on maps do not vary alike."""
 
+_ORDER = "The first", "The second"
 _MOST_CELLS = 2**20
 
 
@@ -336,7 +337,7 @@ def _stated(sums: PairSums, cells: list[Floats], ranked: Floats, pitch_um: Pair,
     fields: dict[str, Any] = {"point_um": support_um, "n": sums.n, "r": r, "r2": r * r}
     fields |= {"slope": slope, "intercept": intercept, "slope_x_on_y": slope_x_on_y}
     if math.isnan(r):
-        warnings = [f"Map {name} is constant." for name, constant in zip("ab", sums.constant, strict=True) if constant]
+        warnings = [f"{which} map is constant." for which, flat in zip(_ORDER, sums.constant, strict=True) if flat]
         if sums.n < LEAST:
             warnings = [f"Only {sums.n} points are valid in both maps."]
         return Correlation(**fields, warnings=tuple(warnings))
@@ -345,8 +346,8 @@ def _stated(sums: PairSums, cells: list[Floats], ranked: Floats, pitch_um: Pair,
         rho = pearson(ranks(ranked[0]), ranks(ranked[1]))
         median_shares = (float(np.mean(values == np.median(values))) for values in ranked)
         warnings = [
-            f"{100 * median_share:.0f} % of the points of map {name} have one value."
-            for name, median_share in zip("ab", median_shares, strict=True) if median_share > 0.9
+            f"{100 * median_share:.0f} % of the points of {which.lower()} map have the same value."
+            for which, median_share in zip(_ORDER, median_shares, strict=True) if median_share > 0.9
         ]  # fmt: skip
     fields |= {"rho": rho, "mean_a": sums.means[0], "mean_b": sums.means[1]}
     fields |= _certainty(r, sums, cells, pitch_um, warnings)
@@ -378,7 +379,7 @@ def _certainty(
         error_ratio = max(pair.spatial_error(r_of_cells, reach)[1], 1.0)
     if error_ratio > UNEVEN:
         warnings.append(
-            f"The maps do not vary alike everywhere, which makes the interval {error_ratio:.1f} times as wide. Look at "
+            f"The maps vary unevenly, which makes the interval {error_ratio:.1f} times as wide. Look at "
             "them, and mask what does not belong."
         )
     variance_of_z, quantile = error_ratio**2 * pair.variance_of_z(r, sums.variances), float(special.ndtri(0.975))

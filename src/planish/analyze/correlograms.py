@@ -237,7 +237,7 @@ def say_correlogram(profiles: CorrelogramProfiles, *_: object) -> Iterator[str]:
         limit_text += ", and no lag reaches that"
     if not profiles.inner:
         reach_text = plain(round(profiles.reach_um))
-        yield f"Moved against each other, the maps have no summit of r within {reach_text}; {limit_text}."
+        yield f"Shifted against each other, the maps show no peak of r within {reach_text}; {limit_text}."
         return
     lag_y_text, lag_x_text = (fixed(v, 0 if abs(v) >= 10 else 1) for v in profiles.lag_um)
     width_text = ""
@@ -245,6 +245,6 @@ def say_correlogram(profiles: CorrelogramProfiles, *_: object) -> Iterator[str]:
         widths_text = " × ".join(fixed(v, 0) for v in profiles.widths_um)
         width_text = f" (width at half height {widths_text} µm)"
     yield (
-        f"Moved against each other, the maps agree best at a lag of {lag_x_text} µm along x and {lag_y_text} µm along "
-        f"y, with r = {fixed(profiles.peak_r, 2)}{width_text}; {limit_text}."
+        f"Shifted against each other, the maps agree best at a lag of {lag_x_text} µm along x and {lag_y_text} µm "
+        f"along y, with r = {fixed(profiles.peak_r, 2)}{width_text}; {limit_text}."
     )

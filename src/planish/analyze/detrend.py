@@ -43,8 +43,8 @@ def shared_trend(x: Floats, y: Floats, is_valid: Bools) -> str:
     spread = math.sqrt(float(detrended[0].var()) * float(detrended[1].var()))
     r = float(np.mean(detrended[0] * detrended[1])) / spread if spread > 0 else math.nan
     return (
-        f"Trends over the whole field hold {100 * shares[0]:.0f} % of map a and {100 * shares[1]:.0f} % of map b; "
-        f"without them r is {r:.2f}."
+        f"Trends over the whole field hold {100 * shares[0]:.0f} % of the variance of the first map and "
+        f"{100 * shares[1]:.0f} % of that of the second; without them r is {r:.2f}."
     )
 
 

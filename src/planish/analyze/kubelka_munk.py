@@ -372,9 +372,9 @@ def say_kubelka_munk(curve: KubelkaMunk, *_: object) -> Iterator[str]:
     density_hint = "" if curve.weight else " (in m²/kg with the density of the coating: --coating-density)"
     yield (
         f"{title}: the coating scatters with S = {number(curve.scattering)} {unit_text} "
-        f"({interval_text}){density_hint}, over a backing of {number(curve.backing)} ({backing_text}). S takes all "
-        "that follows the thickness for the light of the coating; errors of the thickness lower it, as they lower a "
-        "slope."
+        f"({interval_text}){density_hint}, over a backing of {number(curve.backing)} ({backing_text}). S counts all "
+        "that varies with the thickness as scattering in the coating; errors of the thickness lower it, as they lower "
+        "a slope."
     )
 
 

@@ -153,8 +153,8 @@ class Lag:
             )
         return judge(
             state="look",
-            sentence=f"B{offset}, {excess}. Such a shift of all marks together shows nowhere else.",
-            advice="Compare the outlines of maps and image; if it is real, take it off, or use marks at the face that "
+            sentence=f"B{offset}, {excess}. Nothing else shows a shift that all marks share.",
+            advice="Compare the outlines of maps and image; if it is real, correct it, or use marks at the face that "
             "the image shows.",
         )
 

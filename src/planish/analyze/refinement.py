@@ -315,7 +315,7 @@ def held_out_r(a: Floats, b: Floats, face: Floats | None, valid: Bools, pixel_um
     waves_text = f"ithout waves above {_COARSEST_UM / 1000:g} mm, "
     try:
         found = cross_fitted(a, b, tune, valid=valid, pixel_um=pixel_um)
-        text = f"Over tiles that had no part in the place, w{waves_text}{found.sentence.split(';')[0]}."
+        text = f"On held-out tiles, which had no part in the place, w{waves_text}{found.sentence.split(';')[0]}."
     except CannotMeasure:
         found = searched_null(a, tune, valid=valid, surrogates=19)
         text = f"W{waves_text}{found.sentence.rsplit(';', 1)[0]}."

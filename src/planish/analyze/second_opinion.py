@@ -1,6 +1,6 @@
 """An interval of r that asks nothing of the maps' covariances: a second opinion beside that of a correlation.
 
-It holds where the maps do not vary alike everywhere, and is too narrow where they reach far: the first one is used.
+It holds where the maps vary unevenly, and is too narrow where they reach far: the first one is used.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ def say_second_opinion(opinion: SecondOpinion, *_: object) -> Iterator[str]:
     """The second interval, where there is one."""
     if interval_text := limits_text(opinion.interval, decimals_of_r(opinion.interval)):
         is_uneven = opinion.ratio > UNEVEN
-        caveat = "the maps do not vary alike everywhere" if is_uneven else "it is too narrow where maps reach far"
+        caveat = "the maps vary unevenly" if is_uneven else "it is too narrow for maps with a long range"
         yield (
             f"Second opinion, from what single points of {plain(opinion.point_um)} add to r: {interval_text} "
             f"({fixed(opinion.critical, 2)} standard errors after Conley); {caveat}."

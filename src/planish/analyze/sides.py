@@ -16,6 +16,7 @@ from planish.core.checks import CORRELATION, POSITION, Check, State
 from planish.core.errors import SizeError
 from planish.core.facts import Side
 from planish.core.grid import Grid
+from planish.core.numbers import capital, with_article
 
 NAME = "side and specimen"
 Z_RELATED, Z_CLEAR = 4.5, 3.0
@@ -60,10 +61,9 @@ def image_of_sheet(texture: Textures, *, coated: Iterable[Side], side: Side, is_
     thin paper: what the other coating explains is taken off first (partial correlation). A face is the one if its
     ``|z|`` is above 4.5 and that of the other below 3, or smaller by 3 standard deviations of the difference.
     """
+    image = with_article(image)
     if "image" not in texture.maps:
-        return SideFound(
-            _check("unknown", f"Specimen: inconclusive, because the sheet and the {image} share no field.")
-        )
+        return SideFound(_check("unknown", f"Specimen: inconclusive, because the sheet and {image} share no field."))
     coatings = _faces(texture, {k: [f"coating_{k}"] for k in coated if f"coating_{k}" in texture.maps})
     side_text = f"The {side} side was {'given' if is_given else 'assumed (--image-side not given)'}"
     other: Side = "bottom" if side == "top" else "top"
@@ -72,10 +72,10 @@ def image_of_sheet(texture: Textures, *, coated: Iterable[Side], side: Side, is_
         end = f"; no coating is seen on the {other} side"
         if other_coating is not None:
             end = f"{_preposition(other_coating)} that of the {other} side ({other_coating})"
-        text = f"The {image} goes with the coating of the {side} side ({side_coating}){end}. {side_text}."
+        text = f"{capital(image)} correlates with the coating of the {side} side ({side_coating}){end}. {side_text}."
         return SideFound(_check("pass", text, side_coating), side)
     if other_coating is not None and _stands_out(other_coating, side_coating):
-        text = f"The {image} goes with the coating of the {other} side ({other_coating})"
+        text = f"{capital(image)} correlates with the coating of the {other} side ({other_coating})"
         advice = _TURN.format(side=other)
         if side_coating is not None:
             text += f"{_preposition(side_coating)} that of the {side} side ({side_coating}). {side_text}."
@@ -85,7 +85,7 @@ def image_of_sheet(texture: Textures, *, coated: Iterable[Side], side: Side, is_
         return SideFound(_check("look", text, other_coating, advice=advice, figures=_OF_SIDES), other)
     strongest_coating = max(coatings.values(), key=lambda k: abs(k.z), default=None)
     if strongest_coating is not None and abs(strongest_coating.z) > Z_RELATED:
-        text = f"Side: inconclusive, because the {image} goes with both coatings, the coating of the {side} side "
+        text = f"Side: inconclusive, because {image} correlates with both coatings, the coating of the {side} side "
         text += f"({side_coating}) and that of the {other} side ({other_coating}), {_ONE}."
         return SideFound(_check("unknown", text, strongest_coating))
     return _by_slopes_and_thickness(texture, coatings, side, side_text, image)
@@ -104,7 +104,7 @@ def _by_slopes_and_thickness(
     for face in (side, rivals[side]):
         if face in slopes and _stands_out(slopes[face], slopes.get(rivals[face])):
             not_coatings_text = f", not with the coatings ({tried_text})" if tried_text else ""
-            text = f"The {image} goes with the slopes of the {face} face, as light from one side shows them "
+            text = f"{capital(image)} correlates with the slopes of the {face} face, as light from one side shows them "
             text += f"({slopes[face]}){not_coatings_text}. {side_text}."
             if face == side:
                 return SideFound(_check("pass", text, slopes[face]), face)
@@ -118,10 +118,10 @@ def _by_slopes_and_thickness(
     best_map = max(relations, key=lambda k: abs(relations[k].z), default=None)
     specimen_text, figures = _NO_WORD, _OF_A_SPECIMEN
     if best_map is not None and abs(relations[best_map].z) > Z_RELATED:
-        specimen_text = f"it goes with the {best_map.replace('_', ' ')} of the sheet ({relations[best_map]}), {_ONE}"
+        specimen_text = f"it correlates with the {best_map.replace('_', ' ')} ({relations[best_map]}), {_ONE}"
         figures = (CORRELATION,)
     if side in coatings:
-        text = f"The {image} goes with no coating ({tried_text}; {Z_RELATED} is needed), and {specimen_text}."
+        text = f"{capital(image)} correlates with no coating ({tried_text}; needed: {Z_RELATED}), and {specimen_text}."
         advice = "Compare map and image by eye: is it this specimen, this place, and a side that shows its coating?"
         strongest_coating = max(coatings.values(), key=lambda k: abs(k.z))
         return SideFound(_check("look", text, strongest_coating, advice=advice, figures=figures))
@@ -173,8 +173,8 @@ def two_sheets(texture: Textures, names: tuple[str, str], *, coated: Iterable[Si
     tried = "; ".join(f"{k} {v}" for k, v in (("coatings", same), ("thickness", whole)) if v is not None)
     if not tried:
         return _check("unknown", f"Specimen: inconclusive, because {a} and {b} have no map in common.")
-    text = f"No map of {a} goes with that of {b} ({tried}; {Z_RELATED} is needed): {_NO_WORD}."
-    advice = "Either they are not the same piece of paper, or they do not lie on each other, or one is measured badly."
+    text = f"No map of {a} correlates with that of {b} ({tried}; {Z_RELATED} is needed): {_NO_WORD}."
+    advice = "Either they are not the same piece of paper, or they are not aligned, or one is badly measured."
     return _check("look", text, same or whole, advice=advice, figures=_OF_A_SPECIMEN)
 
 
@@ -317,7 +317,7 @@ def holes_and_texture(apart_um: float, expected_um: float) -> Check:
     if apart_um <= limit_um:
         return judged
     text += f", more than both errors allow ({limit_um:.1f} um)."
-    advice = "Light from one side, holes that lean, or marks of another place: compare both by --by holes and texture."
+    advice = "Light from one side, tilted holes, or marks of another place: compare both by --by holes and texture."
     return judged.model_copy(update={"state": "look", "sentence": text, "advice": advice})
 
 

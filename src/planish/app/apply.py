@@ -26,7 +26,7 @@ _SHARE_BEFORE = {  # Share of the work that is behind it when a stage begins, by
     "link": 0.5, "correlate": 0.65, "write": 0.88,
 }  # fmt: skip
 _LOST_MESSAGE = (
-    "The process that made the run ended without a word, most likely because the memory was used up. Close other "
+    "The process that made the run ended unexpectedly, most likely because it ran out of memory. Close other "
     "programs and apply it again."
 )
 

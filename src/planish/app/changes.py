@@ -295,7 +295,7 @@ def _without(elements: tuple[T, ...], element_id: str) -> tuple[T, ...]:
 def _element_of_id(elements: tuple[T, ...], element_id: str) -> T:
     element = next((element for element in elements if element.id == element_id), None)
     if element is None:
-        raise ChangeError(f"{element_id} is not there any more. The page shows what is.")
+        raise ChangeError(f"{element_id} no longer exists. The page shows the current state.")
     return element
 
 

@@ -44,7 +44,7 @@ class MarkFile(Part):
         try:
             return base64.b64decode(self.base64, validate=True)
         except ValueError as error:
-            raise ChangeError(f"This is no base64: {error}.") from error
+            raise ChangeError(f"This is not base64: {error}.") from error
 
 
 def imported(session: Session, layer: str, file: MarkFile, fixed_file: MarkFile | None = None) -> Import:

@@ -136,7 +136,7 @@ class Fitted:
             um_text = and_join_few([f"{um:.0f}" for um in errors_um[order]])
             stand, they_are, them = ("stand", "they are", "them") if outliers.size > 1 else ("stands", "it is", "it")
             advice = f"Check where {they_are} set, or take {them} out of use."
-            return f"{labels} {stand} out: {um_text} um off the others. {advice}"
+            return f"{labels} {stand} out: {um_text} um from where the others put {them}. {advice}"
         if self.error:
             return self.error
         return "" if self.fit is None else self.fit.agreement([mark.label for mark in self.pairs if mark.used])
@@ -221,10 +221,11 @@ def fitted(
     is_rejected[is_used] = fit.robust_weights == 0
     for k, mark in enumerate(pairs):
         if is_rejected[k]:
-            text = f"{residual_um[k]:.0f} um off: does not agree with the others and is left out of the fit."
+            text = f"{residual_um[k]:.0f} um off: does not agree with the others, so the fit gives it no weight."
             warnings.append(FitWarning(id=mark.id, text=text))
         elif is_outlier[k]:
-            warnings.append(FitWarning(id=mark.id, text=f"Stands out: {leave_one_out_um[k]:.0f} um off the others."))
+            text = f"Stands out: {leave_one_out_um[k]:.0f} um from where the others put it."
+            warnings.append(FitWarning(id=mark.id, text=text))
     # Those of the fit that are about single marks stand beside them already.
     mark_phrases = "(counted from 1)", "marks only"
     warnings += [FitWarning(text=text) for text in fit.warnings if not any(phrase in text for phrase in mark_phrases)]

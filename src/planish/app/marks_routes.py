@@ -174,7 +174,7 @@ def get_predict(request: Request) -> Response:
         raise ChangeError("A point is predicted of side=moving or side=fixed.")
     (x,), (y,) = required_numbers(request, "x", 1), required_numbers(request, "y", 1)
     if max(abs(x), abs(y)) > FARTHEST_UM:
-        raise ChangeError(f"({x:g}, {y:g}) is no place in um.")
+        raise ChangeError(f"({x:g}, {y:g}) is not a place in um.")
     prediction = live.fit(_layer_name(request)).predicted(side, (x, y))
     if prediction is None:
         return JSONResponse(None)

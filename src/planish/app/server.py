@@ -114,9 +114,9 @@ class Guard:
         if scope["method"] in ("GET", "HEAD"):
             return
         if scope["method"] != "POST" or not is_data:
-            raise Refused(405, "There is nothing to be written so.")
+            raise Refused(405, "Nothing can be written at this address.")
         if single("origin") != f"http://{host}":
-            raise Refused(403, "Another page may change nothing here.")
+            raise Refused(403, "Another page cannot change anything here.")
         if single("content-type").partition(";")[0].strip().lower() != "application/json":
             raise Refused(415, "JSON is needed, as application/json.")
         length = single("content-length") or "0"

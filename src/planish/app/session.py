@@ -229,7 +229,7 @@ class Session:
     def _save(self, journal_line: bytes, version: int | None) -> State:
         with self._lock:
             if version is not None and version < self.changed_at:
-                raise Stale("Something was changed in another window meanwhile. What stands now is shown; do it again.")
+                raise Stale("Something was changed in another window meanwhile. The page shows it; do it again.")
             self._step(journal_line, save=True)
             return self.state
 
@@ -300,7 +300,7 @@ def _image_params(run: Path, image: ImageParams | None, results: Results) -> Ima
     if image is None or path is None:
         raise FileError(f"{run} holds the map of one sheet. Give the image as well: planish view {run} IMAGE")
     if not path.is_file():
-        raise FileError(f"{path} is no file. Give the image of the sheet.")
+        raise FileError(f"{path} is not a file. Give the image of the sheet.")
     options = image.model_dump(exclude_unset=True) | {"path": str(path.resolve())}
     recorded = noted_study(run)
     for layer in () if recorded is None else recorded.layers:

@@ -212,7 +212,7 @@ def _shown_corrections(request: Request, layer: str) -> Corrections | None:
     try:
         trial = Stretch.model_validate({"id": "tried", "points": points, "reach_um": reach_um or REACH_UM})
     except ValueError as error:
-        raise InputError("These are no points of a face: z, y, x in um and top or bottom.") from error
+        raise InputError("These are not points of a face: z, y, x in um and top or bottom.") from error
     return saved.model_copy(update={"stretches": (*saved.stretches, trial)})
 
 

@@ -52,7 +52,7 @@ def clipped_grey(rule: CheckRule, scan: GreyScan) -> Check:
     crowd_text = f"{100 * spike_share:.2g} % of the voxels around the sheet have the grey {end_grey:.5g}"
     make_check = functools.partial(rule.check, value=spike, limit=SPIKE)
     if not (spike > SPIKE and spike_share > SHARE):
-        sentence = "The grey scale does not end at the sheet: no grey is crowded at the end where the sheet lies."
+        sentence = "The grey scale does not end at the sheet: no grey value piles up at the end where the sheet lies."
         return make_check("pass", sentence, figures=())
     if not is_inside and spike_share < 0.02:
         sentence = f"{crowd_text}, where the scale was cut off; the {layer} lies well inside ({layer_grey:.4g})."

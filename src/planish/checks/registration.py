@@ -7,6 +7,7 @@ import xarray as xr
 
 from planish.core.checks import Check, CheckRule
 from planish.core.grid import Grid
+from planish.core.numbers import with_article
 from planish.marks.find import REASONS
 from planish.register import FittedTransform
 from planish.results import LayerFacts, LinkedArea, RegistrationFacts
@@ -63,7 +64,7 @@ def marks(rule: CheckRule, registered: RegisteredLayer) -> Check:
     if loo_um is None:
         return rule.check(
             "unknown", units="um", advice="Add marks.",
-            sentence=f"{registered.facts.matched} marks leave none over to check the registration with. "
+            sentence=f"With {registered.facts.matched} marks, none is left to check the registration. "
             f"{registered.agreement}",
         )  # fmt: skip
     check = rule.at_most(
@@ -81,7 +82,7 @@ def scale(rule: CheckRule, registered: RegisteredLayer) -> Check:
     """Judge whether the calibrations of both layers agree."""
     return rule.at_most(
         abs(registered.facts.scale - 1), look=0.03, units="share",
-        sentence=f"The marks ask for a scale of {registered.facts.scale:.4f}.",
+        sentence=f"The marks imply a scale of {registered.facts.scale:.4f}.",
         advice="The calibrations do not agree. Check the voxel and the pixel size.",
     )  # fmt: skip
 
@@ -145,7 +146,7 @@ def holes_of_layer(rule: CheckRule, detected: DetectedHoles) -> Check:
         openings = (
             "1 opening as large as a hole is" if n_openings == 1 else f"{n_openings} openings as large as holes are"
         )
-        sentence += f" {openings} not round enough for one."
+        sentence += f" {openings} not round enough to be one."
     check = rule.at_most(
         n_not_measured + n_doubtful, look=0, sentence=sentence,
         figures=rule.figures if n_doubtful else rule.figures[:1],
@@ -163,10 +164,10 @@ def common_field(rule: CheckRule, layer: LayerFacts) -> Check | None:
     """Judge whether a layer and the reference have a field in common."""
     if layer.registration is None:
         return None
-    share = layer.share_of_reference or 0.0
+    share, reference = layer.share_of_reference or 0.0, layer.registration.path[-1]
     return rule.at_least(
         share, look=0.05, units="share",
-        sentence=f"{100 * share:.1f} % of the {layer.registration.path[-1]} shows the {layer.name}.",
+        sentence=f"{100 * share:.1f} % of {with_article(reference)} shows {with_article(layer.name)}.",
         advice="Give the part of the reference that shows the specimen.",
     )  # fmt: skip
 
@@ -186,16 +187,16 @@ def holes_without_partner(rule: CheckRule, linked: HolesOnSheet) -> Check:
         core_thickness = thickness[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1].values
         if np.isfinite(core_thickness)[is_inside].mean() > 0.7:
             whole_labels.append(str(label))
-    n_unpaired, layer, reference = unpaired.sizes["mark"], linked.layer, linked.reference
-    text = f"{n_unpaired} of the {reference}'s holes have no partner, and none of them lies where the {layer} is whole."
+    n_unpaired, layer, reference = unpaired.sizes["mark"], with_article(linked.layer), with_article(linked.reference)
+    text = f"{n_unpaired} holes of {reference} have no partner, and none of them lies where {layer} is intact."
     if whole_labels:
         verb = "lies" if len(whole_labels) == 1 else "lie"
-        text = f"{', '.join(whole_labels)} of the {reference} {verb} where the {layer} has no hole."
+        text = f"{', '.join(whole_labels)} of {reference} {verb} where {layer} has no hole."
     elif n_unpaired == 0:
-        text = f"Every hole of the {reference} has a partner."
+        text = f"Every hole of {reference} has a partner."
     return rule.at_most(
         len(whole_labels), look=0, sentence=text,
-        advice="Either that is no hole, or the two do not lie on each other there. Look at both, and at the order and "
+        advice="Either that is not a hole, or the two are not aligned there. Look at both, and at the order and "
         "spacing of the slices.",
     )  # fmt: skip
 

@@ -188,11 +188,11 @@ def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
             advice="Crop the volume to one sheet, or choose it with --seed-um.",
         )  # fmt: skip
     split_text = ": it is split, or two sheets lie on each other."
-    end_text = split_text if n_dark >= _SPLIT_TILES else ". Nowhere is a second sheet."
+    end_text = split_text if n_dark >= _SPLIT_TILES else ". No second sheet was found."
     return rule.at_most(
         n_dark, fail=_SPLIT_TILES - 1, units="tiles",
         sentence=f"Tiles of {TILE_UM:g} um with air inside the base: {n_dark} side by side at most{end_text}",
-        advice="Look at the slices. Crop the volume to one sheet that is whole.",
+        advice="Look at the slices. Crop the volume to one intact sheet.",
     )  # fmt: skip
 
 
@@ -220,7 +220,7 @@ def dust(rule: CheckRule, scan: ScannedSheet, *, side: Side) -> Check | None:
     covered_percent = 100 * float(particles.mask.sum()) / max(int(np.isfinite(coating).sum()), 1)
     return rule.at_most(
         particles.per_mm2, look=1.0, units="1/mm2",
-        sentence=f"{particles.n_particles} particles stand out of the {side} coating, {particles.per_mm2:.2g} a mm², "
+        sentence=f"{particles.n_particles} particles stick out of the {side} coating, {particles.per_mm2:.2g} per mm², "
         f"on {covered_percent:.2g} % of it.",
         advice="Blow the specimen clean and scan it again, or leave the particles out of the map.",
     )  # fmt: skip

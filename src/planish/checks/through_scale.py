@@ -136,7 +136,7 @@ def judge_marks(rule: CheckRule, sheet: RegisteredSheet, marks: ThroughScale, sl
             f"voxel spacing of {stated_um:.4g} um along {axis} is right: they agree with {times_text} times that.",
         )  # fmt: skip
     sentence = (
-        f"The marks ask for a voxel spacing along {axis} that is {marks.scale:.3g} ± {scale_error:.2g} times the "
+        f"The marks imply a voxel spacing along {axis} that is {marks.scale:.3g} ± {scale_error:.2g} times the "
         f"stated one: {marks.scale * stated_um:.3g} um for {stated_um:.4g}."
     )
     state: State = "pass"
@@ -155,7 +155,7 @@ def _explained(marks: ThroughScale, slope: SlopeScale) -> tuple[State, str]:
     """Whether it is the spacing or a stretch along the slope, and what speaks for it."""
     do_agree = abs(slope.scale - marks.scale) < _BEYOND * np.hypot(slope.error, max(marks.error, _NATURAL))
     if slope.excludes_one and do_agree:
-        return "fail", f" Thickness against slope asks for the same ({slope})."
+        return "fail", f" Thickness against slope implies the same ({slope})."
     # Paper does not strain by more than 1 %, and pixels that are not square are seldom: that counts ten to one.
     is_clear = marks.over_stretch > (_CLEARLY / 2 if marks.stretch > 0.01 else _CLEARLY)
     if is_clear and marks.without_any > _CLEARLY / 2:

@@ -106,6 +106,11 @@ def interval_text(limits: Pair | None, decimals: int = 2) -> str:
     return " to ".join(fixed(end, decimals) for end in limits) if limits is not None and is_known(limits) else NONE
 
 
+def with_article(layer: str) -> str:
+    """Put a layer into a sentence: those without a name of their own are called by what they are."""
+    return f"the {layer}" if layer in ("volume", "image", "sheet") else layer
+
+
 def limits_text(limits: Pair, decimals: int = 2) -> str:
     """Write the ends of a 95 % interval; nothing where there is none."""
     return f"95 %: {interval_text(limits, decimals)}" if is_known(limits) else ""

@@ -31,13 +31,13 @@ def draw_scale(
     _draw_octaves(canvas, evidence)
     n = evidence.sizes[0].n if evidence.sizes else 0
     return canvas.picture(
-        title=f"At which scale {names[0]} and {names[1]} go together",
+        title=f"Scales at which {names[0]} and {names[1]} are correlated",
         caption=(
             "Left, correlation over points of growing size; lines, the 95 % interval of each size by itself; shaded, "
-            "the band that holds the whole curve with 95 %. Right, squared coherence by octaves of wavelength, "
-            "corrected for chance, with a full dot where it is certain among all octaves (p below 0.05 after Šidák); "
+            "the 95 % band of the whole curve. Right, squared coherence by octaves of wavelength, "
+            "corrected for chance, with a filled dot where it is significant among all octaves (p below 0.05, Šidák); "
             "gain, change of the second map per change of the first in the octave. Larger points average noise away, "
-            "so r may rise although nothing more is explained; coherence is of each octave alone. "
+            "so r may rise although nothing more is explained; coherence is that of each octave alone. "
             f"n = {count(n)} at the smallest size. Mask: measured, without {excluded_text}. "
             f"{capital(registered)}."
         ),
@@ -163,11 +163,11 @@ def draw_correlogram(profiles: CorrelogramProfiles, *, names: tuple[str, str], e
         axes.curve(profile.lags_um, profile.r, colour=ACCENT, width=2.2)
         canvas.ticks(axes, f"lag along {axis} / µm", "r")
     return canvas.picture(
-        title=f"{capital(names[0])} moved against {names[1]}",
+        title=f"{capital(names[0])} shifted against {names[1]}",
         caption=(
-            "Correlation of both maps where the second is moved along x (left) and along y (right). Shaded: what "
-            "unrelated maps of these textures exceed at a given lag with 1 %; dashed: what they exceed at any of all "
-            "lags with 1 %. Each lag has the pairs and means of its own overlap; a profile is one line through all "
+            "Correlation of both maps with the second shifted along x (left) and along y (right). Shaded: the |r| "
+            "that 1 % of unrelated maps of these textures exceed at a given lag; dashed: that 1 % of them exceed at "
+            "any lag. Each lag has the pairs and means of its own overlap; a profile is one line through all "
             f"lags, whose largest r may lie beside it. Means over {_cell_text(profiles.cell_um)} µm, where both are "
             f"valid: without {excluded_text}."
         ),

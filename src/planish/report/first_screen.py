@@ -9,13 +9,13 @@ import numpy as np
 import xarray as xr
 
 from planish.core.facts import is_known
-from planish.core.numbers import capital, fixed, interval_text, typeset
+from planish.core.numbers import capital, fixed, interval_text, typeset, with_article
 from planish.report.colours import Array, colours_of
 from planish.report.draw import BELOW, MARGIN, THIRD, Canvas, Picture, n_of, pixel_of, reduced
 from planish.report.maps import RunMaps
 from planish.report.relation import MapPair, draw_points, largest
 from planish.report.summary import PairKey, key_of, lead_pair, titles_of
-from planish.report.text import BY_TEXTURE, for_readers, label_of, names_option, registered_by, title_of, with_article
+from planish.report.text import BY_TEXTURE, for_readers, label_of, names_option, registered_by, title_of
 from planish.results import CorrelationRow, Results
 
 if TYPE_CHECKING:

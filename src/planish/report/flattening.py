@@ -20,10 +20,11 @@ def draw_flattening(
         scale = limits(needed_percent, GEOMETRY, percent=0.1, low=0.0)
         canvas, _ = draw.draw_map(needed_percent, y, x, scale=scale, label="strain needed / %")
         pictures.append(canvas.picture(
-            title="Strain that the curvature asks for",
+            title="Strain that the curvature requires",
             caption=f"Strain with which a patch of {length(2 * curvature.patch_um)} around each place would lie flat, "
-            f"from the Gaussian curvature; paper carries {100 * curvature.limit:g} %. n = {draw.n_of(needed_percent)} "
-            f"cells of {draw.pixel_of(y, x)}; unit %; mask: cells with at least half of the patch on the sheet.",
+            f"from the Gaussian curvature; paper withstands {100 * curvature.limit:g} %. "
+            f"n = {draw.n_of(needed_percent)} cells of {draw.pixel_of(y, x)}; unit %; mask: cells with "
+            "at least half of the patch on the sheet.",
         ))  # fmt: skip
     return pictures
 

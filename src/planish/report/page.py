@@ -18,7 +18,7 @@ from planish.analyze.correlation_evidence import PairWords, Section, sentences
 from planish.core.arrays import check_path, not_taken
 from planish.core.facts import is_known
 from planish.core.files import write_whole
-from planish.core.numbers import in_words
+from planish.core.numbers import in_words, with_article
 from planish.core.tables import table_text
 from planish.marks.exchange.model import points_of
 from planish.report import (
@@ -279,7 +279,7 @@ def _valid_values(maps: xr.Dataset, name: str) -> xr.DataArray:
 
 
 def _map_in_words(map_data: xr.DataArray, layer: LayerFacts) -> str:
-    layer_text, title = text.with_article(layer.name), in_words(text.title_of(map_data))
+    layer_text, title = with_article(layer.name), in_words(text.title_of(map_data))
     if layer.kind == "image":
         return layer_text
     return title if layer_text != layer.name else f"{title} of {layer.name}"

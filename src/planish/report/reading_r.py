@@ -66,7 +66,7 @@ def _bearing_texts(evidence: EvidenceFacts | None, moving: LayerFacts | None) ->
     lag = None if registration is None else registration.lag
     texts: list[str] = []
     if lag is not None and is_known(lag.light):
-        weight = "side light bears on r" if lag.light >= SIDE_LIGHT else "too little to bear on r"
+        weight = "side light affects r" if lag.light >= SIDE_LIGHT else "too little to affect r"
         texts.append(
             f"{100 * lag.light:.0f} % of what image and sheet share follows slopes of the face, as under light from "
             f"one side: {weight}."
@@ -78,7 +78,7 @@ def _bearing_texts(evidence: EvidenceFacts | None, moving: LayerFacts | None) ->
         strain, limit = moving.sheet.flatten.edge_strain_p95 or 0.0, moving.sheet.flatten.curvature.limit
         texts.append(
             f"Flattening strains the sheet by {percent(strain, 2)} (95 % of its edges), "
-            f"{'less' if strain < limit else 'more'} than the {percent(limit, 1)} that paper carries."
+            f"{'less' if strain < limit else 'more'} than the {percent(limit, 1)} that paper withstands."
         )
     return texts
 

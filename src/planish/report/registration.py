@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from planish.analyze import LagNumbers
 from planish.core.facts import is_known
-from planish.core.numbers import capital, count, in_words, length, plain
+from planish.core.numbers import capital, count, in_words, length, plain, with_article
 from planish.marks.exchange.model import paired, points_of
 from planish.report import draw
 from planish.report.colours import GEOMETRY, GREYS, Array, Scale, limits
-from planish.report.text import title_of, with_article
+from planish.report.text import title_of
 from planish.results import RegistrationFacts
 
 ARROW, EDGE = "#ff5238", "#39c5ff"

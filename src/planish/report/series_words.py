@@ -27,14 +27,14 @@ def lead(results: SeriesResults) -> str:
         same_quantity = [d for d in results.differences if d.quantity == results.differences[0].quantity]
         sentences = [difference(d, results) for d in same_quantity[:_LED]]
         if len(same_quantity) > _LED:
-            sentences.append(f"{len(same_quantity) - _LED} more of this quantity stand below.")
+            sentences.append(f"{len(same_quantity) - _LED} more of this quantity are listed below.")
         verdicts = [d.verdict for d in results.differences]
         n_differences, n_differ, n_unknown = len(verdicts), verdicts.count("differ"), verdicts.count("unknown")
         if n_unknown == n_differences > 1:
-            sentences.append(f"None of {n_differences} differences can be told.")
+            sentences.append(f"None of {n_differences} differences is known.")
         elif n_differences > 1:
             differ_text = "none is" if n_differ == 0 else "1 is" if n_differ == 1 else f"{n_differ} are"
-            unknown_text = f"; {n_unknown} cannot be told" if n_unknown else ""
+            unknown_text = f"; {n_unknown} not known" if n_unknown else ""
             sentences.append(f"Of {n_differences} differences, {differ_text} distinguishable after Holm{unknown_text}.")
         return " ".join(sentences)
     groups = [g for g in results.groups if g.fields]
@@ -149,7 +149,7 @@ def difference(d: DifferenceFacts, results: SeriesResults) -> str:
     quantity_text, names = typeset(q.title), f"{first} and {second}"
     if not is_known(d.interval):
         reason = d.reason or "no figure counts"
-        return capital(f"{group_text}whether {names} differ in {quantity_text} cannot be told: {reason}.")
+        return capital(f"{group_text}it is not known whether {names} differ in {quantity_text}: {reason}.")
     verb = "differ" if d.verdict == "differ" else f"are {verdict(d)}"
     change_text, equivalence_text = with_units(signed(d, q), q, change=True), ""
     if d.equivalence is not None and d.equivalence.verdict != "unknown":
@@ -200,7 +200,7 @@ def equivalent(d: DifferenceFacts, q: Quantity) -> str:
         "equivalent": f"equivalent within ± {margin}",
         "larger": f"larger than ± {margin}",
         "undecided": f"undecided at ± {margin}",
-        "unknown": f"± {margin}: cannot be told",
+        "unknown": f"± {margin}: not known",
     }[e.verdict]
     return verdict_text + (f" (90 %: {interval(e.interval, q)}; p {p_text(e.p)})" if is_known(e.interval) else "")
 
@@ -261,6 +261,6 @@ def declared(results: SeriesResults) -> list[tuple[str, str]]:
         ("Maps", ", ".join(dict.fromkeys(q.map for q in results.quantities)) or NONE),
         ("Margins", ", ".join(f"{k} {v:g}" for k, v in margins.items()) if isinstance(margins, dict) and margins
          else "none declared"),
-        ("Doubtful figures", "take part" if options.get("doubtful") else "take part in nothing"),
+        ("Doubtful figures", "included" if options.get("doubtful") else "left out"),
         ("Sheets", "named in the table" if results.sheets_given else "not all named: see the cautions"),
     ]  # fmt: skip

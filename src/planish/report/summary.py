@@ -5,12 +5,13 @@ from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
 from planish.analyze import LagNumbers
+from planish.core import numbers
 from planish.core.checks import State
 from planish.core.facts import Trust, is_known
 from planish.core.numbers import NONE, capital, count, fixed, in_words, length, number, percent, plain, typeset, unit
 from planish.report.relation import largest, written_difference
 from planish.report.statement import r2_interval_text, r2_text, r_interval_text, r_text
-from planish.report.text import registered_by, with_article
+from planish.report.text import registered_by
 from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results
 
 Titles = Mapping[tuple[str, str], str]  # layer and map -> title of the map
@@ -121,7 +122,7 @@ def density_of(results: Results, row: CorrelationRow) -> float | None:
 def quantities(results: Results) -> list[str]:
     """Say of every image what its values are."""
     images = [(layer.name, layer.image) for layer in results.layers if layer.image is not None]
-    texts = [f"{capital(with_article(name))}: {typeset(image.sentence)}." for name, image in images]
+    texts = [f"{capital(numbers.with_article(name))}: {typeset(image.sentence)}." for name, image in images]
     if any(image.quantity != "reflectance" for _, image in images):
         texts.append("Relative grey is the brightness that the file holds: larger is brighter, in no physical unit.")
     return texts
@@ -167,7 +168,7 @@ def _pair_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure
     loo_um, marks_text = None, NONE
     held_out = None if marks is None else marks.held_out
     if held_out is not None:
-        sentence = f"{held_out.sentence} With the place tuned on both: {sentence}"
+        sentence = f"{held_out.sentence} With the place fitted to both: {sentence}"
     if marks is not None:
         loo_um, marks_text, e = marks.leave_one_out_rms_um, f"rms of {marks.matched} marks", marks.expected_error
         sentence += (
@@ -184,8 +185,8 @@ def _pair_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure
     ]
     if held_out is not None and rows and rows[0].trust == "ok":
         low, high = held_out.interval or (None, None)
-        note = f"95 %: {low:.2f} to {high:.2f}" if is_known(low) and is_known(high) else "beside a searched null"
-        label = "r that was not tuned" if is_known(low) else "r after the search"
+        note = f"95 %: {low:.2f} to {high:.2f}" if is_known(low) and is_known(high) else "beside unrelated maps"
+        label = "r on held-out tiles" if is_known(low) else "r after the search"
         r_figures = [KeyFigure(number(held_out.r, 2), "", label, f"{note}; without waves above 1 mm"), r_figures[0]]
     return sentence, [*r_figures, KeyFigure(number(loo_um, 2), "µm", "leave-one-out error", marks_text)]
 
@@ -202,7 +203,7 @@ def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles
     pixel, row = pair_rows[0], largest(pair_rows)
     is_image = results.layer(pixel.b).kind == "image"
     are_images = is_image and results.layer(pixel.a).kind == "image"
-    a, b = (with_article(pixel.a), with_article(pixel.b)) if are_images else names_in_words(pixel, titles)
+    a, b = map(numbers.with_article, (pixel.a, pixel.b)) if are_images else names_in_words(pixel, titles)
     if pixel.trust != "ok":
         return f"The correlation of {a} and {b} {doubt(results, pixel.trust, (pixel.a, pixel.b))}."
     if not are_images:
@@ -211,11 +212,11 @@ def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles
     if is_known(row.n_eff):
         points_text += f", {count(round(row.n_eff))} of them independent"
     if not is_known(row.interval):
-        return f"Nothing is claimed about {a} and {b}: of {points_text} ({registered_by(results)})."
+        return f"No statement on {a} and {b} is possible: {points_text} ({registered_by(results)})."
     interval = f"a 95 % interval of {r_interval_text(row)}"
     limits_text = f"r = {r_text(row)} with {interval}, over {points_text} ({registered_by(results)})."
     if not row.direction:
-        return f"No relation of {b} with {a} is certain: {limits_text}"
+        return f"It is not certain that {b} is related to {a}: {limits_text}"
     comparative = (("brighter", "darker") if is_image else ("larger", "smaller"))[row.direction < 0]
     title = titles.get((pixel.b, pixel.b_map)) if is_image else None
     title_text = f" ({title[:1].lower()}{title[1:]})" if title else ""

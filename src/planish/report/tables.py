@@ -67,14 +67,14 @@ def comparison_sentence(results: Results) -> str:
         f"better projection ({best.registration})"
     )
     if not is_known(best.difference_interval):
-        return f"{text}; whether they differ cannot be told."
+        return f"{text}; it is not known whether they differ."
     low, high = best.difference_interval
     verdict = "not distinguishable" if low <= 0 <= high else "distinguishable"
     text += f": {verdict}; r changes by {fixed(best.difference, 3)} (95 %: {interval_text((low, high), 3)})."
     # Slopes brighten one side of a thick place, and a shift can raise r.
     lag = next((layer.registration.lag for layer in results.layers if layer.registration is not None), None)
     if lag is not None and lag.light >= SIDE_LIGHT:
-        share_text = f"{100 * lag.light:.0f} % of what it shares with the sheet needs them"
+        share_text = f"{100 * lag.light:.0f} % of what it shares with the sheet is slopes alone"
         text += (
             f" The image also shows the slopes of the face, as light from one side does ({share_text}): then a map "
             "that is displaced towards the light can have a larger r. Judge the registration by its marks."

@@ -26,11 +26,6 @@ def registered_by(results: Results) -> str:
     return BY_TEXTURE if "texture" in sources else BY_BOTH if "both" in sources else REGISTERED
 
 
-def with_article(layer: str) -> str:
-    """Put a layer into a sentence: those without a name of their own are called by what they are."""
-    return f"the {layer}" if layer in ("volume", "image", "sheet") else layer
-
-
 _OPTION = re.compile(r"(?<![\w-])--[a-z]")
 _IN_BRACKETS = re.compile(r" \([^()]*(?<![\w-])--[a-z][^()]*\)")
 _SENTENCE_END = re.compile(r"(?<=[.?!]) (?=[A-Z])")
@@ -63,7 +58,7 @@ def template(package: str, name: str) -> Template:
     filters: dict[str, Any] = {name: getattr(numbers, name) for name in filter_names}
     filters |= {"length_um": numbers.length, "limit": numbers.with_unit}
     filters |= {"typeset": for_readers, "names_option": names_option}
-    filters |= {"is_known": is_known, "with_article": with_article}
+    filters |= {"is_known": is_known, "with_article": numbers.with_article}
     environment.filters.update(filters)
     return environment.get_template(name)
 

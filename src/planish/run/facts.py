@@ -14,6 +14,7 @@ from planish.core.bands import read_bands, thinned
 from planish.core.checks import concerned
 from planish.core.facts import InputFile, Side, is_known
 from planish.core.grid import Grid, pitch
+from planish.core.numbers import capital, with_article
 from planish.core.tables import table_text
 from planish.core.typing import Bools
 from planish.io import fingerprint
@@ -145,11 +146,11 @@ def _orientation_facts(moving: Layer, fixed: Layer, fit: FittedTransform) -> Ori
         x, y = fit.transform.matrix() @ (np.cos(angle_rad), np.sin(angle_rad))
         md_fixed_deg = float(np.rad2deg(np.arctan2(y, x)) % 180.0)
     sentences = [
-        f"The {layer.name} shows the {layer.side} side of the sheet, as given."
+        f"{capital(with_article(layer.name))} shows the {layer.side} side of the sheet, as given."
         if layer.side_given is not None
-        else f"Side of the {layer.name} not given; its texture was found mirrored, so it shows the bottom side."
+        else f"Side of {with_article(layer.name)} not given; its texture is mirrored, so it shows the bottom side."
         if layer.side_found is not None
-        else f"Side of the {layer.name} not given; top side assumed (--image-side)."
+        else f"Side of {with_article(layer.name)} not given; top side assumed (--image-side)."
         for layer in (moving, fixed)
         if layer.kind == "image"
     ]

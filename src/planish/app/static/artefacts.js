@@ -30,7 +30,7 @@ export class Artefacts {
       "section",
       { class: "panel", "aria-label": "Artefacts" },
       make("h2", {}, "Artefacts"),
-      make("p", { class: "soft" }, "A stain or fold that shall not count: draw it, declare it, then Apply."),
+      make("p", { class: "soft" }, "A stain or fold to leave out: draw it, declare it, then Apply."),
       this.list, // grows upwards: Declare stays where it is
       make("div", { class: "group" }, ...Object.entries(FIELDS).map(([name, seen]) => labelled(name, this[name.toLowerCase()], "Artefact: ", seen))),
       make("div", { class: "group" }, button("Draw polygon", () => maps.draw()), labelled("Polygon, um", this.polygon)),

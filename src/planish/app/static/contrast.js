@@ -16,7 +16,7 @@ export class Contrast {
       count: 2, valid: ([low, high]) => low < high, use: (found) => this.set(found ?? this.usual),
       refuse: () => say(`A ${name.split(" ").slice(-2).join(" ")} is "low, high", the smaller number first.`),
     });
-    const auto = button("Auto", () => this.reset(), { "aria-label": `${name}: auto`, title: "Limits as at first" });
+    const auto = button("Auto", () => this.reset(), { "aria-label": `${name}: auto`, title: "Limits as at the start" });
     this.element = make("div", { class: "contrast" }, before, this.field, this.track, auto);
     this.limits = this.usual = this.span = [0, 1];
   }

@@ -83,7 +83,7 @@ export class Corrections {
 
   add(place) {
     if (this.app.readOnly) {
-      this.app.say("The run is open to read only.");
+      this.app.say("The run is open read-only.");
       return;
     }
     if (!this.sheet.correctable) {
@@ -110,7 +110,7 @@ export class Corrections {
       else this.tell();
     };
     const yes = button("Set it", answered(true));
-    this.note.replaceChildren(make("span", { class: "warned" }, `${typeset(words)} Is it meant? `), yes, " ", button("Leave it out", answered(false)));
+    this.note.replaceChildren(make("span", { class: "warned" }, `${typeset(words)} Set it anyway? `), yes, " ", button("Leave it out", answered(false)));
     yes.focus();
   }
 

@@ -41,7 +41,7 @@ function strainMap(pane, app, sheet, pictures) {
   const view = new MapView({ element: pane, name: "Flat sheet", app });
   const show = (id) => {
     view.show(pictures.get(id));
-    note.textContent = "0 where the sheet was laid flat without strain; 96 % of it lie within the range of colours.";
+    note.textContent = "0 where the sheet was laid flat without strain; 96 % of it lies within the range of colours.";
   };
   bar.append(labelled("Strain", choice(shown.map((one) => [one.id, one.title]), show)));
   const mesh = new ol.layer.Vector({ source: new ol.source.Vector(), style: { "stroke-color": MESH_COLOUR, "stroke-width": 1 }, visible: false });
@@ -115,7 +115,7 @@ async function inSpace(pane, app, sheet, pictures) {
     await redraw();
     return;
   }
-  note.textContent = "Drag or use the arrow keys to turn the sheet, the wheel or + and - to come nearer.";
+  note.textContent = "Drag or use the arrow keys to turn the sheet, the wheel or + and - to zoom.";
   canvas.addEventListener("keydown", (event) => {
     const turns = { ArrowLeft: [-TURN, 0], ArrowRight: [TURN, 0], ArrowUp: [0, TURN], ArrowDown: [0, -TURN] };
     const zooms = { "+": 1 / 1.15, "=": 1 / 1.15, "-": 1.15 };

@@ -57,7 +57,7 @@ async function start() {
   const extras = { cursor, predicted, slicePosition, openTab, onTab };
   const app = Object.assign(new Store(api, session, state, lines), extras);
   nameRun(session);
-  app.say(session.read_only ? `Open to read only. ${session.reason}` : "");
+  app.say(session.read_only ? `Open read-only. ${session.reason}` : "");
   bindHistory(app);
   mountTabs(app);
   bindHelp();

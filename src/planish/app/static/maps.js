@@ -253,7 +253,7 @@ class Maps {
     const brushes = `${a ? `&brush_a=${a.join()}` : ""}${b ? `&brush_b=${b.join()}` : ""}`;
     const found = await this.latest("selection", `selection?${this.query}${brushes}`);
     if (!found) return;
-    const said = [saidOf(found), ...(a || b ? ["no r: values were picked, which biases it"] : [])].join("; ");
+    const said = [saidOf(found), ...(a || b ? ["no r: selecting by value biases it"] : [])].join("; ");
     const what = this.sides.map((side) => titled({ ...side.picture, units: "" })).join(" and ");
     const words = [`${said} (${what}, pixels of ${shown(found.pixel_um[1])} um).`, ...found.warnings];
     this.selection.textContent = typeset(words.join(" "));

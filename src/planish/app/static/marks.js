@@ -16,7 +16,7 @@ const SIDES = ["moving", "fixed"];
 const other = (side) => (side === "moving" ? "fixed" : "moving");
 
 const TILES =
-  "Tiles are pieces of the map's texture, each placed by itself, and no holes: to compare, show the map that shows in " +
+  "Tiles are pieces of the map's texture, each placed by itself; they are not holes. To compare, show the map that shows in " +
   "the image, and take a tile that is wrong out of use.";
 
 /** What does not change of the registration that is shown. */

@@ -56,5 +56,5 @@ function said(state) {
   const um = (value) => (value === null || value === undefined ? "–" : `${value.toFixed(2)} µm`);
   const model = fit.model === state.model ? "" : `${fit.model}: `;
   const follows = fit.follows ? `; ${state.model} follows` : "";
-  return `${model}${pairsOf(state).length} pairs, residual ${um(fit.rms_um)}, leave-one-out ${um(fit.loo_rms_um)} (rms)${follows}`;
+  return `${model}${pairsOf(state).length} pairs in use, residual ${um(fit.rms_um)}, leave-one-out ${um(fit.loo_rms_um)} (rms)${follows}`;
 }

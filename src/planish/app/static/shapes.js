@@ -89,7 +89,7 @@ export class Shapes {
   start(type) {
     this.end();
     this.tool = type;
-    this.on.say(`${HOW[type]} By keys: Enter sets a corner at the cross in the middle. Esc leaves it.`);
+    this.on.say(`${HOW[type]} By keys: Enter sets a corner at the cross in the middle. Esc cancels.`);
     this.views[0].element.focus();
   }
 

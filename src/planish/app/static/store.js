@@ -100,7 +100,7 @@ export class Store {
   /** Send one write after all earlier ones and show what it led to. */
   write(send, words) {
     const done = this.queue.then(async () => {
-      if (this.readOnly) throw new ApiError(0, "This run is open to read only: nothing can be changed.");
+      if (this.readOnly) throw new ApiError(0, "This run is open read-only: nothing can be changed.");
       const state = await send();
       if (!state) return null;
       this.alarm(null);

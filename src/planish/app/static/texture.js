@@ -7,7 +7,7 @@ export function texture(app, marks) {
   if (app.session.linked) return null;
   const places = make("div", { class: "group", role: "group", "aria-label": "Best places" });
   const title =
-    "Looks for the map in the image by what both show. A mark in the image alone says about where its middle lies.";
+    "Searches the image for the map by the texture that both show. A mark set in the image alone gives roughly where its middle lies.";
   const find = button("Find by texture", search, { disabled: app.readOnly, title });
   return make("div", { class: "group" }, find, places);
 
@@ -16,7 +16,7 @@ export function texture(app, marks) {
     const near = mark && !mark.moving ? mark.fixed : null;
     places.replaceChildren();
     find.disabled = true;
-    app.say("The texture is searched: some 10 to 100 seconds ...");
+    app.say("Searching by texture: about 10 to 100 seconds …");
     if (!(await take({ near }, "Marks found by texture"))) app.say("");
     find.disabled = app.readOnly;
   }
