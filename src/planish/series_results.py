@@ -156,7 +156,7 @@ class InstrumentFacts(Agreement, _OfTwoLayers):
     """Two measurements of one sheet, b less a."""
 
     sd: Unsaved = optional("Standard deviation of b - a.")
-    sd_interval: UnsavedInterval = optional("In which the standard deviation lies with 95 %.")
+    sd_interval: UnsavedInterval = optional("95 % interval of the standard deviation.")
     slopes: KnownPair = optional("Slope of b over a, and 1 over that of a over b.")
     shared_um: Number = optional("Both show the same in waves of this length and longer.")
     sentence: str = Field(default="", description="What the rings of waves say, in words.")

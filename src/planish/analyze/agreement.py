@@ -49,12 +49,12 @@ class Agreement(ResultModel):
     point_um: Value = optional("Edge of a point.")
     n: int | None = optional("Points of which bias and scatter are.")
     bias: Value = optional("Mean of b - a at the larger points.")
-    bias_interval: Interval = optional("In which it lies with 95 %.")
+    bias_interval: Interval = optional("Its 95 % interval.")
     sd: Value = optional("Standard deviation of b - a.")
-    sd_interval: Interval = optional("In which the standard deviation of the difference lies with 95 %.")
+    sd_interval: Interval = optional("95 % interval of the standard deviation of the difference.")
     limits: Interval = optional("Between them lie 95 % of normal differences.")
     limit_intervals: tuple[Interval, Interval] = Field(
-        default=(NULL, NULL), description="In which the lower and the upper limit lie with 95 %."
+        default=(NULL, NULL), description="95 % interval of the lower and the upper limit."
     )
     n_eff: Unsaved = optional("Independent points of the mean difference.")
     n_eff_sd: Unsaved = optional("Independent points of its standard deviation.")
@@ -135,7 +135,7 @@ class Deming(ResultModel):
     slope: float = Field(description="Of the line.")
     intercept: float = Field(description="Of the line.")
     interval: Pair = Field(
-        description="In which the slope lies with 95 %; (NaN, NaN) where n_eff is below 10 or any direction fits."
+        description="95 % interval of the slope; (NaN, NaN) where n_eff is below 10 or any direction fits."
     )
     error_ratio: float = Field(description="Variance of the errors of y over that of x, as given.")
 
@@ -208,7 +208,7 @@ class Twice(Agreement, RingCorrelation):
     error_ratio: Value = optional("Variance of the errors of b over that of a, as it was given.")
     error_slope: Value = optional("Slope of b over a where both have such errors (Deming).")
     error_intercept: Value = optional("Of the line by the ratio of errors.")
-    error_interval: Interval = optional("In which that slope lies with 95 %.")
+    error_interval: Interval = optional("95 % interval of that slope.")
 
 
 def answer_twice(pair: ComparedMaps) -> dict[str, Any]:

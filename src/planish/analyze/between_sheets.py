@@ -36,7 +36,7 @@ class SetDifference(ResultModel):
     sheets: tuple[int, int] = Field(description="Sheets that count.")
     means: tuple[Value, Value] = Field(default=(NULL, NULL), description="Over these sheets.")
     difference: Value = optional("Of the means.")
-    interval: Interval = optional("In which it lies with 95 %.")
+    interval: Interval = optional("Its 95 % interval.")
     p: Value = optional("Of the test that there is none.")
     p_of_table: Value = optional("The same after Holm, for all differences of the series.")
 

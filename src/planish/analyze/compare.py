@@ -65,7 +65,7 @@ class ComparisonRow(_Judged):
     property: str = Field(description="The map.")
     marks_rms_um: float = Field(description="Root mean square of the residuals of the marks.")
     difference: Value = optional("r of the run's own registration minus this r.")
-    difference_interval: Interval = optional("In which the difference lies with 95 %.")
+    difference_interval: Interval = optional("95 % interval of the difference.")
 
 
 def is_property(data: xr.DataArray) -> bool:

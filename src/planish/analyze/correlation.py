@@ -54,7 +54,7 @@ class Correlation(ResultModel):
     mean_b: Value = optional("Mean of b over the points.")
     n_eff: Value = optional("Independent points that would test r = 0 as well.")
     p: Value = optional("Of the test of r = 0; none where fewer than 10 independent points say nothing.")
-    interval: Interval = optional("In which r lies with 95 %.")
+    interval: Interval = optional("95 % interval of r.")
     n_eff_interval: Value = optional("Independent points that would give this interval.")
     warnings: tuple[str, ...] = Field(default=(), description="What to be careful about.")
 
@@ -72,7 +72,7 @@ class PointsCorrelation(ResultModel):
     n: int | None = optional("Points that are valid in all maps.")
     r: Value = optional("Pearson's correlation.")
     n_eff: Value = optional("Independent points.")
-    interval: Interval = optional("In which this r lies with 95 %.")
+    interval: Interval = optional("95 % interval of this r.")
 
     @classmethod
     def of(cls, row: Correlation, **extra_fields: Any) -> Self:

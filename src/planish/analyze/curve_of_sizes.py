@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 class SizeRow(PointsCorrelation):
     """Correlation over points of one size, as one of many."""
 
-    band: Interval = optional("In which the r of all sizes lie together with 95 %.")
+    band: Interval = optional("Joint 95 % band of r over all sizes.")
 
 
 def size_curve(

@@ -21,7 +21,7 @@ class Difference(ResultModel):
     difference: float = Field(description="Of r.")
     interval: Pair = Field(
         default=(math.nan, math.nan),
-        description="In which it lies with 95 %; (NaN, NaN) where fewer than 10 independent points say nothing.",
+        description="Its 95 % interval; (NaN, NaN) where fewer than 10 independent points say nothing.",
     )
 
     @property

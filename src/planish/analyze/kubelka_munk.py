@@ -139,9 +139,9 @@ class KubelkaMunk(ResultModel):
         default=False, description="Whether the coating is in g/m2, and S in m2/kg; otherwise um and 1/um."
     )
     scattering: Value = optional("Coefficient S of the coating.")
-    scattering_interval: Interval = optional("In which S lies with 95 %; none where it has no end.")
+    scattering_interval: Interval = optional("95 % interval of S; none where it has no end.")
     backing: Value = optional("Reflectance below the coating, extrapolated.")
-    backing_interval: Interval = optional("In which it lies with 95 %.")
+    backing_interval: Interval = optional("Its 95 % interval.")
     backing_at_ends: Interval = optional("Backing that fits best with each end of the interval of S.")
     rms: Value = optional("Of what the curve leaves of the reflectance.")
     silence: str | None = optional("Why there is no curve.")

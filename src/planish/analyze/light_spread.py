@@ -31,7 +31,7 @@ class LightSpread(PointsCorrelation, _Spread):
     """The headline correlation with the coating blurred as light is that spreads in paper."""
 
     difference: Value = optional("This r minus that of the coating as it is, at the same points.")
-    difference_interval: Interval = optional("In which the difference lies with 95 %.")
+    difference_interval: Interval = optional("95 % interval of the difference.")
     silence: str | None = optional("Why there is no such r.")
 
 

@@ -54,10 +54,10 @@ class RefinementR(ResultModel):
     """r after a refinement that it was not maximised by, or beside what the search reaches by chance."""
 
     r: Value = Field(description="Pearson's correlation.")
-    interval: Interval = optional("In which r lies with 95 %.")
+    interval: Interval = optional("95 % interval of r.")
     n_eff: Value = optional("Independent points.")
     r_of_marks: Value = optional("By the marks alone, over the same pixels.")
-    gain_interval: Interval = optional("In which r - r_of_marks lies with 95 %.")
+    gain_interval: Interval = optional("95 % interval of r - r_of_marks.")
     registration: str = Field(description="What r rests on: cross-fitted, or beside a searched null.")
     sentence: str = Field(description="The same in words.")
     n: int | None = optional("Pixels that are reported on.")

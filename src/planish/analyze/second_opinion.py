@@ -29,7 +29,7 @@ class SecondOpinion(ResultModel):
 
     point_um: float = Field(description="Edge of a point.")
     r: Unsaved = optional("Pearson's correlation.")
-    interval: Interval = Field(description="In which r lies with 95 %.")
+    interval: Interval = Field(description="95 % interval of r.")
     standard_error: Value = Field(description="Of Fisher's z.")
     critical: Value = Field(description="Standard errors to either side.")
     ratio: Value = Field(description="Standard error over that of the covariances.")

@@ -87,7 +87,7 @@ class RandomEffects(ResultModel):
     mean: Unsaved = optional("With weights of 1 over the sum of both variances.")
     standard_error: Unsaved = optional("Of the mean, from the weights.")
     between: Unsaved = optional("Variance of the true effects.")
-    interval: UnsavedInterval = optional("In which the mean lies with 95 %; none with fewer than 3 effects.")
+    interval: UnsavedInterval = optional("95 % interval of the mean; none with fewer than 3 effects.")
 
 
 class SheetVariances(ResultModel):
@@ -96,7 +96,7 @@ class SheetVariances(ResultModel):
     sd_between: Value = optional("Standard deviation of sheets, beyond what fields add.")
     sd_within: Value = optional("Standard deviation of the fields of one sheet.")
     share: Value = optional("Share of the variance that is between sheets.")
-    share_interval: Interval = optional("In which the share lies with 95 %.")
+    share_interval: Interval = optional("95 % interval of the share.")
     p: Value = optional("Of the test that all sheets are alike.")
     reason: str = Field(default="", description="Why a number is missing.")
 
@@ -109,7 +109,7 @@ class SheetMean(ResultModel):
     left_out: tuple[str, ...] = Field(default=(), description="Specimens of the group that do not count.")
     mean: Value = optional("Over the means of sheets; of r by Fisher's z.")
     sd: Value = optional("Standard deviation of the means of sheets; none of r.")
-    interval: Interval = optional("In which the mean of such sheets lies with 95 %.")
+    interval: Interval = optional("95 % interval of the mean of such sheets.")
     reason: str = Field(default="", description="Why there is no interval.")
     variances: SheetVariances | None = optional("Of a property.")
     between_sheets: RandomEffects | None = optional("Of r, over sheets.")

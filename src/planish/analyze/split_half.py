@@ -48,7 +48,7 @@ class Reliability(ResultModel):
     n: int | None = optional("Points that are known in both halves.")
     halves_r: Value = optional("Correlation of both halves.")
     value: Value = optional("Share of the variance of the map that both halves show: an upper bound.")
-    interval: Interval = optional("In which it lies with 95 %.")
+    interval: Interval = optional("Its 95 % interval.")
     n_eff: Value = optional("Independent points.")
     shared: str | None = optional("What both halves share, which makes it an upper bound.")
     silence: str | None = optional("Why there is none.")

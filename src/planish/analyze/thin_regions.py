@@ -29,7 +29,7 @@ class RegionDifference(ResultModel):
     thinner_than_um: Value = optional("Limit of the coating's thickness.")
     share: float = Field(description="Share of the pixels where it is thinner.")
     difference: float = Field(description="Mean of the image there less that elsewhere.")
-    interval: Interval = Field(description="In which the difference lies with 95 %.")
+    interval: Interval = Field(description="95 % interval of the difference.")
     n_eff: Value = Field(description="Independent points of the thin regions.")
 
 

@@ -71,7 +71,7 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
     """Bring VOLUME into a working store: chunked, in several resolutions, with checksums.
 
     For volumes that do not fit into memory. Serial sections are aligned and joined on the way; give --through for them.
-    The store is OME-Zarr and opens in other programs too. An import that was killed goes on where it stood when the
+    The store is OME-Zarr and opens in other programs too. An import that was killed resumes where it stopped when the
     same command is given again.
     """
     from planish.cli.show import stages

@@ -181,7 +181,7 @@ def stack(*decorators: Command) -> Command:
     return decorate
 
 
-strict_option = click.option("--strict", is_flag=True, help="End with 4 also where a check asks for a look.")
+strict_option = click.option("--strict", is_flag=True, help="Exit with 4 also where a check asks for a look.")
 figures_option = click.option(
     "--figures", is_flag=True, help="Also write each figure of the page as SVG, and its data as CSV, into figures/."
 )

@@ -32,27 +32,27 @@ _STATE_TEXTS = {"whole": "linked", "withheld": "a check failed", "refused": "ref
     can_resume=True,
 )
 @existing("specimens")
-@out_option("Folder of the series; one that 'planish study' made goes on where it stood.")
+@out_option("Folder of the series; one that 'planish study' made is continued.")
 @click.option(
     "--set", "changes", multiple=True, metavar="SECTION.NAME=VALUE",
     help="Set an option of all specimens, such as volume.through=y; may be given again.",
 )  # fmt: skip
 @click.option(
     "--jobs", type=click.IntRange(1, 64), default=1, show_default=True, metavar="N", cls=Option, group="Resources",
-    help="Specimens that are worked on at a time; memory and threads are shared out among them.",
+    help="Specimens that are processed at a time; memory and threads are shared out among them.",
 )  # fmt: skip
 @options(Compute, "Resources")
-@click.option("--dry-run", is_flag=True, help="Say what would be done, how long it takes and how much it needs; end.")
+@click.option("--dry-run", is_flag=True, help="Say what would be done, how long it takes and how much it needs; exit.")
 @click.option(
     "--watch", type=click.Path(path_type=Path, file_okay=False, exists=True), metavar="FOLDER",
     help="Take new scans of FOLDER as they appear, until Ctrl-C; [watch] in the study says how volume and image pair.",
 )  # fmt: skip
 @click.option(
     "--settle", type=click.FloatRange(0), default=30.0, show_default=True, metavar="SECONDS",
-    help="With --watch: a file is taken when it has not changed for so long.",
+    help="With --watch: a file is taken when it has not changed for this long.",
 )  # fmt: skip
 @click.option(
-    "--idle", type=click.FloatRange(0), metavar="SECONDS", help="With --watch: end when nothing came so long."
+    "--idle", type=click.FloatRange(0), metavar="SECONDS", help="With --watch: end when nothing came for this long."
 )
 @json_option
 def study(
@@ -66,8 +66,8 @@ def study(
     or any other. A column such as volume.through is an option of each specimen.
 
     OUT gets a run of each specimen in runs/, report.html, specimens.csv, values.csv and results.json. What is done is
-    kept: the same command goes on where it stood, and does again only what has other files or options. A specimen that
-    cannot be used is named, and stops no other.
+    kept: the same command resumes where it stopped, and does again only what has other files or options. A specimen
+    that cannot be used is named, and stops no other.
     """
     from planish.series import SeriesState, read_plan
     from planish.series.jobs import series_folder

@@ -26,7 +26,7 @@ _DEFAULT = "small"
 )
 @options(SpecimenOptions, "Specimen")
 @out_option("Folder to make; it must not exist.", required=False)
-@click.option("--list", "listed", is_flag=True, help="Name papers and nuisances and end.")
+@click.option("--list", "listed", is_flag=True, help="Name papers and nuisances and exit.")
 def specimen(out: Path | None, listed: bool, **values: Any) -> int:
     """Make a specimen with known answers: files as instruments write them, and the truth apart from them.
 
@@ -68,7 +68,7 @@ def specimen(out: Path | None, listed: bool, **values: Any) -> int:
 @out_option(
     "Folder to make for certificate.html, .md and .json, one in it for each of several scenarios.", required=False
 )
-@click.option("--list", "listed", is_flag=True, help="Name the scenarios and end.")
+@click.option("--list", "listed", is_flag=True, help="Name the scenarios and exit.")
 @options(Compute, "Resources")
 @json_option
 def validate(
