@@ -72,8 +72,9 @@ class Person:
         run = self.case.server.run
         made = run.with_name(f"{run.name}-{len([*run.parent.iterdir()]) + 1}")
         self.press("button", "Apply")
-        link = self.shown.role("link", f"Open report of {made}")
+        link = self.shown.role("link", f"Open report of {made.name}")
         link.wait_for(timeout=180_000)
+        expect(self.shown.page.get_by_text("This page still shows the run before.")).to_be_visible()
         self.actions += 1
         with self.shown.page.context.expect_page() as report:
             link.click()

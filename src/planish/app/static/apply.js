@@ -58,7 +58,7 @@ export function mountApply(place, app) {
     apply.disabled = working || app.readOnly;
     if (typeof now.share === "number") bar.value = now.share;
     else bar.removeAttribute("value");
-    words.textContent = working ? (now.stage ?? "") : "";
+    words.textContent = working ? (now.stage ?? "") : now.report ? "This page still shows the run before." : "";
     link.hidden = !now.report;
     if (now.report) {
       link.href = now.report;
