@@ -126,6 +126,7 @@ def test_a_reader_finds_what_how_sure_why_who_and_how_to_cite(signed_run, chromi
     # How to cite it.
     reader.follow("How to cite")
     cited = reader.seen()
+    assert "A. Weber: Coating of sample 12 (2026-11-20)" in cited
     assert f"planish, version {results.planish}" in cited
     assert "Introducing a concept to link 3D paper structure to 2D paper properties" in cited
     assert reader.actions <= MOST
