@@ -38,7 +38,7 @@ def test_verdict_states_the_results_and_no_more(link_page: str) -> None:
     text = Page(link_page).text()
     for expected in (
         "95 %: 0.63 to 0.90; r² 0.64 (0.40 to 0.81); 31 independent points of 40", "r² 0.81", "0.51\u202fµm",
-        "not on n", "81\u202f% are valid in all maps", "not a cause",
+        "not on n", "81\u202f% are valid in all maps", "does not imply causation",
         "image is brighter (relative grey, luminance) where coating thickness (top side) is larger: r = 0.80 with a",
     ):  # fmt: skip
         assert expected in text
@@ -48,8 +48,8 @@ def test_verdict_states_the_results_and_no_more(link_page: str) -> None:
 @pytest.mark.parametrize(
     ("interval", "says"),
     [
-        ([-0.1, 0.4], "No relation of the image with coating thickness (top side) is certain"),
-        (None, "Nothing is claimed"),
+        ([-0.1, 0.4], "It is not certain that the image is related to coating thickness (top side)"),
+        (None, "No statement on coating thickness (top side)"),
     ],
 )
 def test_no_direction_is_named_that_is_not_certain(interval: list[float] | None, says: str) -> None:

@@ -146,7 +146,7 @@ class Applying:
             ticket = secrets.token_urlsafe(24)
             self.reports[ticket] = out / "report.html"
             page = f"/report/{ticket}"
-            message = f"{out.name} is made. To see it as you see this one: planish view {out}"
+            message = f"{out.name} is made; planish view {out} opens it."
             final = Progress(state="done", share=1.0, message=message, run=str(out), report=page)
         elif state == "failed":
             final = Progress(**last_message)

@@ -35,7 +35,7 @@ def draw_scale(
         caption=(
             "Left, correlation over points of growing size; lines, the 95 % interval of each size by itself; shaded, "
             "the 95 % band of the whole curve. Right, squared coherence by octaves of wavelength, "
-            "corrected for chance, with a filled dot where it is significant among all octaves (p below 0.05, Šidák); "
+            "corrected for chance, with a filled dot where it exceeds chance among all octaves (p below 0.05, Šidák); "
             "gain, change of the second map per change of the first in the octave. Larger points average noise away, "
             "so r may rise although nothing more is explained; coherence is that of each octave alone. "
             f"n = {count(n)} at the smallest size. Mask: measured, without {excluded_text}. "
