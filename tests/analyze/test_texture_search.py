@@ -10,6 +10,7 @@ import xarray as xr
 from scipy import ndimage
 
 import planish as pl
+from planish.analyze.texture_search import _exceeded
 from planish.core.errors import CannotRegister, InputError
 from planish.core.transform import Similarity, nearest_similarity
 from planish.register import RegistrationParams
@@ -249,3 +250,13 @@ def test_a_map_that_is_known_in_little_of_the_field_has_no_part():
     little = np.where(np.arange(maps.sizes["v"])[:, None] < 60, maps["thickness"].values, np.nan)
     maps = maps.assign(coating_top=(("v", "u"), little), topography_top=(("v", "u"), little))
     assert np.linalg.norm(pl.register_texture(maps, image)(CORNERS) - place(CORNERS), axis=1).max() < 3.5
+
+
+def test_chance_is_a_probability_however_high_it_gets():
+    """A pattern that repeats reaches much at every rotation: no factor underflows there."""
+    for height in (3.0, 5.0, 45.0):
+        others = np.linspace(height, 1.3 * height, 40)
+        p = [_exceeded(z, others) for z in (height, 1.5 * height, 3.0 * height)]
+        assert np.isfinite(p).all()
+        assert p[0] > 0.9
+        assert p[0] >= p[1] >= p[2] >= 0.0

@@ -224,15 +224,15 @@ def _exceeded(z: float, others: Floats) -> float:
     if not np.quantile(others, 0.5) > 0.0:  # a constant image, or none of it known, is like nothing
         return 1.0
 
-    def rates(x: Floats) -> Floats:
-        return x * np.exp(-0.5 * x**2)
+    def log_rates(x: Floats) -> Floats:
+        return np.log(np.maximum(x, 1e-9)) - 0.5 * x**2
 
     s = np.geomspace(0.8, 3.0, 67)[:, None]  # below 0.8 it is chance among few rotations
     x = np.maximum(others / s, 1.2)
-    sums, independent = rates(others / s).sum(axis=1), _INDEPENDENT * others.size
+    log_sums, independent = special.logsumexp(log_rates(others / s), axis=1), _INDEPENDENT * others.size
     log_likelihood = -_INDEPENDENT * np.sum(np.log(s) + 0.5 * x**2 - np.log(x**2 - 1.0), axis=1)
-    weights = special.softmax(log_likelihood - independent * np.log(sums))
-    expected = (others.size + 1) * rates(z / s[:, 0]) / (_INDEPENDENT * sums)
+    weights = special.softmax(log_likelihood - independent * log_sums)
+    expected = (others.size + 1) / _INDEPENDENT * np.exp(np.minimum(log_rates(z / s[:, 0]) - log_sums, 700.0))
     return float(np.sum(weights * -np.expm1(-independent * np.log1p(expected))))
 
 
