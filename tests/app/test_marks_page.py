@@ -262,4 +262,4 @@ def test_a_run_that_is_only_read(serve, window, run_copy):
     expect(shown.role("button", "Apply")).to_be_disabled()
     shown.page.get_by_label(f"Use {rows[0][0]}", exact=True).click()
     expect(shown.page.get_by_label(f"Use {rows[0][0]}", exact=True)).to_be_checked()
-    expect(shown.page.get_by_role("alert")).to_contain_text("read only")
+    expect(shown.page.get_by_role("alert")).to_contain_text("read-only")
