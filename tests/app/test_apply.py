@@ -352,7 +352,7 @@ def test_the_page_begins_follows_and_reads_the_report(run):
 def test_a_cancel_at_any_moment_leaves_nothing(run):
     with opened(run) as session, applying(session) as applied:
         do(session, do="use", id=session.state.of(None)[0].id, used=False)
-        stages = ("", "read", "register", "link", "correlate", "write")
+        stages = ("", "register", "link", "write")
         for k, stage in enumerate(stages):
             applied.start()
             # A stage may be over before it is seen: then it is the next one that is cancelled.
@@ -368,7 +368,7 @@ def test_a_cancel_at_any_moment_leaves_nothing(run):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("stage", ["read", "link", "correlate", "write"])
+@pytest.mark.parametrize("stage", ["link", "write"])
 def test_a_server_that_is_killed_in_mid_apply_leaves_nothing(run, stage):
     """SIGKILL to the server alone: the process that works for it notices, and clears up."""
     code = (

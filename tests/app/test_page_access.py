@@ -1,10 +1,7 @@
-"""The page for everybody: names, roles, contrast and focus; small windows; keys alone; the first-time user."""
+"""The page for everybody: names, roles, contrast and focus; small windows; keys alone."""
 
 import json
 import re
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
@@ -175,31 +172,6 @@ def test_enter_sets_a_pair_at_the_crosses(served, window):
         expect(message(shown)).to_contain_text(view)
     expect(shown.role("table", "Marks").get_by_role("row")).to_have_count(7)
     assert ends(shown.rows())[-1] == pytest.approx([220, 260, 410, 380], abs=0.011)
-
-
-def test_first_time_user_corrects_a_mark_within_twelve_actions(serve, window, tmp_path):
-    """What the screen says leads from the demo to a corrected mark and a new report; each number is an action."""
-    demo = [sys.executable, "-m", "planish", "demo", "--out", str(tmp_path / "first")]
-    said = subprocess.run(demo, capture_output=True, encoding="utf-8", check=True)  # 1: planish demo
-    (line,) = re.findall(r"planish view (\S+)", said.stdout + said.stderr)
-    run = tmp_path / "first" / "run"
-    assert Path(line) == run
-    shown = window(serve(run))  # 2: the line that it prints
-    rows = settled(shown)
-    shown.role("columnheader", "Leave-one-out um").click()  # 3: the largest error first
-    shown.page.locator("tbody tr").first.get_by_role("button").click()  # 4: look at that mark
-    shown.role("application", IMAGE).press("+")  # 5
-    shown.role("application", IMAGE).press("ArrowRight")  # 6: nudge it
-    shown.role("button", "Snap").click()  # 7: let the hole decide
-    expect(message(shown)).to_contain_text("snapped")
-    shown.role("button", "Apply").click()  # 8
-    link = shown.page.get_by_role("link", name=re.compile("report"))
-    expect(link).to_be_visible(timeout=APPLY_MS)
-    with shown.page.context.expect_page() as opened:
-        link.click()  # 9
-    expect(opened.value.get_by_role("heading", level=1)).to_be_visible()
-    assert len(rows) == len(shown.rows())
-    assert (run.with_name("run-2") / "report.html").is_file()
 
 
 def test_cancel_leaves_nothing(serve, window, run_copy):
