@@ -5,6 +5,7 @@
 """
 
 import ast
+import gc
 import json
 import logging
 import os
@@ -97,6 +98,7 @@ def main(args: list[str] | None = None) -> None:
     """Run the command line and end the process with its exit code."""
     arguments = sys.argv[1:] if args is None else args
     prepare_streams()
+    gc.set_threshold(50_000)  # imports and compiled functions make many small objects, and hardly any is garbage
     if os.environ.get("_PLANISH_COMPLETE", "").startswith("powershell"):
         import_module("planish.cli.setup")  # click knows the other shells by itself
     logging.getLogger("asyncio").setLevel(logging.CRITICAL)  # of zarr, about reads that a damaged chunk cut short

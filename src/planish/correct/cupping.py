@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planish.core.transform import Pair
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Pair
 from planish.correct.params import Cupping, Trend
 from planish.correct.sums import BASE, BRIGHT, COARSE, GREYS, MATERIALS, Counts, Levels, Sums, Turning
 

@@ -16,8 +16,7 @@ from planish.core.area import area_mean
 from planish.core.errors import FileError
 from planish.core.numbers import round_step
 from planish.core.robust import percentiles
-from planish.core.transform import Pair
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Pair
 from planish.correct.sums import MATERIALS, UNIT, Sums, Turning
 from planish.correct.volume import Corrected
 

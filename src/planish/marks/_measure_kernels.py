@@ -26,8 +26,9 @@ USUAL, EXACT, ONE_SIDED = (0.045, 0.3), (0.0105, 0.15), 0.1
 # radius, and on this share of the rays the two are apart by this share of the radius: what lies between is char.
 CLOSED, SMALLER, PART, APART = 0.9, 0.05, 0.25, 0.08
 RAYS = 96
-# Orders of an outline; a number written in the call would be a type of its own, and compiled once more.
-_ONE, _TWO = np.int64(1), np.int64(2)
+# Orders of an outline, and whether what was found is followed: written in the call, each would be a type of its own,
+# and be compiled once more.
+_ONE, _TWO, _STAY, _FOLLOW = np.int64(1), np.int64(2), np.bool_(False), np.bool_(True)
 
 
 @njit(cache=True, nogil=True)
@@ -51,13 +52,13 @@ def measure(image, px, py, xs, ys, sign, low, high, least, contrast):
             continue
         search = max(0.15 * radius, 2 * pixel, 10.0, min(3 * scale, 0.3 * radius))
         ok, x, y, fit, weight, inverse, radii, steps, far_steps, nears = _refined(
-            image, px, py, cx, cy, sign, np.full(RAYS, radius), search, dt, 0.35, False
+            image, px, py, cx, cy, sign, np.full(RAYS, radius), search, dt, 0.35, _STAY
         )
         if not ok or not (0.5 * low < fit[0] < 1.5 * high):
             continue
         # The strongest edge, but where another one goes round inside: then that around is the end of the char.
         cx, cy, model, inner, around = _closed_rims(image, px, py, cx, cy, sign, radius, low)
-        closed = _refined(image, px, py, cx, cy, sign, model, near, dt, 0.35, True)
+        closed = _refined(image, px, py, cx, cy, sign, model, near, dt, 0.35, _FOLLOW)
         if closed[0] and closed[3][0] > 0.5 * low and _is_inside(closed[1:5], closed[6], x, y, fit, radii):
             _, x, y, fit, weight, inverse, radii, steps, far_steps, nears = closed
         _describe(out[h], image, px, py, x, y, sign, radii, fit, weight, inverse)
@@ -68,7 +69,7 @@ def measure(image, px, py, xs, ys, sign, low, high, least, contrast):
             continue
         # Another closed edge inside: the rim of a hole with a scorched ring around, or that of the other face.
         ok, x2, y2, fit, weight, inverse, radii, _, _, _ = _refined(
-            image, px, py, cx, cy, around * sign, inner, near, dt, LEAST_INNER, True
+            image, px, py, cx, cy, around * sign, inner, near, dt, LEAST_INNER, _FOLLOW
         )
         if ok and fit[0] > 0.5 * low and fit[0] < out[h, RADIUS] and np.sum(weight > 0) > 0.6 * RAYS:
             # Of two that rise either may be the rim; where the grey falls, char is darker than the hole.

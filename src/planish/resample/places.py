@@ -19,8 +19,7 @@ from planish.core.errors import SurfaceError
 from planish.core.facts import ResultModel
 from planish.core.grid import Grid
 from planish.core.threads import count_threads, map_threads
-from planish.core.transform import Pair
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Pair
 from planish.resample._kernels import locate, sample
 
 Indices = NDArray[np.int32]

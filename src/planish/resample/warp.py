@@ -15,8 +15,7 @@ from planish.core.errors import CannotRegister, InputError, ResourceError, SizeE
 from planish.core.grid import Grid
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
-from planish.core.transform import Pair
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Pair
 from planish.resample._kernels import integrals, interpolate
 
 Integers = NDArray[np.int64]

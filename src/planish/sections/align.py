@@ -11,8 +11,7 @@ from scipy.ndimage import gaussian_filter1d
 from planish.core.errors import VolumeError
 from planish.core.facts import ResultModel
 from planish.core.threads import map_threads
-from planish.core.transform import Pair
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Pair
 from planish.sections.band import SectionSeries, Stack
 from planish.sections.network import LEAST_SHARE, Index, quick_places, section_components, slow_part, solve_places
 from planish.sections.pairs import FINEST_UM, GROUPS, SectionPairs, compare
