@@ -1,6 +1,6 @@
 """What the marks of one registration say: the fit that is shown, marks that stand out, and where a point will lie."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -18,9 +18,9 @@ from planish.core.errors import PlanishError
 from planish.core.facts import ResultModel
 from planish.core.text import and_join_few
 from planish.core.transform import Similarity
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Complexes, Floats
 from planish.register import FittedTransform, RegistrationParams, fit_transform
-from planish.register.pairs import Complexes, as_complex
+from planish.register.pairs import as_complex
 from planish.run.registration import fit_marks
 from planish.run.study import changed
 
@@ -219,13 +219,7 @@ def fitted(
             leave_one_out_um = fit_to_others.leave_one_out_um
     is_rejected = np.zeros(len(pairs), dtype=np.bool_)
     is_rejected[is_used] = fit.robust_weights == 0
-    for k, mark in enumerate(pairs):
-        if is_rejected[k]:
-            text = f"{residual_um[k]:.0f} um off: does not agree with the others, so the fit gives it no weight."
-            warnings.append(FitWarning(id=mark.id, text=text))
-        elif is_outlier[k]:
-            text = f"Stands out: {leave_one_out_um[k]:.0f} um from where the others put it."
-            warnings.append(FitWarning(id=mark.id, text=text))
+    warnings += _disagreements(pairs, is_rejected, is_outlier, residual_um, leave_one_out_um)
     # Those of the fit that are about single marks stand beside them already.
     mark_phrases = "(counted from 1)", "marks only"
     warnings += [FitWarning(text=text) for text in fit.warnings if not any(phrase in text for phrase in mark_phrases)]
@@ -254,6 +248,17 @@ def _from_few_pairs(moving: Floats, fixed: Floats, mirrored: bool | None) -> tup
             fit = _least_squares(moving, fixed, "similarity", mirrored)
             return fit, f"from {len(moving)} marks, a similarity: its error is not known"
     return None, ""
+
+
+def _disagreements(
+    pairs: Sequence[Mark], is_rejected: Bools, is_outlier: Bools, residual_um: Floats, leave_one_out_um: Floats
+) -> Iterator[FitWarning]:
+    for k, mark in enumerate(pairs):
+        if is_rejected[k]:
+            text = f"{residual_um[k]:.0f} um off: does not agree with the others, so the fit gives it no weight."
+            yield FitWarning(id=mark.id, text=text)
+        elif is_outlier[k]:
+            yield FitWarning(id=mark.id, text=f"Stands out: {leave_one_out_um[k]:.0f} um from where the others put it.")
 
 
 def _coincidence_warnings(pairs: Sequence[Mark], where: Mapping[Plane, str]) -> list[FitWarning]:

@@ -22,7 +22,7 @@ from planish.core.errors import InputError
 from planish.core.facts import is_known
 from planish.core.labelled import computed
 from planish.core.lazy import Where
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Window
 
 MOST_SAMPLES = 2000
 """Pixels along a profile; a longer line is read from a coarser level."""
@@ -100,7 +100,6 @@ BASE_PIXELS = 4_000_000
 
 _BINS = 128
 _RIM = 0.75  # of a hole's diameter: its rim ends within
-Window = tuple[slice, slice]
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,8 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, WithJsonSchema
 from pydantic.json_schema import SkipJsonSchema
 
+from planish.core.typing import Pair
+
 
 def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
@@ -23,7 +25,6 @@ def _all_finite(values: Any) -> Any:
 
 
 Number = Annotated[float | None, BeforeValidator(_finite)]
-Pair = tuple[float, float]
 KnownPair = Annotated[Pair | None, BeforeValidator(_all_finite)]
 
 

@@ -11,4 +11,5 @@ Ints = NDArray[np.intp]
 Pair = tuple[float, float]
 Pixel = float | Pair  # edge of a pixel in um, or its edges along y and x
 Array = NDArray[Any]
+Window = tuple[slice, slice]  # rows and columns of a part
 Complexes = NDArray[np.complex128]

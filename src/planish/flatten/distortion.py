@@ -5,14 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from pydantic import Field
 
 from planish.core.facts import ResultModel, Value
 from planish.core.robust import percentiles
-from planish.core.typing import Bools, Floats
-
-Index = NDArray[np.intp]
+from planish.core.typing import Bools, Floats, Ints
 
 # Cell (i, j) has the corners a = (i, j), b = (i, j + 1), c = (i + 1, j + 1), d = (i + 1, j) and is cut along a-c:
 # half 0 is (a, b, c), half 1 is (a, c, d). Edge k of a half runs from its corner k to its corner k + 1.
@@ -24,9 +21,9 @@ _BEHIND = np.array([[[-1, 0, 1], [0, 1, 1], [0, 0, 1]], [[0, 0, 0], [1, 0, 0], [
 class MeshPoints(NamedTuple):
     """Places (n,) on a mesh: cell, its half (0 above the first diagonal, 1 below), shares (n, 3) of its corners."""
 
-    row: Index
-    col: Index
-    half: Index
+    row: Ints
+    col: Ints
+    half: Ints
     weights: Floats
 
     def on(self, nodes: Floats) -> Floats:
@@ -131,7 +128,7 @@ def trace_lines(points: Floats, uv: Floats, start: MeshPoints, end: MeshPoints) 
     is_turned = np.stack(triangle_areas(uv))[start.half, start.row, start.col] < 0
 
     # Lines that have not arrived: number, triangle; and last place on the surface, length so far.
-    triangles: Index = np.stack([np.arange(flat_um.size), start.row, start.col, start.half], axis=1)
+    triangles: Ints = np.stack([np.arange(flat_um.size), start.row, start.col, start.half], axis=1)
     positions: Floats = np.column_stack([start.on(points), np.zeros(flat_um.size)])
     # No line crosses so many triangles unless it winds through folded cells.
     for _ in range(20 * sum(points.shape[:2])):
@@ -152,8 +149,8 @@ def trace_lines(points: Floats, uv: Floats, start: MeshPoints, end: MeshPoints) 
 
 
 def _leave_triangles(
-    points: Floats, uv: Floats, triangles: Index, origin: Floats, vector: Floats, is_turned: Bools
-) -> tuple[Floats, Index, Bools]:
+    points: Floats, uv: Floats, triangles: Ints, origin: Floats, vector: Floats, is_turned: Bools
+) -> tuple[Floats, Ints, Bools]:
     """Give the points (n, 3) at which lines leave their triangles, the triangles behind, and which cross an edge."""
     line, row, col, half = triangles.T  # Those that are turned began in a triangle that is turned over.
     corner = row[:, None] + _CORNERS[half, :, 0], col[:, None] + _CORNERS[half, :, 1]

@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.core.typing import Bools, Floats, Ints, Pair
-from planish.register.pairs import Complexes
+from planish.core.typing import Bools, Complexes, Floats, Ints, Pair
 
 # Arrangements whose marks lie this many tolerances off are followed, so that a slightly displaced rival is noticed.
 REACH = 1.6

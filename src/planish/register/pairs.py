@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from planish.core.errors import MarkError
-from planish.core.typing import Bools, Floats, Ints
-
-Complexes = NDArray[np.complex128]
+from planish.core.typing import Bools, Complexes, Floats, Ints
 
 # Marks closer together than this share of their distance from the origin cannot be distinguished in float64.
 COINCIDENT = 1e-9

@@ -11,9 +11,9 @@ from scipy.ndimage import gaussian_filter1d
 from planish.core.errors import VolumeError
 from planish.core.facts import ResultModel
 from planish.core.threads import map_threads
-from planish.core.typing import Bools, Floats, Pair
+from planish.core.typing import Bools, Floats, Ints, Pair
 from planish.sections.band import SectionSeries, Stack
-from planish.sections.network import LEAST_SHARE, Index, quick_places, section_components, slow_part, solve_places
+from planish.sections.network import LEAST_SHARE, quick_places, section_components, slow_part, solve_places
 from planish.sections.pairs import FINEST_UM, GROUPS, SectionPairs, compare
 
 _REACH, _REACH_FIRST = 5, 2  # each section is compared with so many on either side, and in the first rounds
@@ -127,7 +127,7 @@ def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Ali
 
 
 def _jackknife_variance(
-    series: SectionSeries, coarse: SectionPairs, fine: SectionPairs | None, components: list[Index], aligned: Bools
+    series: SectionSeries, coarse: SectionPairs, fine: SectionPairs | None, components: list[Ints], aligned: Bools
 ) -> Floats:
     """Variance of the poses (3,) from solutions that each leave out a run of columns, of the surface too; or NaN."""
     if not aligned.any():
@@ -153,7 +153,7 @@ def _add_fixed_drift(pose: Floats, fixed: Floats, away_um: Floats, cutoff_um: fl
     return is_fixed
 
 
-def neighbours(away_um: Floats, pitch_um: float, reach: int) -> tuple[Index, Index]:
+def neighbours(away_um: Floats, pitch_um: float, reach: int) -> tuple[Ints, Ints]:
     """Give the pairs of sections at most ``reach`` apart with no wide gap between them, ordered by the first."""
     n = away_um.size
     # Neighbours farther apart show other fibres: three missing sections are bridged, no more.

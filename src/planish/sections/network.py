@@ -10,9 +10,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from planish.core.robust import mad_sd
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Ints
 
-Index = NDArray[np.intp]
 LEAST_SHARE = 0.05  # a pair with less than this share of its weight is refused
 _ORDER = 4
 """Of the derivative that is held down. With 3 a wave of 600 um and 48 um height is bent by 0.5 um at the ends of the
@@ -23,7 +22,7 @@ _HALF = 1.0 / np.sqrt(0.5) - 1.0
 """(1 - H)^2 = 1/2 of the smoother applied twice, H = 1 / (1 + l w^8), so l w^8 = 1 / _HALF at the cut-off."""
 
 
-def solve_places(first: Index, second: Index, offset: Floats, sigma: Floats, n: int) -> tuple[Floats, Floats]:
+def solve_places(first: Ints, second: Ints, offset: Floats, sigma: Floats, n: int) -> tuple[Floats, Floats]:
     """Find the places whose differences are the offsets.
 
     ``offset`` (pairs,) is the place of the second section of a pair less that of the first, which comes before it, and
@@ -56,7 +55,7 @@ def solve_places(first: Index, second: Index, offset: Floats, sigma: Floats, n: 
     return place, weight_shares
 
 
-def section_components(first: Index, second: Index, n: int) -> list[Index]:
+def section_components(first: Ints, second: Ints, n: int) -> list[Ints]:
     """Sections that pairs tie to each other, each part in order; those too small are left out."""
     adjacency = coo_array((np.ones(first.size), (first, second)), shape=(n, n))
     labels: NDArray[np.int32] = connected_components(adjacency, directed=False)[1]
@@ -65,7 +64,7 @@ def section_components(first: Index, second: Index, n: int) -> list[Index]:
     return [np.flatnonzero(labels == k) for k in np.flatnonzero(sizes >= min(6, n))]
 
 
-def quick_places(places: Floats, away_um: Floats, components: list[Index], *, cutoff_um: float) -> Floats:
+def quick_places(places: Floats, away_um: Floats, components: list[Ints], *, cutoff_um: float) -> Floats:
     """Take the slow part off places (sections, axes), in each part by itself; 0 for sections in none."""
     quick = np.zeros_like(places)
     for component in components:

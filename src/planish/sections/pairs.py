@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from planish.core.threads import map_threads
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Ints
 from planish.sections._kernels import pair_sums, smooth, straighten
 from planish.sections.band import SectionSeries, SheetBand, Stack
-from planish.sections.network import Index
 
 Samples = NDArray[np.float32]
 FINEST_UM = 3.0  # with wider pixels the fine bands would show no more than the others
@@ -36,8 +35,8 @@ class SectionPairs(NamedTuple):
     and ``base_offset`` (pairs, 3), the difference of the bands' poses; fine bands show no rotation.
     """
 
-    first: Index
-    second: Index
+    first: Ints
+    second: Ints
     offset: Floats
     sigma: Floats
     is_same_sheet: Bools
@@ -123,7 +122,7 @@ class Bands(NamedTuple):
         weight = np.clip((marked_cols - a) / (b - a), 0.0, 1.0).astype(np.float32)
         samples[:, marked_cols] = samples[:, a] * (1 - weight) + samples[:, b] * weight
 
-    def normal_sums(self, pose: Floats, first: Index, second: Index) -> Floats:
+    def normal_sums(self, pose: Floats, first: Ints, second: Ints) -> Floats:
         """Sums of `pair_sums` for pairs that are ordered by the first section; (pairs, parts, 13)."""
         cols = self.stack.shape[2] // self.step[1]
         x = ((np.arange(cols) + 0.5) * self.step[1] - 0.5 - 0.5 * (self.stack.shape[2] - 1)) * self.pixel_um[1]
@@ -136,7 +135,7 @@ class Bands(NamedTuple):
 
         return np.concatenate(map_threads(block, range(-(-pose.shape[0] // _BLOCK))))
 
-    def _block_sums(self, pose: Floats, first: Index, second: Index, x_um: Samples, n_parts: int) -> Floats:
+    def _block_sums(self, pose: Floats, first: Ints, second: Ints, x_um: Samples, n_parts: int) -> Floats:
         sums = np.zeros((first.size, n_parts, 13))
         bands: dict[int, tuple[Samples, Samples]] = {}
         for k, (i, j) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
@@ -166,7 +165,7 @@ def _smoothed(samples: Samples, row_weights: Samples, col_weights: Samples) -> S
     return out
 
 
-def compare(series: SectionSeries, pose: Floats, first: Index, second: Index, *, is_fine: bool = False) -> SectionPairs:
+def compare(series: SectionSeries, pose: Floats, first: Ints, second: Ints, *, is_fine: bool = False) -> SectionPairs:
     """Offsets of pairs of sections, ordered by the first, in bands that are straightened by their poses.
 
     Fine bands show neither a rotation nor whether both are of one sheet.
@@ -181,7 +180,7 @@ def compare(series: SectionSeries, pose: Floats, first: Index, second: Index, *,
 
 
 def _solve(
-    normal_sums: Floats, first: Index, second: Index, base_offset: Floats, is_same_sheet: Bools, is_fine: bool
+    normal_sums: Floats, first: Ints, second: Ints, base_offset: Floats, is_same_sheet: Bools, is_fine: bool
 ) -> SectionPairs:
     n_unknowns = 2 if is_fine else 3
     scale = np.array([1.0, 1.0, _TURN_UM])[:n_unknowns]

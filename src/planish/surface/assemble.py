@@ -92,11 +92,8 @@ def assemble(
         title = f"Standard error of the {side} face from the wall's grey"
         variables[f"level_{side}_error"] = _variable(level_error.astype(np.float32), title, common_um=mean_um)
     variables["centre"] = _variable(centre, "Centre surface")
-    for name, outwards in (("top", 1), ("bottom", -1)) if params.envelope_um is not None else ():
-        outward = outwards * columns.frame.sign * heights[name]
-        rolled_over = np.where(np.isfinite(outward), rolled(filled(outward), pitch, params.envelope_um), np.nan)
-        title = f"{_TITLES[name]} below a ball of {params.envelope_um:g} um"
-        variables[f"{name}_envelope"] = _variable(outwards * columns.frame.sign * rolled_over, title)
+    if params.envelope_um is not None:
+        variables |= _envelopes(heights, columns.frame.sign, pitch, params.envelope_um)
     base_offset = 0.5 * (heights["interface_top"] + heights["interface_bottom"]) - face_mean
     surfaces = alternative_surfaces(base_offset, face_mean, centre, in_outline, pitch, params)
     variables |= {name: _variable(height.astype(np.float32), title) for name, (height, title) in surfaces.items()}
@@ -130,6 +127,16 @@ def assemble(
     return xr.Dataset(
         variables, {axis: (axis, um, {"units": "um"}) for axis, um in zip("yx", lateral_um, strict=True)}, attrs
     )
+
+
+def _envelopes(heights: dict[str, Floats], sign: float, pitch: Pair, radius_um: float) -> dict[str, Variable]:
+    envelopes: dict[str, Variable] = {}
+    for name, outwards in (("top", sign), ("bottom", -sign)):
+        outward = outwards * heights[name]
+        rolled_over = np.where(np.isfinite(outward), rolled(filled(outward), pitch, radius_um), np.nan)
+        title = f"{_TITLES[name]} below a ball of {radius_um:g} um"
+        envelopes[f"{name}_envelope"] = _variable(outwards * rolled_over, title)
+    return envelopes
 
 
 def _variable(field: NDArray[np.generic], title: str, units: str = "um", **attrs: object) -> Variable:

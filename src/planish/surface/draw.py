@@ -18,7 +18,7 @@ from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.status import Status
 from planish.core.tiles import Engine, Tile
-from planish.core.typing import Bools, Floats, Pair
+from planish.core.typing import Bools, Floats, Pair, Window
 from planish.surface import _draw_kernels
 from planish.surface.columns import FRINGE_PX, Columns, GreyScale, Guide, oriented
 from planish.surface.params import Corrections, Stretch
@@ -34,7 +34,6 @@ _WRONG = 3.0  # standard errors beyond which a face is
 _MISFIT = 0.03  # of the base's contrast: no column is a staircase to within less
 _LEAST, _LEAST_INNER = 0.15, 0.3  # of the step of the base, or of the interface: smaller ones are texture
 _EDGE = 1.0  # voxels by which an edge may be off where something misled the search: it has levels of its own
-Window = tuple[slice, slice]
 
 
 def columns_of(surfaces: xr.Dataset, volume: xr.DataArray) -> Columns:

@@ -15,7 +15,7 @@ from planish.core.reflectance import layer_over
 from planish.core.typing import Floats
 from planish.synthetic.params import CameraParams, PaperParams, PrintParams
 from planish.synthetic.pose import CameraPose
-from planish.synthetic.sheet import PITCH_UM, DrawnSheet, noise
+from planish.synthetic.sheet import PITCH_UM, DrawnSheet, Field, noise
 
 BASE_S_M2_PER_KG = 45.0
 BASE_K_M2_PER_KG = 1.2
@@ -74,7 +74,6 @@ def pile_reflectance(paper: PaperParams) -> float:
     return float(reflectance)
 
 
-Field = NDArray[np.float32]
 _HOLE = 0.04  # reflectance of a hole with nothing in it
 _CHAR_GREY = 0.2  # of burnt paper down in a hole: its wall, and what closes its lower end
 _CHAR_RIM = 0.6  # share of the reflectance that is left at the rim, where sheet.char is 0.5

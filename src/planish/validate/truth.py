@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 
 from planish.core.frame import Frame
 from planish.core.grid import pitch
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Ints
 from planish.register import FittedTransform
 from planish.run import Run
 from planish.synthetic import DrawnSheet, InstrumentFiles, Specimen
 from planish.validate.scenario import Values
 
-Index = NDArray[np.intp]
 FACES = ("top", "interface_top", "interface_bottom", "bottom")
 # Thickness -> its outer and inner face
 THICKNESSES = {"coating_top": (0, 1), "base_thickness": (1, 2), "thickness": (0, 3)}
@@ -47,7 +46,7 @@ class Comparison:
         return self.groups["surfaces"]
 
     @cached_property
-    def columns(self) -> tuple[Index, Index]:
+    def columns(self) -> tuple[Ints, Ints]:
         """Rows and columns of the chosen columns."""
         rows, cols = self.surfaces["status"].shape
         step = max(1, int(np.ceil(np.sqrt(rows * cols / 400_000))))  # more columns do not make a percentile any surer
@@ -74,7 +73,7 @@ class Comparison:
         """True where the run measured the column."""
         return self.at_columns(self.surfaces["status"].values) == 0
 
-    def places(self, heights: Floats, rows: Index, cols: Index) -> Floats:
+    def places(self, heights: Floats, rows: Ints, cols: Ints) -> Floats:
         """Places (m, n, 3) as x, y, z of the file, in um, of heights (m, n) over the columns ``rows`` and ``cols``."""
         frame = Frame.of(self.surfaces)
         coordinates = {

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from planish.core.grid import Grid
 from planish.core.text import printable
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Window
 
 Ring = Floats
-Window = tuple[slice, slice]
 MOST_REGIONS, MOST_POINTS = 1000, 1_000_000
 LONGEST_TEXT = 500
 _FARTHEST = 1e9  # um or pixels: nothing that is drawn on paper lies farther away
