@@ -5,21 +5,22 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
-from planish.core.durations import LINK_SECONDS, SHEET_SECONDS, Seconds
+from planish.core.durations import LINK_SECONDS, SHEET_SECONDS, START_SECONDS, Seconds
 from planish.core.errors import PlanishError
 from planish.run.study import LayerParams, Study
 
 Stage = tuple[str, float]  # its name, or that of a step of tiles within it, and its expected seconds
+Clock = Callable[[], float]
 
 
 class TimeLeft:
-    """Follows a run through its expected stages; ``clock`` counts seconds."""
+    """Follows a run through its expected stages; ``clock`` counts seconds, ``started`` are those that starting took."""
 
-    def __init__(self, stages: Sequence[Stage], clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, stages: Sequence[Stage], clock: Clock = time.monotonic, started: float = START_SECONDS) -> None:
         self._names, self._seconds, self._clock = [n for n, _ in stages], [s for _, s in stages], clock
         self._total, self._at, self._share = sum(self._seconds), -1, 0.0
         self._start = self._entered = clock()
-        self._rate = 1.0  # seconds that a second of the expected times takes here
+        self._rate = self._first_rate = started / START_SECONDS  # seconds that an expected second takes here
 
     def enter(self, name: str, share: float = 0.0) -> None:
         """A stage begins, or so much of its tiles is done; stages that were passed over take no time."""
@@ -35,18 +36,15 @@ class TimeLeft:
             self._move(at + 1)
         elif share:
             self._share = share
-            self._measure()
+            self._rate = self._rate_at(self._passed(), self._clock())
 
     def _move(self, at: int) -> None:
         self._at, self._share, self._entered = at, 0.0, self._clock()
-        self._measure()
-
-    def _measure(self) -> None:
         self._rate = self._rate_at(self._passed(), self._clock())
 
     def _rate_at(self, passed: float, now: float) -> float:
-        known = 0.05 * self._total  # at first the expected times count more than the few seconds that passed
-        return (now - self._start + known) / (passed + known)
+        known = 0.05 * self._total  # at first, what starting took counts more than the few seconds that passed
+        return (now - self._start + known * self._first_rate) / (passed + known)
 
     def _passed(self) -> float:
         return sum(self._seconds[: max(self._at, 0)]) + self._share * (self._seconds[self._at] if self._at >= 0 else 0)
@@ -77,7 +75,7 @@ def expected_stages(study: Study) -> list[Stage]:
     if len(study.layers) > 1:
         stages += [("register", 1.0 + 0.7 * millions) for millions in sizes[1:-1]]
         stages += _timed(LINK_SECONDS, sizes[-1])
-    return [*stages, ("write", 8.0 + 1.5 * sum(sizes))]
+    return [*stages, ("write", 4.0 + 2.5 * (len(study.layers) > 1) + 0.35 * sum(sizes))]
 
 
 def _timed(seconds: Seconds, millions: float) -> list[Stage]:

@@ -6,20 +6,21 @@ from collections.abc import Mapping
 Seconds = Mapping[str, tuple[float, float]]
 
 SHEET_SECONDS: Seconds = {
-    "read": (0.5, 0.3),
-    "surface": (0.2, 0.0),
-    "survey": (2.0, 0.2),
-    "priors": (3.0, 2.5),
-    "faces": (2.5, 6.5),
-    "faces_below": (0.4, 1.4),
-    "assembly": (2.0, 3.0),
-    "layers": (0.5, 1.2),
-    "measure": (0.7, 1.6),
-    "flatten": (0.9, 0.5),
-    "resample": (0.4, 1.1),
-    "check": (3.3, 3.6),
+    "read": (0.5, 0.1),
+    "surface": (0.1, 0.0),
+    "survey": (0.4, 0.65),
+    "priors": (2.0, 0.2),
+    "faces": (0.1, 1.1),
+    "faces_below": (0.1, 0.25),
+    "assembly": (1.0, 0.85),
+    "layers": (0.1, 0.1),
+    "measure": (0.2, 0.2),
+    "flatten": (0.4, 0.1),
+    "resample": (0.2, 0.16),
+    "check": (2.0, 0.8),
 }
-LINK_SECONDS: Seconds = {"register": (1.0, 0.7), "link": (1.3, 6.3), "correlate": (8.0, 5.0)}
+LINK_SECONDS: Seconds = {"register": (0.5, 0.3), "link": (0.5, 2.1), "correlate": (1.7, 1.2)}
+START_SECONDS = 3.0  # of the processor, until the first stage begins
 _BUSY = 1.6  # times as long on two processors that have other work, too
 
 
