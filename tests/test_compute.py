@@ -225,7 +225,7 @@ def test_the_memory_that_info_states_is_enough_for_single_voxels(shape, tmp_path
     stated = Compute.model_validate({"memory_bytes": line.split()[2] + "GB"})
     frame = Frame(through="zyx"[int(np.argmin(shape))])
     assert column_step(read_volume(tmp_path / "v.raw"), frame, None, stated) == 1
-    assert ("; 27 s to 53 s on two processors" in line) is (shape[0] == 40)
+    assert ("; 13 s to 26 s on two processors" in line) is (shape[0] == 40)
 
 
 def test_the_memory_that_info_states_holds_a_volume_that_is_decoded_as_a_whole(tmp_path):

@@ -1,7 +1,6 @@
 """Commands that make a run: link, map, run, demo; a study file for one, new; how the options become a study."""
 
 import filecmp
-import time
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +74,7 @@ def _run_and_show(
 
     with wrong_usage("--set: "):
         study = with_values(study, changes) if changes else study
-    left = TimeLeft(expected_stages(study), started=time.process_time()) if animated() else None
+    left = TimeLeft(expected_stages(study)) if animated() else None
     with stages(8 + 3 * len(study.layers), left) as progress:
         compute, figures = build_params(Compute, values), values.get("figures", False)
         run = run_study(study, out, progress=progress, compute=compute, old=old_run, figures=figures)

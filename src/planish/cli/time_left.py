@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
-from planish.core.durations import LINK_SECONDS, SHEET_SECONDS, START_SECONDS, Seconds
+from planish.core.durations import LINK_SECONDS, SHEET_SECONDS, START_SECONDS, WRITE_SECONDS, Seconds
 from planish.core.errors import PlanishError
 from planish.run.study import LayerParams, Study
 
@@ -14,13 +14,14 @@ Clock = Callable[[], float]
 
 
 class TimeLeft:
-    """Follows a run through its expected stages; ``clock`` counts seconds, ``started`` are those that starting took."""
+    """Follows a run through its expected stages; ``clock`` counts seconds, ``started`` what starting took, if not all so far."""
 
-    def __init__(self, stages: Sequence[Stage], clock: Clock = time.monotonic, started: float = START_SECONDS) -> None:
+    def __init__(self, stages: Sequence[Stage], clock: Clock = time.monotonic, started: float | None = None) -> None:
         self._names, self._seconds, self._clock = [n for n, _ in stages], [s for _, s in stages], clock
         self._total, self._at, self._share = sum(self._seconds), -1, 0.0
         self._start = self._entered = clock()
-        self._rate = self._first_rate = started / START_SECONDS  # seconds that an expected second takes here
+        # Seconds that an expected second takes here.
+        self._rate = self._first_rate = (time.process_time() if started is None else started) / START_SECONDS
 
     def enter(self, name: str, share: float = 0.0) -> None:
         """A stage begins, or so much of its tiles is done; stages that were passed over take no time."""
@@ -75,7 +76,8 @@ def expected_stages(study: Study) -> list[Stage]:
     if len(study.layers) > 1:
         stages += [("register", 1.0 + 0.7 * millions) for millions in sizes[1:-1]]
         stages += _timed(LINK_SECONDS, sizes[-1])
-    return [*stages, ("write", 4.0 + 2.5 * (len(study.layers) > 1) + 0.35 * sum(sizes))]
+    write, each = WRITE_SECONDS
+    return [*stages, ("write", write + 2.2 * (len(study.layers) > 1) + each * min(sizes))]
 
 
 def _timed(seconds: Seconds, millions: float) -> list[Stage]:

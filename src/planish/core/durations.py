@@ -6,24 +6,25 @@ from collections.abc import Mapping
 Seconds = Mapping[str, tuple[float, float]]
 
 SHEET_SECONDS: Seconds = {
-    "read": (0.5, 0.1),
+    "read": (0.4, 1.2),
     "surface": (0.1, 0.0),
-    "survey": (0.4, 0.65),
-    "priors": (2.0, 0.2),
-    "faces": (0.1, 1.1),
-    "faces_below": (0.1, 0.25),
-    "assembly": (1.0, 0.85),
-    "layers": (0.1, 0.1),
-    "measure": (0.2, 0.2),
-    "flatten": (0.4, 0.1),
-    "resample": (0.2, 0.16),
-    "check": (2.0, 0.8),
+    "survey": (0.3, 1.6),
+    "priors": (0.8, 3.8),
+    "faces": (0.1, 9.8),
+    "faces_below": (0.1, 1.2),
+    "assembly": (0.6, 2.0),
+    "layers": (0.0, 0.5),
+    "measure": (0.2, 1.5),
+    "flatten": (0.4, 0.6),
+    "resample": (0.2, 0.8),
+    "check": (0.5, 6.2),
 }
 LINK_SECONDS: Seconds = {"register": (0.5, 0.3), "link": (0.5, 2.1), "correlate": (1.7, 1.2)}
 START_SECONDS = 3.0  # of the processor, until the first stage begins
-_BUSY = 1.6  # times as long on two processors that have other work, too
+WRITE_SECONDS = (3.8, 3.0)
 
 
 def map_seconds(n_columns: int) -> float:
     """Seconds in which a volume of so many columns through its sheet is mapped; on a slow machine twice as many."""
-    return _BUSY * sum(fixed + each * n_columns / 1e6 for fixed, each in SHEET_SECONDS.values())
+    stages = *SHEET_SECONDS.values(), (START_SECONDS, 0.0), WRITE_SECONDS
+    return 1.2 * sum(fixed + each * n_columns / 1e6 for fixed, each in stages)  # the processors have other work, too
