@@ -14,7 +14,7 @@ Clock = Callable[[], float]
 
 
 class TimeLeft:
-    """Follows a run through its expected stages; ``clock`` counts seconds, ``started`` what starting took, if not all so far."""
+    """Follows a run through its expected stages; ``started``: what starting took, if not all so far."""
 
     def __init__(self, stages: Sequence[Stage], clock: Clock = time.monotonic, started: float | None = None) -> None:
         self._names, self._seconds, self._clock = [n for n, _ in stages], [s for _, s in stages], clock
