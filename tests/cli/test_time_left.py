@@ -7,7 +7,6 @@ from planish.cli import show
 from planish.cli.console import console
 from planish.cli.runs import study_from
 from planish.cli.time_left import TimeLeft, expected_stages
-from planish.core.durations import START_SECONDS
 from planish.core.tiles import Engine, tiles_of, tiles_told
 
 STAGES = [("read", 1.0), ("surface", 0.2), ("faces", 10.0), ("layers", 2.0), ("measure", 3.0), ("write", 4.0)]
@@ -28,7 +27,7 @@ class Clock:
 def test_after_a_quarter_the_time_left_is_right_within_a_factor_of_one_and_a_half(speed, tilt):
     """On a machine that is slower or faster, and with late stages that take longer than expected."""
     clock, ratios = Clock(), []
-    left = TimeLeft(STAGES, clock, START_SECONDS)
+    left = TimeLeft(STAGES, clock, 1.0)
     times = [seconds * speed * (tilt if name in ("measure", "write") else 1.0) for name, seconds in STAGES]
     total = sum(times)
     for (name, _), seconds in zip(STAGES, times, strict=True):
@@ -47,7 +46,7 @@ def test_after_a_quarter_the_time_left_is_right_within_a_factor_of_one_and_a_hal
 
 def test_stages_that_are_passed_over_take_no_time_and_unknown_steps_change_nothing():
     clock = Clock()
-    left = TimeLeft(STAGES, clock, START_SECONDS)
+    left = TimeLeft(STAGES, clock, 1.0)
     left.enter("read")
     left.enter("drawn-1", 0.5)
     clock.now = 1.0

@@ -5,23 +5,23 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
-from planish.core.durations import LINK_SECONDS, SHEET_SECONDS, START_SECONDS, WRITE_SECONDS, Seconds
+from planish.core.durations import LINK_SECONDS, SHEET_SECONDS, WRITE_SECONDS, Seconds
 from planish.core.errors import PlanishError
 from planish.run.study import LayerParams, Study
 
 Stage = tuple[str, float]  # its name, or that of a step of tiles within it, and its expected seconds
 Clock = Callable[[], float]
-
+_SLOWNESS = time.process_time() / 0.5  # seconds of the first imports, by those where times are right
+)
 
 class TimeLeft:
-    """Follows a run through its expected stages; ``started``: what starting took, if not all so far."""
+    """Follows a run through its expected stages; ``slowness`` is a first guess of their scale."""
 
-    def __init__(self, stages: Sequence[Stage], clock: Clock = time.monotonic, started: float | None = None) -> None:
+    def __init__(self, stages: Sequence[Stage], clock: Clock = time.monotonic, slowness: float = _SLOWNESS) -> None:
         self._names, self._seconds, self._clock = [n for n, _ in stages], [s for _, s in stages], clock
         self._total, self._at, self._share = sum(self._seconds), -1, 0.0
         self._start = self._entered = clock()
-        # Seconds that an expected second takes here.
-        self._rate = self._first_rate = (time.process_time() if started is None else started) / START_SECONDS
+        self._rate = self._guess = slowness
 
     def enter(self, name: str, share: float = 0.0) -> None:
         """A stage begins, or so much of its tiles is done; stages that were passed over take no time."""
@@ -44,8 +44,8 @@ class TimeLeft:
         self._rate = self._rate_at(self._passed(), self._clock())
 
     def _rate_at(self, passed: float, now: float) -> float:
-        known = 0.05 * self._total  # at first, what starting took counts more than the few seconds that passed
-        return (now - self._start + known * self._first_rate) / (passed + known)
+        known = 0.05 * self._total  # at first the guess counts more than the few seconds that passed
+        return (now - self._start + known * self._guess) / (passed + known)
 
     def _passed(self) -> float:
         return sum(self._seconds[: max(self._at, 0)]) + self._share * (self._seconds[self._at] if self._at >= 0 else 0)
@@ -77,7 +77,7 @@ def expected_stages(study: Study) -> list[Stage]:
         stages += [("register", 1.0 + 0.7 * millions) for millions in sizes[1:-1]]
         stages += _timed(LINK_SECONDS, sizes[-1])
     write, each = WRITE_SECONDS
-    return [*stages, ("write", write + 2.2 * (len(study.layers) > 1) + each * min(sizes))]
+    return [*stages, ("write", write + 4.0 * (len(study.layers) > 1) + each * min(sizes))]
 
 
 def _timed(seconds: Seconds, millions: float) -> list[Stage]:
