@@ -12,7 +12,7 @@ from planish.run.study import LayerParams, Study
 Stage = tuple[str, float]  # its name, or that of a step of tiles within it, and its expected seconds
 Clock = Callable[[], float]
 _SLOWNESS = time.process_time() / 0.5  # seconds of the first imports, by those where times are right
-)
+
 
 class TimeLeft:
     """Follows a run through its expected stages; ``slowness`` is a first guess of their scale."""
