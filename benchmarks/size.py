@@ -1,6 +1,10 @@
 """A volume larger than memory through surfaces and six maps: peak memory, and time against one plain pass of reading.
 
-    python -m benchmarks size [--gvoxel 0.5,8] [--folder DIR] [--column-um 4.11] [--memory 2GB] [--scheduler ADDRESS]
+    python -m benchmarks size [--gvoxel 0.5,8] [--times 5] [--folder DIR] [--column-um 4.11] [--memory 2GB]
+                              [--scheduler ADDRESS] [--slices]
+
+With ``--slices`` the same greys in 16 bits, from a store and from folders of plain and of deflated slices. Each may
+take 1.3 times as long as from the store, and what decoding alone takes. Medians of ``--times``.
 
 The sheet is a formula: a warped mid-surface, coatings of varying thickness, laser holes, a blur and noise. It is
 written into a working store block by block, then mapped by the command line in a process of its own.
@@ -11,6 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import shutil
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -22,6 +27,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
+import tifffile
 import xarray as xr
 import zarr
 from numba import njit
@@ -105,6 +111,8 @@ class Formula(BackendArray):
 def main(*arguments: str | int) -> int:
     parser = argparse.ArgumentParser(prog="size")
     parser.add_argument("--gvoxel", default="0.5,8")
+    parser.add_argument("--times", type=int, default=1)
+    parser.add_argument("--slices", action="store_true")
     parser.add_argument("--folder", type=Path, default=None, help="where stores are made, and kept for the next time")
     parser.add_argument("--column-um", default="4.11")
     parser.add_argument("--memory", default="2GB")
@@ -112,7 +120,7 @@ def main(*arguments: str | int) -> int:
     asked = parser.parse_args([str(a) for a in arguments])
     with folder_for(asked.folder) as folder:
         for gvoxel in map(float, asked.gvoxel.split(",")):
-            measure(gvoxel, folder, asked)
+            (compare_slices if asked.slices else measure)(gvoxel, folder, asked)
     return 0
 
 
@@ -143,19 +151,18 @@ def measure(gvoxel: float, folder: str, asked: argparse.Namespace) -> None:
         start = time.perf_counter()
         write_store(volume(shape), store, memory_bytes=2**30)
         print(f"  made in {time.perf_counter() - start:.0f} s")
-    read = plain_pass(store)
+    read = statistics.median(plain_pass(store) for _ in range(asked.times))
     size = sum(p.stat().st_size for p in (store / "0").rglob("*") if p.is_file())
     print(f"  plain pass of reading {read:.1f} s, {voxels / read / 1e6:.0f} Mvoxel/s, {size / 1e9:.2f} GB on disk")
     out = Path(folder) / "run"
-    shutil.rmtree(out, ignore_errors=True)
-    command = [sys.executable, "-m", "planish", "map", str(store), "--out", str(out), "--column-um", asked.column_um]
-    command += ["--memory", asked.memory, *(["--scheduler", asked.scheduler] if asked.scheduler else [])]
-    done, stages, said, peak = timed(command)
-    took = sum(stages.values())
-    print(f"  surfaces and six maps {took:.1f} s, {voxels / took / 1e6:.0f} Mvoxel/s, {took / read:.1f} plain passes")
+    runs = [mapped(store, out, asked) for _ in range(asked.times)]
+    took = statistics.median(sum(stages.values()) for _, stages, _, _ in runs)
+    all_text = ", ".join(f"{sum(stages.values()):.1f}" for _, stages, _, _ in runs)
+    done, stages, said, peak = runs[-1]
+    print(f"  surfaces and six maps {took:.1f} s ({all_text}), {voxels / took / 1e6:.0f} Mvoxel/s, "
+          f"{took / read:.1f} plain passes")  # fmt: skip
     print("  " + ", ".join(f"{name} {seconds:.1f} s" for name, seconds in stages.items()))
-    rest = took - stages.get("check", 0.0)
-    print(f"  the checks add {100 * stages.get('check', 0.0) / rest:.0f} % to the rest")
+    print(f"  the checks take {100 * stages.get('check', 0.0) / sum(stages.values()):.0f} % of it")
     print(f"  peak memory {peak / 1e9:.2f} GB (of this and all smaller ones before), exit code {done}")
     if done not in (0, 4):
         print(said)
@@ -168,6 +175,50 @@ def measure(gvoxel: float, folder: str, asked: argparse.Namespace) -> None:
     for check in results["checks"]:
         if check["state"] in ("look", "fail"):
             print(f"  {check['state']}: {check['name']}: {check['sentence']}")
+
+
+def mapped(volume: Path, out: Path, asked: argparse.Namespace) -> tuple[int, dict[str, float], str, float]:
+    """Map a volume by the command line, as :func:`timed` gives it."""
+    shutil.rmtree(out, ignore_errors=True)
+    command = [sys.executable, "-m", "planish", "map", str(volume), "--out", str(out), "--column-um", asked.column_um]
+    command += ["--memory", asked.memory, *(["--scheduler", asked.scheduler] if asked.scheduler else [])]
+    if volume.suffix != ".zarr":
+        command += ["--voxel-um", str(VOXEL_UM)]
+    return timed(command)
+
+
+def compare_slices(gvoxel: float, folder: str, asked: argparse.Namespace) -> None:
+    edge = round(np.sqrt(gvoxel * 1e9 / DEPTH))
+    values = volume((DEPTH, edge, edge)).values.astype(np.uint16) * 97
+    values += np.random.default_rng(1).integers(0, 97, values.shape, dtype=np.uint16)
+    inputs = {"store": Path(folder) / "sheet-16.zarr", "plain": Path(folder) / "plain", "zlib": Path(folder) / "zlib"}
+    if not inputs["store"].exists():
+        write_store(volume((DEPTH, edge, edge)).copy(data=values), inputs["store"], memory_bytes=2**30)
+    for kind in ("plain", "zlib"):
+        inputs[kind].mkdir(exist_ok=True)
+        for k, plane in enumerate(values):
+            compression = None if kind == "plain" else kind
+            file = inputs[kind] / f"slice{k:04d}.tif"
+            tifffile.imwrite(file, plane, photometric="minisblack", compression=compression)
+    took: dict[str, list[float]] = {kind: [] for kind in inputs}
+    decoding: dict[str, list[float]] = {"plain": [], "zlib": []}
+    for _ in range(asked.times):
+        for kind, path in inputs.items():
+            code, stages, said, _ = mapped(path, Path(folder) / "run", asked)
+            if code not in (0, 4):
+                sys.exit(said)
+            took[kind].append(sum(stages.values()))
+            if kind != "store":
+                begun = time.perf_counter()
+                with ThreadPoolExecutor(2) as pool:
+                    list(pool.map(lambda file: tifffile.imread(file, maxworkers=1).nbytes, sorted(path.iterdir())))
+                decoding[kind].append(time.perf_counter() - begun)
+    store = statistics.median(took["store"])
+    print(f"{gvoxel:g} Gvoxel of 16 bits, from a store {store:.1f} s")
+    for kind, seconds in decoding.items():
+        alone, whole = statistics.median(seconds), statistics.median(took[kind])
+        ratio = (whole - alone) / store
+        print(f"  {kind} slices {whole:.1f} s, decoding alone {alone:.1f} s: {ratio:.2f} of the store (1.3)")
 
 
 def timed(command: list[str]) -> tuple[int, dict[str, float], str, float]:

@@ -1,5 +1,7 @@
 """Where the code of compiled kernels is kept."""
 
+import os
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -25,13 +27,23 @@ def test_kernels_lie_outside_the_program_and_those_of_other_libraries_where_they
     def another(x):
         return x
 
-    package = Path(jit.__file__).parents[1]
-    given = numba.config.CACHE_DIR
     kernel = Path(halve_values.stats.cache_path)
-    assert not kernel.is_relative_to(package)
-    assert kernel.parent == Path(jit.cache_folder(given))
-    assert jit.njit(cache=True)(another).stats.cache_path != numba.njit(cache=True)(another).stats.cache_path
-    assert given == numba.config.CACHE_DIR
+    assert kernel == Path(jit.cache_folder(numba.config.CACHE_DIR)) / "core"
+    assert not kernel.is_relative_to(jit.PACKAGE)
+    assert not Path(numba.njit(cache=True)(another).stats.cache_path).is_relative_to(kernel.parent)
+
+
+def test_another_installation_of_the_same_sources_finds_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    kernel = Path(halve_values.py_func.__code__.co_filename)
+    copy = tmp_path / kernel.relative_to(jit.PACKAGE)
+    copy.parent.mkdir()
+    copy.write_bytes(kernel.read_bytes())
+    here = jit.Locator.from_function(halve_values.py_func, str(kernel))
+    assert here is not None
+    monkeypatch.setattr(jit, "PACKAGE", tmp_path)
+    there = jit.Locator.from_function(halve_values.py_func, str(copy))
+    assert there is not None
+    assert vars(here) == vars(there)
 
 
 def test_the_cache_lies_in_the_given_folder_that_of_the_user_or_where_numba_can_write(user: Path, tmp_path: Path):
@@ -42,7 +54,7 @@ def test_the_cache_lies_in_the_given_folder_that_of_the_user_or_where_numba_can_
     assert Path(folder_of(str(given))).parent == user
     user.rename(tmp_path / "moved")
     user.write_text("no folder")
-    assert (folder_of(str(given)), folder_of("")) == (str(given), "")
+    assert (folder_of(str(given)), folder_of("")) == ("", "")
 
 
 def test_a_user_without_a_home_gets_no_folder_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -51,12 +63,14 @@ def test_a_user_without_a_home_gets_no_folder_here(tmp_path: Path, monkeypatch: 
     assert (folder_of(""), list(tmp_path.iterdir())) == ("", [])
 
 
-def test_kernels_of_older_sources_are_removed(user: Path, monkeypatch: pytest.MonkeyPatch):
-    before = Path(folder_of(""))
-    (before / "kernel.nbi").write_text("compiled")
-    other = user / "planish-0123456789abcdef-0123456789abcdef"
-    other.mkdir()
+def test_kernels_of_other_sources_are_removed_when_nobody_used_them_for_a_month(
+    user: Path, monkeypatch: pytest.MonkeyPatch
+):
+    unused, used = user / "planish-0123456789abcdef-0.60.0", Path(folder_of(""))
+    unused.mkdir()
     monkeypatch.setattr(jit, "hash_sources", lambda _pattern: "f" * 16)
-    after = Path(folder_of(""))
-    assert sorted(user.iterdir()) == sorted([after, other])
-    assert after != before
+    for days, left in ((29, [used, unused]), (31, [used])):
+        os.utime(unused, 2 * (time.time() - 86400 * days,))
+        now = Path(folder_of(""))
+        assert sorted(user.iterdir()) == sorted([now, *left])
+        assert now != used

@@ -1,60 +1,79 @@
-"""Kernels compiled by numba, whose code is kept in a folder for caches: beside the program it would outlive it."""
+"""Kernels compiled by numba, whose code is kept in a folder for caches: beside the program it would outlive it.
 
-import hashlib
+The folder is named by the kernels' sources and numba's version, so that all environments of a machine share it.
+"""
+
 import os
 import shutil
 import tempfile
-from collections.abc import Callable
+import time
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from threading import Lock
 from typing import Any
 
 import numba
-from numba.core import config
+from numba.core import caching, config
 from numba.misc.appdirs import AppDirs
 
 from planish.core.source_hash import PACKAGE, hash_sources
 
 _CONFIG: Any = config  # its names are made when it is imported
-_LOCK = Lock()  # they are those of all threads
+_LOCATORS: list[Any] = caching.CacheImpl._locator_classes  # pyright: ignore[reportPrivateUsage] - asked in turn
+_UNUSED_SECONDS = 30 * 86400.0  # code of other sources is removed after so long
+njit: Any = numba.njit
 
 
-def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Compile a function as ``numba.njit`` does; its code is kept in :func:`cache_folder`."""
+class Locator:
+    """Tells numba where the code of a function of this package lies."""
 
-    def compiled(function: Callable[..., Any]) -> Any:
-        with _LOCK:
-            previous_folder = _CONFIG.CACHE_DIR
-            _CONFIG.CACHE_DIR = cache_folder(previous_folder)
-            try:
-                return numba.njit(**options)(function)
-            finally:
-                _CONFIG.CACHE_DIR = previous_folder
+    def __init__(self, folder: str, function: Any, file: Path) -> None:
+        self.folder, self.line = Path(folder) / ".".join(file.parent.parts), function.__code__.co_firstlineno
+        self.folder.mkdir(exist_ok=True)
 
-    return compiled
+    @classmethod
+    def from_function(cls, function: Any, file: str) -> "Locator | None":
+        """Give the place; None for functions of others, and where no folder can be written: numba finds one."""
+        if not Path(file).is_relative_to(PACKAGE) or not (folder := cache_folder(_CONFIG.CACHE_DIR)):
+            return None
+        return cls(folder, function, Path(file).relative_to(PACKAGE))
+
+    def get_cache_path(self) -> str:
+        """Folder of the files of a function."""
+        return str(self.folder)
+
+    def get_source_stamp(self) -> str:
+        """Nothing: code of other sources lies in another folder."""
+        return ""
+
+    def get_disambiguator(self) -> str:
+        """Part of the name of its files."""
+        return str(self.line)
 
 
 @cache
 def cache_folder(numba_dir: str) -> str:
-    """Give the folder for code of this installation, in NUMBA_CACHE_DIR (``numba_dir``) or the user's cache folder.
+    """Give the folder for code of these sources, in NUMBA_CACHE_DIR (``numba_dir``) or the user's cache folder.
 
-    It is another where the sources of the kernels are others: numba sees a change of a kernel's own file, but not of
-    those that the kernel calls. Where no folder can be written, it is ``numba_dir``, and numba looks for one itself.
+    numba would see a change of a kernel's own file, but not of those that it calls. Empty where none can be written.
     """
-    installation_prefix = f"planish-{hashlib.sha256(os.fsencode(PACKAGE)).hexdigest()[:16]}-"
     user_folder = Path(AppDirs("numba", appauthor=False).user_cache_dir)
     # The user's folder is relative where there is no home.
     base_folders = [*([Path(numba_dir)] if numba_dir else []), *([user_folder] if user_folder.is_absolute() else [])]
     for base_folder in base_folders:
-        folder = base_folder / f"{installation_prefix}{hash_sources('_*kernels.py')}"
+        folder = base_folder / f"planish-{hash_sources('_*kernels.py')}-{numba.__version__}"
         try:
             folder.mkdir(parents=True, exist_ok=True)
             tempfile.TemporaryFile(dir=folder).close()
+            os.utime(folder)
         except OSError:
             continue
-        for older_folder in base_folder.glob(f"{installation_prefix}*"):
-            if older_folder != folder:
-                shutil.rmtree(older_folder, ignore_errors=True)
+        for other_folder in base_folder.glob("planish-*"):
+            with suppress(OSError):  # another process removes it, too
+                if time.time() - other_folder.stat().st_mtime > _UNUSED_SECONDS:
+                    shutil.rmtree(other_folder, ignore_errors=True)
         return str(folder)
-    return numba_dir
+    return ""
+
+
+_LOCATORS.insert(0, Locator)

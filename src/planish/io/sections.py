@@ -76,14 +76,9 @@ def is_section_folder(path: str | Path) -> bool:
 
 
 def read_section_stack(
-    path: str | Path,
-    *,
-    voxel_um: float | tuple[float, float, float] | None = None,
-    channel: str | None = None,
-    override_size: bool = False,
-    unusual_size: bool = False,
-    memory_bytes: int | None = None,
-) -> SectionStack:
+    path: str | Path, *, voxel_um: float | tuple[float, float, float] | None = None, channel: str | None = None,
+    override_size: bool = False, unusual_size: bool = False, memory_bytes: int | None = None,
+) -> SectionStack:  # fmt: skip
     """Read a folder of section photographs with its cut counter.
 
     Parameters

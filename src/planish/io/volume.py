@@ -28,16 +28,10 @@ if TYPE_CHECKING:
 
 
 def read_volume(
-    path: str | Path,
-    *,
-    voxel_um: float | tuple[float, float, float] | None = None,
-    channel: str | None = None,
-    override_size: bool = False,
-    unusual_size: bool = False,
-    memory_bytes: int | None = None,
-    through: Axis | None = None,
-    top: End | None = None,
-) -> xr.DataArray:
+    path: str | Path, *, voxel_um: float | tuple[float, float, float] | None = None, channel: str | None = None,
+    override_size: bool = False, unusual_size: bool = False, memory_bytes: int | None = None,
+    through: Axis | None = None, top: End | None = None,
+) -> xr.DataArray:  # fmt: skip
     """Read the 3D image of a sheet.
 
     Parameters

@@ -52,14 +52,9 @@ class Matched(ResultModel):
 
 
 def match_marks(
-    moving: ArrayLike,
-    fixed: ArrayLike,
-    *,
-    scale_tolerance: float = 0.03,
-    tolerance_um: float = 25.0,
-    mirror: bool = False,
-    names: tuple[str, str] = ("moving", "fixed"),
-) -> Matched:
+    moving: ArrayLike, fixed: ArrayLike, *, scale_tolerance: float = 0.03, tolerance_um: float = 25.0,
+    mirror: bool = False, names: tuple[str, str] = ("moving", "fixed"),
+) -> Matched:  # fmt: skip
     """Match two sets of marks whose rotation and shift are unknown.
 
     Parameters
@@ -165,17 +160,10 @@ def _no_match(choice: BestMatch, smaller_count: int, mirror: bool) -> str:
 
 
 def match_by_design(
-    moving: ArrayLike,
-    fixed: ArrayLike,
-    design: ArrayLike,
-    *,
-    labels: Sequence[str] | None = None,
-    name: str = "given",
-    scale_tolerance: float = 0.03,
-    tolerance_um: float = 25.0,
-    mirror: bool = False,
+    moving: ArrayLike, fixed: ArrayLike, design: ArrayLike, *, labels: Sequence[str] | None = None, name: str = "given",
+    scale_tolerance: float = 0.03, tolerance_um: float = 25.0, mirror: bool = False,
     names: tuple[str, str] = ("moving", "fixed"),
-) -> Matched:
+) -> Matched:  # fmt: skip
     """Match two sets of marks through the designed positions of the holes.
 
     Parameters

@@ -146,6 +146,8 @@ def engine(compute: Compute, *, tiles: Path | None = None) -> Generator[Engine]:
             "address that it prints."
         ) from error
     with opened as client:
+        with suppress(TimeoutError):  # those that were just started need a moment
+            client.wait_for_workers(1, timeout=20)
         workers = sum(client.ncores().values())
         if not workers:
             raise InputError(f"The scheduler {compute.scheduler} has no workers. Start some with 'dask worker'.")
