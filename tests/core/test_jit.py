@@ -2,6 +2,7 @@
 
 import os
 import time
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -33,17 +34,24 @@ def test_kernels_lie_outside_the_program_and_those_of_other_libraries_where_they
     assert not Path(numba.njit(cache=True)(another).stats.cache_path).is_relative_to(kernel.parent)
 
 
-def test_another_installation_of_the_same_sources_finds_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    kernel = Path(halve_values.py_func.__code__.co_filename)
-    copy = tmp_path / kernel.relative_to(jit.PACKAGE)
-    copy.parent.mkdir()
-    copy.write_bytes(kernel.read_bytes())
-    here = jit.Locator.from_function(halve_values.py_func, str(kernel))
-    assert here is not None
-    monkeypatch.setattr(jit, "PACKAGE", tmp_path)
-    there = jit.Locator.from_function(halve_values.py_func, str(copy))
-    assert there is not None
-    assert vars(here) == vars(there)
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_another_installation_of_the_same_sources_finds_what_one_compiled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(jit, "cache_folder", lambda _numba_dir: str(tmp_path / "cache"))
+    found = []
+    for name in ("one", "two"):
+        file = tmp_path / name / "core" / "_some_kernels.py"
+        file.parent.mkdir(parents=True)
+        file.write_text("from numba import njit\n\n@njit(cache=True)\ndef twice(x):\n    return 2 * x\n")
+        monkeypatch.setattr(jit, "PACKAGE", tmp_path / name)
+        spec = spec_from_file_location("_some_kernels", file)
+        kernels = module_from_spec(spec)
+        spec.loader.exec_module(kernels)
+        assert kernels.twice(4) == 8
+        found.append(sum(kernels.twice.stats.cache_hits.values()))
+    assert found == [0, 1]
+    assert len(list((tmp_path / "cache" / "core").glob("*.nbc"))) == 1
 
 
 def test_the_cache_lies_in_the_given_folder_that_of_the_user_or_where_numba_can_write(user: Path, tmp_path: Path):

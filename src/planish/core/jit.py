@@ -29,7 +29,6 @@ class Locator:
 
     def __init__(self, folder: str, function: Any, file: Path) -> None:
         self.folder, self.line = Path(folder) / ".".join(file.parent.parts), function.__code__.co_firstlineno
-        self.folder.mkdir(exist_ok=True)
 
     @classmethod
     def from_function(cls, function: Any, file: str) -> "Locator | None":
@@ -37,6 +36,10 @@ class Locator:
         if not Path(file).is_relative_to(PACKAGE) or not (folder := cache_folder(_CONFIG.CACHE_DIR)):
             return None
         return cls(folder, function, Path(file).relative_to(PACKAGE))
+
+    def ensure_cache_path(self) -> None:
+        """Make the folder, before something is written into it."""
+        self.folder.mkdir(parents=True, exist_ok=True)
 
     def get_cache_path(self) -> str:
         """Folder of the files of a function."""
