@@ -10,7 +10,7 @@ import time
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numba
 from numba.core import caching, config
@@ -19,7 +19,6 @@ from numba.misc.appdirs import AppDirs
 from planish.core.source_hash import PACKAGE, hash_sources
 
 _CONFIG: Any = config  # its names are made when it is imported
-_LOCATORS: list[Any] = caching.CacheImpl._locator_classes  # pyright: ignore[reportPrivateUsage] - asked in turn
 _UNUSED_SECONDS = 30 * 86400.0  # code of other sources is removed after so long
 njit: Any = numba.njit
 
@@ -79,4 +78,4 @@ def cache_folder(numba_dir: str) -> str:
     return ""
 
 
-_LOCATORS.insert(0, Locator)
+cast("Any", caching.CacheImpl)._locator_classes.insert(0, Locator)  # they are asked in turn
