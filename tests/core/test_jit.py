@@ -54,6 +54,14 @@ def test_another_installation_of_the_same_sources_finds_what_one_compiled(
     assert len(list((tmp_path / "cache" / "core").glob("*.nbc"))) == 1
 
 
+@pytest.mark.skipif(os.name == "nt", reason="links need a privilege")
+def test_an_installation_behind_a_link_has_the_same_folder(tmp_path: Path):
+    (tmp_path / "link").symlink_to(jit.PACKAGE)
+    found = jit.Locator.from_function(halve_values.py_func, str(tmp_path / "link" / "core" / "_overview_kernels.py"))
+    assert found is not None
+    assert found.get_cache_path() == halve_values.stats.cache_path
+
+
 def test_the_cache_lies_in_the_given_folder_that_of_the_user_or_where_numba_can_write(user: Path, tmp_path: Path):
     assert Path(folder_of("")).parent == user
     assert Path(folder_of(str(tmp_path / "given"))).parent == tmp_path / "given"
@@ -76,9 +84,12 @@ def test_kernels_of_other_sources_are_removed_when_nobody_used_them_for_a_month(
 ):
     unused, used = user / "planish-0123456789abcdef-0.60.0", Path(folder_of(""))
     unused.mkdir()
+    results = user / "planish-demo"  # of a person whose NUMBA_CACHE_DIR is a folder of theirs
+    results.mkdir()
+    os.utime(results, (0, 0))
     monkeypatch.setattr(jit, "hash_sources", lambda _pattern: "f" * 16)
     for days, left in ((29, [used, unused]), (31, [used])):
         os.utime(unused, 2 * (time.time() - 86400 * days,))
         now = Path(folder_of(""))
-        assert sorted(user.iterdir()) == sorted([now, *left])
+        assert sorted(user.iterdir()) == sorted([now, results, *left])
         assert now != used

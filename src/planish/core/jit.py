@@ -1,7 +1,4 @@
-"""Kernels compiled by numba, whose code is kept in a folder for caches: beside the program it would outlive it.
-
-The folder is named by the kernels' sources and numba's version, so that all environments of a machine share it.
-"""
+"""Kernels compiled by numba: their code is kept apart from the program, where all environments of a machine find it."""
 
 import os
 import shutil
@@ -13,6 +10,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import numba
+import numpy as np
 from numba.core import caching, config
 from numba.misc.appdirs import AppDirs
 
@@ -32,9 +30,10 @@ class Locator:
     @classmethod
     def from_function(cls, function: Any, file: str) -> "Locator | None":
         """Give the place; None for functions of others, and where no folder can be written: numba finds one."""
-        if not Path(file).is_relative_to(PACKAGE) or not (folder := cache_folder(_CONFIG.CACHE_DIR)):
+        path = Path(file).resolve()
+        if not path.is_relative_to(PACKAGE) or not (folder := cache_folder(_CONFIG.CACHE_DIR)):
             return None
-        return cls(folder, function, Path(file).relative_to(PACKAGE))
+        return cls(folder, function, path.relative_to(PACKAGE))
 
     def ensure_cache_path(self) -> None:
         """Make the folder, before something is written into it."""
@@ -63,14 +62,14 @@ def cache_folder(numba_dir: str) -> str:
     # The user's folder is relative where there is no home.
     base_folders = [*([Path(numba_dir)] if numba_dir else []), *([user_folder] if user_folder.is_absolute() else [])]
     for base_folder in base_folders:
-        folder = base_folder / f"planish-{hash_sources('_*kernels.py')}-{numba.__version__}"
+        folder = base_folder / f"planish-{hash_sources('_*kernels.py')}-{numba.__version__}-{np.__version__}"
         try:
             folder.mkdir(parents=True, exist_ok=True)
             tempfile.TemporaryFile(dir=folder).close()
             os.utime(folder)
         except OSError:
             continue
-        for other_folder in base_folder.glob("planish-*"):
+        for other_folder in base_folder.glob(f"planish-{16 * '[0-9a-f]'}-*"):
             with suppress(OSError):  # another process removes it, too
                 if time.time() - other_folder.stat().st_mtime > _UNUSED_SECONDS:
                     shutil.rmtree(other_folder, ignore_errors=True)
