@@ -31,7 +31,15 @@ from benchmarks.size import folder_for, timed
 from planish.core.transform import Similarity, nearest_similarity
 from planish.register import RegistrationParams
 from planish.run import register_texture
-from planish.synthetic import BurnParams, CameraParams, ScannerParams, SpecimenParams, make_specimen, write_instruments
+from planish.synthetic import (
+    BurnParams,
+    CameraParams,
+    ScannerParams,
+    SpecimenParams,
+    make_specimen,
+    write_image,
+    write_instruments,
+)
 
 Floats32 = NDArray[np.float32]
 PIXEL_UM, VOXEL_UM = 1.37, 5.0
@@ -96,8 +104,9 @@ def specimen(rows: int, cols: int, folder: Path) -> tuple[Path, Path]:
         if made.image_shape[0] >= rows and made.image_shape[1] >= cols:
             break
         height, width = 1.01 * height, 1.01 * width
-    write_instruments(made, folder)
-    values = tifffile.imread(folder / "image.tif")[:rows, :cols]
+    # Another specimen of the same sheet: what it keeps of its scan is gone before the image is drawn.
+    write_instruments(make_specimen(made.params, sheet=made.sheet), folder, image=False)
+    values = tifffile.imread(write_image(made, folder / "image.tif"))[:rows, :cols]
     per_cm = 1e4 / PIXEL_UM
     tifffile.imwrite(image, values, resolution=(per_cm, per_cm), resolutionunit="CENTIMETER")
     return volume, image

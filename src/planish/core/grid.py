@@ -87,11 +87,11 @@ def filled(field: Floats) -> Floats:
     """Return a field with the nearest known value in place of every NaN; one of NaN only as it is."""
     from scipy import ndimage
 
-    is_finite = np.isfinite(field)
-    if not is_finite.any():
-        return field.copy()
-    nearest = ndimage.distance_transform_edt(~is_finite, return_distances=False, return_indices=True)
-    return field[tuple(nearest)]
+    values, is_missing = field.copy(), ~np.isfinite(field)
+    if is_missing.any() and not is_missing.all():
+        nearest = ndimage.distance_transform_edt(is_missing, return_distances=False, return_indices=True)
+        values[is_missing] = field[tuple(index[is_missing] for index in nearest)]
+    return values
 
 
 def first_and_last(mask: Bools) -> tuple[Ints, Ints]:

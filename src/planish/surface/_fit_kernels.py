@@ -254,24 +254,9 @@ def _guess(g, d0, air, w, middle, prior, coated):
 
 @njit(cache=True, nogil=True)
 def fit_faces(
-    slab,
-    expected,
-    other,
-    tilt,
-    air,
-    width,
-    noise,
-    prior,
-    spread,
-    coated,
-    search,
-    result,
-    window=0.0,
-    amid=0.0,
-    fringe=None,
-    ratio=1.0,
-    reverse=False,
-):
+    slab, expected, other, tilt, air, width, noise, prior, spread, coated, search, result, window=0.0, amid=0.0,
+    fringe=None, ratio=1.0, reverse=False,
+):  # fmt: skip
     """Fit the outer face and the interface of every column of a slab, read from outside to inside.
 
     slab          : (rows, cols, depth) float32, grey, oriented so that the sheet is brighter than the air

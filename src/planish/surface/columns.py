@@ -86,7 +86,9 @@ class Columns:
             grey = np.empty((*tile.shape, stored.shape[2]), dtype=np.float32)
             _kernels.mean_columns(stored, self.step, slope_r, slope_c, missing, grey)
             return grey
-        grey = np.array(stored, dtype=np.float32, order="C")
+        grey = np.empty(stored.shape, dtype=np.float32)
+        for i, row in enumerate(stored):
+            grey[i] = row.copy(order="K")  # turned while it is in the processor's cache
         if self.padding is not None:
             grey[grey == self.padding] = np.nan
         return grey
