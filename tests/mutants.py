@@ -81,7 +81,7 @@ MUTANTS = [
     Mutant("marks/sheet_holes.py", 'to_face_um = (-face_share if side == "top" else face_share) * offset_um', "to_face_um = face_share * offset_um", "marks/test_sheet_holes.py"),
     Mutant("marks/sheet_holes.py", "CLOSED if shares.size and np.median(shares) > MATERIAL else UNCLEAR", "CLOSED", "marks/test_sheet_holes.py"),
     Mutant("marks/mask.py", "np.searchsorted(grid.y_um, y - radius)", "np.searchsorted(grid.y_um, y - 0.5 * radius)", "marks/test_mask.py"),
-    Mutant("marks/_measure_kernels.py", "cx, cy, radius = cx + fit[1], cy + fit[2], fit[0]", "cx, cy, radius = cx - fit[1], cy + fit[2], fit[0]", "marks/test_find.py"),
+    Mutant("marks/rims.py", "cx, cy, radius = cx + fit[1], cy + fit[2], fit[0]", "cx, cy, radius = cx - fit[1], cy + fit[2], fit[0]", "marks/test_find.py"),
     Mutant("marks/regions/_kernels.py", "if ya > yb:", "if ya > yb + 1e30:", "test_regions.py"),
     Mutant("marks/regions/_kernels.py", "np.searchsorted(x, at)", "np.searchsorted(x, at, 'right')", "test_regions.py"),
     Mutant("marks/regions/model.py", "(ring - 0.5) * pixel_um", "ring * pixel_um", "test_regions.py"),

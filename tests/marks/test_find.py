@@ -5,7 +5,7 @@ import xarray as xr
 from folders import refused
 from marks.holes import make_hole, place, scene
 from planish.core.errors import MarkError, SizeError
-from planish.marks import _measure_kernels, find_holes, hole_criteria
+from planish.marks import find_holes, hole_criteria, rims
 
 NAMES = {"x", "y", "cov_xx", "cov_yy", "cov_xy", "diameter", "axis_ratio", "arc_coverage", "contrast"}
 
@@ -280,8 +280,8 @@ def test_dots_of_real_calibration_targets(shared_data, name, pixel, count):
 
 def test_a_circle_that_a_border_cuts_is_not_whole():
     size, shape, radius = (2.0, 3.0), (101, 201), 40.0  # 200 um high, 600 um wide
-    rows = np.zeros((6, _measure_kernels.COLUMNS))
-    rows[:, _measure_kernels.RADIUS] = radius
+    rows = np.zeros((6, rims.COLUMNS))
+    rows[:, rims.RADIUS] = radius
     places = [(300, 100), (39, 100), (561, 100), (300, 39), (300, 161), (559, 159)]
-    rows[:, [_measure_kernels.X, _measure_kernels.Y]] = places
+    rows[:, [rims.X, rims.Y]] = places
     assert hole_criteria.is_whole(rows, shape, size).tolist() == [True, False, False, False, False, True]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from planish.marks import _measure_kernels as k
 from planish.marks import candidates, find_holes, hole_criteria
+from planish.marks import rims as k
 from planish.marks._edge_kernels import half_level_edges
 
 

@@ -135,18 +135,9 @@ def relax_grid(
     if folded.any() and outcome is Outcome.RESTED:
         outcome = Outcome.FOLDED
     return Relaxed(
-        uv=uv,
-        energy=energy * pitch * pitch,
-        springs=springs,
-        outcome=outcome,
-        steps=steps,
-        history=history,
-        folded=folded,
-        imputed=imputed,
-        straight_share=straight_share,
-        pitch=pitch,
-        dropped=dropped,
-    )
+        uv=uv, energy=energy * pitch * pitch, springs=springs, outcome=outcome, steps=steps, history=history,
+        folded=folded, imputed=imputed, straight_share=straight_share, pitch=pitch, dropped=dropped,
+    )  # fmt: skip
 
 
 def _check(

@@ -102,3 +102,31 @@ def floor_middle(image, px, py, cx, cy, sign, radius, level, tolerance):
                 tx += j * px
                 ty += i * py
     return (tx / total, ty / total) if total > 0 else (cx, cy)
+
+
+@njit(cache=True, nogil=True)
+def middles_of_floors(image, px, py, xs, ys, sign, radius, level):
+    """Return centroids (n, 2) of what is below a level within a radius, followed until they rest; NaN if too little."""
+    out = np.full((xs.size, 2), np.nan)
+    for h in range(xs.size):
+        x, y = xs[h], ys[h]
+        for _turn in range(6):
+            total, tx, ty = 0, 0.0, 0.0
+            i0, i1 = (max(int((y - radius) / py) + 1, 0), min(int((y + radius) / py) + 1, image.shape[0]))
+            j0, j1 = (max(int((x - radius) / px) + 1, 0), min(int((x + radius) / px) + 1, image.shape[1]))
+            for i in range(i0, i1):
+                for j in range(j0, j1):
+                    if sign * image[i, j] < level and np.hypot(j * px - x, i * py - y) <= radius:
+                        total += 1
+                        tx += j * px
+                        ty += i * py
+            # A hole fills a third of the circle even where the place is poor, or its wall is wide.
+            if 3 * total * px * py < np.pi * radius * radius:
+                x, y = np.nan, np.nan
+                break
+            shift = np.hypot(tx / total - x, ty / total - y)
+            x, y = tx / total, ty / total
+            if shift < 0.2 * max(px, py):
+                break
+        out[h] = x, y
+    return out

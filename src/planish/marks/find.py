@@ -9,9 +9,9 @@ from scipy.spatial import KDTree
 
 from planish.core.errors import MarkError, SizeError
 from planish.core.typing import Bools, Floats, Pair
-from planish.marks import _measure_kernels as k
-from planish.marks import candidates
+from planish.marks import _rim_kernels, candidates
 from planish.marks import hole_criteria as criteria
+from planish.marks import rims as k
 from planish.marks.candidates import Image, Raster
 from planish.marks.exchange.model import EXTRAS
 
@@ -129,7 +129,7 @@ class _Detection(NamedTuple):
 
 
 def _holes(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> tuple[float, Floats, dict[str, int]]:
-    """Find the polarity with the stronger holes: its sign, rows of `measure` in um, and counts of rejected marks."""
+    """Find the polarity with the stronger holes: its sign, its holes in um, and counts of rejected marks."""
     # Rims are measured with 40 pixels across the smallest hole.
     fine_raster = candidates.reduce_to(raster, 2 * radius_range[0] / 40.0)
     strongest = max(_detect(fine_raster, radius_range, signs), key=lambda d: float(np.sum(d.holes[:, k.STEP])))
@@ -226,8 +226,8 @@ def _measure(
         with np.errstate(invalid="ignore"):  # nearly all of a smooth round rim
             clear_holes = marks[criteria.is_round(marks, raster.pixel_um) & ~criteria.is_doubtful(marks)]
         batch = batch[_is_outside(positions[batch], clear_holes, 0.5)]
-        batch_thresholds = (threshold[batch] for threshold in thresholds)
-        marks[batch] = k.measure(*_kernel_arguments(raster, positions[batch]), sign, *radius_range, *batch_thresholds)
+        batch_thresholds = (thresholds[0][batch], thresholds[1][batch])
+        marks[batch] = k.measure_rims(raster, positions[batch], sign, radius_range, batch_thresholds)
     return marks
 
 
@@ -238,13 +238,16 @@ def _floors(raster: Raster, sign: float, positions: Floats, holes: Floats) -> Fl
     # Once the level of the floors is known, mottle that hid a place from the search hides it no longer.
     positions = np.concatenate([positions, candidates.dark_spots(raster, sign, level, typical.radius)])
     positions = positions[_is_outside(positions, holes[~criteria.is_doubtful(holes)], 1.0)]
-    floor_centres = k.middles_of_floors(*_kernel_arguments(raster, positions), sign, typical.radius, level)
+    x, y = np.ascontiguousarray(positions.T)
+    floor_centres = _rim_kernels.middles_of_floors(
+        raster.image, raster.pixel_um[1], raster.pixel_um[0], x, y, sign, typical.radius, level
+    )
     floor_centres = floor_centres[np.isfinite(floor_centres[:, 0])]
     # Places beside each other lead to one hole.
     neighbours = criteria.neighbour_pairs(floor_centres, 0.1 * typical.radius)
     floor_centres = floor_centres[criteria.greedy_disjoint(np.arange(len(floor_centres)), neighbours)]
     levels = (typical.radius, typical.floor_level, typical.depth, depth_shares)
-    floors = k.measure_floors(*_kernel_arguments(raster, floor_centres), sign, *levels)
+    floors = k.measure_floors(raster, floor_centres, sign, *levels)
     floors = criteria.select_resembling(floors, holes, raster.pixel_um)
     # A rim lies farther out than its floor.
     rims = floors.copy()
@@ -257,11 +260,6 @@ def _is_outside(positions: Floats, holes: Floats, radius_share: float) -> Bools:
         return np.ones(len(positions), bool)
     distances, nearest = KDTree(holes[:, [k.X, k.Y]]).query(positions)
     return distances > radius_share * holes[nearest, k.RADIUS]
-
-
-def _kernel_arguments(raster: Raster, positions: Floats) -> tuple[Image, float, float, Floats, Floats]:
-    x, y = np.ascontiguousarray(positions.T)
-    return raster.image, raster.pixel_um[1], raster.pixel_um[0], x, y
 
 
 def _dataset(holes: Floats, sign: float) -> xr.Dataset:

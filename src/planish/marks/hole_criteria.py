@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 
 from planish.core.robust import mad_sd
 from planish.core.typing import Bools, Floats, Ints, Pair
-from planish.marks import _measure_kernels as k
+from planish.marks import rims as k
 
 # Depth of a hole, in robust standard deviations of the sheet around and of the whole: mottle rarely makes three.
 LEAST_CONTRAST = 3.2

@@ -85,16 +85,9 @@ def run_study(
             sink_folder = work_dir / f".{secrets.token_hex(4)}.partial" if len(study.layers) > 1 else None
             sink = StoredMaps(sink_folder, keep_bytes=int(fixed_compute.memory * KEPT_SHARE))
             run = _make(
-                study,
-                regions,
-                sheets,
-                similar_sheets,
-                fixed_compute,
-                progress,
-                caches=caches,
-                work_dir=work_dir,
-                sink=sink,
-            )
+                study, regions, sheets, similar_sheets, fixed_compute, progress,
+                caches=caches, work_dir=work_dir, sink=sink,
+            )  # fmt: skip
             progress("write", str(out))
             # About the bytes of its pages, and of its maps, which hold noise, with overviews.
             needed_bytes = 5_000_000 + sum(data.nbytes for data in run.groups.values()) * 4 // 3

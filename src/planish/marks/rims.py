@@ -1,0 +1,312 @@
+"""Round holes measured at places where they may be, by their rims or their floors.
+
+The steps are compiled, one by one; what leads from one to the next is not, which would take as long to compile again.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from planish.core.typing import Floats, Pair
+from planish.marks import _rim_kernels as kernels
+from planish.marks._edge_kernels import (
+    first_crossings,
+    fit_outline,
+    half_level_edges,
+    innermost_edges,
+    levels,
+    waves,
+)  # fmt: skip
+from planish.marks.candidates import Image, Raster
+
+# Columns of the results.
+X, Y, RADIUS, HALF_DIFFERENCE, COV_XX, COV_YY, COV_XY, COVERAGE, STEP, INSIDE = range(10)
+OUTSIDE, TEXTURE, ROUGHNESS, FLATNESS, UNEVENNESS, FAR_STEP, LOW_WAVES, HIGH_WAVES, BURNT, ALIKE = range(10, 20)
+DOUBT_X, DOUBT_Y = 20, 21
+COLUMNS = 22
+
+# Least step of another edge inside the rim, share of the whole step; sd of a centre where either of two closed edges
+# may be the rim, share of what their centres are apart; the same for the floor's centre, which the wall moves less.
+LEAST_INNER, EITHER, FLOOR = 0.06, 0.6, 1.3
+# How far the middle of a floor usually is from that of its rim, as holes are tilted: share of the radius, and pixels.
+# Less is usual where the step at the rim has a first wave above this share of the whole step, as uneven char makes it.
+USUAL, EXACT, ONE_SIDED = (0.045, 0.3), (0.0105, 0.15), 0.1
+# Another edge inside the strongest is the rim where this share of the rays has it, it is smaller by this share of the
+# radius, and on this share of the rays the two are apart by this share of the radius: what lies between is char.
+CLOSED, SMALLER, PART, APART = 0.9, 0.05, 0.25, 0.08
+RAYS = 96
+# Cosine and sine of the angles of the rays, and of twice these.
+_COS, _SIN, _COS_2, _SIN_2 = (
+    np.array([wave(order * (2 * np.pi * ray / RAYS)) for ray in range(RAYS)])
+    for order in (1, 2) for wave in (math.cos, math.sin)
+)  # fmt: skip
+_Picture = tuple[Image, float, float]  # an image, and its pixel size along x and y
+
+
+class _Outline(NamedTuple):
+    """Outline of a hole: centre, fit, weights of the rays, inverse normal matrix, radii; with what the edge shows."""
+
+    x: float
+    y: float
+    fit: Floats
+    weight: Floats
+    inverse: Floats
+    radii: Floats
+    steps: Floats
+    far_steps: Floats
+    nears: Floats
+
+
+def measure_rims(
+    raster: Raster, positions: Floats, sign: float, radius_range: Pair, thresholds: tuple[Floats, Floats]
+) -> Floats:
+    """Measure a round hole at each candidate place.
+
+    ``positions`` (n, 2), x and y in um; ``radius_range`` in um; a step below ``thresholds[0]`` (n,), or below
+    ``thresholds[1]`` (n,) times the texture around, is not measured. Returns ``(n, COLUMNS)``: centre, radius, half the
+    difference of the half axes, covariance of the centre for waves of the rim of amplitude 1, share of the rim found,
+    step at the rim, levels inside and outside times ``sign``, robust standard deviation of the sheet around, rms of the
+    rim about the ellipse, rise of the floor towards the rim, unevenness of the floor, step over a wider distance,
+    variances of the waves around the rim, long and short ones, and how far the sheet just outside the rim is from the
+    sheet around (the last column is left to others). Lengths in um. NaN rows where there is no hole.
+    """
+    picture, pixel, (low, high) = _picture(raster), max(raster.pixel_um), radius_range
+    holes = np.full((len(positions), COLUMNS), np.nan)
+    dt, near = max(0.5 * pixel, 0.5), max(1.2 * pixel, 6.0)
+    for hole, position, least, contrast in zip(holes, positions, *thresholds, strict=True):
+        circle = _circle(picture, position, sign, radius_range, float(least), float(contrast))
+        if circle is None:
+            continue
+        *centre, radius, scale = circle
+        search = max(0.15 * radius, 2 * pixel, 10.0, min(3 * scale, 0.3 * radius))
+        rim = _refined(picture, centre, sign, np.full(RAYS, radius), search, dt, share=0.35)
+        if rim is None or not (0.5 * low < rim.fit[0] < 1.5 * high):
+            continue
+        # The strongest edge, but where another one goes round inside: then that around is the end of the char.
+        centre, model, inner, around = _closed_rims(picture, centre, sign, radius, low)
+        closed = _refined(picture, centre, sign, model, near, dt, share=0.35, follow=True)
+        if closed is not None and closed.fit[0] > 0.5 * low and _is_inside(closed, rim):
+            rim = closed
+        _describe(hole, picture, sign, rim)
+        hole[STEP], hole[FAR_STEP] = _median(rim.steps), _median(rim.far_steps)
+        hole[BURNT] = hole[OUTSIDE] - _median(rim.nears)
+        _set_doubt(hole, picture, sign, (rim.x, rim.y), rim.steps)
+        if around == 0.0:
+            continue
+        # Another closed edge inside: the rim of a hole with a scorched ring around, or that of the other face.
+        other = _refined(picture, centre, around * sign, inner, near, dt, share=LEAST_INNER, follow=True)
+        is_ring = other is not None and 0.5 * low < other.fit[0] < hole[RADIUS]
+        if other is not None and is_ring and np.sum(other.weight > 0) > 0.6 * RAYS:
+            # Of two that rise either may be the rim; where the grey falls, char is darker than the hole.
+            if around < 0.0:
+                _write_outline(hole, other)
+                other = rim
+            _set_doubt(hole, picture, sign, (other.x, other.y), rim.steps)
+    return holes
+
+
+def measure_floors(
+    raster: Raster, positions: Floats, sign: float, radius: float, floor: float, depth: float, shares: Sequence[float]
+) -> Floats:
+    """Measure the outline of a hole's floor about each place (n, 2): where the grey leaves its level.
+
+    What is printed over a rim may hide its edge, and never the floor. ``radius``, ``floor`` (times ``sign``) and
+    ``depth`` are those of the image's other holes. Of the levels, ``shares`` of the step from the floor to the sheet,
+    that with the roundest outline is taken. Returns ``(n, COLUMNS)`` as `measure_rims` does, without steps at the rim.
+    """
+    picture, pixel = _picture(raster), max(raster.pixel_um)
+    holes, row = np.full((len(positions), COLUMNS), np.nan), np.empty(COLUMNS)
+    for hole, position in zip(holes, positions, strict=True):
+        least, model = np.inf, np.empty(0)
+        for share in shares:
+            outline = _floor_outline(picture, position, sign, radius, floor + share * depth)
+            if outline is None:
+                continue
+            _describe(row, picture, sign, outline)
+            # About the circle, not the ellipse: a blot beside a hole makes an ellipse of both.
+            wave = 0.5 * row[HALF_DIFFERENCE] * row[HALF_DIFFERENCE]
+            roughness = math.sqrt(row[ROUGHNESS] ** 2 + wave) / row[RADIUS] - row[COVERAGE]
+            if roughness < least:
+                least, hole[:] = roughness, row
+                model = outline.fit[0] + outline.fit[3] * _COS_2 + outline.fit[4] * _SIN_2
+        if least < np.inf:
+            centre, search = (hole[X], hole[Y]), max(1.2 * pixel, 6.0)
+            _, steps, _, nears = half_level_edges(*picture, *centre, sign, model, search, max(0.5 * pixel, 0.5), pixel)
+            hole[BURNT] = hole[OUTSIDE] - _median(nears)
+            _set_doubt(hole, picture, sign, centre, steps)
+    return holes
+
+
+def _picture(raster: Raster) -> _Picture:
+    return raster.image, raster.pixel_um[1], raster.pixel_um[0]
+
+
+def _floor_outline(picture: _Picture, position: Floats, sign: float, radius: float, level: float) -> _Outline | None:
+    """Outline of what is below a level; None where it lies elsewhere."""
+    pixel, (x, y) = max(picture[1:]), position
+    dt, (cx, cy) = max(0.25 * pixel, 0.5), position
+    for turn in range(6):
+        radii = first_crossings(*picture, cx, cy, sign, level, 1.6 * radius, dt, RAYS)
+        fit, weight, _, inverse = fit_outline(radii, 1 if turn < 2 else 2, 0.3 + 0.1 * pixel)
+        cx, cy = cx + fit[1], cy + fit[2]
+        if np.sum(weight) == 0.0 or math.hypot(cx - x, cy - y) > 0.6 * radius:
+            break
+        if turn == 5 or (turn > 2 and math.hypot(fit[1], fit[2]) < 0.05 * pixel):
+            return _Outline(cx, cy, fit, weight, inverse, radii, *(np.empty((3, 0))))
+    return None
+
+
+def _circle(
+    picture: _Picture, position: Floats, sign: float, radius_range: Pair, least: float, contrast: float
+) -> tuple[float, float, float, float] | None:
+    """Return centre, radius and scatter of the circle through the innermost strong edges; None if there is none."""
+    pixel, (low, high), (cx, cy) = max(picture[1:]), radius_range, position
+    window, dt, radius, scale = max(14.0, 1.4 * pixel), max(0.7 * pixel, 2.5), np.nan, 0.0
+    for turn in range(4):
+        rays = 36 if turn == 0 else 64
+        radii, _ = innermost_edges(*picture, cx, cy, sign, 0.5 * low, 1.25 * high, dt, window, rays)
+        fit, weight, scale, _ = fit_outline(radii, 1, 0.5)
+        radius, shift = float(fit[0]), math.hypot(fit[1], fit[2])
+        is_found = np.count_nonzero(weight > 0.0) >= 0.5 * rays and scale <= 0.3 * radius
+        if not (is_found and 0.6 * low < radius < 1.4 * high and shift <= radius):
+            return None
+        cx, cy = cx + fit[1], cy + fit[2]
+        if turn == 0:
+            # Most places are mottle; the levels show it long before the rim is known.
+            inside, spread, flatness, outside, texture = levels(*picture, cx, cy, sign, radius, pixel)
+            total = outside - inside
+            if total < max(least, contrast * texture) or spread > 0.35 * total or flatness > 0.4 * total:
+                return None
+        if turn > 0 and shift < 0.1 * pixel:
+            break
+    return cx, cy, radius, scale
+
+
+def _refined(
+    picture: _Picture, centre: Sequence[float], sign: float, model: Floats, search: float, dt: float, *, share: float,
+    follow: bool = False,
+) -> _Outline | None:  # fmt: skip
+    """Return the outline at half level near a modelled one; None if there is none.
+
+    Steps below a ``share`` of the median are left out. With ``follow`` what was found is followed, so that a rough rim
+    needs no wide search, in which lies another edge.
+    """
+    pixel, (cx, cy), radius, outline = max(picture[1:]), centre, float(np.mean(model)), None
+    for _turn in range(3):
+        radii, steps, far_steps, nears = half_level_edges(*picture, cx, cy, sign, model, search, dt, pixel)
+        radii[~(steps >= share * _median(steps))] = np.nan
+        fit, weight, scale, inverse = fit_outline(radii, 2, 0.3 + 0.1 * pixel)
+        if np.sum(weight) == 0.0 or math.hypot(fit[1], fit[2]) > 0.5 * radius:
+            return None
+        cx, cy, radius = cx + fit[1], cy + fit[2], fit[0]
+        model = fit[0] + fit[3] * _COS_2 + fit[4] * _SIN_2
+        if follow:
+            model = np.where(weight > 0.0, radii - fit[1] * _COS - fit[2] * _SIN, model)
+        else:
+            search = max(1.2 * pixel, 6.0, 4 * scale)
+        outline = _Outline(cx, cy, fit, weight, inverse, radii, steps, far_steps, nears)
+    return outline
+
+
+def _is_inside(closed: _Outline, rim: _Outline) -> bool:
+    """Return whether a closed outline lies inside another one, away from it on a good part of its rays."""
+    # As far as a shift of the centre goes, the two are compared on the same ray.
+    shift = (closed.x - rim.x) * _COS + (closed.y - rim.y) * _SIN
+    away_count = np.count_nonzero(rim.radii - (closed.radii + shift) > APART * rim.fit[0])
+    is_smaller = closed.fit[0] < (1 - SMALLER) * rim.fit[0] and away_count > PART * RAYS
+    return bool(is_smaller and np.sum(closed.weight > 0) > CLOSED * RAYS)
+
+
+def _closed_rims(
+    picture: _Picture, centre: Sequence[float], sign: float, radius: float, low: float
+) -> tuple[Pair, Floats, Floats, float]:
+    """Return a centre, the radii of the closed rim about it, those of another one inside, and the sign of that.
+
+    The sign is 1 where the other edge rises as the rim does, -1 where it falls, and 0 where there is none.
+    """
+    pixel = max(picture[1:])
+    dt = max(0.5 * pixel, 2.5)
+    reach = max(1, round(max(14.0, 1.4 * pixel) / dt))
+    inside, spread, _, outside, _ = levels(*picture, *centre, sign, radius, pixel)
+    total = outside - inside
+    x, y = kernels.floor_middle(*picture, *centre, sign, radius, inside, max(3 * spread, 0.1 * total))
+    count = int((radius + math.hypot(x - centre[0], y - centre[1]) + 0.3 * radius) / dt) + 2 * reach
+    band, first = max(1, round(1.5 * pixel / dt)), max(reach, int(0.5 * low / dt))
+    rises = kernels.polar_rises(*picture, x, y, sign, dt, count, reach, RAYS)
+    # Not beyond the circle of the innermost strong edges: a hole that is half closed has char all the way round.
+    last = min(count - reach, int(1.1 * radius / dt) + 1)
+    worth = kernels.edge_worth(rises, kernels.ENOUGH * total)
+    middle, half, _ = kernels.rim_radius(worth, first, last, band, kernels.OUTWARDS * dt / radius)
+    path = kernels.closed_path(worth, max(0, middle - half), middle + half)
+    weak = max(LEAST_INNER * total, 2.5 * spread)
+    # A ring darker than what the hole shows: the rim is where the grey falls.
+    last = int(np.min(path)) - reach
+    if last > first:
+        worth = kernels.edge_worth(-rises, weak)
+        middle, half, share = kernels.rim_radius(worth, first, last - band, band, 0.0)
+        if share > 0.7:
+            ring = kernels.closed_path(worth, max(0, middle - half), min(middle + half, last))
+            return (x, y), path * dt, ring * dt, -1.0
+    # Weaker edges inside, where there are any.
+    steps = np.arange(count)
+    worth = kernels.edge_worth(rises, weak) - kernels.OUTWARDS * dt * steps / radius
+    worth[steps >= path[:, None] + 2] = -np.inf
+    within = kernels.closed_path(worth, min(first, int(np.min(path))), int(np.max(path)) + 1)
+    has_other = np.sum(path - within >= reach) > 0.1 * RAYS
+    return (x, y), path * dt, within * dt, float(has_other)
+
+
+def _describe(row: Floats, picture: _Picture, sign: float, outline: _Outline) -> None:
+    """Write the figures of a fitted outline into a row; steps at the rim are left out."""
+    row[:] = np.nan
+    _write_outline(row, outline)
+    columns = [INSIDE, UNEVENNESS, FLATNESS, OUTSIDE, TEXTURE]
+    row[columns] = levels(*picture, outline.x, outline.y, sign, outline.fit[0], max(picture[1:]))
+
+
+def _set_doubt(row: Floats, picture: _Picture, sign: float, other: Pair, steps: Floats) -> None:
+    """Write what another edge may move the centre by: towards the middle of the floor, or of an outline at ``other``.
+
+    The floor lies in the middle of a hole, unless a part of what is around was taken for the hole; so it may be where
+    the rim's step is another on one side.
+    """
+    centre, radius, total = row[[X, Y]], row[RADIUS], row[OUTSIDE] - row[INSIDE]
+    tolerance = max(3 * row[UNEVENNESS], LEAST_INNER * total)
+    from_floor = np.subtract(kernels.floor_middle(*picture, *centre, sign, radius, row[INSIDE], tolerance), centre)
+    from_other = np.subtract(other, centre)
+    distance, is_known = math.hypot(*from_floor), ~np.isnan(steps)
+    wave = math.hypot(*(float(_sum(np.where(is_known, steps * part, 0.0))) for part in (_COS, _SIN)))
+    is_uneven = 2 * wave > ONE_SIDED * max(np.count_nonzero(is_known), 1) * total
+    share, pixels = EXACT if is_uneven else USUAL
+    usual = (share * radius) ** 2 + (pixels * max(picture[1:])) ** 2
+    beyond = FLOOR * math.sqrt(max(distance**2 - usual, 0.0))
+    if EITHER * math.hypot(*from_other) > beyond:
+        row[[DOUBT_X, DOUBT_Y]] = EITHER * from_other
+    else:
+        row[[DOUBT_X, DOUBT_Y]] = beyond / max(distance, 1e-30) * from_floor
+
+
+def _write_outline(row: Floats, outline: _Outline) -> None:
+    """Write centre and size, share of the rim that is there, and how rough it is."""
+    fit, is_used = outline.fit, outline.weight > 0.0
+    first = fit[0] + fit[1] * _COS + fit[2] * _SIN
+    error = np.where(is_used, outline.radii - (first + fit[3] * _COS_2 + fit[4] * _SIN_2), 0.0)
+    row[[X, Y, RADIUS, HALF_DIFFERENCE]] = outline.x, outline.y, fit[0], math.hypot(fit[3], fit[4])
+    # Waves 3 and 4, and 5 to 8 of the rim. The first moves the centre; its size can only be estimated from them.
+    row[[LOW_WAVES, HIGH_WAVES]] = waves(error, outline.weight)
+    # As if the rays were independent; the waves' own variance is put in once all holes are known.
+    row[[COV_XX, COV_YY, COV_XY]] = RAYS / 2 * outline.inverse[[1, 2, 1], [1, 2, 2]]
+    used = np.count_nonzero(is_used)
+    row[COVERAGE], row[ROUGHNESS] = used / RAYS, math.sqrt(_sum(error**2) / max(1, used))
+
+
+def _median(values: Floats) -> float:
+    finite = values[~np.isnan(values)]
+    return float(np.median(finite)) if finite.size else np.nan
+
+
+def _sum(values: Floats) -> float:
+    """Sum in the order of the rays, whatever NumPy finds quicker."""
+    return float(np.cumsum(values)[-1])
