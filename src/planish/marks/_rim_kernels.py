@@ -78,7 +78,7 @@ def closed_path(worth, first, last):
                 if value > after[t]:
                     after[t], came[k, t] = value, s
             after[t] += worth[k % rays, t]
-        best[:] = after
+        best, after = after, best
     path = np.zeros(rays, np.int64)
     t = np.argmax(best)
     # The middle of the two turns: its ends do not know where the other is.

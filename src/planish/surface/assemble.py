@@ -12,7 +12,6 @@ from planish.core._envelope_kernels import rolled
 from planish.core.errors import VolumeError
 from planish.core.grid import filled
 from planish.core.status import Status, status_flags
-from planish.core.threads import map_threads
 from planish.core.tiles import Engine, Tile
 from planish.core.typing import Bools, Floats, Pair
 from planish.surface import _kernels
@@ -152,18 +151,17 @@ def alternative_surfaces(
     ``base_offset``: from the mean of the faces to the middle of the base; left out where an interface is missing.
     """
     shorter_params = params.model_copy(update={"cutoff_um": _SHORTER * params.cutoff_um})
-    title = f"Centre surface of {_SHORTER:g} of the cut-off, over the centre surface"
-    surfaces = {"centre_shorter": (face_mean, shorter_params, centre, title)}
+    surfaces = {
+        "centre_shorter": (
+            centre_surface(face_mean, in_outline, pitch, shorter_params)[0] - centre,
+            f"Centre surface of {_SHORTER:g} of the cut-off, over the centre surface",
+        )
+    }
     if np.isfinite(base_offset).mean() >= 0.5 * np.isfinite(face_mean).mean():
-        title = "Middle of the base, over the centre surface"
-        surfaces["base_middle"] = base_offset, params, np.zeros(()), title
-
-    def smoothed(item: tuple[Floats, SurfaceParams, Floats, str]) -> tuple[Floats, str]:
-        field, its_params, subtracted, title = item
-        height = filled(centre_surface(field, in_outline, pitch, its_params)[0] - subtracted)
-        return np.where(np.isfinite(centre), height, np.nan), title
-
-    return dict(zip(surfaces, map_threads(smoothed, surfaces.values()), strict=True))
+        base_middle = centre_surface(base_offset, in_outline, pitch, params)[0]
+        surfaces["base_middle"] = base_middle, "Middle of the base, over the centre surface"
+    has_centre = np.isfinite(centre)
+    return {name: (np.where(has_centre, filled(height), np.nan), title) for name, (height, title) in surfaces.items()}
 
 
 def centre_surface(face_mean: Floats, in_outline: Bools, pitch: Pair, params: SurfaceParams) -> tuple[Floats, Floats]:

@@ -10,8 +10,10 @@ import numpy as np
 from scipy import ndimage
 
 from planish.core.grid import filled
+from planish.core.threads import map_threads
 from planish.core.typing import Floats, Pair
 
+_NODES = 2**15  # whose paraboloids are fitted at once: some 20 MB of them
 _TERMS = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
 
 
@@ -93,13 +95,20 @@ class _Regression:
         # Below so much of it the surface would be extrapolated. Where there is data nothing is, however few the
         # neighbours are.
         self.good = (weight > 0) | (moments[0, 0] > 0.04 * min(full_weight, 4.0 * float(moments[0, 0].max())))
-        rows = [np.stack([moments[i + k, j + m][self.good] for k, m in _TERMS], axis=-1) for i, j in _TERMS]
-        self.system = np.stack(rows, axis=1) + 1e-9 * full_weight * np.eye(6)
+        self.moments = {power: moment[self.good] for power, moment in moments.items()}
+        self.ridge = 1e-9 * full_weight * np.eye(6)
 
     def _moments(self, field: Floats, powers: list[tuple[int, int]]) -> dict[tuple[int, int], Floats]:
         (y, wy), (x, wx) = self.axes
-        down = {i: ndimage.correlate1d(field, wy * y**i, axis=0, mode="constant") for i in {i for i, _ in powers}}
-        return {(i, j): ndimage.correlate1d(down[i], wx * x**j, axis=1, mode="constant") for i, j in powers}
+
+        def down(i: int) -> Floats:
+            return ndimage.correlate1d(field, wy * y**i, axis=0, mode="constant")
+
+        def across(power: tuple[int, int]) -> Floats:
+            return ndimage.correlate1d(down_moments[power[0]], wx * x ** power[1], axis=1, mode="constant")
+
+        down_moments = map_threads(down, range(1 + max(i for i, _ in powers)))
+        return dict(zip(powers, map_threads(across, powers), strict=True))
 
     def __call__(self, mean: Floats) -> Floats:
         """Return the constant terms; NaN where nothing is known and the neighbourhood holds too little."""
@@ -109,5 +118,12 @@ class _Regression:
         weighted_moments = self._moments(self.weight * (mean - offset), _TERMS)
         smoothed = np.full(self.weight.shape, np.nan)
         sums = np.stack([weighted_moments[term][self.good] for term in _TERMS], axis=-1)
-        smoothed[self.good] = np.linalg.solve(self.system, sums[..., None])[..., 0, 0] + offset
+
+        def constant_terms(nodes: slice) -> Floats:
+            rows = [np.stack([self.moments[i + k, j + m][nodes] for k, m in _TERMS], axis=-1) for i, j in _TERMS]
+            solved = np.linalg.solve(np.stack(rows, axis=1) + self.ridge, sums[nodes, :, None])
+            return np.asarray(solved[..., 0, 0] + offset, dtype=np.float64)
+
+        pieces = [slice(k, k + _NODES) for k in range(0, len(sums), _NODES)]
+        smoothed[self.good] = np.concatenate([np.empty(0), *map_threads(constant_terms, pieces)])
         return smoothed
