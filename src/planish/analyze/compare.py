@@ -1,6 +1,7 @@
 """Layers on one grid against each other: correlation, differences of equal quantities, other registrations."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import repeat
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from planish.core.bands import any_finite, band_of, bands
 from planish.core.errors import InputError, MarkError
 from planish.core.facts import Interval, Side, Trust, Value, optional
 from planish.core.grid import Grid, pitch, values_at
+from planish.core.threads import map_threads
 from planish.core.typing import Array, Bools, Pixel
 from planish.measure import PROPERTIES
 from planish.register import FittedTransform, fit_transform
@@ -101,8 +103,8 @@ def correlate_layers(a: str, b: str, maps: dict[str, xr.Dataset], point_um: floa
             {n: np.where(valid, band_of(data[n], rows), np.nan) for n in {pair[k] for pair in pairs}}
             for k, data in enumerate(layers)
         )
-        for sums_of_pair, pair in zip(sums, pairs, strict=True):
-            sums_of_pair.add(rows.start, p[pair[0]], q[pair[1]])
+        p_of_pairs, q_of_pairs = [p[name] for name, _ in pairs], [q[name] for _, name in pairs]
+        map_threads(PairAtSizes.add, sums, repeat(rows.start), p_of_pairs, q_of_pairs)
     table: list[CorrelationRow] = []
     for sums_of_pair, pair in zip(sums, pairs, strict=True):
         correlations = [*sums_of_pair.sizes()]
@@ -152,8 +154,8 @@ def comparison_rows(
         placed = [variant.bring(sheet_map, band_of(linked[name], rows), part) for variant in variants]
         # Rows that are compared are of the same pixels.
         valid = np.logical_and.reduce([band_of(linked["valid"], rows), away(part), *map(np.isfinite, placed)])
-        for variant_sums, m in zip(sums, placed, strict=True):
-            variant_sums.add(rows.start, np.where(valid, m, np.nan), band_of(linked["image"], rows))
+        kept = [np.where(valid, m, np.nan) for m in placed]
+        map_threads(PairAtSizes.add, sums, repeat(rows.start), kept, repeat(band_of(linked["image"], rows)))
     maps_of_run = sums[-1].cells(), (sums[-1].points(), (point_um, point_um))
     of_run = [*zip((row.r for row, _ in sums[-1].sizes()), maps_of_run, strict=True)]
     for variant, variant_sums in zip(variants, sums, strict=True):
