@@ -286,7 +286,8 @@ def _grey(image: ArrayLike) -> Image:
         raise MarkError(f"The image holds {grey.dtype} values; holes are found in real grey values.")
     if grey.dtype.kind == "f":
         is_finite = np.isfinite(grey)
-        median_grey = float(np.median(grey[is_finite])) if np.any(is_finite) else 0.0
+        median_grey = float(np.median(grey[is_finite], overwrite_input=True)) if np.any(is_finite) else 0.0
         # Large offsets would cost float32 its digits.
-        grey = np.where(is_finite, grey - median_grey, np.nan)
+        grey = np.asarray(grey - median_grey)
+        grey[~is_finite] = np.nan
     return np.ascontiguousarray(grey, dtype=np.float32)
