@@ -5,7 +5,8 @@ from scipy import ndimage
 
 from naive import twice_smoothed
 from planish.checks import CHECKS, MeasuredSheet
-from planish.surface import SurfaceParams, assemble
+from planish.core.threads import limit_threads
+from planish.surface import SurfaceParams, assemble, centre
 from planish.surface.centre import gaussian_regression
 
 
@@ -19,6 +20,16 @@ def test_equals_the_slow_twin_with_gaps():
     slow = twice_smoothed(height, (4.0, 4.0), 90.0, nodes)
     # the kernel is cut where its weight is 0.0009; the twin sums over everything
     np.testing.assert_allclose([smooth[n] for n in nodes], slow, atol=0.1)
+
+
+def test_nothing_depends_on_threads_or_on_how_many_nodes_are_fitted_at_once(monkeypatch):
+    height = np.random.default_rng(2).standard_normal((70, 90))
+    height[20:32, 40:47] = np.nan
+    whole = gaussian_regression(height, (4.0, 5.0), cutoff_um=90.0)
+    monkeypatch.setattr(centre, "_NODES", 100)
+    for threads in (1, 3):
+        with limit_threads(threads):
+            assert gaussian_regression(height, (4.0, 5.0), cutoff_um=90.0).tobytes() == whole.tobytes()
 
 
 def test_a_paraboloid_passes_unchanged_up_to_the_border_and_nothing_lies_far_from_the_sheet():
