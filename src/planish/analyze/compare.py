@@ -154,8 +154,8 @@ def comparison_rows(
         placed = [variant.bring(sheet_map, band_of(linked[name], rows), part) for variant in variants]
         # Rows that are compared are of the same pixels.
         valid = np.logical_and.reduce([band_of(linked["valid"], rows), away(part), *map(np.isfinite, placed)])
-        kept = [np.where(valid, m, np.nan) for m in placed]
-        map_threads(PairAtSizes.add, sums, repeat(rows.start), kept, repeat(band_of(linked["image"], rows)))
+        compared = [np.where(valid, m, np.nan) for m in placed]
+        map_threads(PairAtSizes.add, sums, repeat(rows.start), compared, repeat(band_of(linked["image"], rows)))
     maps_of_run = sums[-1].cells(), (sums[-1].points(), (point_um, point_um))
     of_run = [*zip((row.r for row, _ in sums[-1].sizes()), maps_of_run, strict=True)]
     for variant, variant_sums in zip(variants, sums, strict=True):

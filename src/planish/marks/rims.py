@@ -11,14 +11,7 @@ import numpy as np
 
 from planish.core.typing import Floats, Pair
 from planish.marks import _rim_kernels as kernels
-from planish.marks._edge_kernels import (
-    first_crossings,
-    fit_outline,
-    half_level_edges,
-    innermost_edges,
-    levels,
-    waves,
-)  # fmt: skip
+from planish.marks._edge_kernels import first_crossings, fit_outline, half_level_edges, innermost_edges, levels, waves
 from planish.marks.candidates import Image, Raster
 
 # Columns of the results.
@@ -277,7 +270,7 @@ def _set_doubt(row: Floats, picture: _Picture, sign: float, other: Pair, steps: 
     from_floor = np.subtract(kernels.floor_middle(*picture, *centre, sign, radius, row[INSIDE], tolerance), centre)
     from_other = np.subtract(other, centre)
     distance, is_known = math.hypot(*from_floor), ~np.isnan(steps)
-    wave = math.hypot(*(float(_sum(np.where(is_known, steps * part, 0.0))) for part in (_COS, _SIN)))
+    wave = math.hypot(*(_sum(np.where(is_known, steps * part, 0.0)) for part in (_COS, _SIN)))
     is_uneven = 2 * wave > ONE_SIDED * max(np.count_nonzero(is_known), 1) * total
     share, pixels = EXACT if is_uneven else USUAL
     usual = (share * radius) ** 2 + (pixels * max(picture[1:])) ** 2
