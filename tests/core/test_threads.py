@@ -9,7 +9,7 @@ import threading
 import pytest
 
 from planish.core import threads as module
-from planish.core.threads import available, count_threads, limit_threads, map_threads, thread_pool
+from planish.core.threads import available, count_threads, limit_threads, map_threads, read_ahead, thread_pool
 
 # What a run starts is noted where threads start; zarr's event loop and its one worker are its own.
 CHILD = """
@@ -105,3 +105,22 @@ def test_limits_of_containers(tmp_path, monkeypatch, groups, files, expected):
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(64)), raising=False)
     monkeypatch.delenv("PYTHON_CPU_COUNT", raising=False)
     assert available() == expected
+
+
+@pytest.mark.parametrize("number", [1, 2, 5])
+def test_the_next_item_is_read_ahead_in_order(number):
+    with limit_threads(number):
+        assert [*read_ahead(lambda k: k**2, range(7))] == [k**2 for k in range(7)]
+        assert [*read_ahead(str, [])] == []
+        begun = []
+        parts = read_ahead(lambda k: begun.append(k) or k, range(9))
+        assert next(parts) == 0
+        assert len(begun) <= 2  # no more than the next one is held
+        parts.close()
+
+
+def test_an_error_in_reading_ahead_comes_where_the_item_is_asked_for():
+    parts = read_ahead(lambda k: 1 // (2 - k), range(4))
+    assert [next(parts), next(parts)] == [0, 1]
+    with pytest.raises(ZeroDivisionError):
+        next(parts)

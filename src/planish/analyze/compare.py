@@ -11,11 +11,11 @@ from pydantic import Field
 from planish.analyze.agreement import LIMIT
 from planish.analyze.correlation import Correlation, PairAtSizes
 from planish.analyze.differences import holm, paired_difference
-from planish.core.bands import any_finite, band_of, bands
+from planish.core.bands import any_finite, band_of, bands, read_bands
 from planish.core.errors import InputError, MarkError
 from planish.core.facts import Interval, Side, Trust, Value, optional
 from planish.core.grid import Grid, pitch, values_at
-from planish.core.threads import map_threads
+from planish.core.threads import map_threads, read_ahead
 from planish.core.typing import Array, Bools, Pixel
 from planish.measure import PROPERTIES
 from planish.register import FittedTransform, fit_transform
@@ -97,14 +97,18 @@ def correlate_layers(a: str, b: str, maps: dict[str, xr.Dataset], point_um: floa
     pairs = [(n, n) for n in names[0] if n in names[1]] if are_sheets else [(m, n) for m in names[0] for n in names[1]]
     grid = Grid.of(layers[0])
     sums = [PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=CELLS) for _ in pairs]
-    for rows in bands(grid.shape[0]):
+
+    def read(rows: slice) -> tuple[list[Array], list[Array]]:
         valid = band_of(layers[0]["valid"], rows) & band_of(layers[1]["valid"], rows)
         p, q = (
             {n: np.where(valid, band_of(data[n], rows), np.nan) for n in {pair[k] for pair in pairs}}
             for k, data in enumerate(layers)
         )
-        p_of_pairs, q_of_pairs = [p[name] for name, _ in pairs], [q[name] for _, name in pairs]
-        map_threads(PairAtSizes.add, sums, repeat(rows.start), p_of_pairs, q_of_pairs)
+        return [p[name] for name, _ in pairs], [q[name] for _, name in pairs]
+
+    parts = [*bands(grid.shape[0])]
+    for rows, maps_of_pairs in zip(parts, read_ahead(read, parts), strict=True):
+        map_threads(PairAtSizes.add, sums, repeat(rows.start), *maps_of_pairs)
     table: list[CorrelationRow] = []
     for sums_of_pair, pair in zip(sums, pairs, strict=True):
         correlations = [*sums_of_pair.sizes()]
@@ -149,13 +153,13 @@ def comparison_rows(
     grid, sheet_map = Grid.of(linked), sheet["surfaces"][name].values
     variants = [*_variants(sheet, fit), _Variant(f"flattened, {fit.model}", fit.rms_um, None)]
     sums = [PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=CELLS) for _ in variants]
-    for rows in bands(grid.shape[0]):
+    for rows, (linked_map, is_valid, image) in read_bands(linked[name], linked["valid"], linked["image"]):
         part = grid.part(rows)
-        placed = [variant.bring(sheet_map, band_of(linked[name], rows), part) for variant in variants]
+        placed = [variant.bring(sheet_map, linked_map, part) for variant in variants]
         # Rows that are compared are of the same pixels.
-        valid = np.logical_and.reduce([band_of(linked["valid"], rows), away(part), *map(np.isfinite, placed)])
+        valid = np.logical_and.reduce([is_valid, away(part), *map(np.isfinite, placed)])
         compared = [np.where(valid, m, np.nan) for m in placed]
-        map_threads(PairAtSizes.add, sums, repeat(rows.start), compared, repeat(band_of(linked["image"], rows)))
+        map_threads(PairAtSizes.add, sums, repeat(rows.start), compared, repeat(image))
     maps_of_run = sums[-1].cells(), (sums[-1].points(), (point_um, point_um))
     of_run = [*zip((row.r for row, _ in sums[-1].sizes()), maps_of_run, strict=True)]
     for variant, variant_sums in zip(variants, sums, strict=True):

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from functools import partial
+from itertools import repeat
 from typing import Any, TypeVar
 
 import xarray as xr
@@ -14,6 +15,7 @@ from planish.checks.sheets import MeasuredSheet
 from planish.checks.slices import slice_order
 from planish.checks.through_scale import RegisteredSheet
 from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, CheckRule, trust_of
+from planish.core.threads import map_threads
 from planish.results import ComparisonRow, CorrelationRow, ExpectedError, LayerFacts, LinkedArea, PropertyFacts, Results
 
 Figure = TypeVar("Figure", CorrelationRow, ComparisonRow, PropertyFacts, ExpectedError)
@@ -67,7 +69,8 @@ CHECKS = (
 
 def run_checks(subject: object, *layers: str) -> list[Check]:
     """Judge a subject by all rows of its class, as checks about ``layers``."""
-    checks = [rule(subject) for rule in CHECKS if isinstance(subject, rule.stage)]
+    rules = [rule for rule in CHECKS if isinstance(subject, rule.stage)]
+    checks = map_threads(CheckRule.__call__, rules, repeat(subject))
     return for_layers([check for check in checks if check is not None], *layers)
 
 

@@ -66,18 +66,10 @@ def read_windows(
     z_range = slice(min(p["z"].start for p in boxes.values()), max(p["z"].stop for p in boxes.values()))
 
     def read(piece: slice) -> list[_Part | None]:
+        parts = [indices[slice(*np.searchsorted(z, [piece.start, piece.stop]))] for indices, z in wanted]
         return [
-            _read_part(
-                volume,
-                axis,
-                box,
-                piece,
-                points,
-                indices[slice(*np.searchsorted(z, [piece.start, piece.stop]))],
-                fill_grey,
-                is_sampled=axis != through,
-            )
-            for (indices, z), (axis, box) in zip(wanted, boxes.items(), strict=True)
+            _read_part(volume, axis, box, piece, points, part, fill_grey, is_sampled=axis != through)
+            for part, (axis, box) in zip(parts, boxes.items(), strict=True)
         ]
 
     pieces = map_threads(read, _pieces(volume, boxes, z_range), number=threads)

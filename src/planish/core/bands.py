@@ -9,6 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.memory import SAMPLE_PIXELS
+from planish.core.threads import read_ahead
 
 # A map (rows, cols) of which some rows are asked for at a time; it may lie in a store.
 Rows = xr.DataArray | NDArray[Any]
@@ -27,28 +28,28 @@ def band_of(pixels: Rows, rows: slice) -> NDArray[Any]:
 
 
 def read_bands(*maps: Rows) -> Iterator[tuple[slice, list[NDArray[Any]]]]:
-    """Rows of maps on one grid, and the maps there, band by band."""
-    for rows in bands(maps[0].shape[0]):
-        yield rows, [band_of(pixels, rows) for pixels in maps]
+    """Rows of maps on one grid, and the maps there, band by band; the next band is read while one is worked on."""
+    parts = [*bands(maps[0].shape[0])]
+    yield from zip(parts, read_ahead(lambda rows: [band_of(pixels, rows) for pixels in maps], parts), strict=True)
 
 
 def any_finite(pixels: Rows, where: Rows | None = None) -> bool:
     """Return True if a map has a value where ``where`` is true."""
-    for rows in bands(pixels.shape[0]):
-        is_finite = np.isfinite(band_of(pixels, rows))
-        if (is_finite if where is None else is_finite & band_of(where, rows)).any():
-            return True
-    return False
+    bands_of_maps = read_bands(*_given(pixels, where))
+    return any(np.logical_and.reduce([np.isfinite(values), *masks]).any() for _, (values, *masks) in bands_of_maps)
 
 
 def rms_of(pixels: Rows, where: Rows | None = None) -> float | None:
     """Root mean square of a map, where ``where`` is true; None where it has no value."""
     count, square_sum = 0, 0.0
-    for rows in bands(pixels.shape[0]):
-        values = band_of(pixels, rows)
-        values = values[np.isfinite(values) if where is None else np.isfinite(values) & band_of(where, rows)]
+    for _, (values, *masks) in read_bands(*_given(pixels, where)):
+        values = values[np.logical_and.reduce([np.isfinite(values), *masks])]
         count, square_sum = count + values.size, square_sum + float(np.sum(values.astype(np.float64) ** 2))
     return float(np.sqrt(square_sum / count)) if count else None
+
+
+def _given(*maps: Rows | None) -> list[Rows]:
+    return [pixels for pixels in maps if pixels is not None]
 
 
 def thinned(*maps: Rows) -> tuple[int, list[NDArray[Any]]]:

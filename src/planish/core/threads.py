@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 T = TypeVar("T")
+Item = TypeVar("Item")
 MOST = 8  # threads that are used at most where no number is given: more of them wait for the memory
 _ENVIRONMENT_VARIABLES = (
     "TIFFFILE_NUM_THREADS",
@@ -53,6 +54,17 @@ def map_threads(work: Callable[..., T], *items: Iterable[Any], number: int | Non
     """Call ``work`` on every item and return what it gives, in order."""
     with thread_pool(number) as pool:
         return list(pool.map(work, *items))
+
+
+def read_ahead(read: Callable[[Item], T], items: Iterable[Item]) -> Iterator[T]:
+    """Give what ``read`` gives of each item, in order; the next one is read while the caller works on one."""
+    with thread_pool() as pool:
+        coming: list[Future[T]] = []
+        for item in items:
+            coming.append(pool.submit(read, item))
+            if len(coming) > 1:
+                yield coming.pop(0).result()
+        yield from (future.result() for future in coming)
 
 
 def available() -> int:

@@ -164,16 +164,9 @@ def own_pattern(
     field = np.array(field_um or np.maximum(size - 2 * (0.5 * diameter + burn["rim_um"]), 1.0))
     border = BORDER_DIAMETERS * diameter
     blank = Pattern(
-        name=name,
-        layout="own",
-        field_um=field.tolist(),
-        margin_um=((size - field) / 2).tolist(),
-        border_um=border,
-        origin_um=(points.min(axis=0) - border).tolist(),
-        spacing_um=3 * diameter,
-        seed=0,
-        **burn,
-    )
+        name=name, layout="own", field_um=field.tolist(), margin_um=((size - field) / 2).tolist(), border_um=border,
+        origin_um=(points.min(axis=0) - border).tolist(), spacing_um=3 * diameter, seed=0, **burn,
+    )  # fmt: skip
     return blank.with_holes(points, ("own",) * len(points))
 
 

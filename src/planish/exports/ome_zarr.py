@@ -15,7 +15,7 @@ from planish.core.area import halved_values, overview_count
 from planish.core.bands import BAND, bands
 from planish.exports.content import ExportHistory, Maps, percentile_limits
 from planish.exports.formats import ExportParams
-from planish.io.map_store import CODECS
+from planish.io.map_chunks import CODECS
 from planish.io.store import multiscale
 
 

@@ -233,22 +233,14 @@ def measure_distortion(
     median, p95, largest = percentiles(displacements, 50, 95, 100)
     in_space, in_plane = boundary_lengths(points, uv)
     return Distortion(
-        area=_spread(strain["area_ratio"].values - 1),
-        axial_u=_spread(strain["axial_u"].values),
-        axial_v=_spread(strain["axial_v"].values),
-        shear=_spread(strain["shear"].values),
-        cells=int(np.count_nonzero(np.isfinite(area))),
-        inverted_cells=int(np.count_nonzero(area <= 0)),
-        boundary_space_um=in_space,
-        boundary_flat_um=in_plane,
-        growth_percent=100 * (scale - 1),
-        growth_anisotropy_percent=100 * (scale_ratio - 1),
-        growth_direction_deg=direction,
-        displacement_median_um=median,
-        displacement_p95_um=p95,
-        displacement_max_um=largest,
+        area=_spread(strain["area_ratio"].values - 1), axial_u=_spread(strain["axial_u"].values),
+        axial_v=_spread(strain["axial_v"].values), shear=_spread(strain["shear"].values),
+        cells=int(np.count_nonzero(np.isfinite(area))), inverted_cells=int(np.count_nonzero(area <= 0)),
+        boundary_space_um=in_space, boundary_flat_um=in_plane, growth_percent=100 * (scale - 1),
+        growth_anisotropy_percent=100 * (scale_ratio - 1), growth_direction_deg=direction,
+        displacement_median_um=median, displacement_p95_um=p95, displacement_max_um=largest,
         geodesics=geodesic_error(points, uv, rng=rng),
-    )
+    )  # fmt: skip
 
 
 def edge_strain(points: Floats, uv: Floats) -> tuple[Floats, Floats]:

@@ -115,22 +115,12 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
     edge_strains = np.concatenate([np.abs(e[np.isfinite(e)]) for e in edge_strain(points, relaxed.uv)])
     moves = np.hypot(*(flat[axis].values - flat[f"projected_{axis}"].values for axis in "uv"))
     quality = FlatteningQuality(
-        outcome=relaxed.outcome.name,
-        sentence=relaxed.outcome.value,
-        steps=relaxed.steps,
-        energy_um2=relaxed.energy,
-        mesh_um=mesh.pitch_um,
-        folded_cells=int(np.count_nonzero(relaxed.folded)),
-        edge_strain_p95=float(np.percentile(edge_strains, 95)),
-        edge_strain_max=float(edge_strains.max()),
-        method=params.method,
-        neutral=neutral,
-        springs=relaxed.springs,
-        straight_share=relaxed.straight_share,
-        distortion=distortion,
-        curvature=CurvatureVerdict.holding(curvature),
-        largest_move_um=float(np.nanmax(moves)),
-    )
+        outcome=relaxed.outcome.name, sentence=relaxed.outcome.value, steps=relaxed.steps, energy_um2=relaxed.energy,
+        mesh_um=mesh.pitch_um, folded_cells=int(np.count_nonzero(relaxed.folded)),
+        edge_strain_p95=float(np.percentile(edge_strains, 95)), edge_strain_max=float(edge_strains.max()),
+        method=params.method, neutral=neutral, springs=relaxed.springs, straight_share=relaxed.straight_share,
+        distortion=distortion, curvature=CurvatureVerdict.holding(curvature), largest_move_um=float(np.nanmax(moves)),
+    )  # fmt: skip
     return Flattened(flat=flat, strain=strain.assign(_progress(relaxed)), quality=quality)
 
 

@@ -156,16 +156,11 @@ def _describe_volume(
                 "'planish import' first."
             )
     return {
-        "bytes": loaded.file_bytes,
-        "format": file_format.name,
-        **facts,
-        **size_facts,
-        "stored": storage_text,
+        "bytes": loaded.file_bytes, "format": file_format.name, **facts, **size_facts, "stored": storage_text,
         "run_bytes": PROGRAM_BYTES + max(bytes_to_map(n_columns), bytes_to_hold(whole_bytes)),
-        "run_seconds": map_seconds(n_columns),
-        "through": likely_through(grey_values) if is_read else None,
+        "run_seconds": map_seconds(n_columns), "through": likely_through(grey_values) if is_read else None,
         "metadata": dict(loaded.attrs),
-    }
+    }  # fmt: skip
 
 
 def _describe_sections(sections: SectionStack, find_size: Agreed, warnings: list[str]) -> dict[str, Any]:
@@ -214,16 +209,11 @@ def _describe_image(
         facts["sampled"] = f"every {stride} rows and columns"
     size_facts = _size_facts(partial(find_size, across(picture.stated)), shape, warnings, ("Pixels", PIXEL.usual_um))
     return {
-        "bytes": size_of_file(path),
-        **facts,
-        "shape": list(shape),
-        "dtype": str(full_values.dtype),
-        "colour": picture.colour,
-        "channels": full_values.shape[2] if full_values.ndim == 3 else 1,
-        "link_bytes": LINK_BYTES + PIXEL_BYTES * math.prod(shape),
-        "link_seconds": 2.5e-6 * math.prod(shape),
+        "bytes": size_of_file(path), **facts, "shape": list(shape), "dtype": str(full_values.dtype),
+        "colour": picture.colour, "channels": full_values.shape[2] if full_values.ndim == 3 else 1,
+        "link_bytes": LINK_BYTES + PIXEL_BYTES * math.prod(shape), "link_seconds": 2.5e-6 * math.prod(shape),
         **size_facts,
-    }
+    }  # fmt: skip
 
 
 def is_image(place: Place) -> bool:

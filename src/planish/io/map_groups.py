@@ -16,7 +16,8 @@ from zarr.errors import ZarrUserWarning
 from planish.core.errors import FileError
 from planish.core.files import check_exists
 from planish.core.lazy import ReadOnDemand
-from planish.io.map_store import CHUNK, CODECS, COMPLETE, OVERVIEWS, is_large, overviews_of, readable, stored_group
+from planish.io.map_chunks import CODECS
+from planish.io.map_store import CHUNK, COMPLETE, OVERVIEWS, is_large, overviews_of, readable, stored_group
 
 _METADATA = "zarr.json"
 

@@ -93,12 +93,7 @@ def read_topography(
     if not np.isfinite(values).any():
         raise FileError(f"{path.name} has no height in it, all are missing. Export it again.")
     attrs = {
-        "units": "um",
-        "long_name": "Height",
-        "pixel_um": list(size),
-        "pixel_um_source": source,
-        "file_format": file_format,
-        "file_name": path.name,
-        "file_bytes": file_bytes,
-    }
+        "units": "um", "long_name": "Height", "pixel_um": list(size), "pixel_um_source": source,
+        "file_format": file_format, "file_name": path.name, "file_bytes": file_bytes,
+    }  # fmt: skip
     return labelled(values, PIXEL.axes, size, name="topography", attrs=attrs)

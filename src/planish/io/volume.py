@@ -90,16 +90,10 @@ def read_volume(
         loaded.stated, voxel_um, file_name=name, asked=VOXEL, override=override_size, unusual=unusual_size
     )
     attrs = {
-        "units": "1",
-        "long_name": "Grey value",
-        "voxel_um": list(size),
-        "voxel_um_source": source,
-        "full_scale": full_scale(loaded.values.dtype, loaded.bits),
-        "file_name": name,
-        "file_bytes": loaded.file_bytes,
-        **loaded.attrs,
-        **frame_attrs,
-    }
+        "units": "1", "long_name": "Grey value", "voxel_um": list(size), "voxel_um_source": source,
+        "full_scale": full_scale(loaded.values.dtype, loaded.bits), "file_name": name, "file_bytes": loaded.file_bytes,
+        **loaded.attrs, **frame_attrs,
+    }  # fmt: skip
     return labelled(loaded.values, VOXEL.axes, size, name="volume", attrs=attrs)
 
 

@@ -1,11 +1,14 @@
 """Numbers of a sheet that are no maps: thin coating, roughness, two-sidedness, and profiles in depth."""
 
+from itertools import repeat
+
 import numpy as np
 import xarray as xr
 
 from planish.core.errors import CannotMeasure
 from planish.core.facts import ProfileFacts, RoughnessFacts, SheetNumbers, ThinFacts, TwoSidesFacts
 from planish.core.grid import pitch
+from planish.core.threads import map_threads
 from planish.core.tiles import Engine
 from planish.core.typing import Floats, Pair
 from planish.measure.lengths import scale_limited
@@ -175,21 +178,28 @@ def sheet_numbers(
         depth_profile = depth_profiles(volume, measured, names=profile_names, params=params, engine=engine)
         depth, *shares = (tuple(depth_profile[name].values.tolist()) for name in ("depth", *profile_names))
         profiles = ProfileFacts(depth=depth, values=dict(zip(profile_names, shares, strict=True)))
-    pitch_um, filters_um = pitch(measured), {"s_filter_um": params.s_filter_um, "l_filter_um": params.l_filter_um}
-    support_um = float(np.sqrt(np.prod(pitch_um)))
-    thin: dict[Side, ThinFacts] = {}
-    roughness: dict[Side, RoughnessFacts] = {}
-    for side in SIDES:
-        coating = measured[f"coating_{side}"]
-        if np.isfinite(coating.values).any():
-            thin_shares = thin_fraction(coating.assign_attrs(support_um=support_um))
-            marked_um, share = (tuple(thin_shares[name].values.tolist()) for name in ("marked", "marked_share"))
-            warning_text = thin_shares.attrs.get("warning")
-            thin[side] = ThinFacts(thinner_than_um=marked_um, share=share, support_um=support_um, warning=warning_text)
-        try:
-            roughness_map = scale_limited(measured[f"topography_{side}"].values, pitch_um, **filters_um)
-            roughness[side] = roughness_numbers(roughness_map, pitch_um, **filters_um)
-        except CannotMeasure as reason:  # a field smaller than the filters has none, which is no fault of the run
-            roughness[side] = RoughnessFacts(reason=reason.text)
+    of_sides = map_threads(_numbers_of_side, repeat(measured), SIDES, repeat(params))
+    thin: dict[Side, ThinFacts] = {
+        side: facts for side, (facts, _) in zip(SIDES, of_sides, strict=True) if facts is not None
+    }
+    roughness: dict[Side, RoughnessFacts] = {side: facts for side, (_, facts) in zip(SIDES, of_sides, strict=True)}
     two_sides = TwoSidesFacts.model_validate(two_sidedness(measured))
     return SheetNumbers(thin=thin, roughness=roughness, two_sides=two_sides, profiles=profiles)
+
+
+def _numbers_of_side(
+    measured: xr.Dataset, side: Side, params: MeasureParams
+) -> tuple[ThinFacts | None, RoughnessFacts]:
+    pitch_um, filters_um = pitch(measured), {"s_filter_um": params.s_filter_um, "l_filter_um": params.l_filter_um}
+    thin, coating = None, measured[f"coating_{side}"]
+    if np.isfinite(coating.values).any():
+        support_um = float(np.sqrt(np.prod(pitch_um)))
+        thin_shares = thin_fraction(coating.assign_attrs(support_um=support_um))
+        marked_um, share = (tuple(thin_shares[name].values.tolist()) for name in ("marked", "marked_share"))
+        warning_text = thin_shares.attrs.get("warning")
+        thin = ThinFacts(thinner_than_um=marked_um, share=share, support_um=support_um, warning=warning_text)
+    try:
+        roughness_map = scale_limited(measured[f"topography_{side}"].values, pitch_um, **filters_um)
+        return thin, roughness_numbers(roughness_map, pitch_um, **filters_um)
+    except CannotMeasure as reason:  # a field smaller than the filters has none, which is no fault of the run
+        return thin, RoughnessFacts(reason=reason.text)

@@ -116,16 +116,10 @@ def fit_transform(
     residuals = pairs.fixed - transform(pairs.moving)
     rms = weighted_rms(np.linalg.norm(residuals, axis=1), weighted_pairs.weights)
     fit = FittedTransform(
-        transform=transform,
-        model=model,
-        moving=pairs.moving,
-        fixed=pairs.fixed,
-        information=weighted_pairs.information,
-        robust_weights=robust_weights,
-        residuals_um=residuals,
-        sentence=f"{model} from {len(fitted_pairs)} marks: residuals {rms:.3g} um rms.",
-        likely=field,
-    )
+        transform=transform, model=model, moving=pairs.moving, fixed=pairs.fixed,
+        information=weighted_pairs.information, robust_weights=robust_weights, residuals_um=residuals,
+        sentence=f"{model} from {len(fitted_pairs)} marks: residuals {rms:.3g} um rms.", likely=field,
+    )  # fmt: skip
     model_warnings = (*_warn_of_structure(fit), *_warn_of_size(fit)) if inspect else ()
     return replace(fit, warnings=(*_warn_of_marks(fit, repeated_rows), *model_warnings))
 

@@ -82,17 +82,11 @@ def choose(
         needed_count = max(needed_count, chance_count, len(pairs) + 1)
     rival_chance, rival_count = _rival(arrangements, best, b, tolerance_um)
     return BestMatch(
-        pairs=np.ascontiguousarray(pairs[np.argsort(pairs[:, 0])]),
-        mirrored=bool(arrangements.mirrored[best]),
-        needed_count=needed_count,
-        log_chance=float(arrangements.log_chance[best]),
-        second_log_chance=rival_chance,
-        second_best_count=rival_count,
-        stretch=2.0 * abs(arrangements.gamma[best]) / abs(arrangements.alpha[best]),
-        is_swapped=is_swapped,
-        small_points=moved_points,
-        large_points=b,
-    )
+        pairs=np.ascontiguousarray(pairs[np.argsort(pairs[:, 0])]), mirrored=bool(arrangements.mirrored[best]),
+        needed_count=needed_count, log_chance=float(arrangements.log_chance[best]), second_log_chance=rival_chance,
+        second_best_count=rival_count, stretch=2.0 * abs(arrangements.gamma[best]) / abs(arrangements.alpha[best]),
+        is_swapped=is_swapped, small_points=moved_points, large_points=b,
+    )  # fmt: skip
 
 
 def _rival(arrangements: Arrangements, best: int, b: Complexes, tolerance: float) -> tuple[float, int]:

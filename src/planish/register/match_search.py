@@ -99,18 +99,11 @@ def _arrangements(
     partner, squares, alpha, gamma, beta, power = (column[rows] for column in refined)
     freedom = np.where(np.count_nonzero(partner >= 0, axis=1) > 3, 2.0 + power / (power + ridge), 2.0)
     return Arrangements(
-        partner=partner,
-        squares=squares,
-        inliers=np.count_nonzero(squares <= tolerance_um**2, axis=1).astype(np.intp),
-        log_chance=log_chance(squares, b, tests, tolerance_um, freedom, power),
-        alpha=alpha,
-        gamma=gamma,
-        beta=beta,
-        freedom=freedom,
-        landed=alpha[:, None] * points + gamma[:, None] * np.conj(points) + beta[:, None],
-        mirrored=np.full(len(rows), hand),
-        tests=np.full(len(rows), tests),
-    )
+        partner=partner, squares=squares, inliers=np.count_nonzero(squares <= tolerance_um**2, axis=1).astype(np.intp),
+        log_chance=log_chance(squares, b, tests, tolerance_um, freedom, power), alpha=alpha, gamma=gamma, beta=beta,
+        freedom=freedom, landed=alpha[:, None] * points + gamma[:, None] * np.conj(points) + beta[:, None],
+        mirrored=np.full(len(rows), hand), tests=np.full(len(rows), tests),
+    )  # fmt: skip
 
 
 def extents(b: Complexes) -> Pair:

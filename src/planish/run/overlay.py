@@ -9,6 +9,7 @@ import xarray as xr
 from planish.core.arrays import check_dataset, check_image
 from planish.core.errors import CannotRegister, InputError, MarkError
 from planish.core.grid import Grid, check_same_grid
+from planish.core.threads import read_ahead
 from planish.core.tiles import Tile
 from planish.core.typing import Bools, Floats
 from planish.io.map_store import StoredMaps, map_tiles
@@ -79,13 +80,18 @@ def resample_layers(
     tile_readers = {name: _on_tiles(*source, grid) for name, source in layer_sources.items()}
     absent = [name for name, (_, chain) in layer_sources.items() if chain is not None]
     valid_attrs = {"long_name": mask.sentence}
-    for tile in map_tiles(grid.shape):
+
+    def bring(tile: Tile) -> dict[str, xr.Dataset]:
         tile_grid = grid.part(tile.rows, tile.cols)
         is_allowed, maps = mask(tile_grid), dict[str, xr.Dataset]()
         for name, read_tile in tile_readers.items():
             data = read_tile(tile, tile_grid)
             is_measured = np.isfinite(data["thickness" if "thickness" in data else "image"].values)
             maps[name] = data.assign(valid=(("y", "x"), is_measured & is_allowed, valid_attrs))
+        return maps
+
+    tiles = map_tiles(grid.shape)
+    for tile, maps in zip(tiles, read_ahead(bring, tiles), strict=True):
         absent = [k for k in absent if not np.isfinite(maps[k]["image" if "image" in maps[k] else "u"].values).any()]
         if joint_group is None:
             for name, data in maps.items():

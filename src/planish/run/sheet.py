@@ -8,15 +8,17 @@ import numpy as np
 import xarray as xr
 
 from planish.checks import MeasuredSheet, check_scan, run_checks
+from planish.core.checks import Check
 from planish.core.errors import CannotMeasure
 from planish.core.frame import other_axis
 from planish.core.grid import pitch
+from planish.core.threads import thread_pool
 from planish.core.tiles import Engine
 from planish.flatten import flatten_sheet
 from planish.io import find_place
 from planish.measure import measure_properties, sheet_numbers, surfaces_of
 from planish.resample import resample_maps
-from planish.results import SheetFacts
+from planish.results import SheetFacts, SheetNumbers
 from planish.run.compute import Compute, Progress, column_step, engine, silent
 from planish.run.facts import input_file, property_facts, section_facts, surface_facts
 from planish.run.layers import Layer
@@ -41,18 +43,20 @@ def map_layer(
     assert v is not None
     local = Engine(threads=compute.threads, memory_bytes=compute.for_work // 2)
     volume, sections, surfaces, columns = _measure(layer, old_sheet, local, tile_dir, compute, progress)
-    progress("flatten", "eight-spring mesh")
-    # Before the properties: a column whose normal meets no face still has its place in the sheet.
-    flattened = flatten_sheet(surfaces, params=layer.flatten)
-    column_um = float(np.sqrt(math.prod(pitch(surfaces))))
-    map_um = layer.flatten.map_um or column_um
-    progress("resample", f"{map_um:.3g} um pixels")
-    groups = {
-        "surfaces": columns,
-        "flat": flattened.flat,
-        "strain": flattened.strain,
-        "maps": resample_maps(columns, flattened.flat, map_um=map_um),
-    }
+    with thread_pool(compute.threads) as pool:
+        # They need no flat map, and are worked out beside it.
+        checks_and_numbers = pool.submit(_judged, layer, volume, sections, columns, local)
+        progress("flatten", "eight-spring mesh")
+        # Before the properties: a column whose normal meets no face still has its place in the sheet.
+        flattened = flatten_sheet(surfaces, params=layer.flatten)
+        column_um = float(np.sqrt(math.prod(pitch(surfaces))))
+        map_um = layer.flatten.map_um or column_um
+        progress("resample", f"{map_um:.3g} um pixels")
+        maps = resample_maps(columns, flattened.flat, map_um=map_um)
+        if volume is not None:
+            progress("check", "slices, grey, layers")
+        scan_checks, numbers = checks_and_numbers.result()
+    groups = {"surfaces": columns, "flat": flattened.flat, "strain": flattened.strain, "maps": maps}
     if sections is not None:
         groups["sections"] = sections
     params = changed(layer, flatten={"mesh_um": flattened.quality.mesh_um, "map_um": map_um})
@@ -73,18 +77,13 @@ def map_layer(
     # Where single columns of voxels were measured without being asked for, nothing has to be repeated.
     column_params = {"column_um": column_um} if step > 1 and v.column_um is None else {}
     size_params = {"voxel_um": tuple(float(s) for s in volume.attrs["voxel_um"])} | column_params
-    progress("check", "slices, grey, layers")
-    scan = check_scan(
-        volume, columns, sections=sections is not None, labels=layer.surface.labels is not None, threads=compute.threads
-    )
-    numbers = sheet_numbers(columns, volume=volume, params=layer.properties, engine=local)
     return Layer(
         params=changed(params, volume=size_params),
         source=input_file(volume, v.path),
         groups=groups,
         facts=facts.model_copy(update={"numbers": numbers}),
         md_deg=md_deg,
-        checks=(*run_checks(MeasuredSheet(facts, columns)), *scan),
+        checks=(*run_checks(MeasuredSheet(facts, columns)), *scan_checks),
     )
 
 
@@ -124,6 +123,17 @@ def _measure(
             raise CannotMeasure(f"{error.text} {hint_text}") from error
         raise
     return volume, sections, surfaces, columns
+
+
+def _judged(
+    layer: LayerParams, volume: xr.DataArray | None, sections: xr.Dataset | None, columns: xr.Dataset, local: Engine
+) -> tuple[tuple[Check, ...], SheetNumbers | None]:
+    """Checks of a scan and numbers of its sheet; neither where the volume was not read."""
+    if volume is None:
+        return (), None
+    is_labelled = layer.surface.labels is not None
+    checks = check_scan(volume, columns, sections=sections is not None, labels=is_labelled, threads=local.threads)
+    return checks, sheet_numbers(columns, volume=volume, params=layer.properties, engine=local)
 
 
 def _remapped(old_sheet: Layer, sheet: Layer) -> Layer:

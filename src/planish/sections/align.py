@@ -115,15 +115,10 @@ def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Ali
     pose[:, 2] *= max(0.0, 1.0 - pose_variance[2] / mean_square_rotation) if mean_square_rotation > 0 else 0.0
     is_fixed = _add_fixed_drift(pose, fixed, away_um, cutoff_um, aligned) if fixed is not None else [False] * 3
     return Alignment(
-        shift_um=pose[:, :2].copy(),
-        rotation_rad=pose[:, 2].copy(),
-        aligned=aligned,
-        jitter_left_um=np.sqrt(pose_variance[:2]),
-        pairs_used=int(is_used.sum()),
-        pairs_refused=int((~is_used).sum()),
-        cutoff_um=cutoff_um,
-        fixed=tuple(is_fixed),
-    )
+        shift_um=pose[:, :2].copy(), rotation_rad=pose[:, 2].copy(), aligned=aligned,
+        jitter_left_um=np.sqrt(pose_variance[:2]), pairs_used=int(is_used.sum()), pairs_refused=int((~is_used).sum()),
+        cutoff_um=cutoff_um, fixed=tuple(is_fixed),
+    )  # fmt: skip
 
 
 def _jackknife_variance(

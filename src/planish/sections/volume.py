@@ -84,16 +84,11 @@ def regular_volume(
         map_threads(planes.fill, range(planes.shape[0]), values)
     voxel = (series.pitch_um, *map(float, series.pixel_um))
     volume_attrs: dict[str, Any] = {
-        "units": "1",
-        "long_name": "Grey value",
-        "voxel_um": list(voxel),
-        "voxel_um_source": "given",
-        "full_scale": None if real else int(np.iinfo(stack.dtype).max),
-        **(attrs or {}),
-        "sections": int(used_sections.size),
-        "sections_missing": int(np.maximum(missing, 0).sum()),
+        "units": "1", "long_name": "Grey value", "voxel_um": list(voxel), "voxel_um_source": "given",
+        "full_scale": None if real else int(np.iinfo(stack.dtype).max), **(attrs or {}),
+        "sections": int(used_sections.size), "sections_missing": int(np.maximum(missing, 0).sum()),
         "first_position_um": float(series.positions_um[used_sections[0]]),
-    }
+    }  # fmt: skip
     if alignment is not None:
         volume_attrs["jitter_left_um"] = [float(v) for v in alignment.jitter_left_um]
     return labelled(values, "zyx", voxel, name="volume", attrs=volume_attrs)

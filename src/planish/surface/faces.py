@@ -1,6 +1,7 @@
 """Both faces and interfaces of every column, tile by tile."""
 
 from dataclasses import dataclass, field
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from scipy import ndimage
 
 from planish.core.grid import filled
 from planish.core.robust import mad_sd, masked_gaussian
+from planish.core.threads import map_threads
 from planish.core.tiles import Engine, Tile
 from planish.core.typing import Bools, Floats
 from planish.surface import _fit_kernels
@@ -52,10 +54,9 @@ def find_faces(columns: Columns, guide: Guide, priors: Priors, engine: Engine, p
         # for again below it. Where the gap is so narrow that the coarse search saw one object, a plate with a step all
         # around is tried too. Such plates are counted here; what floats farther away was counted by the coarse search.
         is_floating, expected_depths = np.zeros((2, *shape), dtype=bool), np.empty((2, *shape))
-        plates_by_end: list[NDArray[np.int32]] = []
+        plates_by_end, opened_faces = zip(*map_threads(_plates, -depths[:4:2], repeat(columns.pitch)), strict=True)
         for k, from_high in enumerate((True, False)):
-            plate_labels, opened = _plates(-depths[2 * k], columns.pitch)
-            plates_by_end.append(plate_labels)
+            plate_labels, opened = plates_by_end[k], opened_faces[k]
             expected_depths[k] = np.where(plate_labels > 0, -opened, guide.faces(depth, from_high=from_high)[0])
             with np.errstate(invalid="ignore"):
                 is_floating[k] = (expected_depths[k] - depths[2 * k] > _FLOATS / guide.cos_tilt) | (plate_labels > 0)
@@ -98,26 +99,27 @@ def faces_from_depths(
     below_particle = np.zeros(depths.shape[1:], dtype=bool)
     heights: dict[str, Floats] = {}
     level_errors: dict[str, tuple[Floats, float]] = {}
+    faces = map_threads(_cleaned, depths[:4:2], repeat(columns.pitch), cleaned)
     for k, side in enumerate(("top", "bottom") if columns.frame.top == "high" else ("bottom", "top")):
-        outer, thickness = depths[2 * k : 2 * k + 2]
+        (outer, is_particle), thickness = faces[k], depths[2 * k + 1]
         if len(depths) > 4:
             # The rms of neighbours: whether a wall is seen or not is chance in one column.
             squares, known = depths[4 + k] ** 2, np.isfinite(depths[4 + k])
             mean_square, weight = masked_gaussian(squares, known, [3.0, 3.0], truncate=3.0)
             rms = np.sqrt(mean_square / np.maximum(weight, 1e-9))
             level_errors[side] = step_um * rms, step_um * float(np.nanmean(depths[4 + k]))
-        is_finite = np.isfinite(outer)
-        if cleaned[k] and is_finite.any():
-            outer, is_particle = _cleaned(outer, columns.pitch)
-            particles += int(ndimage.label(is_particle, np.ones((3, 3)))[1])
-            below_particle |= is_particle
+        particles += int(ndimage.label(is_particle, np.ones((3, 3)))[1])
+        below_particle |= is_particle
         interface = np.where(np.isfinite(outer) & coated[k], outer + thickness, np.nan)
         for name, depth in ((side, outer), (f"interface_{side}", interface)):
             heights[name] = first_um + step_um * (last_index - depth if k == 0 else depth)
     return Faces(heights=heights, below_particle=below_particle, particles=particles, level_errors=level_errors)
 
 
-def _cleaned(outer: Floats, pitch: tuple[float, float, float]) -> tuple[Floats, Bools]:
+def _cleaned(outer: Floats, pitch: tuple[float, float, float], is_asked: bool) -> tuple[Floats, Bools]:
+    """Give a face without spikes and attached particles, and where these are; as it is where that is not asked."""
+    if not is_asked or not np.isfinite(outer).any():
+        return outer, np.zeros(outer.shape, dtype=bool)
     # Columns whose face stands far off its neighbours' are dust, or fits that went astray.
     is_finite, step_um = np.isfinite(outer), pitch[2]
     deviation_px = np.abs(outer - ndimage.median_filter(filled(outer), size=5, mode="nearest"))

@@ -303,18 +303,13 @@ def make_sheet(
     if structure is not None and film is not None:
         structure = structure.on_film(-faces[2] - neutral_um, film)
     return DrawnSheet(
-        params=paper,
-        seed=seed,
-        origin=(float(low[0]), float(low[1])),
+        params=paper, seed=seed, origin=(float(low[0]), float(low[1])),
         faces=np.stack([faces[0], faces[1], -faces[3], -faces[2]]).astype(np.float32) - np.float32(neutral_um),
-        rim_um=rim,
-        char=char,
-        coating_density=(1 + paper.coating_density_sd * density).astype(np.float32),
+        rim_um=rim, char=char, coating_density=(1 + paper.coating_density_sd * density).astype(np.float32),
         base_mass=mass.astype(np.float32),
-        crack_um=(crack_um * np.sign(crack) * np.maximum(np.abs(crack) - 1.0, 0.0)).astype(np.float32),
-        holes=centres,
+        crack_um=(crack_um * np.sign(crack) * np.maximum(np.abs(crack) - 1.0, 0.0)).astype(np.float32), holes=centres,
         structure=structure,
-    )
+    )  # fmt: skip
 
 
 def neutral_height(base_um: float, top_um: float, bottom_um: float, stiffness: float) -> float:

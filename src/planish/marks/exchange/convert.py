@@ -222,14 +222,6 @@ def _single_list(marks: xr.Dataset, name: str) -> PointList:
         )
     places = model.places_of(marks, names[0])
     return PointList(
-        title=name,
-        labels=model.labels_of(marks),
-        points=places.um,
-        used=model.used_of(marks).tolist(),
-        unit="um",
-        stated=True,
-        placed=True,
-        extras=places.extras,
-        source=places.source,
-        about=about_layer(marks, names[0]),
-    )
+        title=name, labels=model.labels_of(marks), points=places.um, used=model.used_of(marks).tolist(), unit="um",
+        stated=True, placed=True, extras=places.extras, source=places.source, about=about_layer(marks, names[0]),
+    )  # fmt: skip

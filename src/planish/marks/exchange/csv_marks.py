@@ -115,15 +115,10 @@ def read_points(content: Content, columns: tuple[str, str], *, stated: bool, sou
     if not len(points):
         raise MarkError(f"{content.name} has a header and no mark. One row for each is needed.")
     return PointList(
-        title=content.name,
-        points=points,
-        unit="um",
-        stated=stated,
-        placed=stated,
-        source=source,
+        title=content.name, points=points, unit="um", stated=stated, placed=stated, source=source,
         labels=_labels(table) if stated else (),
         extras={"diameter": np.array([v or np.nan for v in diameters], dtype=np.float64)},
-    )
+    )  # fmt: skip
 
 
 def _labels(table: CsvTable) -> list[str]:
