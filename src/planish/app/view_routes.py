@@ -255,15 +255,10 @@ def route(path: str, endpoint: Callable[[Request], Any], method: str = "GET") ->
 
 
 ROUTES = [
-    route("/api/tiles/{id}/{level:int}/{row:int}/{col:int}", get_tile),
-    route("/api/cursor", get_cursor),
-    route("/api/pixel", get_pixel),
-    route("/api/profile", get_profile),
+    route("/api/tiles/{id}/{level:int}/{row:int}/{col:int}", get_tile), route("/api/cursor", get_cursor),
+    route("/api/pixel", get_pixel), route("/api/profile", get_profile),
     route("/api/density", lambda r: JSONResponse(density(_tiles(r), *_picture_pair(r), _region(r)))),
-    route("/api/histogram", get_histogram),
-    route("/api/selection", get_selection),
-    route("/api/sheets", get_sheets),
-    route("/api/slices/{layer}/{direction}/{index:int}", get_slice),
-    route("/api/flattening", flattening),
+    route("/api/histogram", get_histogram), route("/api/selection", get_selection), route("/api/sheets", get_sheets),
+    route("/api/slices/{layer}/{direction}/{index:int}", get_slice), route("/api/flattening", flattening),
     route("/api/mesh", mesh),
-]
+]  # fmt: skip

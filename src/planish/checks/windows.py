@@ -65,26 +65,25 @@ def read_windows(
     wanted = _by_window(points, list(boxes.values()))
     z_range = slice(min(p["z"].start for p in boxes.values()), max(p["z"].stop for p in boxes.values()))
 
-    def read(piece: slice) -> list[_Part | None]:
-        parts = [indices[slice(*np.searchsorted(z, [piece.start, piece.stop]))] for indices, z in wanted]
-        return [
-            _read_part(volume, axis, box, piece, points, part, fill_grey, is_sampled=axis != through)
-            for part, (axis, box) in zip(parts, boxes.items(), strict=True)
-        ]
+    def read(piece: slice, axis: Axis, indices: Index, z: Places) -> _Part | None:
+        part = indices[slice(*np.searchsorted(z, [piece.start, piece.stop]))]
+        return _read_part(volume, axis, boxes[axis], piece, points, part, fill_grey, is_sampled=axis != through)
 
-    pieces = map_threads(read, _pieces(volume, boxes, z_range), number=threads)
+    pieces = _pieces(volume, boxes, z_range)
+    jobs = [(piece, axis, *of_axis) for piece in pieces for axis, of_axis in zip(axes, wanted, strict=True)]
+    parts = map_threads(read, *zip(*jobs, strict=True), number=threads)
     grey = np.full(len(points), np.nan, np.float32)
     samples: list[Array] = []
-    sums: list[list[Sums]] = [[] for _ in axes]
-    while pieces:  # a piece goes as soon as it is used
-        for axis_sums, part in zip(sums, pieces.pop(0), strict=True):
-            if part is not None:
-                axis_sums.append(part.sums)
-                samples.append(part.sample)
-                grey[part.indices] = part.grey
+    sums: dict[Axis, list[Sums]] = {axis: [] for axis in axes}
+    for _, axis, *_ in jobs:
+        part = parts.pop(0)  # it goes as soon as it is used
+        if part is not None:
+            sums[axis].append(part.sums)
+            samples.append(part.sample)
+            grey[part.indices] = part.grey
     sample = np.concatenate(samples)
     samples.clear()
-    windows = tuple(_joined(axis, boxes[axis], axis_sums) for axis, axis_sums in zip(axes, sums, strict=True))
+    windows = tuple(_joined(axis, boxes[axis], sums[axis]) for axis in axes)
     return WindowReading(windows=windows, sample=sample, grey=grey)
 
 
@@ -169,9 +168,11 @@ def _place(volume: xr.DataArray, axis: Axis, through: Axis, sheet_slices: tuple[
 def _pieces(volume: xr.DataArray, boxes: dict[Axis, dict[str, slice]], z_range: slice) -> list[slice]:
     """Cut along z: blocks are whole, chunks of the file are read once where memory allows."""
     largest = max(np.prod([s.stop - s.start for k, s in p.items() if k != "z"]) for p in boxes.values())
-    unit = math.lcm(BLOCK, chunks_of(volume)[0])
+    chunk = chunks_of(volume)
+    unit = math.lcm(BLOCK, chunk[0])
     size = max(int(WINDOW_BYTES / (4 * largest)) // unit, 1) * unit
-    size = size if size <= 40 * BLOCK else 8 * BLOCK
+    least_bytes = 4 * unit * max(chunk[1:]) * 2 * _EDGE  # once it is cut along another axis, too
+    size = size if size <= 40 * BLOCK or least_bytes < 12 * WINDOW_BYTES else 8 * BLOCK
     return [slice(k, min(k + size, z_range.stop)) for k in range(z_range.start, z_range.stop, size)]
 
 

@@ -136,15 +136,10 @@ def drawing_page(pattern: Pattern) -> Page:
         _pitches(axes, pattern, 4.2 * mm + pattern.border_um)
         axes.plot(*corner[:, None], "o", ms=7, mfc="none", mec=ACCENT, mew=0.9, clip_on=False)
         axes.annotate(
-            "no hole in this corner:\nit shows the orientation",
-            (corner[0], corner[1]),
-            (field_low[0] + 13 * mm, field_low[1] + 13 * mm),
-            color=ACCENT,
-            fontsize=7.5,
-            ha="left",
-            va="bottom",
+            "no hole in this corner:\nit shows the orientation", (corner[0], corner[1]),
+            (field_low[0] + 13 * mm, field_low[1] + 13 * mm), color=ACCENT, fontsize=7.5, ha="left", va="bottom",
             arrowprops={"arrowstyle": "-", "color": ACCENT, "lw": 0.6, "shrinkB": 5},
-        )
+        )  # fmt: skip
     rows = [
         ("layout", f"{pattern.layout}, seed {pattern.seed}"),
         ("hole", f"{pattern.diameter_um:g} µm"),
@@ -252,14 +247,9 @@ def path_page(run: DryRun, *, title: str = "Path of the stage") -> Page:
     pulse_texts = sorted({f"{1000 * pulse_s:g}" for pulse_s in run.pulse_s})
     x_range, y_range = (f"{um.min() / 1000:g} to {um.max() / 1000:g} mm" for um in path_um.T)
     rows = [
-        ("shots", str(len(shots_um))),
-        ("pulse", f"{', '.join(pulse_texts[:3])} ms"),
-        ("laser off", f"≥ {pause_text}"),
-        ("path", f"{run.length_um / 1000:.1f} mm"),
-        ("time", f"{run.time_s:.1f} s"),
-        ("x", x_range),
-        ("y", y_range),
-    ]
+        ("shots", str(len(shots_um))), ("pulse", f"{', '.join(pulse_texts[:3])} ms"), ("laser off", f"≥ {pause_text}"),
+        ("path", f"{run.length_um / 1000:.1f} mm"), ("time", f"{run.time_s:.1f} s"), ("x", x_range), ("y", y_range),
+    ]  # fmt: skip
     page.aside("Dry run", rows, ("time without acceleration",))
     return page
 

@@ -113,14 +113,9 @@ def image(
     picture = DecodedPicture(values=stored_values, colour=colour, bits=64, stated=(), orientation=1)
     values, long_name = pick_channel(picture, channel, file_name="The array")
     attrs = {
-        "full_scale": full_scale(stored_values.dtype, 64),
-        "channel": channel,
-        "stored_dtype": str(stored_values.dtype),
-        "orientation": 1,
-        "long_name": long_name,
-        **raster.attrs,
-        **({} if side is None else {"side": side}),
-    }
+        "full_scale": full_scale(stored_values.dtype, 64), "channel": channel, "stored_dtype": str(stored_values.dtype),
+        "orientation": 1, "long_name": long_name, **raster.attrs, **({} if side is None else {"side": side}),
+    }  # fmt: skip
     return _labelled(values, raster, IMAGE, pixel_um, attrs, override=override_size, unusual=unusual_size)
 
 

@@ -1,8 +1,8 @@
 """Groups of maps as datasets: written into a store, and read from one."""
 
+import json
 import os
 import shutil
-import warnings
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from functools import partial
@@ -11,30 +11,55 @@ from typing import Any
 
 import xarray as xr
 import zarr
-from zarr.errors import ZarrUserWarning
 
 from planish.core.errors import FileError
 from planish.core.files import check_exists
 from planish.core.lazy import ReadOnDemand
-from planish.io.map_chunks import CODECS
-from planish.io.map_store import CHUNK, COMPLETE, OVERVIEWS, is_large, overviews_of, readable, stored_group
+from planish.core.threads import map_threads
+from planish.io.map_chunks import is_ours, write_chunks
+from planish.io.map_store import (
+    COMPLETE,
+    OVERVIEWS,
+    create_array,
+    is_large,
+    open_group,
+    overviews_of,
+    readable,
+    stored_group,
+)  # fmt: skip
 
 _METADATA = "zarr.json"
 
 
 def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
     """Write datasets as groups of a zarr store for ``xarray.open_datatree(path, engine="zarr")``; others in it stay."""
-    tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs={COMPLETE: True}), **groups})
-    encoding: dict[str, dict[str, dict[str, Any]]] = {}
-    for name, group in groups.items():
-        encoding[f"/{name}"] = {str(key): {"compressors": CODECS} for key in group.variables}
-        for key, maps in group.variables.items():
-            if maps.ndim > 1:
-                encoding[f"/{name}"][str(key)]["chunks"] = tuple(min(n, CHUNK) for n in maps.shape)
-    with warnings.catch_warnings(), zarr.config.set({"array.write_empty_chunks": True}):
-        # zarr 3 warns that consolidated metadata are no part of its specification yet; without them every open warns.
-        warnings.simplefilter("ignore", ZarrUserWarning)
-        tree.to_zarr(path, mode="a", zarr_format=3, consolidated=True, write_inherited_coords=False, encoding=encoding)
+    zarr.open_group(path, mode="a", attributes={COMPLETE: True})
+    for name, data in groups.items():
+        group = open_group(path, name, data)
+
+        def write(key: str, data: xr.Dataset = data, group: zarr.Group = group) -> None:
+            variable = data.variables[key]
+            others = [k for k in sorted(map(str, data.coords)) if k not in {key, *map(str, data.dims)}]
+            named = {"coordinates": " ".join(k for k in others if {*data[k].dims} <= {*variable.dims})}
+            array = create_array(group, key, variable, variable.shape, **named if named["coordinates"] else {})
+            if is_ours(array):
+                write_chunks(path, array, tuple(slice(0, n) for n in variable.shape), variable.values)
+            else:  # text
+                array[...] = variable.values
+
+        map_threads(write, map(str, data.variables))
+    _consolidate(path)
+
+
+def _consolidate(path: Path) -> None:
+    """Gather the metadata of all groups and arrays in the file of the root, without which xarray warns."""
+    nodes = {file.parent: json.loads(file.read_text(encoding="utf-8")) for file in sorted(path.rglob(_METADATA))}
+    inline: dict[str, Any] = {"kind": "inline", "must_understand": False}
+    for node in nodes.values():
+        node |= {"consolidated_metadata": {**inline, "metadata": {}}} if node["node_type"] == "group" else {}
+    metadata = {folder.relative_to(path).as_posix(): node for folder, node in nodes.items() if folder != path}
+    root = nodes[path] | {"consolidated_metadata": {**inline, "metadata": metadata}}
+    (path / _METADATA).write_text(json.dumps(root), encoding="utf-8", newline="\n")
 
 
 def take_group(path: Path, source: Path, name: str) -> None:

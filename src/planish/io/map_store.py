@@ -93,22 +93,11 @@ class StoredMaps:
             coords = {k: (k, axis_um, dict(maps[k].attrs)) for k, axis_um in (("y", grid.y_um), ("x", grid.x_um))}
             self._groups[name] = xr.Dataset(variables, coords=coords, attrs=maps.attrs)
             return {str(k): variable.values for k, variable in self._groups[name].data_vars.items()}
-        group = zarr.open_group(self.path, mode="a", attributes={COMPLETE: True}).require_group(name)
-        group.attrs.update(_json_attrs(maps.attrs))
-
-        def create(key: str, dims: tuple[str, ...], shape: tuple[int, ...], template: Any, **options: Any) -> Any:
-            options |= {"dimension_names": dims, "compressors": CODECS, "attributes": _json_attrs(template.attrs)}
-            return group.create_array(key, shape=shape, dtype=template.dtype, **options)
-
+        group = open_group(self.path, name, maps)
         for axis, axis_um in (("y", grid.y_um), ("x", grid.x_um)):
-            create(axis, (axis,), axis_um.shape, maps[axis])[:] = axis_um
+            create_array(group, axis, maps[axis].variable, axis_um.shape)[:] = axis_um
         self.stored.append(name)
-        arrays: dict[str, Any] = {}
-        options = {"chunks": tuple(min(n, CHUNK) for n in grid.shape), "config": {"write_empty_chunks": True}}
-        for key, variable in maps.data_vars.items():
-            fill_value = np.nan if variable.dtype.kind == "f" else 0
-            arrays[str(key)] = create(str(key), ("y", "x"), grid.shape, variable, fill_value=fill_value, **options)
-        return arrays
+        return {str(k): create_array(group, str(k), data.variable, grid.shape) for k, data in maps.data_vars.items()}
 
     def group(self, name: str) -> xr.Dataset:
         """A group of which all tiles were added."""
@@ -119,6 +108,25 @@ class StoredMaps:
     def overviews(self) -> dict[str, xr.Dataset]:
         """Smaller copies of the groups in the store."""
         return {name: self.group(name) for name in self.stored if name.startswith(f"{OVERVIEWS}/")}
+
+
+def open_group(path: Path, name: str, data: xr.Dataset) -> zarr.Group:
+    """Open or make a group of a store, with the attributes of a dataset."""
+    group = zarr.open_group(path, mode="a", attributes={COMPLETE: True}).require_group(name)
+    group.attrs.update(_json_attrs(data.attrs))
+    return group
+
+
+def create_array(
+    group: zarr.Group, key: str, like: xr.Variable, shape: tuple[int, ...], **attrs: str
+) -> zarr.Array[Any]:
+    """Make an array of a group, of the type, dimensions and attributes of a variable."""
+    dtype, fill_value = (str, "") if like.dtype.kind in "OU" else (like.dtype, np.nan if like.dtype.kind == "f" else 0)
+    return group.create_array(
+        key, shape=shape, dtype=dtype, fill_value=fill_value, compressors=CODECS, config={"write_empty_chunks": True},
+        chunks=tuple(min(n, CHUNK) for n in shape) if len(shape) > 1 else "auto",
+        dimension_names=[str(dim) for dim in like.dims], attributes=_json_attrs({**like.attrs, **attrs}),
+    )  # fmt: skip
 
 
 def stored_group(path: Path, name: str, cache: PartCache | None = None) -> xr.Dataset:

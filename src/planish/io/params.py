@@ -85,13 +85,9 @@ class ImageParams(Params):
         help="Side of the sheet that the image shows; where not given, top is assumed and the report says so.",
     )
     md_deg: float | None = option(
-        None,
-        ge=-180,
-        le=180,
-        cli="--image-md-deg",
-        metavar="ANGLE",
+        None, ge=-180, le=180, cli="--image-md-deg", metavar="ANGLE",
         help="Machine direction in the image, likewise; compared with --md-deg, which the registration carries over.",
-    )
+    )  # fmt: skip
     dark_grey: float | None = option(
         None,
         metavar="GREY",

@@ -164,15 +164,11 @@ def read_scan(folder: Path) -> Scan | None:
         settings = sections.get(section, {})
         details |= {name: settings[name.casefold()] for name in names if name.casefold() in settings}
     return Scan(
-        log=log,
-        stated=Stated("NRecon log", (size * step, size, size)),
-        prefix=sections.get("file name convention", {}).get("filename prefix") or None,
-        count=count,
-        numbers=None if first is None or last is None else range(first, last + 1, step),
-        extent=(rows, columns),
-        window=None if low is None or high is None or low >= high else (low, high),
-        details=details,
-    )
+        log=log, stated=Stated("NRecon log", (size * step, size, size)),
+        prefix=sections.get("file name convention", {}).get("filename prefix") or None, count=count,
+        numbers=None if first is None or last is None else range(first, last + 1, step), extent=(rows, columns),
+        window=None if low is None or high is None or low >= high else (low, high), details=details,
+    )  # fmt: skip
 
 
 def _log_sections(path: Path) -> dict[str, dict[str, str]]:

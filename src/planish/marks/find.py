@@ -16,10 +16,15 @@ from planish.marks.candidates import Image, Raster
 from planish.marks.exchange.model import EXTRAS
 
 REASONS = {
-    "not_measured": "not measured", "cut": "cut by the border", "too_small": "too small", "too_large": "too large",
-    "too_faint": "too faint", "not_round": "not round or not closed", "no_rim": "without a sharp rim",
+    "not_measured": "not measured",
+    "cut": "cut by the border",
+    "too_small": "too small",
+    "too_large": "too large",
+    "too_faint": "too faint",
+    "not_round": "not round or not closed",
+    "no_rim": "without a sharp rim",
     "unlike": "unlike the other holes",
-}  # fmt: skip
+}
 """Reasons why a mark is no hole, in the order of a sentence, and their words."""
 
 

@@ -14,14 +14,10 @@ from planish.run.run import is_run
 from planish.run.study import LINK_SECTIONS, MAP_SECTIONS, SECTIONS, in_study_words, relative_path
 
 _TITLES = {
-    "about": "What the page says of the run",
-    "surface": "How the faces of the sheet are found",
-    "properties": "What is measured",
-    "flatten": "How the sheet is flattened",
-    "holes": "The laser holes",
-    "registration": "How image and sheet are registered",
-    "correlate": "How image and maps are compared",
-}
+    "about": "What the page says of the run", "surface": "How the faces of the sheet are found",
+    "properties": "What is measured", "flatten": "How the sheet is flattened", "holes": "The laser holes",
+    "registration": "How image and sheet are registered", "correlate": "How image and maps are compared",
+}  # fmt: skip
 _NOT_IN_FILES = {
     "volume": {"top": "which end of the axis is the top side", "md_deg": "the machine direction in the map"},
     "image": {"side": "the side of the sheet that the image shows", "md_deg": "the machine direction in the image"},

@@ -118,14 +118,10 @@ def _place_planes(
         poses[:, 2] = alignment.rotation_rad * series.pixel_um[1] / series.pixel_um[0]
         poses[:, 3] = alignment.rotation_rad * series.pixel_um[0] / series.pixel_um[1]
     return Planes(
-        stack=series.stack,
-        before=used_sections[before],
-        after=used_sections[after],
-        weight=weight,
-        empty=(weight > 0) & (weight < 1) & np.isin(before, gaps),
-        poses=poses,
+        stack=series.stack, before=used_sections[before], after=used_sections[after], weight=weight,
+        empty=(weight > 0) & (weight < 1) & np.isin(before, gaps), poses=poses,
         grades=np.tile([1.0, 0.0], (n, 1)) if gains is None else np.stack([gains.gain, gains.offset], axis=1),
-    )
+    )  # fmt: skip
 
 
 @dataclass(kw_only=True, eq=False)

@@ -207,7 +207,9 @@ def find_presence(
     def job(tile: Tile) -> tuple[Columns, list[Floats], float, Pair]:
         return columns, [field[tile.rows, tile.cols] for field in (depth, *normals)], thickness, levels
 
-    presence_by_tile = engine.map("layers", _tile_presence, job, columns.tiles(engine))
+    # Larger tiles have less of a border that is read twice.
+    share = min(float(np.nanmax(depth) - np.nanmin(depth) + thickness / pitch[2]) / columns.shape[2], 1.0)
+    presence_by_tile = engine.map("layers", _tile_presence, job, columns.tiles(engine, share=share))
     shares = join_tiles(presence_by_tile, np.full((len(LAYERS), *columns.shape[:2]), np.nan))
     return dict(zip(LAYERS, shares, strict=True))
 

@@ -93,11 +93,14 @@ class Columns:
             grey[grey == self.padding] = np.nan
         return grey
 
-    def tiles(self, engine: Engine, *, multiple: int = 1) -> list[Tile]:
-        """Cover all columns with tiles that fit into the engine's memory; their edges are multiples of ``multiple``."""
+    def tiles(self, engine: Engine, *, multiple: int = 1, share: float = 1.0) -> list[Tile]:
+        """Cover all columns with tiles that fit into the engine's memory; their edges are multiples of ``multiple``.
+
+        ``share``: of the depth that is read.
+        """
         rows, cols, depth = self.shape
         # A voxel of a tile takes 12 bytes while it is worked on, beside its own.
-        column_bytes = depth * self.step**2 * (self.volume.dtype.itemsize + 12 / self.step**2)
+        column_bytes = share * depth * self.step**2 * (self.volume.dtype.itemsize + 12 / self.step**2)
         budget_bytes = engine.memory_bytes / (engine.at_once + 1) / 2
         # Columns in a chunk of the file where they fit into it evenly.
         chunk_sizes = [chunks_of(self.volume)["zyx".index(axis)] for axis in self.axes[:2]]

@@ -277,13 +277,9 @@ def draw_poses(params: SectionsParams, length_um: float, seed: int) -> Poses:
     counter = params.section_um * np.arange(count, dtype=np.float64)
     true_y = length_um - counter - params.thickness * params.section_um * position_error
     return Poses(
-        index=indices,
-        counter_um=counter[indices],
-        y_um=true_y[indices],
-        shift_x_um=shift[0, indices],
-        shift_z_um=shift[1, indices],
-        turn_rad=np.deg2rad(params.rotation_deg) * turn[indices],
-    )
+        index=indices, counter_um=counter[indices], y_um=true_y[indices], shift_x_um=shift[0, indices],
+        shift_z_um=shift[1, indices], turn_rad=np.deg2rad(params.rotation_deg) * turn[indices],
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -117,15 +117,11 @@ class Specimen:
         points = self.warp.points(u, v)
         top, inner_top, inner_bottom, bottom = (sheet.at(face, u, v) for face in sheet.faces)
         values = {
-            "u": u,
-            "v": v,
-            **{f"volume_{axis}": points[..., k] for k, axis in enumerate("xyz")},
-            "coating_top": top - inner_top,
-            "coating_bottom": inner_bottom - bottom,
-            "base_thickness": inner_top - inner_bottom,
-            "thickness": top - bottom,
+            "u": u, "v": v, **{f"volume_{axis}": points[..., k] for k, axis in enumerate("xyz")},
+            "coating_top": top - inner_top, "coating_bottom": inner_bottom - bottom,
+            "base_thickness": inner_top - inner_bottom, "thickness": top - bottom,
             "rim": sheet.at(sheet.rim_um[0], u, v),
-        }
+        }  # fmt: skip
         coords = {"y": np.arange(self.image_shape[0]) * pixel, "x": np.arange(self.image_shape[1]) * pixel}
         return xr.Dataset({k: (("y", "x"), value, {"units": "um"}) for k, value in values.items()}, coords=coords)
 

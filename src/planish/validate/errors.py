@@ -263,17 +263,13 @@ def registration_errors(comparison: Comparison) -> Values:
         uv = uv[:: max(1, len(uv) // FITTED)]
         scale = fit_transform(uv, comparison.specimen.pose(uv), mirrored=None, robust=False).transform.scale
     return {
-        "tre_median": percentile(errors_um, 50),
-        "tre_p95": percentile(errors_um, 95),
-        "tre_max": percentile(errors_um, 99.9),
-        "tre_rms": true_rms,
-        "fre_rms": fit.rms_um,
-        "loo_rms": rms(fit.leave_one_out_um),
-        "predicted_rms": expected_rms,
+        "tre_median": percentile(errors_um, 50), "tre_p95": percentile(errors_um, 95),
+        "tre_max": percentile(errors_um, 99.9), "tre_rms": true_rms, "fre_rms": fit.rms_um,
+        "loo_rms": rms(fit.leave_one_out_um), "predicted_rms": expected_rms,
         "predicted_ratio": true_rms / expected_rms if true_rms is not None and expected_rms else None,
         "scale_deviation": 100.0 * (fit.transform.scale / scale - 1.0) if scale else None,
         "tre_projection_p95": _projection_error(comparison, fit, scale),
-    }
+    }  # fmt: skip
 
 
 def _projection_error(comparison: Comparison, fit: FittedTransform, scale: float | None) -> float | None:
