@@ -49,13 +49,13 @@ def map_layer(
         progress("flatten", "eight-spring mesh")
         # Before the properties: a column whose normal meets no face still has its place in the sheet.
         flattened = flatten_sheet(surfaces, params=layer.flatten)
-        column_um = float(np.sqrt(math.prod(pitch(surfaces))))
-        map_um = layer.flatten.map_um or column_um
-        progress("resample", f"{map_um:.3g} um pixels")
-        maps = resample_maps(columns, flattened.flat, map_um=map_um)
         if volume is not None:
             progress("check", "slices, grey, layers")
         scan_checks, numbers = checks_and_numbers.result()
+    column_um = float(np.sqrt(math.prod(pitch(surfaces))))
+    map_um = layer.flatten.map_um or column_um
+    progress("resample", f"{map_um:.3g} um pixels")
+    maps = resample_maps(columns, flattened.flat, map_um=map_um)
     groups = {"surfaces": columns, "flat": flattened.flat, "strain": flattened.strain, "maps": maps}
     if sections is not None:
         groups["sections"] = sections
