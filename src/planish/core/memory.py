@@ -11,7 +11,7 @@ KEPT_SHARE = 0.03  # share of the memory for maps of a store that are read back
 COPIES_OF_SECTIONS = 2  # the photographs and the volume made from them are in memory at the same time
 # Where the memory is less than the first number, freed arrays of so many bytes are given back at once. It takes time,
 # most of all for the small buffers that files are decoded into: those only where nothing else will do.
-RETURNED_BYTES = ((8 * 10**8, 2**17), (4 * 10**9, 2**22))
+RETURNED_BYTES = ((8 * 10**8, 2**17), (5 * 10**9, 2**22))
 # What ``planish link`` takes for each pixel of the image, which is held with the search for its holes, and in any case.
 PIXEL_BYTES, LINK_BYTES = 16, 400 * 10**6
 
