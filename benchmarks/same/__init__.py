@@ -47,6 +47,7 @@ EXPECTED: tuple[tuple[str, str], ...] = (
     ("*.json:code", _CODE),
     ("exports/all-crate/ro-crate-metadata.json:*", f"size and hash of results.json: {_CODE}"),
     ("design/specimen/truth/parameters.json:parameters.*", "a base of fibres, a film and section gains are parameters"),
+    ("*.zarr:*._FillValue", "what is NaN is missing without being told"),
     ("*-info.json:run_bytes", "info counts the memory that a run reckons with"),
     ("former/*-info.json:warning", "runs of 0.2.0 are named by their format"),
     *(
