@@ -70,12 +70,12 @@ def read_windows(
         return _read_part(volume, axis, boxes[axis], piece, points, part, fill_grey, is_sampled=axis != through)
 
     pieces = _pieces(volume, boxes, z_range)
-    jobs = [(piece, axis, *of_axis) for piece in pieces for axis, of_axis in zip(axes, wanted, strict=True)]
+    jobs = [(k, axis, *of_axis) for k in pieces for axis, of_axis in zip(axes, wanted, strict=True)]
     parts = map_threads(read, *zip(*jobs, strict=True), number=threads)
     grey = np.full(len(points), np.nan, np.float32)
     samples: list[Array] = []
     sums: dict[Axis, list[Sums]] = {axis: [] for axis in axes}
-    for _, axis, *_ in jobs:
+    for _, axis, _, _ in jobs:
         part = parts.pop(0)  # it goes as soon as it is used
         if part is not None:
             sums[axis].append(part.sums)
