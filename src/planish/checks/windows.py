@@ -70,7 +70,9 @@ def read_windows(
         return _read_part(volume, axis, boxes[axis], piece, points, part, fill_grey, is_sampled=axis != through)
 
     pieces = _pieces(volume, boxes, z_range)
-    jobs = [(k, axis, indices, z) for k in pieces for axis, (indices, z) in zip(axes, wanted, strict=True)]
+    jobs: list[tuple[slice, Axis, Index, Places]] = [
+        (k, axis, indices, z) for k in pieces for axis, (indices, z) in zip(axes, wanted, strict=True)
+    ]
     parts = map_threads(read, *zip(*jobs, strict=True), number=threads)
     grey = np.full(len(points), np.nan, np.float32)
     samples: list[Array] = []
