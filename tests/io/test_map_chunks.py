@@ -55,6 +55,12 @@ def test_a_damaged_chunk_is_told(tmp_path):
     with pytest.raises(ValueError, match="chunk 0 of map is damaged"):
         read_chunks(tmp_path / "a", array, WHOLE)
     read_chunks(tmp_path / "a", array, (slice(0, 256), slice(0, 200)))  # another chunk
+    smaller = made(tmp_path / "b", chunks=(128, 200))
+    smaller[:] = 1.0
+    for content in (b"", b"\0" * 4, (tmp_path / "b" / "map" / "c" / "0" / "0").read_bytes()):
+        file.write_bytes(content)  # nothing, nothing with its sum, and a chunk of another size
+        with pytest.raises((ValueError, RuntimeError)):
+            read_chunks(tmp_path / "a", array, WHOLE)
 
 
 def test_what_is_packed_otherwise_is_left_to_zarr(tmp_path):

@@ -52,7 +52,7 @@ def _unpacked(file: Path, array: zarr.Array[Any]) -> NDArray[Any]:
         raw = file.read_bytes()
         if crc32c(raw[:-4]) != int.from_bytes(raw[-4:], "little"):
             raise ValueError(f"the chunk {file.name} of {array.path} is damaged")
-        _BLOSC.decode(raw[:-4], chunk)
+        chunk[...] = np.frombuffer(_BLOSC.decode(raw[:-4]), array.dtype).reshape(array.chunks)
     return chunk
 
 

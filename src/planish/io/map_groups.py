@@ -26,7 +26,7 @@ from planish.io.map_store import (
     overviews_of,
     readable,
     stored_group,
-)  # fmt: skip
+)
 
 _METADATA = "zarr.json"
 
@@ -39,8 +39,8 @@ def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
 
         def write(key: str, data: xr.Dataset = data, group: zarr.Group = group) -> None:
             variable = data.variables[key]
-            others = [k for k in sorted(map(str, data.coords)) if k not in {key, *map(str, data.dims)}]
-            named = {"coordinates": " ".join(k for k in others if {*data[k].dims} <= {*variable.dims})}
+            coords = [k for k in sorted(map(str, data.coords)) if k not in {key, *map(str, data.dims)}]
+            named = {"coordinates": " ".join(k for k in coords if {*data[k].dims} <= {*variable.dims})}
             array = create_array(group, key, variable, variable.shape, **named if named["coordinates"] else {})
             if is_ours(array):
                 write_chunks(path, array, tuple(slice(0, n) for n in variable.shape), variable.values)
