@@ -3,7 +3,8 @@ r"""Set planish up in this folder and run it. Needs Python 3.11, 3.12 or 3.13, a
 
     python3 run.py demo     link a made-up specimen; prints the table and the path of the report
     python3 run.py test     run the fast tests; what follows goes to pytest: python3 run.py test -k flatten
-                            --all runs the studies too (Monte Carlo, certificates, whole corpora of damage)
+                            --ci runs those that link, open a browser or read whole formats instead
+                            --all runs these and all others (Monte Carlo, certificates, whole corpora of damage)
     python3 run.py check    format, lint, types, import contracts, tests (--no-tests leaves the tests out)
     python3 run.py bench    run the benchmarks
     python3 run.py docs     write what documents say of the program, and build the site into docs/_build/html
@@ -42,7 +43,7 @@ SUFFIX = ".exe" if os.name == "nt" else ""
 PYTHON = SCRIPTS / f"python{SUFFIX}"
 PLANISH = SCRIPTS / f"planish{SUFFIX}"
 # Files of tests side by side; `-n 0` after it runs them one after the other, for a debugger.
-# tests/conftest.py knows which files take long.
+# tests/tiers.py says which tests run, and puts files that take long first.
 PYTEST = [
     *(str(PYTHON), "-m", "pytest", "-n", "auto", "--maxprocesses", "4", "--dist", "loadfile"),
     "--no-loadscope-reorder",
@@ -103,7 +104,7 @@ def check(*, tests: bool) -> int:
         "imports": [python, "-c", "from importlinter.cli import lint_imports_command; lint_imports_command()"],
     }
     if tests:
-        steps["tests"] = [*PYTEST, "--cpu-limit", "5"]
+        steps["tests"] = PYTEST
     failed: list[str] = []
     for name, command in steps.items():
         say(f"--- {name}")

@@ -59,7 +59,7 @@ def test_too_few_holes_in_the_image(refuses, linked_run, holes_um, tmp_path, cou
     refuses("link", linked_run, image, words=("in the image", "at least 3", "--marks", holes))
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_too_few_holes_in_the_volume(planish, specimen, specimen_files, holes_um, tmp_path):
     """All holes of the volume but two are filled with the sheet beside them: its texture links, or nothing does."""
     volume = specimen.volume.values.copy()
@@ -87,7 +87,7 @@ def test_too_few_holes_in_the_volume(planish, specimen, specimen_files, holes_um
     assert not (tmp_path / "none").exists()
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_symmetric_pattern(planish, tmp_path):
     """Four holes on a square fit in four ways."""
     square = [(400.0, 400.0), (900.0, 400.0), (900.0, 900.0), (400.0, 900.0)]
@@ -129,7 +129,7 @@ def test_nan_voxels_everywhere_and_in_part(passes, refuses, corner, tmp_path):
     assert (tmp_path / "run" / "report.html").is_file()
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_saturated_voxels(passes, corner, tmp_path):
     bright = np.clip(corner.astype(float) * 1.6, 0, 255).astype(np.uint8)
     _, err = passes(

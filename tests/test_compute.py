@@ -49,13 +49,13 @@ def whole(store, tmp_path_factory):
     return bytes_of(out)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_memory_and_threads_change_no_byte(store, whole, tmp_path):
     run_study(study(store), tmp_path / "run", compute=Compute(threads=3, memory_bytes=300 * 2**20))
     assert bytes_of(tmp_path / "run") == whole
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
 def test_a_killed_run_goes_on_and_gives_the_same(store, whole, tmp_path, share):
     out = tmp_path / "run"
@@ -114,7 +114,7 @@ def cluster():
         yield made
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_cluster_gives_the_same_bytes(store, whole, cluster, tmp_path):
     compute = Compute(scheduler=cluster.scheduler_address, memory_bytes=300 * 2**20)
     run_study(study(store), tmp_path / "run", compute=compute)
@@ -126,7 +126,7 @@ def slow_sum(grid, tile):
     return np.array([[grid[tile.rows, tile.cols].sum(), os.getpid()]])
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_worker_that_dies_costs_only_time(cluster):
     grid = np.arange(400.0).reshape(20, 20)
     tiles = tiles_of(grid.shape, (2, 5))
@@ -159,7 +159,7 @@ class Deadly(LazyArray):
         return (z * 7 + y * 3 + x * x).astype(np.uint8)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_an_import_on_a_cluster_has_the_same_bytes_though_a_worker_dies(cluster, tmp_path):
     note = tmp_path / "died"
     data = labelled(Deadly(note), "zyx", (1.0, 1.0, 1.0), name="grey", attrs={"voxel_um": [1.0, 1.0, 1.0]})
@@ -170,14 +170,14 @@ def test_an_import_on_a_cluster_has_the_same_bytes_though_a_worker_dies(cluster,
     assert bytes_of(tmp_path / "cluster.zarr") == bytes_of(tmp_path / "local.zarr")
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_import_takes_a_scheduler(cluster, store, tmp_path, planish):
     for name, how in (("local", ()), ("cluster", ("--scheduler", cluster.scheduler_address))):
         assert planish("import", store, "--out", tmp_path / name, *how)[0] == 0
     assert bytes_of(tmp_path / "cluster") == bytes_of(tmp_path / "local")
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_scheduler_that_is_lost_is_a_sentence(cluster):
     with pytest.raises(ResourceError, match="was lost"), engine(Compute(scheduler=cluster.scheduler_address)) as on:
         list(on.map("sums", dies, lambda _tile: None, tiles_of((4, 4), (2, 2))))
@@ -187,7 +187,7 @@ def dies(_job, _tile):
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_no_scheduler_is_a_sentence():
     pytest.importorskip("distributed")
     with pytest.raises(InputError, match="No scheduler answers"), engine(Compute(scheduler="tcp://127.0.0.1:1")):
@@ -252,7 +252,7 @@ def test_sections_that_do_not_fit_are_imported_in_parts(tmp_path):
         map_sheet(files.volume, volume={"through": "y"}, compute=small)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak of the memory is not known")
 def test_a_mapped_volume_counts_as_memory_and_the_limit_is_kept(tmp_path):
     """600 million voxels in 1 GB, columns widened; with columns of that width the bytes do not depend on it."""
@@ -282,7 +282,7 @@ def test_a_mapped_volume_counts_as_memory_and_the_limit_is_kept(tmp_path):
     assert bytes_of(tmp_path / "low") == bytes_of(tmp_path / "high")
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_memory_that_others_take_meanwhile_changes_no_column(specimen_files, monkeypatch):
     free = iter([10**10])  # then next to nothing
     monkeypatch.setattr(Compute, "memory", property(lambda self: self.memory_bytes or next(free, 2 * 10**8)))

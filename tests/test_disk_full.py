@@ -77,7 +77,7 @@ _SLOW = ("link", "map", "run")
 
 
 @pytest.mark.parametrize(
-    "command", [pytest.param(name, marks=[pytest.mark.study] if name in _SLOW else []) for name in CASES]
+    "command", [pytest.param(name, marks=[pytest.mark.nightly] if name in _SLOW else []) for name in CASES]
 )
 def test_a_full_disk_leaves_nothing_and_blocks_nothing(planish, passes, given, tmp_path, failed_in, command):
     arguments, *moments = CASES[command]

@@ -88,7 +88,7 @@ def test_what_to_be_careful_about_stands_on_the_first_page(results):
     assert summary.cautions(results.model_copy(update={"correlations": tuple(withheld)})) == []
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_relation_that_saturates_is_named():
     maps = drawn(shape=(240, 320))
     thick = 10 + 2 * ndimage.gaussian_filter(maps["sheet"]["coating_top"].values, 6) / 0.047
@@ -156,7 +156,7 @@ def test_of_labels_no_map_but_those_of_the_faces_may_lead(layers):
         preflight.check_request(as_study(parts | {"correlate": {"headline": "coat_weight_top"}}), Compute())
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_declared_headline_leads(planish, specimen_files, tmp_path):
     assert planish("link", *specimen_files, "--out", tmp_path / "run", "--headline", "base_thickness")[0] in (0, 4)
     facts = json.loads((tmp_path / "run" / "results.json").read_text(encoding="utf-8"))
@@ -242,7 +242,7 @@ def test_where_nothing_is_left_the_run_stands_and_says_why():
     assert "smaller than a pixel" in found.partial.silence
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_run_states_what_stands_beside(planish, specimen_files, tmp_path):
     given = ("--beside", "base_thickness", "--beside", "topography_top")
     assert planish("link", *specimen_files, "--out", tmp_path / "run", *given)[0] in (0, 4)

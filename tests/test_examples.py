@@ -46,7 +46,7 @@ def test_the_page_shows_every_example_with_its_picture():
 @pytest.mark.parametrize(
     "example",
     [
-        pytest.param(path, id=path.stem, marks=() if path.stem.startswith(QUICK) else pytest.mark.study)
+        pytest.param(path, id=path.stem, marks=() if path.stem.startswith(QUICK) else pytest.mark.nightly)
         for path in EXAMPLES
         if path.stem not in MEASURED
     ],
@@ -55,7 +55,7 @@ def test_an_example_runs(example, tmp_path, monkeypatch):
     run(example, tmp_path, monkeypatch)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", MEASURED)
 def test_an_example_on_measured_data_runs(name, shared_data, tmp_path, monkeypatch):
     monkeypatch.setenv("PLANISH_DATA", str(shared_data(MEASURED[name]).parent))
@@ -70,7 +70,7 @@ def test_measured_data_are_shown_with_their_licence():
         assert "licence" in (ROOT / "examples" / f"{name}.py").read_text(encoding="utf-8")
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_the_example_of_a_property_reports_what_it_measured(tmp_path, monkeypatch, capsys):
     example = next(path for path in EXAMPLES if path.stem.startswith("03_"))
     maps = run(example, tmp_path, monkeypatch)["main"](tmp_path)

@@ -51,7 +51,7 @@ def files_of(path):
     return {path.name: path.read_bytes()}
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize("to", list(SUFFIXES))
 def test_one_file_of_each_format_and_the_same_bytes_again(linked_run, tmp_path, to):
     options = OF_A_FILE.get(to, ONE)
@@ -69,7 +69,7 @@ def test_one_file_of_each_format_and_the_same_bytes_again(linked_run, tmp_path, 
                        for data in found[0].values())  # fmt: skip
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize("to", ["tiff", "ome-zarr", "ply", "itk", "elastix", "bigwarp", "nrrd", "csv", "zarr"])
 def test_a_folder_gets_a_file_for_each(linked_run, tmp_path, to):
     out = tmp_path / "out"
@@ -86,7 +86,7 @@ def test_a_folder_gets_a_file_for_each(linked_run, tmp_path, to):
     }[to]  # fmt: skip
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_all_maps_of_a_run_in_memory(linked_run, tmp_path):
     run = open_run(linked_run)
     made = pl.export(replace(run, folder=None), tmp_path / "maps.nc", to="netcdf")
@@ -96,7 +96,7 @@ def test_all_maps_of_a_run_in_memory(linked_run, tmp_path):
         assert json.loads(found.attrs["history"])["inputs"][1]["layer"] == "image"
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_large_maps_are_read_part_by_part_with_the_same_bytes(linked_run, tmp_path, monkeypatch):
     formats = {"tiff": ".tif", "netcdf": ".nc", "csv": ".csv"}
     for to, suffix in formats.items():
@@ -107,7 +107,7 @@ def test_large_maps_are_read_part_by_part_with_the_same_bytes(linked_run, tmp_pa
         assert files_of(tmp_path / f"one{suffix}").popitem()[1] == files_of(tmp_path / f"two{suffix}").popitem()[1]
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize("maps", [["coating_top"], ["coating_top", "valid", "tilt"]])
 def test_chunks_of_a_store_are_copied_and_are_those_that_would_be_written(tmp_path, monkeypatch, linked_run, maps):
     from planish.exports import ome_zarr
@@ -187,7 +187,7 @@ def flat(linked_run, tmp_path_factory):
     return values, first[0] + scale[0] * np.arange(len(values)), (scale, first)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_the_sheet_lies_flat_in_the_straightened_volume(linked_run, flat):
     values, heights, (scale, first) = flat
     run = open_run(linked_run)
@@ -212,7 +212,7 @@ def test_the_sheet_lies_flat_in_the_straightened_volume(linked_run, flat):
     assert abs(np.mean(0.5 * (top + bottom))) < 1.0
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_the_straightened_volume_is_the_same_in_every_format(linked_run, tmp_path, flat):
     for to, suffix in (("tiff", ".tif"), ("ome-tiff", ".ome.tif")):
         path = tmp_path / f"flat{suffix}"
@@ -222,7 +222,7 @@ def test_the_straightened_volume_is_the_same_in_every_format(linked_run, tmp_pat
     np.testing.assert_allclose(volume.attrs["voxel_um"], flat[2][0], rtol=1e-6)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_depths_of_a_straightened_volume(linked_run, tmp_path, flat):
     path = tmp_path / "flat.tif"
     pl.export(linked_run, path, to="tiff", group="straightened", depth_um=(-8.0, 12.0))
@@ -232,7 +232,7 @@ def test_depths_of_a_straightened_volume(linked_run, tmp_path, flat):
         pl.export(linked_run, tmp_path / "no.tif", to="tiff", group="straightened", depth_um=(12.0, -8.0))
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_an_export_needs_the_very_volume_that_was_mapped(run_copy, specimen_files, tmp_path):
     text = (run_copy / "run.toml").read_text(encoding="utf-8")
     old = next(line for line in text.splitlines() if line.startswith("path") and "volume.tif" in line)
@@ -248,7 +248,7 @@ def test_an_export_needs_the_very_volume_that_was_mapped(run_copy, specimen_file
         refused(FileError, words, pl.export, run_copy, tmp_path / "flat.tif", to="tiff", group="straightened")
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_landmarks_count_from_the_first_pixel(linked_run, tmp_path):
     path = tmp_path / "landmarks.csv"
     pl.export(linked_run, path, to="bigwarp")
@@ -262,7 +262,7 @@ def test_landmarks_count_from_the_first_pixel(linked_run, tmp_path):
         np.testing.assert_allclose([v for v in found if np.isfinite(v)], [float(v) for v in expected if np.isfinite(v)])
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_crate_describes_the_run(linked_run, tmp_path):
     made = pl.export(linked_run, tmp_path / "crate", to="crate")
     assert made == [tmp_path / "crate"]
@@ -336,7 +336,7 @@ def test_what_is_there_stays(linked_run, tmp_path):
         pl.export(linked_run, linked_run / "maps", to="tiff")
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize(("to", "out"), [("tiff", "maps.tif"), ("netcdf", "o"), ("ome-zarr", "o.zarr"), ("ply", "o")])
 def test_an_export_that_fails_leaves_nothing(linked_run, tmp_path, monkeypatch, to, out):
     write = writer_of(to)
@@ -350,7 +350,7 @@ def test_an_export_that_fails_leaves_nothing(linked_run, tmp_path, monkeypatch, 
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize("to", [to for to, form in FORMATS.items() if form.most is not None])
 def test_what_is_too_large_for_a_format_is_refused_before_work(refuses, linked_run, monkeypatch, to):
     monkeypatch.setitem(FORMATS, to, replace(FORMATS[to], most=1000))
@@ -365,7 +365,7 @@ def test_a_library_of_the_extra_is_named(linked_run, tmp_path, monkeypatch):
         pl.export(linked_run, tmp_path / "o.gwy", to="gwy")
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_damaged_store_is_refused(run_copy, tmp_path):
     (run_copy / "maps.zarr" / "linked" / "coating_top" / "c" / "0" / "0").unlink()
     with pytest.raises(FileError, match="is damaged: 1 of 1 chunks of linked/coating_top are not there"):

@@ -40,7 +40,7 @@ def _link(params, instrument, folder):
     return specimen, files, run, certify.make_ledger(truth.Comparison(specimen, files, run))
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_scan_across_the_axis_of_rotation_keeps_its_hand(tmp_path):
     _, _, run, ledger = _link(PARAMS, "scanner", tmp_path)
     assert run.results.layers[0].source.size_source.startswith("NRecon")
@@ -49,7 +49,7 @@ def test_a_scan_across_the_axis_of_rotation_keeps_its_hand(tmp_path):
     assert ledger["tre_p95"] < 3.0
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_sections_are_aligned_and_joined(tmp_path):
     specimen, _, run, ledger = _link(PARAMS, "sections", tmp_path)
     facts = run.results.layers[0].sheet.sections

@@ -20,7 +20,7 @@ def numbers(value, place=""):
     return {name: number for key, part in parts for name, number in numbers(part, f"{place}/{key}").items()}
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize("what", ["sheet and image", "two images"])
 def test_tiles_and_a_store_change_nothing(planish, passes, linked_run, specimen_files, tmp_path, monkeypatch, what):
     image = specimen_files[1]

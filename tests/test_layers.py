@@ -9,46 +9,37 @@ import pytest
 import tifffile
 import xarray as xr
 
+from kinds import OTHER
 from planish.app.pictures import Pictures
 from planish.core.transform import Similarity
 from planish.io import ImageParams, VolumeParams
 from planish.marks import HoleParams, cut_holes, find_holes, read_any, write_marks
 from planish.register import RegistrationParams, fit_transform
 from planish.resample.maps import _with_angles
-from planish.run import Layer, LayerHoles, LayerParams, Study, link, map_sheet, open_run, read_study, write_study
-from planish.synthetic import CameraParams, InstrumentFiles, ScannerParams, Warp, make_specimen, write_instruments
+from planish.run import Layer, LayerHoles, LayerParams, Study, link, open_run, read_study, write_study
 from planish.validate import pair_errors
 
 
 @pytest.fixture(scope="module")
-def other(specimen):
+def other(made_once):
     """The same sheet, bent otherwise, under another scanner and another camera."""
-    params = replace(
-        specimen.params,
-        warp=Warp(slope=0.25, wavelength_um=2300.0, phase_rad=2.0, ruling_deg=80.0),
-        scanner=ScannerParams(voxel_um=3.5, fwhm_um=4.5),
-        camera=CameraParams(pixel_um=6.0, turn_deg=40.0, radial=0.0, stretch=0.0, shading=0.0, nuisance_sd=0.004),
-        seed=6,
-    )
-    return make_specimen(params, sheet=specimen.sheet)
+    return made_once.specimen("other", OTHER)
 
 
 @pytest.fixture(scope="module")
-def other_files(other, tmp_path_factory):
-    return write_instruments(other, tmp_path_factory.mktemp("other"))
+def other_files(made_once):
+    return made_once.other
 
 
 @pytest.fixture(scope="module")
-def other_run(other_files, tmp_path_factory):
-    out = tmp_path_factory.mktemp("mapped") / "other"
-    map_sheet(other_files.volume, out=out)
-    return out
+def other_run(kinds):
+    return kinds("other-map")
 
 
 @pytest.fixture(scope="module")
-def image_pair(specimen_files, other_files):
+def image_pair(kinds):
     """The image of one camera on the pixels of the other's."""
-    return link(f"small={specimen_files[1]}", f"large={other_files.image}")
+    return open_run(kinds("images"))
 
 
 def test_a_run_linked_to_an_image_is_the_volume_linked_to_it(passes, linked_run):
@@ -75,19 +66,12 @@ def test_a_size_may_be_that_of_one_layer_alone(passes, refuses, specimen_files, 
     refuses(*layers, "--set", "tiny.image.pixel_um=5.5,5.5", words="--set: 'tiny.image.pixel_um=5.5,5.5'", code=2)
 
 
-@pytest.mark.study
-def test_two_volumes_show_the_same_material_at_the_same_pixel(specimen, other, other_files, specimen_files, other_run):
-    # What write_instruments returned for the shared specimen.
-    volume, image = specimen_files
-    voxel_um = (specimen.params.scanner.voxel_um,) * 3
-    files = InstrumentFiles(
-        volume=volume, image=image, voxel_um=voxel_um, through="z", to_physical=lambda points, _=None: points
-    )
-    found = link(f"first={specimen_files[0]}", f"second={other_run}")
+def test_two_volumes_show_the_same_material_at_the_same_pixel(specimen, other, kinds):
+    found, other_run = open_run(kinds("volumes")), kinds("other-map")
     assert found.passed
-    # Truth needs the run of either layer; the second one was mapped before.
-    whole = replace(found, sheets=found.sheets | {"second": open_run(other_run).sheet()})
-    values = pair_errors([(specimen, files), (other, other_files)], whole)
+    # Truth needs the run of either layer.
+    sheets = {"first": open_run(kinds("upright")).sheet(), "second": open_run(other_run).sheet()}
+    values = pair_errors([(specimen, kinds.small), (other, kinds.other)], replace(found, sheets=sheets))
     assert values["pair_median"] < 1.5
     assert values["pair_p95"] < 3.0
     assert values["pair_r"] > 0.97
@@ -109,12 +93,12 @@ def test_two_volumes_show_the_same_material_at_the_same_pixel(specimen, other, o
 
 def test_an_image_lies_on_another_image(specimen, other, image_pair):
     found, truth = image_pair, other.truth
-    layer = found.groups["layers/small"]
+    layer = found.groups["layers/white"]
     assert found.results.layers[0].registration.matched == 5
     # Where a pixel of the reference lies in the first image, and the material that this one shows there.
     y, x = np.meshgrid(layer["y"].values, layer["x"].values, indexing="ij")
     shown = np.isfinite(layer["image"].values)
-    marks = found.registrations["small"].pairs()
+    marks = found.registrations["white"].pairs()
     moving, fixed = (np.stack([marks[f"{s}_{a}"].values for a in "xy"], axis=1) for s in ("moving", "fixed"))
     back = fit_transform(moving, fixed, model="similarity", mirrored=False).inverse(np.stack([x, y], axis=-1))
     material = specimen.pose.inverse(back[shown])
@@ -123,22 +107,17 @@ def test_an_image_lies_on_another_image(specimen, other, image_pair):
     # Without the rims of the holes. Either camera has noise and an uneven reflectance of its own.
     fine = found.results.correlations[0].r
     assert fine > 0.5
-    far = found.groups["layers/large"]
+    far = found.groups["layers/uv"]
     both = layer["valid"].values & far["valid"].values & np.roll(layer["valid"].values, 8, axis=1)
     aside = np.corrcoef(np.roll(layer["image"].values, 8, axis=1)[both], far["image"].values[both])[0, 1]
     assert aside < fine - 0.1
     assert np.nanmax(layer["expected_error"].values) < 10.0
 
 
-@pytest.mark.study
-def test_a_chain_is_composed_with_its_errors_and_done_again_to_the_same_bytes(
-    passes, linked_run, specimen_files, other_files, tmp_path
-):
+def test_a_chain_is_composed_with_its_errors(passes, linked_run, kinds, tmp_path):
     """Sheet to its own image to the other camera's image."""
-    out = tmp_path / "run"
-    layers = (f"ct={linked_run}", f"near={specimen_files[1]}", f"far={other_files.image}")
-    text, _ = passes("link", *layers, "--chain", "-o", out)
-    assert "ct to near" in text
+    out = kinds("chain")
+    assert "ct to near" in out.with_name("printed.txt").read_text(encoding="utf-8")
     results = json.loads((out / "results.json").read_text())
     ct, near, far = results["layers"]
     assert (ct["registration"]["to"], ct["registration"]["path"]) == ("near", ["ct", "near", "far"])
@@ -147,15 +126,19 @@ def test_a_chain_is_composed_with_its_errors_and_done_again_to_the_same_bytes(
     assert errors[0] > errors[1]
     tree = xr.open_datatree(out / "maps.zarr", engine="zarr")
     assert tree["layers/ct"]["coating_top"].shape == tree["layers/far"]["image"].shape
-    text, _ = passes("link", layers[0], layers[2], "-o", tmp_path / "direct", "--json")
+    text, _ = passes("link", f"ct={linked_run}", f"far={kinds.other.image}", "-o", tmp_path / "direct", "--json")
     direct = next(r["r"] for r in json.loads(text)["correlations"] if r["a_map"] == "coating_top")
     chained = next(r["r"] for r in results["correlations"] if (r["a_map"], r["b"]) == ("coating_top", "far"))
     assert chained == pytest.approx(direct, abs=0.02)
 
-    _, err = passes("run", out / "run.toml", "-o", tmp_path / "again")
-    assert "same bytes" in err
     passes("report", out, "-o", tmp_path / "page.html")
     assert (tmp_path / "page.html").read_bytes() == (out / "report.html").read_bytes()
+
+
+@pytest.mark.nightly
+def test_a_chain_is_done_again_to_the_same_bytes(passes, kinds, tmp_path):
+    _, err = passes("run", kinds("chain") / "run.toml", "-o", tmp_path / "again")
+    assert "same bytes" in err
 
 
 def test_an_image_of_the_bottom_is_mirrored_when_it_is_given_as_such_and_refused_when_not(
@@ -178,7 +161,7 @@ def test_an_image_of_the_bottom_is_mirrored_when_it_is_given_as_such_and_refused
     assert "bottom side of the sheet, as given" in registration["orientation"]["sentence"]
 
 
-@pytest.mark.parametrize(("given", "code"), [pytest.param("-7.0", 0, marks=pytest.mark.study), ("60", 4)])
+@pytest.mark.parametrize(("given", "code"), [pytest.param("-7.0", 0, marks=pytest.mark.nightly), ("60", 4)])
 def test_machine_directions_that_contradict_each_other_are_seen(
     planish, run_copy, specimen_files, tmp_path, given, code
 ):
@@ -200,8 +183,8 @@ def test_machine_directions_that_contradict_each_other_are_seen(
 
 def test_images_are_compared_away_from_rims(image_pair):
     """The burnt rims of two images are alike on any paper: they must not count."""
-    layer = image_pair.groups["layers/large"]
-    fixed = np.stack([image_pair.registrations["small"].pairs()[f"fixed_{a}"].values for a in "xy"], axis=1)
+    layer = image_pair.groups["layers/uv"]
+    fixed = np.stack([image_pair.registrations["white"].pairs()[f"fixed_{a}"].values for a in "xy"], axis=1)
     y, x = np.meshgrid(layer["y"].values, layer["x"].values, indexing="ij")
     nearest = np.min(np.hypot(x[..., None] - fixed[:, 0], y[..., None] - fixed[:, 1]), axis=-1)
     assert nearest[layer["valid"].values].min() > 160.0
@@ -273,7 +256,7 @@ def test_the_design_names_the_holes(passes, specimen, linked_run, specimen_files
     assert len(set(labels)) == registration["matched"] == 5
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_refined_link_stands_beside_that_of_the_marks(passes, linked_run, specimen_files, tmp_path):
     """Marks that somebody has clicked, 4 um off: the maps bring them nearer to where they belong."""
     marks = read_any(linked_run / "marks.csv")
@@ -296,22 +279,22 @@ def test_a_refined_link_stands_beside_that_of_the_marks(passes, linked_run, spec
     assert "Refined by the maps themselves" in (tmp_path / "run" / "report.html").read_text()
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_two_images_are_refined_by_what_they_show(image_pair, specimen_files, other_files, tmp_path):
-    marks = image_pair.registrations["small"].marks
+    marks = image_pair.registrations["white"].marks
     rng = np.random.default_rng(4)
     clicked = marks.assign({f"fixed_{a}": marks[f"fixed_{a}"] + rng.normal(0, 4, marks.sizes["mark"]) for a in "xy"})
     write_marks(clicked, tmp_path / "clicked.csv")
     given = {"marks": str(tmp_path / "clicked.csv"), "refine": "affine"}
-    run = link(f"small={specimen_files[1]}", f"large={other_files.image}", registration=given, out=tmp_path / "run")
-    right, refined = image_pair.groups["layers/small"], run.groups["refined"]
-    ok = right["valid"].values & run.groups["layers/small"]["valid"].values & np.isfinite(refined["image"].values)
+    run = link(f"white={specimen_files[1]}", f"uv={other_files.image}", registration=given, out=tmp_path / "run")
+    right, refined = image_pair.groups["layers/white"], run.groups["refined"]
+    ok = right["valid"].values & run.groups["layers/white"]["valid"].values & np.isfinite(refined["image"].values)
 
     def unlike(image):
         return np.std(image.values[ok] - right["image"].values[ok])
 
     assert run.results.refinement.property == "image"
-    assert unlike(refined["image"]) < 0.8 * unlike(run.groups["layers/small"]["image"])
+    assert unlike(refined["image"]) < 0.8 * unlike(run.groups["layers/white"]["image"])
     assert "refined" in {picture.layer for picture in Pictures.of(tmp_path / "run")}
 
 

@@ -18,7 +18,7 @@ from planish.io import ImageParams
 from planish.run import map_sheet
 from planish.synthetic import DEMO, make_specimen, write_instruments
 
-pytestmark = pytest.mark.study
+pytestmark = pytest.mark.nightly
 
 
 def written(folder, seed):

@@ -59,7 +59,7 @@ def test_too_few_holes_or_useless_marks_are_refused_before_the_volume_is_mapped(
     refuses("link", *specimen_files, "--marks", tmp_path / "m.csv", words="2 pairs of marks in use")
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_maps_of_a_refused_link_are_kept_and_taken_up(
     planish, passes, refuses, specimen_files, linked_run, tmp_path, monkeypatch
 ):
@@ -93,7 +93,7 @@ def test_maps_of_a_refused_link_are_kept_and_taken_up(
     assert f"kept in {tmp_path / 'run-3-map'};" in err
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_other_parameters_are_mapped_anew(planish, specimen_files, tmp_path, monkeypatch):
     wrong = image_with(tmp_path / "wrong.tif", [(200, 200), (1100, 250), (700, 850), (350, 700), (950, 600)])
     assert planish("link", specimen_files[0], wrong, "-o", tmp_path / "run")[0] == 3
@@ -184,7 +184,7 @@ def test_nothing_is_said_of_an_axis_where_the_grey_tells_none():
     assert likely_through(holed) == "y"
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_scale_beyond_the_calibration_has_a_way_through(passes, refuses, linked_run, specimen_files, tmp_path):
     command = ("link", linked_run, specimen_files[1], "--pixel-um", "5.25", "--override-size")
     refuses(*command, words="--scale-tolerance")
@@ -193,7 +193,7 @@ def test_a_scale_beyond_the_calibration_has_a_way_through(passes, refuses, linke
     assert abs(registration.scale - 1.05) < 0.01
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_piece_that_fills_a_third_of_its_box_is_covered(passes, specimen, tmp_path):
     """Beside a small specimen lies air, which is no sheet that was lost."""
     grey = specimen.volume.values
@@ -229,13 +229,13 @@ CHANGES = [
 ]
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize(("change", "kept"), [pytest.param(*one, id=one[0]) for one in CHANGES])
 def test_a_changed_parameter_repeats_what_depends_on_it(passes, linked_run, tmp_path, monkeypatch, change, kept):
     again(passes, linked_run, tmp_path, monkeypatch, change, NOT_REPEATED[kept])
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize(("change", "kept"), [CHANGES[4], CHANGES[5]], ids=["flatten", "properties"])
 def test_a_changed_map_repeats_what_depends_on_it(passes, specimen_files, tmp_path, monkeypatch, change, kept):
     passes("map", specimen_files[0], "-o", tmp_path / "map", "--property", "porosity")

@@ -8,6 +8,7 @@ import tifffile
 import xarray as xr
 
 import planish as pl
+from kinds import Files
 
 
 def by_hand(files, frame, side):
@@ -30,20 +31,19 @@ def same_bytes(a: xr.Dataset, b: xr.Dataset) -> None:
         assert (a[name].dtype, a[name].values.tobytes()) == (b[name].dtype, b[name].values.tobytes())
 
 
-@pytest.mark.study
 @pytest.mark.parametrize(("pose", "frame", "side"), [
     ("upright", pl.Frame(), "top"),
     ("laid", pl.Frame(through="y", top="low"), "bottom"),
 ])  # fmt: skip
-def test_link_the_stages_and_a_notebook_give_the_same_bytes(passes, request, tmp_path, pose, frame, side):
-    files = request.getfixturevalue(pose)
-    passes("link", files.volume, files.image, "-o", tmp_path / "run", *files.options)
-    run = pl.open_run(tmp_path / "run")
+def test_link_the_stages_and_a_notebook_give_the_same_bytes(passes, kinds, tmp_path, pose, frame, side):
+    files = {"upright": Files(kinds.small.volume, kinds.small.image), "laid": kinds.laid}[pose]
+    folder = kinds(pose)
+    run = pl.open_run(folder)
     linked, registration, rows = by_hand(files, frame, side)
     same_bytes(linked, run.linked)
     assert rows == run.results.correlations
     registration.save(tmp_path / "again.json")
-    assert (tmp_path / "again.json").read_bytes() == (tmp_path / "run" / "marks.json").read_bytes()
+    assert (tmp_path / "again.json").read_bytes() == (folder / "marks.json").read_bytes()
     lies = files.options[: files.options.index("--image-side")] if files.options else ()
     seen = ("--image-side", side)
     steps = (
@@ -62,7 +62,7 @@ def test_link_the_stages_and_a_notebook_give_the_same_bytes(passes, request, tmp
     with xr.open_datatree(tmp_path / "linked.zarr", engine="zarr") as tree:
         same_bytes(tree["linked"].to_dataset().load(), run.linked)
     for name in ("marks.json", "marks.csv"):
-        assert (tmp_path / name).read_bytes() == (tmp_path / "run" / name).read_bytes()
+        assert (tmp_path / name).read_bytes() == (folder / name).read_bytes()
     out, _ = passes("correlate", tmp_path / "linked.zarr", "--json")
     assert json.loads(out) == [json.loads(row.model_dump_json()) for row in run.results.correlations]
 
@@ -92,7 +92,7 @@ def test_the_marks_of_a_run_given_back_give_its_bytes(passes, linked_run, specim
     assert (checks[0], of_holes) == (checks[1], {c.name for c in first.checks} - {c.name for c in again.checks})
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_mark_that_is_not_used_is_still_masked(passes, linked_run, specimen_files, tmp_path):
     text = json.loads((linked_run / "marks.json").read_text())
     text["marks"][0]["used"] = False

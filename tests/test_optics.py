@@ -180,7 +180,7 @@ def test_half_of_the_references_is_wrong_usage(refuses, specimen_files, dark):
 
 
 # --- in a run --------------------------------------------------------------------------------------------------------
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_run_with_all_of_it(planish, passes, specimen_files, tmp_path):
     options = ("--dark-grey", "1000", "--white-grey", "65000", "--kubelka-munk", "0.002", "--light-spread-um", "60",
                "--mottle", "--coating-density", "1.6", "--figures")  # fmt: skip
@@ -200,7 +200,7 @@ def test_a_run_with_all_of_it(planish, passes, specimen_files, tmp_path):
     assert (tmp_path / "again" / "results.json").read_bytes() == (tmp_path / "run" / "results.json").read_bytes()
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_screen_leaves_no_texture_to_align_and_more_room_around_holes(planish, specimen_files, linked_run, tmp_path):
     assert planish("link", linked_run, specimen_files[1], "--out", tmp_path / "run", "--screen-um", "60")[0] in (0, 4)
     run, before = (Results.read(p / "results.json") for p in (tmp_path / "run", linked_run))

@@ -122,7 +122,7 @@ def test_all_holes_are_matched_and_flattening_beats_both_projections(results, sp
     assert sorted(r["point_um"] for r in results["comparison"]) == pytest.approx([5.0] * 3 + [100.0] * 3)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_repeated_run_has_the_same_bytes(passes, linked_run):
     _, err = passes("run", linked_run / "run.toml")
     again = linked_run.with_name("run-again")
@@ -161,7 +161,7 @@ def test_a_run_of_other_code_is_said_to_be_one_and_its_maps_are_not_taken(linked
     assert said in capsys.readouterr().err
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_link_of_a_run_of_other_code_is_no_run_of_this_code(run_copy, specimen_files, tmp_path):
     assert link(run_copy, specimen_files[1], out=tmp_path / "same").results.is_of_this_code
     text = open_results(run_copy).model_copy(update={"code": ""}).to_json()
@@ -209,7 +209,7 @@ def test_a_mirrored_image_is_refused_and_matched_when_declared(passes, refuses, 
     assert json.loads(out)["layers"][0]["registration"]["mirrored"] is True
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_map_stops_after_the_flat_maps(passes, specimen_files, tmp_path):
     out, _ = passes("map", specimen_files[0], "-o", tmp_path / "run", "--json")
     assert json.loads(out)["comparison"] == []

@@ -135,7 +135,7 @@ def test_the_source_archive_holds_what_the_tests_read_and_builds_the_same_wheel(
     assert {name for name in data if "__pycache__" not in name} <= packed
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_nothing_is_left_of_a_wheel_that_was_uninstalled(tmp_path: Path) -> None:
     """Compiled kernels beside the program kept its folders alive, so that an empty planish could be imported."""
     venv.create(tmp_path / "venv", with_pip=False)

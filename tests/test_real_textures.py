@@ -10,7 +10,7 @@ import planish as pl
 from planish.core.transform import Similarity, nearest_similarity
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("moving", "fixed"), [((0, 0), (2, 0)), ((3, 1), (2, 0))], ids=["two depths", "another channel and depth"]
 )

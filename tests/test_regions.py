@@ -106,7 +106,7 @@ rings = st.lists(places, min_size=3, max_size=7).map(np.array)
 regions_of_all_kinds = st.lists(st.lists(rings, min_size=1, max_size=3).map(tuple), min_size=1, max_size=2).map(tuple)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @given(regions_of_all_kinds)
 def test_the_mask_is_that_of_exact_numbers_whole_and_in_bands(polygons):
     """Quarters of pixels put many borders through the middles of pixels; borders cross themselves and each other."""
@@ -402,7 +402,7 @@ def test_the_stage_takes_them_out_as_the_run_does(stain, linked_run, stained_run
     assert rows != open_run(linked_run).results.correlations
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_run_with_regions_repeats_to_the_same_bytes(passes, linked_run, stained_run, tmp_path):
     """They are read from the run; taken out, they leave the run as it was without."""
     assert 'regions = "regions.geojson"' in (stained_run / "run.toml").read_text()
@@ -415,7 +415,7 @@ def test_a_run_with_regions_repeats_to_the_same_bytes(passes, linked_run, staine
     assert not (tmp_path / "without" / "regions.geojson").exists()
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_regions_count_in_no_pair_of_images(passes, specimen_files, tmp_path):
     path = written(tmp_path / "r.json", bent([600, 500], [900, 500], [900, 750], [600, 750]))
     layers = [f"{name}={specimen_files[1]}" for name in ("one", "two")]

@@ -36,7 +36,7 @@ def displaced(coating, image, use, by_um: float) -> float:
     return pl.correlate(*both, pixel_um=Grid.of(image).pixel_um, point_um=POINT_UM).r
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("paper", ["wfc90", "wfc118", "wfc135"])
 @pytest.mark.parametrize(("shading", "diffuse"), [(0.003, True), (0.02, False)])

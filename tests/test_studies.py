@@ -103,7 +103,7 @@ def test_no_interval_is_written_as_none(make, low_high):
 
 
 # --- the studies, small ----------------------------------------------------------------------------------------------
-@pytest.mark.study
+@pytest.mark.nightly
 def test_fig_06_on_files_of_ones_own(make, tmp_path, capsys):
     make.specimens.make("fig-06", "small", tmp_path / "made")
     own = tmp_path / "own"
@@ -122,7 +122,7 @@ def test_fig_06_on_files_of_ones_own(make, tmp_path, capsys):
     assert aside < at_most < 20  # where the paper judges 10 to 20 um by eye
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_fig_07_and_the_design_that_reads_it(make, tmp_path, capsys):
     said = stated(make, capsys, "fig-07", tmp_path)
     before, after, sheets = numbers(
@@ -139,7 +139,7 @@ def test_fig_07_and_the_design_that_reads_it(make, tmp_path, capsys):
     assert 3 <= same[0] < two[0] < two[1]
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_fig_09_print_and_fig_11_two_instruments(make, tmp_path, capsys):
     said = stated(make, capsys, "fig-09", tmp_path)
     r, low, high = numbers(rf"r = {NUMBER} \(95 % interval {NUMBER} to {NUMBER}\)", said)
@@ -153,7 +153,7 @@ def test_fig_09_print_and_fig_11_two_instruments(make, tmp_path, capsys):
     assert "1 declared region." in said
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_the_discussion_and_a_large_sheet(make, tmp_path, capsys):
     said = stated(make, capsys, "flattening", tmp_path)
     projected, flattened = numbers(rf"Projection: r² {NUMBER}, flattened {NUMBER}", said)
@@ -167,7 +167,7 @@ def test_the_discussion_and_a_large_sheet(make, tmp_path, capsys):
     assert low < gain < high
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_no_holes_by_texture_and_by_holes(make, tmp_path, capsys):
     said = stated(make, capsys, "no-holes", tmp_path)
     assert "Without holes, 2 of 2 sheets were linked, with a probability of a false link below 0.000001." in said

@@ -126,7 +126,7 @@ def test_mistakes_come_before_work(refuses, draft, tmp_path):
     refuses("run", path, words=f"line {line}, volume.thruogh: unknown; did you mean through?", out=False)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_the_study_gives_what_link_gives(passes, draft, linked_run, monkeypatch):
     monkeypatch.chdir(draft[1].parent)
     out, _ = passes("run", "study.toml", codes=(0, 4))

@@ -187,7 +187,7 @@ def test_the_memory_is_asked_of_windows():
     assert guard._available_on_windows(SimpleNamespace(GlobalMemoryStatusEx=lambda _: 0)) == guard.UNKNOWN_BYTES
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_workers_that_are_spawned_write_the_same_store(specimen_files, tmp_path):
     """Windows has no fork: what is sent to workers has to be pickled, and modules are imported anew."""
     volume = read_volume(specimen_files[0])
@@ -197,7 +197,7 @@ def test_workers_that_are_spawned_write_the_same_store(specimen_files, tmp_path)
     assert bytes_of(tmp_path / "spawned.zarr") == bytes_of(tmp_path / "here.zarr")
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_tiles_that_are_spawned_are_the_same(specimen_files):
     """Stages on an engine of spawned processes, as on a cluster of Windows machines."""
     volume = read_volume(specimen_files[0])

@@ -41,7 +41,7 @@ def ended(planish, tmp_path):
     return run
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_spacing_along_z_half_as_large_again(ended, specimen, specimen_files, tmp_path):
     """Base +27.5 um: the marks ask for two thirds of it, thicknesses and correlations are withheld."""
     marks = marks_file(tmp_path / "m.csv", specimen, 12)
@@ -67,7 +67,7 @@ def test_a_right_spacing_with_the_same_marks(ended, specimen, specimen_files, li
     assert "withheld" not in {p["trust"] for p in results["layers"][0]["sheet"]["properties"].values()}
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_six_pairs_by_hand_with_one_that_is_80_um_off(ended, specimen, specimen_files, linked_run, tmp_path):
     marks = marks_file(tmp_path / "m.csv", specimen, 6, wrong=3)
     code, _, checks, printed = ended("link", linked_run, specimen_files[1], "--marks", marks)
@@ -141,7 +141,7 @@ MAPPED = {
 }  # fmt: skip
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize(("change", "name", "state", "words"), MAPPED.values(), ids=MAPPED)
 def test_a_wrong_volume(change, name, state, words, ended, specimen, linked_run, tmp_path):
     """What fails is withheld and ends with 4; what is doubtful is said, and with --strict it ends with 4 too."""
@@ -160,7 +160,7 @@ def test_a_wrong_volume(change, name, state, words, ended, specimen, linked_run,
         assert ("withheld" if state == "fail" else "doubtful") in trusts or "withheld" in trusts
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_sheet_of_three_voxels(ended, specimen, tmp_path):
     """Thinner than four voxels every thickness is too large."""
     every = 8
@@ -174,7 +174,7 @@ def test_a_sheet_of_three_voxels(ended, specimen, tmp_path):
     assert results["layers"][0]["sheet"]["properties"]["thickness"]["trust"] in ("doubtful", "withheld")
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_short_cut_off_is_the_one_that_is_stated(ended, specimen_files, linked_run):
     """250 um gave the surface of 500 um: now it differs from that of 400, and where it is wider is counted."""
     _, results, checks, _ = ended("map", specimen_files[0], "--cutoff-um", "250")
@@ -186,7 +186,7 @@ def test_a_short_cut_off_is_the_one_that_is_stated(ended, specimen_files, linked
 
 
 # --- sides and specimens ---------------------------------------------------------------------------------------------
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_stack_of_the_wrong_hand(ended, specimen, specimen_files, tmp_path):
     """Its slices the other way round, and the mirror declared: top and bottom coating are exchanged."""
     volume = write_volume(tmp_path / "v.tif", specimen.volume.values[::-1])
@@ -209,7 +209,7 @@ def foreign_image(specimen, specimen_files, tmp_path_factory):
     return write_image(tmp_path_factory.mktemp("foreign") / "other.tif", made)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_an_image_of_another_specimen_with_the_same_holes(ended, linked_run, foreign_image):
     code, results, checks, printed = ended("link", linked_run, foreign_image)
     check = checks["side and specimen"]
@@ -229,7 +229,7 @@ def test_two_images_of_different_specimens_with_the_same_holes(ended, specimen_f
     assert {row["trust"] for row in results["correlations"]} == {"doubtful"}
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_left_handed_volume_is_marked(sign, ended, specimen, tmp_path):
     """The affine of a NIfTI file may say that its slices are a mirror image; every map of it would be one."""

@@ -78,7 +78,7 @@ def test_wrong_input_is_refused():
     refused(CannotMeasure, "0 pixels", bland_altman, a, np.full(a.shape, np.nan), pixel_um=1.0)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize("length", [1.0, 4.0, 8.0])
 def test_intervals_hold_the_truth(length):
     rng, held = np.random.default_rng(7), []

@@ -136,7 +136,7 @@ def test_sums_by_lag_and_n_eff_equal_those_over_all_pairs_of_points(masked):
     assert found.variance_of_r() == pytest.approx(direct, rel=1e-9)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize(("length", "kind"), [(2.0, "exp"), (3.0, "gauss"), ((1.5, 3.0), "exp")])
 def test_n_eff_is_that_of_the_covariance(length, kind):
     rng, shape = np.random.default_rng(6), (50, 60)
@@ -144,7 +144,7 @@ def test_n_eff_is_that_of_the_covariance(length, kind):
     assert np.median(found) == pytest.approx(exact_n_eff(shape, length, kind=kind), rel=0.1)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_hole_leaves_fewer_independent_points():
     rng, shape = np.random.default_rng(7), (50, 60)
     known = np.ones(shape, bool)
@@ -153,7 +153,7 @@ def test_a_hole_leaves_fewer_independent_points():
     assert np.median(found) == pytest.approx(exact_n_eff(shape, 3.0, known=known), rel=0.12)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_the_interval_holds_the_truth_and_unrelated_maps_are_not_significant():
     rng, shape, n = np.random.default_rng(8), (75, 100), 200
     unrelated = [correlate(*gaussian_maps(rng, shape, 5.0), pixel_um=1) for _ in range(n)]

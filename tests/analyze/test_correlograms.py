@@ -109,7 +109,7 @@ def test_wrong_input_is_refused():
     refused(CannotMeasure, "0 pixels", cross_correlogram, a, np.full(a.shape, np.nan), pixel_um=2.0)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize(("length", "kind"), [(1.0, "gauss"), (5.0, "exp"), (5.0, "gauss"), (12.0, "gauss")])
 def test_unrelated_maps_exceed_the_limits_in_one_of_a_hundred(length, kind):
     rng, n = np.random.default_rng(9), 600

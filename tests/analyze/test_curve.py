@@ -138,7 +138,7 @@ def test_a_level_that_is_less_sure_widens_the_intervals_and_leaves_the_fit(x):
     assert width[1] ** 2 - width[0] ** 2 == pytest.approx(level**2, rel=0.15)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_independent_points_of_level_slope_and_bend():
     rng, found = np.random.default_rng(6), []
     shape, known = (50, 60), np.ones((50, 60), bool)
@@ -217,7 +217,7 @@ def test_greys_that_are_no_layer_are_refused(x, y, options, error, message):
     refused(error, message, fit_kubelka_munk, x, y, n_eff=20, **options)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_intervals_hold_the_truth():
     # Neighbours resemble each other; r² is .26. The binomial's own scatter of 150 fields at .95 is .018.
     rng, inside, straight_is_straight = np.random.default_rng(5), [], []

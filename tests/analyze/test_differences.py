@@ -28,7 +28,7 @@ def test_what_two_pairs_share_makes_the_interval_narrow():
     assert not apart.distinguishable
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_the_paired_interval_holds_the_truth():
     rng, inside = np.random.default_rng(2), []
     for _ in range(200):

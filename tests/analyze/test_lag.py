@@ -73,7 +73,7 @@ def test_a_known_lag_is_found_to_a_fifth_of_a_pixel(lag):
     assert max(found.se_um) < 0.8
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_the_standard_error_is_what_the_lags_scatter_by():
     lag = (1.7, -2.4)
     lags = [lag_of(*pair(0.4, lag, seed, shape=(120, 140))) for seed in range(60)]
@@ -189,7 +189,7 @@ def test_what_does_not_fit_is_refused():
     refused(CannotMeasure, "not be independent", cross_fitted, a, b, by_shift(b, 5), pixel_um=(1.0, 1.0), guard_um=1.0)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_searched_correlation_of_independent_maps_is_inflated_and_a_cross_fitted_one_is_not():
     naive, fitted, false, held = [], [], 0, 0
     for seed in range(40):

@@ -55,7 +55,7 @@ def test_equally_known_effects_have_students_interval():
     assert found.interval == pytest.approx(stats.t.interval(0.95, 7, y.mean(), stats.sem(y)), abs=1e-12)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_effects_are_pooled_as_statsmodels_does():
     from statsmodels.stats.meta_analysis import combine_effects
 

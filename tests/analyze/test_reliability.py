@@ -101,7 +101,7 @@ def test_without_a_ratio_there_is_no_slope():
     refused(CannotMeasure, "any slope", deming, x, np.ones(100), error_ratio=1.0, n_eff=100)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize("n", [15, 60])
 def test_the_interval_of_independent_points_holds_the_slope(n):
     rng, found = np.random.default_rng(13), []
@@ -112,7 +112,7 @@ def test_the_interval_of_independent_points_holds_the_slope(n):
     assert 0.935 < np.mean(found) < 0.97
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_the_interval_of_maps_holds_the_slope():
     rng, found = np.random.default_rng(14), []
     for _ in range(300):
@@ -124,7 +124,7 @@ def test_the_interval_of_maps_holds_the_slope():
     assert 0.91 < np.mean(found) < 0.985
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_the_interval_of_the_reliability_holds_it():
     rng, found = np.random.default_rng(15), []
     for _ in range(300):

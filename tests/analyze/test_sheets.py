@@ -95,7 +95,7 @@ def test_wrong_fields_are_refused():
     refused(InputError, "Sheet A has the field 1 twice", Fields, [1.0, 2.0], ["A", "A"], ["1", "1"])
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize("counts", [(3, 3, 3), (3,) * 12, (1, 2, 3, 6, 2)])
 @pytest.mark.parametrize("between", [0.0, 1.0])
 def test_the_interval_of_the_share_holds_the_truth(counts, between):

@@ -71,7 +71,7 @@ def test_wrong_fields_are_refused():
     refused(SizeError, "holds 1 points", expected_n_eff, (1.0, 1.0), length_um=1.0, point_um=1.0)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize("paired", [True, False])
 def test_simulated_studies_have_the_power(paired):
     rng, seen, shared = np.random.default_rng(0), [], 0.5

@@ -130,7 +130,7 @@ def test_one_hole_in_both_is_enough_to_look_where_they_meet():
     )
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_size_that_is_hardly_known_is_found():
     place = placed(-40.0, scale=0.62, at=(1060.0, 980.0))
     maps, image = pair(place=place, r=0.7)

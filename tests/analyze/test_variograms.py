@@ -110,7 +110,7 @@ def test_wrong_input_is_refused():
     refused(InputError, "two dimensions", variogram, a.ravel(), pixel_um=1.0)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_gstools_says_the_same():
     """Means over the same pairs: gstools takes half the square of differences, planish the covariance."""
     gstools = pytest.importorskip("gstools")

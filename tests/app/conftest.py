@@ -6,7 +6,7 @@ import subprocess
 import sys
 import urllib.request
 from collections.abc import Callable, Generator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
@@ -14,11 +14,10 @@ import numpy as np
 import pytest
 import tifffile
 
-from folders import disc_image, make_once, write_image
+from folders import disc_image, write_image
 from planish.app import Session
 from planish.cli import main
-from planish.run import link, open_run
-from planish.synthetic import DEMO, make_specimen, write_instruments
+from planish.run import open_run
 
 START_S = 60.0
 """How long a server may take to print its address on a loaded machine."""
@@ -135,41 +134,21 @@ def session(linked_run, tmp_path):
 
 
 @pytest.fixture(scope="session")
-def demo_run(tmp_path_factory) -> Path:
+def demo_run(kinds) -> Path:
     """The run of ``planish demo``: six holes."""
-
-    def make(folder: Path) -> None:
-        files = write_instruments(make_specimen(DEMO), folder / "specimen")
-        assert files.image is not None
-        link(files.volume, files.image, out=folder / "run")
-
-    return make_once(make, "demo", tmp_path_factory) / "run"
+    return kinds("demo")
 
 
 @pytest.fixture(scope="session")
-def images_run(specimen, specimen_files, tmp_path_factory) -> Path:
+def images_run(kinds) -> Path:
     """The run of two images of the small specimen, `white` on the pixels of `uv`, by two cameras."""
-    camera = replace(specimen.params.camera, pixel_um=6.0, turn_deg=40.0)
-    turned = make_specimen(replace(specimen.params, camera=camera, seed=6), sheet=specimen.sheet)
-
-    def make(folder: Path) -> None:
-        folder.mkdir()
-        write_image(folder / "uv.tif", np.rint(turned.image.values * 60000).astype(np.uint16), camera.pixel_um)
-        link(f"white={specimen_files[1]}", f"uv={folder / 'uv.tif'}", out=folder / "link" / "run")
-
-    return make_once(make, "images", tmp_path_factory) / "link" / "run"
+    return kinds("images")
 
 
 @pytest.fixture(scope="session")
-def laid_run(laid, tmp_path_factory) -> Path:
+def laid_run(kinds) -> Path:
     """The run of the sheet through y whose image shows the side at the high end."""
-
-    def make(folder: Path) -> None:
-        with pytest.raises(SystemExit) as end:
-            main(["link", str(laid.volume), str(laid.image), *laid.options, "--out", str(folder / "run")])
-        assert end.value.code in (0, 4)
-
-    return make_once(make, "laid", tmp_path_factory) / "run"
+    return kinds("laid")
 
 
 @pytest.fixture(scope="session")

@@ -156,7 +156,7 @@ def test_the_new_run_stands_beside_the_old_one(tmp_path, name, linked, there, wa
 
 
 # --- the run ---------------------------------------------------------------------------------------------------------
-@pytest.mark.study
+@pytest.mark.nightly
 def test_without_a_change_every_number_is_the_same(run):
     with opened(run) as session:
         out = made(session)
@@ -181,7 +181,7 @@ def test_one_mark_less_leaves_the_sheet_as_it_is(run):
     assert 'marks = "marks.json"' in (out / "run.toml").read_text()
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_one_mark_less_repeats_itself_without_the_run_it_came_from(planish, run):
     with opened(run) as session:
         do(session, do="use", id=session.state.of(None)[0].id, used=False)
@@ -191,7 +191,7 @@ def test_one_mark_less_repeats_itself_without_the_run_it_came_from(planish, run)
     assert (code in (0, 4), f"same bytes as {out}" in err) == (True, True), err
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_regions_and_a_model_give_a_run_that_repeats_itself(planish, run):
     with opened(run) as session:
         do(session, do="model", model="similarity")
@@ -211,7 +211,7 @@ def test_regions_and_a_model_give_a_run_that_repeats_itself(planish, run):
         shutil.rmtree(one.with_name("again"))
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_sheet_seen_from_its_low_end_is_applied_in_its_own_frame(planish, passes, laid, tmp_path):
     passes("link", laid.volume, laid.image, "-o", tmp_path / "run", *laid.options, codes=(0, 4))
     run = tmp_path / "run"
@@ -227,7 +227,7 @@ def test_a_sheet_seen_from_its_low_end_is_applied_in_its_own_frame(planish, pass
     assert (code in (0, 4), f"same bytes as {out}" in err) == (True, True), err
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_pairs_by_hand_link_what_was_refused_for_want_of_holes(planish, refused, linked_run, tmp_path):
     """Two of the image's holes remain: the link refuses, and pairs that a person sets on the maps make a run."""
     marks = [mark for mark in json.loads((linked_run / "marks.json").read_text())["marks"] if len(mark["at"]) == 2]
@@ -252,7 +252,7 @@ def test_pairs_by_hand_link_what_was_refused_for_want_of_holes(planish, refused,
     assert (code in (0, 4), f"same bytes as {out}" in err) == (True, True), err
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_marks_of_one_of_several_layers(planish, passes, linked_run, specimen_files, tmp_path):
     """Two images of one sheet and its volume: only the layer whose marks were changed gets marks of its own."""
     image = specimen_files[1]
@@ -288,7 +288,7 @@ def ended(applied):
     return applied.progress
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_process_makes_the_run_and_says_how_far_it_is(run):
     with opened(run) as session, applying(session) as applied:
         do(session, do="model", model="similarity")
@@ -310,7 +310,7 @@ def test_a_process_makes_the_run_and_says_how_far_it_is(run):
     assert not (run / orders.STAGING).exists()
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_what_cannot_be_applied_is_said_and_nothing_is_left(run):
     with opened(run) as session, applying(session) as applied:
         for mark in session.state.of(None)[2:]:
@@ -323,7 +323,7 @@ def test_what_cannot_be_applied_is_said_and_nothing_is_left(run):
         assert not (run / orders.STAGING).exists()
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_the_page_begins_follows_and_reads_the_report(run):
     """By the routes: 202, then how far it is, 409 for a second one, and a report under a secret of its own."""
     with opened(run) as session:
@@ -348,7 +348,7 @@ def test_the_page_begins_follows_and_reads_the_report(run):
             assert stranger.get(f"/report/{wrong}").status == 404
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_cancel_at_any_moment_leaves_nothing(run):
     with opened(run) as session, applying(session) as applied:
         do(session, do="use", id=session.state.of(None)[0].id, used=False)
@@ -367,7 +367,7 @@ def test_a_cancel_at_any_moment_leaves_nothing(run):
             assert not (run / orders.STAGING).exists()
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize("stage", ["link", "write"])
 def test_a_server_that_is_killed_in_mid_apply_leaves_nothing(run, stage):
     """SIGKILL to the server alone: the process that works for it notices, and clears up."""
@@ -389,7 +389,7 @@ def test_a_server_that_is_killed_in_mid_apply_leaves_nothing(run, stage):
     assert not (run / orders.STAGING).exists()
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_what_both_left_when_they_were_killed_goes_at_the_next_start(run):
     with opened(run) as session:
         do(session, do="use", id=session.state.of(None)[0].id, used=False)

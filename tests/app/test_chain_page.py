@@ -9,7 +9,7 @@ import tifffile
 from app.marks_page import api, expect, settled
 from planish.app import Pictures, Session, snap
 
-pytestmark = pytest.mark.study
+pytestmark = pytest.mark.nightly
 
 MORE = (60, 90)
 """Rows and columns that the reference has above and left of the image before it."""

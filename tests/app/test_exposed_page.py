@@ -7,7 +7,7 @@ import pytest
 
 from app.marks_page import expect, settled
 
-pytestmark = pytest.mark.study
+pytestmark = pytest.mark.nightly
 
 _INSIDE = ("data:", "blob:")
 

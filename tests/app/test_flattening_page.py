@@ -8,7 +8,7 @@ import pytest
 from app.marks_page import expect, settled
 from folders import chromium_path
 
-pytestmark = pytest.mark.study
+pytestmark = pytest.mark.nightly
 
 FRAME_MS = 100.0
 """Longest that a frame may take, in the median, while the sheet is turned."""

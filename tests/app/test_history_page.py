@@ -12,7 +12,7 @@ import pytest
 
 from app.marks_page import IMAGE, VOLUME, expect, forget_lost, message, settled
 
-pytestmark = pytest.mark.study
+pytestmark = pytest.mark.nightly
 
 SEQUENCES, STEPS = 20, 6
 KILLS = 6

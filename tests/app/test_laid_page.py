@@ -13,7 +13,7 @@ from planish.core.frame import Frame
 from planish.io import read_group
 from planish.run import open_run
 
-pytestmark = pytest.mark.study
+pytestmark = pytest.mark.nightly
 
 AROUND_UM = 150.0
 

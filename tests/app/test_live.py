@@ -218,7 +218,7 @@ def test_a_hole_that_is_searched_around_its_mark_is_precise_and_is_moved_to_the_
     assert moved.fixed == straight[0].fixed
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_click_is_answered_within_its_time(session):
     """Times of this process, as CPU: 50 ms for models of few parameters, 250 ms until auto and tps of 30 marks are."""
     layer, live = session.layers[0], Live(session)

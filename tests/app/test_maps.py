@@ -104,7 +104,7 @@ def test_a_long_profile_comes_from_a_coarser_level(maps, tiles, pair, monkeypatc
     np.testing.assert_array_equal(np.array(found["lines"][0]["values"], float), coarse)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize("posed", ["upright", "laid"])
 def test_both_ends_of_a_mark_show_one_place_of_the_volume(passes, request, tmp_path, posed):
     files = request.getfixturevalue(posed)

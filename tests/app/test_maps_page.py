@@ -7,7 +7,7 @@ import pytest
 
 from app.marks_page import api, drag, expect
 
-pytestmark = pytest.mark.study
+pytestmark = pytest.mark.nightly
 
 LEFT, RIGHT = "coating_top", "image"
 

@@ -10,7 +10,7 @@ from app.marks_page import IMAGE, VOLUME, ends, expect, message, pair, settled
 from planish.io import read_group
 from planish.run import Registration, open_run
 
-pytestmark = pytest.mark.study
+pytestmark = pytest.mark.nightly
 
 OFF_PX = 1.5
 """Farthest that a click misses its place, in image pixels."""

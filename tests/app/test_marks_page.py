@@ -10,7 +10,7 @@ import pytest
 from app.marks_page import IMAGE, VOLUME, api, drag, ends, expect, forget_lost, message, settled
 from planish.register import fit_transform
 
-pytestmark = pytest.mark.study
+pytestmark = pytest.mark.nightly
 
 
 def opened(window, server):

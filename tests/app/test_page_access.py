@@ -7,7 +7,7 @@ import pytest
 
 from app.marks_page import IMAGE, VOLUME, ends, expect, message, settled
 
-pytestmark = pytest.mark.study
+pytestmark = pytest.mark.nightly
 
 APPLY_MS = 180_000
 """Apply computes a run: it may take a minute on a loaded machine."""

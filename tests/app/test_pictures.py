@@ -251,7 +251,7 @@ def test_pictures_of_a_linked_run(linked_run):
             assert (facts.origin_um, facts.shape) == ((float(data[cols][0]), float(data[rows][0])), data.shape)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_pictures_of_a_link_of_two_images(passes, specimen_files, tmp_path):
     image = specimen_files[1]
     passes("link", f"one={image}", f"two={image}", "-o", tmp_path / "run", codes=(0, 4))

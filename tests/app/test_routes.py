@@ -120,7 +120,7 @@ def test_every_window_hears_of_a_change(client, session):
 
 
 # --- the maps of a link that was refused -------------------------------------------------------------------------
-@pytest.mark.study
+@pytest.mark.nightly
 def test_marks_of_a_refused_link_are_set_by_hand(refused, linked_run, tmp_path):
     maps, image = refused
     pairs = open_run(linked_run).marks

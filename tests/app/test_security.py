@@ -205,7 +205,7 @@ def test_a_second_server_on_a_run_is_refused(session, planish):
     assert (code, "--read-only" in err) == (3, True)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_the_token_stands_in_no_file_and_no_log(linked_run, tmp_path):
     run = Path(shutil.copytree(linked_run, tmp_path / "run"))
     command = [sys.executable, "-m", "planish", "view", str(run), "--json", "--no-browser"]

@@ -159,7 +159,7 @@ def stretch_in(surfaces, *, off_um=12.0):
     return int(row), changes.Correct(id="c1", points=tuple(points), reach_um=40.0)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_what_is_tried_shows_what_apply_makes(folder):
     sheet, surfaces = opened(folder), open_run(folder).groups["surfaces"]
     row, correction = stretch_in(surfaces)
@@ -172,7 +172,7 @@ def test_what_is_tried_shows_what_apply_makes(folder):
     np.testing.assert_array_equal(lines["top"], surfaces["top"].values[row].astype(np.float32))
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_corrections_become_a_file_of_the_new_run_and_come_back(linked_run, tmp_path):
     study, surfaces = read_study(linked_run / "run.toml"), open_run(linked_run).groups["surfaces"]
     _, correction = stretch_in(surfaces)

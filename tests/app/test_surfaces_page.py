@@ -9,7 +9,7 @@ from app.marks_page import expect
 from planish.core.frame import Frame
 from planish.run import open_run
 
-pytestmark = pytest.mark.study
+pytestmark = pytest.mark.nightly
 
 TOP, PREVIEW = (255, 176, 0), (125, 255, 106)
 _COLOUR = """(canvas, [x, colour]) => {

@@ -17,7 +17,7 @@ from app.marks_page import api, drag, expect
 from app.test_maps_page import known
 from planish.run import open_run
 
-pytestmark = pytest.mark.study
+pytestmark = pytest.mark.nightly
 
 MOST = 12
 """Actions that a task may take."""

@@ -62,7 +62,7 @@ def test_apply_writes_tiles_without_a_diameter_and_forgets_those_that_were_delet
     assert {end["diameter_um"] > 100.0 for end in after[hole.label].values()} == {True}
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_the_page_says_what_tiles_are(serve, window, tiled):
     shown = window(serve(tiled))
     expect(shown.page.get_by_text("Tiles are pieces of the map's texture")).to_be_visible()

@@ -7,7 +7,7 @@ import pytest
 
 from app.marks_page import IMAGE, VOLUME, drag, expect
 
-pytestmark = pytest.mark.study
+pytestmark = pytest.mark.nightly
 
 
 @pytest.fixture

@@ -155,7 +155,7 @@ def test_narrow_strips_wide_blurs_and_few_columns_are_reported():
     assert found.sentence.startswith("The base is seen in 5 tiles of 60 um only")
 
 
-@pytest.mark.parametrize("through", ["z", pytest.param("x", marks=pytest.mark.study)])
+@pytest.mark.parametrize("through", ["z", pytest.param("x", marks=pytest.mark.nightly)])
 @pytest.mark.parametrize(("sigma", "state"), [(1.0, "pass"), (2.5, "look")])
 def test_a_filter_is_seen_in_the_noise_of_the_air(sigma, state, through):
     """White noise smoothed by a Gaussian, with streaks that go on: the width is that of the filter."""

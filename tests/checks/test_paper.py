@@ -58,26 +58,26 @@ def spoken(volume, measured):
     return {check.name: check.state for check in check_scan(volume, measured) if check.state != "pass"}
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize("film", [None, FILM])
 def test_right_sheets_of_fibres_raise_no_light(coated, film):
     assert spoken(*(scanned(film=film) if film else coated)) == {}
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize("width_um", [300.0, 500.0])
 def test_delaminations_among_fibres_are_seen(coated, width_um):
     volume, measured = coated
     assert spoken(split(volume, measured, width_um), measured)["one sheet"] == "fail"
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_sections_in_resin_of_another_brightness_each_raise_no_light():
     scanner = ScannerParams(voxel_um=2.8, fwhm_um=4.0, noise=0.08, grey=(115.0, 141.0, 215.0), section_gain=0.03)
     assert spoken(*scanned(scanner=scanner)) == {}
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_filler_of_grains_below_a_voxel_is_doubted(coated):
     volume, measured = coated
     assert spoken(volume, measured.assign(filler=measured["coating_top"])) == {"filler": "look"}

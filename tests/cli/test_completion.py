@@ -121,7 +121,7 @@ def test_bash_completes(home):
     assert shell_answers("bash", "--norc", "-c", asked, home=home).split() == ["map", "marks"]
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_fish_completes(home):
     setup.install_script("fish")
     out = shell_answers("fish", "-c", 'complete -C "planish ma"', home=home)

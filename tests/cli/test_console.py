@@ -127,9 +127,9 @@ def run(*arguments: str, cwd: Path, **environment: str) -> tuple[int, bytes, byt
     [
         ({"PYTHONIOENCODING": "cp1252", "PYTHONUTF8": "0"}, b"N\xfaria \\u4e2d\\u6587.png"),
         pytest.param(
-            {"PYTHONIOENCODING": "cp437", "PYTHONUTF8": "0"}, b"N\xa3ria \\u4e2d\\u6587.png", marks=pytest.mark.study
+            {"PYTHONIOENCODING": "cp437", "PYTHONUTF8": "0"}, b"N\xa3ria \\u4e2d\\u6587.png", marks=pytest.mark.nightly
         ),
-        pytest.param({"PYTHONUTF8": "1"}, "Núria 中文.png".encode(), marks=pytest.mark.study),
+        pytest.param({"PYTHONUTF8": "1"}, "Núria 中文.png".encode(), marks=pytest.mark.nightly),
     ],
     ids=["cp1252", "cp437", "utf-8"],
 )
@@ -142,7 +142,7 @@ def test_a_name_that_the_console_cannot_show_ends_nothing(tmp_path, environment,
     assert out.startswith(name + b": image, 30 x 40 (y, x)")
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_message_with_such_a_name_is_written_too(tmp_path):
     code, _, err = run("info", "没有.png", cwd=tmp_path, PYTHONIOENCODING="cp1252", PYTHONUTF8="0")
     assert code == 3

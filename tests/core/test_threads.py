@@ -38,7 +38,7 @@ finally:
 """
 
 
-@pytest.mark.study  # two links, each in a process of its own
+@pytest.mark.nightly  # two links, each in a process of its own
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="the system has no affinity")
 @pytest.mark.parametrize(("how", "asked"), [("64", ["--threads", "1"]), ("one", [])])
 def test_a_run_on_one_thread_starts_no_second(specimen_files, tmp_path, how, asked):

@@ -25,7 +25,7 @@ def cup(loss, shape=SHAPE, axis="y"):
 
 
 @pytest.mark.parametrize(
-    ("noise", "tilt"), [(0.08, 0.0), *(pytest.param(*p, marks=pytest.mark.study) for p in ((0.0, 0.0), (0.08, 5.0)))]
+    ("noise", "tilt"), [(0.08, 0.0), *(pytest.param(*p, marks=pytest.mark.nightly) for p in ((0.0, 0.0), (0.08, 5.0)))]
 )
 def test_known_rings_are_found_at_their_radius_and_with_their_height(noise, tilt):
     clean = sheet(tilt_deg=tilt)
@@ -64,7 +64,7 @@ def test_known_cupping_is_taken_off_and_the_mean_grey_stays(noise):
     assert middle / edge == pytest.approx(1.0, abs=0.006 if noise else 0.012)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_rings_and_cupping_together_leave_little_of_either():
     clean = sheet()
     given = volume(clean * cup(0.05), rings=both_rings())
@@ -118,7 +118,7 @@ def test_a_denser_edge_of_the_coating_is_its_own_and_a_sheet_across_the_axis_is_
     assert [r.height / CONTRAST for r in found.record.rings] == pytest.approx([s for _, s in RINGS], rel=0.12)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_ring_that_fades_along_the_axis_is_followed():
     shape = (60, 240, 160)
     fade = np.linspace(0.0, 2.0, shape[1])[None, :, None]
@@ -131,8 +131,8 @@ def test_a_ring_that_fades_along_the_axis_is_followed():
     assert np.std(left) < 0.2 * np.std(ring(shape, 120.0, 0.05) * fade)
 
 
-@pytest.mark.study
-@pytest.mark.parametrize("axis", ["z", pytest.param("x", marks=pytest.mark.study)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("axis", ["z", pytest.param("x", marks=pytest.mark.nightly)])
 def test_the_axis_may_be_any_of_the_array(axis):
     """The same scan with its axes in another order: the same rings, the same voxels."""
     given = volume(sheet() * cup(0.05), rings=both_rings())
@@ -143,7 +143,7 @@ def test_the_axis_may_be_any_of_the_array(axis):
     np.testing.assert_array_equal(b.volume.values, a.volume.transpose(*moved).values)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_the_centre_can_be_told_and_may_lie_outside():
     centre = (250.0, 330.0)
     rings = ring(SHAPE, 200.0, 0.05, centre_um=centre)
@@ -154,7 +154,7 @@ def test_the_centre_can_be_told_and_may_lie_outside():
     assert found.record.centre_um == centre
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_neither_memory_nor_threads_nor_blocks_change_a_byte():
     given = volume(sheet() * cup(0.05), rings=both_rings(), dtype=np.uint16)
     a = correct(given, axis="y", threads=1)
@@ -252,7 +252,7 @@ def test_the_store_says_what_was_corrected_and_does_not_go_on_with_other_options
     assert "corrections" not in zarr.open_group(tmp_path / "c.zarr", mode="r").attrs["planish"]
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_the_same_picture_has_the_same_bytes(tmp_path):
     given = volume(sheet() * cup(0.06), rings=both_rings())
     found = correct(given, axis="y")
@@ -272,7 +272,7 @@ def tiff(tmp_path):
     return path
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_import_corrects_on_the_way(passes, tmp_path, tiff):
     from planish.io import read_volume
 

@@ -28,14 +28,14 @@ def after_tutorial(tmp_path_factory):
     return folder, console.report(console.run(page, folder))
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_the_tutorial_prints_what_it_shows(after_tutorial):
     folder, faults = after_tutorial
     assert not faults, faults
     assert (folder / "run" / "report.html").exists()
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
 def test_a_page_prints_what_it_shows(path, after_tutorial, tmp_path):
     page = path.read_text(encoding="utf-8")
@@ -143,7 +143,7 @@ def opened(path):
     return (int(width), int(height), int(bits)), float(pixel), unit, float(mean)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.usefixtures("programs")
 def test_a_newcomer_gets_a_map_into_imagej_and_a_table_into_octave(after_tutorial, tmp_path):
     shutil.copytree(after_tutorial[0], tmp_path, dirs_exist_ok=True, copy_function=os.link)
@@ -156,7 +156,7 @@ def test_a_newcomer_gets_a_map_into_imagej_and_a_table_into_octave(after_tutoria
     assert mean == pytest.approx(float(values[values == values].mean(dtype=float)), rel=1e-5)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.usefixtures("programs")
 def test_the_same_with_a_measured_volume(shared_data, tmp_path):
     (tmp_path / "battery_sector_right").symlink_to(shared_data("battery_sector_right"))

@@ -128,7 +128,7 @@ def test_every_file_check_and_variable_of_a_run_is_explained(linked_run):
         assert {*check.figures} <= {*light.figures, "properties"}, check.name
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_every_variable_of_other_runs_stands_with_its_unit(passes, tmp_path):
     passes("specimen", "--size", "T0", "--seed", "8", "--instrument", "sections", "--out", tmp_path / "sheet")
     further = ("porosity", "fibre_angle", "mean_curvature", "coating_difference")

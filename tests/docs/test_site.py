@@ -62,12 +62,12 @@ def site(tmp_path_factory):
     return folder
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_links_are_whole_and_nothing_comes_from_a_network(site):
     assert check_site.faults(site) == []
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_every_document_is_a_page_that_others_lead_to(site):
     documents = [p.relative_to(DOCS) for p in DOCS.rglob("*.md") if "_build" not in p.parts]
     sources = {path.with_suffix(".html") for path in documents}
@@ -80,7 +80,7 @@ def test_every_document_is_a_page_that_others_lead_to(site):
     assert {str(page) for page in sources if (site / page).resolve() not in linked} == set()
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_the_search_finds_words_without_fetching_pages(site):
     options = (site / "_static" / "documentation_options.js").read_text(encoding="utf-8")
     assert "SHOW_SEARCH_SUMMARY: false" in options  # a summary would be fetched, which a page from a folder may not
@@ -93,7 +93,7 @@ def test_the_search_finds_words_without_fetching_pages(site):
     assert "planish.io.read_volume" in json.dumps(index["objects"]) or "read_volume" in json.dumps(index["objects"])
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_the_search_finds_the_words_of_users(site, chromium):
     """Typed into the search of the site, each word has its page once among the first three."""
     context = chromium.new_context()
@@ -156,7 +156,7 @@ def test_an_entry_stands_behind_its_heading(monkeypatch):
         words.with_entries("page", "# Page\n")
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_every_public_name_has_its_entry(site):
     import public_names
 

@@ -149,7 +149,7 @@ def test_maps_beyond_2_gb_take_version_7_3(monkeypatch):
         matlab.chosen_version(content, ExportParams(to="mat", mat_version="5"))
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_gwyddion_channels_are_in_metres_and_masked(tmp_path):
     content = maps((60, 110))
     path = written(content, tmp_path / "maps.gwy", "gwy")
@@ -277,7 +277,7 @@ def test_a_nrrd_has_size_and_place(tmp_path, dims):
     assert found.GetOrigin() == pytest.approx((FIRST_UM[1] / 1000, FIRST_UM[0] / 1000), rel=1e-12)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "to", ["tiff", "ome-tiff", "ome-zarr", "netcdf", "mat", "gwy", "csv", "png", "svg", "nrrd", "txt"]
 )

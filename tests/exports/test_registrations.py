@@ -131,7 +131,7 @@ def test_elastix_parameters_are_the_map(tmp_path, bent):
         )
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_transformix_moves_points(tmp_path):
     if shutil.which("transformix") is None:
         pytest.skip("transformix is not installed")

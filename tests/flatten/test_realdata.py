@@ -43,7 +43,7 @@ def test_a_tissue_is_flattened_with_less_distortion_than_by_its_author(shared_da
     assert all(ours < theirs for ours, theirs in zip(*figures, strict=True))
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["frt-1_frt", "matrix-2_txt", "sur-2_sur", "sur-3_sur"])
 def test_topographies(shared_data, name):
     data = np.load(shared_data("heightmaps") / f"{name}.npz")

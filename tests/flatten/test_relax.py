@@ -80,7 +80,7 @@ def test_roughness_is_not_taken_for_curvature():
     assert relax_grid(bumpy(60, 60)).straight_share < 0.05
 
 
-LARGER = [pytest.param(shape, marks=pytest.mark.study) for shape in ((7, 9), (2, 40), (20, 5), (12, 13), (13, 16))]
+LARGER = [pytest.param(shape, marks=pytest.mark.nightly) for shape in ((7, 9), (2, 40), (20, 5), (12, 13), (13, 16))]
 
 
 @pytest.mark.parametrize("shape", [(3, 3), (2, 2), (2, 12), (5, 6), *LARGER])

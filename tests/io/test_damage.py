@@ -194,7 +194,7 @@ print((memory_kib("VmHWM:") - before) / 1024)
 """
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.skipif(sys.platform != "linux", reason="the peak memory is read from /proc")
 def test_a_fuzzing_corpus_needs_no_memory(shared_data: Callable[[str], Path]) -> None:
     folder = shared_data("tiff_corpus/fuzz")

@@ -236,7 +236,7 @@ def topographies(folder: Path) -> Iterator[tuple[str, str, str]]:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the memory is limited and read as Linux does it")
-@pytest.mark.parametrize("every", [pytest.param(1, marks=pytest.mark.study), 12], ids=["all", "sample"])
+@pytest.mark.parametrize("every", [pytest.param(1, marks=pytest.mark.nightly), 12], ids=["all", "sample"])
 def test_no_damage_gives_a_traceback_wrong_values_or_a_long_wait(tmp_path: Path, every: int) -> None:
     items: list[dict[str, str]] = []
     goods: dict[str, str] = {}

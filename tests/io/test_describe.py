@@ -209,7 +209,7 @@ def test_every_byte_is_read_once_for_its_hash(tmp_path: Path, monkeypatch: pytes
     assert sum(read) == 1000 + 1001 + 1002 + 1000
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak of the memory is not known")
 def test_a_look_takes_little_memory_whatever_is_declared(tmp_path: Path) -> None:
     """What can only be decoded whole is described by its header; the rest is read in parts."""

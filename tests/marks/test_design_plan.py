@@ -104,7 +104,7 @@ def test_a_small_field_gets_a_margin_with_room_for_its_holes(field_um):
         pytest.param(
             {"field_um": (20_000.0, 15_000.0), "spacing_um": 4_000.0},
             ("rule 'spacing'", "spacing_um="),
-            marks=pytest.mark.study,
+            marks=pytest.mark.nightly,
         ),
         ({"field_um": (20_000.0, 15_000.0), "spacing_um": 300.0}, ("below 3 diameters, 525 um",)),
         ({"field_um": (20_000.0, 15_000.0), "margin_um": 100.0}, ("below 127.5 um",)),

@@ -101,7 +101,7 @@ def symmetric(rng, kind):
 
 @pytest.mark.parametrize("kind", ["half", "quarter", "left-right", "up-down"])
 @pytest.mark.parametrize(
-    "seeds", [range(10), pytest.param(range(10, 50), marks=pytest.mark.study)], ids=["few", "many"]
+    "seeds", [range(10), pytest.param(range(10, 50), marks=pytest.mark.nightly)], ids=["few", "many"]
 )
 def test_symmetric_patterns_are_always_refused(kind, seeds):
     rule = {"half": "half turn", "quarter": "quarter turn"}.get(kind, "mirror")

@@ -55,7 +55,7 @@ def specimen(seed, kind, pixel, *, across=1100, apart=None, **more):
 
 @pytest.mark.parametrize("kind", ["reflected", "transmitted", "presence"])
 @pytest.mark.parametrize(
-    "pixel", [*(pytest.param(size, marks=pytest.mark.study) for size in (0.8, 2.6, 5.0)), 10.0, 20.0]
+    "pixel", [*(pytest.param(size, marks=pytest.mark.nightly) for size in (0.8, 2.6, 5.0)), 10.0, 20.0]
 )
 def test_holes_are_found_and_centred(kind, pixel):
     """Centre error 0.1 pixel + 1 um rms an axis, recall 0.95, nothing else found."""
@@ -68,7 +68,7 @@ def test_holes_are_found_and_centred(kind, pixel):
     assert rms <= 0.1 * pixel + 1.0
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_precision_over_many_textures():
     """Thirty-six sheets of every look: nothing but holes is found."""
     sheets = []
@@ -81,7 +81,7 @@ def test_precision_over_many_textures():
     assert hits >= 0.97 * (hits + missed)
 
 
-@pytest.mark.parametrize("kind", ["reflected", pytest.param("transmitted", marks=pytest.mark.study)])
+@pytest.mark.parametrize("kind", ["reflected", pytest.param("transmitted", marks=pytest.mark.nightly)])
 def test_dirt_and_fibres_are_left_out(kind):
     """Spots to 250 um across and dark fibres, six of each a sheet, beside the holes."""
     looks = {"across": 700, "apart": 2.5, "blemishes": 6}
@@ -217,7 +217,7 @@ def test_half_closed_holes_are_left_out():
     np.testing.assert_allclose(positions(found), sheet.centres[:1], atol=2.0)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_the_covariance_is_of_the_right_size():
     """The rim's own roughness is in it: against the designed place, where roughness is an error, it has to fit."""
     away, stated = [], []
@@ -259,9 +259,9 @@ def test_impossible_requests():
     refused(MarkError, "polarity", find_holes, np.ones((50, 50)), pixel_um=1.0, polarity="light")
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize(
-    ("name", "pixel", "count"), [("02", 10.0, 1324), pytest.param("05", 20.0, 4414, marks=pytest.mark.study)]
+    ("name", "pixel", "count"), [("02", 10.0, 1324), pytest.param("05", 20.0, 4414, marks=pytest.mark.nightly)]
 )
 def test_dots_of_real_calibration_targets(shared_data, name, pixel, count):
     """Photographs of dot targets, dots 16 and 7 pixels across, all of them found.

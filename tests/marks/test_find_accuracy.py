@@ -7,7 +7,7 @@ from benchmarks.scorched import LOOKS, beyond, make_scorched
 
 from planish.marks import find_holes
 
-pytestmark = pytest.mark.study
+pytestmark = pytest.mark.nightly
 
 
 @pytest.mark.parametrize("bright", [False, True])
@@ -98,7 +98,7 @@ def test_a_target_of_another_size_is_its_magnified_picture():
 @pytest.mark.parametrize(
     ("look", "seed"),
     [(look, 0) for look in ("ring", "one-sided", "patch", "soot", "flap")]
-    + [pytest.param(look, seed, marks=pytest.mark.study) for look in LOOKS for seed in (0, 2)],
+    + [pytest.param(look, seed, marks=pytest.mark.nightly) for look in LOOKS for seed in (0, 2)],
 )
 def test_a_scorched_rim_misleads_no_centre_unsaid(look, seed):
     """No centre is off by more than three times its stated error, whichever edge was taken; nothing is false."""

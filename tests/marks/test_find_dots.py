@@ -80,8 +80,8 @@ def left_out(image, points, places):
     return np.count_nonzero(ndimage.map_coordinates(image, at.T[::-1], order=1) < 0.5 * (typical + paper)), len(at)
 
 
-@pytest.mark.study
-@pytest.mark.parametrize("name", ["02", pytest.param("05", marks=pytest.mark.study)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", ["02", pytest.param("05", marks=pytest.mark.nightly)])
 def test_every_dot_is_found(photograph, name):
     """98 % of the lattice's places that hold a dot, and nothing that is not on the lattice."""
     image = photograph(name)
@@ -118,7 +118,7 @@ def test_centres_stay_when_the_picture_is_turned_or_blurred(photograph, angle, b
     assert rms < 0.1
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_the_published_distortion_straightens_the_lattice(photograph, shared_data):
     """Radius in the picture = radius without distortion times a polynomial in the latter (Vo et al. 2015)."""
     points = dots(photograph("05"), "05")
@@ -149,11 +149,11 @@ def lit(image, light):
 
 
 @pytest.mark.parametrize(
-    "light", ["across", *(pytest.param(k, marks=pytest.mark.study) for k in ("vignette", "bright quarter"))]
+    "light", ["across", *(pytest.param(k, marks=pytest.mark.nightly) for k in ("vignette", "bright quarter"))]
 )
 @pytest.mark.parametrize(
     ("name", "part"),
-    [("05", (400, 640)), *(pytest.param(name, None, marks=pytest.mark.study) for name in ("02", "05"))],
+    [("05", (400, 640)), *(pytest.param(name, None, marks=pytest.mark.nightly) for name in ("02", "05"))],
 )
 def test_uneven_light_hides_no_dots(photograph, name, part, light):
     """97 % of what the plain photograph shows, and nothing else but at the border of image or quarter."""

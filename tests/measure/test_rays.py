@@ -147,7 +147,7 @@ EVERYTHING = MeasureParams(
 )  # fmt: skip
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_tiles_and_threads_change_no_byte_of_any_property(rough):
     """Every built-in property, and its errors and reasons."""
     names = [name for name, one in registered().items() if one.function.__module__.startswith("planish.")]

@@ -7,7 +7,7 @@ import xarray as xr
 from planish.measure import MeasureParams, measure_along_rays
 from planish.surface import find_surfaces
 
-pytestmark = pytest.mark.study
+pytestmark = pytest.mark.nightly
 
 
 @pytest.fixture(scope="module")

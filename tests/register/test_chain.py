@@ -51,7 +51,7 @@ def certain(fit: FittedTransform) -> FittedTransform:
     return replace(fit, likely=field.DeviationField(pairs, fit.mirrored, mixture))
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_errors_of_the_links_add_up_as_they_do_in_many_repetitions():
     """The truth is a similarity: stated as such it agrees; that it might be none adds to what is stated."""
     at = np.array([[500.0, 500.0], [3500.0, 2500.0], [6000.0, 5000.0]])

@@ -10,7 +10,7 @@ from planish.register import fit_transform
 TURN = Similarity(scale=0.99, rotation_rad=-0.4, shift_um=(2000.0, 10.0))
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_auto_is_near_the_best_model_and_all_state_their_error():
     """Limits wider than the benchmark's for a sixth of its truths, with one wrong mark in ten."""
     rows = [judged(drawn(np.random.default_rng([1, k]))) for k in range(70)]

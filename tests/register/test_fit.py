@@ -56,7 +56,7 @@ def test_leave_one_out_equals_the_brute_force_twin(model, weighted):
         assert fit.leave_one_out_um[k] == pytest.approx(twin, abs=1e-9)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_residuals_have_the_expected_size():
     """Noise s, n marks, similarity: rms of one axis is s sqrt(1 - 2/n)."""
     rng = np.random.default_rng(2)

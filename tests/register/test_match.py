@@ -25,7 +25,7 @@ def test_whole_patterns_are_matched(count):
     assert right >= 0.9 * 25
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_missing_and_false_marks_are_right_or_refused_but_never_wrong():
     """A thousand patterns, 30 % missing on each side and 30 % false ones."""
     rng = np.random.default_rng(0)
@@ -168,7 +168,7 @@ WITH_LOSS = {
 }
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize("both", [False, True])
 @pytest.mark.parametrize("false", [0.0, 0.3])
 @pytest.mark.parametrize("name", WITH_LOSS)
@@ -209,7 +209,7 @@ def test_a_mirror_image_needs_a_word_and_three_marks_a_triangle_without_double()
         match_marks(alike, alike)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_wrong_handed_image_is_not_matched_by_chance():
     """Among many patterns some fit their own mirror image at most of their marks; the true hand gives them away."""
     rng = np.random.default_rng(6)

@@ -39,7 +39,7 @@ def test_a_quarter_of_wrong_marks_is_found():
         assert np.linalg.norm(fit(points) - TURN(points), axis=1).max() < 6.0
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_right_marks_are_left_alone():
     """One set in a hundred may lose weight by chance; the error grows by less than 2 %."""
     rng = np.random.default_rng(2)
@@ -67,7 +67,7 @@ def test_three_marks_cannot_outvote_each_other_nor_a_smooth_distortion_make_one_
         assert np.all(fit_transform(points, seen, model=model).robust_weights == 1.0)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_wrong_marks_among_many_are_taken_out_together():
     rng = np.random.default_rng(4)
     points = rng.uniform(0, 3000, (160, 2))

@@ -11,7 +11,7 @@ import pytest
 from planish.cli import main
 from planish.run import open_run
 
-pytestmark = pytest.mark.study
+pytestmark = pytest.mark.nightly
 
 MOST = 12
 """Actions that the answers may take together; a screen further or a click is one."""

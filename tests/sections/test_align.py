@@ -56,7 +56,7 @@ def test_missing_sections_and_a_nick_move_nothing_and_rotations_are_not_made_wor
     assert rms(found.shift_um - alignment.shift_um) < 0.2
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_true_bend_is_left_alone() -> None:
     still = make_series(errors=(0.0, 0.0), turn_rad=0.0, seed=2)
     found = align_sections(SectionSeries(still.stack, still.positions_um, PIXEL_UM))
@@ -67,7 +67,7 @@ def test_a_true_bend_is_left_alone() -> None:
     assert rms(found.shift_um[:, 0]) < 0.3
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_wide_sections_tell_rotations_and_more() -> None:
     wide = make_series(sections=60, cols=2400, seed=4)
     found = align_sections(SectionSeries(wide.stack, wide.positions_um, PIXEL_UM))
@@ -89,7 +89,7 @@ def test_torn_sections_are_flagged_and_disturb_nothing(series: Series, alignment
     assert found.pairs_refused >= 20
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_threads_direction_and_type_do_not_matter(series: Series) -> None:
     stack, positions = series.stack[:60], series.positions_um[:60]
     with limit_threads(1):
@@ -101,7 +101,7 @@ def test_threads_direction_and_type_do_not_matter(series: Series) -> None:
     np.testing.assert_array_equal(one.shift_um, back.shift_um)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_drift_of_colour_is_taken_off() -> None:
     # Fibres of 4 % over 30 um in 2.9 mm: their mean goes up and down by 0.3 %, which no anchor can tell from a drift.
     drifting = make_series(sections=60, cols=1200, texture=4.0, drift=0.03)

@@ -205,7 +205,7 @@ def test_parquet_holds_what_the_table_holds(written):
     assert table.column("paper").to_pylist() == [row.factors["paper"] for row in rows]
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_two_hundred_specimens_take_less_than_ten_megabytes(tmp_path):
     rng = np.random.default_rng(1)
     papers = [

@@ -13,7 +13,7 @@ import pytest
 from folders import bytes_of
 from planish.run import link
 
-pytestmark = pytest.mark.study
+pytestmark = pytest.mark.nightly
 
 
 @pytest.fixture(scope="module")

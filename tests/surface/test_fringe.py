@@ -24,7 +24,7 @@ def biases(found, sheet):
     return off["top"], top, off.get("interface_bottom", off["bottom"]) - off["bottom"]
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize("size", [0.12, 0.3])
 def test_a_known_fringe_is_learnt_and_coatings_are_right(size):
     """Taken for a blurred staircase alone it moves faces and interfaces by 0.1 to 0.2 um."""
@@ -41,7 +41,7 @@ def test_a_known_fringe_is_learnt_and_coatings_are_right(size):
     assert np.abs(biases(without, sheet)).max() > 0.07
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_thin_coating_keeps_its_thickness_and_a_tilt_widens_the_fringe_as_the_blur():
     """4 um in voxels of 3 um: taken for a blurred staircase alone, the fringe makes them 5 um or more."""
     sheet = replace(COARSE, coats=(10.0, 4.0), fringe=0.3)
@@ -86,7 +86,7 @@ def test_a_given_fringe_is_taken_and_slowly_darkening_air_is_none():
     assert find_surfaces(grey).attrs["fringe"] == 0.0
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_neither_threads_nor_memory_change_a_byte():
     grey = replace(COARSE, fringe=0.2).volume()
     one = find_surfaces(grey, engine=Engine(threads=1))

@@ -42,7 +42,7 @@ def test_grey_properties_of_labels_are_refused(labels, tmp_path):
         run_study(study(labels, properties={"maps": ("porosity",)}), tmp_path / "run")
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_labels_without_a_coating_are_said_on_the_command_line(passes, refuses, labels, tmp_path):
     """The base is then the whole sheet; the same label may not mean both."""
     out = tmp_path / "run"

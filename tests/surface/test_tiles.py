@@ -37,7 +37,7 @@ def lazy(array, voxel=VOXEL):
     return xr.DataArray(xr.Variable(("z", "y", "x"), LazilyIndexedArray(asked)), coords=coords), asked
 
 
-@pytest.mark.parametrize("through", ["z", *(pytest.param(k, marks=pytest.mark.study) for k in "yx")])
+@pytest.mark.parametrize("through", ["z", *(pytest.param(k, marks=pytest.mark.nightly) for k in "yx")])
 def test_neither_threads_nor_memory_change_a_byte(through):
     grey, *_ = slab(shape=(70, 90, 110), wave=10.0, noise=20.0)
     data = volume(np.moveaxis(np.rint(np.clip(grey, 0, 255)).astype(np.uint8), 0, "zyx".index(through)))

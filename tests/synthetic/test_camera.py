@@ -81,7 +81,7 @@ def r2_at_100_um(sheet, image, camera=CLEAN):
     return np.corrcoef(x[known], y[known])[0, 1] ** 2
 
 
-@pytest.mark.parametrize("backing", [pytest.param("pile", marks=pytest.mark.study), "black"])
+@pytest.mark.parametrize("backing", [pytest.param("pile", marks=pytest.mark.nightly), "black"])
 def test_brightness_rises_with_the_coating(backing):
     camera = replace(CLEAN, backing=backing)
     means = [seen(sheet_of(t, holes=HOLES[:0]), camera).mean() for t in (2.0, 8.0, 14.0, 20.0, 26.0)]
@@ -142,7 +142,7 @@ def test_an_oracle_out_of_reach_is_an_error_that_says_so(sheet):
         photograph(sheet, STRAIGHT, replace(CLEAN, oracle_r2=0.2), shape=(90, 90), seed=SEED)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_the_screen_has_its_frequency_and_angle_and_mean_tone():
     flat = sheet_of(17.4, holes=HOLES[:0], rough_um=0.0)
     camera = replace(CLEAN, screen=PrintParams())
@@ -174,8 +174,8 @@ def test_a_thicker_coating_prints_lighter():
     assert left - right == pytest.approx(0.01 * 4.0, abs=0.003)
 
 
-@pytest.mark.study
-@pytest.mark.parametrize("printed", [False, pytest.param(True, marks=pytest.mark.study)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("printed", [False, pytest.param(True, marks=pytest.mark.nightly)])
 def test_a_nuisance_that_is_off_leaves_the_others_as_they_are(sheet, printed):
     usual = replace(CameraParams(bits=16), screen=PrintParams())
     whole = seen(sheet, usual, printed=printed).astype(float)
@@ -201,7 +201,7 @@ def test_vignetting_is_a_factor_and_shading_follows_the_slope(sheet):
     np.testing.assert_allclose(lit[away], 1 + 0.2 * slope[away], atol=5 * STEP)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_nuisance_has_its_size_and_both_images_show_the_same_paper(sheet):
     away = truth(sheet)[1] > 200.0
     extra = seen(sheet, replace(CLEAN, nuisance_sd=0.012)).astype(float) - seen(sheet)

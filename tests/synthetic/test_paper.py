@@ -18,7 +18,7 @@ from planish.synthetic import (
 from planish.synthetic.params import generator
 from planish.synthetic.sheet import PITCH_UM, fibres, hole_pattern, lowpass, noise, streaks
 
-pytestmark = pytest.mark.study
+pytestmark = pytest.mark.nightly
 
 LOW, HIGH = np.zeros(2), np.array([6000.0, 4500.0])
 QUARTER = HIGH / 2
@@ -84,7 +84,7 @@ def test_the_coating_levels_the_base_at_fibre_scale(wfc):
     assert abs(np.corrcoef(coarse[0].ravel(), coarse[1].ravel())[0, 1]) < 0.35
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_the_outer_face_follows_the_base_by_half_at_the_levelling_wavelength():
     """Gain of the outer face over the base's face, per wavelength."""
     paper = PaperParams(coating_sd_um=0.0, coating_noise_sd_um=0.0, coating_top_um=40.0)
@@ -96,7 +96,7 @@ def test_the_outer_face_follows_the_base_by_half_at_the_levelling_wavelength():
         assert np.sqrt(np.mean(outer[ring] ** 2) / np.mean(base[ring] ** 2)) == pytest.approx(gain, abs=0.05)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize("length", [20.0, 35.0, 100.0, 300.0])
 def test_correlation_lengths(length):
     field = noise((1200, 1500), length, generator(0, "test"))
@@ -104,13 +104,13 @@ def test_correlation_lengths(length):
     assert _correlation_um(field) == pytest.approx(length, rel=0.12)  # few waves of 300 um fit in
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_fibre_scale_of_the_thickness():
     sheet = _sheet(PaperParams(base_floc_sd_um=0.0, anisotropy=1.001))
     assert _correlation_um(_layers(sheet)[1]) == pytest.approx(35.0, rel=0.35)  # fibres are 20 to 35 um wide
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 @pytest.mark.parametrize("anisotropy", [1.8, 4.0])
 def test_fibres_have_the_directions_of_their_distribution(anisotropy):
     """Mean of cos 2a over the edges of all fibres: I1 / I0 of von Mises' concentration ln(anisotropy) / 2."""
@@ -175,7 +175,7 @@ def test_the_coded_pattern_has_no_two_equal_pitches_and_the_stage_its_error():
     assert np.std(errors) == pytest.approx(4.0, rel=0.12)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_holes_have_the_size_that_was_ordered():
     holes = BurnParams(
         pattern="irregular", count=6, rim_um=0.0, axis_ratio=1.0, diameter_sd_um=0.0, tilt_deg=0.0, half_closed=0.0
@@ -187,7 +187,7 @@ def test_holes_have_the_size_that_was_ordered():
         assert np.sqrt(4 * area / np.pi) == pytest.approx(diameter, rel=0.01)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_half_closed_holes_are_half_open_at_the_bottom():
     holes = BurnParams(pattern="irregular", count=6, half_closed=1.0, taper=0.0, tilt_deg=0.0)
     sheet = make_specimen(replace(SpecimenParams(size_um=(2500.0, 2000.0)), holes=holes)).sheet

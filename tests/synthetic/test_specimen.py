@@ -207,7 +207,7 @@ def test_noise_has_the_size_and_the_length_that_were_asked_for():
         assert np.corrcoef(a.ravel(), b.ravel())[0, 1] == pytest.approx(np.exp(-1), abs=0.03)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_the_fringe_overshoots_at_the_faces():
     """Three per cent brighter just inside the sheet and darker just outside."""
     params = replace(SMALL, warp=Warp(slope=0.0), scanner=ScannerParams(dtype="float32", fringe=0.12, voxel_um=2.0))
@@ -269,7 +269,7 @@ def test_drawn_parameters_lie_in_their_ranges():
     assert draw_params(SpecimenParams(seed=7)) == drawn[7]
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_the_default_specimen_in_one_call(tmp_path, monkeypatch):
     """Volume and image carry coordinates in um, as the readers give them; files only where a folder is named."""
     monkeypatch.setattr(module, "DEMO", SMALL)

@@ -17,13 +17,13 @@ from planish.validate.page import dots
 RECORDED = Path(__file__).with_name("recorded.toml")
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_no_figure_is_worse_than_recorded(whole_certificate):
     """Where a change makes a figure better for good, record it: python tests/record.py FILE."""
     assert record.worse(whole_certificate, record.read_recorded(RECORDED)) == []
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_the_small_scenario_meets_its_limits(whole_certificate):
     assert whole_certificate.passed, table.summary(whole_certificate)
     assert (len(whole_certificate.entries), len(whole_certificate.entries[0].pictures)) == (3, 4)

@@ -265,7 +265,7 @@ def test_marks_that_disagree_predict_their_error():
     assert found["predicted_ratio"] < 1e-6
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_columns_that_were_lost_count_and_rims_do_not():
     specimen, files, run = exact_run()
     status = run.groups["surfaces"]["status"].values
@@ -353,7 +353,7 @@ def test_figures_are_named_once_and_outlines_of_discs_are_as_far_apart_as_their_
     assert (errors.outline_lag(one, two + 1e3, 0.0, (2.0, 2.0)), errors.dice(one > 1e9, one > 1e9)) == (None, None)
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_ledger_of_a_real_run(measured):
     specimen, made, run = measured
     found = make_ledger(specimen, made, run)

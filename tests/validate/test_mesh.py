@@ -7,7 +7,7 @@ from planish.validate import certify, mesh, scenario
 from planish.validate.mesh import cylinder, deformed, grid, node_error, rest_lengths, size_errors
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_as_1_with_two_deformations():
     found = certify.run_scenario(scenario.read_scenario("as-1"), 2)
     # times depend on the machine and are no matter of a test

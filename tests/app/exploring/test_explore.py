@@ -257,7 +257,7 @@ def test_hostile_names_stay_text(planish, tmp_path):
 
 
 # --- size ------------------------------------------------------------------------------------------------------
-@pytest.mark.study
+@pytest.mark.nightly
 def test_maps_and_slices_are_thinned_out_to_their_budget_and_the_page_says_so(
     planish, linked_run, tmp_path, monkeypatch, page
 ):
@@ -287,7 +287,7 @@ def test_maps_and_slices_are_thinned_out_to_their_budget_and_the_page_says_so(
     assert np.abs(found[: rows // size, : cols // size] - expected)[inside].max() <= spec["error"] * 1.001 + 1e-4
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_large_maps_come_from_the_smaller_copies_of_the_store(planish, tmp_path, monkeypatch):
     monkeypatch.setattr(maps_module, "BUDGET", 30_000)
     folder = put(tmp_path / "run", a_run())

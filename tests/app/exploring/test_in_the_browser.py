@@ -18,7 +18,7 @@ from planish.app import explore
 from planish.run import open_run
 from report.runs import a_run
 
-pytestmark = pytest.mark.study
+pytestmark = pytest.mark.nightly
 
 
 Open = Callable[..., "Window"]
@@ -388,7 +388,7 @@ def test_hostile_names_do_nothing_in_the_browser(opened, tmp_path):
     assert window.page.evaluate("document.images.length") == 1
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_a_sheet_through_y_seen_from_the_low_end(opened, passes, laid, tmp_path):
     passes("link", laid.volume, laid.image, *laid.options, "--out", tmp_path / "run", codes=(0, 4))
     path = tmp_path / "page.html"
@@ -439,7 +439,7 @@ CURSOR = """async () => {
 """Sixty moves of the mouse, each over to another slice: from the event until all is drawn and laid out."""
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_first_picture_within_a_second_and_the_cursor_within_thirty_milliseconds(opened, path, tmp_path, passes):
     passes("demo", "--out", tmp_path / "demo", codes=(0, 4))
     page = tmp_path / "demo.html"
@@ -457,7 +457,7 @@ def test_first_picture_within_a_second_and_the_cursor_within_thirty_milliseconds
     assert np.median(times) <= 30
 
 
-@pytest.mark.study
+@pytest.mark.nightly
 def test_the_run_is_left_as_it_was(linked_run, tmp_path):
     run = tmp_path / "run"
     shutil.copytree(linked_run, run)
