@@ -15,7 +15,18 @@ ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted((*ROOT.glob("*.md"), *(path for path in DOCS.rglob("*.md") if "_build" not in path.parts)))
 # Of run.py, of other programs, and of the change that CONTRIBUTING.md shows.
-OTHER = {"--all", "--fix", "--host", "--port", "--nthreads", "--eval", "--quiet", "--cpu-limit", "--coating-above-um"}
+OTHER = {
+    "--all",
+    "--fix",
+    "--host",
+    "--port",
+    "--nthreads",
+    "--eval",
+    "--quiet",
+    "--ci",
+    "--record-seconds",
+    "--coating-above-um",
+}
 OTHER |= {"--of", "--size"}  # of examples/studies/make.py
 OTHER |= {"--require-hashes", "--cpus-per-task", "--mem", "--wrap", "--bind", "--rm", "--user"}
 
