@@ -19,14 +19,11 @@ def slow_turn(points):
     """Angles about each inner node, triangle by triangle of the first diagonal."""
     rows, cols = points.shape[:2]
     out = np.full((rows, cols), 2 * np.pi)
-    for i in range(rows - 1):
-        for j in range(cols - 1):
-            a, b, c, d = (i, j), (i, j + 1), (i + 1, j + 1), (i + 1, j)
-            for t in ((a, b, c), (a, c, d)):
-                for k in range(3):
-                    p, q, r = (points[t[(k + m) % 3]] for m in range(3))
-                    cosine = (q - p) @ (r - p) / np.linalg.norm(q - p) / np.linalg.norm(r - p)
-                    out[t[k]] -= np.arccos(cosine)
+    for i, j in np.ndindex(rows - 1, cols - 1):
+        a, b, c, d = (i, j), (i, j + 1), (i + 1, j + 1), (i + 1, j)
+        for at, one, other in ((a, b, c), (b, c, a), (c, a, b), (a, c, d), (c, d, a), (d, a, c)):
+            p, q = points[one] - points[at], points[other] - points[at]
+            out[at] -= np.arccos(p @ q / np.linalg.norm(p) / np.linalg.norm(q))
     out[[0, -1]], out[:, [0, -1]] = np.nan, np.nan
     return out
 
@@ -52,13 +49,12 @@ def test_angles_and_patches_equal_their_slow_twins():
     found = curvature_check(points)
     lacking, area = curvature._deficit_and_area(points)
     scale = np.nanmax(np.abs(found.curvature))
-    for i, j in ((80, 80), (75, 90), (90, 70)):
-        slow = slow_patch(lacking, area, i, j, 1000 / np.sqrt(3) / 50)
-        assert found.curvature[i, j] == pytest.approx(slow, abs=0.02 * scale)
+    for node in ((80, 80), (75, 90)):
+        slow = slow_patch(lacking, area, *node, 1000 / np.sqrt(3) / 50)
+        assert found.curvature[node] == pytest.approx(slow, abs=0.02 * scale)
 
 
-@pytest.mark.parametrize("radius", [5e3, 2e4, 1e5])
-@pytest.mark.parametrize("pitch", [25.0, 100.0])
+@pytest.mark.parametrize(("radius", "pitch"), [(5e3, 100.0), (1e5, 50.0)])
 def test_a_sphere(radius, pitch):
     """K = 1 / R^2."""
     points = sphere(round(5000 / pitch), round(4000 / pitch), pitch, radius)
@@ -73,14 +69,14 @@ def test_the_grid_may_lie_on_the_surface_as_it_likes():
     """Longitudes and latitudes of a sphere, and the same points turned: no height field, cells of all shapes."""
     lat, lon = np.meshgrid(np.linspace(-1.2, 1.2, 150), np.linspace(0.0, 3.0, 170), indexing="ij")
     points = 300 * np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
-    for grid in (points, points[::-1]):
-        found = curvature_check(grid, patch_um=40.0).curvature
+    for one in (points, points[::-1]):
+        found = curvature_check(one, patch_um=40.0).curvature
         known = np.isfinite(found)
         assert known.mean() > 0.8
         np.testing.assert_allclose(found[known] * 300**2, 1.0, rtol=2e-3)  # (3 / 170)^2 = 3e-4 and its like
 
 
-@pytest.mark.parametrize("degrees", [0, 17, 45, 60, 90, 135])
+@pytest.mark.parametrize("degrees", [0, 17, 135])
 def test_a_cylinder_of_any_direction_can_be_flat(degrees):
     """Wave of 6 mm with slopes up to 45 degrees; exact K is 0."""
     x, y = plan(250, 300, 20.0)
@@ -126,7 +122,7 @@ def test_a_surface_that_no_paper_can_have_is_named_and_small_ones_are_not_judged
     assert "segmentation" in found.verdict
     assert "2 mm" in found.verdict
     assert "0.5 %" in found.verdict
-    for points in (sphere(20, 20, 10.0, 5000.0), sphere(2, 9, 10.0, 5000.0), np.full((5, 5, 3), np.nan)):
+    for points in (sphere(2, 9, 10.0, 5000.0), np.full((5, 5, 3), np.nan)):
         found = curvature_check(points)
         assert np.isnan([found.share, found.largest]).all()
         assert "smaller than a patch of 2 mm" in found.verdict

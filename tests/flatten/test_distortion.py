@@ -4,55 +4,41 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from flatten.meshes import grid, in_space
-from planish.flatten import cell_strain, distortion, measure_distortion
+from flatten.meshes import grid, in_space, on_cylinder, on_sphere
+from planish.flatten import cell_strain, distortion, geodesic_error, measure_distortion
 
 
-def on_cylinder(uv, radius, angle=0.0):
-    """Isometric: arcs across the rulings, which stand at an angle to the grid; exactly unrolled by ``uv``."""
-    s = np.cos(angle) * uv[..., 0] + np.sin(angle) * uv[..., 1]
-    t = np.cos(angle) * uv[..., 1] - np.sin(angle) * uv[..., 0]
-    x = radius * np.sin(s / radius)
-    return np.stack(
-        [np.cos(angle) * x - np.sin(angle) * t, np.sin(angle) * x + np.cos(angle) * t, radius * np.cos(s / radius)],
-        axis=-1,
-    )
+def measured(points, uv, **more):
+    return measure_distortion(points, uv, rng=np.random.default_rng(0), **more)
 
 
-def on_sphere(uv, radius):
-    """Lengths along radii from the origin of ``uv`` and all angles there are kept."""
-    r = np.linalg.norm(uv, axis=-1)
-    wide = radius * np.sin(r / radius) / np.maximum(r, 1e-12)
-    return np.concatenate([uv * wide[..., None], radius * np.cos(r / radius)[..., None]], axis=-1)
+def angle(p, q):
+    return np.arccos(p @ q / np.linalg.norm(p) / np.linalg.norm(q))
+
+
+def area(p, q, r):
+    return 0.5 * np.linalg.det([q - p, r - p])
 
 
 def slow_strain(points, uv):
     """Cell by cell, the Jacobian in an orthonormal frame and its singular values by numpy."""
-    rows, cols = points.shape[0] - 1, points.shape[1] - 1
-    out = {name: np.full((rows, cols), np.nan) for name in ("stretch_max", "stretch_min", "shear", "signed_area")}
-
-    def angle(p, q):
-        return np.arccos(p @ q / np.linalg.norm(p) / np.linalg.norm(q))
-
-    def triangle(p, q, r):
-        return 0.5 * np.linalg.det(np.array([q - p, r - p]))
-
-    for i in range(rows):
-        for j in range(cols):
-            edges = []
-            for nodes in (points, uv):
-                a, b, c, d = nodes[i, j], nodes[i, j + 1], nodes[i + 1, j + 1], nodes[i + 1, j]
-                edges.append(np.array([(b - a + c - d) / 2, (d - a + c - b) / 2]).T)
-            space, flat = edges
-            upper = np.linalg.qr(space)[1]
-            size = np.linalg.svd(flat @ np.linalg.inv(upper), compute_uv=False)
-            out["stretch_max"][i, j], out["stretch_min"][i, j] = size
-            out["shear"][i, j] = angle(*space.T) - angle(*flat.T)
-            out["signed_area"][i, j] = min(triangle(a, b, c), triangle(a, c, d))
+    cells = points.shape[0] - 1, points.shape[1] - 1
+    out = {name: np.full(cells, np.nan) for name in ("stretch_max", "stretch_min", "shear", "signed_area")}
+    for i, j in np.ndindex(cells):
+        edges = []
+        for nodes in (points, uv):
+            a, b, c, d = nodes[i, j], nodes[i, j + 1], nodes[i + 1, j + 1], nodes[i + 1, j]
+            edges.append(np.array([(b - a + c - d) / 2, (d - a + c - b) / 2]).T)
+        space, flat = edges
+        upper = np.linalg.qr(space)[1]
+        size = np.linalg.svd(flat @ np.linalg.inv(upper), compute_uv=False)
+        out["stretch_max"][i, j], out["stretch_min"][i, j] = size
+        out["shear"][i, j] = angle(*space.T) - angle(*flat.T)
+        out["signed_area"][i, j] = min(area(a, b, c), area(a, c, d))
     return out
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20)
 @given(arrays(np.float64, (3, 4, 5), elements=st.floats(-0.2, 0.2)))
 def test_cell_strain_equals_the_slow_twin(noise):
     uv = grid(3, 4)
@@ -97,13 +83,17 @@ def test_uniform_stretch_and_pure_shear_are_measured_exactly():
     np.testing.assert_allclose(strain["stretch_max"], np.hypot(1, g / 2) + g / 2, atol=1e-14)
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.4, np.pi / 4])
-def test_a_cylinder_exactly_unrolled_has_no_strain(angle):
+@pytest.mark.parametrize("angle", [0.0, 0.4])
+def test_a_cylinder_exactly_unrolled_has_no_strain_and_keeps_all_lengths(angle):
     """A chord is shorter than its arc by (h / R)^2 / 24, here 4e-6; a diagonal cell has twice that."""
     uv = grid(40, 60, 10.0)
-    strain = cell_strain(on_cylinder(uv, 1000.0, angle), uv)
-    worst = max(float(abs(strain[k] - v).max()) for k, v in (("area_ratio", 1), ("stretch_max", 1), ("shear", 0)))
-    assert worst < 1e-5
+    points = on_cylinder(uv, 1000.0, angle)
+    strain = cell_strain(points, uv)
+    for name, value in (("area_ratio", 1), ("stretch_max", 1), ("shear", 0)):
+        np.testing.assert_allclose(strain[name], value, atol=1e-5)
+    found = geodesic_error(points, uv, rng=np.random.default_rng(0))
+    assert (found.used, found.dropped) == (1000, 0)
+    assert 0 < found.p50 <= found.p95 <= found.largest <= 2 * (10 / 1000) ** 2 / 24 * 1.01
 
 
 def test_a_cap_is_stretched_along_its_parallels():
@@ -121,11 +111,11 @@ def test_folded_missing_and_empty_cells_are_counted():
     uv = grid(6, 7)
     folded = uv.copy()
     folded[3, 3, 0] += 1.5
-    found = measure_distortion(in_space(uv), folded, rng=np.random.default_rng(0))
-    area = cell_strain(in_space(uv), folded)["signed_area"].values
-    assert {tuple(k) for k in np.argwhere(area <= 0)} == {(2, 3), (3, 3)}
+    found = measured(in_space(uv), folded)
+    areas = cell_strain(in_space(uv), folded)["signed_area"].values
+    assert np.argwhere(areas <= 0).tolist() == [[2, 3], [3, 3]]
     assert (found.inverted_cells, found.cells) == (2, 30)
-    assert measure_distortion(in_space(uv), uv * [-1, 1], rng=np.random.default_rng(0)).inverted_cells == 30
+    assert measured(in_space(uv), uv * [-1, 1]).inverted_cells == 30
     uv = grid(6, 6)
     points = in_space(uv)
     points[2, 2] = np.nan
@@ -152,7 +142,7 @@ def test_boundaries_and_displacements_are_measured():
     uv = grid(76, 5, 200.0)
     spin = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
     points = in_space(uv, turn)
-    found = measure_distortion(points, uv @ spin.T + [50, 20], rng=np.random.default_rng(0))
+    found = measured(points, uv @ spin.T + [50, 20])
     length = np.ptp(points[..., 1])
     assert found.displacement_max_um == pytest.approx((15000 - length) / 2, abs=1e-6)
     assert found.displacement_median_um == pytest.approx((15000 - length) / 4, rel=0.05)
@@ -165,7 +155,7 @@ def test_boundaries_and_displacements_are_measured():
 @given(
     grown=st.floats(0.9, 1.2), uneven=st.floats(1.001, 1.1), axis=st.floats(1.0, 179.0), turn=st.floats(-3.0, 3.0)
 )  # fmt: skip
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15)
 def test_growth_against_the_projection(grown, uneven, axis, turn):
     """An affine map made of its parts; the square's similarity scale is the mean of the two singular values."""
     uv = grid(8, 8, 3.0)
@@ -173,7 +163,7 @@ def test_growth_against_the_projection(grown, uneven, axis, turn):
     frame = np.array([[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]])
     spin = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     linear = spin @ frame.T @ np.diag([grown * uneven, grown]) @ frame
-    found = measure_distortion(in_space(uv), uv @ linear.T + 70.0, rng=np.random.default_rng(0))
+    found = measured(in_space(uv), uv @ linear.T + 70.0)
     assert found.growth_percent == pytest.approx(100 * (grown * (1 + uneven) / 2 - 1), abs=1e-8)
     assert found.growth_anisotropy_percent == pytest.approx(100 * (uneven - 1), abs=1e-8)
     assert found.growth_direction_deg == pytest.approx(axis, abs=1e-5)
@@ -186,15 +176,15 @@ def test_spread_of_a_known_distribution_of_a_row_and_of_no_cell():
     uv = np.stack(np.broadcast_arrays(u[None, :], np.arange(4.0)[:, None]), axis=-1)
     points = in_space(grid(4, 102))
     strain = cell_strain(points, uv)
-    found = measure_distortion(points, uv, rng=np.random.default_rng(0), strain=strain).axial_u
+    found = measured(points, uv, strain=strain).axial_u
     assert (found.median, found.p5, found.p95, found.max_abs) == pytest.approx((0.01, 0.001, 0.019, 0.02))
     assert found.p95_abs == pytest.approx(0.019)
     uv = grid(2, 9)
-    found = measure_distortion(in_space(uv), 1.01 * uv, rng=np.random.default_rng(0))
+    found = measured(in_space(uv), 1.01 * uv)
     assert (found.cells, found.geodesics.used, found.axial_v.median) == (8, 1000, pytest.approx(0.01))
     points = np.full((3, 3, 3), np.nan)
-    nothing = measure_distortion(points, points[..., :2], rng=np.random.default_rng(0))
+    nothing = measured(points, points[..., :2])
     assert (nothing.cells, nothing.inverted_cells, nothing.boundary_flat_um, nothing.geodesics.used) == (0, 0, 0.0, 0)
     assert np.isnan([nothing.area.median, nothing.growth_percent, nothing.displacement_max_um]).all()
     on_edge = np.stack([uv[..., 0], np.zeros((2, 9)), uv[..., 1]], axis=-1)
-    assert np.isnan(measure_distortion(on_edge, uv, rng=np.random.default_rng(0)).growth_anisotropy_percent)
+    assert np.isnan(measured(on_edge, uv).growth_anisotropy_percent)

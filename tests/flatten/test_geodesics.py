@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flatten.meshes import grid, in_space
+from flatten.meshes import grid, in_space, on_sphere
 from planish.flatten import distortion, geodesic_error
 
 
@@ -16,16 +16,24 @@ def triangles(whole):
         yield a, c, d
 
 
+def edges_of(half):
+    a, b, c = half
+    return (a, b), (b, c), (c, a)
+
+
 def cross(p, q):
     return p[0] * q[1] - p[1] * q[0]
 
 
+def holds(half, uv, place):
+    return all(cross(uv[b] - uv[a], place - uv[a]) >= 0 for a, b in edges_of(half))
+
+
 def slow_length(points, uv, p, q, start, end):
     """Every edge of the mesh is cut with the line; the cuts, in order, are the line on the surface."""
-    whole = distortion.whole_cells(points, uv)
+    halves = list(triangles(distortion.whole_cells(points, uv)))
     cuts = [(0.0, start), (1.0, end)]
-    edges = {tuple(sorted(e)) for t in triangles(whole) for e in zip(t, t[1:] + t[:1], strict=True)}
-    for a, b in edges:
+    for a, b in {tuple(sorted(edge)) for half in halves for edge in edges_of(half)}:
         side = uv[b] - uv[a]
         across = cross(q - p, side)
         t, s = cross(uv[a] - p, side) / across, cross(uv[a] - p, q - p) / across
@@ -34,16 +42,13 @@ def slow_length(points, uv, p, q, start, end):
     cuts.sort(key=lambda cut: cut[0])
     for (t0, _), (t1, _) in itertools.pairwise(cuts):
         middle = p + 0.5 * (t0 + t1) * (q - p)
-        if t1 - t0 > 1e-9 and not any(
-            all(cross(uv[b] - uv[a], middle - uv[a]) >= 0 for a, b in zip(t, t[1:] + t[:1], strict=True))
-            for t in triangles(whole)
-        ):
+        if t1 - t0 > 1e-9 and not any(holds(half, uv, middle) for half in halves):
             return np.nan
     return sum(float(np.linalg.norm(b - a)) for (_, a), (_, b) in itertools.pairwise(cuts))
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=7)
 def test_traced_lengths_equal_the_slow_twin(seed):
     """Warped, rough mesh with a ragged outline and a hole, its cells up to a third out of shape but not folded."""
     rng = np.random.default_rng(seed)
@@ -60,7 +65,11 @@ def test_traced_lengths_equal_the_slow_twin(seed):
     np.testing.assert_allclose(space, slow, rtol=1e-9)
 
 
-@pytest.mark.parametrize("direction", [(2, 1), (1, 2), (3, 1), (-1, 1), (1, -2)])
+def errors(points, uv, **more):
+    return geodesic_error(points, uv, rng=np.random.default_rng(0), **more)
+
+
+@pytest.mark.parametrize("direction", [(2, 1), (-1, 1), (1, -2)])
 def test_lines_through_nodes_do_no_harm(direction):
     """A quarter of the way from one node of a regular mesh to one in line with it, to as far before a third."""
     uv = grid(12, 12, 7.0)
@@ -77,38 +86,25 @@ def test_lines_through_nodes_do_no_harm(direction):
     assert (flat, space) == (pytest.approx([7 * 2.5 * np.hypot(*direction)]), pytest.approx(flat))
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.3, np.pi / 4])
-def test_a_cylinder_exactly_unrolled_keeps_all_lengths(angle):
-    """Up to chords: (h / R)^2 / 24 with the longest edge, the diagonal; straight lines become geodesics."""
-    uv = grid(60, 80, 10.0)
-    s = np.cos(angle) * uv[..., 0] + np.sin(angle) * uv[..., 1]
-    t = np.cos(angle) * uv[..., 1] - np.sin(angle) * uv[..., 0]
-    points = np.stack([500 * np.sin(s / 500), t, 500 * np.cos(s / 500)], axis=-1)
-    found = geodesic_error(points, uv, rng=np.random.default_rng(0))
-    assert (found.used, found.dropped) == (1000, 0)
-    assert 0 < found.p50 <= found.p95 <= found.largest <= 2 * (10 / 500) ** 2 / 24 * 1.01
-
-
 def test_uniform_growth_is_the_error_of_every_line_and_a_generator_repeats_it():
     uv = grid(20, 30, 4.0)
     points = in_space(uv)
-    found = geodesic_error(points, 1.02 * uv, rng=np.random.default_rng(0), pairs=50)
+    found = errors(points, 1.02 * uv, pairs=50)
     assert (found.p50, found.p95, found.largest) == pytest.approx((0.02, 0.02, 0.02), abs=1e-12)
     assert found.used == 50
-    uneven = geodesic_error(points, uv * [1.02, 0.98], rng=np.random.default_rng(0))
+    uneven = errors(points, uv * [1.02, 0.98])
     assert uneven.largest <= 0.02 + 1e-12
     assert uneven.p95 > 0.015
     uv = grid(10, 10)
     points = np.concatenate([uv, np.sin(uv[..., :1])], axis=-1)
-    first, again = (geodesic_error(points, uv, rng=np.random.default_rng(5)) for _ in range(2))
-    assert first == again
+    assert errors(points, uv) == errors(points, uv)
 
 
 def test_great_circles_of_a_cap():
     """Distances from the middle are kept, all others grow: at most by r / sin(r), r the angle of the rim."""
     radius, uv = 5000.0, grid(81, 81, 20.0) - 800.0
     r = np.linalg.norm(uv, axis=-1) / radius
-    points = np.concatenate([uv * np.sinc(r / np.pi)[..., None], radius * np.cos(r)[..., None]], axis=-1)
+    points = on_sphere(uv, radius)
     whole = distortion.whole_cells(points, uv)
     end = distortion.random_places(whole, 300, np.random.default_rng(0))
     ones = np.ones(300, dtype=np.intp)
@@ -118,7 +114,7 @@ def test_great_circles_of_a_cap():
     flat, space = distortion.trace_lines(points, uv, middle, end)
     # chords of 20 um, 28 um along the diagonal
     np.testing.assert_allclose(flat / space, 1.0, atol=2e-6)
-    found = geodesic_error(points, uv, rng=np.random.default_rng(0))
+    found = errors(points, uv)
     assert 1e-4 < found.p50 < found.largest < r.max() / np.sin(r.max()) - 1
 
     def great_circle(a, b):
@@ -138,23 +134,23 @@ def test_lines_that_leave_the_sheet_single_rows_and_folded_cells_are_counted():
     uv = grid(21, 21)
     points = in_space(uv)
     points[:19, 10] = np.nan
-    found = geodesic_error(points, uv, rng=np.random.default_rng(0))
+    found = errors(points, uv)
     assert found.used + found.dropped == 1000
     assert 350 < found.dropped < 500
     assert found.largest < 1e-12
     points[:, 10] = np.nan
-    assert geodesic_error(points, uv, rng=np.random.default_rng(0)).used > 400
+    assert errors(points, uv).used > 400
     uv = grid(2, 40)
     points = in_space(uv)
-    found = geodesic_error(points, uv, rng=np.random.default_rng(0))
+    found = errors(points, uv)
     assert (found.used, found.dropped) == (1000, 0)
     assert found.largest < 1e-12
     # folded over in the middle, flat lines between the layers follow the sheet there and back or are given up
     folded = uv.copy()
     folded[:, 20:, 0] = 39.5 - folded[:, 20:, 0]
-    over = geodesic_error(points, folded, rng=np.random.default_rng(0))
+    over = errors(points, folded)
     assert 0 < over.used < 1000
     assert over.largest < 1e-9 or over.largest > 0.1
-    nothing = geodesic_error(points * np.nan, uv, rng=np.random.default_rng(0))
+    nothing = errors(points * np.nan, uv)
     assert (nothing.used, nothing.dropped) == (0, 1000)
     assert np.isnan(nothing.p50)

@@ -14,6 +14,12 @@ from planish.run import position_error
 RADIUS, OFFSET = 1500.0, 4.0
 
 
+def errors_of(groups, fit, grid, values=None):
+    """Errors of the places of a grid by one fit."""
+    errors = position_error.PositionErrors(groups, Chain(fits=(fit,)), grid)
+    return errors.on(grid, np.zeros(grid.shape) if values is None else values)
+
+
 def rolled(offset=OFFSET, frame=None):
     """A sheet rolled around y, its centre at RADIUS; the middle of its base lies ``offset`` outwards."""
     y, x = np.arange(0, 800, 8.0), np.arange(-900, 901, 8.0)
@@ -68,20 +74,16 @@ def test_shares_of_the_error_of_a_place():
     grid = Grid(y_um=np.arange(100, 700, 20.0), x_um=np.arange(-800, 800, 20.0))
     known = np.zeros(grid.shape)
     known[:3] = np.nan
-    groups = {"surfaces": surfaces, "flat": flat}
-    found = position_error.PositionErrors(groups, Chain(fits=(fit,)), grid).on(grid, known)
+    found = errors_of({"surfaces": surfaces, "flat": flat}, fit, grid, known)
     assert set(found) == {"expected_error", "error_marks", "error_neutral", "error_smoothing"}
     squares = sum(found[f"error_{name}"].values.astype(float) ** 2 for name in ("marks", "neutral", "smoothing"))
     np.testing.assert_allclose(found["expected_error"].values ** 2, squares, rtol=1e-5)
     assert np.isnan(found["expected_error"].values[:3]).all()
     # a place in the flat map is a length: its angle is the length over the radius
-    x = marks[:, 0]
-    moved = marks + np.stack([-OFFSET * x / (RADIUS + OFFSET), np.zeros(9)], axis=1)
-    again = fit.refitted(moved)
-    xx, yy = np.meshgrid(grid.x_um, grid.y_um)
-    at = fit.inverse(np.stack([xx, yy], axis=-1))
-    other = again(at + np.stack([-OFFSET * at[..., 0] / (RADIUS + OFFSET), 0 * yy], axis=-1))
-    left = position_error.NEUTRAL["base"] * np.linalg.norm(other - np.stack([xx, yy], axis=-1), axis=-1)
+    shorter = np.array([1 - OFFSET / (RADIUS + OFFSET), 1.0])
+    places = np.stack(np.meshgrid(grid.x_um, grid.y_um), axis=-1)
+    other = fit.refitted(shorter * marks)(shorter * fit.inverse(places))
+    left = position_error.NEUTRAL["base"] * np.linalg.norm(other - places, axis=-1)
     np.testing.assert_allclose(found["error_neutral"].values[3:], left[3:], atol=0.03)
     assert np.nanmax(found["error_smoothing"].values) < 1e-3
     shares = position_error.error_shares(xr.Dataset(found))
@@ -102,14 +104,10 @@ def test_no_coating_seen_leaves_a_hundredth_of_the_thickness_and_sections_their_
     # places by 5 marks, unless the stage showed it.
     for fixed, wander in (([], np.hypot(0.1, 0.2)), (["col"], 0.1), (["row", "col"], 0.0)):
         cut = {"sections": xr.Dataset(shifts, attrs={"jitter_left_um": [0.3, 0.4], "fixed": fixed})}
-        found = position_error.PositionErrors({"surfaces": bare, "flat": flat} | cut, Chain(fits=(fit,)), grid).on(
-            grid, np.zeros(grid.shape)
-        )
+        found = errors_of({"surfaces": bare, "flat": flat} | cut, fit, grid)
         left = np.hypot(1.3 * 0.5, wander * np.sqrt(600 / np.sqrt(5) / 6)) * fit.transform.scale
         np.testing.assert_allclose(found["error_sections"].values, left, rtol=1e-6)
-    stated = position_error.PositionErrors({"surfaces": surfaces, "flat": flat}, Chain(fits=(fit,)), grid).on(
-        grid, np.zeros(grid.shape)
-    )
+    stated = errors_of({"surfaces": surfaces, "flat": flat}, fit, grid)
     # an offset of 0.8 um against one of 4 um, of which faces state NEUTRAL["faces"]
     ratio = found["error_neutral"].values / stated["error_neutral"].values
     np.testing.assert_allclose(np.median(ratio), 0.8 / (OFFSET * position_error.NEUTRAL["faces"]), rtol=0.05)

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from flatten.meshes import distances, grid, in_space
+from flatten.meshes import distances, grid, in_space, on_cylinder, on_sphere
 from folders import refused
 from naive import relax as slow_relax
 from naive import springs as slow_springs
 from planish.core.errors import CannotFlatten
 from planish.core.status import Outcome
 from planish.core.threads import limit_threads
-from planish.flatten import RelaxationParams, cell_strain, edge_strain, levels, multigrid, relax_grid
+from planish.flatten import cell_strain, edge_strain, levels, multigrid, relax_grid
 
 
 def cylinder(rows, cols, radius, pitch):
@@ -24,13 +24,9 @@ def cylinder(rows, cols, radius, pitch):
 
 def rolled(rows, cols, pitch, *, angle):
     """An arc of radius 1 unit by ``angle``, oblique to the grid, and its flat places; beyond pi it overhangs."""
-    size = pitch * (cols - 1)
-    y, x = np.mgrid[:rows, :cols] * pitch
-    c, s = np.cos(0.4), np.sin(0.4)
-    along, across = c * x + s * y, -s * x + c * y
-    radius = (c * size + s * pitch * (rows - 1)) / angle
-    points = np.stack([radius * np.sin(along / radius), across, radius * np.cos(along / radius)], axis=-1)
-    return points, np.stack([x, y], axis=-1)
+    uv, turn = grid(rows, cols, pitch), 0.4
+    length = uv[-1, -1] @ [np.cos(turn), np.sin(turn)]
+    return on_cylinder(uv, length / angle, turn), uv
 
 
 def bumpy(rows, cols, *, seed=2, noise=0.0):
@@ -80,10 +76,7 @@ def test_roughness_is_not_taken_for_curvature():
     assert relax_grid(bumpy(60, 60)).straight_share < 0.05
 
 
-LARGER = [pytest.param(shape, marks=pytest.mark.nightly) for shape in ((7, 9), (2, 40), (20, 5), (12, 13), (13, 16))]
-
-
-@pytest.mark.parametrize("shape", [(3, 3), (2, 2), (2, 12), (5, 6), *LARGER])
+@pytest.mark.parametrize("shape", [(2, 2), (2, 12), (5, 6), pytest.param((13, 16), marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("noise", [0.0, 0.05])
 def test_energy_minimum_equals_the_slow_twin(shape, noise):
     points = bumpy(*shape, noise=noise)
@@ -94,16 +87,7 @@ def test_energy_minimum_equals_the_slow_twin(shape, noise):
     assert found.energy == pytest.approx(energy, rel=1e-6, abs=1e-10 * found.springs)
 
 
-def test_both_methods_find_the_same_minimum():
-    for points in (bumpy(24, 32), bumpy(24, 32, noise=0.1), bumpy(31, 20)):
-        direct = relax_grid(points, tolerance=1e-10)
-        moved = relax_grid(points, method=RelaxationParams(stop="residual"))
-        assert moved.outcome is Outcome.RESTED
-        assert moved.energy == pytest.approx(direct.energy, rel=1e-4)
-        assert distances(moved.uv, direct.uv).max() < 0.01
-
-
-def test_a_cylinder_unrolls_to_its_arc_length_with_holes_and_irregular_outlines():
+def test_a_cylinder_unrolls_to_its_arc_length():
     points = cylinder(30, 200, 1000.0, 9.0)
     flat = relax_grid(points).uv
     width = np.linalg.norm(flat[:, -1] - flat[:, 0], axis=1)
@@ -111,15 +95,9 @@ def test_a_cylinder_unrolls_to_its_arc_length_with_holes_and_irregular_outlines(
     assert width == pytest.approx(2 * 1000.0 * np.arcsin(0.45), rel=1e-7)
     across, along = edge_strain(points, flat)
     assert max(np.abs(across).max(), np.abs(along).max()) < 2e-5
-    points = cylinder(20, 30, 400.0, 6.0)
-    points[8:12, 10:14] = np.nan
-    points[:5, :7] = np.nan
-    found = relax_grid(points)
-    assert np.array_equal(np.isnan(found.uv[..., 0]), np.isnan(points[..., 0]))
-    assert found.outcome is Outcome.RESTED
 
 
-@pytest.mark.parametrize("angle", [1.0, 3.0, 5.5, 12.0])
+@pytest.mark.parametrize("angle", [3.0, 12.0])
 def test_a_sheet_may_overhang_or_be_rolled_up(angle):
     """At 12 rad the sheet is rolled on itself almost twice: it has no projection that could be a start."""
     points, truth = rolled(40, 120, 5.0, angle=angle)
@@ -141,9 +119,9 @@ def test_flat_stays_flat_and_pitches_may_differ():
     assert distances(relax_grid(points[:, ::4]).uv, truth[:, ::4]).max() < 0.05 * 4.0
 
 
-@pytest.mark.parametrize("flip", [(1, 1), (-1, 1), (1, -1), (-1, -1)])
+@pytest.mark.parametrize("flip", [(1, 1, 1), (-1, 1, 1)])
 def test_the_result_has_the_handedness_and_place_of_the_start(flip):
-    points = bumpy(30, 40) * [flip[0] * 3.0, flip[1] * 3.0, 3.0] + [500.0, -70.0, 9.0]
+    points = 3.0 * bumpy(30, 40) * flip + [500.0, -70.0, 9.0]
     found = relax_grid(points)
     assert found.outcome is Outcome.RESTED
     assert not found.folded.any()
@@ -155,25 +133,23 @@ def test_the_result_has_the_handedness_and_place_of_the_start(flip):
 
 
 def test_rough_sheets_do_not_fold_and_steep_ones_are_held_open_and_named():
-    for slope in (0.2, 0.35):
-        rng = np.random.default_rng(3)
-        y, x = np.mgrid[0:60, 0:64].astype(float)
-        found = relax_grid(np.stack([x, y, rng.normal(0, slope, x.shape)], axis=-1))
-        assert not found.folded.any()
-        assert found.outcome is Outcome.RESTED
+    points = in_space(grid(60, 64))
+    noise = np.random.default_rng(3).normal(size=(60, 64))
+    points[..., 2] = 0.35 * noise
+    found = relax_grid(points)
+    assert not found.folded.any()
+    assert found.outcome is Outcome.RESTED
     # Node to node slopes of 1 and more: no flat sheet has these lengths.
-    rng = np.random.default_rng(3)
-    y, x = np.mgrid[0:60, 0:64].astype(float)
-    found = relax_grid(np.stack([x, y, rng.normal(0, 1.2, x.shape)], axis=-1))
+    points[..., 2] = 1.2 * noise
+    found = relax_grid(points)
     assert found.outcome in (Outcome.HELD_OPEN, Outcome.FOLDED, Outcome.OUT_OF_STEPS)
-    areas = cell_strain(bumpy(60, 64), found.uv)["signed_area"].values
+    areas = cell_strain(points, found.uv)["signed_area"].values
     assert (areas[~found.folded] > 0).all()
 
 
 def test_a_sphere_keeps_strain_and_says_so():
     """A cap cannot be flat: strain of the order of K a^2 / 16 (K curvature, a half size), where K a^2 = 0.0256."""
-    y, x = np.mgrid[-20:21, -20:21] * 4.0
-    points = np.stack([x, y, np.sqrt(500.0**2 - x**2 - y**2)], axis=-1)
+    points = on_sphere(grid(41, 41, 4.0) - 80.0, 500.0)
     strain = cell_strain(points, relax_grid(points).uv)
     assert 0.002 < float(strain["stretch_max"].max()) - 1 < 0.01
     assert float(strain["stretch_min"].min()) < 0.999
@@ -199,10 +175,11 @@ def test_masks_keep_the_truth(kind):
     points[gone] = truth[gone] = np.nan
     found = relax_grid(points)
     assert found.outcome is Outcome.RESTED
+    assert np.array_equal(np.isnan(found.uv[..., 0]), gone)
     assert np.sqrt(np.mean(distances(found.uv, truth) ** 2)) < 6e-4
 
 
-@pytest.mark.parametrize("weight", [0.0, 1e-3, 0.09])
+@pytest.mark.parametrize("weight", [0.0, 0.09])
 def test_doubted_nodes_do_not_steer(weight):
     points, truth = rolled(60, 80, 2.0, angle=2.0)
     rng = np.random.default_rng(1)
@@ -220,8 +197,8 @@ def test_weights_are_stiffness():
     even = relax_grid(points, tolerance=1e-9, rest="chord")
     half = np.where(np.arange(40) < 20, 1.0, 0.2) * np.ones((30, 1))
     uneven = relax_grid(points, tolerance=1e-9, rest="chord", weights=half)
-    strain = [np.abs(np.concatenate([e[:, :18].ravel() for e in edge_strain(points, k.uv)])).mean()
-              for k in (even, uneven)]  # fmt: skip
+    # Along the columns, in the stiff half.
+    strain = [np.abs(edge_strain(points, found.uv)[0][:, :18]).mean() for found in (even, uneven)]
     assert strain[1] < strain[0]
     assert uneven.energy < even.energy
     doubled = relax_grid(points, tolerance=1e-9, rest="chord", weights=np.full((30, 40), 2.0))
@@ -237,25 +214,22 @@ def test_pieces_are_named_or_refused_and_a_node_on_one_spring_is_laid_straight_o
     refused(CannotFlatten, f"2 unconnected pieces: {named}", relax_grid, points)
     refused(CannotFlatten, "at least", relax_grid, points[:1])
     points = cylinder(21, 40, 400.0, 6.0)
-    points[:, 20] = np.nan
-    points[10, 20] = cylinder(21, 40, 400.0, 6.0)[10, 20]
+    points[np.arange(21) != 10, 20] = np.nan
     points[9:12:2, 21] = np.nan
     refused(CannotFlatten, "hang together by single nodes", relax_grid, points)
     points, truth = rolled(40, 50, 1.0, angle=1.5)
-    points[:, 40:] = np.nan
-    points[20, 40] = rolled(40, 50, 1.0, angle=1.5)[0][20, 40]
+    points[:, 41:] = points[np.arange(40) != 20, 40] = np.nan
     points[19, 39] = points[21, 39] = np.nan
     truth[np.isnan(points[..., 0])] = np.nan
     assert distances(relax_grid(points).uv, truth).max() < 0.02
 
 
-@pytest.mark.parametrize("weighted", [False, True])
-def test_specks_are_dropped_and_counted(weighted):
-    points = cylinder(20, 60, 400.0, 6.0)
-    points[:, 48:] = np.nan
-    weights = np.ones((20, 60)) if not weighted else np.linspace(1, 2, 1200).reshape(20, 60)
-    alone = relax_grid(points, weights=weights)
+def test_specks_are_dropped_and_counted():
     whole = cylinder(20, 60, 400.0, 6.0)
+    points = whole.copy()
+    points[:, 48:] = np.nan
+    weights = np.linspace(1, 2, 1200).reshape(20, 60)
+    alone = relax_grid(points, weights=weights)
     points[3:5, 52:56], points[15, 59] = whole[3:5, 52:56], whole[15, 59]  # 8 nodes and 1 of 969
     found = relax_grid(points, weights=weights)
     assert found.dropped.sum() == 9
@@ -308,7 +282,7 @@ def test_the_number_of_threads_changes_no_byte():
 
 @pytest.mark.parametrize("unit", [1e-6, 1e6])
 def test_the_unit_of_length_does_not_matter(unit):
-    points = bumpy(60, 80, noise=0.1)
+    points = bumpy(30, 40, noise=0.1)
     one, other = relax_grid(points), relax_grid(points * unit)
     assert other.steps == one.steps
     np.testing.assert_allclose(other.uv / unit, one.uv, atol=1e-6)

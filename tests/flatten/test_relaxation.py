@@ -148,89 +148,47 @@ def test_steps_equal_the_slow_twin(choices):
     assert np.abs(fast.uv - start)[known].max() > 0.1  # something has happened in these steps
 
 
-def test_forces_have_the_right_sign_and_nodes_on_one_spot_pull_nowhere():
-    """Eq. (2) as printed has the other sign if x_ij points from i to j."""
-    flat = grid(2, 2)
-    for scale in (0.8, 1.2):
-        found = rested(scale * flat, rest_lengths(flat), stop="residual")
-        np.testing.assert_allclose(errors(found.uv, flat), 0, atol=1e-4)
+NIGHTLY = [pytest.param(seed, marks=pytest.mark.nightly) for seed in range(2, 10)]
+
+
+@pytest.mark.parametrize("seed", [0, 1, *NIGHTLY])
+def test_the_paper_s_mesh_is_restored_to_a_thousandth(seed):
+    """Hirn et al. (2009), section 2.3.3: always below 0.1 %; below 0.01 % for a tenth of the speed."""
+    flat, start = deformed(seed)
+    rest = rest_lengths(flat)
+    for speed in (1e-3, 1e-4):
+        found = rested(start, rest, mean_speed=speed)
+        assert found.inverted == 0
+        assert np.abs(errors(found.uv, flat)).max() < speed
+    # The first slow moment is a turning point: the mesh swings through 0.2 to 0.5 %.
+    assert 0.0015 < np.abs(errors(rested(start, rest, stop="first").uv, flat)).max() < 0.006
+
+
+def test_rest_by_the_residual_turns_cells_back_also_in_a_mirror_and_nodes_on_one_spot_pull_nowhere():
+    """A force of 1e-5 leaves less than 1e-4 of the size: the softest mode has a stiffness of (pi / 32)^2 = 0.01."""
+    flat, start = deformed(2)
+    rest = rest_lengths(flat)
+    assert relax_dynamically(start, rest, params=RelaxationParams(most_steps=1)).inverted > 0
+    for hand in ([1, 1], [-1, 1]):
+        found = rested(start * hand, rest, stop="residual")
+        assert found.inverted == 0
+        assert np.abs(errors(found.uv, flat)).max() < 1e-4
     flat = grid(6, 7)
     start = flat.copy()
     start[2, 3] = start[2, 4]
-    found = rested(start, rest_lengths(flat), stop="residual")
-    assert distances(found.uv, flat).max() < 0.01
+    assert distances(rested(start, rest_lengths(flat), stop="residual").uv, flat).max() < 0.01
 
 
-def test_the_paper_s_mesh_is_restored_to_a_thousandth():
-    """Hirn et al. (2009), section 2.3.3: always below 0.1 %; below 0.01 % for a tenth of the speed."""
-    inverted = 0
-    for seed in range(10):
-        flat, start = deformed(seed)
-        for speed, limit in ((1e-3, 1e-3), (1e-4, 1e-4)):
-            found = rested(start, rest_lengths(flat), mean_speed=speed)
-            assert found.inverted == 0
-            assert np.abs(errors(found.uv, flat)).max() < limit
-        inverted += relax_dynamically(start, rest_lengths(flat), params=RelaxationParams(most_steps=1)).inverted
-    assert inverted > 0  # cells that the single nodes turned over in the start are turned back
-
-
-def test_the_first_slow_moment_is_a_turning_point_and_the_residual_states_the_distance_of_rest():
-    """Stopping there leaves several times the paper's 0.1 %: the mesh swings through 0.2 to 0.5 %."""
-    for seed in range(10):
-        flat, start = deformed(seed)
-        found = rested(start, rest_lengths(flat), stop="first")
-        assert 0.0015 < np.abs(errors(found.uv, flat)).max() < 0.006
-    # A force of 1e-5 leaves less than 1e-4 of the size: the softest mode has a stiffness of (pi / 32)^2 = 0.01.
-    flat, start = deformed(0)
-    found = rested(start, rest_lengths(flat), stop="residual")
-    assert np.abs(errors(found.uv, flat)).max() < 1e-4
-
-
-@pytest.mark.parametrize("first_step", [0.3, 0.0025])
-def test_cutting_the_step_while_the_gradient_is_high_comes_to_a_halt(first_step):
+def test_cutting_the_step_while_the_gradient_is_high_comes_to_a_halt():
     """The gradient is a state of the mesh: a smaller step does not make it smaller, and time stands still."""
     flat, start = deformed(0)
-    params = RelaxationParams(control="feedback", fixed_dt=first_step, most_steps=2000)
+    params = RelaxationParams(control="feedback", fixed_dt=0.3, most_steps=2000)
     found = relax_dynamically(start, rest_lengths(flat), params=params)
     assert found.outcome is Outcome.OUT_OF_STEPS
     assert found.history.dt[-1] < 1e-100
     assert found.history.gradient[-1] > params.a
     assert found.history.dt.sum() < 1
     assert np.abs(errors(found.uv, flat)).max() > 0.1
-
-
-@pytest.mark.parametrize("stop", ["first", "sustained"])
-def test_forward_euler_does_not_come_to_rest(stop):
-    """Ten times the steps that the symplectic method needs, and no sign of an end."""
-    flat, start = deformed(0)
-    params = RelaxationParams(integrator="euler", stop=stop, most_steps=15_000)
-    found = relax_dynamically(start, rest_lengths(flat), params=params)
-    assert found.outcome is Outcome.OUT_OF_STEPS
-    assert found.history.mean_speed[7_500:].min() > 10 * params.mean_speed
-
-
-def test_runge_kutta_comes_to_the_same_rest_either_way_round():
-    flat, start = deformed(1)
-    found = [
-        relax_dynamically(start, rest_lengths(flat), params=RelaxationParams(integrator=name, mean_speed=1e-5))
-        for name in ("symplectic", "rk4")
-    ]
-    assert [f.outcome for f in found] == [Outcome.RESTED] * 2
-    assert distances(found[1].uv, found[0].uv).max() < 1e-3  # each is within 4e-4 of rest
-    assert found[1].steps == pytest.approx(found[0].steps, rel=0.02)  # and on the same way
-    flat, start = deformed(2)
-    found = rested(start * [-1, 1], rest_lengths(flat))
-    assert found.inverted == 0
-
-
-def test_a_cylinder_unrolls():
-    """128 x 96 nodes, equally spaced in x on an arc that is 2.6 pitches longer than its chord."""
-    half, radius = 63.5, 186.20878876922393  # solves 2 R asin(half / R) = 2 half + 2.6
-    flat = grid(96, 128) - [half, 0]
-    points = np.concatenate([flat, np.sqrt(radius**2 - flat[..., :1] ** 2)], axis=-1)
-    unrolled = np.stack([radius * np.arcsin(flat[..., 0] / radius), flat[..., 1]], axis=-1)
-    found = rested(points[..., :2], rest_lengths(points))
-    assert distances(found.uv, unrolled).max() < 0.01  # measured 0.004
 
 
 def test_the_minimum_is_newton_s():
@@ -269,7 +227,7 @@ def test_what_rests_stays_and_arrays_that_do_not_fit_are_refused():
         relax_dynamically(flat, rest_lengths(grid(5, 4)))
 
 
-@pytest.mark.parametrize("a", [0.01, 0.001])
+@pytest.mark.parametrize("a", [0.01, pytest.param(0.001, marks=pytest.mark.nightly)])
 def test_folds_are_counted(a):
     """A start with 78 cells turned over keeps two of them: a minimum, which smaller steps do not avoid."""
     flat, start = deformed(1, single=0.3)

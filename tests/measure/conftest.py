@@ -7,6 +7,8 @@ import pytest
 import xarray as xr
 from scipy import special
 
+from planish.measure import MeasureParams, measure_along_rays
+
 AIR, BASE, COAT = 40.0, 90.0, 200.0
 
 
@@ -18,9 +20,33 @@ class Made:
     surfaces: xr.Dataset
     faces: dict
 
+    def measured(self, *names, **params):
+        """Maps of these names with these numbers given."""
+        return measure_along_rays(self.volume, self.surfaces, names=names, params=MeasureParams(**params))
+
 
 def step(d, blur):
     return special.ndtr(d / blur) if blur > 0 else (d >= 0).astype(float)
+
+
+def staircase(faces, s, blur):
+    """Grey of coating, base and coating between air, blurred, at ``s`` along the normals."""
+    values = AIR
+    for grey, upper, lower in (
+        (COAT, "top", "interface_top"),
+        (BASE, "interface_top", "interface_bottom"),
+        (COAT, "interface_bottom", "bottom"),
+    ):
+        values = values + (grey - AIR) * (step(faces[upper] - s, blur) - step(faces[lower] - s, blur))
+    return values
+
+
+def about(**more):
+    """What a run says of its surfaces."""
+    return {
+        "through": "z", "top_side": "high", "polarity": 1.0, "grey_air": AIR, "grey_base": BASE,
+        "grey_coating_top": COAT, "grey_coating_bottom": COAT,
+    } | more  # fmt: skip
 
 
 @pytest.fixture(scope="session")
@@ -51,18 +77,7 @@ def made():
         # Feet of the perpendiculars, and from there along the slope.
         u = (xx + slope[1] * s / long) * (np.hypot(1, slope[1]) if slope[0] == 0 else 1.0)
         v = (yy + slope[0] * s / long) * (np.hypot(1, slope[0]) if slope[1] == 0 else 1.0)
-        if grey is None:
-            values = AIR + (COAT - AIR) * (
-                step(faces["top"] - s, blur)
-                - step(faces["interface_top"] - s, blur)
-                + step(s - faces["bottom"], blur)
-                - step(s - faces["interface_bottom"], blur)
-            )
-            values += (BASE - AIR) * (
-                step(faces["interface_top"] - s, blur) + step(s - faces["interface_bottom"], blur) - 1
-            )
-        else:
-            values = grey(s, u, v)
+        values = staircase(faces, s, blur) if grey is None else grey(s, u, v)
         if extra is not None:
             values = values + extra(s, u, v)
         if noise:
@@ -74,11 +89,10 @@ def made():
             if thick == 0:
                 data[f"interface_{side}"] = (("y", "x"), np.full(centre.shape, np.nan))
         data["status"] = (("y", "x"), np.zeros(centre.shape, np.uint8))
-        attrs = {
-            "through": "z", "top_side": "high", "grey_air": AIR, "grey_base": BASE,
-            "grey_coating_top": COAT if top else np.nan, "grey_coating_bottom": COAT if bottom else np.nan,
-            "grey_noise": noise, "polarity": 1.0, "blur_um": max(blur, 0.3), "voxel_um": [voxel] * 3,
-        }  # fmt: skip
+        attrs = about(
+            grey_noise=noise, blur_um=max(blur, 0.3), voxel_um=[voxel] * 3,
+            grey_coating_top=COAT if top else np.nan, grey_coating_bottom=COAT if bottom else np.nan,
+        )  # fmt: skip
         surfaces = xr.Dataset(data, coords={"y": y, "x": x}, attrs=attrs)
         return Made(volume=volume, surfaces=surfaces, faces=faces)
 
@@ -95,9 +109,9 @@ def rough():
     offsets = {"top": 38.0, "interface_top": 25.0, "interface_bottom": -25.0, "bottom": -37.0, "centre": 0.0}
     heights = {k: centre + v + (rng.normal(0, 0.5, centre.shape) if k != "centre" else 0) for k, v in offsets.items()}
     zz = z[:, None, None]
-    values = AIR + (COAT - AIR) * (step(heights["top"] - zz, 3.0) - step(heights["bottom"] - zz, 3.0))
+    values = staircase(heights, zz, 3.0)
     inner = step(heights["interface_top"] - zz, 3.0) - step(heights["interface_bottom"] - zz, 3.0)
-    values += (BASE - COAT) * inner + 30 * np.sin(x / 5)[None, None, :] * np.cos(y / 7)[None, :, None] * inner
+    values += 30 * np.sin(x / 5)[None, None, :] * np.cos(y / 7)[None, :, None] * inner
     values += rng.normal(0, 12.0, shape)
     volume = xr.DataArray(
         np.clip(values, 0, 255).astype(np.uint8), dims=("z", "y", "x"), coords={"z": z, "y": y, "x": x}
@@ -106,8 +120,5 @@ def rough():
     status[20:25, 10:14] = 1
     heights["top"][30, 20] = np.nan
     data = {k: (("y", "x"), v) for k, v in heights.items()} | {"status": (("y", "x"), status)}
-    attrs = {
-        "through": "z", "top_side": "high", "grey_air": AIR, "grey_base": BASE, "grey_coating_top": COAT,
-        "grey_coating_bottom": COAT, "grey_noise": 12.0, "polarity": 1.0, "blur_um": 3.0, "voxel_um": [3.0] * 3,
-    }  # fmt: skip
+    attrs = about(grey_noise=12.0, blur_um=3.0, voxel_um=[3.0] * 3)
     return Made(volume=volume, surfaces=xr.Dataset(data, coords={"y": y, "x": x}, attrs=attrs), faces=offsets)

@@ -1,5 +1,6 @@
 """Topography, envelopes, warp and two-sidedness against formulas."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +10,7 @@ import xarray as xr
 from folders import refused
 from planish.core._envelope_kernels import rolled
 from planish.core.errors import CannotMeasure
-from planish.measure import lengths, measure_along_rays, registry, roughness_numbers, scale_limited, two_sidedness
+from planish.measure import lengths, registry, roughness_numbers, scale_limited, two_sidedness
 from planish.measure.lengths import smoothed
 
 
@@ -61,22 +62,21 @@ def test_filters_pass_their_cut_off_by_half():
 
 
 def test_filters_and_heights_that_leave_nothing_are_refused():
-    with pytest.raises(CannotMeasure, match=r"0.24 x 0.4 mm large.*Give a shorter l_filter_um"):
-        scale_limited(np.zeros((60, 100)), (4.0, 4.0), s_filter_um=5.0, l_filter_um=800.0)
-    with pytest.raises(CannotMeasure, match="must be shorter"):
-        scale_limited(np.zeros((60, 100)), (4.0, 4.0), s_filter_um=500.0, l_filter_um=80.0)
-    limited = np.full((20, 20), np.nan)
+    height, limited = np.zeros((60, 100)), np.full((20, 20), np.nan)
     limited[5, 5], limited[12, 9] = 1.0, 2.0
-    refused(CannotMeasure, "too small", roughness_numbers, limited, (3.0, 3.0), s_filter_um=5.0, l_filter_um=800.0)
+    for call, values, short, long, words in (
+        (scale_limited, height, 5.0, 800.0, r"0.24 x 0.4 mm large.*Give a shorter l_filter_um"),
+        (scale_limited, height, 500.0, 80.0, "must be shorter"),
+        (roughness_numbers, limited, 5.0, 800.0, "too small"),
+    ):
+        refused(CannotMeasure, words, call, values, (4.0, 4.0), s_filter_um=short, l_filter_um=long)
 
 
 def bent(made, height):
-    sheet = made(size_um=(160.0, 200.0))
-    surfaces = sheet.surfaces.copy(deep=True)
-    y, x = np.meshgrid(surfaces["y"] - surfaces["y"].mean(), surfaces["x"] - surfaces["x"].mean(), indexing="ij")
-    for name in ("top", "bottom", "interface_top", "interface_bottom", "centre"):
-        surfaces[name] = surfaces[name] + height(y, x)
-    return sheet.volume, surfaces
+    sheet = made(size_um=(80.0, 100.0))
+    y, x = (sheet.surfaces[axis] - sheet.surfaces[axis].mean() for axis in "yx")
+    moved = {name: sheet.surfaces[name] + height(y, x) for name in sheet.faces}
+    return replace(sheet, surfaces=sheet.surfaces.assign(moved))
 
 
 @pytest.mark.parametrize(
@@ -89,9 +89,8 @@ def bent(made, height):
     ],
 )
 def test_curvatures(made, height, mean, gauss):
-    volume, surfaces = bent(made, height)
-    found = measure_along_rays(volume, surfaces, names=["mean_curvature", "gaussian_curvature", "warp", "tilt"])
-    middle = (40, 50)
+    found = bent(made, height).measured("mean_curvature", "gaussian_curvature", "warp", "tilt")
+    middle = (20, 25)
     # second differences over 2 um: 1e-5 relative for these radii; the saddle's middle lies half a pitch off
     if mean is not None:
         assert float(found["mean_curvature"][middle]) == pytest.approx(mean, abs=2e-3)
@@ -105,10 +104,10 @@ def test_curvatures(made, height, mean, gauss):
 
 def test_two_sides(made):
     sheet = made(top=16.0, bottom=12.0, slope=(0.0, 0.3))
-    found = measure_along_rays(sheet.volume, sheet.surfaces, names=["coating_difference", "topography_difference"])
+    found = sheet.measured("coating_difference", "topography_difference").isel(y=slice(10, -10), x=slice(15, -15))
     # topographies: 25 + 16 above the centre, 25 + 12 below
-    np.testing.assert_allclose(found["coating_difference"].values[10:-10, 15:-15], 4.0, atol=2e-3)
-    np.testing.assert_allclose(found["topography_difference"].values[10:-10, 15:-15], 4.0, atol=2e-3)
+    for name in ("coating_difference", "topography_difference"):
+        np.testing.assert_allclose(found[name], 4.0, atol=2e-3)
     rng = np.random.default_rng(0)
     shared, own = rng.normal(size=(2, 200, 300))
     maps = xr.Dataset(

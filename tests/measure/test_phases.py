@@ -6,9 +6,7 @@ from pydantic import ValidationError
 
 from folders import refused
 from planish.core.errors import CannotMeasure
-from planish.measure import MeasureParams, depth_profiles, measure_along_rays
-
-MIDDLE = (slice(10, -10), slice(22, -22))
+from planish.measure import MeasureParams, depth_profiles
 
 
 def sharp(inside, *, grey=90.0, other=40.0):
@@ -26,25 +24,20 @@ def test_porosity_of_a_flat_void(made, slope):
     """A void of 10 um in the core of 40 um, 5 um left out at both ends: a quarter; of grey, the same."""
     sheet = made(sharp(lambda s, _u, _v: np.abs(s - 3.0) < 5.0), top=0.0, bottom=0.0, voxel=1.0,
                  size_um=(40.0, 130.0), slope=(0.0, slope), blur=0.3)  # fmt: skip
-    options = MeasureParams(edge_um=5.0)
-    found = measure_along_rays(sheet.volume, sheet.surfaces, names=["porosity"], params=options)
-    # two boundaries of a voxel each: the mean over rays is nearer than one ray
-    values = found["porosity"].values[8:-8, 30:-30]
-    assert float(values.mean()) == pytest.approx(0.25, abs=0.01)
-    np.testing.assert_allclose(values, 0.25, atol=1.0 / 40)
-    grey = MeasureParams(edge_um=5.0, solid_grey=90.0 + 1e-6)
-    found = measure_along_rays(sheet.volume, sheet.surfaces, names=["porosity"], params=grey)
-    assert float(found["porosity"].values[8:-8, 30:-30].mean()) == pytest.approx(0.25, abs=0.01)
+    for grey in ({}, {"solid_grey": 90.0 + 1e-6}):
+        values = sheet.measured("porosity", edge_um=5.0, **grey)["porosity"].values[8:-8, 30:-30]
+        # two boundaries of a voxel each: the mean over rays is nearer than one ray
+        assert float(values.mean()) == pytest.approx(0.25, abs=0.01)
+        np.testing.assert_allclose(values, 0.25, atol=1.0 / 40)
 
 
 def test_unresolved_voids_are_seen_by_the_mean_grey_only(made):
     """Half of a solid's grey everywhere is a porosity of one half, or of none."""
     sheet = made(top=0.0, bottom=0.0)
-    for options, value in ((MeasureParams(solid_grey=140.0), 0.5), (MeasureParams(), 0.0)):
-        found = measure_along_rays(sheet.volume, sheet.surfaces, names=["porosity"], params=options)
+    for solid, value in (({"solid_grey": 140.0}, 0.5), ({}, 0.0)):
+        found = sheet.measured("porosity", **solid)
         assert float(found["porosity"].mean()) == pytest.approx(value, abs=1e-3)
-    with pytest.raises(CannotMeasure, match="lies beyond the base"):
-        measure_along_rays(sheet.volume, sheet.surfaces, names=["porosity"], params=MeasureParams(solid_grey=80.0))
+    refused(CannotMeasure, "lies beyond the base", sheet.measured, "porosity", solid_grey=80.0)
 
 
 def test_profile_of_a_ramp(made):
@@ -71,15 +64,13 @@ def test_filler_and_coating_that_has_run_in(made):
         return np.where((s > 16) & (s <= 25) | (np.abs(s + 8) < 3), 200.0, values)
 
     sheet = made(paint, top=16.0, bottom=0.0, voxel=1.0, size_um=(30.0, 60.0), blur=0.3)
-    options = MeasureParams(edge_um=5.0, filler_grey=145.0, filler_g_cm3=2.7)
-    found = measure_along_rays(sheet.volume, sheet.surfaces, names=["filler", "filler_weight"], params=options)
+    found = sheet.measured("filler", "filler_weight", edge_um=5.0, filler_grey=145.0, filler_g_cm3=2.7)
     share = float(np.nanmedian(found["filler"]))
     # of the 36 um from -20 to 16; grains are 6 or 7 voxels thick
     assert share == pytest.approx(6 / 36, abs=1.2 / 36)
     assert float(np.nanmedian(found["filler_weight"])) == pytest.approx(share * 50 * 2.7, rel=1e-4)
-    refused(CannotMeasure, "filler_g_cm3", measure_along_rays, sheet.volume, sheet.surfaces, names=["filler_weight"])
-    bare = made(top=0.0, bottom=0.0)
-    refused(CannotMeasure, "Give filler_grey", measure_along_rays, bare.volume, bare.surfaces, names=["filler"])
+    refused(CannotMeasure, "filler_g_cm3", sheet.measured, "filler_weight")
+    refused(CannotMeasure, "Give filler_grey", made(top=0.0, bottom=0.0).measured, "filler")
 
 
 def test_depth_of_ink_and_its_censoring(made):
@@ -90,9 +81,7 @@ def test_depth_of_ink_and_its_censoring(made):
         return 300.0 * ((s <= 41.0) & (s > 41.0 - deep) & (u < 20))
 
     sheet = made(extra=ink, blur=0.5, voxel=1.0, size_um=(60.0, 100.0))
-    options = MeasureParams(ink_grey=(350.0, 600.0), ink_reach_um=20.0)
-    names = ["ink_depth_50", "ink_depth_90"]
-    found = measure_along_rays(sheet.volume, sheet.surfaces, names=names, params=options)
+    found = sheet.measured("ink_depth_50", "ink_depth_90", ink_grey=(350.0, 600.0), ink_reach_um=20.0)
     at = (slice(10, 35), slice(10, 60))
     # the ink's lower end lies between voxels, its upper one where the face's blur passes the range
     np.testing.assert_allclose(found["ink_depth_50"].values[at], 5.0, atol=0.6)
@@ -101,5 +90,5 @@ def test_depth_of_ink_and_its_censoring(made):
     meaning = dict(zip(reasons.attrs["flag_values"], reasons.attrs["flag_meanings"].split(), strict=True))
     assert (meaning[int(reasons[20, 90])], meaning[int(reasons[52, 30])]) == ("no_ink", "ink_reaches_limit")
     assert np.isnan(found["ink_depth_50"].values[20, 90])
-    refused(CannotMeasure, "ink_grey", measure_along_rays, sheet.volume, sheet.surfaces, names=["ink_depth_50"])
+    refused(CannotMeasure, "ink_grey", sheet.measured, "ink_depth_50")
     refused(ValidationError, "give the smaller first", MeasureParams, ink_grey=(2.0, 1.0))

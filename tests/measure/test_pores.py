@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from planish.measure import MeasureParams, measure_along_rays, structure
+from planish.measure import structure
 from planish.measure._pore_kernels import inscribed
 
 STEP = (3.0, 2.0, 1.0)
@@ -70,9 +70,9 @@ def holed(made):
     return made(paint, top=0.0, bottom=0.0, voxel=1.0, size_um=(140.0, 140.0), blur=0.3, air_um=10.0)
 
 
+@pytest.mark.ci
 def test_sizes_of_known_pores(holed):
-    options = MeasureParams(edge_um=2.0, pore_limit_um=25.0)
-    found = measure_along_rays(holed.volume, holed.surfaces, names=["pore_chord", "pore_diameter"], params=options)
+    found = holed.measured("pore_chord", "pore_diameter", edge_um=2.0, pore_limit_um=25.0)
     lower, upper = found.isel(y=slice(30, 65)), found.isel(y=slice(75, 110))
     # squares of 12 voxels: the half-way level lies between samples
     assert float(lower["pore_chord"].median()) == pytest.approx(12.0, abs=1.0)
@@ -82,6 +82,5 @@ def test_sizes_of_known_pores(holed):
     assert float(upper["pore_diameter"].max()) == pytest.approx(15.0, abs=1.5)
     assert np.isnan(found["pore_diameter"].values[10, 10])
     # beyond the limit a pore is no larger
-    capped = MeasureParams(edge_um=2.0, pore_limit_um=8.0)
-    small = measure_along_rays(holed.volume, holed.surfaces, names=["pore_diameter"], params=capped)
+    small = holed.measured("pore_diameter", edge_um=2.0, pore_limit_um=8.0)
     assert float(small["pore_diameter"].max()) <= 8.0 + 1e-3

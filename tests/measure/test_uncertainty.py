@@ -42,6 +42,7 @@ def rough_sheet(voxel, noise, seed):
     return volume, dict(zip(NAMES, (top, bottom, base, top + base + bottom), strict=True))
 
 
+@pytest.mark.ci
 def test_z_scores_of_another_makers_sheets():
     """Pooled over sheets with partial volume: rms 0.85 to 1.2, and two standard errors hold 93 %."""
     scores = {name: [] for name in NAMES}
@@ -59,19 +60,16 @@ def test_z_scores_of_another_makers_sheets():
 
 
 def test_the_mean_counts_what_neighbours_share():
-    surfaces = {"n": 6000, "pitch": 3.0}
-    side = int(np.sqrt(surfaces["n"]))
-    at = np.arange(side) * surfaces["pitch"]
-    about = {"patch_um2": 14 * 9.0, "common_um": 0.1}
-    se = np.full((side, side), np.hypot(0.5, 0.1))
+    at = np.arange(77) * 3.0
+    se = np.full((77, 77), np.hypot(0.5, 0.1))
     data = xr.Dataset(
         {"thickness": (("y", "x"), 80 + 0 * se, {"units": "um", "role": "property"}),
-         "thickness_se": (("y", "x"), se, about)},
+         "thickness_se": (("y", "x"), se, {"patch_um2": 14 * 9.0, "common_um": 0.1})},
         {"y": at, "x": at},
     )  # fmt: skip
     facts = run_facts.property_facts(data)["thickness"]
-    assert facts.n_independent == side * side // 14
-    assert facts.mean_standard_error == pytest.approx(np.hypot(0.5 / np.sqrt(side * side / 14), 0.1), rel=1e-3)
+    assert facts.n_independent == 77 * 77 // 14
+    assert facts.mean_standard_error == pytest.approx(np.hypot(0.5 / np.sqrt(77 * 77 / 14), 0.1), rel=1e-3)
 
 
 def test_standard_error_of_a_pixel_beside_drawn_fields():
@@ -91,16 +89,19 @@ def test_standard_error_of_a_pixel_beside_drawn_fields():
 def test_averaging_and_shared_noise_leave_fewer_independent_values():
     plain = {"air": 40.0, "base": 90.0, "coating_top": 200.0, "coating_bottom": 200.0, "polarity": 1.0,
              "blur_um": 2.5, "padding": np.nan}  # fmt: skip
-    shared_noise = uncertainty.SharedNoise.of
-    layout = {"voxel_um": 3.0, "pitch_um": (3.0, 3.0), "column_px": 1.0}
-    white = shared_noise(Greys(noise=8.0, single_noise=8.0, **plain), **layout)
+
+    def shared_noise(noise, single=8.0, averaged=0.0, **more):
+        greys = Greys(noise=noise, single_noise=single, averaged=averaged, **plain)
+        return uncertainty.SharedNoise.of(greys, voxel_um=3.0, pitch_um=(3.0, 3.0), column_px=1.0, **more)
+
+    white = shared_noise(8.0)
     assert (white.patch_um2, white.noise_um) == (pytest.approx(14 * 9.0), pytest.approx(8.0**2 * 3.0))
-    averaged = shared_noise(Greys(noise=2.0, single_noise=8.0, averaged=1.0, **plain), **layout)
+    averaged = shared_noise(2.0, averaged=1.0)
     assert averaged.patch_um2 == pytest.approx((14 + 4 * np.pi) * 9.0)
     assert averaged.noise_um < white.noise_um
-    shared = shared_noise(Greys(noise=8.0, single_noise=8.0, **plain), noise_um=3 * white.noise_um, **layout)
+    shared = shared_noise(8.0, noise_um=3 * white.noise_um)
     assert shared.noise_um == pytest.approx(3 * white.noise_um)
     assert shared.patch_um2 == pytest.approx((14 + 8) * 9.0)
     # Without noise, what little scatters in the air is no measure of anything: it made 2.5 mm of a coating's error.
-    clean = shared_noise(Greys(noise=4e-5, single_noise=4e-5, **plain), noise_um=0.05, **layout)
+    clean = shared_noise(4e-5, 4e-5, noise_um=0.05)
     assert (clean.patch_um2, clean.common_um) == (pytest.approx(14 * 9.0), uncertainty.common_errors(3.0))
