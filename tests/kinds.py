@@ -76,6 +76,33 @@ IN_RESIN = replace(
 )  # fmt: skip
 
 
+#: All of them by name.
+SPECIMENS: dict[str, SpecimenParams] = {
+    "small": SMALL,
+    "other": OTHER,
+    "sections": replace(
+        SMALL, size_um=(1000.0, 760.0), sections=SectionsParams(pixel_um=3.0, section_um=4.0, missing=0.03)
+    ),
+    "scan": replace(SMALL, size_um=(1000.0, 760.0)),
+    "no-holes": replace(
+        DEMO,
+        seed=5,
+        size_um=(1500.0, 1200.0),
+        holes=replace(DEMO.holes, count=0),
+        camera=replace(DEMO.camera, turn_range_deg=180.0),
+    ),
+    "uncoated": UNCOATED,
+    "resin": IN_RESIN,
+    "demo": DEMO,
+}
+
+#: How a volume is written, where not as a stack.
+INSTRUMENTS: dict[str, Instrument] = {"sections": "sections", "scan": "scanner"}
+
+#: Poses of the small specimen.
+POSES = ("upright", "laid", "bottom")
+
+
 @dataclass(frozen=True)
 class Files:
     """A specimen on disk: the paths, and what ``planish link`` has to be told about them."""
@@ -96,37 +123,47 @@ class Kinds:
         recipe = RECIPES[name]
         return make_once(lambda folder: recipe(self, folder), f"run-{name}", self._factory) / "run"
 
-    def written(self, name: str, params: SpecimenParams, volume: Instrument = "stack") -> Path:
+    def written(self, name: str) -> Path:
         """Folder with a specimen, pickled, and its files."""
 
         def make(folder: Path) -> None:
-            sheet = self.specimen("small", SMALL).sheet if params is OTHER else None
-            specimen = make_specimen(params, sheet=sheet)
-            files = write_instruments(specimen, folder, volume=volume)
+            sheet = self.specimen("small").sheet if name == "other" else None
+            specimen = make_specimen(SPECIMENS[name], sheet=sheet)
+            files = write_instruments(specimen, folder, volume=INSTRUMENTS.get(name, "stack"))
             # The way from a place in the volume to the material is a function within a function.
             (folder / "specimen.pickle").write_bytes(cloudpickle.dumps(replace(specimen, files=files)))
 
         return make_once(make, f"specimen-{name}", self._factory)
 
-    def specimen(self, name: str, params: SpecimenParams = SMALL) -> Specimen:
-        """The specimen, with its truth."""
-        return _unpickled(self.written(name, params) / "specimen.pickle")
+    def specimen(self, name: str) -> Specimen:
+        """The specimen of this name or of the run of this kind, with its truth."""
+        return _unpickled(self.written("small" if name in POSES else name) / "specimen.pickle")
 
-    def files(self, name: str, params: SpecimenParams, volume: Instrument = "stack") -> InstrumentFiles:
+    def files(self, name: str) -> InstrumentFiles:
         """Its files, which :func:`write_instruments` describes."""
-        files = _unpickled(self.written(name, params, volume) / "specimen.pickle").files
+        specimen = self.specimen(name)
+        files = specimen.files
         assert files is not None
-        return files
+        if name != "laid":
+            return files
+        last_um = specimen.volume["y"].values[-1]
+
+        def to_physical(points: np.ndarray, _sections: object = None) -> np.ndarray:
+            x, y, z = np.moveaxis(points, -1, 0)
+            return np.stack([x, last_um - z, y], axis=-1)
+
+        laid = self.laid
+        return replace(files, volume=laid.volume, image=laid.image, through="y", to_physical=to_physical)
 
     @property
     def small(self) -> InstrumentFiles:
         """Files of the small specimen."""
-        return self.files("small", SMALL)
+        return self.files("small")
 
     @property
     def other(self) -> InstrumentFiles:
         """Files of the same sheet by other instruments."""
-        return self.files("other", OTHER)
+        return self.files("other")
 
     @property
     def laid(self) -> Files:
@@ -193,10 +230,13 @@ def _bottom(kinds: Kinds, folder: Path) -> None:
 
 def _sections(kinds: Kinds, folder: Path) -> None:
     """Serial sections and an image."""
-    params = replace(
-        SMALL, size_um=(1000.0, 760.0), sections=SectionsParams(pixel_um=3.0, section_um=4.0, missing=0.03)
-    )
-    files = kinds.files("sections", params, "sections")
+    files = kinds.files("sections")
+    _link(folder, files.volume, files.image, "--through", files.through)
+
+
+def _scan(kinds: Kinds, folder: Path) -> None:
+    """Slices across the axis of rotation, as NRecon writes them, and an image."""
+    files = kinds.files("scan")
     _link(folder, files.volume, files.image, "--through", files.through)
 
 
@@ -223,32 +263,25 @@ def _chain(kinds: Kinds, folder: Path) -> None:
 
 def _no_holes(kinds: Kinds, folder: Path) -> None:
     """A sheet without holes, turned by any angle under the camera, found by its texture."""
-    params = replace(
-        DEMO,
-        seed=5,
-        size_um=(1500.0, 1200.0),
-        holes=replace(DEMO.holes, count=0),
-        camera=replace(DEMO.camera, turn_range_deg=180.0),
-    )
-    files = kinds.files("no-holes", params)
+    files = kinds.files("no-holes")
     _link(folder, files.volume, files.image)
 
 
 def _uncoated(kinds: Kinds, folder: Path) -> None:
     """A sheet of fibres without coating."""
-    files = kinds.files("uncoated", UNCOATED)
+    files = kinds.files("uncoated")
     _link(folder, files.volume, files.image)
 
 
 def _resin(kinds: Kinds, folder: Path) -> None:
     """A coated sheet of fibres in resin."""
-    files = kinds.files("resin", IN_RESIN)
+    files = kinds.files("resin")
     _link(folder, files.volume, files.image)
 
 
 def _demo(kinds: Kinds, folder: Path) -> None:
     """What ``planish demo`` links: six holes."""
-    files = kinds.files("demo", DEMO)
+    files = kinds.files("demo")
     _link(folder, files.volume, files.image)
 
 
@@ -257,6 +290,7 @@ RECIPES: dict[str, Callable[[Kinds, Path], None]] = {
     "laid": _laid,
     "bottom": _bottom,
     "sections": _sections,
+    "scan": _scan,
     "other-map": _other_map,
     "volumes": _volumes,
     "images": _images,

@@ -1,15 +1,12 @@
-"""Layers onto one reference: runs, two volumes, two images, chains; which side, which way, and what is refused."""
+"""Layers onto one reference: sizes, sides, directions and marks that are given, and what is refused."""
 
-import filecmp
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import tifffile
 import xarray as xr
 
-from kinds import OTHER
 from planish.app.pictures import Pictures
 from planish.core.transform import Similarity
 from planish.io import ImageParams, VolumeParams
@@ -17,47 +14,11 @@ from planish.marks import HoleParams, cut_holes, find_holes, read_any, write_mar
 from planish.register import RegistrationParams, fit_transform
 from planish.resample.maps import _with_angles
 from planish.run import Layer, LayerHoles, LayerParams, Study, link, open_run, read_study, write_study
-from planish.validate import pair_errors
 
 
-@pytest.fixture(scope="module")
-def other(made_once):
-    """The same sheet, bent otherwise, under another scanner and another camera."""
-    return made_once.specimen("other", OTHER)
-
-
-@pytest.fixture(scope="module")
-def other_files(made_once):
-    return made_once.other
-
-
-@pytest.fixture(scope="module")
-def other_run(kinds):
-    return kinds("other-map")
-
-
-@pytest.fixture(scope="module")
-def image_pair(kinds):
-    """The image of one camera on the pixels of the other's."""
-    return open_run(kinds("images"))
-
-
-def test_a_run_linked_to_an_image_is_the_volume_linked_to_it(passes, linked_run):
-    again = linked_run.parent / "again"
-    # The very file: each worker has one of its own, and the study names it.
-    passes("link", linked_run, open_run(linked_run).study.layers[-1].path, "-o", again)
-    compared = filecmp.dircmp(linked_run, again)
-    files = [p.relative_to(linked_run) for p in linked_run.rglob("*") if p.is_file()]
-    assert len(files) > 20
-    assert not compared.left_only
-    assert not compared.right_only
-    _, different, missing = filecmp.cmpfiles(linked_run, again, [str(f) for f in files], shallow=False)
-    assert (different, missing) == ([], [])
-
-
-def test_a_size_may_be_that_of_one_layer_alone(passes, refuses, specimen_files, other_files, tmp_path):
+def test_a_size_may_be_that_of_one_layer_alone(passes, refuses, kinds, tmp_path):
     """Two scans of uncertain resolution: --pixel-um would hold for both."""
-    layers = ("link", f"small={specimen_files[1]}", f"large={other_files.image}", "--override-size")
+    layers = ("link", f"small={kinds.small.image}", f"large={kinds.other.image}", "--override-size")
     wide = ("--set", "small.image.pixel_um=5.5,5.5", "--scale-tolerance", "0.12")
     passes(*layers, *wide, "-o", tmp_path / "wide", codes=(0, 4))
     run = open_run(tmp_path / "wide")
@@ -66,99 +27,22 @@ def test_a_size_may_be_that_of_one_layer_alone(passes, refuses, specimen_files, 
     refuses(*layers, "--set", "tiny.image.pixel_um=5.5,5.5", words="--set: 'tiny.image.pixel_um=5.5,5.5'", code=2)
 
 
-def test_two_volumes_show_the_same_material_at_the_same_pixel(specimen, other, kinds):
-    found, other_run = open_run(kinds("volumes")), kinds("other-map")
-    assert found.passed
-    # Truth needs the run of either layer.
-    sheets = {"first": open_run(kinds("upright")).sheet(), "second": open_run(other_run).sheet()}
-    values = pair_errors([(specimen, kinds.small), (other, kinds.other)], replace(found, sheets=sheets))
-    assert values["pair_median"] < 1.5
-    assert values["pair_p95"] < 3.0
-    assert values["pair_r"] > 0.97
-    compared = [check for check in found.checks if check.name == "side and specimen"]
-    assert [check.state for check in compared] == ["pass"]
-    assert "coatings of first and second go together side by side" in compared[0].sentence
-    assert [check.state for check in found.checks if check.name == "one sheet"] == ["pass", "pass"]
-    registration = found.results.layers[0].registration
-    assert registration.path == ("first", "second")
-    assert registration.orientation.mirrored_volume is False
-    grid = found.groups["layers/second"]
-    own = xr.open_datatree(other_run / "maps.zarr", engine="zarr")["maps"].to_dataset()
-    # The reference itself is not resampled at all.
-    np.testing.assert_array_equal(grid["coating_top"].values, own["coating_top"].values)
-    same = next(row for row in found.results.correlations if row.a_map == "thickness")
-    assert abs(same.difference_mean) < 0.5
-    assert same.limits[0] < same.difference_mean < same.limits[1]
-
-
-def test_an_image_lies_on_another_image(specimen, other, image_pair):
-    found, truth = image_pair, other.truth
-    layer = found.groups["layers/white"]
-    assert found.results.layers[0].registration.matched == 5
-    # Where a pixel of the reference lies in the first image, and the material that this one shows there.
-    y, x = np.meshgrid(layer["y"].values, layer["x"].values, indexing="ij")
-    shown = np.isfinite(layer["image"].values)
-    marks = found.registrations["white"].pairs()
-    moving, fixed = (np.stack([marks[f"{s}_{a}"].values for a in "xy"], axis=1) for s in ("moving", "fixed"))
-    back = fit_transform(moving, fixed, model="similarity", mirrored=False).inverse(np.stack([x, y], axis=-1))
-    material = specimen.pose.inverse(back[shown])
-    off = np.hypot(*(material - np.stack([truth["u"].values[shown], truth["v"].values[shown]], axis=-1)).T)
-    assert np.nanmedian(off) < 1.5
-    # Without the rims of the holes. Either camera has noise and an uneven reflectance of its own.
-    fine = found.results.correlations[0].r
-    assert fine > 0.5
-    far = found.groups["layers/uv"]
-    both = layer["valid"].values & far["valid"].values & np.roll(layer["valid"].values, 8, axis=1)
-    aside = np.corrcoef(np.roll(layer["image"].values, 8, axis=1)[both], far["image"].values[both])[0, 1]
-    assert aside < fine - 0.1
-    assert np.nanmax(layer["expected_error"].values) < 10.0
-
-
-def test_a_chain_is_composed_with_its_errors(passes, linked_run, kinds, tmp_path):
-    """Sheet to its own image to the other camera's image."""
-    out = kinds("chain")
-    assert "ct to near" in out.with_name("printed.txt").read_text(encoding="utf-8")
-    results = json.loads((out / "results.json").read_text())
-    ct, near, far = results["layers"]
-    assert (ct["registration"]["to"], ct["registration"]["path"]) == ("near", ["ct", "near", "far"])
-    assert (near["registration"]["to"], far["registration"], far["name"]) == ("far", None, "far")
-    errors = [layer["registration"]["expected_error"]["median_um"] for layer in (ct, near)]
-    assert errors[0] > errors[1]
-    tree = xr.open_datatree(out / "maps.zarr", engine="zarr")
-    assert tree["layers/ct"]["coating_top"].shape == tree["layers/far"]["image"].shape
-    text, _ = passes("link", f"ct={linked_run}", f"far={kinds.other.image}", "-o", tmp_path / "direct", "--json")
-    direct = next(r["r"] for r in json.loads(text)["correlations"] if r["a_map"] == "coating_top")
-    chained = next(r["r"] for r in results["correlations"] if (r["a_map"], r["b"]) == ("coating_top", "far"))
-    assert chained == pytest.approx(direct, abs=0.02)
-
-    passes("report", out, "-o", tmp_path / "page.html")
-    assert (tmp_path / "page.html").read_bytes() == (out / "report.html").read_bytes()
-
-
-@pytest.mark.nightly
-def test_a_chain_is_done_again_to_the_same_bytes(passes, kinds, tmp_path):
-    _, err = passes("run", kinds("chain") / "run.toml", "-o", tmp_path / "again")
-    assert "same bytes" in err
-
-
-def test_an_image_of_the_bottom_is_mirrored_when_it_is_given_as_such_and_refused_when_not(
+def test_a_mirrored_image_is_refused_and_linked_when_it_is_declared_or_of_the_bottom(
     passes, refuses, linked_run, specimen_files, tmp_path
 ):
     flipped = tmp_path / "flipped.tif"
     tifffile.imwrite(flipped, tifffile.imread(specimen_files[1])[:, ::-1])
-    size = ("--pixel-um", "5", "--json")
-    refuses("link", linked_run, flipped, *size, words="mirror")
+    files = ("link", linked_run, flipped, "--pixel-um", "5", "--json")
+    refuses(*files, words="--mirror")
+    out, _ = passes(*files, "-o", tmp_path / "mirrored", "--mirror")
+    assert json.loads(out)["layers"][0]["registration"]["mirrored"] is True
     # It is a picture of the top for all that: its texture shows it.
-    side = ("--image-side", "bottom", "-o", tmp_path / "run")
-    out, err = passes("link", linked_run, flipped, *size, *side, codes=(4,))
+    out, err = passes(*files, "--image-side", "bottom", "-o", tmp_path / "run", codes=(4,))
     assert "fail: side and specimen: The image correlates with the coating of the top side" in err
-    sheet = json.loads(out)["layers"][0]
-    registration = sheet["registration"]
-    assert registration["mirrored"] is True
-    assert registration["orientation"]["image_side"] == "bottom"
-    assert registration["orientation"]["mirrored_volume"] is False
-    assert sheet["headline"] == "coating_bottom"
-    assert "bottom side of the sheet, as given" in registration["orientation"]["sentence"]
+    registration = json.loads(out)["layers"][0]["registration"]
+    orientation = registration["orientation"]
+    assert (registration["mirrored"], orientation["mirrored_volume"]) == (True, False)
+    assert "bottom side of the sheet, as given" in orientation["sentence"]
 
 
 @pytest.mark.parametrize(("given", "code"), [pytest.param("-7.0", 0, marks=pytest.mark.nightly), ("60", 4)])
@@ -179,15 +63,6 @@ def test_machine_directions_that_contradict_each_other_are_seen(
     assert orientation["md_deg_fixed_from_moving"] == pytest.approx(rotation % 180, abs=0.2)
     assert ("machine direction" in err) == (code == 4)
     assert any(check["name"] == "machine direction" for check in results["checks"])
-
-
-def test_images_are_compared_away_from_rims(image_pair):
-    """The burnt rims of two images are alike on any paper: they must not count."""
-    layer = image_pair.groups["layers/uv"]
-    fixed = np.stack([image_pair.registrations["white"].pairs()[f"fixed_{a}"].values for a in "xy"], axis=1)
-    y, x = np.meshgrid(layer["y"].values, layer["x"].values, indexing="ij")
-    nearest = np.min(np.hypot(x[..., None] - fixed[:, 0], y[..., None] - fixed[:, 1]), axis=-1)
-    assert nearest[layer["valid"].values].min() > 160.0
 
 
 def sheet_with(holes):
@@ -256,38 +131,65 @@ def test_the_design_names_the_holes(passes, specimen, linked_run, specimen_files
     assert len(set(labels)) == registration["matched"] == 5
 
 
-@pytest.mark.nightly
-def test_a_refined_link_stands_beside_that_of_the_marks(passes, linked_run, specimen_files, tmp_path):
-    """Marks that somebody has clicked, 4 um off: the maps bring them nearer to where they belong."""
-    marks = read_any(linked_run / "marks.csv")
+def test_given_marks_replace_the_search(passes, linked_run, specimen_files, tmp_path):
+    marks = linked_run / "marks.csv"
+    out, _ = passes("link", linked_run, specimen_files[1], "--marks", marks, "-o", tmp_path / "run", "--json")
+    found = json.loads(out)["layers"][0]["registration"]
+    assert found["source"] == "csv"
+    # Pairs from a file say nothing of their errors: all weigh the same.
+    pairs = read_any(marks)
+    moving, fixed = (np.stack([pairs[f"{s}_{a}"].values for a in "xy"], axis=1) for s in ("moving", "fixed"))
+    plain = fit_transform(moving, fixed, model="auto", mirrored=False, lowest="similarity")
+    assert found["scale"] == pytest.approx(plain.transform.scale, rel=1e-12)
+    weighed = open_run(linked_run).results.layers[0].registration.scale
+    assert found["scale"] == pytest.approx(weighed, rel=3e-4)
+
+
+def test_marks_given_in_the_volume(passes, specimen, linked_run, specimen_files, tmp_path):
+    in_volume = specimen.warp.points(*specimen.sheet.holes.T)
+    in_image = specimen.pose(specimen.sheet.holes)
+    rows = ["label,volume_x_um,volume_y_um,volume_z_um,fixed_x_um,fixed_y_um"]
+    ends = zip(in_volume, in_image, strict=True)
+    rows += [f"h{k},{p[0]},{p[1]},{p[2]},{q[0]},{q[1]}" for k, (p, q) in enumerate(ends)]
+    (tmp_path / "m.csv").write_text("\n".join(rows))
+    files = (linked_run, specimen_files[1])
+    out, _ = passes("link", *files, "--marks", tmp_path / "m.csv", "-o", tmp_path / "run", "--json")
+    assert json.loads(out)["layers"][0]["registration"]["rms_um"] < 1.0
+
+
+def clicked(marks, path):
+    """Marks that somebody has clicked, 4 um off, as a file."""
     rng = np.random.default_rng(3)
-    clicked = marks.assign({f"fixed_{a}": marks[f"fixed_{a}"] + rng.normal(0, 4, marks.sizes["mark"]) for a in "xy"})
-    write_marks(clicked, tmp_path / "clicked.csv")
-    arguments = (linked_run, specimen_files[1], "--marks", tmp_path / "clicked.csv", "-o", tmp_path / "run", "--json")
-    out, _ = passes("link", *arguments, "--refine", "affine")
-    refined = json.loads(out)["refinement"]
-    assert 0 < refined["moved_rms_um"] < 15
-    assert refined["correlation"]["registration"] in ("refined (cross-fitted)", "refined (searched null)")
-    tree = xr.open_datatree(tmp_path / "run" / "maps.zarr", engine="zarr")
-    right = open_run(linked_run).linked
-    ok = right["valid"].values & tree["linked"]["valid"].values & np.isfinite(tree["refined"]["u"].values)
+    off = {f"fixed_{a}": marks[f"fixed_{a}"] + rng.normal(0, 4, marks.sizes["mark"]) for a in "xy"}
+    write_marks(marks.assign(off), path)
+    return {"marks": str(path), "refine": "affine"}
 
-    def off(group):
-        return np.hypot(*(tree[group][a].values[ok] - right[a].values[ok] for a in ("u", "v")))
 
-    assert np.sqrt(np.mean(off("refined") ** 2)) < 0.7 * np.sqrt(np.mean(off("linked") ** 2))
+def test_a_refined_link_stands_beside_that_of_the_marks_and_is_nearer_to_the_truth(
+    linked, linked_run, specimen_files, tmp_path
+):
+    given = clicked(read_any(linked_run / "marks.csv"), tmp_path / "clicked.csv")
+    run = link(linked_run, specimen_files[1], registration=given, out=tmp_path / "run")
+    assert 0 < run.results.refinement.moved_rms_um < 15
+    assert run.results.refinement.correlation.registration in ("refined (cross-fitted)", "refined (searched null)")
+    refined = run.groups["refined"]
+    ok = linked["valid"].values & run.linked["valid"].values & np.isfinite(refined["u"].values)
+
+    def off_rms(maps):
+        off = np.hypot(*(maps[a].values[ok] - linked[a].values[ok] for a in ("u", "v")))
+        return np.sqrt(np.mean(off**2))
+
+    assert off_rms(refined) < 0.7 * off_rms(run.linked)
     assert "Refined by the maps themselves" in (tmp_path / "run" / "report.html").read_text()
 
 
 @pytest.mark.nightly
-def test_two_images_are_refined_by_what_they_show(image_pair, specimen_files, other_files, tmp_path):
-    marks = image_pair.registrations["white"].marks
-    rng = np.random.default_rng(4)
-    clicked = marks.assign({f"fixed_{a}": marks[f"fixed_{a}"] + rng.normal(0, 4, marks.sizes["mark"]) for a in "xy"})
-    write_marks(clicked, tmp_path / "clicked.csv")
-    given = {"marks": str(tmp_path / "clicked.csv"), "refine": "affine"}
-    run = link(f"white={specimen_files[1]}", f"uv={other_files.image}", registration=given, out=tmp_path / "run")
-    right, refined = image_pair.groups["layers/white"], run.groups["refined"]
+def test_two_images_are_refined_by_what_they_show(kinds, tmp_path):
+    before = open_run(kinds("images"))
+    given = clicked(before.registrations["white"].marks, tmp_path / "clicked.csv")
+    layers = (f"white={kinds.small.image}", f"uv={kinds.other.image}")
+    run = link(*layers, registration=given, out=tmp_path / "run")
+    right, refined = before.groups["layers/white"], run.groups["refined"]
     ok = right["valid"].values & run.groups["layers/white"]["valid"].values & np.isfinite(refined["image"].values)
 
     def unlike(image):
@@ -298,20 +200,8 @@ def test_two_images_are_refined_by_what_they_show(image_pair, specimen_files, ot
     assert "refined" in {picture.layer for picture in Pictures.of(tmp_path / "run")}
 
 
-def test_info_describes_a_run(passes, planish, linked_run, other_run, tmp_path):
-    out, _ = passes("info", linked_run)
-    checks = json.loads((linked_run / "results.json").read_text())["checks"]
-    for words in ("run of 2 layers", "image: image.tif", f"checks: {len(checks)}\n"):
-        assert words in out
-    assert json.loads(planish("info", other_run, "--json")[1])["kind"] == "run of one volume"
-    (tmp_path / "run.toml").write_text("")
-    assert planish("info", tmp_path)[0] == 3
-
-
-def test_links_that_cannot_be_made_are_refused_with_the_reason(
-    refuses, linked_run, specimen_files, other_run, tmp_path
-):
-    volume, image = specimen_files
+def test_links_that_cannot_be_made_are_refused_with_the_reason(refuses, linked_run, specimen_files, kinds, tmp_path):
+    (volume, image), other_run = specimen_files, kinds("other-map")
     for arguments, code, words in (
         ((image,), 2, ("reference last",)),
         ((linked_run, image, "--cutoff-um", "300"), 2, ("--cutoff-um", "keeps the options")),
@@ -331,7 +221,6 @@ def test_layers_that_do_not_show_one_specimen_are_refused(refuses, linked_run, t
     picture = np.full((400, 500), 180, dtype=np.uint8) + rng.integers(0, 20, (400, 500), dtype=np.uint8)
     blank = tmp_path / "blank.tif"
     tifffile.imwrite(blank, picture)
-    refuses("link", linked_run, blank, linked_run, "--pixel-um", "5", words="", code=2)
     refuses("link", f"a={blank}", f"b={linked_run}", "--pixel-um", "5", words="No hole found in the a")
 
 
