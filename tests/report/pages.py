@@ -3,32 +3,33 @@
 import re
 from html.parser import HTMLParser
 
+HOSTILE = "<script>alert('x')</script>\"><img src=x onerror=alert(1)> $\\frac$ 紙 {{ 7*7 }}"
 VOID = {"meta", "link", "img", "br", "input"}
 
 
 class Page(HTMLParser):
     """What a test asks of a page: sections, headings, figures, text, addresses; and that its tags are balanced."""
 
-    def __init__(self, html: str) -> None:
+    def __init__(self, html):
         super().__init__()
-        self.sections: list[str] = []
+        self.sections = []
         self.drawings = 0
-        self.images: list[dict[str, str]] = []
-        self.addresses: list[str] = []
-        self.metas: list[dict[str, str]] = []
-        self.tags: set[str] = set()
-        self.svgs: list[dict[str, str]] = []
-        self.boxes: list[dict[str, str]] = []
-        self.loose: list[str] = []
-        self.handlers: list[str] = []
-        self.words: dict[str, list[str]] = {}
-        self._open: list[str] = []
-        self._classes: list[str] = []
+        self.images = []
+        self.addresses = []
+        self.metas = []
+        self.tags = set()
+        self.svgs = []
+        self.boxes = []
+        self.loose = []
+        self.handlers = []
+        self.words = {}
+        self._open = []
+        self._classes = []
         self.feed(html)
         self.close()
         assert self._open == []
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag, attrs):
         given = {k: v or "" for k, v in attrs}
         self.tags.add(tag)
         self.handlers += [k for k in given if k.startswith("on")]
@@ -53,18 +54,25 @@ class Page(HTMLParser):
             self._open.append(tag)
             self._classes.append(given.get("class", ""))
 
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_startendtag(self, tag, attrs):
         self.handle_starttag(tag, attrs)
         if tag not in VOID:
             self.handle_endtag(tag)
 
-    def handle_endtag(self, tag: str) -> None:
+    def handle_endtag(self, tag):
         assert self._open.pop() == tag, f"</{tag}> closes nothing"
         self._classes.pop()
 
-    def handle_data(self, data: str) -> None:
+    def handle_data(self, data):
         for tag in set(self._open):
             self.words.setdefault(tag, []).append(data)
 
-    def text(self, tag: str = "body") -> str:
+    def text(self, tag="body"):
         return re.sub(r"[ \n]+", " ", "".join(self.words.get(tag, [])))
+
+
+def assert_alone(page):
+    """A page fetches nothing and runs nothing."""
+    assert {a.split(":")[0] for a in page.addresses if not a.startswith("#")} == {"data"}
+    assert not page.tags & {"script", "iframe", "object", "embed", "form"}
+    assert page.handlers == []

@@ -1,12 +1,11 @@
 """Small runs as the pipeline gives them, for the tests of their page."""
 
-from typing import Any
-
 import numpy as np
 import xarray as xr
 
 from planish.report import page
 from planish.results import Results
+from report.pages import Page
 
 PROPERTIES = {
     "coating_top": "Coating thickness, top side",
@@ -14,15 +13,32 @@ PROPERTIES = {
     "base_thickness": "Base thickness",
     "thickness": "Sheet thickness",
 }
+TITLES = {name: {"units": "um", "long_name": title} for name, title in PROPERTIES.items()}
+TITLES["image"] = {"long_name": "Relative grey, luminance", "units": "1"}
 COATING = ("coating_top", "coating_bottom", "base_thickness")
 ROWS = ("projection, no scale", "projection, similarity", "flattened, similarity")
 UM = {"units": "um"}
+IMAGE_PAIR = {"a": "volume", "a_map": "coating_top", "b": "image", "b_map": "image"}
 
-Run = dict[str, Any]
+
+def planes(values, dims=("y", "x")):
+    """Return maps with their units and titles."""
+    return {name: (dims, plane, TITLES.get(name, UM)) for name, plane in values.items()}
 
 
-def a_run(*, linked: bool = True, coated: bool = True, top: str = "high", relation: float = 40.0) -> Run:
-    """Return a small bent sheet, 90 um thick under a 20 um coating, and an image of it that follows the coating."""
+def marks_of(fixed, residual, labels):
+    """Return marks at these places."""
+    parts = {"moving": fixed + 5.0, "fixed": fixed, "residual": residual}
+    values = {f"{name}_{axis}": places[:, k] for name, places in parts.items() for k, axis in enumerate("xy")}
+    values |= {"residual": np.hypot(*residual.T), "label": np.array(labels, dtype=object)}
+    return xr.Dataset({name: ("mark", column) for name, column in values.items()})
+
+
+def a_run(*, linked=True, coated=True, top="high", relation=40.0, **correlation):
+    """Return a small bent sheet, 90 um thick under a 20 um coating, and an image of it that follows the coating.
+
+    ``correlation`` stands in every correlation of the results.
+    """
     rng = np.random.default_rng(7)
     up = 1.0 if top == "high" else -1.0
     y, x = 6.0 * np.arange(90), 6.0 * np.arange(140)
@@ -40,14 +56,10 @@ def a_run(*, linked: bool = True, coated: bool = True, top: str = "high", relati
         "centre": centre,
     }
     frame = {"through": "z", "top_side": top, "row_axis": "y", "col_axis": "x"}
-    titles = {k: UM | {"long_name": v} for k, v in PROPERTIES.items()}
-    surfaces = xr.Dataset({k: (("y", "x"), v, UM) for k, v in heights.items()}, {"y": y, "x": x}, frame)
-    surfaces = surfaces.assign({k: (("y", "x"), v, titles[k]) for k, v in properties.items()})
-    u, v = np.broadcast_to(1.02 * x, coating.shape), np.broadcast_to(y[:, None], coating.shape)
-    flat = xr.Dataset(
-        {"u": (("y", "x"), u), "v": (("y", "x"), v), "projected_u": (("y", "x"), np.broadcast_to(x, coating.shape)),
-         "projected_v": (("y", "x"), v)}, {"y": y, "x": x}, frame | {"mirrored_view": int(top == "low")},
-    )  # fmt: skip
+    surfaces = xr.Dataset(planes(heights | properties), {"y": y, "x": x}, frame)
+    across, v = (np.broadcast_to(a, coating.shape) for a in (x, y[:, None]))
+    places = planes({"u": 1.02 * across, "v": v, "projected_u": across, "projected_v": v})
+    flat = xr.Dataset(places, {"y": y, "x": x}, frame | {"mirrored_view": int(top == "low")})
     cells = (22, 34)
     strain = xr.Dataset(
         {k: (("row", "col"), at + 1e-4 * rng.normal(size=cells)) for k, at in
@@ -56,7 +68,7 @@ def a_run(*, linked: bool = True, coated: bool = True, top: str = "high", relati
     )  # fmt: skip
     strain["step_nodes"] = (("step",), np.array([80.0, 250.0, 805.0, 805.0]))
     strain["step_move"] = (("step",), np.array([3.0, 1.0, 0.3, 0.01]))
-    maps = xr.Dataset({k: (("v", "u"), a, titles[k]) for k, a in properties.items()}, {"v": y, "u": 1.02 * x})
+    maps = xr.Dataset(planes(properties, ("v", "u")), {"v": y, "u": 1.02 * x})
     at = np.array([20, 45, 70])
     z = 6.0 * np.arange(100)
     grey = np.where(np.abs(z[None, :, None] - centre[at][:, None, :]) < 45, 150.0, 30.0) + rng.normal(
@@ -70,7 +82,7 @@ def a_run(*, linked: bool = True, coated: bool = True, top: str = "high", relati
     shares = {"measured": 0.9, "no_sheet": 0.1, "rim": 0.0}
     statistics = {"units": "um", "n": 12_000, "mean": 20.0, "sd": 2.0, "p5": 17.0, "median": 20.0, "p95": 23.0}
     percentiles = {"median": 1e-5, "p5": -2e-4, "p95": 2e-4, "p95_abs": 2e-4, "max_abs": 3e-4}
-    facts: dict[str, Any] = {
+    facts = {
         "surfaces": frame | {
             "thickness_um": 90.0, "blur_um": 4.0, "fringe": None, "fringe_um": None, "cutoff_um": 400.0,
             "rim_um": 100.0, "missing_share": 0.0, "polarity": 1.0, "grey_air": 30.0,
@@ -94,12 +106,12 @@ def a_run(*, linked: bool = True, coated: bool = True, top: str = "high", relati
             },
         },
     }  # fmt: skip
-    sheet: dict[str, Any] = {
+    sheet = {
         "name": "volume", "kind": "sheet", "headline": "coating_top" if coated else "thickness", "sheet": facts,
         "source": {"name": "sheet.tif", "shape": [100, 90, 140], "dtype": "uint8", "bytes": 1_260_000,
                    "sha256": "ab" * 32, "size_um": [6.0, 6.0, 6.0], "size_source": "ImageJ metadata"},
     }  # fmt: skip
-    results: dict[str, Any] = {
+    results = {
         "planish": "0.2.0", "versions": {"numpy": "2.4.6"}, "layers": [sheet],
         "checks": [{"name": "coverage", "value": 0.9, "limit": 0.5, "state": "pass", "figures": ["properties"],
                    "sentence": "90 % of the columns are measured."}],
@@ -110,23 +122,13 @@ def a_run(*, linked: bool = True, coated: bool = True, top: str = "high", relati
         return {"groups": groups, "marks": {}, "results": results}
     headline = "coating_top" if coated else "thickness"
     image = 1000 + relation * (coating - 20) + rng.normal(0, 40, coating.shape)
-    groups["linked"] = xr.Dataset(
-        {k: (("y", "x"), a.astype(np.float32), titles[k]) for k, a in properties.items()}, {"y": y, "x": x}
-    ).assign(
-        image=(("y", "x"), image.astype(np.float32), {"long_name": "Relative grey, luminance", "units": "1"}),
-        u=(("y", "x"), u), valid=(("y", "x"), ~hole),
-        expected_error=(("y", "x"), (0.6 + 0.001 * np.hypot(y[:, None] - 260, x - 400)).astype(np.float32), UM),
-    )  # fmt: skip
+    linked = properties | {"image": image, "expected_error": 0.6 + 0.001 * np.hypot(y[:, None] - 260, x - 400)}
+    groups["linked"] = xr.Dataset(planes(linked), {"y": y, "x": x}).astype(np.float32)
+    groups["linked"] = groups["linked"].assign(u=flat["u"], valid=(("y", "x"), ~hole))
     fixed = np.array([[100.0, 100.0], [700.0, 120.0], [420.0, 480.0]])
     residual = np.array([[0.3, -0.2], [-0.4, 0.1], [0.1, 0.1]])
-    marks = xr.Dataset(
-        {k: ("mark", a) for k, a in {
-            "moving_x": fixed[:, 0] + 5, "moving_y": fixed[:, 1], "fixed_x": fixed[:, 0], "fixed_y": fixed[:, 1],
-            "residual_x": residual[:, 0], "residual_y": residual[:, 1], "residual": np.hypot(*residual.T),
-            "leave_one_out": np.array([0.6, np.nan, 0.4]),
-            "label": np.array(["hole 1", "hole 2", "hole 3"], dtype=object),
-        }.items()}
-    )  # fmt: skip
+    marks = marks_of(fixed, residual, ["hole 1", "hole 2", "hole 3"])
+    marks["leave_one_out"] = ("mark", np.array([0.6, np.nan, 0.4]))
     row = {"n": 11_000, "r": 0.9, "r2": 0.81, "slope": 40.0, "intercept": 200.0, "n_eff": 300.0, "p": 1e-9,
            "interval": [0.888, 0.911]}  # fmt: skip
     large = {"n": 40, "r": 0.8, "r2": 0.64, "slope": 41.0, "intercept": 180.0, "n_eff": 31.2, "p": 2e-5,
@@ -146,7 +148,7 @@ def a_run(*, linked: bool = True, coated: bool = True, top: str = "high", relati
         "layers": [sheet, image_layer],
         "comparison": [row | {"registration": name, "property": headline, "marks_rms_um": 9.0, "r2": r2, "point_um": at}
                        for name, r2 in zip(ROWS, (0.11, 0.22, 0.81), strict=True) for at in (6.0, 100.0)],
-        "correlations": [{"a": "volume", "a_map": k, "b": "image", "b_map": "image", **pair, "point_um": at}
+        "correlations": [IMAGE_PAIR | pair | {"a_map": k, "point_um": at} | correlation
                          for k in facts["properties"] for pair, at in ((row, 6.0), (large, 100.0))],
         "linked": {"pixels": 12_600, "share_on_sheet": 1.0, "share_valid": 0.8, "share_valid_of_sheet": 0.81,
                    "share_valid_away_from_holes": 0.99},
@@ -158,7 +160,7 @@ ORIENTATION = {"image_side": "top", "side_given": True, "mirrored_volume": False
                "md_deg_fixed": None, "md_deg_fixed_from_moving": None, "sentence": ""}  # fmt: skip
 
 
-def registration_of(moving: str, to: str, *, path: tuple[str, ...] | None = None) -> Run:
+def registration_of(moving, to, *, path=None):
     """Return what the results hold of a registration."""
     return {
         "to": to, "path": path or (moving, to), "source": "found", "found_moving": 5, "found_fixed": 6, "matched": 3,
@@ -169,7 +171,7 @@ def registration_of(moving: str, to: str, *, path: tuple[str, ...] | None = None
     }  # fmt: skip
 
 
-def lag_of(**values: Any) -> Run:
+def lag_of(**values):
     """Return what the results hold of a lag."""
     return {
         "property": "coating_top", "lag_um": [0.5, -0.2], "se_um": [0.3, 0.2], "length_um": 0.67, "length_se_um": 0.3,
@@ -181,6 +183,16 @@ def lag_of(**values: Any) -> Run:
     } | values  # fmt: skip
 
 
-def page_of(run: Run) -> str:
-    """Return the page of a run whose results are a dict."""
-    return page.render_report(run["groups"], run["marks"], Results.model_validate(run["results"]))[0]
+def results_of(run):
+    """Return the results of a run, which are a dict."""
+    return Results.model_validate(run["results"])
+
+
+def page_of(run):
+    """Return the page of a run."""
+    return page.render_report(run["groups"], run["marks"], results_of(run))[0]
+
+
+def text_of(run):
+    """Return what can be read on its page."""
+    return Page(page_of(run)).text()

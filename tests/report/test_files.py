@@ -2,47 +2,40 @@
 
 import csv
 import re
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
+from folders import bytes_of
 from planish.report import Canvas, relation, write_report
 from planish.report.page import standalone
-from planish.results import Results
 from report.pages import Page
-from report.runs import Run, a_run
+from report.runs import IMAGE_PAIR, a_run, results_of
 
 SIZE = {"point_um": 100.0, "n": 40, "r": 0.8, "n_eff": 31.2, "interval": [0.6, 0.9], "band": None}
 BAND = {"shortest_um": 50.0, "longest_um": 100.0, "coherence": 0.5, "p_of_bands": 0.01, "phase_deg": 3.0, "gain": 2.0,
         "modes": 30.0}  # fmt: skip
 
 
-def with_evidence() -> Run:
+def with_evidence():
     run = a_run()
-    run["results"]["evidence"] = [
-        {"a": "volume", "a_map": "coating_top", "b": "image", "b_map": "image", "declared": True, "sizes": [SIZE],
-         "bands": [BAND]}
-    ]  # fmt: skip
+    run["results"]["evidence"] = [IMAGE_PAIR | {"declared": True, "sizes": [SIZE], "bands": [BAND]}]
     return run
 
 
-def written(folder: Path, run: Run) -> Path:
+def written(folder, run):
     folder.mkdir()
-    results = Results.model_validate(run["results"])
-    write_report(
-        folder / "report.html", groups=run["groups"], marks=run["marks"], results=results, figures=folder / "figures"
-    )
+    write_report(folder / "report.html", **run | {"results": results_of(run)}, figures=folder / "figures")
     return folder / "figures"
 
 
 @pytest.fixture(scope="module")
-def figures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def figures(tmp_path_factory):
     return written(tmp_path_factory.mktemp("run") / "a", with_evidence())
 
 
-def test_every_figure_of_the_page_is_a_file(figures: Path) -> None:
+def test_every_figure_of_the_page_is_a_file(figures):
     page = Page((figures.parent / "report.html").read_text(encoding="utf-8"))
     drawn = sorted(figures.glob("*.svg"))
     assert len(drawn) == page.drawings
@@ -56,7 +49,7 @@ def test_every_figure_of_the_page_is_a_file(figures: Path) -> None:
         assert caption in page.text("figcaption").replace("\n", " ")
 
 
-def test_numbers_of_the_figures_are_those_of_the_results(figures: Path) -> None:
+def test_numbers_of_the_figures_are_those_of_the_results(figures):
     rows = {path.stem: csv.DictReader(path.read_text(encoding="utf-8").splitlines()) for path in figures.glob("*.csv")}
     found = {re.sub(r"^\d+-", "", stem): list(rows[stem]) for stem in sorted(rows)}
     run = with_evidence()
@@ -76,12 +69,12 @@ def test_numbers_of_the_figures_are_those_of_the_results(figures: Path) -> None:
     assert len(names["steps"]) == 4
 
 
-def test_same_run_gives_the_same_files(figures: Path, tmp_path: Path) -> None:
+def test_same_run_gives_the_same_page_and_files(figures, tmp_path):
     again = written(tmp_path / "again", with_evidence())
-    assert {p.name: p.read_bytes() for p in figures.iterdir()} == {p.name: p.read_bytes() for p in again.iterdir()}
+    assert bytes_of(figures.parent) == bytes_of(again.parent)
 
 
-def test_hostile_titles_stay_text_and_a_figure_alone_lies_on_white(tmp_path: Path) -> None:
+def test_hostile_titles_stay_text_and_a_figure_alone_lies_on_white(tmp_path):
     run = a_run(linked=False)
     title = '../../x"><script>紙</script>'
     run["groups"]["maps"]["coating_top"].attrs["long_name"] = title

@@ -2,7 +2,6 @@
 
 import json
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ import pytest
 from planish.analyze import Lag, LagField
 
 
-def _lag(lag: Lag, *, expected_um: float | None, headline: str) -> dict[str, Any]:
+def _lag(lag, *, expected_um, headline):
     return json.loads(lag.numbers(headline, expected_um).model_dump_json())
 
 
@@ -18,10 +17,10 @@ NAN = math.nan
 NOWHERE = (NAN, NAN)
 
 
-def a_lag(*, silence: Any = None, tiles: bool = True) -> Lag:
+def a_lag(*, silence=None, tiles=True):
     """Return a lag of (3, -4) um, known to 0.6 and 0.8 um, or one that says nothing."""
     field = LagField(
-        at_um=np.array([[100.0, 200.0], [300.0, 200.0]]), lag_um=np.array([[1.0, 2.0], [NAN, NAN]]),
+        at_um=np.array([[100.0, 200.0], [300.0, 200.0]]), lag_um=np.array([[1.0, 2.0], NOWHERE]),
         covariance_um2=np.full((2, 2, 2), 0.25), r=np.array([0.6, 0.1]), distinct=np.array([True, False]),
         tile_um=400.0,
     )  # fmt: skip
@@ -34,7 +33,7 @@ def a_lag(*, silence: Any = None, tiles: bool = True) -> Lag:
     )  # fmt: skip
 
 
-def test_results_of_a_lag_are_ready_for_json() -> None:
+def test_results_of_a_lag_are_ready_for_json():
     found = _lag(a_lag(), expected_um=4.0, headline="coating_top")
     assert json.loads(json.dumps(found, allow_nan=False)) == found
     assert (found["lag_um"], found["se_um"], found["length_um"]) == ([3.0, -4.0], [0.6, 0.8], 5.0)
@@ -50,7 +49,7 @@ def test_results_of_a_lag_are_ready_for_json() -> None:
     assert _lag(a_lag(), expected_um=1.0, headline="thickness")["agrees"] is False
 
 
-def test_results_of_a_lag_that_says_nothing_are_none() -> None:
+def test_results_of_a_lag_that_says_nothing_are_none():
     found = _lag(a_lag(silence="texture", tiles=False), expected_um=4.0, headline="coating_top")
     json.dumps(found, allow_nan=False)
     assert [found[k] for k in ("lag_um", "se_um", "length_um", "agrees", "light", "tile_um")] == [None] * 6

@@ -1,77 +1,46 @@
 """The page of several layers: what it shows of each layer and each pair, and that names stay text."""
 
 import re
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
 
-from planish.analyze import PairAtSizes, correlate
+from planish.analyze import correlate_layers
 from planish.core.numbers import to_spread
-from planish.report import largest, relation, summary, write_report
-from planish.results import CorrelationRow, Results
-from report.pages import Page
-from report.runs import lag_of, page_of, registration_of
+from planish.report import largest, relation, summary
+from planish.results import CorrelationRow
+from report.pages import HOSTILE, Page, assert_alone
+from report.runs import lag_of, marks_of, page_of, planes, registration_of, results_of, text_of
 
-UM = {"units": "um"}
 MICRO = "\u202fµm"
 OFFSET, SPREAD = 2.5, 0.8  # um: what map b of the coating has more than map a, and how much that varies
 
-Given = dict[str, Any]
+
+def layer_of(y, x, **values):
+    """Return a layer with these maps and what every layer has beside them."""
+    data = xr.Dataset(planes(values), {"y": y, "x": x}).astype(np.float32)
+    for plane in data.values():
+        plane.attrs["role"] = "property"
+    is_known = np.isfinite(next(iter(values.values())))
+    y, x = np.meshgrid(y, x, indexing="ij")
+    data["valid"] = (("y", "x"), is_known & (np.hypot(y - 300, x - 500) > 90))
+    error = np.where(is_known, 1 + 0.002 * np.hypot(y - 300, x - 300), np.nan)
+    return data.assign(planes({"expected_error": error.astype(np.float32)}))
 
 
-def sheet(coating: np.ndarray, x: np.ndarray, y: np.ndarray, *, joined: bool) -> xr.Dataset:
-    """Return a layer with a coating and a thickness."""
-    titles = {"coating_top": "Coating thickness, top side", "thickness": "Sheet thickness"}
-    values = {"coating_top": coating, "thickness": 90 + 0.2 * coating}
-    data = xr.Dataset(
-        {k: (("y", "x"), v.astype(np.float32), UM | {"long_name": titles[k]}) for k, v in values.items()},
-        {"y": y, "x": x},
-    )
-    return finish(data, "coating_top", joined=joined)
-
-
-def finish(data: xr.Dataset, name: str, *, joined: bool) -> xr.Dataset:
-    """Add what every layer has beside its maps."""
-    y, x = np.meshgrid(data["y"].values, data["x"].values, indexing="ij")
-    data["valid"] = (("y", "x"), np.isfinite(data[name].values) & (np.hypot(y - 300, x - 500) > 90))
-    if joined:
-        error = np.where(np.isfinite(data[name].values), 1 + 0.002 * np.hypot(y - 300, x - 300), np.nan)
-        data["expected_error"] = (("y", "x"), error.astype(np.float32), UM)
-    return data
-
-
-def marks_of(seed: int) -> xr.Dataset:
-    rng = np.random.default_rng(seed)
+def some_marks(seed):
     fixed = np.array([[150.0, 120.0], [700.0, 140.0], [430.0, 500.0], [300.0, 330.0]])
-    residual = rng.normal(0, 0.8, fixed.shape)
-    parts = {"moving": fixed + 3, "fixed": fixed, "residual": residual}
-    values = {f"{k}_{axis}": v[:, i] for k, v in parts.items() for i, axis in enumerate("xy")}
-    table = xr.Dataset({k: ("mark", v) for k, v in values.items()})
-    return table.assign(residual=("mark", np.hypot(*residual.T)), label=("mark", np.array(list("abcd"), dtype=object)))
+    return marks_of(fixed, np.random.default_rng(seed).normal(0, 0.8, fixed.shape), list("abcd"))
 
 
-def rows_of(maps: dict[str, xr.Dataset], a: str, a_map: str, b: str, b_map: str) -> list[Given]:
-    """Return the rows of a pair as the program makes them."""
-    valid = maps[a]["valid"].values & maps[b]["valid"].values
-    p, q = (np.where(valid, maps[n][m].values.astype(float), np.nan) for n, m in ((a, a_map), (b, b_map)))
-    pair = PairAtSizes((p.shape[0], p.shape[1]), pixel_um=(6.0, 6.0), point_um=60.0)
-    pair.add(0, p, q)
-    rows: list[Given] = []
-    for row, (u, v) in ((correlate(p, q, pixel_um=6.0), (p, q)), (pair.at_points(), pair.points())):
-        found = dict(row)
-        rows.append({"a": a, "a_map": a_map, "b": b, "b_map": b_map, **found, "same_quantity": a_map == b_map})
-        off = (v - u)[np.isfinite(u) & np.isfinite(v)]
-        if a_map == b_map and off.size > 1:
-            mean, sd = float(off.mean()), float(off.std(ddof=1))
-            limits = [mean - 1.96 * sd, mean + 1.96 * sd]
-            rows[-1] |= {"difference_mean": mean, "difference_sd": sd, "limits": limits, "units": "um"}
-    return rows
+def rows_of(maps, a, b):
+    """Return the rows of two layers as the program makes them, but for those of an image and the thickness."""
+    rows = [row.model_dump() for row in correlate_layers(a, b, maps, 60.0)]
+    return [row for row in rows if (row["a_map"], row["b_map"]) != ("image", "thickness")]
 
 
-def layers(*, chain: bool = False, blank: bool = False) -> Given:
+def layers(*, chain=False, blank=False):
     """Return a sheet before and after calendering and a photograph, on the pixels of the sheet after it."""
     rng = np.random.default_rng(3)
     y, x = 6.0 * np.arange(100), 6.0 * np.arange(140)
@@ -81,20 +50,16 @@ def layers(*, chain: bool = False, blank: bool = False) -> Given:
     photo = 1000 + 30 * (after - 18) + rng.normal(0, 30, after.shape)
     if blank:
         before[:], photo[:] = np.nan, np.nan
-    image = xr.Dataset(
-        {"image": (("y", "x"), photo.astype(np.float32), {"long_name": "Relative grey, luminance", "units": "1"})},
-        {"y": y, "x": x},
-    )
     maps = {
-        "before": sheet(before, x, y, joined=True),
-        "photo": finish(image, "image", joined=True),
-        "after": sheet(after, x, y, joined=False),
+        "before": layer_of(y, x, coating_top=before, thickness=90 + 0.2 * before),
+        "photo": layer_of(y, x, image=photo),
+        "after": layer_of(y, x, coating_top=after, thickness=90 + 0.2 * after).drop_vars("expected_error"),
     }
-    marks = {"before": marks_of(1), "photo": marks_of(2)}
+    marks = {"before": some_marks(1), "photo": some_marks(2)}
     paths = {"before": ("before", "photo", "after") if chain else ("before", "after"), "photo": ("photo", "after")}
-    listed: list[Given] = []
+    listed = []
     for name in maps:
-        layer: Given = {
+        layer = {
             "name": name, "kind": "image" if name == "photo" else "sheet",
             "source": {"name": f"{name}.tif", "shape": [100, 140], "dtype": "uint8", "bytes": 14_000,
                        "sha256": "ab" * 32, "size_um": [6.0, 6.0], "size_source": "given"},
@@ -108,14 +73,9 @@ def layers(*, chain: bool = False, blank: bool = False) -> Given:
             }  # fmt: skip
         listed.append(layer)
     listed[0]["registration"]["lag"] = lag_of()
-    compared = (
-        ("before", "coating_top", "after", "coating_top"),
-        ("before", "thickness", "after", "thickness"),
-        ("photo", "image", "after", "coating_top"),
-    )
-    results: Given = {
+    results = {
         "planish": "0.2.0", "versions": {"numpy": "2.4.6"}, "chain": chain, "layers": listed,
-        "correlations": [row for which in compared for row in rows_of(maps, *which)],
+        "correlations": [*rows_of(maps, "before", "after"), *rows_of(maps, "photo", "after")],
         "checks": [{"name": "marks", "layers": ["before", "after"], "value": 1.5, "limit": 20.0, "state": "pass",
                    "sentence": "4 marks agree to 1.5 um."}],
         "parameters": {"chain": chain, "layers": [{"name": "before", "volume": {"voxel_um": [3.0, 3.0, 3.0]}}],
@@ -126,20 +86,20 @@ def layers(*, chain: bool = False, blank: bool = False) -> Given:
 
 
 @pytest.fixture(scope="module")
-def page() -> str:
+def page():
     return page_of(layers())
 
 
 @pytest.fixture(scope="module")
-def chain_page() -> str:
+def chain_page():
     return page_of(layers(chain=True))
 
 
-def captions_of(page: str) -> list[str]:
+def captions_of(page):
     return re.findall(r"<figcaption>(.*?)</figcaption>", page, flags=re.DOTALL)
 
 
-def test_page_shows_every_layer_and_pair(page: str) -> None:
+def test_page_shows_every_layer_and_pair(page):
     read = Page(page)
     text = read.text()
     assert read.sections == ["relation", "linked", "registration", "inputs", "checks", "record"]
@@ -159,10 +119,10 @@ def test_page_shows_every_layer_and_pair(page: str) -> None:
         assert "mask" in caption.lower()
 
 
-def test_the_page_states_registrations_and_differences_of_the_same_quantity(page: str) -> None:
+def test_the_page_states_registrations_and_differences_of_the_same_quantity(page):
     # The weakest correlation in a tile and in the scatter of the first page, a caption for each pair, and the table.
     assert len(re.findall("registration: marks only", Page(page).text(), flags=re.IGNORECASE)) == 1 + 1 + 3 + 1
-    rows = [largest(group) for group in summary.by_pair(Results.model_validate(layers()["results"]))]
+    rows = [largest(group) for group in summary.by_pair(results_of(layers()))]
     assert [row.point_um for row in rows] == [60.0] * 3
     assert rows[0].difference_mean == pytest.approx(OFFSET, abs=0.05)
     found = to_spread(rows[0].difference_mean, rows[0].difference_sd)
@@ -171,11 +131,11 @@ def test_the_page_states_registrations_and_differences_of_the_same_quantity(page
     assert drawn == [True, True, False]
 
 
-def test_difference_and_drawing_have_one_sign_and_a_pair_without_correlation_is_drawn() -> None:
+def test_difference_and_drawing_have_one_sign_and_a_pair_without_correlation_is_drawn():
     given = layers()
     a, b = (given["groups"][f"layers/{name}"]["coating_top"] for name in ("before", "after"))
     first, second = relation.block_means(a, b, point_um=60.0)
-    row = largest(summary.by_pair(Results.model_validate(given["results"]))[0])
+    row = largest(summary.by_pair(results_of(given))[0])
     assert float((second - first).mean()) == pytest.approx(row.difference_mean, abs=0.1)
     a = layers(blank=True)["groups"]["layers/before"]["coating_top"]
     row = CorrelationRow(a="a", a_map="m", b="b", b_map="m", point_um=60.0, n=0, r=None, r2=None, slope=None,
@@ -185,7 +145,7 @@ def test_difference_and_drawing_have_one_sign_and_a_pair_without_correlation_is_
     assert "nan" not in drawn.svg
 
 
-def test_two_instruments_of_one_sheet_are_compared_by_their_difference() -> None:
+def test_two_instruments_of_one_sheet_are_compared_by_their_difference():
     given = layers()
     results = given["results"]
     results["layers"] = [results["layers"][0], results["layers"][2]]
@@ -200,13 +160,13 @@ def test_two_instruments_of_one_sheet_are_compared_by_their_difference() -> None
     assert "on the pixels of after" in read.text("figcaption")
 
 
-def test_two_images_are_called_by_their_names_and_nothing_is_said_of_a_volume() -> None:
+def test_two_images_are_called_by_their_names_and_nothing_is_said_of_a_volume():
     given = layers()
     white, results = given["groups"]["layers/photo"], given["results"]
     uv = white.drop_vars("expected_error").assign(image=-white["image"])
     photo = results["layers"][1]
     maps, registration = {"white": white, "uv": uv}, registration_of("white", "uv")
-    rows = [row | {"same_quantity": False} for row in rows_of(maps, "white", "image", "uv", "image")]
+    rows = rows_of(maps, "white", "uv")
     results |= {
         "layers": [
             photo | {"name": "white", "registration": registration},
@@ -214,7 +174,7 @@ def test_two_images_are_called_by_their_names_and_nothing_is_said_of_a_volume() 
         ],
         "correlations": rows,
     }
-    given |= {"groups": {f"layers/{name}": data for name, data in maps.items()}, "marks": {"white": marks_of(1)}}
+    given |= {"groups": {f"layers/{name}": data for name, data in maps.items()}, "marks": {"white": some_marks(1)}}
     read = Page(page_of(given))
     assert "Uv is darker (relative grey, luminance) where white is brighter: r = −1.00" in read.text("p")
     assert "A pixel is one of uv." in read.text("p")
@@ -225,48 +185,37 @@ def test_two_images_are_called_by_their_names_and_nothing_is_said_of_a_volume() 
     assert "The correlation of white and uv is doubtful" in Page(page_of(given)).text("p")
 
 
-def test_marks_of_a_chain_are_drawn_in_the_layer_that_they_join(page: str, chain_page: str) -> None:
+def test_marks_of_a_chain_are_drawn_in_the_layer_that_they_join(page, chain_page):
     text = Page(chain_page).text()
     assert "before → photo → after" in text
     assert "Places are in the coordinates of photo" in text
     assert "Places are in the coordinates of" not in Page(page).text()
 
 
-def test_layers_without_a_common_point_still_have_a_page() -> None:
+def test_layers_without_a_common_point_still_have_a_page():
     given = layers(blank=True)
-    text = Page(page_of(given)).text()
+    text = text_of(given)
     assert not re.search(r"\b(nan|None|inf)\b", text)
     given["results"]["correlations"] = []
     for layer in given["results"]["layers"][:2]:
         layer["registration"] |= {"expected_error": None, "lag": None, "leave_one_out_rms_um": None}
     given["marks"] = {}
-    text = Page(page_of(given)).text()
+    text = text_of(given)
     assert "No two layers have points in common" in text
     assert not re.search(r"\b(nan|None|inf)\b", text)
 
 
-def test_names_stay_text() -> None:
-    hostile = "<script>alert('x')</script>\"><img src=x onerror=alert(1)> $\\frac$ {{ 7*7 }}"
+def test_names_stay_text():
     given = layers()
-    swap = {"before": hostile}
-    given["groups"] = {k.replace("before", hostile): v for k, v in given["groups"].items()}
-    given["marks"] = {swap.get(k, k): v for k, v in given["marks"].items()}
+    given["groups"] = {k.replace("before", HOSTILE): v for k, v in given["groups"].items()}
+    given["marks"][HOSTILE] = given["marks"].pop("before")
     for row in given["results"]["correlations"]:
-        row["a"] = swap.get(row["a"], row["a"])
+        row["a"] = row["a"].replace("before", HOSTILE)
     first = given["results"]["layers"][0]
-    first["name"] = first["source"]["name"] = hostile
-    first["registration"]["path"] = [hostile, "after"]
-    given["groups"]["layers/after"]["coating_top"].attrs |= {"long_name": hostile, "units": hostile}
+    first["name"] = first["source"]["name"] = HOSTILE
+    first["registration"]["path"] = [HOSTILE, "after"]
+    given["groups"]["layers/after"]["coating_top"].attrs |= {"long_name": HOSTILE, "units": HOSTILE}
     read = Page(page_of(given))
-    assert not read.tags & {"script", "img"}
-    assert read.handlers == []
+    assert_alone(read)
     for tag in ("h1", "figcaption", "svg"):
-        assert hostile in read.text(tag)
-    assert {a.split(":")[0] for a in read.addresses if not a.startswith("#")} == {"data"}
-
-
-def test_same_input_gives_the_same_bytes(tmp_path: Path, page: str) -> None:
-    given = layers()
-    given["results"] = Results.model_validate(given["results"])
-    write_report(tmp_path / "report.html", **given)
-    assert (tmp_path / "report.html").read_bytes() == page.encode("utf-8")
+        assert HOSTILE in read.text(tag)

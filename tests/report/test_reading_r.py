@@ -1,19 +1,14 @@
 """Who made the page, how its r is read, and that options stand in the operator's part alone."""
 
 import re
-from typing import Any
 
 import pytest
 
 from planish.report.reading_r import reading
-from planish.results import Results
-from report.pages import Page
-from report.runs import a_run, lag_of, page_of
-
-Run = dict[str, Any]
+from report.runs import IMAGE_PAIR, a_run, lag_of, page_of, results_of, text_of
 
 
-def with_lag(light: float | None, lag_um: tuple[float, float]) -> Run:
+def with_lag(light, lag_um):
     """A run whose largest r lies at a lag, and whose fine texture agrees with the marks."""
     run = a_run()
     run["results"]["layers"][0]["registration"]["lag"] = lag_of(light=light)
@@ -24,18 +19,16 @@ def with_lag(light: float | None, lag_um: tuple[float, float]) -> Run:
         "inner": True, "widths_um": [90.0, 80.0], "angle_deg": 0.0, "n_eff": 90.0, "limit_of_any": 0.3,
         "beyond_chance": True, "along_x": profile, "along_y": profile,
     }  # fmt: skip
-    run["results"]["evidence"] = [{
-        "a": "volume", "a_map": "coating_top", "b": "image", "b_map": "image", "declared": True,
-        "correlogram": correlogram, "ceiling": 0.93,
-    }]  # fmt: skip
+    evidence = IMAGE_PAIR | {"declared": True, "correlogram": correlogram, "ceiling": 0.93}
+    run["results"]["evidence"] = [evidence]
     return run
 
 
-def read(run: Run) -> str:
-    return " ".join(reading(Results.model_validate(run["results"])))
+def read(run):
+    return " ".join(reading(results_of(run)))
 
 
-def test_side_light_lag_and_strain_are_reconciled_beside_r() -> None:
+def test_side_light_lag_and_strain_are_reconciled_beside_r():
     text = read(with_lag(0.62, (0.0, -19.0)))
     assert "A straight line explains r² = 64 % of the variance" in text
     assert "A perfect relation would show an r of 0.93 here; the rest is lost to misplacement." in text
@@ -55,16 +48,14 @@ def test_side_light_lag_and_strain_are_reconciled_beside_r() -> None:
         (None, (0.0, -19.0), "The fine texture lies", "slopes allowed for"),
     ],
 )
-def test_what_moves_the_largest_r_is_named(
-    light: float | None, lag_um: tuple[float, float], says: str, says_not: str
-) -> None:
+def test_what_moves_the_largest_r_is_named(light, lag_um, says, says_not):
     text = read(with_lag(light, lag_um))
     assert says in text
     assert says_not not in text
 
 
 @pytest.mark.parametrize(("r", "said"), [(0.95, "longer ones, such as uneven light, lower it"), (0.8, "")])
-def test_long_waves_that_change_r_are_named(r: float, said: str) -> None:
+def test_long_waves_that_change_r_are_named(r, said):
     run = with_lag(0.05, (0.0, 0.2))
     low, high = r - 0.03, r + 0.03
     short = {"point_um": 100.0, "r": r, "interval": [low, high], "n": 200, "n_eff": 90.0}
@@ -74,21 +65,19 @@ def test_long_waves_that_change_r_are_named(r: float, said: str) -> None:
     assert ("Waves below 350" in text) == bool(said)
 
 
-def test_nothing_is_read_into_an_r_that_is_withheld() -> None:
-    run = a_run()
-    for row in run["results"]["correlations"]:
-        row["trust"] = "withheld"
+def test_nothing_is_read_into_an_r_that_is_withheld():
+    run = a_run(trust="withheld")
     assert read(run) == ""
     assert "How to read r" not in page_of(run)
 
 
-def test_options_stand_in_the_operators_part_alone() -> None:
+def test_options_stand_in_the_operators_part_alone():
     run = a_run()
     run["results"]["checks"].append({
         "name": "dust", "value": 30.0, "limit": 20.0, "state": "look", "figures": [],
         "sentence": "Dust was found (--image-side not given).", "advice": "Clean it. Give a closer --hole-um.",
     })  # fmt: skip
-    text, operator = Page(page_of(run)).text().split("For the operator")
+    text, operator = text_of(run).split("For the operator")
     option = re.compile(r"(?<![\w-])--[a-z]+")
     assert option.findall(text) == []
     assert "Dust was found." in text
@@ -97,7 +86,7 @@ def test_options_stand_in_the_operators_part_alone() -> None:
     assert "Give a closer --hole-um." in operator
 
 
-def test_the_page_says_who_made_it_when_and_of_what() -> None:
+def test_the_page_says_who_made_it_when_and_of_what():
     run = a_run()
     assert "not given" not in page_of(run)
     assert 'class="about"' not in page_of(run)
@@ -105,6 +94,5 @@ def test_the_page_says_who_made_it_when_and_of_what() -> None:
     html = page_of(run)
     assert "<title>Trial 7 &lt;b&gt;: " in html
     about = re.search(r'<dl class="about">.*?</dl>', html, flags=re.DOTALL)
-    assert about is not None
     assert re.findall(r"<dd>(.*?)</dd>", about[0]) == ["A. Hofer", "not given", "not given"]
     assert "How to cite" in html

@@ -1,9 +1,7 @@
 """What a reader finds who has only the page of a run: counted in actions, by what is seen on the screen."""
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -37,22 +35,22 @@ class Reader:
     page: Any
     actions: int = 0
 
-    def seen(self) -> str:
+    def seen(self):
         """What can be read on the screen now."""
         return self.page.evaluate(SEEN)
 
-    def look_for(self, pattern: str) -> re.Match[str]:
+    def look_for(self, pattern):
         """Go on, screen by screen, until it is seen."""
         while not (found := re.search(pattern, self.seen())):
             assert self.actions < MOST, f"{pattern} is not seen"
             self.act(lambda: self.page.keyboard.press("PageDown"))
         return found
 
-    def follow(self, link: str) -> None:
+    def follow(self, link):
         """Click a link to another place of the page."""
         self.act(self.page.get_by_role("link", name=link, exact=True).click)
 
-    def act(self, action: Callable[[], None]) -> None:
+    def act(self, action):
         """Do what moves the page, which glides, and wait until it stands still."""
         self.actions += 1
         start = before = self.page.evaluate("scrollY")
@@ -67,7 +65,7 @@ class Reader:
 
 
 @pytest.fixture(scope="module")
-def signed_run(linked_run, specimen_files, tmp_path_factory) -> Path:
+def signed_run(linked_run, specimen_files, tmp_path_factory):
     """The small run, linked once more by somebody who says who, when and what."""
     out = tmp_path_factory.mktemp("signed") / "run"
     words = (

@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,14 +13,14 @@ from planish.report import draw, registration, summary
 from planish.report.text import REGISTERED
 from planish.results import RegistrationFacts
 from report.pages import Page
-from report.runs import Run, a_run, lag_of, page_of, registration_of
+from report.runs import a_run, lag_of, page_of, registration_of, text_of
 
 MICRO = "\u202fµm"
-SILENT: dict[str, Any] = {"silence": "texture", "agrees": None, "lag_um": None, "se_um": None, "length_um": None,
+SILENT = {"silence": "texture", "agrees": None, "lag_um": None, "se_um": None, "length_um": None,
                           "sentence": "No shared fine texture"}  # fmt: skip
 
 
-def a_lag(**values: Any) -> LagNumbers:
+def a_lag(**values):
     """Return a lag of (3, -4) um, known to 0.6 and 0.8 um."""
     given = {"lag_um": (3.0, -4.0), "se_um": (0.6, 0.8), "length_um": 5.0, "pixel_um": (8.0, 8.0), "tile_um": 400.0,
              "tiles": [{"x": 100.0, "y": 200.0, "lag_um": (1.0, 2.0), "distinct": True},
@@ -39,9 +38,8 @@ def a_lag(**values: Any) -> LagNumbers:
         (SILENT, "grey", "neither for nor against the registration"),
     ],
 )
-def test_a_check_is_green_amber_or_grey_but_never_red(values: dict[str, Any], state: str, meaning: str) -> None:
+def test_a_check_is_green_amber_or_grey_but_never_red(values, state, meaning):
     check = summary.lag_verdict(a_lag(**values), moving_text="coating thickness", reference_text="the image")
-    assert check is not None
     assert check.state == state
     assert meaning in check.meaning
     assert check.sentence.endswith(".")
@@ -49,7 +47,7 @@ def test_a_check_is_green_amber_or_grey_but_never_red(values: dict[str, Any], st
     assert summary.lag_verdict(None, moving_text="a", reference_text="b") is None
 
 
-def test_words_units_and_levels_are_the_same_everywhere() -> None:
+def test_words_units_and_levels_are_the_same_everywhere():
     assert RegistrationBasis.MARKS.sentence == REGISTERED
     assert typeset("lag 2 um, 3 deg; a column") == f"lag 2{MICRO}, 3°; a column"
     assert (typeset("an umbrella of degrees"), capital("maps of A")) == ("an umbrella of degrees", "Maps of A")
@@ -58,8 +56,8 @@ def test_words_units_and_levels_are_the_same_everywhere() -> None:
     assert (step, draw.levels_between(1.0, 1.0, steps=5)[0].size) == (pytest.approx(0.2), 0)
 
 
-def test_the_axis_given_for_the_image_comes_first() -> None:
-    def found(**angles: float) -> tuple[float, str] | None:
+def test_the_axis_given_for_the_image_comes_first():
+    def found(**angles):
         facts = registration_of("volume", "image")
         facts["orientation"] = facts["orientation"] | angles
         return registration.machine_direction(RegistrationFacts.model_validate(facts), "volume")
@@ -68,7 +66,7 @@ def test_the_axis_given_for_the_image_comes_first() -> None:
     assert (found(md_deg_fixed_from_moving=12.0), found()) == ((12.0, "carried over from the volume"), None)
 
 
-def test_lags_lie_where_their_pixels_do_and_are_drawn_if_distinct() -> None:
+def test_lags_lie_where_their_pixels_do_and_are_drawn_if_distinct():
     # Pixels of 8 um are means of 2 x 2 pixels of 4 um: the middle of the first is 2 um from that of the small one.
     ground = registration.blank_ground(np.array([[0.0, 0.0], [1000.0, 600.0]]), layer="image")
     ground = replace(ground, y=4.0 * np.arange(200.0), x=10 + 4.0 * np.arange(300.0))
@@ -82,23 +80,21 @@ def test_lags_lie_where_their_pixels_do_and_are_drawn_if_distinct() -> None:
         assert registration.draw_lags(none, ground, moving_text="a", reference_text="b") is None
 
 
-def test_expected_error_states_its_range_and_needs_values() -> None:
+def test_expected_error_states_its_range_and_needs_values():
     y, x = 5.0 * np.arange(40), 5.0 * np.arange(60)
     error = xr.DataArray(np.tile(np.linspace(1.0, 3.0, 60), (40, 1)), {"y": y, "x": x}, ("y", "x"))
-    given: dict[str, Any] = {"hole_um": 200.0, "reference": "image", "layer": "volume"}
+    given = {"hole_um": 200.0, "reference": "image", "layer": "volume"}
     drawn = registration.draw_expected_error(error, None, width=draw.FULL, **given)
-    assert drawn is not None
     assert f"1.0{MICRO} to 3.0{MICRO}, median 2.0{MICRO}" in drawn.caption
     assert f"Contour lines every 0.2{MICRO}" in drawn.caption
     # The line of 2 um stands upright in the middle.
     assert re.search(r">2</text>", drawn.svg)
     even = registration.draw_expected_error(error * 0 + 1.5, None, width=draw.HALF, **given)
-    assert even is not None
     assert "Contour" not in even.caption
     assert registration.draw_expected_error(error * np.nan, None, width=draw.HALF, **given) is None
 
 
-def test_page_states_what_is_known_of_the_registration() -> None:
+def test_page_states_what_is_known_of_the_registration():
     run = a_run()
     facts = run["results"]["layers"][0]["registration"]
     tilt = {"through": 3, "closed": 0, "unclear": 0, "other_side_only": 0, "offset_count": 3, "offset_um": [1.0, 1.0],
@@ -125,7 +121,7 @@ def test_page_states_what_is_known_of_the_registration() -> None:
     assert len(re.findall("registration: marks only", text, flags=re.IGNORECASE)) == 3 + 1 + 1 + 2
 
 
-def tiled(source: str, is_tile: list[bool]) -> Run:
+def tiled(source, is_tile):
     """Return the run whose marks are tiles of texture, as far as said."""
     run = a_run()
     marks = run["marks"]["volume"]
@@ -135,7 +131,7 @@ def tiled(source: str, is_tile: list[bool]) -> Run:
     return run
 
 
-def test_tiles_are_crosses_and_the_texture_that_placed_them_does_not_judge_them() -> None:
+def test_tiles_are_crosses_and_the_texture_that_placed_them_does_not_judge_them():
     html = page_of(tiled("texture", [True] * 3))
     text = Page(html).text()
     for expected in (
@@ -149,20 +145,9 @@ def test_tiles_are_crosses_and_the_texture_that_placed_them_does_not_judge_them(
     assert '<p class="check ' not in html
 
 
-def test_holes_beside_tiles_keep_their_circles() -> None:
-    text = Page(page_of(tiled("both", [True, False, False]))).text()
+def test_holes_beside_tiles_keep_their_circles():
+    text = text_of(tiled("both", [True, False, False]))
     assert f"3 marks (orange circles of 220{MICRO}, crosses alone at the middles of tiles of texture)" in text
     assert "3 pairs: holes, and tiles of the texture" in text
     assert "registered by the holes that they share and by their texture" in text
     assert "Image-based check, tile by tile." in text
-
-
-def test_what_others_write_stays_text() -> None:
-    hostile = "<script>alert('x')</script>"
-    run = a_run()
-    facts = run["results"]["layers"][0]["registration"]
-    facts |= {"match_sentence": hostile, "design": hostile, "model_sentence": hostile, "warnings": [hostile]}
-    facts["lag"]["sentence"] = facts["orientation"]["sentence"] = hostile
-    page = Page(page_of(run))
-    assert "script" not in page.tags
-    assert page.text().count(hostile) >= 6

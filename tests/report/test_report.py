@@ -5,18 +5,15 @@ import io
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
-import xarray as xr
 from PIL import Image
 
 from planish.core.numbers import count, fixed, in_words, length, number, percent, plain, to_spread
-from planish.report import Canvas, Scale, colours, draw, image_uri, limits, maps, relation, take_slice, write_report
-from planish.results import Results
-from report.pages import Page
-from report.runs import PROPERTIES, a_run, page_of
+from planish.report import Canvas, Scale, colours, draw, image_uri, limits, maps, relation, take_slice
+from report.pages import HOSTILE, Page, assert_alone
+from report.runs import PROPERTIES, a_run, page_of, text_of
 
 OF_A_LINK = [
     "relation", "linked", "maps", "registration", "slices", "flattening", "comparison", "inputs", "checks", "record",
@@ -25,7 +22,7 @@ OF_A_LINK = [
 OF_A_MAP = ["maps", "slices", "flattening", "inputs", "checks", "record", "solver"]
 
 
-def test_sections_stand_in_the_order_in_which_a_reader_asks(link_page: str, bare_page: str) -> None:
+def test_sections_stand_in_the_order_in_which_a_reader_asks(link_page, bare_page):
     assert Page(bare_page).sections == OF_A_MAP
     page = Page(link_page)
     assert page.sections == OF_A_LINK
@@ -34,7 +31,7 @@ def test_sections_stand_in_the_order_in_which_a_reader_asks(link_page: str, bare
     assert page.text("title") == "sheet.tif linked to image.png"
 
 
-def test_verdict_states_the_results_and_no_more(link_page: str) -> None:
+def test_verdict_states_the_results_and_no_more(link_page):
     text = Page(link_page).text()
     for expected in (
         "95 %: 0.63 to 0.90; r² 0.64 (0.40 to 0.81); 31 independent points of 40", "r² 0.81", "0.51\u202fµm",
@@ -52,17 +49,14 @@ def test_verdict_states_the_results_and_no_more(link_page: str) -> None:
         (None, "No statement on coating thickness (top side)"),
     ],
 )
-def test_no_direction_is_named_that_is_not_certain(interval: list[float] | None, says: str) -> None:
-    run = a_run()
-    for row in run["results"]["correlations"]:
-        row["interval"] = interval
-    text = Page(page_of(run)).text()
+def test_no_direction_is_named_that_is_not_certain(interval, says):
+    text = text_of(a_run(interval=interval))
     assert says in text
     assert "brighter where" not in text
     assert "darker where" not in text
 
 
-def test_every_figure_is_embedded_and_states_n_and_mask(link_page: str) -> None:
+def test_every_figure_is_embedded_and_states_n_and_mask(link_page):
     page = Page(link_page)
     captions = re.findall(r"<figcaption>(.*?)</figcaption>", link_page, flags=re.DOTALL)
     assert page.drawings == len(captions) == 21
@@ -79,41 +73,34 @@ def test_every_figure_is_embedded_and_states_n_and_mask(link_page: str) -> None:
     assert not re.search(r"[\"( ,]nan", re.sub(r'href="data:[^"]*"', "", link_page))
 
 
-@pytest.mark.parametrize("name", ["link_page", "bare_page"])
-def test_nothing_is_fetched_and_nothing_runs(name: str, request: pytest.FixtureRequest) -> None:
-    html = request.getfixturevalue(name)
-    page = Page(html)
-    assert {a.split(":")[0] for a in page.addresses if not a.startswith("#")} == {"data"}
-    assert re.findall(r"https?:|//[a-z]|@import|url\(", re.sub(r'href="data:[^"]*"', "", html)) == []
-    assert not page.tags & {"script", "iframe", "object", "embed", "form"}
-    assert page.handlers == []
+def test_nothing_is_fetched_and_nothing_runs(link_page):
+    page = Page(link_page)
+    assert_alone(page)
+    assert re.findall(r"https?:|//[a-z]|@import|url\(", re.sub(r'href="data:[^"]*"', "", link_page)) == []
     policy = next(m["content"] for m in page.metas if m.get("http-equiv") == "Content-Security-Policy")
     assert policy == "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
 
-def test_hostile_names_stay_text() -> None:
-    hostile = "<script>alert('x')</script>\"><img src=x onerror=alert(1)> $\\frac$ 紙 {{ 7*7 }}"
-    run = a_run()
+def test_what_others_write_stays_text():
+    run, registered = a_run(), "<b>registered</b>"
     for layer in run["results"]["layers"]:
-        layer["source"] |= {"name": f"{layer['name']} {hostile}", "size_source": hostile, "dtype": hostile}
-    run["results"]["parameters"][hostile] = {hostile: hostile}
-    run["results"]["checks"][0]["sentence"] = hostile
-    run["results"]["layers"][0]["registration"]["match_sentence"] = hostile
-    run["marks"]["volume"]["label"] = ("mark", np.array([hostile] * 3, dtype=object))
-    for name in ("image", "coating_top"):
-        run["groups"]["linked"][name].attrs |= {"long_name": hostile, "units": hostile}
-    run["groups"]["maps"]["coating_top"].attrs |= {"long_name": hostile, "units": hostile}
+        layer["source"] |= {"name": f"{layer['name']} {HOSTILE}", "size_source": HOSTILE, "dtype": HOSTILE}
+    run["results"]["parameters"][HOSTILE] = {HOSTILE: HOSTILE}
+    run["results"]["checks"][0]["sentence"] = HOSTILE
+    facts = run["results"]["layers"][0]["registration"]
+    facts |= dict.fromkeys(("match_sentence", "design", "model_sentence"), registered) | {"warnings": [registered]}
+    facts["lag"]["sentence"] = facts["orientation"]["sentence"] = registered
+    run["marks"]["volume"]["label"] = ("mark", np.array([HOSTILE] * 3, dtype=object))
+    for group, name in (("linked", "image"), ("linked", "coating_top"), ("maps", "coating_top")):
+        run["groups"][group][name].attrs |= {"long_name": HOSTILE, "units": HOSTILE}
     page = Page(page_of(run))
-    assert not page.tags & {"script"}
-    assert page.handlers == []
+    assert_alone(page)
     for tag in ("h1", "table", "figcaption", "svg"):
-        assert hostile in page.text(tag)
-    assert {a.split(":")[0] for a in page.addresses if not a.startswith("#")} == {"data"}
+        assert HOSTILE in page.text(tag)
+    assert page.text().count(registered) >= 6
 
 
-def test_a_map_alone_leaves_out_what_needs_an_image_and_a_link_without_coating_outlines_the_thickness(
-    bare_page: str,
-) -> None:
+def test_a_map_alone_leaves_out_what_needs_an_image_and_a_link_without_coating_outlines_the_thickness(bare_page):
     page = Page(bare_page)
     assert "no image was linked" in page.text("h1")
     assert "No coating was found" in page.text()
@@ -125,20 +112,14 @@ def test_a_map_alone_leaves_out_what_needs_an_image_and_a_link_without_coating_o
     assert "sheet thickness below" in text
 
 
-def test_same_input_gives_the_same_bytes(tmp_path: Path, link_page: str) -> None:
-    run = a_run()
-    run["results"] = Results.model_validate(run["results"])
-    write_report(tmp_path / "report.html", **run)
-    assert (tmp_path / "report.html").read_bytes() == link_page.encode("utf-8")
-
-
-def test_the_page_needs_no_plotting_library() -> None:
+@pytest.mark.ci
+def test_the_page_needs_no_plotting_library():
     code = "import sys, planish.report.page; print('matplotlib' in sys.modules)"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "False"
 
 
-def test_checks_are_named_the_worst_first_with_limits_and_advice() -> None:
+def test_checks_are_named_the_worst_first_with_limits_and_advice():
     run = a_run(linked=False)
     for name, state in (("dust", "unknown"), ("marks", "look"), ("slices", "fail")):
         run["results"]["checks"].append({
@@ -154,9 +135,9 @@ def test_checks_are_named_the_worst_first_with_limits_and_advice() -> None:
     assert text.index("Slices (fail)") < text.index("Marks (look)") < text.index("Coverage (pass)")
 
 
-def test_a_sheet_with_its_top_at_the_low_end_is_drawn_top_up() -> None:
+def test_a_sheet_with_its_top_at_the_low_end_is_drawn_top_up():
     run = a_run(linked=False, top="low")
-    assert "top side lies at the low end" in Page(page_of(run)).text()
+    assert "top side lies at the low end" in text_of(run)
     cut = take_slice(run["groups"]["slices"], run["groups"]["surfaces"], 0)
     assert np.all(np.diff(cut.heights) < 0)
     assert np.all(cut.lines["top"] > cut.lines["bottom"])
@@ -165,7 +146,7 @@ def test_a_sheet_with_its_top_at_the_low_end_is_drawn_top_up() -> None:
     assert cut.grey[inside].mean() > 140
 
 
-def test_joined_sections_and_bridged_gaps_are_described() -> None:
+def test_joined_sections_and_bridged_gaps_are_described():
     run = a_run(linked=False)
     sections = {"kind": "photographs", "count": 1250, "not_aligned": 2, "missing": 5, "cutoff_um": 150.0, "fixed": [],
                 "pairs_used": 9, "pairs_refused": 1, "gain_sd": 0.1, "shift_row_rms_um": 1.52, "shift_col_rms_um": 1.61,
@@ -173,21 +154,21 @@ def test_joined_sections_and_bridged_gaps_are_described() -> None:
     sheet = run["results"]["layers"][0]["sheet"]
     sheet["sections"] = sections
     sheet["surfaces"]["bridged_share"] = 0.02
-    text = Page(page_of(run)).text()
+    text = text_of(run)
     assert "1\u202f250 sections were aligned to their neighbours; shifts of 1.5\u202fµm and 1.6\u202fµm rms" in text
     assert "5 missing sections were bridged, 2 of them because they match no neighbour." in text
     assert "more slowly than over 150\u202fµm cannot be distinguished from the sheet's own bend" in text
     assert "in 2.0\u202f% of the columns, were bridged" in text
     sections["fixed"] = ["tilt"]
-    assert "Slow drift was removed (tilt)" in Page(page_of(run)).text()
+    assert "Slow drift was removed (tilt)" in text_of(run)
 
 
-def test_links_without_numbers_checks_or_expected_error_have_a_page() -> None:
+def test_links_without_numbers_checks_or_expected_error_have_a_page():
     run = a_run()
     run["results"]["layers"][0]["registration"] |= {"leave_one_out_rms_um": None, "expected_error": None}
     for row in (*run["results"]["correlations"], *run["results"]["comparison"]):
         row |= {"n": 2, "r": None, "r2": None, "slope": None, "intercept": None}
-    text = Page(page_of(run)).text()
+    text = text_of(run)
     assert "could not be correlated" in text
     assert not re.search(r"\b(nan|None|inf)\b", text)
     run["results"]["layers"][0]["registration"] |= {"lag": None, "expected_error": None}
@@ -199,11 +180,11 @@ def test_links_without_numbers_checks_or_expected_error_have_a_page() -> None:
     assert page.drawings == 19
 
 
-def coating_and_image(linked: xr.Dataset) -> list[xr.DataArray]:
+def coating_and_image(linked):
     return [linked[name].where(linked["valid"]) for name in ("coating_top", "image")]
 
 
-def test_point_means_have_the_correlation_of_the_maps_and_need_two_pixels() -> None:
+def test_point_means_have_the_correlation_of_the_maps_and_need_two_pixels():
     # Without noise in between the image is a straight line over the coating, and so are the means.
     linked = a_run()["groups"]["linked"]
     linked["image"] = 3 * linked["coating_top"] + 5
@@ -214,14 +195,14 @@ def test_point_means_have_the_correlation_of_the_maps_and_need_two_pixels() -> N
 
 
 @pytest.mark.parametrize(("thin_um", "expected"), [(18.0, "below 18\u202fµm,"), (1.0, "No valid pixel is below 1")])
-def test_outlines_say_which_limit_they_show(thin_um: float, expected: str) -> None:
+def test_outlines_say_which_limit_they_show(thin_um, expected):
     caption = maps.draw_outlines(a_run()["groups"]["linked"], name="coating_top", thin_um=thin_um)[-1].caption
     assert expected in caption
     assert ("thinnest 5 %" in caption) == (thin_um == 1.0)
     assert "standard deviations darker" in caption
 
 
-def test_large_maps_are_averaged_by_area_and_coloured_by_their_values() -> None:
+def test_large_maps_are_averaged_by_area_and_coloured_by_their_values():
     stripes = np.tile([0.0, 1.0], (40, 2000))
     shown = draw.reduced(stripes, np.arange(40.0), np.arange(4000.0), width=1000.0)
     assert (shown.values.shape[1], shown.values.mean()) == (1350, pytest.approx(0.5, abs=1e-3))
@@ -240,8 +221,7 @@ def test_large_maps_are_averaged_by_area_and_coloured_by_their_values() -> None:
     ("written", "expected"),
     [
         (number(0.99996), "1.00"),
-        (number(56782.4), "56\u202f782"),
-        (number(-12.04), "−12.0"),
+        (number(-56782.4), "−56\u202f782"),
         (fixed(-0.0004, 2), "0.00"),
         (to_spread(2.49817, 0.0722), "2.498"),
         (to_spread(-12.3, 45.0), "−12"),
@@ -255,29 +235,19 @@ def test_large_maps_are_averaged_by_area_and_coloured_by_their_values() -> None:
         (in_words("Coating thickness, top side"), "coating thickness (top side)"),
     ],
 )
-def test_numbers_and_names_are_written_the_same_way_everywhere(written: str, expected: str) -> None:
+def test_numbers_and_names_are_written_the_same_way_everywhere(written, expected):
     assert written == expected
 
 
-@pytest.mark.parametrize(("value", "expected"), [(7.3, 5.0), (1.0, 1.0), (0.0499, 0.02), (250.0, 200.0)])
-def test_scale_bars_have_round_lengths(value: float, expected: float) -> None:
-    assert draw.round_step(value) == pytest.approx(expected)
+def test_scale_bars_and_ticks_are_round_and_few():
+    for value, expected in ((7.3, 5.0), (1.0, 1.0), (0.0499, 0.02), (250.0, 200.0)):
+        assert draw.round_step(value) == pytest.approx(expected)
+    for low, high, ticks in ((0.0, 1.0, [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]), (-3.2, 7.1, [-2.0, 0.0, 2.0, 4.0, 6.0])):
+        step = draw.round_step((high - low) / 6, above=True)
+        np.testing.assert_allclose(draw.multiples(low, high, step), ticks, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("low", "high", "expected"),
-    [
-        (0.0, 1.0, [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]),
-        (-3.2, 7.1, [-2.0, 0.0, 2.0, 4.0, 6.0]),
-        (996.0, 1004.0, [996, 998, 1000, 1002, 1004]),
-    ],
-)
-def test_ticks_are_round_and_few(low: float, high: float, expected: list[float]) -> None:
-    step = draw.round_step((high - low) / 6, above=True)
-    np.testing.assert_allclose(draw.multiples(low, high, step), expected, atol=1e-12)
-
-
-def test_drawings_place_what_they_show() -> None:
+def test_drawings_place_what_they_show():
     canvas = Canvas(200, 100)
     axes = canvas.axes(10, 20, 100, 50, (0.0, 10.0, 5.0, 0.0))
     axes.line([(0.0, 0.0), (10.0, 5.0), (np.nan, 0.0), (2.0, 2.0), (2.0, 3.0)], colour="red")
@@ -292,7 +262,7 @@ def test_drawings_place_what_they_show() -> None:
     assert 'aria-label="a &amp; b"' in svg
 
 
-def test_long_numbers_at_the_ends_of_axes_stay_within_the_figure() -> None:
+def test_long_numbers_at_the_ends_of_axes_stay_within_the_figure():
     canvas = Canvas(333.0, 300.0)
     shown = draw.ShownMap(np.arange(4.0).reshape(2, 2), (0.0, 100_000.0, 100_000.0, 0.0))
     canvas.map_axes(44.0, 8.0, (277.0, 250.0), shown, Scale(0.0, 100_000.0, colours.PROPERTY))
