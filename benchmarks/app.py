@@ -9,15 +9,13 @@ mark at 10 frames a second or more; ``--warp`` measures that alone in another ru
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import re
 import shutil
 import subprocess
-import sys
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -27,9 +25,8 @@ import tifffile
 import xarray as xr
 from scipy import ndimage
 
-from benchmarks.size import folder_for
+from benchmarks.shared import folder_for, memory, options, planish
 from planish.core.grid import Grid
-from planish.core.tiles import Tile
 from planish.io.map_store import StoredMaps, map_tiles
 from planish.run import link
 
@@ -43,12 +40,7 @@ _SIDE, _MAPS = ("two",), ("Left map", "Right map")
 
 
 def main(*arguments: str | int) -> int:
-    parser = argparse.ArgumentParser(prog="app")
-    parser.add_argument("--folder", type=Path, default=None, help="where the run is made, and kept for the next time")
-    parser.add_argument("--rows", type=int, default=10944)
-    parser.add_argument("--cols", type=int, default=14592)
-    parser.add_argument("--warp", type=Path, default=None, help="a run of which only the warp is measured")
-    asked = parser.parse_args([str(a) for a in arguments])
+    asked = options("app", arguments, folder=None, rows=10944, cols=14592, warp=None)
     if asked.warp is not None:
         with opened(asked.warp) as (page, url, _):
             page.goto(url)
@@ -81,11 +73,9 @@ def make_run(run: Path, shape: tuple[int, int], folder: Path) -> None:
     for k, name in enumerate(("one", "two")):
         for tile in map_tiles(shape):
             sink.add(f"layers/{name}", grid, tile, _maps(tile, grid, k, rng))
-    groups = json.loads((run / "maps.zarr" / "zarr.json").read_text(encoding="utf-8"))
-    assert groups["node_type"] == "group"
 
 
-def _maps(tile: Tile, grid: Grid, k: int, rng: np.random.Generator) -> xr.Dataset:
+def _maps(tile, grid, k, rng):
     """A tile of a layer: what both layers share, and noise of their own."""
     part = grid.part(tile.rows, tile.cols)
     wave = np.sin(part.y_um[:, None] / 130) * np.cos(part.x_um / 90) + np.sin((part.y_um[:, None] + part.x_um) / 37)
@@ -99,19 +89,19 @@ def _maps(tile: Tile, grid: Grid, k: int, rng: np.random.Generator) -> xr.Datase
 
 
 @contextmanager
-def opened(run: Path) -> Generator[tuple[Any, str, int]]:
+def opened(run: Path, *arguments: str) -> Generator[tuple[Any, str, int]]:
     """An empty page of a browser, the address of a run in the app, and the process that serves it."""
     from playwright.sync_api import sync_playwright
 
     shutil.rmtree(run / "edits", ignore_errors=True)  # marks of the last time
-    command = [sys.executable, "-m", "planish", "view", str(run), "--json", "--no-browser"]
+    command = planish("view", run, "--json", "--no-browser")
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         assert server.stdout is not None
         url = json.loads(server.stdout.readline())["url"]
         path = os.environ.get("PLANISH_CHROMIUM") or shutil.which("chromium") or "/usr/bin/chromium"
         with sync_playwright() as playwright:
-            browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+            browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox", *arguments])
             yield browser.new_page(viewport=_WINDOW), url, server.pid
             browser.close()
     finally:
@@ -138,7 +128,7 @@ def measure(run: Path) -> None:
         _set(page, "Region, um", "2000, 2000, 6000, 5000")
         page.get_by_text(re.compile(r"^n \d+; r ")).wait_for(timeout=120_000)
         print(f"r of a region of 4 x 3 mm at full resolution: {time.perf_counter() - begun:.2f} s")
-        print(f"peak memory of the server: {_peak(server) / 1e6:.0f} MB; load {os.getloadavg()[0]:.1f}")
+        print(f"peak memory of the server: {memory(server, peak=True) / 1e6:.0f} MB; load {os.getloadavg()[0]:.1f}")
 
 
 def clicks(page: Any) -> None:
@@ -222,7 +212,7 @@ def until(page: Any, truth: str) -> None:
         time.sleep(0.005)
 
 
-def _click(page: Any, view: str) -> None:
+def _click(page, view):
     box = page.get_by_role("application", name=view, exact=True).bounding_box()
     page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
 
@@ -257,13 +247,19 @@ WATCH = """() => {
 }"""
 
 
-def _times(page: Any, names: tuple[str, ...], count: int, act: Callable[[], None]) -> list[float]:
+def _times(page, names, count, act):
     """Seconds from each of some acts until the views show something else and load nothing any more."""
-    found: list[float] = []
+    found = []
     for _ in range(count):
         before, begun = page.evaluate(_SHOWN, list(names)), time.perf_counter()
         act()
-        _wait(page, names, lambda now, old=before: all(a != b for a, b in zip(now, old, strict=True)))
+        while True:
+            now = page.evaluate(_SHOWN, list(names))
+            if all(now) and all(a != b for a, b in zip(now, before, strict=True)):
+                break
+            if time.perf_counter() > begun + 60:
+                raise TimeoutError(f"{names} do not show it after 60 s")
+            time.sleep(0.005)
         found.append(time.perf_counter() - begun)
     return found
 
@@ -272,13 +268,13 @@ def say(what: str, seconds: list[float], *, digits: int = 2) -> None:
     print(f"{what}: {', '.join(f'{one:.{digits}f}' for one in seconds)} s (load {os.getloadavg()[0]:.1f})", flush=True)
 
 
-def _set(page: Any, label: str, text: str) -> None:
+def _set(page, label, text):
     field = page.get_by_label(label, exact=True)
     field.fill(text)
     field.press("Enter")
 
 
-def _jump(page: Any, x_um: float, y_um: float) -> None:
+def _jump(page, x_um, y_um):
     _set(page, "Left map, um per screen pixel", str(PIXEL_UM))
     _set(page, "Left map centre, um", f"{x_um}, {y_um}")
 
@@ -293,17 +289,3 @@ _SHOWN = """names => names.map(name => {
   for (let i = 0; i < data.length; i += 97) sum = (31 * sum + data[i]) % 1000000007;
   return sum;
 })"""
-
-
-def _wait(page: Any, names: tuple[str, ...], shown: Callable[[list[int]], bool], *, limit_s: float = 60.0) -> None:
-    """Wait until no view loads and what they show is as it should be."""
-    end = time.perf_counter() + limit_s
-    while not (all(now := page.evaluate(_SHOWN, list(names))) and shown(now)):
-        if time.perf_counter() > end:
-            raise TimeoutError(f"{names} do not show it after {limit_s} s")
-        time.sleep(0.005)
-
-
-def _peak(pid: int) -> float:
-    status = Path(f"/proc/{pid}/status").read_text(encoding="ascii")
-    return 1024 * float(re.search(r"VmHWM:\s+(\d+)", status)[1])  # type: ignore[index]

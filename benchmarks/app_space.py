@@ -7,23 +7,20 @@ RUN is any link, such as the demo's. A copy of it with a flat map of 2000 x 1500
 
 from __future__ import annotations
 
-import json
 import shutil
-import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from playwright.sync_api import Page, sync_playwright
 
+from benchmarks.app import opened
 from planish.core.area import overviews
 from planish.io.map_groups import write_tree
 
 ROWS, COLS, PITCH_UM = 1500, 2000, 10.0
-SOFTWARE = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 CANVAS = "canvas.space"
 
 
@@ -49,12 +46,12 @@ def large(run: Path, folder: Path) -> Path:
     return folder
 
 
-def shown(page: Page) -> dict[str, str]:
+def shown(page: Any) -> dict[str, str]:
     """What the canvas says of the last frame."""
     return page.locator(CANVAS).evaluate("canvas => ({...canvas.dataset})")
 
 
-def until_full(page: Page) -> float:
+def until_full(page: Any) -> float:
     """Seconds until all that the screen can show is drawn."""
     begin = time.perf_counter()
     while shown(page).get("detail") != "full" and time.perf_counter() - begin < 30:
@@ -62,7 +59,7 @@ def until_full(page: Page) -> float:
     return time.perf_counter() - begin
 
 
-def measure(page: Page) -> None:
+def measure(page: Any) -> None:
     """Open the tab, turn the sheet, come nearer, let go."""
     begin = time.perf_counter()
     page.get_by_role("tab", name="Flattening").click()
@@ -70,12 +67,12 @@ def measure(page: Page) -> None:
     print(f"first frame after {time.perf_counter() - begin:.2f} s", flush=True)
     print(f"full detail after {until_full(page):.2f} s more: {shown(page)['triangles']} triangles", flush=True)
     time.sleep(4)  # the levels between are made meanwhile
-    box: Any = page.locator(CANVAS).bounding_box()
+    box = page.locator(CANVAS).bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     for far in ("far", "near"):
         page.mouse.move(x, y)
         page.mouse.down()
-        frames: list[tuple[float, int]] = []
+        frames = []
         for k in range(40):
             page.mouse.move(x + 5 * k, y + 2 * k)
             time.sleep(0.05)
@@ -98,21 +95,7 @@ def main(run: str, folder: str) -> int:
     home = Path(folder) / "three-million"
     if not home.exists():
         large(Path(run), home)
-    command = [sys.executable, "-m", "planish", "view", str(home), "--json", "--no-browser"]
-    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
-        assert server.stdout is not None
-        url = json.loads(server.stdout.readline())["url"]
-        with sync_playwright() as play:
-            browser = play.chromium.launch(executable_path=shutil.which("chromium"), args=SOFTWARE)
-            page = browser.new_page(viewport={"width": 1366, "height": 768})
-            page.on("console", lambda said: print("console:", said.text))
-            page.on("pageerror", lambda error: print("error:", error))
-            page.goto(url)
-            measure(page)
-            page.screenshot(path=str(Path(folder) / "space.png"))
-            browser.close()
-    finally:
-        server.terminate()
-        server.wait()
+    with opened(home, *SOFTWARE) as (page, url, _):
+        page.goto(url)
+        measure(page)
     return 0

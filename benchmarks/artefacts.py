@@ -51,7 +51,7 @@ def table(scenario: Scenario, seed: int) -> None:
     print(f"{'':34s}" + " | ".join("".join(f"{k:>10s}" for k in figures) for _ in _MODES))
     print(f"{'':34s}" + " | ".join(f"{m:^{10 * len(figures)}s}" for m in _MODES))
     paper = [n for n in scenario.active if NUISANCES[n].section in ("paper", "holes", "warp")]
-    rows: list[tuple[str, str | tuple[str, ...]]] = [("paper and holes only", tuple(paper))]
+    rows = [("paper and holes only", tuple(paper))]
     rows += [(NUISANCES[n].title, (*paper, n)) for n in own] + [("all together", ALL)]
     for title, chosen in [("nothing, not even in the paper", NONE), *rows]:
         found = measure(scenario, scenario.params(seed, chosen), seed)
@@ -63,7 +63,7 @@ def measure(scenario: Scenario, params: SpecimenParams, seed: int) -> list[Value
     with tempfile.TemporaryDirectory(prefix="artefacts-") as folder:
         specimen = make_specimen(replace(params, seed=seed))
         made = write_instruments(specimen, Path(folder) / "specimen", volume=scenario.instrument, image=False)
-        found: list[Values | str] = []
+        found = []
         for mode in _MODES:
             volume = {"path": str(made.volume), "through": made.through}
             try:

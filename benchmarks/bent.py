@@ -6,8 +6,8 @@ by its angle over arc length, a cone any curve on a sphere around its apex.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import xarray as xr
@@ -25,12 +25,16 @@ _RIM_UM = 100.0
 _FACES = ("top", "interface_top", "interface_bottom", "bottom")
 
 
-class Surface(Protocol):
-    """A surface that keeps its lengths: (u, v) in the plane to points in space."""
+Surface = Callable[[Array], Array]
+"""A surface that keeps its lengths: (u, v) in the plane (..., 2) to points in space (..., 3)."""
 
-    def __call__(self, uv: Array) -> Array:
-        """Points (..., 3) of (..., 2)."""
-        ...
+
+def waves(rng: np.random.Generator, at: Array) -> Array:
+    """One to three waves of 1.6 to 9 mm."""
+    return sum(
+        rng.uniform(0.4, 1.0) * np.sin(2 * np.pi * at / rng.uniform(1600, 9000) + rng.uniform(0, 6.28))
+        for _ in range(int(rng.integers(1, 4)))
+    )
 
 
 @dataclass(frozen=True)
@@ -45,16 +49,12 @@ class Cylinder:
     def drawn(cls, rng: np.random.Generator, slope: float) -> Cylinder:
         """Draw a profile whose steepest slope is ``slope``."""
         at = np.arange(-9000.0, 9001.0)
-        waves = [
-            rng.uniform(0.4, 1.0) * np.sin(2 * np.pi * at / rng.uniform(1600, 9000) + rng.uniform(0, 6.28))
-            for _ in range(int(rng.integers(1, 4)))
-        ]
-        angle = np.sum(waves, axis=0) + rng.uniform(-0.3, 0.3)
+        angle = waves(rng, at) + rng.uniform(-0.3, 0.3)
         angle *= np.arctan(slope) / np.abs(angle[7500:-7500]).max()
         steps = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         # Simpson's rule with the middle of each step from a finer evaluation of the same smooth function.
         curve = np.concatenate([np.zeros((1, 2)), np.cumsum(0.5 * (steps[1:] + steps[:-1]), axis=0)])
-        return cls(turn=float(rng.uniform(0, np.pi)), at=at, curve=curve - curve[at.size // 2])
+        return cls(turn=rng.uniform(0, np.pi), at=at, curve=curve - curve[at.size // 2])
 
     def __call__(self, uv: Array) -> Array:
         c, s = np.cos(self.turn), np.sin(self.turn)
@@ -75,19 +75,15 @@ class Cone:
     @classmethod
     def drawn(cls, rng: np.random.Generator, slope: float) -> Cone:
         """Draw a cone whose steepest slope is about ``slope``."""
-        apex = float(rng.uniform(5000, 15000))
+        apex = rng.uniform(5000, 15000)
         theta = np.linspace(-0.9, 0.9, 36001)
-        waves = [
-            rng.uniform(0.4, 1.0) * np.sin(2 * np.pi * theta * apex / rng.uniform(1600, 9000) + rng.uniform(0, 6.28))
-            for _ in range(int(rng.integers(1, 4)))
-        ]
-        beta = np.sum(waves, axis=0)
+        beta = waves(rng, theta * apex)
         steep = np.gradient(beta, theta)
         beta *= slope / np.abs(steep[np.abs(theta) * apex < 1500]).max()
         beta -= beta[theta.size // 2]
         lines = np.stack([np.cos(beta) * np.cos(theta), np.cos(beta) * np.sin(theta), np.sin(beta)], axis=1)
         at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(lines, axis=0), axis=1))])
-        return cls(apex=apex, turn=float(rng.uniform(0, 2 * np.pi)), at=at - at[at.size // 2], lines=lines)
+        return cls(apex=apex, turn=rng.uniform(0, 2 * np.pi), at=at - at[at.size // 2], lines=lines)
 
     def __call__(self, uv: Array) -> Array:
         c, s = np.cos(self.turn), np.sin(self.turn)
@@ -115,7 +111,7 @@ def material(surface: Surface, points: Array) -> Array:
     return np.concatenate([uv, np.sum((points - surface(uv)) * normal, axis=-1, keepdims=True)], axis=-1)
 
 
-def _solved(by_u: Array, by_v: Array, off: Array) -> Array:
+def _solved(by_u, by_v, off):
     a, b, c = (np.sum(p * q, axis=-1) for p, q in ((by_u, by_u), (by_u, by_v), (by_v, by_v)))
     e, f = np.sum(by_u * off, axis=-1), np.sum(by_v * off, axis=-1)
     return np.stack([c * e - b * f, a * f - b * e], axis=-1) / (a * c - b * b)[..., None]
@@ -176,26 +172,24 @@ class _Fields:
         for _ in range(8):
             by_u, by_v, normal = tangents(self.surface, uv)
             at = self.surface(uv) + self._at(field, uv)[..., None] * normal
-            off = places - at[..., :2]
-            det = by_u[..., 0] * by_v[..., 1] - by_u[..., 1] * by_v[..., 0]
-            du = (by_v[..., 1] * off[..., 0] - by_v[..., 0] * off[..., 1]) / det
-            dv = (by_u[..., 0] * off[..., 1] - by_u[..., 1] * off[..., 0]) / det
-            uv += np.stack([du, dv], axis=-1)
+            uv += np.linalg.solve(np.stack([by_u[..., :2], by_v[..., :2]], axis=-1), (places - at[..., :2])[..., None])[
+                ..., 0
+            ]
         return uv, at[..., 2]
 
-    def _at(self, field: Array, uv: Array) -> Array:
+    def _at(self, field, uv):
         index = np.moveaxis(uv[..., ::-1] / PITCH_UM + self.n / 2, -1, 0)
         return ndimage.map_coordinates(field, index, order=1, mode="nearest")
 
 
-def _noise(rng: np.random.Generator, rows: int, cols: int, sigma: float) -> Array:
+def _noise(rng, rows, cols, sigma):
     made = ndimage.gaussian_filter(rng.standard_normal((rows, cols)), sigma)
     return made / made.std()
 
 
-def _scattered(rng: np.random.Generator, count: int, height: float) -> Array:
+def _scattered(rng, count, height):
     """Places (n, 2) of holes, far enough apart, away from the border; most of the field is between them."""
-    found: list[Array] = []
+    found = []
     apart = 420.0
     while len(found) < count:
         for _ in range(400):
@@ -208,7 +202,7 @@ def _scattered(rng: np.random.Generator, count: int, height: float) -> Array:
     return np.array(found)
 
 
-def _found(heights: dict[str, Array], y: Array, x: Array, holes: Array, thickness: float) -> xr.Dataset:
+def _found(heights, y, x, holes, thickness):
     """Surfaces as planish finds them: rims left out, the centre surface carried across."""
     away = np.min([np.hypot(x[None, :] - h[0], y[:, None] - h[1]) for h in holes], axis=0)
     rim = away < 90.0 + _RIM_UM
@@ -227,6 +221,6 @@ def _found(heights: dict[str, Array], y: Array, x: Array, holes: Array, thicknes
     )  # fmt: skip
 
 
-def _height_at(surfaces: xr.Dataset, where: Array) -> Array:
+def _height_at(surfaces, where):
     index = [(where[:, 1] - surfaces["y"].values[0]) / PITCH_UM, (where[:, 0] - surfaces["x"].values[0]) / PITCH_UM]
     return ndimage.map_coordinates(surfaces["centre"].values, index, order=1)

@@ -16,9 +16,8 @@ from pathlib import Path
 from resource import RUSAGE_SELF, getrusage
 
 import planish as pl
-from planish.analyze import Correlation, correlate, difference_of
+from planish.analyze import correlate, difference_of
 from planish.core.facts import is_known
-from planish.run import Run
 from planish.synthetic import (
     MICRO_CT,
     PRESETS,
@@ -35,7 +34,7 @@ _LIGHTS = (("even light", ("shading", "vignetting")), ("uneven light", ()))
 
 
 def main(size: str = "T2", seed: int | str = 1) -> int:
-    found: dict[str, list[Correlation]] = {light: [] for light, _ in _LIGHTS}
+    found = {light: [] for light, _ in _LIGHTS}
     for name, preset, r2 in _CASES:
         params = SpecimenParams(
             size_um=SIZES_UM[size], paper=PRESETS[preset][1].as_slab(), seed=int(seed),
@@ -65,7 +64,7 @@ def main(size: str = "T2", seed: int | str = 1) -> int:
     return 0
 
 
-def _said(name: str, run: Run, r2: float) -> Correlation:
+def _said(name, run, r2):
     linked = run.linked
     pixel = float(linked["x"].values[1] - linked["x"].values[0])
     maps = linked["coating_top"], linked["image"]

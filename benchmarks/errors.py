@@ -10,8 +10,6 @@ there is not done again.
 from __future__ import annotations
 
 import json
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.bent import Bent, material
+from benchmarks.shared import rms
+from benchmarks.surfaces import misplaced
 from planish.core.grid import Grid, values_at
 from planish.flatten import flatten_sheet
 from planish.register import Chain, fit_transform
@@ -37,73 +37,51 @@ _ALONE = {0.35: 0.06, 0.8: 0.3}  # um that the flattening may leave where the ne
 
 def one(slope: str, marks: str, seed: int) -> dict[str, Any]:
     """Draw, flatten and register one sheet; true and stated error, rms over the pixels."""
-    start = time.process_time()
     rng = np.random.default_rng([seed, [*SLOPES].index(slope), [*MARKS].index(marks)])
     low, high = MARKS[marks]
-    sheet = Bent.drawn(rng, float(rng.uniform(*SLOPES[slope])), int(rng.integers(low, high + 1)))
-    surfaces = sheet.surfaces
-    flat, best = (flatten_sheet(k).flat for k in (surfaces, sheet.known))
-    y, x = np.meshgrid(surfaces["y"].values, surfaces["x"].values, indexing="ij")
-    true = material(sheet.surface, np.stack([x, y, surfaces["centre"].values], axis=-1))[..., :2]
+    sheet = Bent.drawn(rng, rng.uniform(*SLOPES[slope]), int(rng.integers(low, high + 1)))
+    flat, true = flatten_sheet(sheet.surfaces).flat, _true(sheet, sheet.surfaces)
     field = np.concatenate([true.min(axis=(0, 1)), true.max(axis=(0, 1))])
-    camera = CameraParams(
-        pixel_um=_PIXEL_UM, turn_deg=float(rng.uniform(-180, 180)), radial=float(rng.uniform(-1e-3, 1e-3))
-    )
+    camera = CameraParams(pixel_um=_PIXEL_UM, turn_deg=rng.uniform(-180, 180), radial=rng.uniform(-1e-3, 1e-3))
     shape, pose = draw_pose(camera, field, rng)
-    noise = rng.uniform(0.05, 1.0, 2)
-    found, away = _registered(sheet, flat, pose, noise, rng)
+    found = _registered(sheet, flat, pose, rng.uniform(0.05, 1.0, 2), rng)
     grid = Grid.regular(shape, _PIXEL_UM)
-    uv = np.stack([flat[axis].values for axis in "uv"], axis=-1)
-    places = find_places(found(uv), grid)
+    places = find_places(found(_uv(flat)), grid)
     got = np.stack([resample(true[..., k], places) for k in range(2)], axis=-1)
     asked = pose.inverse(np.stack(np.meshgrid(grid.x_um, grid.y_um), axis=-1))
     error = np.linalg.norm(got - asked, axis=-1)
-    stated = PositionErrors({"surfaces": surfaces, "flat": flat}, Chain(fits=(found,)), grid).on(grid, got[..., 0])
-    shares = {name: _rms(part.values) for name, part in stated.items()}
-    return {
-        "slope": slope, "marks": marks, "seed": seed, "n": len(sheet.holes), "model": found.model, "true": _rms(error),
-        **shares, "noise": float(np.hypot(*noise)), "marks_moved": _rms(away),
-        "flattening": _flattening(true, uv),
-        "alone": _flattening(true, np.stack([best[axis].values for axis in "uv"], axis=-1)),
-        "s": time.process_time() - start,
-    }  # fmt: skip
+    of_run = PositionErrors({"surfaces": sheet.surfaces, "flat": flat}, Chain(fits=(found,)), grid)
+    shares = {name: rms(part.values) for name, part in of_run.on(grid, got[..., 0]).items()}
+    return {"slope": slope, "marks": marks, "seed": seed, "n": len(sheet.holes), "true": rms(error), **shares}
 
 
-def _registered(sheet: Bent, flat: Any, pose: Any, noise: Array, rng: np.random.Generator) -> tuple[Any, Array]:
-    """The fit to the holes as the flat map and the image show them; and how far its marks were moved by noise."""
+def _true(sheet, surfaces):
+    """True places in the plane of the columns."""
+    y, x = np.meshgrid(surfaces["y"].values, surfaces["x"].values, indexing="ij")
+    return material(sheet.surface, np.stack([x, y, surfaces["centre"].values], axis=-1))[..., :2]
+
+
+def _uv(flat):
+    return np.stack([flat[axis].values for axis in "uv"], axis=-1)
+
+
+def _registered(sheet, flat, pose, noise, rng):
+    """The fit to the holes as the flat map and the image show them."""
     at = sheet.columns
-    drawn = [sd * rng.standard_normal(at.shape) for sd in noise]
-    moving = values_at(flat, ("u", "v"), at) + drawn[0]
+    moving, fixed = (sd * rng.standard_normal(at.shape) for sd in noise)
+    moving += values_at(flat, ("u", "v"), at)
+    fixed += pose(sheet.holes)
     covariance = np.broadcast_to(np.sum(noise**2) * np.eye(2), (len(at), 2, 2))
-    fit = fit_transform(moving, pose(sheet.holes) + drawn[1], model="auto", weights=covariance, lowest="similarity")
-    return fit, np.hypot(*(drawn[0] + drawn[1]).T)
-
-
-def _flattening(true: Array, uv: Array) -> float:
-    """Rms distance of the flat from the true plane, turned and shifted onto it."""
-    known = np.isfinite(uv[..., 0])
-    a, b = uv[known], true[known]
-    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
-    u, _, v = np.linalg.svd(a.T @ b)
-    return _rms(np.linalg.norm(a @ (u @ v) - b, axis=1))
+    return fit_transform(moving, fixed, model="auto", weights=covariance, lowest="similarity")
 
 
 def alone(slope: float, sheets: int = 6) -> float:
     """What the flattening leaves where the neutral surface is known, rms over some sheets of 9 holes, in um."""
-    found: list[float] = []
+    found = []
     for seed in range(sheets):
         sheet = Bent.drawn(np.random.default_rng([seed, 9]), slope, 9)
-        y, x = np.meshgrid(sheet.known["y"].values, sheet.known["x"].values, indexing="ij")
-        true = material(sheet.surface, np.stack([x, y, sheet.known["centre"].values], axis=-1))[..., :2]
-        flat = flatten_sheet(sheet.known).flat
-        found.append(_flattening(true, np.stack([flat[axis].values for axis in "uv"], axis=-1)))
-    return _rms(np.array(found))
-
-
-def _rms(values: Array) -> float:
-    known = np.asarray(values, dtype=np.float64)
-    known = known[np.isfinite(known)]
-    return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
+        found.append(misplaced(_uv(flatten_sheet(sheet.known).flat), _true(sheet, sheet.known)))
+    return rms(found)
 
 
 def main(each: int = 16, file: str = "errors.jsonl") -> int:
@@ -127,31 +105,25 @@ def main(each: int = 16, file: str = "errors.jsonl") -> int:
     return missed
 
 
-def _table(lines: list[dict[str, Any]]) -> int:
-    print(
-        "| sheets | n | true um | stated um | marks | neutral | smoothing | true/stated | 1.73x | 2x | above 1.9 | 3 |"
-    )
-    print("|---|---|---|---|---|---|---|---|---|---|---|---|")
+def _table(lines):
+    head = "sheets | n | true um | stated um | marks | neutral | smoothing | true/stated | 1.73x | 2x | above 1.9 | 3"
+    print(f"| {head} |\n{'|---' * 12}|")
     missed = 0
-    groups = [(name, [k for k in lines if k["slope"] == name]) for name in SLOPES]
-    groups += [(f"{name} marks", [k for k in lines if k["marks"] == name]) for name in MARKS]
-    for name, part in [*groups, ("all", lines)]:
+    groups = {name: [k for k in lines if k["slope"] == name] for name in SLOPES}
+    groups |= {f"{name} marks": [k for k in lines if k["marks"] == name] for name in MARKS}
+    for name, part in (groups | {"all": lines}).items():
         if not part:
             continue
         columns = ("true", "expected_error", "error_marks", "error_neutral", "error_smoothing")
         true, stated, *shares = (np.array([k[column] for k in part]) for column in columns)
-        ratio, pooled = true / stated, _rms(true) / _rms(stated)
+        ratio, pooled = true / stated, rms(true) / rms(stated)
         many = ratio[[k["n"] >= 7 for k in part]]
-        within = [float(np.mean(ratio < k)) for k in (1.73, 2.0)]
-        above = [float(np.mean(many > k)) if many.size else 0.0 for k in (1.9, 3.0)]
+        within, above = [np.mean(ratio < k) for k in (1.73, 2.0)], [np.sum(many > k) for k in (1.9, 3.0)]
+        above = [count / max(many.size, 1) for count in above]
         low, high = (0.75, 1.3) if name == "4-6 marks" else (0.8, 1.2)
         good = low <= pooled <= high and within[0] >= 0.9 and within[1] >= 0.94 and above[0] <= 0.05 and above[1] == 0
         missed += not good
-        cells = [f"{_rms(v):.2f}" for v in (true, stated, *shares)] + [f"{pooled:.2f}"]
+        cells = [f"{rms(v):.2f}" for v in (true, stated, *shares)] + [f"{pooled:.2f}"]
         cells += [f"{100 * v:.0f} %" for v in (*within, *above)]
         print(f"| {name} | {len(part)} | " + " | ".join(cells) + f" |{'' if good else ' missed'}")
     return int(missed > 0)
-
-
-if __name__ == "__main__":
-    sys.exit(main(*(int(a) if a.isdigit() else a for a in sys.argv[1:])))

@@ -11,12 +11,11 @@ from __future__ import annotations
 import math
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
-from resource import RUSAGE_SELF, getrusage
 
 import numpy as np
 import xarray as xr
@@ -24,6 +23,7 @@ import zarr
 from numpy.typing import NDArray
 from scipy import fft, ndimage, optimize, stats
 
+from benchmarks.shared import in_parts, memory
 from planish.analyze import coherence, correlate, paired_difference, size_curve, without_screen
 from planish.analyze.compare import correlate_layers
 from planish.analyze.covariance import Lags
@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 Maps = tuple[Array, Array]
 
 SHAPE, SIDE = (150, 200), 150
-_CHUNK = 25
+Say = Callable[[Array], str]
 
 
 def field(rng: np.random.Generator, shape: tuple[int, int], length: float | tuple[float, float], kind: str) -> Maps:
@@ -109,16 +109,8 @@ def statements(make: Callable[[np.random.Generator], Maps], r: float, seed: int,
         low, high = found.interval
         t = abs(found.r) * math.sqrt((found.n - 2) / (1 - found.r**2))
         naive = 2 * stats.t.sf(t, found.n - 2)
-        out.append(
-            (
-                low <= r <= high if low == low else math.nan,
-                found.p < 0.05,
-                naive < 0.05,
-                found.n_eff,
-                high - low,
-                low * high > 0,
-            )
-        )
+        held = low <= r <= high if low == low else math.nan
+        out.append((held, found.p < 0.05, naive < 0.05, found.n_eff, high - low, low * high > 0))
     return np.array(out, dtype=float)
 
 
@@ -142,7 +134,7 @@ def curves(r: float, length: float, noise: float, seed: int, count: int) -> Arra
     return np.array(out, dtype=float)
 
 
-def _variance(length: float, size: float) -> float:
+def _variance(length, size):
     """Variance of the mean over a point of a map of variance 1."""
     at = np.arange(1 - size, size)
     weight = np.outer(size - abs(at), size - abs(at)) / size**4
@@ -189,13 +181,11 @@ def brightness(r2: float, seed: int, count: int) -> Array:
     return np.array(out, dtype=float)
 
 
-def _measured(rng: np.random.Generator, a: Array) -> Array:
+def _measured(rng, a):
     """A map of thickness as it is measured: with noise, and each pixel from a place that is a little wrong."""
     moves = [ndimage.gaussian_filter(rng.normal(size=a.shape), 20, mode="wrap") for _ in range(2)]
-    at = [
-        k + m / m.std() * _PLACE_ERROR_UM / FIELD_UM / math.sqrt(2)
-        for k, m in zip(np.indices(a.shape), moves, strict=True)
-    ]
+    size = _PLACE_ERROR_UM / FIELD_UM / math.sqrt(2)
+    at = [k + m / m.std() * size for k, m in zip(np.indices(a.shape), moves, strict=True)]
     moved = ndimage.map_coordinates(a, at, order=1, mode="reflect")
     return _THICK_SD_UM * moved + _THICK_ERROR_UM * rng.normal(size=a.shape)
 
@@ -232,7 +222,7 @@ def cost_of(folder: Path, whole: bool, what: str) -> str:
     data = xr.open_zarr(folder, consolidated=False)
     data = data.load() if whole else data
     a, b, mask = (data[k] for k in ("a", "b", "mask"))
-    before, start = getrusage(RUSAGE_SELF).ru_maxrss, time.process_time()
+    before, start = memory(peak=True), time.process_time()
     if what == "correlate":
         n_eff = correlate(a, b, mask=mask, pixel_um=2.0).n_eff
     else:
@@ -240,9 +230,9 @@ def cost_of(folder: Path, whole: bool, what: str) -> str:
         size_curve(x, y, mask=known, pixel_um=2.0, sizes_um=[2.0 * 2**k for k in range(9)])
         coherence(x, y, mask=known, pixel_um=2.0)
         n_eff = math.nan
-    spent, peak = time.process_time() - start, getrusage(RUSAGE_SELF).ru_maxrss
-    memory = f"{(peak - before) / 2**20:.2f} GiB more, peak {peak / 2**20:.2f} GiB"
-    return f"{spent:.2f} s of processor time, {memory}; n_eff {n_eff:.0f}"
+    spent, peak = time.process_time() - start, memory(peak=True)
+    grown = f"{(peak - before) / 2**30:.2f} GiB more, peak {peak / 2**30:.2f} GiB"
+    return f"{spent:.2f} s of processor time, {grown}; n_eff {n_eff:.0f}"
 
 
 def large() -> None:
@@ -255,96 +245,21 @@ def large() -> None:
             print(f"{rows} x {cols}, {what}: {pool.submit(cost_of, Path(name), whole, what).result()}", flush=True)
 
 
-def main(pairs: int | str = 1000, run: str = "") -> int:
-    count = int(pairs)
-    jobs: list[tuple[str, Callable[[int, int], Array], Callable[[Array], str]]] = []
-
-    def add(name: str, work: Callable[..., Array], say: Callable[[Array], str], *given: object) -> None:
-        jobs.append((name, partial(work, *given), say))
-
-    for part in (60, 30, 12, 8, 5):
-        add(
-            f"unrelated, side/{part}",
-            statements,
-            _sizes(exact_n_eff(SIDE / part)),
-            partial(related, r=0.0, length=SIDE / part),
-            0.0,
-        )
-    add(
-        "unrelated, gauss side/15",
-        statements,
-        _sizes(exact_n_eff(10.0, "gauss")),
-        partial(related, r=0.0, length=10.0, kind="gauss"),
-        0.0,
-    )
-    add(
-        "unrelated, 5 x 20 pixels",
-        statements,
-        _sizes(exact_n_eff((5.0, 20.0))),
-        partial(related, r=0.0, length=(5.0, 20.0)),
-        0.0,
-    )
-    for r in (0.0, 0.5, 0.9):
-        for part in (30, 12):
-            add(f"r {r}, side/{part}", statements, _covers, partial(related, r=r, length=SIDE / part), r)
-    cases: Sequence[tuple[str, Callable[..., Maps]]] = (
-        ("lognormal", partial(lognormal, r=0.5, length=8.0)), ("nugget 40 %", partial(with_nugget, r=0.5, length=8.0)),
-        ("4:1", partial(related, r=0.5, length=(3.0, 12.0))),
-        ("holes and rims", partial(with_holes, r=0.5, length=8.0)),
-        ("side/60 under side/10", partial(related, r=0.5, length=2.5, noise=15.0)),
-        ("side/5", partial(related, r=0.5, length=30.0)),
-    )  # fmt: skip
-    for name, make in cases:
-        add(f"r 0.5, {name}", statements, _covers, make, 0.5)
-    long = optimize.brentq(lambda k: exact_n_eff(k) - 60, 5.0, 60.0)
-    add("r 0.5, n_eff 60", statements, _power, partial(related, r=0.5, length=long), 0.5)
-    for length in (4.0, 12.0):
-        add(f"octaves, side/{SIDE / length:.0f}", coherences, _octaves, length)
-    for r, length, noise in ((0.5, 8.0, 8.0), (0.5, 4.0, 12.0), (0.6, 12.0, 4.0)):
-        add(f"curve of sizes, r {r}, {length:g} under {noise:g}", curves, _holds, r, length, noise)
-    for length in (100, 200, 300):
-        add(f"paired difference, {length} um on 3 x 2 mm", differences, _holds, length / 12)
-    for r2 in (0.21, 0.26):
-        add(f"8 x 6 mm, population r² {r2}", brightness, partial(_covers_population, r2), r2)
-    add("print screen", prints, _screened)
-    if run:
-        add("drawn images against a run", against, _named, Path(run))
-    found: dict[str, Array] = {}
-    with ProcessPoolExecutor(2) as pool:
-        for name, work, say in jobs:
-            # Large fields take longer, and fewer of them say enough.
-            many = min(count, 200) if "8 x 6" in name else min(count, 20) if "screen" in name else count
-            seeds = range(0, many, _CHUNK)
-            parts = pool.map(work, seeds, [min(_CHUNK, many - k) for k in seeds])
-            found[name] = np.concatenate([*parts])
-            print(f"{name}: {say(found[name])}", flush=True)
-    one, two = (found[f"8 x 6 mm, population r² {r2}"] for r2 in (0.21, 0.26))
-    widths = [(np.arctanh(k[:, 2]) - np.arctanh(k[:, 1])) / 2 for k in (one, two)]
-    same = np.abs(np.arctanh(two[:, 0]) - np.arctanh(one[:, 0])) < np.hypot(*widths)
-    print(f"0.26 against 0.21, a field each: not distinguishable in {same.mean():.2f}")
-    large()
-    return 0
-
-
-def _sizes(exact: float) -> Callable[[Array], str]:
+def _sizes(exact):
     return lambda found: (
         f"rejected at 5 %: {found[:, 1].mean():.3f}, naive {found[:, 2].mean():.3f}; "
         f"n_eff {np.nanmedian(found[:, 3]):.0f}, exact {exact:.0f}"
     )
 
 
-def _covers(found: Array) -> str:
-    withheld = np.mean(np.isnan(found[:, 0]))
-    return f"the interval holds r in {np.nanmean(found[:, 0]):.3f}, width {np.nanmedian(found[:, 4]):.3f}" + (
-        f", withheld in {withheld:.2f}" if withheld else ""
+def _covers(found):
+    return (
+        f"the interval holds r in {np.nanmean(found[:, 0]):.3f}, width {np.nanmedian(found[:, 4]):.3f}, withheld in "
+        f"{np.mean(np.isnan(found[:, 0])):.2f}; a direction is named in {found[:, 5].mean():.3f}"
     )
 
 
-def _power(found: Array) -> str:
-    return f"{_covers(found)}; a direction is named in {found[:, 5].mean():.3f}"
-
-
-def _covers_population(r2: float, found: Array) -> str:
+def _covers_population(r2, found):
     r = math.sqrt(r2)
     held = np.mean((found[:, 1] <= r) & (r <= found[:, 2]))
     return (
@@ -353,23 +268,75 @@ def _covers_population(r2: float, found: Array) -> str:
     )
 
 
-def _screened(found: Array) -> str:
-    return (
-        f"r² {found[:, 0].mean():.3f}, without any screen {found[:, 1].mean():.3f}, largest difference "
-        f"{np.abs(found[:, 0] - found[:, 1]).max():.4f}; n_eff {np.median(found[:, 2]):.0f} of {found[0, 3]:.0f}"
-    )
+def _screened(found):
+    off = np.abs(found[:, 0] - found[:, 1]).max()
+    return f"r² {found[:, 0].mean():.3f}, without any screen {found[:, 1].mean():.3f}, largest difference {off:.4f}"
 
 
-def _octaves(found: Array) -> str:
-    lowest = np.nanmin(found, axis=1)
-    together = 1 - (1 - lowest) ** found.shape[1]
+def _octaves(found):
+    together = 1 - (1 - np.nanmin(found, axis=1)) ** found.shape[1]
     each = ", ".join(f"{v:.3f}" for v in np.nanmean(found < 0.05, axis=0))
     return f"rejected at 5 %: {each}; any after correction {np.mean(together < 0.05):.3f}"
 
 
-def _holds(found: Array) -> str:
+def _holds(found):
     return f"holds the truth in {np.nanmean(found):.3f}"
 
 
-def _named(found: Array) -> str:
+def _named(found):
     return f"a direction is named in {found[:, 0].mean():.3f}, some property starred in {found[:, 1].mean():.3f}"
+
+
+def _jobs():
+    """Name, work by seed and count, and what is said of its rows."""
+    lengths = {f"side/{part}": (SIDE / part, "exp") for part in (60, 30, 12, 8, 5)}
+    lengths |= {"gauss side/15": (10.0, "gauss"), "5 x 20 pixels": ((5.0, 20.0), "exp")}
+    for name, (length, kind) in lengths.items():
+        make = partial(related, r=0.0, length=length, kind=kind)
+        yield f"unrelated, {name}", partial(statements, make, 0.0), _sizes(exact_n_eff(length, kind))
+    long = optimize.brentq(lambda k: exact_n_eff(k) - 60, 5.0, 60.0)
+    cases = {
+        f"r {r}, side/{part}": (r, partial(related, r=r, length=SIDE / part)) for r in (0.0, 0.5, 0.9)
+        for part in (30, 12)
+    } | {
+        "r 0.5, lognormal": (0.5, partial(lognormal, r=0.5, length=8.0)),
+        "r 0.5, nugget 40 %": (0.5, partial(with_nugget, r=0.5, length=8.0)),
+        "r 0.5, 4:1": (0.5, partial(related, r=0.5, length=(3.0, 12.0))),
+        "r 0.5, holes and rims": (0.5, partial(with_holes, r=0.5, length=8.0)),
+        "r 0.5, side/60 under side/10": (0.5, partial(related, r=0.5, length=2.5, noise=15.0)),
+        "r 0.5, side/5": (0.5, partial(related, r=0.5, length=30.0)),
+        "r 0.5, n_eff 60": (0.5, partial(related, r=0.5, length=long)),
+    }  # fmt: skip
+    for name, (r, make) in cases.items():
+        yield name, partial(statements, make, r), _covers
+    for length in (4.0, 12.0):
+        yield f"octaves, side/{SIDE / length:.0f}", partial(coherences, length), _octaves
+    for r, length, noise in ((0.5, 8.0, 8.0), (0.5, 4.0, 12.0), (0.6, 12.0, 4.0)):
+        yield f"curve of sizes, r {r}, {length:g} under {noise:g}", partial(curves, r, length, noise), _holds
+    for length in (100, 200, 300):
+        yield f"paired difference, {length} um on 3 x 2 mm", partial(differences, length / 12), _holds
+    for r2 in _POPULATIONS:
+        yield _FIELD_OF.format(r2), partial(brightness, r2), partial(_covers_population, r2)
+    yield "print screen", prints, _screened
+
+
+_POPULATIONS, _FIELD_OF = (0.21, 0.26), "8 x 6 mm, population r² {}"
+_FEW = {**{_FIELD_OF.format(r2): 200 for r2 in _POPULATIONS}, "print screen": 20}
+"""Large fields take longer, and fewer of them say enough."""
+
+
+def main(pairs: int | str = 1000, run: str = "") -> int:
+    jobs = [*_jobs()]
+    if run:
+        jobs.append(("drawn images against a run", partial(against, Path(run)), _named))
+    found = {}
+    with ProcessPoolExecutor(2) as pool:
+        for name, work, say in jobs:
+            found[name] = in_parts(pool, work, min(int(pairs), _FEW.get(name, int(pairs))), chunk=25)
+            print(f"{name}: {say(found[name])}", flush=True)
+    one, two = (np.arctanh(found[_FIELD_OF.format(r2)][:, :3]) for r2 in _POPULATIONS)
+    widths = [(k[:, 2] - k[:, 1]) / 2 for k in (one, two)]
+    same = np.abs(two[:, 0] - one[:, 0]) < np.hypot(*widths)
+    print(f"0.26 against 0.21, a field each: not distinguishable in {same.mean():.2f}")
+    large()
+    return 0

@@ -1,6 +1,6 @@
 """A map of 160 million pixels as files of other programs: peak memory, and speed against writing its bytes.
 
-    python -m benchmarks exporting [--mpixel 160] [--folder DIR] [--formats tiff,netcdf] [--times 3]
+    python -m benchmarks exporting [--mpixel 160] [--folder DIR] [--times 3]
 
 The map is noise with holes, in a store as a link makes it. Each format is written by a process of its own, which reads
 the store and counts the time from the call of ``planish.export`` to its end. Before and after it, another process that
@@ -10,7 +10,6 @@ Importing the libraries, some 2 s at the first call of a process, is not counted
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import shutil
@@ -22,7 +21,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from benchmarks.size import folder_for
+from benchmarks.shared import folder_for, options, size_of
 from planish.core.grid import Grid
 from planish.io.map_groups import write_tree
 from planish.io.map_store import StoredMaps, map_tiles
@@ -30,7 +29,7 @@ from planish.register.params import RegistrationParams
 from planish.run import link
 from planish.synthetic import BurnParams, CameraParams, ScannerParams, SpecimenParams, make_specimen, write_instruments
 
-FORMATS = ("tiff", "ome-tiff", "ome-zarr", "netcdf", "mat")
+FORMATS = {"tiff": ".tif", "ome-tiff": ".ome.tif", "ome-zarr": ".ome.zarr", "netcdf": ".nc", "mat": ".mat"}
 MEMORY, SPEED = 2**30, 0.5
 PIXEL_UM = 1.37
 
@@ -63,64 +62,41 @@ for word in sys.stdin:
     print(time.perf_counter() - begun, flush=True)
     os.unlink(sys.argv[2])
 """
-_READ = """
-import sys, time, zarr
-from planish.core.bands import band_of, bands
-from planish.io.map_groups import read_group
-from pathlib import Path
-data = read_group(Path(sys.argv[1]), "linked", ["coating_top"])["coating_top"]
-begun = time.perf_counter()
-for rows in bands(data.shape[0]):
-    band_of(data, rows)
-print(time.perf_counter() - begun)
-"""
 
 
 def main(*arguments: str | int) -> int:
-    parser = argparse.ArgumentParser(prog="exporting")
-    parser.add_argument("--mpixel", type=float, default=160.0)
-    parser.add_argument("--folder", type=Path, default=None, help="where the run is made, and kept for the next time")
-    parser.add_argument("--formats", default=",".join(FORMATS))
-    parser.add_argument("--times", type=int, default=3)
-    asked = parser.parse_args([str(a) for a in arguments])
+    asked = options("exporting", arguments, mpixel=160.0, folder=None, times=3)
     failed = 0
     with folder_for(asked.folder) as place:
         folder = Path(place)
         run = large_run(folder, asked.mpixel)
-        store = run / "maps.zarr"
-        shape = json.loads((store / "linked" / "coating_top" / "zarr.json").read_text(encoding="utf-8"))["shape"]
-        size = 4 * shape[0] * shape[1]
-        print(f"{shape[0]} x {shape[1]} pixels, {size / 1e6:.0f} MB")
-        read = min(float(answer(_READ, store)) for _ in range(asked.times))
-        print(f"  reading the store band by band takes {read:.2f} s")
+        stored = run / "maps.zarr" / "linked" / "coating_top"
+        rows, cols = json.loads((stored / "zarr.json").read_text(encoding="utf-8"))["shape"]
+        print(f"{rows} x {cols} pixels, {4 * rows * cols / 1e6:.0f} MB")
         raw = subprocess.Popen(
-            [sys.executable, "-c", _RAW, str(store / "linked" / "coating_top"), str(folder / "raw")],
+            [sys.executable, "-c", _RAW, str(stored), str(folder / "raw")],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
         try:
-            for to in asked.formats.split(","):
-                failed += measure(raw, run, folder / f"out-{to}", to, size, asked.times)
+            for to, suffix in FORMATS.items():
+                failed += measure(raw, run, folder / f"out{suffix}", to, 4 * rows * cols, asked.times)
         finally:
             raw.communicate()
     return failed
 
 
-def measure(raw: subprocess.Popen[str], run: Path, out: Path, to: str, size: int, times: int) -> int:
+def measure(raw: subprocess.Popen[str], run: Path, path: Path, to: str, size: int, times: int) -> int:
     """Write a format some times, and print the middle of what that took; 1 where a limit was missed."""
-    options = {"mat_version": "7.3"} if to == "mat" else {}
-    suffix = {"tiff": ".tif", "ome-tiff": ".ome.tif", "ome-zarr": ".ome.zarr", "netcdf": ".nc", "mat": ".mat"}[to]
-    path = out.with_name(out.name + suffix)
-    ratios: list[float] = []
-    speeds: list[float] = []
-    peak = 0
+    options = json.dumps({"mat_version": "7.3"} if to == "mat" else {})
+    command = [sys.executable, "-c", _EXPORT, str(run), str(small_run(run.parent)), str(path), to, options]
+    ratios, speeds, peak, disk = list[float](), list[float](), 0, 0
     for _ in range(times):
         before = written(raw)
-        took, memory = json.loads(answer(_EXPORT, run, small_run(run.parent), path, to, json.dumps(options)))
-        peak = max(peak, memory)
-        beside = (before + written(raw)) / 2
-        ratios.append(beside / took)
+        done = subprocess.run(command, check=True, capture_output=True, text=True)
+        took, memory = json.loads(done.stdout.splitlines()[-1])
+        ratios.append((before + written(raw)) / 2 / took)
         speeds.append(size / took / 1e6)
-        disk = sum(f.stat().st_size for f in path.rglob("*") if f.is_file()) if path.is_dir() else path.stat().st_size
+        peak, disk = max(peak, memory), size_of(path)
         shutil.rmtree(path) if path.is_dir() else path.unlink()
     ratio = statistics.median(ratios)
     missed = ratio < SPEED or peak > MEMORY
@@ -139,12 +115,6 @@ def written(raw: subprocess.Popen[str]) -> float:
     raw.stdin.write("again\n")
     raw.stdin.flush()
     return float(raw.stdout.readline())
-
-
-def answer(code: str, *arguments: object) -> str:
-    """What a process prints at the end."""
-    command = [sys.executable, "-c", code, *map(str, arguments)]
-    return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip().splitlines()[-1]
 
 
 def small_run(folder: Path, name: str = "small", holes: int = 5, **sections: RegistrationParams) -> Path:
@@ -187,7 +157,3 @@ def large_run(folder: Path, mpixel: float) -> Path:
         write_tree(making / "maps.zarr", {"linked": sink.group("linked")})
     making.rename(run)
     return run
-
-
-if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))

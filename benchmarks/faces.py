@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -26,133 +27,107 @@ _LEAST_SHARE = 0.98
 _FACES = ("top", "bottom")
 
 
+_SIDES = {"both": (15.0, 15.0), "top": (15.0, 0.0), "bottom": (0.0, 15.0), "none": (0.0, 0.0)}
+_TILTS = ((5, 0), (15, 0), (30, 0), (45, 0), (0, 15), (0, 30), (0, 45), (20, 20), (30, -30), (45, 45))
+
+
+def _families():
+    """Name of each case, and how its sheet differs from the plain one."""
+    yield "plain", {}
+    for dtype, inverted in product(("uint8", "uint16", "float32"), (False, True)):
+        yield f"{dtype}{' inverted' if inverted else ''}", {"dtype": dtype, "inverted": inverted}
+    for through, top in product("zyx", ("high", "low")):
+        laid = {"through": through, "top": top, "coats": (15.0, 8.0), "tilt": (10.0, -5.0)}
+        yield f"through {through}, top {top}", laid
+    for y, x in _TILTS:
+        yield f"tilt {y} {x}", {"tilt": (float(y), float(x))}
+    for (name, coats), angle, texture in product(_SIDES.items(), (0.0, 45.0), (0.0, 0.2)):
+        kind = "textured" if texture else "smooth"
+        changes = {"coats": coats, "texture": texture, "tilt": (0.0, angle)}
+        yield f"coated {name}, {kind} base, tilt {angle:.0f}", changes
+    for name in ("top", "none"):
+        changes = {"coats": _SIDES[name], "tilt": (45.0, 0.0), "inverted": True, "dtype": "float32"}
+        yield f"coated {name}, inverted float32, tilt 45", changes
+    for voxel, thickness, angle in product((1.4, 3.0), (40.0, 100.0, 400.0), (0.0, 30.0, 45.0)):
+        changes = {"voxel": voxel, "thickness": thickness, "coats": (10.0, 10.0), "tilt": (0.0, angle)}
+        yield f"{thickness:.0f} um at voxel {voxel}, tilt {angle:.0f}", changes
+    for thickness in (40.0, 400.0):
+        size = {"voxel": 3.0, "thickness": thickness}
+        yield f"{thickness:.0f} um at voxel 3.0, one side, tilt 45", size | {"coats": (0.0, 12.0), "tilt": (45.0, 0.0)}
+        yield f"{thickness:.0f} um at voxel 3.0, one material", size | {"coats": (0.0, 0.0)}
+    for noise, fwhm in product((0.02, 0.05, 0.1), (2.0, 4.0, 6.0)):
+        yield f"noise {100 * noise:.0f} %, blur {fwhm:.0f} um", {"noise": noise, "fwhm": fwhm}
+    poor = {"noise": 0.1, "fwhm": 6.0, "tilt": (0.0, 45.0), "texture": 0.1}
+    for voxel, name in product((1.4, 3.0), ("both", "top", "none")):
+        changes = poor | {"voxel": voxel, "coats": _SIDES[name]}
+        yield f"noise 10 %, blur 6 um, voxel {voxel}, coated {name}, tilt 45", changes
+    for coat in (3.0, 5.0, 8.0):
+        yield f"coating {coat:.0f} um", {"coats": (coat, 15.0)}
+        yield f"coating {coat:.0f} um on both sides", {"coats": (coat, coat)}
+    yield "thin margin, tilt 45", {"margin": 12.0, "tilt": (45.0, 0.0)}
+    for (kind, greys), name in product(
+        (("dim", (40.0, 65.0, 210.0)), ("bright", (40.0, 150.0, 200.0))), ("both", "top")
+    ):  # fmt: skip
+        yield f"{kind} base, coated {name}, noise 10 %", {"greys": greys, "coats": _SIDES[name], "noise": 0.1}
+    yield "5 um of air beside it", {"margin": 5.0}
+    yield "small", {"lateral": (40, 45)}
+    wide = {"lateral": (200, 200), "thickness": 60.0}
+    yield "wide, tilt 45", wide | {"tilt": (0.0, 45.0)}
+    yield "wide, tilt 45 about both", wide | {"tilt": (35.0, 35.0)}
+
+
+def cases() -> dict[str, Sheet]:
+    """Every case by its name."""
+    return {name: replace(Sheet(), **changes) for name, changes in _families()}
+
+
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """What was found of one case.
+    """Bias and rms in um, of faces (top, bottom) and layers (coatings, base; NaN where there is none).
 
-    Attributes
-    ----------
-    faces : top, bottom
-        Bias and rms of the distance from the true plane, um.
-    layers : coating of the top, of the bottom, base
-        Bias and rms of the thickness along the normal, um; NaN where there is none.
-    share : float
-        Of the columns that were measured.
-    coated : bool
-        Whether both sides were rightly recognised as coated or not.
+    ``share`` is that of the columns that were measured; ``coated`` whether both sides were rightly recognised.
     """
 
-    faces: tuple[tuple[float, float], ...]
-    layers: tuple[tuple[float, float], ...]
+    faces: list[tuple[float, float]]
+    layers: list[tuple[float, float]]
     share: float
     coated: bool
 
     def missed(self, sheet: Sheet) -> list[str]:
         """Names of the limits that were missed."""
-        out: list[str] = []
-        if not all(rms <= _MOST_RMS * sheet.voxel for _, rms in self.faces):
-            out.append("face")
         coats = sheet.coats if sheet.top == "high" else sheet.coats[::-1]
-        if any(
-            coat >= 3 and not abs(bias) <= _MOST_BIAS_UM for coat, (bias, _) in zip(coats, self.layers[:2], strict=True)
-        ):
-            out.append("coating")
-        if self.share < _LEAST_SHARE:
-            out.append("share")
-        if not self.coated:
-            out.append("coated")
-        return out
-
-
-def cases() -> dict[str, Sheet]:
-    """Every case by its name."""
-    plain = Sheet()
-    out = {"plain": plain}
-    for dtype in ("uint8", "uint16", "float32"):
-        for inverted in (False, True):
-            out[f"{dtype}{' inverted' if inverted else ''}"] = replace(plain, dtype=dtype, inverted=inverted)
-    for through in "zyx":
-        for top in ("high", "low"):
-            out[f"through {through}, top {top}"] = replace(
-                plain, through=through, top=top, coats=(15.0, 8.0), tilt=(10.0, -5.0)
-            )
-    for tilt in ((5, 0), (15, 0), (30, 0), (45, 0), (0, 15), (0, 30), (0, 45), (20, 20), (30, -30), (45, 45)):
-        out[f"tilt {tilt[0]} {tilt[1]}"] = replace(plain, tilt=(float(tilt[0]), float(tilt[1])))
-    sides = {"both": (15.0, 15.0), "top": (15.0, 0.0), "bottom": (0.0, 15.0), "none": (0.0, 0.0)}
-    for name, coats in sides.items():
-        for angle in (0.0, 45.0):
-            for texture in (0.0, 0.2):
-                kind = "textured" if texture else "smooth"
-                out[f"coated {name}, {kind} base, tilt {angle:.0f}"] = replace(
-                    plain, coats=coats, texture=texture, tilt=(0.0, angle)
-                )
-    for name in ("top", "none"):
-        out[f"coated {name}, inverted float32, tilt 45"] = replace(
-            plain, coats=sides[name], tilt=(45.0, 0.0), inverted=True, dtype="float32"
-        )
-    for voxel in (1.4, 3.0):
-        for thickness in (40.0, 100.0, 400.0):
-            for angle in (0.0, 30.0, 45.0):
-                out[f"{thickness:.0f} um at voxel {voxel}, tilt {angle:.0f}"] = replace(
-                    plain, voxel=voxel, thickness=thickness, coats=(10.0, 10.0), tilt=(0.0, angle)
-                )
-    for thickness in (40.0, 400.0):
-        out[f"{thickness:.0f} um at voxel 3.0, one side, tilt 45"] = replace(
-            plain, voxel=3.0, thickness=thickness, coats=(0.0, 12.0), tilt=(45.0, 0.0)
-        )
-        out[f"{thickness:.0f} um at voxel 3.0, one material"] = replace(
-            plain, voxel=3.0, thickness=thickness, coats=(0.0, 0.0)
-        )
-    for noise in (0.02, 0.05, 0.1):
-        for fwhm in (2.0, 4.0, 6.0):
-            out[f"noise {100 * noise:.0f} %, blur {fwhm:.0f} um"] = replace(plain, noise=noise, fwhm=fwhm)
-    for voxel in (1.4, 3.0):
-        for name in ("both", "top", "none"):
-            out[f"noise 10 %, blur 6 um, voxel {voxel}, coated {name}, tilt 45"] = replace(
-                plain, noise=0.1, fwhm=6.0, voxel=voxel, coats=sides[name], tilt=(0.0, 45.0), texture=0.1
-            )
-    for coat in (3.0, 5.0, 8.0):
-        out[f"coating {coat:.0f} um"] = replace(plain, coats=(coat, 15.0))
-        out[f"coating {coat:.0f} um on both sides"] = replace(plain, coats=(coat, coat))
-    out["thin margin, tilt 45"] = replace(plain, margin=12.0, tilt=(45.0, 0.0))
-    for greys in ((40.0, 65.0, 210.0), (40.0, 150.0, 200.0)):
-        for name in ("both", "top"):
-            kind = "dim" if greys[1] < 100 else "bright"
-            out[f"{kind} base, coated {name}, noise 10 %"] = replace(plain, greys=greys, coats=sides[name], noise=0.1)
-    out["5 um of air beside it"] = replace(plain, margin=5.0)
-    out["small"] = replace(plain, lateral=(40, 45))
-    out["wide, tilt 45"] = replace(plain, lateral=(200, 200), tilt=(0.0, 45.0), thickness=60.0)
-    out["wide, tilt 45 about both"] = replace(plain, lateral=(200, 200), tilt=(35.0, 35.0), thickness=60.0)
-    return out
+        bias = [abs(layer[0]) for layer, coat in zip(self.layers, coats, strict=False) if coat >= 3]
+        kept = {
+            "face": all(rms <= _MOST_RMS * sheet.voxel for _, rms in self.faces),
+            "coating": all(off <= _MOST_BIAS_UM for off in bias), "share": self.share >= _LEAST_SHARE,
+            "coated": self.coated,
+        }  # fmt: skip
+        return [name for name, is_kept in kept.items() if not is_kept]
 
 
 def judge(found: xr.Dataset, sheet: Sheet) -> Figures:
     """Compare what was found with the planes."""
-    truth, cosine = sheet.surfaces(), sheet.cosine
+    truth, up = sheet.surfaces(), Frame(top=sheet.top).sign  # type: ignore[arg-type]
+    heights = {name: found[name].values for name in truth}
     ok = found["status"].values == 0
 
-    def figures(error: Array) -> tuple[float, float]:
-        error = error[ok & np.isfinite(error)] * cosine
+    def figures(upper, lower=""):
+        """Error of a face, or of the distance of two."""
+        error = heights[upper] - truth[upper]
+        if lower:
+            error = up * (error - (heights[lower] - truth[lower]))
+        error = error[ok & np.isfinite(error)] * sheet.cosine
         return (float(error.mean()), float(np.sqrt(np.mean(error**2)))) if error.size else (np.nan, np.nan)
 
-    height: dict[str, Array] = {k: found[k].values for k in truth}
-    faces = tuple(figures(height[k] - truth[k]) for k in _FACES)
-    up = Frame(top=sheet.top).sign  # type: ignore[arg-type]
-    layers = [
-        figures(up * s * ((height[k] - height[f"interface_{k}"]) - (truth[k] - truth[f"interface_{k}"])))
-        for k, s in (("top", 1), ("bottom", -1))
-    ]
-
-    def inner(surfaces: dict[str, Array], k: str) -> Array:
-        return surfaces[k] if np.isnan(truth[f"interface_{k}"]).all() else surfaces[f"interface_{k}"]
-
-    layers.append(
-        figures(
-            up * ((inner(height, "top") - inner(height, "bottom")) - (inner(truth, "top") - inner(truth, "bottom")))
-        )
+    inner = {face: f"interface_{face}" for face in _FACES}
+    is_bare = {face: bool(np.isnan(truth[inner[face]]).all()) for face in _FACES}
+    base = [face if is_bare[face] else inner[face] for face in _FACES]
+    return Figures(
+        faces=[figures(face) for face in _FACES],
+        layers=[figures("top", inner["top"]), figures(inner["bottom"], "bottom"), figures(*base)],
+        share=float(ok.mean()),
+        coated=all(is_bare[face] == np.isnan(heights[inner[face]]).all() for face in _FACES),
     )
-    right = all(np.isnan(truth[f"interface_{k}"]).all() == np.isnan(height[f"interface_{k}"]).all() for k in _FACES)
-    return Figures(faces=faces, layers=tuple(layers), share=float(ok.mean()), coated=right)
 
 
 def main(*only: Any) -> int:
@@ -206,9 +181,9 @@ def thin_layers() -> None:
     print(f"{'true':>6s}{'even':>14s}{'other side 15':>16s}{'grey given':>12s}{'in a wedge':>13s}")
     grey, truth = wedge(12.0, 1.37)
     found = find_surfaces(grey)
-    along: Array = np.nanmean((found["top"] - found["interface_top"]).values, axis=0)
+    along = np.nanmean((found["top"] - found["interface_top"]).values, axis=0)
     for t in (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0):
-        cells: list[str] = []
+        cells = []
         for coats, given in (((t, t), None), ((t, 15.0), None), ((t, t), 210.0)):
             sheet = Sheet(voxel=1.37, coats=coats, thickness=60.0, margin=20.0)
             one = find_surfaces(sheet.volume(), params=SurfaceParams(coating_grey=given))

@@ -5,16 +5,17 @@
 
 from __future__ import annotations
 
-import resource
 import subprocess
 import sys
 import time
+from functools import partial
 
 import numpy as np
 from scipy import ndimage
 
 from benchmarks import surfaces
 from benchmarks._unit import Unit
+from benchmarks.shared import forget_peak, memory
 from planish.core.threads import available, limit_threads
 from planish.flatten import RelaxationParams, relax_grid
 
@@ -66,37 +67,17 @@ def _alone(name, *args):
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def _peak():
-    return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-
-
 def _size(cols, repeats):
     rows = cols * 3 // 4
     relax_grid(surfaces.rough(96, 128))
     points = surfaces.rough(rows, cols)
-    before = _resident()
+    before = forget_peak()
     found = relax_grid(points)
-    grown = _peak_now() - before
+    grown = memory(peak=True) - before
     seconds = timed(lambda: relax_grid(points), repeats if cols < 4000 else max(1, repeats - 3))[0]
     nodes = rows * cols
     print(f"{cols:>5} x {rows:<5}{nodes:>10}{1e9 * seconds / nodes:>9.0f}{grown / nodes:>9.0f}   "
           f"{seconds:.3f} s, {found.steps} steps, {found.outcome.name}")  # fmt: skip
-
-
-def _resident():
-    """Resident memory now; also sets the peak back to it (Linux)."""
-    with open("/proc/self/clear_refs", "w") as file:  # noqa: PTH123
-        file.write("5")
-    return _status("VmRSS")
-
-
-def _peak_now():
-    return _status("VmHWM")
-
-
-def _status(key):
-    with open("/proc/self/status") as file:  # noqa: PTH123
-        return next(1024 * int(line.split()[1]) for line in file if line.startswith(key))
 
 
 def exact():
@@ -181,17 +162,26 @@ def _inverted(uv):
     return int(np.count_nonzero((first <= 0) | (second <= 0)))
 
 
+def springs(rows, cols):
+    """Numbers of the nodes at both ends of each spring of a grid."""
+    number = np.arange(rows * cols).reshape(rows, cols)
+    pairs = [
+        (number[:, :-1], number[:, 1:]), (number[:-1], number[1:]), (number[:-1, :-1], number[1:, 1:]),
+        (number[:-1, 1:], number[1:, :-1]),
+    ]  # fmt: skip
+    return (np.concatenate([pair[k].ravel() for pair in pairs]) for k in (0, 1))
+
+
+def lengths(points, i, j):
+    """Distances of nodes, which are the last axis but one."""
+    flat = points.reshape(-1, points.shape[-1])
+    return np.linalg.norm(flat[j] - flat[i], axis=1)
+
+
 def spring_energy(points, uv):
     """Sum of (l - L)^2 with chords, for any map of the grid."""
-    total = 0.0
-    rows, cols = points.shape[:2]
-    for (a, b), (c, d) in (((0, 0), (0, 1)), ((0, 0), (1, 0)), ((0, 0), (1, 1)), ((0, 1), (1, 0))):
-        ends = [k[max(a, c) * 0 + p : rows - max(a, c) + p, q : cols - max(b, d) + q]
-                for k in (points, uv) for p, q in ((a, b), (c, d))]  # fmt: skip
-        total += np.nansum(
-            (np.linalg.norm(ends[3] - ends[2], axis=-1) - np.linalg.norm(ends[1] - ends[0], axis=-1)) ** 2
-        )
-    return float(total)
+    i, j = springs(*points.shape[:2])
+    return float(np.nansum((lengths(uv, i, j) - lengths(points, i, j)) ** 2))
 
 
 def peers(name="M"):
@@ -200,12 +190,12 @@ def peers(name="M"):
     print(f"\npeers ({name}, chords)\nsheet    solver                     seconds   ratio  energy / lowest  inverted")
     for kind in ("smooth", "rough"):
         points = getattr(surfaces, kind)(rows, cols)
-        rests = {"planish multigrid": lambda p=points: relax_grid(p, rest="chord").uv}
-        rests["planish relaxation"] = lambda p=points: (
-            relax_grid(p, rest="chord", method=RelaxationParams(stop="residual")).uv
-        )
-        rests["scipy least_squares"] = lambda p=points: _least_squares(p)
-        rests |= {f"libigl {k}": (lambda p=points, k=k: _igl(p, k)) for k in ("ARAP", "SLIM")}
+        rests = {
+            "planish multigrid": partial(_relaxed, points),
+            "planish relaxation": partial(_relaxed, points, method=RelaxationParams(stop="residual")),
+            "scipy least_squares": partial(_least_squares, points),
+            "libigl ARAP": partial(_igl, points, "ARAP"), "libigl SLIM": partial(_igl, points, "SLIM"),
+        }  # fmt: skip
         rows_out = []
         for solver, call in rests.items():
             try:
@@ -220,21 +210,19 @@ def peers(name="M"):
                   f"{inverted:>9}")  # fmt: skip
 
 
+def _relaxed(points, **options):
+    return relax_grid(points, rest="chord", **options).uv
+
+
 def _least_squares(points):
     from scipy import sparse
     from scipy.optimize import least_squares
 
-    rows, cols = points.shape[:2]
-    number = np.arange(rows * cols).reshape(rows, cols)
-    pairs = [(number[:, :-1], number[:, 1:]), (number[:-1], number[1:]), (number[:-1, :-1], number[1:, 1:]),
-             (number[:-1, 1:], number[1:, :-1])]  # fmt: skip
-    i, j = (np.concatenate([p[k].ravel() for p in pairs]) for k in (0, 1))
-    flat = points.reshape(-1, 3)
-    rest = np.linalg.norm(flat[j] - flat[i], axis=1)
+    i, j = springs(*points.shape[:2])
+    rest = lengths(points, i, j)
 
     def residuals(x):
-        uv = x.reshape(-1, 2)
-        return np.linalg.norm(uv[j] - uv[i], axis=1) - rest
+        return lengths(x.reshape(-1, 2), i, j) - rest
 
     def jacobian(x):
         uv = x.reshape(-1, 2)
@@ -244,8 +232,9 @@ def _least_squares(points):
         column = np.stack([2 * i, 2 * i + 1, 2 * j, 2 * j + 1], axis=1).ravel()
         return sparse.csr_array((np.hstack([-d, d]).ravel(), (line, column)), shape=(i.size, x.size))
 
-    start = flat[:, :2].ravel()
-    return least_squares(residuals, start, jac=jacobian, tr_solver="lsmr", ftol=1e-7).x.reshape(rows, cols, 2)
+    start = points[..., :2].ravel()
+    found = least_squares(residuals, start, jac=jacobian, tr_solver="lsmr", ftol=1e-7).x
+    return found.reshape(*points.shape[:2], 2)
 
 
 def _igl(points, kind):
@@ -300,16 +289,13 @@ def _sheet(rows, cols):
     tile = surfaces.roughness(1024, 1024)
     for i in range(0, rows, 1024):
         n = min(1024, rows - i)
-        wave = (
-            300
-            * np.sin(2 * np.pi * 2 * np.arange(cols) / cols)
-            * np.cos(2 * np.pi * np.arange(i, i + n) / rows)[:, None]
-        )
+        across, down = 4 * np.pi * np.arange(cols) / cols, 2 * np.pi * np.arange(i, i + n) / rows
+        wave = 300 * np.sin(across) * np.cos(down)[:, None]
         points[i : i + n, :, 2] = wave + np.tile(tile, (1, -(-cols // 1024)))[:n, :cols]
-    _resident()
+    forget_peak()
     began = time.perf_counter()
     found = relax_grid(points)
-    seconds, peak = time.perf_counter() - began, _peak_now() / 1e9
+    seconds, peak = time.perf_counter() - began, memory(peak=True) / 1e9
     print(f"{rows} x {cols} = {rows * cols / 1e6:.0f} M nodes: {seconds:.1f} s, peak of the process {peak:.1f} GB, "
           f"{found.steps} steps, {found.outcome.name}")  # fmt: skip
 

@@ -19,7 +19,7 @@ from benchmarks.holes import PAPERS, gauss
 from benchmarks.paper import KINDS
 from planish.core.typing import Floats
 from planish.marks import find_holes
-from planish.synthetic import BurnParams, CameraParams, Specimen, make_specimen
+from planish.synthetic import BurnParams, CameraParams, make_specimen
 from planish.synthetic.pose import draw_pose
 from planish.synthetic.sheet import burn, hole_pattern
 
@@ -41,12 +41,12 @@ class Photograph:
 
 
 @lru_cache(maxsize=1)
-def _sheet(number: int) -> Specimen:
+def _sheet(number):
     params = KINDS["coated"].draw(np.random.default_rng([33, number]))
     return make_specimen(replace(params, size_um=_SIZE_UM, holes=BurnParams(pattern="irregular", count=0)))
 
 
-def _shives(rng: np.random.Generator, shape: tuple[int, int], pixel: float) -> Floats:
+def _shives(rng, shape, pixel):
     """Share of dark, bent bundles of fibres, 20-80 um wide and 300-1500 um long."""
     dark = np.zeros(shape)
     y, x = np.ogrid[: shape[0], : shape[1]]
@@ -113,7 +113,7 @@ def main(images: int = 60, first: int = 0) -> int:
     """Print holes found and false marks by look; 1 if fewer than 97 % are found or a mark is false."""
     print(f"{'':>12} images  found      of  false  r2 with the coating  texture")
     counts = {look: np.zeros(3, int) for look in LOOKS}
-    drawn: dict[str, list[tuple[float, float]]] = {look: [] for look in LOOKS}
+    drawn = {look: [] for look in LOOKS}
     last = first + -(-images // len(LOOKS))
     for number in sorted(range(first, last), key=lambda number: number % SHEETS):
         for look in LOOKS:

@@ -52,14 +52,14 @@ def main(part: str = "tests", python: str | float | None = None) -> int:
     return failed
 
 
-def _built(folder: Path) -> tuple[Path, Path]:
+def _built(folder):
     """Build both; paths of wheel and source archive."""
     command = [sys.executable, "-m", "hatchling", "build", "--directory", str(folder)]
     subprocess.run(command, cwd=_ROOT, check=True, capture_output=True)
     return next(folder.glob("*.whl")), next(folder.glob("*.tar.gz"))
 
 
-def _interpreter(version: str) -> str | None:
+def _interpreter(version):
     """An interpreter of this version that starts."""
     names = [sys.executable, shutil.which(f"python{version}")]
     names += map(str, sorted((Path.home() / ".pyenv" / "versions").glob(f"{version}.*/bin/python")))
@@ -71,8 +71,8 @@ def _interpreter(version: str) -> str | None:
 
 
 def _row(
-    python: str, kind: str, folder: Path, wheel: Path, tests: Path | None
-) -> tuple[tuple[str, ...], bool]:  # fmt: skip
+    python, kind, folder, wheel, tests
+):  # fmt: skip
     """Make an environment, install, try: the cells of a row, and whether all went well."""
     subprocess.run([python, "-m", "venv", str(folder)], check=True)
     scripts = folder / ("Scripts" if os.name == "nt" else "bin")
@@ -81,19 +81,8 @@ def _row(
         needed = [own, *_PIP, "--no-deps", "--require-hashes", "-r", str(_ROOT / "requirements" / "dev.lock")]
     else:
         listed = folder / "lowest.txt"
-        command = [
-            "uv",
-            "pip",
-            "compile",
-            "--quiet",
-            "--resolution",
-            "lowest-direct",
-            "--python",
-            own,
-            "--extra",
-            "dev",
-        ]
-        subprocess.run([*command, "-o", str(listed), str(_ROOT / "pyproject.toml")], check=True, capture_output=True)
+        command = f"uv pip compile --quiet --resolution lowest-direct --python {own} --extra dev -o {listed}"
+        subprocess.run([*command.split(), str(_ROOT / "pyproject.toml")], check=True, capture_output=True)
         needed = [own, *_PIP, "-r", str(listed)]
     env = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME", "NUMBA_CACHE_DIR")}
     env |= {"PATH": f"{scripts}{os.pathsep}{env['PATH']}", "OPENBLAS_NUM_THREADS": "1"}
@@ -109,8 +98,8 @@ def _row(
     said = "well" if doctor.returncode == 0 else _ill(doctor.stdout)
     passed = "not run"
     if tests is not None:
-        command = [own, "-m", "pytest", "-q", "-n", "1", "--dist", "loadfile", "-p", "no:cacheprovider", "tests"]
-        run = subprocess.run(command, cwd=tests, env=env, capture_output=True, text=True, check=False)
+        command = f"{own} -m pytest -q -n 1 --dist loadfile -p no:cacheprovider tests"
+        run = subprocess.run(command.split(), cwd=tests, env=env, capture_output=True, text=True, check=False)
         lines = run.stdout.splitlines()
         passed = re.sub(r"=+", "", lines[-1]).strip() if lines else run.stderr[-200:]
         well = well and run.returncode == 0
@@ -121,7 +110,7 @@ def _row(
     return (f"{size:.0f}", f"{took:.0f} (exit {demo.returncode})", said, passed), well
 
 
-def _ill(text: str) -> str:
+def _ill(text):
     """Names of the checks that do not pass."""
     try:
         return ", ".join(c["name"] for c in json.loads(text)["checks"] if c["state"] in ("look", "fail"))

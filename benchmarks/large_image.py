@@ -14,10 +14,7 @@ and how far off.
 
 from __future__ import annotations
 
-import argparse
-import resource
 import shutil
-import sys
 import time
 from pathlib import Path
 
@@ -27,7 +24,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from benchmarks.size import folder_for, timed
+from benchmarks.shared import folder_for, memory, options, planish, size_of, timed
 from planish.core.transform import Similarity, nearest_similarity
 from planish.register import RegistrationParams
 from planish.run import register_texture
@@ -47,16 +44,9 @@ _FIELD = 1.2  # image over sheet: it reaches beyond it and is turned against it
 
 
 def main(*arguments: str | int) -> int:
-    parser = argparse.ArgumentParser(prog="large_image")
-    parser.add_argument("--rows", default="3416,10944")
-    parser.add_argument("--memory", default="4GB")
-    parser.add_argument(
-        "--folder", type=Path, default=None, help="where specimens are made, and kept for the next time"
+    asked = options(
+        "large_image", arguments, rows="3416,10944", memory="4GB", folder=None, texture=False, hand=False, near=False
     )
-    parser.add_argument("--texture", action="store_true", help="find a map without holes in 160 million pixels")
-    parser.add_argument("--hand", action="store_true", help="it is not mirrored")
-    parser.add_argument("--near", action="store_true", help="where its middle lies is known to 150 um")
-    asked = parser.parse_args([str(a) for a in arguments])
     if asked.texture:
         return find_texture(mirrored=False if asked.hand else None, is_near=asked.near)
     with folder_for(asked.folder) as folder:
@@ -65,26 +55,20 @@ def main(*arguments: str | int) -> int:
     return 0
 
 
-def measure(rows: int, cols: int, folder: Path, memory: str) -> None:
+def measure(rows: int, cols: int, folder: Path, limit: str) -> None:
     """Make a specimen where it is not there yet, link it, and print what that took."""
-    volume, image = specimen(rows, cols, folder / f"image-{rows}")
-    out = folder / f"run-{rows}"
+    out, pixels = folder / f"run-{rows}", rows * cols
     shutil.rmtree(out, ignore_errors=True)
-    before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    command = [sys.executable, "-m", "planish", "link", volume, image, "--out", out, "--memory", memory]
-    code, stages, said, peak = timed([str(part) for part in command])
-    seconds, after = time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_CHILDREN)
-    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    pixels = rows * cols
-    print(f"{pixels / 1e6:.0f} Mpixel: exit code {code}, {seconds:.0f} s, {cpu:.0f} s of processor time, "
-          f"{1e6 * cpu / pixels:.2f} us a pixel", flush=True)  # fmt: skip
-    print("  " + ", ".join(f"{name} {seconds:.0f} s" for name, seconds in stages.items()))
-    if code not in (0, 4):
-        print(said)
+    volume, image = specimen(rows, cols, folder / f"image-{rows}")
+    ran = timed(planish("link", volume, image, "--out", out, "--memory", limit))
+    print(f"{pixels / 1e6:.0f} Mpixel: exit code {ran.code}, {ran.seconds:.0f} s, {ran.cpu:.0f} s of processor time, "
+          f"{1e6 * ran.cpu / pixels:.2f} us a pixel", flush=True)  # fmt: skip
+    print("  " + ", ".join(f"{name} {seconds:.0f} s" for name, seconds in ran.stages.items()))
+    if ran.code not in (0, 4):
+        print(ran.said)
         return
-    print(f"  peak memory {peak / 1e9:.2f} GB")
-    print(f"  page {(out / 'report.html').stat().st_size / 1e6:.1f} MB, maps "
-          f"{sum(f.stat().st_size for f in (out / 'maps.zarr').rglob('*') if f.is_file()) / 1e9:.1f} GB")  # fmt: skip
+    print(f"  peak memory {ran.peak / 1e9:.2f} GB")
+    print(f"  page {size_of(out / 'report.html') / 1e6:.1f} MB, maps {size_of(out / 'maps.zarr') / 1e9:.1f} GB")
     shutil.rmtree(out, ignore_errors=True)
 
 
@@ -112,15 +96,11 @@ def specimen(rows: int, cols: int, folder: Path) -> tuple[Path, Path]:
     return volume, image
 
 
-if __name__ == "__main__":
-    raise SystemExit(main(*sys.argv[1:]))
-
-
 def find_texture(*, mirrored: bool | None, is_near: bool = False) -> int:
     """Find a map with a texture r of .5 in a large image, and print what that took; 1 where it lies 6 um off."""
     rng, pixel, (rows, cols), (ny, nx) = np.random.default_rng(1), 4.0, (11250, 15000), (500, 625)
 
-    def field(shape: tuple[int, int]) -> Floats32:
+    def field(shape):
         smooth = ndimage.gaussian_filter(rng.standard_normal(shape, dtype=np.float32), 4)
         return smooth / smooth.std()
 
@@ -153,7 +133,6 @@ def find_texture(*, mirrored: bool | None, is_near: bool = False) -> int:
     seconds, cpu = time.perf_counter() - begun, time.process_time() - begun_cpu
     corners = np.array([[0.0, 0.0], [nx * pixel, ny * pixel]])
     off_um = float(np.linalg.norm(registration(corners) - place(corners), axis=1).max())
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     print(f"{rows * cols / 1e6:.0f} Mpixel by texture: {seconds:.0f} s, {cpu:.0f} s of processor time, peak memory "
-          f"{peak / 1e9:.2f} GB, {off_um:.2f} um off at the corners")  # fmt: skip
+          f"{memory(peak=True) / 1e9:.2f} GB, {off_um:.2f} um off at the corners")  # fmt: skip
     return int(off_um > 6.0)

@@ -10,16 +10,13 @@ images of different cameras, to where the pixel truly lies. At most 1.5 um betwe
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from planish.core.typing import Floats
-from planish.run import Run, link
-from planish.synthetic import DEMO, SectionsParams, Specimen, make_specimen, write_instruments
-from planish.synthetic.files import InstrumentFiles
+from planish.run import link
+from planish.synthetic import DEMO, SectionsParams, make_specimen, write_instruments
 from planish.validate import pair_errors
 from planish.validate.errors import PAIR, Comparison
 
@@ -35,7 +32,7 @@ def main(sheets: int = 3) -> int:
     return int(missed)
 
 
-def _measured(seed: int, folder: Path) -> bool:
+def _measured(seed, folder):
     params = replace(
         DEMO, seed=seed, size_um=(1500.0, 1200.0), holes=replace(DEMO.holes, count=0),
         camera=replace(DEMO.camera, turn_range_deg=180.0), sections=SectionsParams(pixel_um=3.0, section_um=6.0),
@@ -69,7 +66,7 @@ def _measured(seed: int, folder: Path) -> bool:
     return bool((values["pair_median"] or 0.0) > _MOST_UM or np.median(off_pixels) > _MOST_PIXELS)
 
 
-def _off_image(specimen: Specimen, files: InstrumentFiles, run: Run, name: str) -> Floats:
+def _off_image(specimen, files, run, name):
     """Distances in the plane between what a layer shows at the pixels of the image and what truly lies there."""
     maps = run.groups[f"layers/{name}"]
     valid = maps["valid"].values
@@ -80,5 +77,5 @@ def _off_image(specimen: Specimen, files: InstrumentFiles, run: Run, name: str) 
     return np.linalg.norm(shown[..., :2] - specimen.pose.inverse(points), axis=-1)
 
 
-def _spread(off: Sequence[float] | Floats) -> str:
+def _spread(off):
     return f"median {np.nanmedian(off):.2f}, 95 % {np.nanpercentile(off, 95):.2f}"

@@ -1,6 +1,6 @@
 """How planish measures paper of fibres and pores: drawn specimens of each kind against their truth.
 
-    python -m benchmarks paper [KIND ...] [--count 10] [--first 0]
+    python -m benchmarks paper [KIND ...] [--count 10]
 
 The sheets are laid fibre by fibre (``planish.synthetic.fibres``); grades, greys, blur, noise, bends and what lies
 beside the sheet are drawn. A coating's truth is the layer itself; the face of a sheet without one is the outermost
@@ -15,11 +15,10 @@ from __future__ import annotations
 
 import argparse
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from zlib import crc32
 
 import numpy as np
@@ -100,7 +99,9 @@ class Sized:
         """Correlation of the measured and of the true values with the image."""
         if self.image is None:
             return None
-        return _r(self.true + self.error, self.image), _r(self.true, self.image)
+        seen = np.isfinite(self.image)
+        maps = (self.true + self.error, self.true)
+        return tuple(float(np.corrcoef(m[seen], self.image[seen])[0, 1]) for m in maps)
 
     def line(self) -> str:
         """Numbers of a row of the table."""
@@ -118,11 +119,6 @@ class Sized:
         return "  ".join(words)
 
 
-def _r(one: Floats, other: Floats) -> float:
-    is_seen = np.isfinite(other)
-    return float(np.corrcoef(one[is_seen], other[is_seen])[0, 1])
-
-
 class Kind(NamedTuple):
     """A kind of specimens: how one is drawn, and which thicknesses are judged."""
 
@@ -130,21 +126,17 @@ class Kind(NamedTuple):
     names: tuple[str, ...]
 
 
-def _between(rng: np.random.Generator, low: float, high: float) -> float:
-    return float(rng.uniform(low, high))
-
-
-def _specimen(rng: np.random.Generator, paper: PaperParams, *, slope: float = 0.4, **scan: Any) -> SpecimenParams:
-    wall, coating = _between(rng, 95.0, 120.0), _between(rng, 170.0, 200.0)
+def _specimen(rng, paper, *, slope=0.4, **scan):
+    wall, coating = rng.uniform(95.0, 120.0), rng.uniform(170.0, 200.0)
     scanner = ScannerParams(**{
-        "voxel_um": _between(rng, 2.5, 3.2), "fwhm_um": 4.0, "noise": _between(rng, 0.06, 0.1),
-        "noise_px": float(rng.choice([0.0, 2.0])), "fringe": float(rng.choice([0.0, _between(rng, 0.02, 0.12)])),
-        "cupping": _between(rng, 0.0, 0.04), "rings": int(rng.integers(0, 4)), "streak": _between(rng, 0.0, 0.03),
+        "voxel_um": rng.uniform(2.5, 3.2), "fwhm_um": 4.0, "noise": rng.uniform(0.06, 0.1),
+        "noise_px": float(rng.choice([0.0, 2.0])), "fringe": float(rng.choice([0.0, rng.uniform(0.02, 0.12)])),
+        "cupping": rng.uniform(0.0, 0.04), "rings": int(rng.integers(0, 4)), "streak": rng.uniform(0.0, 0.03),
         "grey": (40.0, wall, coating), **scan,
     })  # fmt: skip
     warp = Warp(
-        slope=_between(rng, 0.0, slope), wavelength_um=_between(rng, 2000.0, 6000.0), tilt_deg=_between(rng, -5.0, 5.0),
-        ruling_deg=_between(rng, -90.0, 90.0), phase_rad=_between(rng, 0.0, 6.28),
+        slope=rng.uniform(0.0, slope), wavelength_um=rng.uniform(2000.0, 6000.0), tilt_deg=rng.uniform(-5.0, 5.0),
+        ruling_deg=rng.uniform(-90.0, 90.0), phase_rad=rng.uniform(0.0, 6.28),
     )  # fmt: skip
     return SpecimenParams(
         size_um=_SIZE_UM, paper=paper, holes=BurnParams(pattern="irregular", count=3), warp=warp, scanner=scanner,
@@ -153,64 +145,63 @@ def _specimen(rng: np.random.Generator, paper: PaperParams, *, slope: float = 0.
     )  # fmt: skip
 
 
-def _coated_paper(rng: np.random.Generator, low: float = 8.0, high: float = 17.0) -> PaperParams:
-    base = _between(rng, 45.0, 60.0)
+def _coated_paper(rng, low=8.0, high=17.0):
+    base = rng.uniform(45.0, 60.0)
     return PaperParams(
-        base_um=base, coating_top_um=_between(rng, low, high), coating_bottom_um=_between(rng, low, high),
-        coating_sd_um=_between(rng, 3.0, 5.0), roughness_um=_between(rng, 2.5, 4.5), filler=_between(rng, 0.05, 0.15),
-        levelling_um=_between(rng, 150.0, 350.0), least_coating_um=_between(rng, 0.3, 1.0),
-        fibres=FibreParams(g_per_m2=base * _between(rng, 0.62, 0.75), flexibility=(0.12, 0.2)),
+        base_um=base, coating_top_um=rng.uniform(low, high), coating_bottom_um=rng.uniform(low, high),
+        coating_sd_um=rng.uniform(3.0, 5.0), roughness_um=rng.uniform(2.5, 4.5), filler=rng.uniform(0.05, 0.15),
+        levelling_um=rng.uniform(150.0, 350.0), least_coating_um=rng.uniform(0.3, 1.0),
+        fibres=FibreParams(g_per_m2=base * rng.uniform(0.62, 0.75), flexibility=(0.12, 0.2)),
     )  # fmt: skip
 
 
-def _coated(rng: np.random.Generator) -> SpecimenParams:
+def _coated(rng):
     return _specimen(rng, _coated_paper(rng))
 
 
-def _coarse(rng: np.random.Generator) -> SpecimenParams:
+def _coarse(rng):
     return _specimen(rng, _coated_paper(rng), fwhm_um=7.0, noise=0.15)
 
 
-def _on_film(rng: np.random.Generator) -> SpecimenParams:
+def _on_film(rng):
     film = FilmParams(
-        film_um=_between(rng, 15.0, 60.0), gap_um=_between(rng, 15.0, 60.0), grey=_between(rng, 0.5, 1.0),
-        share=float(rng.choice([1.0, _between(rng, 0.3, 0.8)])),
+        film_um=rng.uniform(15.0, 60.0), gap_um=rng.uniform(15.0, 60.0), grey=rng.uniform(0.5, 1.0),
+        share=float(rng.choice([1.0, rng.uniform(0.3, 0.8)])),
     )  # fmt: skip
     return replace(_specimen(rng, _coated_paper(rng)), film=film)
 
 
-def _on_tape(rng: np.random.Generator) -> SpecimenParams:
-    film = FilmParams(film_um=_between(rng, 25.0, 60.0), grey=_between(rng, 0.5, 1.0), is_tape=True)
+def _on_tape(rng):
+    film = FilmParams(film_um=rng.uniform(25.0, 60.0), grey=rng.uniform(0.5, 1.0), is_tape=True)
     return replace(_specimen(rng, _coated_paper(rng)), film=film)
 
 
-def _calendered(rng: np.random.Generator) -> SpecimenParams:
-    base = _between(rng, 40.0, 48.0)
-    paper = PaperParams(
-        base_um=base, coating_top_um=0.0, coating_bottom_um=0.0, coating_sd_um=0.0, roughness_um=2.0,
-        filler=_between(rng, 0.15, 0.3), base_g_per_cm3=1.15,
-        fibres=FibreParams(g_per_m2=base * 0.85, fuzz_per_mm2=_between(rng, 2.0, 6.0)),
-    )  # fmt: skip
-    return _specimen(rng, paper)
+def _uncoated(base, **more):
+    return PaperParams(base_um=base, coating_top_um=0.0, coating_bottom_um=0.0, coating_sd_um=0.0, **more)
 
 
-def _bulky(rng: np.random.Generator, voxel_um: float) -> SpecimenParams:
-    base = _between(rng, 100.0, 125.0)
-    paper = PaperParams(
-        base_um=base, coating_top_um=0.0, coating_bottom_um=0.0, coating_sd_um=0.0, filler=_between(rng, 0.03, 0.1),
-        roughness_um=_between(rng, 5.0, 8.0), base_g_per_cm3=0.7,
-        fibres=FibreParams(g_per_m2=base * 0.72, lumen_um=(0.0, 10.0), fuzz_per_mm2=_between(rng, 6.0, 10.0)),
-    )  # fmt: skip
+def _calendered(rng):
+    base = rng.uniform(40.0, 48.0)
+    filler = rng.uniform(0.15, 0.3)
+    fibres = FibreParams(g_per_m2=base * 0.85, fuzz_per_mm2=rng.uniform(2.0, 6.0))
+    return _specimen(rng, _uncoated(base, roughness_um=2.0, filler=filler, base_g_per_cm3=1.15, fibres=fibres))
+
+
+def _bulky(rng, voxel_um):
+    base = rng.uniform(100.0, 125.0)
+    filler, roughness_um = rng.uniform(0.03, 0.1), rng.uniform(5.0, 8.0)
+    fibres = FibreParams(g_per_m2=base * 0.72, lumen_um=(0.0, 10.0), fuzz_per_mm2=rng.uniform(6.0, 10.0))
+    paper = _uncoated(base, filler=filler, roughness_um=roughness_um, base_g_per_cm3=0.7, fibres=fibres)
     return _specimen(rng, paper, voxel_um=voxel_um)
 
 
-def _in_resin(rng: np.random.Generator) -> SpecimenParams:
-    resin = _between(rng, 100.0, 130.0)
-    grey = (resin, resin + _between(rng, 22.0, 30.0), _between(rng, 200.0, 225.0))
+def _in_resin(rng):
+    resin = rng.uniform(100.0, 130.0)
+    grey = (resin, resin + rng.uniform(22.0, 30.0), rng.uniform(200.0, 225.0))
     return _specimen(rng, _coated_paper(rng), grey=grey, section_gain=0.03)
 
 
-def _fringed(rng: np.random.Generator) -> SpecimenParams:
+def _fringed(rng):
     params = _calendered(rng)
     return replace(params, scanner=replace(params.scanner, fringe=0.5))
 
@@ -234,44 +225,40 @@ def main(*arguments: str | int) -> int:
     parser = argparse.ArgumentParser(prog="paper")
     parser.add_argument("kinds", nargs="*", metavar="KIND", help=", ".join(KINDS))
     parser.add_argument("--count", type=int, default=10)
-    parser.add_argument("--first", type=int, default=0)
     asked = parser.parse_args([str(a) for a in arguments])
     for name in asked.kinds or KINDS:
-        all_sized: list[Sized] = []
-        for k in range(asked.first, asked.first + asked.count):
-            start = time.perf_counter()
+        all_sized = []
+        for k in range(asked.count):
             specimen = drawn(name, k)
             try:
                 surfaces, sized = measured(specimen, KINDS[name].names)
                 rows = [s.line() for s in sized]
-                if specimen.params.film is not None:
-                    of_film = _named if specimen.params.film.is_tape else _beside_none
-                    rows += of_film(specimen, surfaces, sized)
+                if film := specimen.params.film:
+                    rows += _named(specimen) if film.is_tape else _beside_none(specimen, surfaces, sized)
                 all_sized += sized
             except PlanishError as error:
                 rows = [f"{type(error).__name__}: {error}"]
-            print(f"{name} {k} ({time.perf_counter() - start:.0f} s)", *rows, sep="\n    ", flush=True)
+            print(f"{name} {k}", *rows, sep="\n    ", flush=True)
         for words in _summed_up(all_sized):
             print(f"  {name}: {words}", flush=True)
     return 0
 
 
-def _named(specimen: Specimen, surfaces: xr.Dataset, sized: list[Sized]) -> list[str]:  # noqa: ARG001
+def _named(specimen):
     """What the check says of a tape that touches the sheet."""
-    checks = {check.name: check for check in map_sheet(specimen.volume).results.checks}
-    return [f"film: {checks['film'].state}: {checks['film'].sentence}" if "film" in checks else "film: no check"]
+    said = [c for c in map_sheet(specimen.volume).results.checks if c.name == "film"]
+    return [f"film: {check.state}: {check.sentence}" for check in said] or ["film: no check"]
 
 
-def _beside_none(specimen: Specimen, surfaces: xr.Dataset, sized: list[Sized]) -> list[str]:
+def _beside_none(specimen, surfaces, sized):
     """Compare a sheet on film with the same one without: medians of what differs, and coverages."""
     alone = make_specimen(replace(specimen.params, film=None))
     other, others = measured(alone, tuple(s.name for s in sized))
-    rows: list[str] = []
+    rows = []
     for face in ("top", "bottom"):
         # The volumes begin at different heights below the sheet, and each has noise of its own.
-        here, there = (
-            found[face].values - made.warp.shift_um[2] for found, made in ((surfaces, specimen), (other, alone))
-        )
+        here = surfaces[face].values - specimen.warp.shift_um[2]
+        there = other[face].values - alone.warp.shift_um[2]
         apart = (here - there)[np.isfinite(here) & np.isfinite(there)]
         rows.append(
             f"{face:14s} beside none: median {np.median(apart):+.2f}, of the size {np.median(np.abs(apart)):.2f} um"
@@ -282,9 +269,9 @@ def _beside_none(specimen: Specimen, surfaces: xr.Dataset, sized: list[Sized]) -
     return rows
 
 
-def _summed_up(all_sized: list[Sized]) -> list[str]:
+def _summed_up(all_sized):
     """One line a thickness over all specimens of a kind."""
-    rows: list[str] = []
+    rows = []
     for name in dict.fromkeys(s.name for s in all_sized):
         sized = [s for s in all_sized if s.name == name]
         means, sds = np.array([s.mean for s in sized]), [float(s.error.std()) for s in sized]
@@ -321,7 +308,7 @@ def measured(specimen: Specimen, names: tuple[str, ...]) -> tuple[xr.Dataset, li
     facts = property_facts(properties)
     true, is_clear = truth(specimen, properties)
     image = _image_at(specimen, properties)
-    sized: list[Sized] = []
+    sized = []
     for name in names:
         if f"{name}_se" not in properties:  # a tape hides the coating below it
             continue
@@ -336,7 +323,7 @@ def measured(specimen: Specimen, names: tuple[str, ...]) -> tuple[xr.Dataset, li
     return surfaces, sized
 
 
-def _image_at(specimen: Specimen, columns: xr.Dataset) -> Floats:
+def _image_at(specimen, columns):
     """Reflectance of the top side at the true place of each column; NaN outside of the image."""
     u, v = _uv(specimen, columns)
     at, image = specimen.pose(np.stack([u, v], axis=-1)), specimen.image
@@ -348,7 +335,7 @@ def _image_at(specimen: Specimen, columns: xr.Dataset) -> Floats:
     )
 
 
-def _uv(specimen: Specimen, columns: xr.Dataset) -> tuple[Floats, Floats]:
+def _uv(specimen, columns):
     voxel = specimen.params.scanner.voxel_um
     rows, cols = (np.rint(columns[axis].values / voxel).astype(int) for axis in ("y", "x"))
     u, v = (specimen.columns[name].values[np.ix_(rows, cols)] for name in ("u", "v"))
@@ -377,7 +364,3 @@ def truth(specimen: Specimen, columns: xr.Dataset) -> tuple[dict[str, Floats], B
         inner_top, inner_bottom = top, bottom
     true = {"coating_top": top - inner_top, "coating_bottom": inner_bottom - bottom, "thickness": top - bottom}
     return true, sheet.at(sheet.rim_um[0], u, v) > _CLEAR_UM
-
-
-if __name__ == "__main__":
-    main()

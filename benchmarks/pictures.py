@@ -24,6 +24,7 @@ from tests import console
 import planish as pl
 from benchmarks import paper
 from benchmarks.evidence import field
+from benchmarks.shared import planish as command_of
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
@@ -34,7 +35,13 @@ _MISSING = "#d4d6d8"  # as on the page of a run
 
 def planish(*arguments: str, folder: Path) -> None:
     """Run the program in a folder."""
-    subprocess.run([sys.executable, "-m", "planish", *arguments], cwd=folder, check=True, stdout=subprocess.DEVNULL)
+    subprocess.run(command_of(*arguments), cwd=folder, check=True, stdout=subprocess.DEVNULL)
+
+
+def stored(drawn: Path, folder: Path, colours: int = 200) -> None:
+    """Keep a drawn figure in few colours: a third of the bytes."""
+    with Image.open(drawn) as picture:
+        picture.convert("RGB").quantize(colours, dither=Image.Dither.NONE).save(folder / drawn.name, optimize=True)
 
 
 def linked(path: Path, folder: Path) -> None:
@@ -47,13 +54,8 @@ def linked(path: Path, folder: Path) -> None:
     window = (slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1))
     extent = (x[window[1]][0], x[window[1]][-1], y[window[0]][-1], y[window[0]][0])
     figure, axes = plt.subplots(1, 2, figsize=(10, 3.5), layout="constrained")
-    for ax, name, colours, label in zip(
-        axes,
-        ("image", "coating_top"),
-        ("gray", "viridis"),
-        ("Image: grey value", "Coating, top side / µm"),
-        strict=True,
-    ):
+    layers = (("image", "gray", "Image: grey value"), ("coating_top", "viridis", "Coating, top side / µm"))
+    for ax, (name, colours, label) in zip(axes, layers, strict=True):
         seen = maps[name].to_numpy()[window]
         low, high = np.nanpercentile(np.where(valid[window], seen, np.nan), (1, 99))
         values = seen if name == "image" else np.where(valid[window], seen, np.nan)  # the image with its holes
@@ -105,8 +107,7 @@ def shot(page: Path, path: Path, width: int, height: int) -> None:
             f"--screenshot={path}", f"--window-size={width},{height}", page.resolve().as_uri(),
         ]  # fmt: skip
         subprocess.run(command, check=True, capture_output=True)
-    with Image.open(path) as picture:  # few colours: a third of the bytes
-        picture.convert("RGB").quantize(128, dither=Image.Dither.NONE).save(path, optimize=True)
+    stored(path, path.parent, 128)
 
 
 def first_pages(path: Path, folder: Path) -> None:
@@ -135,29 +136,28 @@ def first_pages(path: Path, folder: Path) -> None:
 
 def with_noise_alone(image: Path, path: Path) -> None:
     """The image of another sheet with the holes of this one: noise of 120 um between the holes."""
-    with tifffile.TiffFile(image) as file:
-        grey, tags = file.asarray().astype(np.float64), file.pages.first.tags
-        resolution = {name: tags[name].value for name in ("XResolution", "YResolution", "ResolutionUnit")}
+    read = pl.read_image(image)
+    grey = read.to_numpy().astype(np.float64)
     middle = float(np.median(grey))
     holes = ndimage.binary_dilation((grey < 0.6 * middle) | (grey > 1.6 * middle), iterations=8)
     holes = ndimage.binary_dilation(ndimage.binary_opening(holes, iterations=6), iterations=10)
-    noise, _ = field(np.random.default_rng(5), (grey.shape[0], grey.shape[1]), 30.0, "exp")
+    noise, _ = field(np.random.default_rng(5), grey.shape, 30.0, "exp")
     sheet = np.where(holes, grey, np.clip(middle + np.std(grey[~holes]) * noise, 0, 65535)).astype(np.uint16)
-    tifffile.imwrite(
-        path, sheet, resolution=(resolution["XResolution"], resolution["YResolution"]),
-        resolutionunit=resolution["ResolutionUnit"],
-    )  # fmt: skip
+    _written(path, sheet, read.attrs["pixel_um"])
+
+
+def _written(path, grey, pixel_um):
+    size = (1e4 / pixel_um[1], 1e4 / pixel_um[0])
+    tifffile.imwrite(path, grey, resolution=size, resolutionunit="CENTIMETER")
 
 
 def overexposed(image: Path, path: Path) -> None:
     """The same image in 8 bits, its brightest 30 % cut off."""
     read = pl.read_image(image)
-    grey, pixel_um = read.to_numpy(), read.attrs["pixel_um"]
+    grey = read.to_numpy()
     low, high = np.percentile(grey, (2, 70))
-    tifffile.imwrite(
-        path, np.round(255 * np.clip((grey - low) / (high - low), 0, 1)).astype(np.uint8),
-        resolution=(1e4 / pixel_um[1], 1e4 / pixel_um[0]), resolutionunit="CENTIMETER",
-    )  # fmt: skip
+    bright = np.round(255 * np.clip((grey - low) / (high - low), 0, 1)).astype(np.uint8)
+    _written(path, bright, read.attrs["pixel_um"])
 
 
 def gallery(path: Path, folder: Path) -> None:
@@ -172,12 +172,6 @@ def gallery(path: Path, folder: Path) -> None:
             print(f"{example.stem}: not drawn")
             continue
         stored(drawn, path.parent / "examples")
-
-
-def stored(drawn: Path, folder: Path) -> None:
-    """Keep a drawn figure in few colours."""
-    with Image.open(drawn) as picture:
-        picture.convert("RGB").quantize(200, dither=Image.Dither.NONE).save(folder / drawn.name, optimize=True)
 
 
 _FACES = {"top": "#ff9f1c", "interface_top": "#2ec4b6", "interface_bottom": "#2ec4b6", "bottom": "#ff9f1c"}
@@ -210,20 +204,17 @@ def real_paper(path: Path, folder: Path) -> None:
         stored(drawn, path.parent)
 
 
-SIZES = {
-    "fig-06": "full", "fig-07": "full", "fig-09": "full", "fig-11": "full", "flattening": "full", "design": "full",
-    "large": "full",
-}  # fmt: skip
-"""Of the specimens that docs/studies.md shows."""
+STUDIES = ("fig-06", "fig-07", "fig-09", "fig-11", "flattening", "design", "large")
+"""Of full specimens, as docs/studies.md shows them."""
 
 
 def studies(path: Path, folder: Path) -> None:
     """Figures of the studies; their statements, which the page quotes, are printed."""
     program = IMAGES.parents[1] / "examples" / "studies" / "make.py"
-    for name, size in SIZES.items():
-        command = [sys.executable, str(program), name, "--size", size, "--out", str(folder / size)]
+    for name in STUDIES:
+        command = [sys.executable, str(program), name, "--size", "full", "--out", str(folder)]
         subprocess.run(command, check=True, stderr=subprocess.DEVNULL)
-        stored(folder / size / f"{name}.png", path.parent / "studies")
+        stored(folder / f"{name}.png", path.parent / "studies")
 
 
 PICTURES: dict[str, Callable[[Path, Path], None]] = {

@@ -2,21 +2,19 @@
 
     python -m benchmarks programs [--run RUN] [--folder DIR] [--pictures DIR]
 
-ImageJ (`ij.jar`, through JPype), GNU Octave, Gwyddion, R, ParaView (`pvpython`), ITK (SimpleITK), elastix
-(`transformix`), Pillow, netCDF-C, TensorStore and meshio. A program that is not installed is skipped, and said. Without
-``--run`` a small specimen is linked first. The last column is the largest difference to what the run holds.
+ImageJ (`ij.jar`, through JPype), GNU Octave, Gwyddion, R, ParaView (`pvpython`) and elastix (`transformix`). A program
+that is not installed is skipped, and said. Without ``--run`` a small specimen is linked first. The last column is the
+largest difference to what the run holds. The libraries of Python that read these files do so in `tests/exports`.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from importlib.metadata import version
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
@@ -24,9 +22,10 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.exporting import small_run
-from benchmarks.size import folder_for
+from benchmarks.shared import folder_for, options
 from planish import export, open_run
 from planish.register.params import RegistrationParams
+from planish.run import Run
 
 _JARS = ("/usr/share/java/ij.jar", "/usr/share/imagej/ij.jar")
 _NAMES = ("coating_top", "image", "valid")
@@ -48,36 +47,26 @@ class Case(NamedTuple):
     folder: Path
     maps: dict[str, np.ndarray]
     pixel_um: tuple[float, float]
-    run: object
+    run: Run
+    pictures: Path | None
 
 
 def main(*arguments: str | int) -> int:
-    parser = argparse.ArgumentParser(prog="programs")
-    parser.add_argument("--run", type=Path)
-    parser.add_argument("--folder", type=Path, default=None, help="where files are made, and kept")
-    parser.add_argument("--pictures", type=Path, help="where ParaView draws the surface")
-    asked = parser.parse_args([str(a) for a in arguments])
-    rows: list[Row] = []
+    asked = options("programs", arguments, run=None, folder=None, pictures=None)
+    table = [Row("Program", "Command", "File", "Compared", "Largest difference")]
     failed = 0
     with folder_for(asked.folder) as place:
-        case = written(asked.run or bent_run(Path(place)), Path(place) / "exports")
-        checks: dict[str, Callable[[Case], Iterator[Row]]] = {
-            "ImageJ": imagej, "GNU Octave": octave, "Gwyddion": gwyddion, "R": statistics,
-            "ParaView": lambda c: paraview(c, asked.pictures), "ITK": itk, "transformix": transformix,
-            "libraries": libraries,
-        }  # fmt: skip
-        for name, check in checks.items():
+        case = written(asked.run or bent_run(Path(place)), Path(place) / "exports", asked.pictures)
+        for check in (imagej, octave, gwyddion, statistics, paraview, transformix):
             try:
-                rows += list(check(case))
+                table += check(case)
             except Missing as error:
                 print(f"skipped: {error}")
             except (AssertionError, subprocess.CalledProcessError) as error:
                 failed += 1
-                said = getattr(error, "stderr", "") or ""
-                print(f"FAILED: {name}: {error} {said[-2000:]}")
-    table = [("Program", "Command", "File", "Compared", "Largest difference"), *rows]
-    wide = [max(len(row[k]) for row in table) for k in range(5)]
-    table.insert(1, tuple("-" * n for n in wide))
+                print(f"FAILED: {check.__name__}: {error} {(getattr(error, 'stderr', '') or '')[-2000:]}")
+    wide = [max(map(len, column)) for column in zip(*table, strict=True)]
+    table.insert(1, Row(*("-" * n for n in wide)))
     for row in table:
         print("| " + " | ".join(cell.ljust(n) for cell, n in zip(row, wide, strict=True)) + " |")
     return failed
@@ -92,13 +81,13 @@ def bent_run(folder: Path) -> Path:
     return small_run(folder, "bent", holes=8, registration=RegistrationParams(model="tps"))
 
 
-def written(run: Path, folder: Path) -> Case:
+def written(run: Path, folder: Path, pictures: Path | None) -> Case:
     """Write one of each format."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     opened = open_run(run)
     files = {
-        "tiff": ".tif", "ome-tiff": ".ome.tif", "ome-zarr": ".ome.zarr", "netcdf": ".nc", "gwy": ".gwy", "csv": ".csv",
+        "tiff": ".tif", "netcdf": ".nc", "gwy": ".gwy", "csv": ".csv",
     }  # fmt: skip
     for to, suffix in files.items():
         more = {"point_um": 0} if to == "csv" else {}
@@ -106,16 +95,14 @@ def written(run: Path, folder: Path) -> Case:
     for kind in ("5", "7.3"):
         export(run, folder / f"maps-{kind}.mat", to="mat", maps=_NAMES, mat_version=kind)
     export(run, folder / "coating_top.txt", to="txt", maps=["coating_top"])
-    export(run, folder / "coating_top.nrrd", to="nrrd", group="linked", maps=["coating_top"])
     export(run, folder / "sheet.nrrd", to="nrrd", group="maps", maps=["coating_top"])
     for to, suffix in (("ply", ".ply"), ("obj", ".obj"), ("stl", ".stl"), ("vtk", ".vtu")):
         export(run, folder / f"top{suffix}", to=to, maps=["top", "coating_top"])
-    for to in ("itk", "elastix", "nrrd"):
-        export(run, folder / to, to=to)
+    export(run, folder / "elastix", to="elastix")
     linked = opened.linked
     step = (float(linked.y[1] - linked.y[0]), float(linked.x[1] - linked.x[0]))
     maps = {name: linked[name].values.astype(np.float64) for name in _NAMES}
-    return Case(folder, maps, step, opened)
+    return Case(folder, maps, step, opened, pictures)
 
 
 def largest(found: np.ndarray, expected: np.ndarray) -> str:
@@ -344,7 +331,7 @@ SaveScreenshot(sys.argv[2], view)
 """
 
 
-def paraview(case: Case, pictures: Path | None) -> Iterator[Row]:
+def paraview(case: Case) -> Iterator[Row]:
     """The surface in four formats: nodes, cells, the map that it carries."""
     program("pvpython", "--version")
     names = ("top.ply", "top.vtu", "top.stl", "top.obj")
@@ -352,7 +339,7 @@ def paraview(case: Case, pictures: Path | None) -> Iterator[Row]:
     said = json.loads(
         output(["pvpython", str(case.folder / "read.py"), str(case.folder), *names]).strip().splitlines()[-1]
     )  # fmt: skip
-    surfaces = case.run.groups["surfaces"]  # type: ignore[attr-defined]
+    surfaces = case.run.groups["surfaces"]
     known = np.isfinite(surfaces.top.values)
     y, x = np.meshgrid(surfaces.y.values, surfaces.x.values, indexing="ij")
     expected = np.stack([x[known], y[known], surfaces.top.values[known]], axis=1)
@@ -369,53 +356,23 @@ def paraview(case: Case, pictures: Path | None) -> Iterator[Row]:
     values = np.load(case.folder / "top.vtu.values.npy")
     yield Row(name, "OpenDataFile", "top.vtu", "coating_top, NaN", largest(values, surfaces.coating_top.values[known]))
     assert "RGB" in said["top.ply"][2]
-    if pictures is not None and shutil.which("xvfb-run"):
-        pictures.mkdir(parents=True, exist_ok=True)
+    if case.pictures is not None and shutil.which("xvfb-run"):
+        case.pictures.mkdir(parents=True, exist_ok=True)
         (case.folder / "draw.py").write_text(_PICTURE, encoding="utf-8")
         output(["xvfb-run", "-a", "pvpython", str(case.folder / "draw.py"), str(case.folder / "top.ply"),
-                str(pictures / "surface.png")])  # fmt: skip
-
-
-def points_of(case: Case) -> tuple[np.ndarray, np.ndarray, object]:
-    """Points in the sheet and in the image, and the fit between them."""
-    maps = case.run.maps  # type: ignore[attr-defined]
-    fit = next(iter(case.run.registrations.values())).fit  # type: ignore[attr-defined]
-    rng = np.random.default_rng(0)
-    u, v = (rng.uniform(float(at[0]), float(at[-1]), 500) for at in (maps.u.values, maps.v.values))
-    sheet = np.stack([u, v], axis=1)
-    return sheet, fit(sheet), fit
-
-
-def itk(case: Case) -> Iterator[Row]:
-    """Transforms and fields move points where planish moves them; a map has its size and place."""
-    if find_spec("SimpleITK") is None:
-        raise Missing("SimpleITK is not installed")
-    import SimpleITK as sitk
-
-    name = f"ITK {sitk.Version.ITKVersionString()} (SimpleITK {sitk.Version.VersionString()})"
-    sheet, image, fit = points_of(case)
-    limit = 0.01 * min(case.pixel_um)
-    for stem, given, expected in (("sheet_to_image", sheet, image), ("image_to_sheet", image, fit.inverse(image))):  # type: ignore[attr-defined]
-        transform = sitk.ReadTransform(str(case.folder / "itk" / f"{stem}.tfm"))
-        moved = [transform.TransformPoint(point) for point in given.tolist()]
-        yield Row(name, "ReadTransform", f"{stem}.tfm", "500 points, um", difference(moved, expected, limit))
-        field = sitk.ReadImage(str(case.folder / "nrrd" / f"{stem}.nrrd"), sitk.sitkVectorFloat64)
-        transform = sitk.DisplacementFieldTransform(field)
-        moved = [transform.TransformPoint(point) for point in given.tolist()]
-        yield Row(name, "ReadImage", f"{stem}.nrrd", "500 points, um", difference(moved, expected, limit))
-    found = sitk.ReadImage(str(case.folder / "coating_top.nrrd"))
-    yield Row(name, "ReadImage", "coating_top.nrrd", "coating_top, NaN",
-              largest(sitk.GetArrayFromImage(found), case.maps["coating_top"]))  # fmt: skip
-    yield Row(name, "ReadImage", "coating_top.nrrd", "pixel", difference(found.GetSpacing()[::-1], case.pixel_um))
+                str(case.pictures / "surface.png")])  # fmt: skip
 
 
 def transformix(case: Case) -> Iterator[Row]:
     """elastix's own program: points, and a map of the sheet brought onto the image."""
     name = f"transformix {program('transformix', '--version')}"
-    sheet, image, fit = points_of(case)
+    maps, fit = case.run.maps, next(iter(case.run.registrations.values())).fit
+    rng = np.random.default_rng(0)
+    sheet = np.stack([rng.uniform(float(at[0]), float(at[-1]), 500) for at in (maps.u.values, maps.v.values)], axis=1)
+    image = fit(sheet)
     folder = case.folder / "elastix"
     limit = 0.01 * min(case.pixel_um)
-    for stem, given, expected in (("sheet_to_image", sheet, image), ("image_to_sheet", image, fit.inverse(image))):  # type: ignore[attr-defined]
+    for stem, given, expected in (("sheet_to_image", sheet, image), ("image_to_sheet", image, fit.inverse(image))):
         lines = "".join(f"{x!r} {y!r}\n" for x, y in given.tolist())
         (folder / "points.txt").write_text(f"point\n{len(given)}\n{lines}", encoding="utf-8")
         out = folder / "out"
@@ -438,66 +395,3 @@ def transformix(case: Case) -> Iterator[Row]:
     off = float(np.median(np.abs(brought - linked)[both]))
     assert off < 0.1 * float(np.nanstd(linked)), off
     yield Row(name, "transformix -in", "sheet.nrrd", "coating_top on the image, median", f"{off:.2g}")
-
-
-def libraries(case: Case) -> Iterator[Row]:
-    """Readers that are not those of the writers."""
-    readers: dict[str, Callable[[Case], Iterator[Row]]] = {
-        "PIL": _pillow, "netCDF4": _netcdf, "tensorstore": _tensorstore, "meshio": _meshio,
-    }  # fmt: skip
-    for module, read in readers.items():
-        if find_spec(module) is None:
-            print(f"skipped: {module} is not installed")
-        else:
-            yield from read(case)
-
-
-def _pillow(case: Case) -> Iterator[Row]:
-    from PIL import Image
-
-    for file in ("maps.tif", "maps.ome.tif"):
-        with Image.open(case.folder / file) as image:
-            image.seek(1)
-            yield Row(
-                f"Pillow {version('pillow')}",
-                "Image.open",
-                file,
-                "image",
-                largest(np.asarray(image), case.maps["image"]),
-            )
-
-
-def _netcdf(case: Case) -> Iterator[Row]:
-    import netCDF4
-
-    name = f"netCDF-C {netCDF4.__netcdf4libversion__}"
-    with netCDF4.Dataset(case.folder / "maps.nc") as file:
-        values = np.ma.filled(file["coating_top"][:], np.nan)
-        yield Row(name, "Dataset", "maps.nc", "coating_top, NaN", largest(values, case.maps["coating_top"]))
-        pixel = [float(file[axis][1] - file[axis][0]) for axis in ("y", "x")]
-        yield Row(name, "Dataset", "maps.nc", "pixel", difference(pixel, case.pixel_um))
-
-
-def _tensorstore(case: Case) -> Iterator[Row]:
-    import tensorstore as ts
-
-    place = {"driver": "zarr3", "kvstore": {"driver": "file", "path": str(case.folder / "maps.ome.zarr" / "0")}}
-    values = ts.open(place).result().read().result()
-    name = f"TensorStore {version('tensorstore')}"
-    for k, one in enumerate(_NAMES):
-        yield Row(name, "open", "maps.ome.zarr", f"{one}, NaN", largest(values[k], case.maps[one]))
-
-
-def _meshio(case: Case) -> Iterator[Row]:
-    import meshio
-
-    surfaces = case.run.groups["surfaces"]  # type: ignore[attr-defined]
-    known = np.isfinite(surfaces.top.values)
-    name = f"meshio {version('meshio')}"
-    for file in ("top.ply", "top.vtu"):
-        found = meshio.read(case.folder / file).point_data["coating_top_um"]
-        yield Row(name, "read", file, "coating_top, NaN", largest(found, surfaces.coating_top.values[known]))
-
-
-if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planish.core.status import Outcome
-from planish.flatten.relaxation import Relaxation, RelaxationParams, relax_dynamically
+from planish.flatten.relaxation import RelaxationParams, relax_dynamically
 from planish.validate.mesh import cylinder, deformed, grid, node_error, rest_lengths, size_errors, unrolled
 
 _READINGS = {
@@ -51,7 +51,7 @@ def main(full: int = 0) -> int:
     return _print_accuracy() + _print_speed(full > 0)
 
 
-def _print_accuracy() -> int:
+def _print_accuracy():
     print("Fig. 5: 32 x 24 nodes, ten random deformations; errors of width, height, aspect in %")
     print(
         f"{'stop':24s} {'steps':>7s} {'ms':>7s} | mean: width height aspect | largest: width height aspect | inverted"
@@ -77,7 +77,7 @@ def _print_accuracy() -> int:
     return missed
 
 
-def _print_speed(full: bool) -> int:
+def _print_speed(full):
     print("adaptive against fixed parameters (forward Euler, c = 0.02); the same stop, sustained")
     print(
         f"{'case':28s} {'parameters':>18s} {'steps':>8s} {'seconds':>8s} {'ms/step':>8s}  largest node error in pitches"
@@ -104,7 +104,7 @@ def _print_speed(full: bool) -> int:
     return missed
 
 
-def _print_run(case: Case, parameters: str, found: Relaxation, seconds: float) -> int:
+def _print_run(case, parameters, found, seconds):
     print(
         f"{case.name:28s} {parameters:>18s} {found.steps:8d} {seconds:8.2f} {1e3 * seconds / found.steps:8.3f}  "
         f"{node_error(found.uv, case.flat):.4f}" + ("" if found.outcome is Outcome.RESTED else f" {found.outcome}"),
@@ -113,12 +113,12 @@ def _print_run(case: Case, parameters: str, found: Relaxation, seconds: float) -
     return int(found.outcome is not Outcome.RESTED)
 
 
-def _fig5(rows: int, cols: int) -> Case:
+def _fig5(rows, cols):
     start, rest = deformed(0, rows, cols)
     return Case(name=f"Fig. 5, {cols} x {rows}", start=start, flat=grid(rows, cols), rest=rest, fixed_dt=0.0015)
 
 
-def _cylinder() -> Case:
+def _cylinder():
     """Nodes equally spaced in x on an arc that is longer than its chord by 2.6 pitches."""
     flat, points = cylinder()
     return Case(name="cylinder, 128 x 96", start=flat, flat=unrolled(flat), rest=rest_lengths(points), fixed_dt=0.0025)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import time
 import tracemalloc
-from collections.abc import Callable
 from resource import RUSAGE_SELF, getrusage
 from statistics import median
 from typing import TypeVar
@@ -20,7 +19,7 @@ from scipy.spatial import Delaunay
 
 from planish.core.grid import Grid
 from planish.core.threads import limit_threads
-from planish.resample import Places, find_places, resample
+from planish.resample import find_places, resample
 
 Array = NDArray[np.float64]
 Result = TypeVar("Result")
@@ -53,11 +52,11 @@ def main(rows: int = 2048, cols: int = 1536) -> int:
     v, u = (_PITCH_UM * np.arange(n) for n in (rows, cols))
     truth = 0.3 * u[None, :] - 0.2 * v[:, None] + 5000.0
 
-    def find(threads: int | None = None, mesh: Array = uv) -> Places:
+    def find(threads=None, mesh=uv):
         with limit_threads(threads):
             return find_places(mesh, Grid.regular((rows, cols), _PITCH_UM))
 
-    def values(threads: int | None = None) -> Array:
+    def values(threads=None):
         with limit_threads(threads):
             return resample(affine, places)
 
@@ -68,7 +67,7 @@ def main(rows: int = 2048, cols: int = 1536) -> int:
     places = find()
     ours = resample(affine, places)
     print(f"{'first call, compiled or from the cache':44s} {time.perf_counter() - begun:9.3f}")
-    both: list[float] = []
+    both = []
     for threads in sorted({1, processors}):
         finding, _ = _timed(lambda threads=threads: find(threads))
         sampling, _ = _timed(lambda threads=threads: values(threads))
@@ -103,9 +102,9 @@ def main(rows: int = 2048, cols: int = 1536) -> int:
     return int(ratio < _LEAST_RATIO or max(errors) > _MOST_ERROR)
 
 
-def _timed(work: Callable[[], Result]) -> tuple[float, Result]:
+def _timed(work):
     """Median of the seconds that the work takes, and what it gives."""
-    seconds: list[float] = []
+    seconds = []
     for _ in range(_TIMES - 1):
         begun = time.perf_counter()
         work()
@@ -115,7 +114,7 @@ def _timed(work: Callable[[], Result]) -> tuple[float, Result]:
     return median([*seconds, time.perf_counter() - begun]), result
 
 
-def _peak(work: Callable[[], object]) -> float:
+def _peak(work):
     """Most MiB that arrays took during the work, its result included and what it was given not."""
     tracemalloc.start()
     work()
@@ -124,5 +123,5 @@ def _peak(work: Callable[[], object]) -> float:
     return peak / 2**20
 
 
-def _row(name: str, first: float, second: float) -> None:
+def _row(name, first, second):
     print(f"{name:44s} {first:9.3f} {second:9.3f} {first + second:9.3f}", flush=True)

@@ -1,6 +1,6 @@
 """Does planish stay quiet where nothing is wrong? Right specimens of two makers and two instruments, and real volumes.
 
-``python -m benchmarks right [--count 60] [--out FOLDER] [--again] [--report]``
+``python -m benchmarks right [--count 60] [--out FOLDER]``
 
 Goal: no check fails, each looks in at most 5 %, at least 80 % of the runs have neither. Half of the sheets are laid
 fibre by fibre: coated, uncoated, on film, in resin, as a volume and as sections. Drawn are the paper, slopes to 60
@@ -10,7 +10,6 @@ degrees, 4 to 30 holes, the voxel, the scanner's artefacts, a stack or slices ac
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import time
 import warnings
@@ -24,7 +23,7 @@ import tifffile
 
 from benchmarks.wrong.case import Case
 from benchmarks.wrong.specimens import Draw, drawn
-from benchmarks.wrong.table import Row, judged_case, line_of
+from benchmarks.wrong.table import done, lights, row_of
 from planish.core.errors import PlanishError
 from planish.run.build import map_sheet
 from planish.run.compute import Compute
@@ -58,74 +57,49 @@ _FIBRES: tuple[dict[int, str], ...] = tuple(
 
 def order_of(k: int) -> tuple[Draw, str]:
     """The k-th specimen and its instrument."""
-    rng = np.random.default_rng([3, k])
-    maker = "second" if k % 10 in (1, 3, 5, 7) else "planish"
-    instrument = "stack" if maker == "second" else {2: "scanner", 6: "sections"}.get(k % 10, "stack")
-    large = k % 10 in (3, 4, 8)
-    steep = k % 10 in (5, 8)
+    rng, unit = np.random.default_rng([3, k]), k % 10
+    is_second, large, steep = unit in (1, 3, 5, 7), unit in (3, 4, 8), unit in (5, 8)
     slope = None
     if steep:  # to 60 degrees; the sheet of the second maker is round and small
-        slope = float(np.tan(np.deg2rad(rng.uniform(28, 45 if maker == "second" else 60))))
-    holes = round(float(np.exp(rng.uniform(np.log(4), np.log(22 if large else 9)))))
-    if k % 20 == 4:
-        holes = 26
-    coated = k % 15 != 9
-    fibres = "" if maker == "second" or steep else _FIBRES[k // 10 % 6][k % 10]
+        slope = float(np.tan(np.deg2rad(rng.uniform(28, 45 if is_second else 60))))
+    holes = round(np.exp(rng.uniform(np.log(4), np.log(22 if large else 9))))
     draw = Draw(
-        maker=maker, seed=100 + k, large=large, coated=coated, steep=steep, fibres=fibres, holes=holes, slope=slope
-    )
-    return draw, instrument
+        maker="second" if is_second else "planish", seed=100 + k, large=large, coated=k % 15 != 9, steep=steep,
+        fibres="" if is_second or steep else _FIBRES[k // 10 % 6][unit], holes=26 if k % 20 == 4 else holes,
+        slope=slope,
+    )  # fmt: skip
+    return draw, {2: "scanner", 6: "sections"}.get(unit, "stack")
 
 
 def main(*words: str | int) -> int:
     """Run all, print which checks spoke; 1 where a goal is missed."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks right")
     parser.add_argument("--count", type=int, default=60)
-    parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("wrong"))
-    parser.add_argument("--again", action="store_true", help="repeat what is there")
-    parser.add_argument("--report", action="store_true", help="print what is there, run nothing")
     given = parser.parse_args([str(w) for w in words])
-    given.out.mkdir(parents=True, exist_ok=True)
-    path = given.out / "right.jsonl"
-    rows: dict[str, Row] = {}
-    if path.exists():
-        rows = {f"{r['kind']} {r['seed']}": r for r in map(json.loads, path.open())}
-    names = [f"right {k}" for k in range(given.first, given.count - len(_REAL))] + [f"{name} 0" for name in _REAL]
-    for name in names:
-        if given.report or (name in rows and not given.again):
-            continue
-        kind, number = name.split()
-        row = _real(kind) if kind in _REAL else _drawn(int(number))
-        rows[name] = row
-        with path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(row) + "\n")
-        print(line_of(row), flush=True)
-    return _shown([rows[name] for name in names if name in rows])
+    jobs = {f"right {k}": ("right", k) for k in range(given.count - len(_REAL))}
+    jobs |= {f"{name} 0": (name, 0) for name in _REAL}
+    return _shown(done(given.out / "right.jsonl", jobs, _judged))
 
 
-def _drawn(k: int) -> Row:
-    draw, instrument = order_of(k)
+def _judged(name, k):
+    if name in _REAL:
+        return _real(name)
     started = time.process_time()
-    right = drawn(draw)
-    case = Case.of(right)
+    draw, instrument = order_of(k)
+    case = Case.of(drawn(draw))
     case.instrument = instrument
-    made = time.process_time()
-    degrees = np.rad2deg(np.arctan(max(float(np.hypot(*g).max()) for g in [_slopes(right)])))
+    right = case.right
+    slopes = np.gradient(right.columns[..., 2], right.voxel_um)
+    degrees = np.rad2deg(np.arctan(np.hypot(*slopes).max()))
     note = f"{instrument}, {right.note}, {len(right.holes)} holes, {degrees:.0f} deg"
-    row: Row = {"kind": "right", "seed": k, "maker": right.maker, "specimen": right.seed, "note": note}
-    return row | judged_case(case) | {"made_s": round(made - started, 2), "run_s": round(time.process_time() - made, 2)}
+    return row_of(name, k, case, note, started)
 
 
-def _slopes(right: Any) -> tuple[Any, Any]:
-    rows, cols = np.gradient(right.columns[..., 2], right.voxel_um)
-    return rows, cols
-
-
-def _real(name: str) -> Row:
+def _real(name):
     """A measured volume, as far as it is at hand: mapped, without an image."""
     place, part, options = _REAL[name]
-    row: Row = {"kind": name, "seed": 0, "maker": "real", "specimen": 0, "note": place, "figures": {}, "wrong": [],
+    row = {"kind": name, "seed": 0, "maker": "real", "specimen": 0, "note": place, "figures": {}, "wrong": [],
                 "lights": [], "made_s": 0.0}  # fmt: skip
     started = time.process_time()
     with warnings.catch_warnings():
@@ -139,15 +113,15 @@ def _real(name: str) -> Row:
                     path = Path(folder, "part.tif")
                     tifffile.imwrite(path, tifffile.imread(_DATA / place)[:, *part], metadata={"axes": "ZYX"})
                 run = map_sheet(path, compute=Compute(threads=1), **options)
-            row["lights"] = [[c.state, c.name, c.sentence, list(c.figures)] for c in run.checks if c.state != "pass"]
+            row["lights"] = lights(run)
         except PlanishError as error:
             row["refused"] = str(error)
     return row | {"run_s": round(time.process_time() - started, 2)}
 
 
-def _shown(rows: list[Row]) -> int:
+def _shown(rows):
     runs = [r for r in rows if "lights" in r and "refused" not in r]
-    spoken: Counter[tuple[str, str]] = Counter()
+    spoken = Counter()
     for r in runs:
         spoken.update({(state, name) for state, name, *_ in r["lights"]})
     print(f"\n{len(rows)} right inputs: {len(runs)} runs, {sum('refused' in r for r in rows)} refused, "

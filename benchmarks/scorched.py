@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from benchmarks.holes import Hole, Scene, around, fine_window, gauss, make_hole, polar
+from benchmarks.holes import Scene, around, fine_window, gauss, make_hole, polar, shrunk
 from planish.marks import find_holes
 
 Floats = NDArray[np.float64]
@@ -27,7 +27,7 @@ LOOKS = (
 )  # fmt: skip
 
 
-def _char(rng: np.random.Generator, look: str, width: float, towards: float, strength: float) -> Floats:
+def _char(rng, look, width, towards, strength):
     """Width of the char at each angle, um."""
     char = width * (1 + around(rng, 0.15, 60.0, 550.0))
     if look == "one-sided":
@@ -49,7 +49,7 @@ def make_scorched(seed: int, name: str) -> Scene:
     level = rng.uniform(0.08, 0.25) if look == "soot" else rng.uniform(0.15 if bright else floor + 0.2, 0.75)
     width, taper, uneven = rng.uniform(10, 60), rng.uniform(0, 0.15), rng.uniform(0, 0.08)
     towards, strength, rough = rng.uniform(0, 2 * np.pi), rng.uniform(0.5, 1.5), float(rng.choice([1.5, 3.0, 4.0]))
-    holes: list[Hole] = []
+    holes = []
     for row in range(3):
         for column in range(4):
             x, y = np.array([400 + 650 * column, 400 + 650 * row]) + rng.uniform(-60, 60, 2)
@@ -72,7 +72,7 @@ def make_scorched(seed: int, name: str) -> Scene:
                 turn = rng.uniform(0, 2 * np.pi)
                 out, side = u * np.cos(turn) + v * np.sin(turn), v * np.cos(turn) - u * np.sin(turn)
                 values = np.where((out > rng.uniform(20, 60)) & (np.abs(side) < 25) & (past < 0), under, values)
-            image[box] = values.reshape(image[box].shape[0], sub, image[box].shape[1], sub).mean((1, 3))
+            image[box] = shrunk(values, sub)
     down, across = np.linspace(-1, 1, shape[0])[:, None], np.linspace(-1, 1, shape[1])[None]
     image *= 1 + rng.uniform(0, 0.3) * across - rng.uniform(0, 0.2) * down
     image = ndimage.gaussian_filter(image, rng.uniform(1.5, 6.0) / pixel)

@@ -8,8 +8,9 @@ maps of two instruments. Exit code 1 where a share is outside of what is promise
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from benchmarks.evidence import field, related
+from benchmarks.shared import in_parts
 from planish.analyze import (
     Fields,
     bland_altman,
@@ -36,7 +38,7 @@ from planish.analyze import (
 Array = NDArray[np.float64]
 
 MEAN_Z, N_EFF, EACH = 0.55, 70.0, 3
-_CHUNK = 50
+Parts = Callable[..., Array]
 _OWN = 1 / (N_EFF - 3)
 
 
@@ -59,6 +61,14 @@ def holds(interval: tuple[float, float], truth: float) -> float:
 # --- r and properties over sheets ------------------------------------------------------------------------------------
 
 
+def ways(z: Array, n_eff: Array, names: list[str]):
+    """What is pooled of fields, and the intervals of z by the fields and by their numbers of points alone."""
+    found = pooled_r(Fields(np.tanh(z).tolist(), names), n_eff.tolist())
+    wide = 1.96 / math.sqrt(float(np.sum(n_eff - 3)))
+    middle = float(np.average(z, weights=n_eff - 3))
+    return found, students(z), (middle - wide, middle + wide)
+
+
 def pooled(sheets: int, between: float, uneven: bool, seed: int, count: int) -> Array:
     """Whether the interval of r holds it: by sheets, by weights (Hartung-Knapp), by fields, by n_eff alone."""
     rng, out, truth = np.random.default_rng((seed, sheets)), [], math.tanh(MEAN_Z)
@@ -68,14 +78,10 @@ def pooled(sheets: int, between: float, uneven: bool, seed: int, count: int) -> 
         if uneven:  # one sheet has much larger fields
             n_eff = np.where(sheet == 0, 1000.0, 40.0)
         z = MEAN_Z + between * rng.normal(size=sheets)[sheet] + rng.normal(size=sheet.size) / np.sqrt(n_eff - 3)
-        found = pooled_r(Fields(np.tanh(z).tolist(), [f"S{k}" for k in sheet]), n_eff.tolist())
-        assert found.between_sheets is not None
-        fields = students(z)
-        alone = 1.96 / math.sqrt(float(np.sum(n_eff - 3)))
-        weighted = float(np.average(z, weights=n_eff - 3))
+        found, by_fields, alone = ways(z, n_eff, [f"S{k}" for k in sheet])
         out.append((
-            holds(found.interval, truth), holds(found.between_sheets.interval, MEAN_Z), holds(fields, MEAN_Z),
-            holds((weighted - alone, weighted + alone), MEAN_Z), found.interval[1] - found.interval[0],
+            holds(found.interval, truth), holds(found.between_sheets.interval, MEAN_Z), holds(by_fields, MEAN_Z),
+            holds(alone, MEAN_Z), found.interval[1] - found.interval[0],
         ))  # fmt: skip
     return np.array(out)
 
@@ -105,11 +111,11 @@ def differences(sheets: int, seed: int, count: int) -> Array:
     r = math.tanh(after) - math.tanh(MEAN_Z)
     r2 = math.tanh(after) ** 2 - math.tanh(MEAN_Z) ** 2
 
-    def drawn(sheet: Array, mean: float) -> Fields:
+    def drawn(sheet, mean):
         z = mean + np.repeat(sheet, EACH) + math.sqrt(_OWN) * rng.normal(size=len(names))
         return Fields(z.tolist(), names)
 
-    def in_r(fields: Fields) -> Fields:
+    def in_r(fields):
         return Fields(np.tanh(fields.values).tolist(), names)
 
     for _ in range(count):
@@ -149,14 +155,10 @@ def with_maps(sheets: int, between: float, seed: int, count: int) -> Array:
             found.append([correlate(m, b, pixel_um=1.0) for m in (a, worse)])
         after, earlier = (Fields([row[k].r for row in found], names) for k in (0, 1))
         n_eff = np.array([row[0].n_eff_interval for row in found])
-        pool = pooled_r(after, n_eff.tolist())
-        z = np.arctanh(after.values)
-        fields = students(z)
-        alone = 1.96 / math.sqrt(float(np.sum(n_eff - 3)))
-        middle = float(np.average(z, weights=n_eff - 3))
+        pool, by_fields, alone = ways(np.arctanh(after.values), n_eff, names)
         change = [difference_of_pooled_r(earlier, after, paired=True, squared=s).interval for s in (False, True)]
         out.append((
-            holds(pool.interval, r[0]), holds(fields, MEAN_Z), holds((middle - alone, middle + alone), MEAN_Z),
+            holds(pool.interval, r[0]), holds(by_fields, MEAN_Z), holds(alone, MEAN_Z),
             holds(change[0], r[0] - r[1]), holds(change[1], r[0] ** 2 - r[1] ** 2), float(np.median(n_eff)),
         ))  # fmt: skip
     return np.array(out)
@@ -221,10 +223,6 @@ MAPS_R2, MAPS_BETWEEN = (0.2, 0.3), 0.05
 FIELD = (90, 120)
 
 
-def white(rng: np.random.Generator) -> Array:
-    return rng.normal(size=FIELD)
-
-
 def waves(length: float | tuple[float, float], kind: str, shape: tuple[int, int], rng: np.random.Generator) -> Array:
     return field(rng, shape, length, kind)[0]
 
@@ -245,7 +243,7 @@ def pierced() -> NDArray[np.bool_]:
 
 
 INSTRUMENTS: dict[str, tuple[Callable[[np.random.Generator], Array], bool]] = {
-    "independent points": (white, False),
+    "independent points": (lambda rng: rng.normal(size=FIELD), False),
     **{f"side/{90 / k:.0f}": (partial(waves, k, "exp", FIELD), False) for k in (1.0, 3.0, 6.0, 8.0, 10.0)},
     "Gaussian, side/15": (partial(waves, 6.0, "gauss", FIELD), False),
     "Gaussian, side/8": (partial(waves, 12.0, "gauss", FIELD), False),
@@ -278,112 +276,94 @@ def instruments(name: str, seed: int, count: int) -> Array:
 # --- all of them -----------------------------------------------------------------------------------------------------
 
 
-def _within(share: float, low: float, high: float) -> int:
-    return 0 if low <= share <= high else 1
+Line = tuple[str, dict[str, float], int]  # what was drawn, shares by name, and how many are outside of their limits
 
 
-def _parts(pool: ProcessPoolExecutor, work: Callable[[int, int], Array], count: int) -> Array:
-    seeds = range(0, count, _CHUNK)
-    return np.concatenate([*pool.map(work, seeds, [min(_CHUNK, count - k) for k in seeds])])
+def _missed(low, high, *shares):
+    return sum(not low <= share <= high for share in shares)
 
 
 def main(studies: int | str = 4000, maps: int | str = 2000) -> int:
-    missed, count, many = 0, int(studies), int(maps)
+    count, missed = int(studies), 0
     with ProcessPoolExecutor(2) as pool:
-        for line, wrong in _all(pool, count, many):
-            print(line + (" MISSED" if wrong else ""), flush=True)
+
+        def parts(work, *given, count):
+            return in_parts(pool, partial(work, *given), count)
+
+        for line, shares, wrong in (
+            *_over_sheets(parts, count), *_differences(parts, count), *_with_maps(parts, count // 10),
+            *_designs(parts, count), *_instruments(parts, int(maps)),
+        ):  # fmt: skip
+            words = ", ".join(f"{name} {share:.3f}" for name, share in shares.items())
+            print(f"{line}: {words}{' MISSED' if wrong else ''}", flush=True)
             missed += wrong
     print(f"{missed} shares are outside of what is promised.")
     return int(missed > 0)
 
 
-def _all(pool: ProcessPoolExecutor, count: int, many: int) -> Iterator[tuple[str, int]]:
-    yield from _over_sheets(pool, count)
-    yield from _differences(pool, count)
-    yield from _with_maps(pool, count // 10)
-    yield from _designs(pool, count)
-    yield from _instruments(pool, many)
+def _named(names, shares):
+    return dict(zip(names.split(", "), shares.tolist(), strict=True))
 
 
-def _over_sheets(pool: ProcessPoolExecutor, count: int) -> Iterator[tuple[str, int]]:
-    for between in (0.0, 0.15):
-        for sheets in (3, 5, 12):
-            for uneven in (False, True):
-                found = _parts(pool, partial(pooled, sheets, between, uneven), count)
-                share = found[:, :4].mean(axis=0)
-                line = (
-                    f"r, {sheets} sheets, z varies by {between:g}{', one of large fields' if uneven else ''}: "
-                    f"by sheets {share[0]:.3f}, weighted (HK) {share[1]:.3f}, fields as independent {share[2]:.3f}, "
-                    f"n_eff alone {share[3]:.3f}; width {np.median(found[:, 4]):.2f}"
-                )
-                # With one sheet of large fields, means of sheets scatter unlike: then it may hold more often.
-                yield line, _within(share[0], 0.93, 0.995 if uneven and between == 0 else 0.97)
-    for counts in ((3,) * 3, (3,) * 5, (3,) * 12, (1, 2, 3, 6, 2), (1, 1, 8)):
-        for between in (0.0, 1.0):
-            mean, part, fields = _parts(pool, partial(properties, counts, between), count).mean(axis=0)
-            line = (
-                f"a property, fields {counts}, share between {between / (between + 1):g}: mean {mean:.3f}, share "
-                f"{part:.3f}, mean by fields {fields:.3f}"
-            )
-            yield line, _within(mean, 0.93, 0.985) + _within(part, 0.93, 0.985)
+def _over_sheets(parts, count):
+    for between, sheets, uneven in itertools.product((0.0, 0.15), (3, 5, 12), (False, True)):
+        found = parts(pooled, sheets, between, uneven, count=count)
+        share = found[:, :4].mean(axis=0)
+        line = f"r, {sheets} sheets, z varies by {between:g}{', one of large fields' if uneven else ''}"
+        # With one sheet of large fields, means of sheets scatter unlike: then it may hold more often.
+        most = 0.995 if uneven and between == 0 else 0.97
+        shares = _named("by sheets, weighted (HK), fields as independent, n_eff alone", share)
+        yield line, shares | {"width": float(np.median(found[:, 4]))}, _missed(0.93, most, share[0])
+    for counts, between in itertools.product(
+        ((3,) * 3, (3,) * 5, (3,) * 12, (1, 2, 3, 6, 2), (1, 1, 8)), (0.0, 1.0)
+    ):  # fmt: skip
+        share = parts(properties, counts, between, count=count).mean(axis=0)
+        line = f"a property, fields {counts}, share between {between / (between + 1):g}"
+        yield line, _named("mean, share, mean by fields", share), _missed(0.93, 0.985, *share[:2])
 
 
-def _differences(pool: ProcessPoolExecutor, count: int) -> Iterator[tuple[str, int]]:
+def _differences(parts, count):
+    names = "before and after, of r, of r², two papers, of their r², called equivalent at the margin"
     for sheets in (3, 5, 12):
-        share = _parts(pool, partial(differences, sheets), count).mean(axis=0)
-        line = (
-            f"differences, {sheets} sheets: before and after {share[0]:.3f}, of r {share[1]:.3f}, of r² "
-            f"{share[2]:.3f}; two papers {share[3]:.3f}, of r² {share[4]:.3f}; called equivalent at the margin "
-            f"{share[5]:.3f}"
-        )
-        yield line, sum(_within(v, 0.92, 0.98) for v in share[:5]) + _within(share[5], 0.0, 0.06)
+        share = parts(differences, sheets, count=count).mean(axis=0)
+        wrong = _missed(0.92, 0.98, *share[:5]) + _missed(0.0, 0.06, share[5])
+        yield f"differences, {sheets} sheets", _named(names, share), wrong
 
 
-def _with_maps(pool: ProcessPoolExecutor, count: int) -> Iterator[tuple[str, int]]:
-    for between in (0.0, 0.15):
-        for sheets in (3, 5, 12):
-            found = _parts(pool, partial(with_maps, sheets, between), count)
-            share = found.mean(axis=0)
-            line = (
-                f"with maps, {sheets} sheets, z varies by {between:g}, n_eff {np.median(found[:, 5]):.0f}: r "
-                f"{share[0]:.3f}, fields as independent {share[1]:.3f}, n_eff alone {share[2]:.3f}; before and after: "
-                f"r {share[3]:.3f}, r² {share[4]:.3f}"
-            )
-            # 400 studies scatter by .011.
-            yield line, sum(_within(share[k], 0.92, 0.98) for k in (0, 3, 4))
+def _with_maps(parts, count):
+    names = "r, fields as independent, n_eff alone, before and after: r, r²"
+    for between, sheets in itertools.product((0.0, 0.15), (3, 5, 12)):
+        found = parts(with_maps, sheets, between, count=count)
+        share = found[:, :5].mean(axis=0)
+        line = f"with maps, {sheets} sheets, z varies by {between:g}, n_eff {np.median(found[:, 5]):.0f}"
+        yield line, _named(names, share), _missed(0.92, 0.98, *share[[0, 3, 4]])  # 400 studies scatter by .011
 
 
-def _designs(pool: ProcessPoolExecutor, count: int) -> Iterator[tuple[str, int]]:
+def _designs(parts, count):
     kinds = {True: "before and after", False: "two papers"}
     for k, plan in enumerate(DESIGNS):
         planned = sheets_needed(**plan)  # type: ignore[arg-type]
-        seen, wrong = _parts(pool, partial(designed, k), count).mean(axis=0)
+        seen, wrong = parts(designed, k, count=count).mean(axis=0)
         line = (
             f"design r² {planned.r2}, {kinds[planned.paired]}, n_eff {planned.n_eff:g}, z varies by "
-            f"{plan['between_sheets']}: {planned.sheets} sheets of {planned.fields}; planned {planned.power:.3f}, seen "
-            f"{seen:.3f}, without a difference {wrong:.3f}"
+            f"{plan['between_sheets']}: {planned.sheets} sheets of {planned.fields}"
         )
-        yield line, _within(seen - planned.power, -0.03, 0.03) + _within(wrong, 0.03, 0.07)
+        shares = {"planned": planned.power, "seen": seen, "without a difference": wrong}
+        yield line, shares, _missed(-0.03, 0.03, seen - planned.power) + _missed(0.03, 0.07, wrong)
     for paired in (True, False):
-        found = _parts(pool, partial(designed_with_maps, paired), count // 10)
+        found = parts(designed_with_maps, paired, count=count // 10)
         seen, n_eff = float(found[:, 0].mean()), float(np.median(found[:, 1]))
-        planned = power_of_study(
-            MAPS_R2, sheets=5, fields=2, n_eff=n_eff, between_sheets=MAPS_BETWEEN, paired=paired
-        )  # fmt: skip
-        line = (
-            f"design with maps, r² {MAPS_R2}, {kinds[paired]}, 5 sheets of 2, n_eff {n_eff:.0f}: planned "
-            f"{planned.power:.3f}, seen {seen:.3f}"
-        )
-        yield line, _within(seen - planned.power, -0.07, 0.07)
+        planned = power_of_study(MAPS_R2, sheets=5, fields=2, n_eff=n_eff, between_sheets=MAPS_BETWEEN, paired=paired)
+        line = f"design with maps, r² {MAPS_R2}, {kinds[paired]}, 5 sheets of 2, n_eff {n_eff:.0f}"
+        yield line, {"planned": planned.power, "seen": seen}, _missed(-0.07, 0.07, seen - planned.power)
 
 
-def _instruments(pool: ProcessPoolExecutor, count: int) -> Iterator[tuple[str, int]]:
+def _instruments(parts, count):
     for name in INSTRUMENTS:
-        found = _parts(pool, partial(instruments, name), count)
+        found = parts(instruments, name, count=count)
         share = np.nanmean(found[:, :4], axis=0)
-        line = (
-            f"two instruments, {name}: bias {share[0]:.3f}, sd {share[1]:.3f}, limits {share[2]:.3f} and "
-            f"{share[3]:.3f}; n_eff {np.median(found[:, 5]):.0f}, nothing claimed in "
-            f"{np.isnan(found[:, 0]).mean():.2f}; limits off by {found[:, 4].max():.0e}"
-        )
-        yield line, sum(_within(v, 0.92, 0.98) for v in share) + _within(float(found[:, 4].max()), 0.0, 1e-9)
+        off = float(found[:, 4].max())
+        line = f"two instruments, {name}, n_eff {np.median(found[:, 5]):.0f}, limits off by {off:.0e}"
+        shares = _named("bias, sd, lower limit, upper limit", share)
+        shares |= {"nothing claimed": float(np.isnan(found[:, 0]).mean())}
+        yield line, shares, _missed(0.92, 0.98, *share) + _missed(0.0, 1e-9, off)

@@ -1,38 +1,26 @@
-"""Which side an image shows, whether it is the specimen, and where it lies: rates over drawn sheets and over ours.
+"""Which side an image shows, whether it is the specimen, and where it lies: rates over drawn sheets.
 
-``python -m benchmarks sides [SHEETS [OURS]]``: sheets of a generator of its own, as maps (coating, base, light from one
-side, grain, print, uneven light, burnt rims at the same places in every specimen), and small specimens of
-planish.synthetic through the whole line. Each is judged as it is, with its faces exchanged, and with the image of
-another specimen that was burnt by the same program.
+``python -m benchmarks sides [SHEETS]``: sheets of a generator of its own, as maps (coating, base, light from one
+side, grain, print, uneven light, burnt rims at the same places in every specimen). Each is judged as it is, with its
+faces exchanged, and with the image of another specimen that was burnt by the same program.
 """
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from scipy import fft
 
-import planish as pl
-from planish.analyze import LagNumbers
+from benchmarks.shared import rms
 from planish.analyze.sides import texture_of
-from planish.core.checks import Check
-from planish.core.errors import PlanishError
 from planish.core.facts import is_known
-from planish.run.build import link
-from planish.synthetic import PRESETS, BurnParams, SpecimenParams, Warp, draw_params
 
 Array = NDArray[np.float64]
-
-_COATED = ("wfc90", "wfc118", "wfc135", "wfc135-calendered", "board")
 
 
 @dataclass
@@ -109,7 +97,7 @@ def draw_sheet(seed: int, *, program: int | None = None) -> Drawn:
         k: np.where(valid, fields.blurred(m, blur) + noise * fields.blurred(rng.standard_normal(shape), pixel), np.nan)
         for k, m in maps.items()
     }
-    shift = float(rng.normal(0, 2.0)), float(rng.normal(0, 2.0))
+    shift = rng.normal(0, 2.0), rng.normal(0, 2.0)
     image = fields.moved(_photograph(fields, coatings[0], heights[0]), shift) * (1 - 0.5 * burnt)
     image *= 1 + rng.uniform(0, 2) * (x[None] / x[-1]) + rng.uniform(-0.3, 0.3) * (y[:, None] / y[-1]) ** 2
     coords = {"y": y, "x": x}
@@ -120,7 +108,7 @@ def draw_sheet(seed: int, *, program: int | None = None) -> Drawn:
     return Drawn(sheet, xr.Dataset({"image": (("y", "x"), shown)} | both, coords), shift)
 
 
-def _photograph(fields: _Fields, coating: Array, height: Array) -> Array:
+def _photograph(fields, coating, height):
     """The image of a face: its coating on some scale and with either sign, light, grain, print and noise."""
     rng = fields.rng
     tone = (coating, 1 - np.exp(-coating / rng.uniform(5, 20)), np.sqrt(coating))[rng.integers(3)]
@@ -142,103 +130,54 @@ def _photograph(fields: _Fields, coating: Array, height: Array) -> Array:
     return 1 + rng.uniform(0.01, 0.08) * out
 
 
-def our_sheets(count: int) -> Iterator[Drawn]:
-    """Small specimens of planish.synthetic, drawn, through the whole line."""
-    for seed in range(count):
-        params = SpecimenParams(
-            size_um=(1100.0, 900.0), holes=BurnParams(pattern="irregular", count=5), seed=seed,
-            warp=Warp(slope=0.2, wavelength_um=2000.0),
-        )  # fmt: skip
-        params = draw_params(params)
-        pixel = float(np.exp(np.random.default_rng(seed).uniform(np.log(3.0), np.log(12.0))))
-        params = replace(
-            params, paper=PRESETS[_COATED[seed % len(_COATED)]][1].as_slab(),
-            scanner=replace(params.scanner, voxel_um=4.0),
-            camera=replace(params.camera, pixel_um=pixel, turn_deg=0.0, oracle_r2=None),
-        )  # fmt: skip
-        with tempfile.TemporaryDirectory() as folder:
-            files = pl.make_specimen(params, Path(folder) / "sheet").files
-            assert files is not None
-            assert files.volume is not None
-            assert files.image is not None
-            try:
-                linked = link(files.volume, files.image).linked
-            except PlanishError as error:
-                print(f"  specimen {seed}: {error}")
-                continue
-        yield Drawn(linked.drop_vars("image"), linked[["image", "valid"]], (0.0, 0.0))
-
-
-def _exchanged(sheet: xr.Dataset) -> xr.Dataset:
+def _exchanged(sheet):
     names = {
         f"{k}_{a}": f"{k}_{b}" for k in ("coating", "topography") for a, b in (("top", "bottom"), ("bottom", "top"))
     }
     return sheet.rename({a: b for a, b in names.items() if a in sheet and b in sheet})
 
 
-def _other(image: xr.Dataset, onto: xr.Dataset) -> xr.Dataset | None:
-    """The image of another specimen on the pixels of this one; None where they do not fit."""
-    shape = tuple(min(image.sizes[k], onto.sizes[k]) for k in ("y", "x"))
-    if shape != (onto.sizes["y"], onto.sizes["x"]):
-        return None
-    cut = image.isel(y=slice(0, shape[0]), x=slice(0, shape[1]))
-    return cut.assign_coords(onto.coords)
-
-
-def _judged(sheet: xr.Dataset, image: xr.Dataset) -> tuple[Check, Check | None, LagNumbers | None]:
+def _judged(sheet, image):
     found = texture_of(sheet, image, ("sheet", "image"))
     return found.checks[0], found.checks[1] if len(found.checks) > 1 else None, found.lag
 
 
-def _told(check: Check) -> str:
+def _told(check):
     """What the check says: the stated side, the other one, or neither."""
     if check.state == "pass":
         return "stated"
     return "other" if check.state == "fail" or "none is seen on the" in check.sentence else "none"
 
 
-def _report(name: str, cases: list[tuple[Drawn, xr.Dataset | None]], show: bool) -> int:
-    """Judge each case as it is, exchanged, and with the image of another one; print the rates."""
-    told: dict[str, Counter[str]] = {k: Counter() for k in ("right", "exchanged", "foreign")}
-    positions, errors = Counter[str](), list[Any]()
+def main(sheets: int = 100) -> int:
+    """Judge each as it is, exchanged, and with a foreign image; 1 on a wrong answer, or few answers."""
+    told = {k: Counter() for k in ("stated", "other", "none")}  # by what should be told
+    positions, errors = Counter(), []
     false_lags = 0
     start = time.process_time()
-    for one, foreign in cases:
+    for seed in range(sheets):
+        one, foreign = draw_sheet(seed), draw_sheet(1000 + seed, program=seed)
         check, position, lag = _judged(one.sheet, one.image)
-        told["right"][_told(check)] += 1
-        if show and _told(check) != "stated":
+        told["stated"][_told(check)] += 1
+        if _told(check) != "stated":
             print(f"  {check.state}: {check.sentence}")
         positions["none" if position is None else position.state] += 1
         if lag is not None and is_known(lag.lag_um):
             errors.append((np.subtract(lag.lag_um, one.shift_um), lag.se_um))
-        told["exchanged"][_told(_judged(_exchanged(one.sheet), one.image)[0])] += 1
-        if foreign is not None:
-            check, _, lag = _judged(one.sheet, foreign)
-            told["foreign"][_told(check)] += 1
-            false_lags += lag is not None and is_known(lag.lag_um)
-    seconds = (time.process_time() - start) / max(3 * len(cases), 1)
-    for kind, right in (("right", "stated"), ("exchanged", "other"), ("foreign", "none")):
-        found = told[kind]
-        print(f"{name}, {kind:9s}: {found[right]} of {found.total()} told rightly, {dict(found)}")
+        told["other"][_told(_judged(_exchanged(one.sheet), one.image)[0])] += 1
+        check, _, lag = _judged(one.sheet, foreign.image)
+        told["none"][_told(check)] += 1
+        false_lags += lag is not None and is_known(lag.lag_um)
+    seconds = (time.process_time() - start) / max(3 * sheets, 1)
+    for right, name in (("stated", "right"), ("other", "exchanged"), ("none", "foreign")):
+        print(f"{name:9s}: {told[right][right]} of {sheets} told rightly, {dict(told[right])}")
     off, se = (np.array([e[k] for e in errors]).reshape(-1, 2) for k in (0, 1))
     ratio = np.abs(off / se)
     print(
-        f"{name}, lag: answered in {len(errors)} of {len(cases)} ({dict(positions)}), error rms "
-        f"{np.sqrt(np.mean(off**2)):.2f} um, over standard error {np.sqrt(np.mean(ratio**2)):.2f}, within 2 se "
-        f"{np.mean(ratio < 2):.2f}; unrelated images with a lag: {false_lags}; {seconds:.2f} s CPU a judgement"
+        f"lag: answered in {len(errors)} of {sheets} ({dict(positions)}), error {rms(off):.2f} um rms, over standard "
+        f"error {rms(ratio):.2f}, within 2 se {np.mean(ratio < 2):.2f}; unrelated images with a lag: {false_lags}; "
+        f"{seconds:.2f} s CPU a judgement"
     )
-    wrong = told["right"]["other"] + told["exchanged"]["stated"] + told["foreign"]["stated"] + told["foreign"]["other"]
-    print(f"{name}: {wrong} wrong answers")
-    few = told["right"]["stated"] < 0.8 * len(cases) or len(errors) < 0.8 * len(cases)
-    return int(wrong > 0 or few)
-
-
-def main(sheets: int = 100, ours: int = 10) -> int:
-    """Print all rates; 1 where a wrong answer was given, or an answer in less than 80 %."""
-    drawn = [draw_sheet(seed) for seed in range(sheets)]
-    failed = _report(
-        "drawn", [(one, draw_sheet(1000 + k, program=k).image) for k, one in enumerate(drawn)], show=True
-    )  # fmt: skip
-    made = list(our_sheets(ours))
-    pairs = [(one, _other(made[k - 1].image, one.image)) for k, one in enumerate(made)]
-    return failed + _report("ours", pairs, show=True)
+    wrong = told["stated"]["other"] + told["other"]["stated"] + told["none"]["stated"] + told["none"]["other"]
+    print(f"{wrong} wrong answers")
+    return int(wrong > 0 or min(told["stated"]["stated"], len(errors)) < 0.8 * sheets)

@@ -1,7 +1,7 @@
 """A volume larger than memory through surfaces and six maps: peak memory, and time against one plain pass of reading.
 
     python -m benchmarks size [--gvoxel 0.5,8] [--times 5] [--folder DIR] [--column-um 4.11] [--memory 2GB]
-                              [--scheduler ADDRESS] [--slices]
+                              [--slices]
 
 With ``--slices`` the same greys in 16 bits, from a store and from folders of plain and of deflated slices. Each may
 take 1.3 times as long as from the store, and what decoding alone takes. Medians of ``--times``.
@@ -12,18 +12,14 @@ written into a working store block by block, then mapped by the command line in 
 
 from __future__ import annotations
 
-import argparse
+import itertools
 import json
 import shutil
 import statistics
-import subprocess
 import sys
-import tempfile
-import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +30,7 @@ from numba import njit
 from xarray.backends import BackendArray
 from xarray.core.indexing import IndexingSupport, LazilyIndexedArray, explicit_indexing_adapter
 
+from benchmarks.shared import Ran, folder_for, options, planish, size_of, timed
 from planish.io.store import write_store
 
 VOXEL_UM = 1.37
@@ -109,147 +106,100 @@ class Formula(BackendArray):
 
 
 def main(*arguments: str | int) -> int:
-    parser = argparse.ArgumentParser(prog="size")
-    parser.add_argument("--gvoxel", default="0.5,8")
-    parser.add_argument("--times", type=int, default=1)
-    parser.add_argument("--slices", action="store_true")
-    parser.add_argument("--folder", type=Path, default=None, help="where stores are made, and kept for the next time")
-    parser.add_argument("--column-um", default="4.11")
-    parser.add_argument("--memory", default="2GB")
-    parser.add_argument("--scheduler", default=None)
-    asked = parser.parse_args([str(a) for a in arguments])
+    asked = options(
+        "size", arguments, gvoxel="0.5,8", times=1, slices=False, folder=None, column_um="4.11", memory="2GB"
+    )
     with folder_for(asked.folder) as folder:
         for gvoxel in map(float, asked.gvoxel.split(",")):
-            (compare_slices if asked.slices else measure)(gvoxel, folder, asked)
+            (compare_slices if asked.slices else measure)(gvoxel, Path(folder), asked)
     return 0
 
 
-def folder_for(folder: Path | None) -> tempfile.TemporaryDirectory[str] | Kept:
-    return tempfile.TemporaryDirectory() if folder is None else Kept(folder)
-
-
-class Kept:
-    """A folder that stays."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-
-    def __enter__(self) -> str:
-        self.folder.mkdir(parents=True, exist_ok=True)
-        return str(self.folder)
-
-    def __exit__(self, *_: object) -> None: ...
-
-
-def measure(gvoxel: float, folder: str, asked: argparse.Namespace) -> None:
+def measure(gvoxel, folder, asked):
     edge = round(np.sqrt(gvoxel * 1e9 / DEPTH))
     shape = (DEPTH, edge, edge)
     voxels = float(np.prod(shape))
-    store = Path(folder) / f"sheet-{gvoxel:g}.zarr"
+    store, out = folder / f"sheet-{gvoxel:g}.zarr", folder / "run"
     print(f"{gvoxel:g} Gvoxel: {DEPTH} x {edge} x {edge} voxels of {VOXEL_UM} um")
     if not store.exists():
-        start = time.perf_counter()
         write_store(volume(shape), store, memory_bytes=2**30)
-        print(f"  made in {time.perf_counter() - start:.0f} s")
     read = statistics.median(plain_pass(store) for _ in range(asked.times))
-    size = sum(p.stat().st_size for p in (store / "0").rglob("*") if p.is_file())
-    print(f"  plain pass of reading {read:.1f} s, {voxels / read / 1e6:.0f} Mvoxel/s, {size / 1e9:.2f} GB on disk")
-    out = Path(folder) / "run"
+    print(f"  plain pass of reading {read:.1f} s, {voxels / read / 1e6:.0f} Mvoxel/s, "
+          f"{size_of(store / '0') / 1e9:.2f} GB on disk")  # fmt: skip
     runs = [mapped(store, out, asked) for _ in range(asked.times)]
-    took = statistics.median(sum(stages.values()) for _, stages, _, _ in runs)
-    all_text = ", ".join(f"{sum(stages.values()):.1f}" for _, stages, _, _ in runs)
-    done, stages, said, peak = runs[-1]
-    print(f"  surfaces and six maps {took:.1f} s ({all_text}), {voxels / took / 1e6:.0f} Mvoxel/s, "
+    took = statistics.median(run.seconds for run in runs)
+    each = ", ".join(f"{run.seconds:.1f}" for run in runs)
+    print(f"  surfaces and six maps {took:.1f} s ({each}), {voxels / took / 1e6:.0f} Mvoxel/s, "
           f"{took / read:.1f} plain passes")  # fmt: skip
-    print("  " + ", ".join(f"{name} {seconds:.1f} s" for name, seconds in stages.items()))
-    print(f"  the checks take {100 * stages.get('check', 0.0) / sum(stages.values()):.0f} % of it")
-    print(f"  peak memory {peak / 1e9:.2f} GB (of this and all smaller ones before), exit code {done}")
-    if done not in (0, 4):
-        print(said)
-        return
+    last = runs[-1]
+    print("  " + ", ".join(f"{name} {seconds:.1f} s" for name, seconds in last.stages.items()))
+    print(f"  the checks take {100 * last.stages.get('check', 0.0) / last.seconds:.0f} % of it")
+    print(f"  peak memory {last.peak / 1e9:.2f} GB")
     results = json.loads((out / "results.json").read_text(encoding="utf-8"))
     sheet = results["layers"][0]["sheet"]
     mean = sheet["properties"]["coating_top"]["mean"]
     found = "withheld" if mean is None else f"{mean:.3f} um"
-    print(f"  coating {found} (true {COAT_UM:g}), measured {sheet['surfaces']['shares']['measured']:.3f}")
+    print(f"  coating {found} (true {COAT_UM:g}), measured "
+          f"{sheet['surfaces']['shares']['measured']:.3f}")  # fmt: skip
     for check in results["checks"]:
         if check["state"] in ("look", "fail"):
             print(f"  {check['state']}: {check['name']}: {check['sentence']}")
 
 
-def mapped(volume: Path, out: Path, asked: argparse.Namespace) -> tuple[int, dict[str, float], str, float]:
-    """Map a volume by the command line, as :func:`timed` gives it."""
+def mapped(volume: Path, out: Path, asked) -> Ran:
+    """Map a volume by the command line."""
     shutil.rmtree(out, ignore_errors=True)
-    command = [sys.executable, "-m", "planish", "map", str(volume), "--out", str(out), "--column-um", asked.column_um]
-    command += ["--memory", asked.memory, *(["--scheduler", asked.scheduler] if asked.scheduler else [])]
-    if volume.suffix != ".zarr":
-        command += ["--voxel-um", str(VOXEL_UM)]
-    return timed(command)
+    voxel = () if volume.suffix == ".zarr" else ("--voxel-um", VOXEL_UM)
+    ran = timed(planish("map", volume, "--out", out, "--column-um", asked.column_um, "--memory", asked.memory, *voxel))
+    if ran.code not in (0, 4):
+        sys.exit(ran.said)
+    return ran
 
 
-def compare_slices(gvoxel: float, folder: str, asked: argparse.Namespace) -> None:
-    edge = round(np.sqrt(gvoxel * 1e9 / DEPTH))
+def sixteen_bits(edge: int):
+    """The greys of a sheet in 16 bits, whose last digits are noise."""
     values = volume((DEPTH, edge, edge)).values.astype(np.uint16) * 97
     values += np.random.default_rng(1).integers(0, 97, values.shape, dtype=np.uint16)
-    inputs = {"store": Path(folder) / "sheet-16.zarr", "plain": Path(folder) / "plain", "zlib": Path(folder) / "zlib"}
+    return values
+
+
+def write_slices(values, folder: Path, compression: str | None) -> None:
+    """Write a folder of slices."""
+    folder.mkdir(exist_ok=True)
+    for k, plane in enumerate(values):
+        file = folder / f"slice{k:04d}.tif"
+        tifffile.imwrite(file, plane, photometric="minisblack", compression=compression)
+
+
+def decode_slices(folder: Path) -> None:
+    """Read and decode every slice, on two threads."""
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(lambda file: tifffile.imread(file, maxworkers=1).nbytes, sorted(folder.iterdir())))
+
+
+def compare_slices(gvoxel, folder, asked):
+    edge = round(np.sqrt(gvoxel * 1e9 / DEPTH))
+    values = sixteen_bits(edge)
+    inputs = {"store": folder / "sheet-16.zarr", "plain": folder / "plain", "zlib": folder / "zlib"}
     if not inputs["store"].exists():
         write_store(volume((DEPTH, edge, edge)).copy(data=values), inputs["store"], memory_bytes=2**30)
-    for kind in ("plain", "zlib"):
-        inputs[kind].mkdir(exist_ok=True)
-        for k, plane in enumerate(values):
-            compression = None if kind == "plain" else kind
-            file = inputs[kind] / f"slice{k:04d}.tif"
-            tifffile.imwrite(file, plane, photometric="minisblack", compression=compression)
-    took: dict[str, list[float]] = {kind: [] for kind in inputs}
-    decoding: dict[str, list[float]] = {"plain": [], "zlib": []}
+    write_slices(values, inputs["plain"], None)
+    write_slices(values, inputs["zlib"], "zlib")
+    took = {kind: [] for kind in inputs}
+    decoding = {"plain": [], "zlib": []}
     for _ in range(asked.times):
         for kind, path in inputs.items():
-            code, stages, said, _ = mapped(path, Path(folder) / "run", asked)
-            if code not in (0, 4):
-                sys.exit(said)
-            took[kind].append(sum(stages.values()))
-            if kind != "store":
-                begun = time.perf_counter()
-                with ThreadPoolExecutor(2) as pool:
-                    list(pool.map(lambda file: tifffile.imread(file, maxworkers=1).nbytes, sorted(path.iterdir())))
-                decoding[kind].append(time.perf_counter() - begun)
+            took[kind].append(mapped(path, folder / "run", asked).seconds)
+        for kind, seconds in decoding.items():
+            begun = time.perf_counter()
+            decode_slices(inputs[kind])
+            seconds.append(time.perf_counter() - begun)
     store = statistics.median(took["store"])
     print(f"{gvoxel:g} Gvoxel of 16 bits, from a store {store:.1f} s")
     for kind, seconds in decoding.items():
         alone, whole = statistics.median(seconds), statistics.median(took[kind])
-        ratio = (whole - alone) / store
-        print(f"  {kind} slices {whole:.1f} s, decoding alone {alone:.1f} s: {ratio:.2f} of the store (1.3)")
-
-
-def timed(command: list[str]) -> tuple[int, dict[str, float], str, float]:
-    """Run planish; exit code, seconds from each stage that it names to the next one, what it said, peak bytes.
-
-    The peak is read while it runs: what the system reports of a child begins with the size of the process that started
-    it, and that has just made a specimen.
-    """
-    stages = {"start": 0.0}
-    said: list[str] = []
-    last, name = time.perf_counter(), "start"
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as run:
-        assert run.stderr is not None
-        peak = [0.0]
-        threading.Thread(target=_follow, args=(run, peak), daemon=True).start()
-        for line in run.stderr:
-            said.append(line)
-            now = time.perf_counter()
-            stages[name] = stages.get(name, 0.0) + now - last
-            last, name = now, line.partition(":")[0]
-        code = run.wait()
-    stages[name] = stages.get(name, 0.0) + time.perf_counter() - last
-    return code, stages, "".join(said), peak[0]
-
-
-def _follow(run: subprocess.Popen[str], peak: list[float]) -> None:
-    while run.poll() is None:
-        with suppress(OSError, StopIteration, ValueError):
-            lines = Path(f"/proc/{run.pid}/status").read_text(encoding="utf-8").splitlines()
-            peak[0] = max(peak[0], 1024.0 * int(next(line for line in lines if line.startswith("VmHWM")).split()[1]))
-        time.sleep(0.2)
+        print(f"  {kind} slices {whole:.1f} s, decoding alone {alone:.1f} s: {(whole - alone) / store:.2f} of the "
+              "store (1.3)")  # fmt: skip
 
 
 def volume(shape: tuple[int, int, int]) -> xr.DataArray:
@@ -261,21 +211,14 @@ def volume(shape: tuple[int, int, int]) -> xr.DataArray:
 def plain_pass(store: Path) -> float:
     """Seconds to read and decompress every chunk, on two threads."""
     array = zarr.open_group(store, mode="r")["0"]
-    assert isinstance(array, zarr.Array)
     start = time.perf_counter()
     with ThreadPoolExecutor(2) as pool:
-        for _ in pool.map(lambda where: int(np.asarray(array[where])[0, 0, 0]), shards(array)):
+        for _ in pool.map(lambda where: array[where][0, 0, 0], boxes(array.shape, array.shards or array.chunks)):
             pass
     return time.perf_counter() - start
 
 
-def shards(array: zarr.Array) -> Iterator[tuple[slice, ...]]:
-    edge = array.shards or array.chunks
-    for z in range(0, array.shape[0], edge[0]):
-        for y in range(0, array.shape[1], edge[1]):
-            for x in range(0, array.shape[2], edge[2]):
-                yield tuple(slice(a, a + e) for a, e in zip((z, y, x), edge, strict=True))
-
-
-if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+def boxes(shape: tuple[int, ...], edges: tuple[int, ...]) -> Iterator[tuple[slice, ...]]:
+    """Parts of an array, one after the other."""
+    for corner in itertools.product(*(range(0, n, edge) for n, edge in zip(shape, edges, strict=True))):
+        yield tuple(slice(at, at + edge) for at, edge in zip(corner, edges, strict=True))

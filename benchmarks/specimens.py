@@ -92,7 +92,3 @@ def draw(name: str, seed: int, path: Path) -> None:
     plt.close(figure)
     # Few colours are enough, and keep the file small.
     Image.open(path).convert("RGB").quantize(256, method=Image.Quantize.MAXCOVERAGE).save(path, optimize=True)
-
-
-if __name__ == "__main__":
-    main()

@@ -20,18 +20,17 @@ from planish.analyze.refinement import CrossFitted, held_out_r
 from planish.analyze.texture import textures
 from planish.analyze.texture_search import BAND_UM, FALSE, search_place
 from planish.core.transform import Similarity, nearest_similarity
-from planish.core.typing import Floats
 
 _SEARCH_UM, _MAP_UM, _RS = 20.0, 8.0, (0.3, 0.5, 0.7)
 _AREAS_MM2, _POWER_RS, _PAPER_UM = (1.0, 2.0, 4.0, 8.0), (0.1, 0.15, 0.2, 0.3, 0.5), 20.0
 
 
-def _field(rng: np.random.Generator, shape: tuple[int, int], length_um: float, pixel_um: float) -> Floats:
+def _field(rng, shape, length_um, pixel_um):
     field = ndimage.gaussian_filter(rng.standard_normal(shape), length_um / pixel_um, mode="wrap")
     return field / field.std()
 
 
-def _drawn_um(rng: np.random.Generator) -> float:
+def _drawn_um(rng):
     return float(np.exp(rng.uniform(np.log(8.0), np.log(60.0))))
 
 
@@ -53,7 +52,7 @@ def searched(number: int) -> tuple[float, bool]:
 def held_out(number: int, r: float) -> tuple[float, tuple[float, float] | None, bool]:
     """r of two fields whose correlation is known, its interval, and whether they are called related."""
     rng = np.random.default_rng([number, 8])
-    shape, length_um = (int(rng.integers(150, 200)), int(rng.integers(190, 240))), float(rng.uniform(10.0, 30.0))
+    shape, length_um = (int(rng.integers(150, 200)), int(rng.integers(190, 240))), rng.uniform(10.0, 30.0)
     a, noise = (_field(rng, shape, length_um, _MAP_UM) for _ in range(2))
     b = r * a + np.sqrt(1.0 - r * r) * noise
     found = held_out_r(a, b, None, np.ones(shape, bool), (_MAP_UM, _MAP_UM))

@@ -18,7 +18,6 @@ from __future__ import annotations
 import argparse
 import fnmatch
 import hashlib
-import inspect
 import os
 import platform
 import re
@@ -32,7 +31,7 @@ from pathlib import Path
 
 from benchmarks.same.difference import differences
 from benchmarks.same.parts import PARTS, Side
-from benchmarks.size import folder_for
+from benchmarks.shared import folder_for
 
 _ROOT = Path(__file__).resolve().parents[2]
 _HERE = Path(__file__).parent
@@ -69,7 +68,7 @@ def main(*arguments: str | int) -> int:
     parser.add_argument("--list", action="store_true", dest="listed", help="name the parts and end")
     asked = parser.parse_args([str(a) for a in arguments])
     if asked.listed or asked.old is None:
-        print("\n".join(f"{name:14} {str(act.__doc__).strip()}" for name, act in PARTS.items()))
+        print("\n".join(f"{name:14} {part.title}" for name, part in PARTS.items()))
         return 0
     names = asked.parts or list(PARTS)
     if unknown := set(names) - set(PARTS):
@@ -101,7 +100,7 @@ def compare(folder: Path, commit: str, new: Path, names: Sequence[str], *, reuse
     return int(failed > 0)
 
 
-def _done(side: Side, name: str, reuse: bool) -> str:
+def _done(side, name, reuse):
     """Do a part, unless it is there; say how long it took."""
     mark = side.home / f"{name}.done"
     stamp = _stamp(name)
@@ -118,9 +117,9 @@ def _done(side: Side, name: str, reuse: bool) -> str:
     return f"{time.monotonic() - begun:.0f} s"
 
 
-def _reported(name: str, home: Path, seconds: Sequence[str]) -> bool:
+def _reported(name, home, seconds):
     """Print the differences of a part; whether some are not meant."""
-    lines: dict[str, list[str]] = {"differs": [], "meant": []}
+    lines = {"differs": [], "meant": []}
     for place, what in differences(home / "old" / name, home / "new" / name, KEYS):
         why = next((why for pattern, why in EXPECTED if fnmatch.fnmatchcase(f"{name}/{place}", pattern)), None)
         lines["differs" if why is None else "meant"].append(f"{place}: {what}" + (f" ({why})" if why else ""))
@@ -171,15 +170,15 @@ def make_inputs(home: Path, tree: Path, python: Path) -> None:
     partial.rename(inputs)
 
 
-def _stamp(name: str) -> str:
+def _stamp(name):
     """What the results of the old side depend on beside its commit: the part, its inputs, and the processor."""
-    texts = "".join([inspect.getsource(PARTS[name]), *((_HERE / k).read_text() for k in ("inputs.py", "driver.py"))])
+    texts = "".join([repr(PARTS[name]), *((_HERE / k).read_text() for k in ("parts.py", "inputs.py", "driver.py"))])
     model = re.search(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text(encoding="utf-8"))
     processor = model[1] if model else platform.processor()
     return f"{platform.node()} {processor} {hashlib.sha256(texts.encode()).hexdigest()}\n"
 
 
-def _git(*arguments: str) -> str:
+def _git(*arguments):
     done = subprocess.run(["git", "-C", str(_ROOT), *arguments], check=False, capture_output=True, text=True)
     if done.returncode:
         sys.exit(f"git {' '.join(arguments)}: {done.stderr.strip()}")

@@ -72,27 +72,32 @@ def arrays(old: Any, new: Any) -> str | None:
     )
 
 
-def _stores(old: Path, new: Path, keys: Keys) -> Iterator[tuple[str, str]]:
-    import zarr
-
-    members = [_members(zarr.open(path, mode="r")) for path in (old, new)]
-    for name in sorted({*members[0]} | {*members[1]}):
-        if not all(name in side for side in members):
-            yield name, f"only {'old' if name in members[0] else 'new'}"
+def _named_arrays(old, new, values, keys):
+    """Differences of arrays by their names, and of their attributes."""
+    for name in sorted({*old} | {*new}):
+        if name not in old or name not in new:
+            yield name, f"only {'old' if name in old else 'new'}"
             continue
-        before, after = (side[name] for side in members)
+        before, after = old[name], new[name]
         yield from ((f"{name}.{key}", what) for key, what in _values(dict(before.attrs), dict(after.attrs), keys))
-        if isinstance(before, zarr.Array) and (what := arrays(np.asarray(before[...]), np.asarray(after[...]))):
+        if hasattr(before, "shape") and (what := arrays(values(before), values(after))):
             yield name, what
 
 
-def _members(root: Any) -> dict[str, Any]:
+def _stores(old, new, keys):
+    import zarr
+
+    members = [_members(zarr.open(path, mode="r")) for path in (old, new)]
+    yield from _named_arrays(*members, lambda array: np.asarray(array[...]), keys)
+
+
+def _members(root):
     import zarr
 
     return {"/": root} | (dict(root.members(max_depth=None)) if isinstance(root, zarr.Group) else {})
 
 
-def _tiff(old: Path, new: Path, _keys: Keys) -> Iterator[tuple[str, str]]:
+def _tiff(old, new, _keys):
     import tifffile
 
     with tifffile.TiffFile(old) as before, tifffile.TiffFile(new) as after:
@@ -104,31 +109,24 @@ def _tiff(old: Path, new: Path, _keys: Keys) -> Iterator[tuple[str, str]]:
                 yield name, _shortly(a, b)
 
 
-def _matlab(old: Path, new: Path, _keys: Keys) -> Iterator[tuple[str, str]]:
+def _matlab(old, new, _keys):
     from pymatreader import read_mat
 
     yield from _values(read_mat(str(old)), read_mat(str(new)), {})
 
 
-def _netcdf(old: Path, new: Path, _keys: Keys) -> Iterator[tuple[str, str]]:
+def _netcdf(old, new, _keys):
     import xarray as xr
 
     with xr.open_dataset(old) as before, xr.open_dataset(new) as after:
         yield from _values(dict(before.attrs), dict(after.attrs), {})
-        for name in sorted({*map(str, before.variables)} | {*map(str, after.variables)}):
-            if name not in before.variables or name not in after.variables:
-                yield name, f"only {'old' if name in before.variables else 'new'}"
-                continue
-            a, b = before.variables[name], after.variables[name]
-            yield from ((f"{name}.{key}", what) for key, what in _values(dict(a.attrs), dict(b.attrs), {}))
-            if what := arrays(a.values, b.values):
-                yield name, what
+        yield from _named_arrays(before.variables, after.variables, lambda array: array.values, {})
 
 
 # --- values --------------------
 
 
-def _values(old: Any, new: Any, keys: Keys) -> Iterator[tuple[str, str]]:
+def _values(old, new, keys):
     before, after = (dict(_flat(side)) for side in (old, new))
     before = {_renamed(place, keys): value for place, value in before.items()}
     for place in [*before, *(place for place in after if place not in before)]:
@@ -141,7 +139,7 @@ def _values(old: Any, new: Any, keys: Keys) -> Iterator[tuple[str, str]]:
             yield place, _shortly(before[place], after[place])
 
 
-def _flat(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
+def _flat(value, place=""):
     if isinstance(value, Mapping) and value:
         for key, inner in value.items():
             yield from _flat(inner, f"{place}.{key}" if place else str(key))
@@ -152,7 +150,7 @@ def _flat(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
         yield place, _SIDE.sub("side", value) if isinstance(value, str) else value
 
 
-def _renamed(place: str, keys: Keys) -> str:
+def _renamed(place, keys):
     """The new key: the longest old one that the place begins with, its indices kept in their order."""
     bare, numbers = _INDEX.sub("[]", place), iter(_INDEX.findall(place))
     begins = [key for key in keys if bare == key or bare.startswith((f"{key}.", f"{key}["))]
@@ -162,11 +160,11 @@ def _renamed(place: str, keys: Keys) -> str:
     return re.sub(r"\[\]", lambda _: next(numbers), keys[longest] + bare.removeprefix(longest))
 
 
-def _same(old: Any, new: Any) -> bool:
+def _same(old, new):
     return type(old) is type(new) and (old == new or (isinstance(old, float) and old != old and new != new))
 
 
-def _shortly(old: Any, new: Any) -> str:
+def _shortly(old, new):
     if isinstance(old, int | float) and isinstance(new, int | float) and not isinstance(old, bool):
         return f"{old!r} -> {new!r} (by {new - old:.3g})"
     a, b = str(old), str(new)
@@ -175,7 +173,7 @@ def _shortly(old: Any, new: Any) -> str:
     return f"{a[begin : first + 60]!r} -> {b[begin : first + 60]!r}"
 
 
-def _json(old: Path, new: Path, keys: Keys) -> Iterator[tuple[str, str]]:
+def _json(old, new, keys):
     try:
         sides = [json.loads(path.read_text(encoding="utf-8")) for path in (old, new)]
     except ValueError:  # two documents, or none where a command was refused
@@ -183,11 +181,11 @@ def _json(old: Path, new: Path, keys: Keys) -> Iterator[tuple[str, str]]:
     return _values(*sides, keys)
 
 
-def _toml(old: Path, new: Path, _keys: Keys) -> Iterator[tuple[str, str]]:
+def _toml(old, new, _keys):
     return _values(*(tomllib.loads(path.read_text(encoding="utf-8")) for path in (old, new)), {})
 
 
-def _csv(old: Path, new: Path, _keys: Keys) -> Iterator[tuple[str, str]]:
+def _csv(old, new, _keys):
     rows = [list(csv.reader(path.read_text(encoding="utf-8").splitlines())) for path in (old, new)]
     if len(rows[0]) != len(rows[1]):
         yield "", f"{len(rows[0])} rows -> {len(rows[1])}"
@@ -196,7 +194,7 @@ def _csv(old: Path, new: Path, _keys: Keys) -> Iterator[tuple[str, str]]:
             yield f"row {k}", _shortly(", ".join(before), ", ".join(after))
 
 
-def _html(old: Path, new: Path, _keys: Keys) -> Iterator[tuple[str, str]]:
+def _html(old, new, _keys):
     """Numbers of the text and content of the scripts; words may change."""
     texts = [path.read_text(encoding="utf-8") for path in (old, new)]
     scripts = [[found[0] for found in _SCRIPT.finditer(text)] for text in texts]
@@ -208,7 +206,7 @@ def _html(old: Path, new: Path, _keys: Keys) -> Iterator[tuple[str, str]]:
         yield "numbers", _shortly(" ".join(numbers[0]), " ".join(numbers[1]))
 
 
-def _bytes(old: Path, new: Path, _keys: Keys) -> Iterator[tuple[str, str]]:
+def _bytes(old, new, _keys):
     a, b = (np.frombuffer(path.read_bytes(), np.uint8) for path in (old, new))
     if a.size != b.size:
         yield "", f"{a.size} bytes -> {b.size} bytes"

@@ -59,6 +59,14 @@ class Case:
         """Say something on the command line."""
         self.options[group] = self.options.get(group, {}) | values
 
+    def store(self, values: NDArray[np.floating]) -> None:
+        """Take other greys for the volume, as 8 bits hold them."""
+        self.volume = eight_bits(values)
+
+    def air(self, shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.uint8]:
+        """What a scan shows beside the sheet."""
+        return eight_bits(self.right.grey[0] + self.right.noise * rng.standard_normal(shape))
+
     def run(self) -> Run:
         """Write the files and link them."""
         with tempfile.TemporaryDirectory(prefix="wrong-") as name:
@@ -77,7 +85,7 @@ class Case:
                 sections["registration"] = sections.get("registration", {}) | {"marks": str(path)}
             return link(str(first), str(image), compute=Compute(threads=1), **sections)
 
-    def _write(self, folder: Path) -> Path:
+    def _write(self, folder):
         if self.first is not None:
             path = folder / "first.tif"
             _write_image(path, self.first, (self.right.pixel_um,) * 2)
@@ -95,7 +103,12 @@ class Case:
         return path
 
 
-def _write_image(path: Path, image: Array, pixel_um: tuple[float, float]) -> None:
+def eight_bits(values: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """Round to 0 to 255."""
+    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
+
+
+def _write_image(path, image, pixel_um):
     grey = np.clip(np.rint(image * 65535), 0, 65535).astype(np.uint16)
     size = (1e4 / pixel_um[1], 1e4 / pixel_um[0])
     tifffile.imwrite(path, grey, resolution=size, resolutionunit="CENTIMETER")

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from benchmarks.wrong.case import Case, traced
 from benchmarks.wrong.specimens import NAMES
@@ -39,36 +41,18 @@ class Figure:
         return not self.error <= max(TIMES * self.stated, least)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Light:
-    """A check that does not pass."""
-
-    name: str
-    state: str
-    sentence: str
-    figures: tuple[str, ...]
-
-    def covers(self, figure: str) -> bool:
-        """Whether it names the figure, as the run itself marks figures."""
-        name = figure.split()[0]
-        about = {name, *((PROPERTIES,) if name in NAMES else ())}
-        if name == CORRELATION:  # made of a map and its place
-            about |= {POSITION, PROPERTIES, *NAMES[:1]}
-        return bool(about & set(self.figures))
-
-
-def lights(run: Run) -> list[Light]:
-    """All checks of a run that do not pass."""
-    return [
-        Light(name=c.name, state=c.state, sentence=c.sentence, figures=c.figures)
-        for c in run.checks
-        if c.state != "pass"
-    ]  # fmt: skip
+def covers(named: Sequence[str], figure: str) -> bool:
+    """Whether a check that names some figures speaks of one, as the run itself marks figures."""
+    name = figure.split()[0]
+    about = {name, *((PROPERTIES,) if name in NAMES else ())}
+    if name == CORRELATION:  # made of a map and its place
+        about |= {POSITION, PROPERTIES, *NAMES[:1]}
+    return not about.isdisjoint(named)
 
 
 def figures(case: Case, run: Run) -> list[Figure]:
     """Every figure of the run with its error."""
-    found: list[Figure] = []
+    found = []
     if case.first is None:
         found += _thicknesses(case, run)
         if "linked" in run.groups and "position" not in case.by_nature:
@@ -79,7 +63,7 @@ def figures(case: Case, run: Run) -> list[Figure]:
     return found
 
 
-def _material(case: Case, places_um: Array, run: Run) -> Array:
+def _material(case, places_um, run):
     """True (u, v, s) of places (n, 3), x, y, z in um of the file as the run read it."""
     volume = run.study.layers[0].volume
     assert volume is not None
@@ -90,13 +74,18 @@ def _material(case: Case, places_um: Array, run: Run) -> Array:
     return case.right.material(np.ascontiguousarray(voxels[:, ::-1] * case.right.voxel_um))
 
 
-def _thicknesses(case: Case, run: Run) -> list[Figure]:
+def _some(mask):
+    """Rows and columns of the true ones, or of some of them where they are too many to be traced."""
+    rows, cols = np.nonzero(mask)
+    step = max(1, rows.size // _MOST)
+    return rows[::step], cols[::step]
+
+
+def _thicknesses(case, run):
     surfaces = run.groups["surfaces"]
     facts = run.results.layers[0].sheet
     frame = Frame.of(surfaces)
-    rows, cols = np.nonzero(surfaces["status"].values == 0)
-    step = max(1, rows.size // _MOST)
-    rows, cols = rows[::step], cols[::step]
+    rows, cols = _some(surfaces["status"].values == 0)
     along = {
         frame.rows: surfaces["y"].values[rows], frame.cols: surfaces["x"].values[cols],
         frame.through: surfaces["centre"].values[rows, cols].astype(np.float64),
@@ -106,7 +95,7 @@ def _thicknesses(case: Case, run: Run) -> list[Figure]:
     away = [np.hypot(material[:, 0] - u, material[:, 1] - v) for u, v in case.right.holes]
     sheet = np.min(away, axis=0) > case.right.radius_um + _RIM_UM if away else np.ones(rows.size, dtype=bool)
     rows, cols, material = rows[sheet], cols[sheet], material[sheet]
-    found: list[Figure] = []
+    found = []
     for name in NAMES:
         if name not in surfaces or facts is None or name not in facts.properties:
             continue
@@ -118,54 +107,41 @@ def _thicknesses(case: Case, run: Run) -> list[Figure]:
         single = own.standard_error or 0.5
         if f"{name}_se" in surfaces:
             errors = surfaces[f"{name}_se"].values[rows, cols]
-            single = float(np.sqrt(np.nanmean(errors**2))) if np.isfinite(errors).any() else single
+            single = _rms(errors) if np.isfinite(errors).any() else single
         mean = own.mean_standard_error or 0.0
         found.append(Figure(name=name, error=abs(float(off.mean())), stated=mean))
         most = np.quantile(np.abs(off), _KEPT)  # a few columns at an edge do not make a map wrong
-        scatter = float(np.sqrt(np.mean(off[np.abs(off) <= most] ** 2)))
-        found.append(Figure(name=f"{name} map", error=scatter, stated=single))
+        found.append(Figure(name=f"{name} map", error=_rms(off[np.abs(off) <= most]), stated=single))
     return found
 
 
-def _pixels(case: Case, run: Run) -> tuple[Array, Array, Array]:
+def _pixels(case, run):
     """Rows and columns of some valid pixels, and the true (u, v) that they show."""
-    rows, cols = np.nonzero(run.linked["valid"].values.astype(bool))
-    step = max(1, rows.size // _MOST)
-    rows, cols = rows[::step], cols[::step]
+    rows, cols = _some(run.linked["valid"].values.astype(bool))
     shown = case.shown or case.right
     at = traced(case.image_back, np.stack([rows, cols], axis=-1).astype(np.float64))
-    size = shown.uv.shape[:2]
-    inside = np.all((at >= 0) & (at <= np.array(size) - 1), axis=1)
-    rows, cols, at = rows[inside], cols[inside], at[inside]
-    low = np.minimum(at.astype(int), np.array(size) - 2)
-    f = at - low
-    uv = sum(
-        (np.abs(1 - a - f[:, :1]) * np.abs(1 - b - f[:, 1:])) * shown.uv[low[:, 0] + a, low[:, 1] + b]
-        for a in (0, 1) for b in (0, 1)
-    )  # fmt: skip
-    return rows.astype(float), cols.astype(float), np.asarray(uv)
+    inside = np.all((at >= 0) & (at <= np.array(shown.uv.shape[:2]) - 1), axis=1)
+    u, v = (ndimage.map_coordinates(shown.uv[..., k], at[inside].T, order=1) for k in (0, 1))
+    return rows[inside], cols[inside], np.stack([u, v], axis=-1)
 
 
-def _position(case: Case, run: Run) -> list[Figure]:
+def _position(case, run):
     linked = run.linked
-    r, c, uv = _pixels(case, run)
-    rows, cols = r.astype(int), c.astype(int)
+    rows, cols, uv = _pixels(case, run)
     if not rows.size:
         return []
     places = np.stack([linked[f"volume_{a}"].values[rows, cols] for a in "xyz"], axis=-1).astype(np.float64)
     away = np.linalg.norm(_material(case, places, run)[:, :2] - uv, axis=1)
     stated = linked["expected_error"].values[rows, cols].astype(np.float64)
-    known = np.isfinite(away)
-    stated = stated[np.isfinite(stated)]
-    return [
-        Figure(
-            name="position", error=float(np.sqrt(np.mean(away[known] ** 2))) if known.any() else np.inf,
-            stated=float(np.sqrt(np.mean(stated**2))) if stated.size else np.inf,
-        )
-    ]  # fmt: skip
+    return [Figure(name="position", error=_rms(away), stated=_rms(stated))]
 
 
-def _correlation(case: Case, run: Run) -> list[Figure]:
+def _rms(values):
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else np.inf
+
+
+def _correlation(case, run):
     """r of the headline, coating of the side that the image truly shows, against r of the true map."""
     headline = run.results.layers[0].headline
     rows = [row for row in run.results.correlations if row.a_map == headline and row.n and is_known(row.r)]

@@ -10,7 +10,8 @@ import numpy as np
 
 from benchmarks.wrong.case import Case
 
-Change = Callable[[Case, np.random.Generator], None]
+Rng = np.random.Generator
+Change = Callable[[Case, Rng], object]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,20 +33,53 @@ class Kind:
 KINDS: dict[str, Kind] = {}
 
 
-def kind(
-    name: str, title: str, *, grave: bool = False, hidden: str = "", answer: str = "", **order: Any
-) -> Callable[[Change], Change]:  # fmt: skip
+def enter(name: str, title: str, change: Change, *, grave=False, hidden="", answer="", **order: Any) -> None:
     """Enter a function into the table."""
+    KINDS[name] = Kind(name=name, title=title, change=change, grave=grave, hidden=hidden, answer=answer, order=order)
 
-    def enter(change: Change) -> Change:
-        KINDS[name] = Kind(
-            name=name, title=title, change=change, grave=grave, hidden=hidden, answer=answer, order=order
-        )
+
+def kind(name: str, title: str, *, size: tuple[float, float, str] | None = None, **more: Any):
+    """Enter the function below; with ``size``, a range and its unit, it is given a strength from there."""
+
+    def entered(change):
+        enter(name, title, sized(change, *size) if size else change, **more)
         return change
 
-    return enter
+    return entered
 
 
-def enter(name: str, title: str, change: Change, **more: Any) -> None:
-    """Enter a function that was made elsewhere."""
-    kind(name, title, **more)(change)
+def sized(change: Callable[[Case, Rng, float], object], low: float, high: float, unit: str) -> Change:
+    """A change of a strength that is drawn evenly, and noted."""
+
+    def strong(case, rng):
+        size = rng.uniform(low, high)
+        case.note = f"{size:.3g} {unit}"
+        change(case, rng, size)
+
+    return strong
+
+
+def both(*changes: Change) -> Change:
+    """One change after the other."""
+
+    def in_turn(case, rng):
+        for change in changes:
+            change(case, rng)
+
+    return in_turn
+
+
+def told(group: str, **values: Any) -> Change:
+    """Something said on the command line."""
+    return lambda case, _: case.option(group, **values)
+
+
+def along_either(change: Callable[[Case, Rng, int], object]) -> Change:
+    """Along y or x, as it is drawn."""
+
+    def along(case, rng):
+        axis = int(rng.integers(1, 3))
+        change(case, rng, axis)
+        case.note += f" along {'zyx'[axis]}"
+
+    return along

@@ -6,7 +6,7 @@ power law; a voxel takes the exact share of its volume that lies below each face
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -23,6 +23,12 @@ _BEYOND_UM = 500.0
 _LEAST = 0.03  # share of the normal along an axis, below which the box counts as that wide: no division by 0
 
 
+def turned(angle: float) -> Array:
+    """The matrix of a rotation in a plane."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s], [s, c]])
+
+
 @dataclass(frozen=True, kw_only=True)
 class Cone:
     """Material (u, v, s) to space and back; ``turn`` (3, 3) brings the cone's own axes to space, ``middle`` the origin.
@@ -37,14 +43,10 @@ class Cone:
     turn: Array
     middle: Array
 
-    def _frame(self) -> tuple[Array, Array]:
+    def _frame(self):
         """Place of the origin, and the axes (3, 3) along the ray, across it, and out of the cone, as rows."""
         s, c = np.sin(self.half_rad), np.cos(self.half_rad)
         return self.rho_um * np.array([s, 0, c]), np.array([[s, 0, c], [0, 1, 0], [c, 0, -s]])
-
-    def _spin(self) -> Array:
-        c, s = np.cos(self.along_rad), np.sin(self.along_rad)
-        return np.array([[c, -s], [s, c]])
 
     def material(self, points: Array) -> Array:
         """(u, v, s) of points (..., 3)."""
@@ -56,13 +58,16 @@ class Cone:
         sin, cos = np.sin(self.half_rad), np.cos(self.half_rad)
         r = np.hypot(p[0], p[1])
         rho, angle = r * sin + p[2] * cos, np.arctan2(p[1], p[0]) * sin
-        flat = np.stack([rho * np.cos(angle) - self.rho_um, sign * rho * np.sin(angle)], axis=-1) @ self._spin().T
+        flat = (
+            np.stack([rho * np.cos(angle) - self.rho_um, sign * rho * np.sin(angle)], axis=-1)
+            @ turned(self.along_rad).T
+        )
         return np.concatenate([flat, (sign * (r * cos - p[2] * sin))[..., None]], axis=-1)
 
     def points(self, uv: Array, s: Array | float = 0.0) -> Array:
         """Points (..., 3) of material (u, v, s)."""
         sign = 1.0 if self.convex else -1.0
-        flat = uv @ self._spin()
+        flat = uv @ turned(self.along_rad)
         first, second = flat[..., 0] + self.rho_um, sign * flat[..., 1]
         sin, cos = np.sin(self.half_rad), np.cos(self.half_rad)
         rho, angle = np.hypot(first, second), np.arctan2(second, first) / sin
@@ -103,10 +108,9 @@ class Fields:
 
     def thickness(self, name: str, u: Array, v: Array) -> Array:
         """True thickness by name."""
-        upper, lower = {
-            "coating_top": (0, 1), "base_thickness": (1, 2), "coating_bottom": (2, 3), "thickness": (0, 3)
-        }[name]  # fmt: skip
-        return self.at(self.faces[upper] - self.faces[lower], u, v)
+        from benchmarks.wrong.specimens import layer
+
+        return self.at(layer(self.faces, name), u, v)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,17 +135,17 @@ class Pose:
 
 def make(order: Draw) -> Right:
     """Draw one specimen."""
-    from benchmarks.wrong.specimens import LARGE_UM, SIZE_UM, Right
+    from benchmarks.wrong.specimens import LARGE_UM, SIZE_UM, Right, heights
 
     rng = np.random.default_rng([11, order.seed])
     size = LARGE_UM if order.large else SIZE_UM
-    voxel = float(rng.uniform(4.4, 5.4))
+    voxel = rng.uniform(4.4, 5.4)
     coats = rng.uniform(12, 24, 2) if order.coated else np.zeros(2)
-    base = float(rng.uniform(50, 80))
+    base = rng.uniform(50, 80)
     cone = _bend(order, rng, size, 0.5 * base + float(coats.max()))
-    fields = _fields(order, rng, size, base, coats)
-    program = order.program if order.program is not None else order.seed
-    radius = float(np.random.default_rng([13, program]).uniform(58, 75))
+    fields = _fields(rng, size, base, coats)
+    program = order.seed if order.program is None else order.program
+    radius = np.random.default_rng([13, program]).uniform(58, 75)
     count = order.holes or (11 if order.large else 7)
     holes = _pattern(np.random.default_rng([12, program]), size, count, radius)
     holes = holes + rng.normal(0, 2.0, holes.shape)
@@ -149,15 +153,13 @@ def make(order: Draw) -> Right:
     columns = cone.centre(voxel * np.arange(shape[0]), voxel * np.arange(shape[1]))
     air = 1.25 * (0.5 * base + float(coats.max())) + 55.0
     deep = float(columns[..., 2].min()) - air
-    cone = Cone(**{**vars(cone), "middle": cone.middle - [0.0, 0.0, deep]})
+    cone = replace(cone, middle=cone.middle - [0.0, 0.0, deep])
     columns[..., 2] -= deep
     depth = int(np.ceil((float(columns[..., 2].max()) + air) / voxel)) + 1
-    grey = (float(rng.uniform(25, 60)), float(rng.uniform(85, 110)), float(rng.uniform(160, 205)))
-    noise = float(rng.uniform(0.02, 0.05)) * (grey[2] - grey[0])
-    lift = np.sqrt(1 + sum(g**2 for g in np.gradient(columns[..., 2], voxel)))
-    heights = np.stack([columns[..., 2] + lift * fields.at(f, columns[..., 0], columns[..., 1]) for f in fields.faces])
+    grey = (rng.uniform(25, 60), rng.uniform(85, 110), rng.uniform(160, 205))
+    noise = rng.uniform(0.02, 0.05) * (grey[2] - grey[0])
     volume = _scan(cone, fields, (holes, radius), (depth, *shape), voxel, columns, grey, noise, rng)
-    pixel = float(rng.uniform(4.0, 5.5))
+    pixel = rng.uniform(4.0, 5.5)
     pose, frame = _pose(rng, columns, pixel)
     y, x = np.indices(frame) * pixel
     uv = pose.inverse(np.stack([x, y], axis=-1))
@@ -165,21 +167,21 @@ def make(order: Draw) -> Right:
     return Right(
         maker="second", seed=order.seed, volume=volume, voxel_um=voxel, grey=grey, noise=noise, image=image,
         pixel_um=pixel, holes=holes, radius_um=radius, material=cone.material, points=cone.points,
-        thickness=fields.thickness, image_of=pose, pixels=lambda: uv, columns=columns, faces=heights,
+        thickness=fields.thickness, image_of=pose, pixels=lambda: uv, columns=columns,
+        faces=heights(columns, voxel, fields.faces, fields.at),
         note=f"base {base:.0f}, coating {coats[0]:.0f}, voxel {voxel:.2f}",
     )  # fmt: skip
 
 
-def _bend(order: Draw, rng: np.random.Generator, size: tuple[float, float], thick: float) -> Cone:
+def _bend(order, rng, size, thick):
     slope = order.slope if order.slope is not None else rng.uniform(0.6, 1.0) if order.steep else rng.uniform(0.08, 0.4)
     radius = max(0.5 * float(np.hypot(*size)) * 0.85 / np.sin(np.arctan(slope)), 4 * thick)
-    rho = float(rng.uniform(4.0, 9.0)) * max(size)
+    rho = rng.uniform(4.0, 9.0) * max(size)
     around, tilt = rng.uniform(0, 2 * np.pi), np.deg2rad(rng.uniform(-4, 4, 2))
-    c, s = np.cos(around), np.sin(around)
-    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
-    for angle, axes in zip(tilt, ((1, 2), (0, 2)), strict=True):
+    turn = np.eye(3)
+    for angle, axes in zip((around, *tilt), ((0, 1), (1, 2), (0, 2)), strict=True):
         lean = np.eye(3)
-        lean[np.ix_(axes, axes)] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+        lean[np.ix_(axes, axes)] = turned(angle)
         turn = lean @ turn
     return Cone(
         rho_um=rho, half_rad=float(np.arctan(radius / rho)), convex=bool(rng.random() < 0.5), along_rad=float(around),
@@ -187,9 +189,7 @@ def _bend(order: Draw, rng: np.random.Generator, size: tuple[float, float], thic
     )  # fmt: skip
 
 
-def _fields(
-    order: Draw, rng: np.random.Generator, size: tuple[float, float], base: float, coats: Array
-) -> Fields:  # fmt: skip
+def _fields(rng, size, base, coats):
     half = 0.75 * np.array(size) + _BEYOND_UM
     shape = tuple(int(n) for n in 2 * half[::-1] / _GRID_UM)
     loose = [_power(shape, rng, 25.0, 900.0, 1.3) for _ in range(6)]
@@ -202,11 +202,10 @@ def _fields(
             coats, rng.uniform(2.2, 3.6, 2), (loose[2], loose[3]), (upper, lower), (1, -1), strict=True
         )
     ]
-    del order
     return Fields(low=-half, faces=np.stack([upper + coating[0], upper, lower, lower - coating[1]]), tint=loose[4])
 
 
-def _power(shape: tuple[int, ...], rng: np.random.Generator, least: float, most: float, power: float) -> Array:
+def _power(shape, rng, least, most, power):
     """Noise between two wavelengths in um whose amplitude goes with wavelength to a power; mean 0, sd 1."""
     fy, fx = fft.fftfreq(shape[0], _GRID_UM), fft.rfftfreq(shape[1], _GRID_UM)
     f = np.maximum(np.hypot(fy[:, None], fx[None, :]), 1 / most)
@@ -216,11 +215,11 @@ def _power(shape: tuple[int, ...], rng: np.random.Generator, least: float, most:
     return field / field.std()
 
 
-def _pattern(rng: np.random.Generator, size: tuple[float, float], count: int, radius: float) -> Array:
+def _pattern(rng, size, count, radius):
     """Holes far from each other and inside the field, (u, v) about its middle."""
     half = 0.5 * np.array(size) - radius - 70.0
     for apart in np.linspace(3.4, 2.4, 6) * radius:
-        found: list[Array] = []
+        found = []
         for _ in range(3000):
             point = rng.uniform(-half, half)
             if all(np.hypot(*(point - other)) > apart + 60 for other in found):
@@ -230,7 +229,7 @@ def _pattern(rng: np.random.Generator, size: tuple[float, float], count: int, ra
     raise ValueError(f"{count} holes do not fit")
 
 
-def _below(distance: Array, normal: Array, voxel: float) -> Array:
+def _below(distance, normal, voxel):
     """Share of a cubic voxel that lies below a plane ``distance`` above its middle along the unit ``normal``.
 
     The sum over the corners of the cube of a box on one side of a plane: +-(d)^3 / (6 a b c).
@@ -245,9 +244,9 @@ def _below(distance: Array, normal: Array, voxel: float) -> Array:
 
 
 def _scan(
-    cone: Cone, fields: Fields, burnt: tuple[Array, float], shape: tuple[int, int, int], voxel: float, columns: Array,
-    grey: tuple[float, float, float], noise: float, rng: np.random.Generator,
-) -> NDArray[np.uint8]:  # fmt: skip
+    cone, fields, burnt, shape, voxel, columns,
+    grey, noise, rng,
+):  # fmt: skip
     slopes = np.gradient(columns[..., 2], voxel)
     normal = np.stack([-slopes[1], -slopes[0], np.ones(shape[1:])], axis=-1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
@@ -266,13 +265,13 @@ def _scan(
         whole = _away(burnt, u, v, voxel)
         shine = (grey[1] - grey[0]) * (1 + net[k, rows, cols]) * base + (grey[2] - grey[0]) * (top + bottom)
         volume[k, rows, cols] = whole * shine
-    volume = ndimage.gaussian_filter(volume, float(rng.uniform(0.45, 0.65)))
+    volume = ndimage.gaussian_filter(volume, rng.uniform(0.45, 0.65))
     grain = ndimage.gaussian_filter(rng.standard_normal(shape).astype(np.float32), 0.5)
     volume += grey[0] + noise / grain.std() * grain
     return np.clip(np.rint(volume), 0, 255).astype(np.uint8)
 
 
-def _away(burnt: tuple[Array, float], u: Array, v: Array, step: float) -> Array:
+def _away(burnt, u, v, step):
     """1 on the sheet, 0 in a hole, between them over one step."""
     holes, radius = burnt
     share = np.ones(u.shape)
@@ -281,10 +280,9 @@ def _away(burnt: tuple[Array, float], u: Array, v: Array, step: float) -> Array:
     return share
 
 
-def _pose(rng: np.random.Generator, columns: Array, pixel: float) -> tuple[Pose, tuple[int, int]]:
+def _pose(rng, columns, pixel):
     angle, scale = np.deg2rad(rng.uniform(-10, 10)), 1 + rng.uniform(-0.006, 0.006)
-    c, s = np.cos(angle), np.sin(angle)
-    linear = scale * np.array([[c, -s], [s, c]])
+    linear = scale * turned(angle)
     corners = columns[..., :2].reshape(-1, 2) @ linear.T
     low, high = corners.min(axis=0), corners.max(axis=0)
     shift = -low + rng.uniform(20, 60, 2)
@@ -293,8 +291,8 @@ def _pose(rng: np.random.Generator, columns: Array, pixel: float) -> tuple[Pose,
 
 
 def _photograph(
-    fields: Fields, burnt: tuple[Array, float], uv: Array, pixel: float, rng: np.random.Generator
-) -> Array:  # fmt: skip
+    fields, burnt, uv, pixel, rng
+):  # fmt: skip
     u, v = uv[..., 0], uv[..., 1]
     coating = fields.thickness("coating_top", u, v)
     light = 0.62 + 0.012 * (coating - coating.mean()) + 0.012 * fields.at(fields.tint, u, v)

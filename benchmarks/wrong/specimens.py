@@ -25,9 +25,10 @@ from planish.synthetic import (
 from planish.validate.truth import field_at
 
 Array = NDArray[np.float64]
-_OF = {"coating_top": (0, 1), "base_thickness": (1, 2), "coating_bottom": (2, 3), "thickness": (0, 3)}
-NAMES = tuple(_OF)
+OF = {"coating_top": (0, 1), "base_thickness": (1, 2), "coating_bottom": (2, 3), "thickness": (0, 3)}
+NAMES = tuple(OF)
 SIZE_UM, LARGE_UM = (1250.0, 1000.0), (1700.0, 1350.0)
+_SECTIONS = SectionsParams(pixel_um=2.5, section_um=4.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,12 +64,6 @@ class Right:
         """Material (y, x, 2) that the image's pixels show."""
         return self.pixels()
 
-    @cached_property
-    def in_hole(self) -> Array:
-        """Distance (y, x) of each column's middle from the rim of the nearest hole, in um; negative inside."""
-        away = [np.hypot(self.columns[..., 0] - u, self.columns[..., 1] - v) for u, v in self.holes]
-        return np.min(away, axis=0) - self.radius_um if away else np.full(self.columns.shape[:2], 1e4)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Draw:
@@ -85,17 +80,26 @@ class Draw:
     program: int | None = None  # seed of the hole pattern, where two specimens share the laser's program
 
 
-def drawn(order: Draw) -> Right:
-    """Make a specimen, or take it from the last ones made."""
-    return _kept(order)
+def heights(columns: Array, voxel_um: float, faces: Array, at: Callable[..., Array]) -> Array:
+    """Heights of the faces over each column, whose distances from the middle ``at`` gives along the normal."""
+    u, v, middle = np.moveaxis(columns, -1, 0)
+    lift = np.sqrt(1 + sum(g**2 for g in np.gradient(middle, voxel_um)))
+    return np.stack([middle + lift * at(face, u, v) for face in faces])
+
+
+def layer(faces: Array, name: str) -> Array:
+    """Thickness between two of the four faces, by name."""
+    upper, lower = OF[name]
+    return faces[upper] - faces[lower]
 
 
 @lru_cache(maxsize=24)
-def _kept(order: Draw) -> Right:
+def drawn(order: Draw) -> Right:
+    """Make a specimen, or take it from the last ones made."""
     return _ours(order) if order.maker == "planish" else maker.make(order)
 
 
-def _ours(order: Draw) -> Right:
+def _ours(order):
     params = _of_fibres(order) if order.fibres else _slab(order)
     if order.program is not None:  # the pattern of another specimen: the same seed for the holes, another for the paper
         return _reprogrammed(params, order)
@@ -106,54 +110,60 @@ def _ours(order: Draw) -> Right:
             params = replace(params, holes=replace(params.holes, count=params.holes.count - 2))
 
 
-def _slab(order: Draw) -> SpecimenParams:
+def _slab(order):
     rng = np.random.default_rng([7, order.seed])
     thin = {name: paper for name, (_, paper) in PRESETS.items() if paper.base_um < 80.0}  # for a quick run
     names = [name for name, paper in thin.items() if (paper.coating_top_um > 0) == order.coated]
     paper = thin[str(rng.choice(names))].as_slab()
-    slope = (rng.uniform(0.5, 0.9) if order.steep else rng.uniform(0.02, 0.4)) if order.slope is None else order.slope
-    voxel = float(rng.uniform(4.4, 5.4) if min(paper.coating_top_um, 99) > 12 or not order.coated else 3.8)
-    size = LARGE_UM if order.large else SIZE_UM
+    slope = order.slope
+    if slope is None:
+        slope = rng.uniform(0.5, 0.9) if order.steep else rng.uniform(0.02, 0.4)
+    voxel = rng.uniform(4.4, 5.4) if paper.coating_top_um > 12 or not order.coated else 3.8
     scanner = replace(
-        MICRO_CT, voxel_um=voxel, fwhm_um=float(rng.uniform(1.0, 1.5)) * voxel, noise=float(rng.uniform(0.03, 0.08)),
-        fringe=float(rng.choice([0.0, 0.1])), cupping=float(rng.uniform(0, 0.03)), rings=int(rng.integers(0, 3)),
-        streak=float(rng.uniform(0, 0.02)),
+        MICRO_CT, voxel_um=voxel, fwhm_um=rng.uniform(1.0, 1.5) * voxel, noise=rng.uniform(0.03, 0.08),
+        fringe=float(rng.choice([0.0, 0.1])), cupping=rng.uniform(0, 0.03), rings=int(rng.integers(0, 3)),
+        streak=rng.uniform(0, 0.02),
     )  # fmt: skip
-    count = order.holes or int(rng.integers(6, 9) if not order.large else rng.integers(8, 13))
     return SpecimenParams(
-        size_um=size, paper=paper, seed=order.seed, scanner=scanner,
-        sections=SectionsParams(pixel_um=2.5, section_um=4.0),
-        holes=BurnParams(pattern="irregular", count=count, diameter_um=float(rng.uniform(115, 140)), char_um=20.0),
+        size_um=_size(order), paper=paper, seed=order.seed, scanner=scanner, sections=_SECTIONS,
+        holes=_holes(order, rng),
         warp=Warp(
-            slope=float(slope), wavelength_um=float(rng.uniform(1800, 4000)), phase_rad=float(rng.uniform(0, 6.28)),
-            ruling_deg=float(rng.uniform(-90, 90)), tilt_deg=float(rng.uniform(-4, 4)),
+            slope=slope, wavelength_um=rng.uniform(1800, 4000), phase_rad=rng.uniform(0, 6.28),
+            ruling_deg=rng.uniform(-90, 90), tilt_deg=rng.uniform(-4, 4),
         ),
         camera=_camera(rng),
         stiffness=float(np.random.default_rng([9, order.seed]).uniform(0, 3)),
     )  # fmt: skip
 
 
-def _of_fibres(order: Draw) -> SpecimenParams:
+def _of_fibres(order):
     """A sheet of single fibres with as many holes, and a camera, as the slabs have."""
     rng = np.random.default_rng([11, order.seed])
     params = KINDS[order.fibres].draw(rng)
-    count = order.holes or int(rng.integers(8, 13) if order.large else rng.integers(6, 9))
-    holes = BurnParams(pattern="irregular", count=count, diameter_um=float(rng.uniform(115, 140)), char_um=20.0)
+    holes = _holes(order, rng)
     warp = params.warp if order.slope is None else replace(params.warp, slope=order.slope)
     return replace(
-        params, size_um=LARGE_UM if order.large else SIZE_UM, holes=holes, warp=warp, camera=_camera(rng),
-        sections=SectionsParams(pixel_um=2.5, section_um=4.0),
+        params, size_um=_size(order), holes=holes, warp=warp, camera=_camera(rng), sections=_SECTIONS
     )  # fmt: skip
 
 
-def _camera(rng: np.random.Generator) -> CameraParams:
+def _size(order):
+    return LARGE_UM if order.large else SIZE_UM
+
+
+def _holes(order, rng):
+    count = order.holes or int(rng.integers(8, 13) if order.large else rng.integers(6, 9))
+    return BurnParams(pattern="irregular", count=count, diameter_um=rng.uniform(115, 140), char_um=20.0)
+
+
+def _camera(rng):
     return CameraParams(
-        pixel_um=float(rng.uniform(4.0, 5.5)), shading=0.004, nuisance_sd=0.005, radial=float(rng.uniform(0, 4e-4)),
-        vignetting=float(rng.uniform(0, 0.04)), scale_range=0.005,
+        pixel_um=rng.uniform(4.0, 5.5), shading=0.004, nuisance_sd=0.005, radial=rng.uniform(0, 4e-4),
+        vignetting=rng.uniform(0, 0.04), scale_range=0.005,
     )  # fmt: skip
 
 
-def _reprogrammed(params: SpecimenParams, order: Draw) -> Right:
+def _reprogrammed(params, order):
     """The holes of the specimen of the seed ``program`` in the sheet of this seed."""
     from planish.synthetic.sheet import make_sheet
 
@@ -169,22 +179,20 @@ def _reprogrammed(params: SpecimenParams, order: Draw) -> Right:
     return _right(make_specimen(params, sheet=sheet), order)
 
 
-def _right(made: Any, order: Draw) -> Right:
+def _right(made, order):
     p, sheet, warp = made.params, made.sheet, made.warp
     under = np.stack([made.columns[k].values for k in ("u", "v", "centre")], axis=-1)
     step = p.scanner.voxel_um
-    lift = np.sqrt(1 + sum(g**2 for g in np.gradient(under[..., 2], step)))
-    heights = np.stack([under[..., 2] + lift * sheet.at(face, under[..., 0], under[..., 1]) for face in sheet.faces])
     return Right(
         maker="planish", seed=order.seed, volume=made.volume.values, voxel_um=step, grey=p.scanner.grey,
         noise=p.scanner.noise * (p.scanner.grey[2] - p.scanner.grey[0]),
         image=np.asarray(made.image.values, np.float64), pixel_um=p.camera.pixel_um,
         holes=sheet.holes, radius_um=0.5 * p.holes.diameter_um, material=warp.material,
         points=lambda uv: warp.points(uv[..., 0], uv[..., 1]),
-        thickness=lambda name, u, v: field_at(sheet, sheet.faces[_OF[name][0]] - sheet.faces[_OF[name][1]], u, v),
+        thickness=lambda name, u, v: field_at(sheet, layer(sheet.faces, name), u, v),
         image_of=made.pose,
         pixels=lambda: np.stack([made.truth["u"].values, made.truth["v"].values], axis=-1),
-        columns=under, faces=heights,
+        columns=under, faces=heights(under, step, sheet.faces, sheet.at),
         note=f"base {p.paper.base_um:g}, coating {p.paper.coating_top_um:g}, slope {p.warp.slope:.2f}",
         made={"specimen": made},
     )  # fmt: skip

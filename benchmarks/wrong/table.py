@@ -7,6 +7,7 @@ import json
 import time
 import warnings
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -15,10 +16,11 @@ import numpy as np
 
 from benchmarks.wrong import geometry, grey, sheet, slices
 from benchmarks.wrong.case import Case
-from benchmarks.wrong.judge import Light, figures, lights
+from benchmarks.wrong.judge import covers, figures
 from benchmarks.wrong.kinds import KINDS, Kind
 from benchmarks.wrong.specimens import Draw, drawn
 from planish.core.errors import PlanishError
+from planish.run import Run
 
 _MODULES = (slices, geometry, grey, sheet)  # each enters its kinds when it is imported
 _POOL = 6  # specimens of each maker and sort: kinds share them
@@ -28,28 +30,27 @@ Row = dict[str, Any]
 def main(*words: str | int) -> int:
     """Judge all kinds or some; 1 where a goal is missed."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks wrong")
-    parser.add_argument("--kinds", nargs="+", default=list(KINDS), metavar="NAME")
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS, metavar="NAME")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--out", type=Path, default=Path("wrong"))
-    parser.add_argument("--again", action="store_true", help="repeat what is there")
     parser.add_argument("--markdown", action="store_true", help="print the table of the documents")
-    parser.add_argument("--report", action="store_true", help="print what is there, run nothing")
     given = parser.parse_args([str(w) for w in words])
-    if unknown := [name for name in given.kinds if name not in KINDS]:
-        parser.error(f"there is no kind {', '.join(unknown)}; there are {', '.join(KINDS)}")
-    given.out.mkdir(parents=True, exist_ok=True)
-    path = given.out / "wrong.jsonl"
-    rows = {} if not path.exists() else {(r["kind"], r["seed"]): r for r in map(json.loads, path.open())}
-    jobs = [(k, s) for s in range(given.seeds) for k in given.kinds]
-    if not given.report:
-        for name, seed in jobs:
-            if given.again or (name, seed) not in rows:
-                row = judged(KINDS[name], seed)
-                rows[name, seed] = row
-                with path.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(row) + "\n")
-                print(line_of(row), flush=True)
-    return shown([rows[job] for job in jobs if job in rows], markdown=given.markdown)
+    jobs = {f"{name} {seed}": (KINDS[name], seed) for seed in range(given.seeds) for name in given.kinds}
+    return shown(done(given.out / "wrong.jsonl", jobs, judged), markdown=given.markdown)
+
+
+def done(path: Path, jobs: dict[str, tuple[Any, int]], judge: Callable[[Any, int], Row]) -> list[Row]:
+    """Do what has no line in a file yet, and give the lines of all jobs."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    rows = {}
+    if path.exists():
+        rows = {f"{row['kind']} {row['seed']}": row for row in map(json.loads, path.open())}
+    for name in [name for name in jobs if name not in rows]:
+        rows[name] = judge(*jobs[name])
+        with path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(rows[name]) + "\n")
+        print(line_of(rows[name]), flush=True)
+    return [rows[name] for name in jobs]
 
 
 def order_of(kind: Kind, seed: int) -> Draw:
@@ -70,14 +71,19 @@ def judged(kind: Kind, seed: int) -> Row:
     """Make the input, run it, compare."""
     started = time.process_time()
     case = case_of(kind.name, seed)
-    made = time.process_time()
-    right = case.right
-    row: Row = {"kind": kind.name, "seed": seed, "maker": right.maker, "specimen": right.seed, "note": case.note}
-    return row | judged_case(case) | {"made_s": round(made - started, 2), "run_s": round(time.process_time() - made, 2)}
+    return row_of(kind.name, seed, case, case.note, started)
+
+
+def row_of(name: str, seed: int, case: Case, note: str, started: float) -> Row:
+    """Run a case that has been made since ``started``: refusal, or figures and checks that do not pass."""
+    made, right = time.process_time(), case.right
+    row = {"kind": name, "seed": seed, "maker": right.maker, "specimen": right.seed, "note": note}
+    row |= judged_case(case)
+    return row | {"made_s": round(made - started, 2), "run_s": round(time.process_time() - made, 2)}
 
 
 def judged_case(case: Case) -> Row:
-    """Refusal, or figures and lights of a run."""
+    """Refusal, or figures and checks of a run."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -86,30 +92,30 @@ def judged_case(case: Case) -> Row:
             return {"refused": str(error)}
         except Exception as error:  # noqa: BLE001 - a crash is a finding
             return {"crash": f"{type(error).__name__}: {error}"}
-        found, spoken = figures(case, run), lights(run)
-    wrong = [f for f in found if f.wrong]
+        found = figures(case, run)
     return {
         "figures": {f.name: [_short(f.error), _short(f.stated)] for f in found},
-        "wrong": [f.name for f in wrong],
-        "lights": [[k.state, k.name, k.sentence, list(k.figures)] for k in spoken],
+        "wrong": [f.name for f in found if f.wrong],
+        "lights": lights(run),
     }
+
+
+def lights(run: Run) -> list[list[Any]]:
+    """State, name, sentence and figures of each check that does not pass."""
+    return [[c.state, c.name, c.sentence, list(c.figures)] for c in run.checks if c.state != "pass"]
 
 
 def silent_of(row: Row) -> list[str]:
     """Wrong figures that nothing warned of; a run that failed is not silent, an ``unknown`` counts where it answers."""
-    kind = KINDS.get(row["kind"])
-    spoken = [
-        Light(name=name, state=state, sentence="", figures=tuple(on)) for state, name, _, on in row.get("lights", ())
-    ]
-    if any(light.state == "fail" for light in spoken):
+    spoken = row.get("lights", ())
+    answer = KINDS[row["kind"]].answer if row["kind"] in KINDS else ""
+    if any(state == "fail" or (answer and name == answer) for state, name, *_ in spoken):
         return []
-    if kind is not None and any(k.name == kind.answer for k in spoken):
-        return []
-    heard = [k for k in spoken if k.state == "look"]
-    return [name for name in row.get("wrong", ()) if not any(k.covers(name) for k in heard)]
+    heard = [named for state, _, _, named in spoken if state == "look"]
+    return [figure for figure in row.get("wrong", ()) if not any(covers(named, figure) for named in heard)]
 
 
-def _short(value: float) -> float | None:
+def _short(value):
     return round(float(value), 3) if np.isfinite(value) else None
 
 
@@ -138,30 +144,26 @@ def line_of(row: Row) -> str:
 
 def shown(rows: list[Row], *, markdown: bool = False) -> int:
     """Print a line a kind, and the totals; 1 where a goal is missed."""
-    by_kind = {name: [r for r in rows if r["kind"] == name] for name in KINDS}
-    missed: list[str] = []
+    missed = []
     total = silent = 0
     lines = [("kind", "runs", "wrong", "silent", "worst error", "said by")]
-    for name, own in by_kind.items():
+    for name, kind in KINDS.items():
+        own = [row for row in rows if row["kind"] == name]
         if not own:
             continue
-        kind = KINDS[name]
-        wrong = [r for r in own if r.get("wrong")]
-        quiet = [r for r in own if silent_of(r)]
-        crashes = [r for r in own if "crash" in r]
-        said = Counter("refused" for r in own if "refused" in r)
-        said.update(f"{state} *{check}*" for r in own for state, check, *_ in r.get("lights", ()))
-        worst = max((worst_of(r) for r in quiet or wrong), key=_size, default="")
+        wrong = [row for row in own if row.get("wrong")]
+        quiet = [row for row in own if silent_of(row)]
+        said = Counter(end for end in ("refused", "crash") for row in own if end in row)
+        said.update(f"{state} *{check}*" for row in own for state, check, *_ in row.get("lights", ()))
+        worst = max((worst_of(row) for row in quiet or wrong), key=_size, default="")
         mark = " (cannot be seen)" if kind.hidden else " (grave)" if kind.grave else ""
-        counts = (str(len(own)), str(len(wrong)), str(len(quiet)))
-        heard = ", ".join(f"{what} {n}" for what, n in said.most_common(5)) + (
-            f", CRASH {len(crashes)}" if crashes else ""
-        )
-        lines.append((f"{kind.title if markdown else name}{mark}", *counts, worst, heard))
+        heard = ", ".join(f"{what} {n}" for what, n in said.most_common(5))
+        title = f"{kind.title if markdown else name}{mark}"
+        lines.append((title, str(len(own)), str(len(wrong)), str(len(quiet)), worst, heard))
         if kind.hidden or name == "right":
             continue
         total, silent = total + len(own), silent + len(quiet)
-        if len(own) - len(quiet) < 0.8 * len(own) or crashes:
+        if len(quiet) > 0.2 * len(own) or said["crash"]:
             missed.append(name)
     if markdown:
         lines.insert(1, ("---",) * 6)
@@ -176,11 +178,11 @@ def shown(rows: list[Row], *, markdown: bool = False) -> int:
         grave = [r for r in rows if KINDS[r["kind"]].grave and r.get("wrong")]
         ends = [r for r in grave if any(k[0] == "fail" for k in r["lights"])]
         print(f"grave kinds, wrong and not refused: {len(grave)}; ended with fail: {len(ends)}")
-        spent, runs = sum(r["run_s"] + r["made_s"] for r in rows) / 60, [r["run_s"] for r in rows]
-        print(f"CPU: {spent:.1f} min, median run {np.median(runs):.1f} s")
+        spent = sum(r["run_s"] + r["made_s"] for r in rows) / 60
+        print(f"CPU: {spent:.1f} min, median run {np.median([r['run_s'] for r in rows]):.1f} s")
     return int(bool(missed) or silent > 0.05 * total)
 
 
-def _size(text: str) -> float:
+def _size(text):
     words = text.split()
     return next((float(w) for w in words if w.replace(".", "").replace("e+", "").isdigit()), 0.0)
