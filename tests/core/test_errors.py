@@ -64,6 +64,7 @@ def errors_by_name(kind: type[Exception] = PlanishError) -> set[str]:
     return {kind.__name__}.union(*(errors_by_name(sub) for sub in kind.__subclasses__()))
 
 
+@pytest.mark.ci
 def test_no_message_is_put_together_of_python_words():
     """What shows or stores a message, or adds to it, takes its ``text``; ``str`` is for who calls planish in Python."""
     names, found = errors_by_name(), []

@@ -34,6 +34,7 @@ def test_kernels_lie_outside_the_program_and_those_of_other_libraries_where_they
     assert not Path(numba.njit(cache=True)(another).stats.cache_path).is_relative_to(kernel.parent)
 
 
+@pytest.mark.ci
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 def test_another_installation_of_the_same_sources_finds_what_one_compiled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -34,9 +34,7 @@ rim_um = 100.0
     ("line", "words"),
     [
         ('thruogh = "y"', "volume.thruogh: unknown; did you mean through?"),
-        ("voxel_size_um = [1, 1, 1]", "volume.voxel_size_um: unknown; did you mean voxel_um?"),
         ("point_um = 50", "volume.point_um: unknown here; point_um belongs to [correlate]"),
-        ('side = "top"', "volume.side: unknown here; side belongs to [image]"),
         ('through = "Y "', "volume.through: 'Y ' is not possible; needed is 'z', 'y' or 'x'; did you mean 'y'?"),
         ("md_deg = 400", "volume.md_deg: Input should be less than or equal to 180 (found 400)"),
         ("fixed_rows = 3", "volume.fixed_rows: 3 is not possible; needed are values in brackets, such as [1.5, 1.5]"),

@@ -4,12 +4,13 @@ import json
 
 import numpy as np
 import pytest
+import tifffile
 import zarr
 
 from correct.made import AIR, COATING, CONTRAST, VOXEL, as_volume, correct, radius_um, ring, sheet, volume
 from planish.core.errors import InputError, PlanishError, SizeError, VolumeError
 from planish.correct import write_picture
-from planish.io import store, write_store
+from planish.io import read_volume, store, write_store
 
 SHAPE = (60, 100, 200)
 RINGS = ((81.0, 0.05), (150.0, -0.035))
@@ -19,14 +20,20 @@ def both_rings(shape=SHAPE, **where):
     return sum(ring(shape, at, share, **where) for at, share in RINGS)
 
 
+@pytest.fixture(scope="module")
+def ringed():
+    """A volume with two rings, and what becomes of it; no test may change them."""
+    given = volume(sheet(), rings=both_rings())
+    return given, correct(given, axis="y", cupping=False)
+
+
 def cup(loss, shape=SHAPE, axis="y"):
     r = radius_um(shape, axis=axis)
     return 1 - loss * (1 - (r / r.max()) ** 2)
 
 
-@pytest.mark.parametrize(
-    ("noise", "tilt"), [(0.08, 0.0), *(pytest.param(*p, marks=pytest.mark.nightly) for p in ((0.0, 0.0), (0.08, 5.0)))]
-)
+@pytest.mark.ci
+@pytest.mark.parametrize(("noise", "tilt"), [(0.08, 5.0), pytest.param(0.0, 0.0, marks=pytest.mark.nightly)])
 def test_known_rings_are_found_at_their_radius_and_with_their_height(noise, tilt):
     clean = sheet(tilt_deg=tilt)
     given = volume(clean, noise=noise, rings=both_rings())
@@ -44,6 +51,7 @@ def test_known_rings_are_found_at_their_radius_and_with_their_height(noise, tilt
     assert np.std(left) < 0.25 * np.std(was)
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("noise", [0.08, 0.0])
 def test_known_cupping_is_taken_off_and_the_mean_grey_stays(noise):
     clean = sheet()
@@ -64,14 +72,7 @@ def test_known_cupping_is_taken_off_and_the_mean_grey_stays(noise):
     assert middle / edge == pytest.approx(1.0, abs=0.006 if noise else 0.012)
 
 
-@pytest.mark.nightly
-def test_rings_and_cupping_together_leave_little_of_either():
-    clean = sheet()
-    given = volume(clean * cup(0.05), rings=both_rings())
-    found = correct(given, axis="y")
-    assert (len(found.record.rings), found.record.cupping.percent) == (2, pytest.approx(5.0, abs=0.5))
-
-
+@pytest.mark.ci
 @pytest.mark.parametrize("noise", [0.08, 0.0])
 def test_a_clean_volume_is_given_back_as_it_is(noise):
     given = volume(sheet(), noise=noise)
@@ -82,6 +83,7 @@ def test_a_clean_volume_is_given_back_as_it_is(noise):
     assert "nothing was corrected" in found.record.sentences[1]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     "made",
     [
@@ -104,6 +106,7 @@ def test_true_variation_of_the_sheet_is_not_taken_for_rings_or_cupping(made):
     assert np.abs(off).max() < 0.008 * CONTRAST
 
 
+@pytest.mark.ci
 def test_a_denser_edge_of_the_coating_is_its_own_and_a_sheet_across_the_axis_is_corrected():
     """The base does not share the trend, so it is no cupping."""
     coating = AIR + CONTRAST * cup(0.10)
@@ -118,7 +121,7 @@ def test_a_denser_edge_of_the_coating_is_its_own_and_a_sheet_across_the_axis_is_
     assert [r.height / CONTRAST for r in found.record.rings] == pytest.approx([s for _, s in RINGS], rel=0.12)
 
 
-@pytest.mark.nightly
+@pytest.mark.ci
 def test_a_ring_that_fades_along_the_axis_is_followed():
     shape = (60, 240, 160)
     fade = np.linspace(0.0, 2.0, shape[1])[None, :, None]
@@ -131,19 +134,18 @@ def test_a_ring_that_fades_along_the_axis_is_followed():
     assert np.std(left) < 0.2 * np.std(ring(shape, 120.0, 0.05) * fade)
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize("axis", ["z", pytest.param("x", marks=pytest.mark.nightly)])
-def test_the_axis_may_be_any_of_the_array(axis):
+@pytest.mark.ci
+def test_the_axis_may_be_any_of_the_array():
     """The same scan with its axes in another order: the same rings, the same voxels."""
     given = volume(sheet() * cup(0.05), rings=both_rings())
-    moved = {"z": ("y", "z", "x"), "x": ("z", "x", "y")}[axis]
+    moved = ("z", "x", "y")
     turned = as_volume(np.ascontiguousarray(given.transpose(*moved).values))
-    a, b = correct(given, axis="y"), correct(turned, axis=axis)
+    a, b = correct(given, axis="y"), correct(turned, axis="x")
     assert a.record.rings == b.record.rings
     np.testing.assert_array_equal(b.volume.values, a.volume.transpose(*moved).values)
 
 
-@pytest.mark.nightly
+@pytest.mark.ci
 def test_the_centre_can_be_told_and_may_lie_outside():
     centre = (250.0, 330.0)
     rings = ring(SHAPE, 200.0, 0.05, centre_um=centre)
@@ -154,7 +156,7 @@ def test_the_centre_can_be_told_and_may_lie_outside():
     assert found.record.centre_um == centre
 
 
-@pytest.mark.nightly
+@pytest.mark.ci
 def test_neither_memory_nor_threads_nor_blocks_change_a_byte():
     given = volume(sheet() * cup(0.05), rings=both_rings(), dtype=np.uint16)
     a = correct(given, axis="y", threads=1)
@@ -167,18 +169,19 @@ def test_neither_memory_nor_threads_nor_blocks_change_a_byte():
     np.testing.assert_array_equal(b.volume.isel(y=slice(None, None, -7)).values, whole[:, ::-7])
 
 
-def test_only_the_part_that_is_asked_for_is_read(monkeypatch):
-    given = volume(sheet(), rings=both_rings())
-    found = correct(given, axis="y", cupping=False)
+@pytest.mark.ci
+def test_only_the_part_that_is_asked_for_is_read(ringed, monkeypatch):
+    _, found = ringed
     seen = []
     apply = type(found.change).apply
     monkeypatch.setattr(
         type(found.change), "apply", lambda self, v, *places: seen.append(v.size) or apply(self, v, *places)
     )
-    found.volume.isel(z=slice(0, 8), y=slice(0, 16)).load()
+    _ = found.volume.isel(z=slice(0, 8), y=slice(0, 16)).values
     assert seen == [8 * 16 * SHAPE[2]]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])
 def test_the_type_stays_and_what_leaves_its_range_is_counted(dtype):
     scale = 255.0 / COATING  # the coating lies at the end of the byte
@@ -190,13 +193,12 @@ def test_the_type_stays_and_what_leaves_its_range_is_counted(dtype):
     if dtype == np.uint8:
         assert 0.001 < found.record.clipped < 0.2
         assert values.max() == 255
-        assert json.loads(json.dumps(found.record.to_json()))["clipped"] == pytest.approx(
-            found.record.clipped, rel=1e-5
-        )
+        assert found.record.to_json()["clipped"] == pytest.approx(found.record.clipped, rel=1e-5)
     else:
         assert found.record.clipped == 0.0
 
 
+@pytest.mark.ci
 def test_the_corners_outside_the_scanners_circle_stay_as_they_are():
     shape = (150, 60, 150)
     given = volume(sheet(shape), rings=ring(shape, 120.0, 0.05))
@@ -207,6 +209,7 @@ def test_the_corners_outside_the_scanners_circle_stay_as_they_are():
     assert not found.volume.values[outside].any()
 
 
+@pytest.mark.ci
 def test_missing_voxels_stay_missing_and_without_a_sheet_nothing_is_done():
     given = volume(sheet(), rings=both_rings(), dtype=np.float32)
     given.values[10:20, 30:40, 50:60] = np.nan
@@ -236,9 +239,9 @@ def test_what_cannot_be_corrected_is_refused(made, options, kind, words):
     assert isinstance(told.value, PlanishError)
 
 
-def test_the_store_says_what_was_corrected_and_does_not_go_on_with_other_options(tmp_path):
-    given = volume(sheet(), rings=both_rings())
-    found = correct(given, axis="y", cupping=False)
+@pytest.mark.ci
+def test_the_store_says_what_was_corrected_and_does_not_go_on_with_other_options(ringed, tmp_path):
+    given, found = ringed
     write_store(found.volume, tmp_path / "a.zarr")
     told = zarr.open_group(tmp_path / "a.zarr", mode="r").attrs["planish"]["corrections"]
     assert told == found.record.to_json()
@@ -252,30 +255,16 @@ def test_the_store_says_what_was_corrected_and_does_not_go_on_with_other_options
     assert "corrections" not in zarr.open_group(tmp_path / "c.zarr", mode="r").attrs["planish"]
 
 
-@pytest.mark.nightly
-def test_the_same_picture_has_the_same_bytes(tmp_path):
-    given = volume(sheet() * cup(0.06), rings=both_rings())
-    found = correct(given, axis="y")
-    for name in ("a.png", "b.png"):
-        write_picture(found, given, tmp_path / name)
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
-    assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
-
-
 @pytest.fixture
 def tiff(tmp_path):
-    import tifffile
-
     path = tmp_path / "scan.tif"
     given = volume(sheet() * cup(0.06), rings=both_rings())
     tifffile.imwrite(path, given.values)
     return path
 
 
-@pytest.mark.nightly
+@pytest.mark.ci
 def test_import_corrects_on_the_way(passes, tmp_path, tiff):
-    from planish.io import read_volume
-
     out = tmp_path / "sheet.zarr"
     told, _ = passes(
         "import", tiff, "-o", out, "--voxel-um", VOXEL, "--correct-rings", "--correct-cupping", "--rotation-axis", "y"
@@ -284,8 +273,11 @@ def test_import_corrects_on_the_way(passes, tmp_path, tiff):
     assert "Cupping: " in told
     record = json.loads((tmp_path / "sheet.corrections.json").read_text())
     assert record["asked"] == ["rings", "cupping"]
-    assert (tmp_path / "sheet.corrections.png").stat().st_size > 10_000
-    straight = correct(read_volume(tiff, voxel_um=VOXEL), axis="y")
+    scan = read_volume(tiff, voxel_um=VOXEL)
+    straight = correct(scan, axis="y")
+    assert straight.record.cupping.percent == pytest.approx(6.0, abs=0.5)
+    write_picture(straight, scan, tmp_path / "again.png")
+    assert (tmp_path / "sheet.corrections.png").read_bytes() == (tmp_path / "again.png").read_bytes()
     np.testing.assert_array_equal(read_volume(out).values, straight.volume.values)
 
 

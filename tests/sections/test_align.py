@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from folders import refused
 from planish.core.errors import VolumeError
 from planish.core.threads import limit_threads
 from planish.sections import SectionSeries, align_sections, band, network, normalise_sections
@@ -23,6 +24,7 @@ def alignment(series: Series):
     return align_sections(SectionSeries(series.stack, series.positions_um, PIXEL_UM))
 
 
+@pytest.mark.ci
 def test_quick_errors_are_taken_off(series: Series, alignment) -> None:
     before = split(series.positions_um, series.shift_um)[1]
     after = split(series.positions_um, alignment.shift_um - series.shift_um)[1]
@@ -38,6 +40,7 @@ def test_quick_errors_are_taken_off(series: Series, alignment) -> None:
     assert rms(after[:, 1]) / 2 < alignment.jitter_left_um[1] < 2 * rms(after[:, 1])
 
 
+@pytest.mark.ci
 def test_missing_sections_and_a_nick_move_nothing_and_rotations_are_not_made_worse(series: Series, alignment) -> None:
     error = alignment.shift_um - series.shift_um
     for gap in (np.searchsorted(series.positions_um, 50 * PITCH_UM), np.searchsorted(series.positions_um, 120 * 3.0)):
@@ -76,6 +79,7 @@ def test_wide_sections_tell_rotations_and_more() -> None:
     assert rms(after) < 0.4 * rms(wide.rotation_rad)  # measured 0.2
 
 
+@pytest.mark.ci
 def test_torn_sections_are_flagged_and_disturb_nothing(series: Series, alignment) -> None:
     stack = series.stack.copy()
     stack[80] = np.random.default_rng(0).integers(0, 255, stack[80].shape)
@@ -89,7 +93,7 @@ def test_torn_sections_are_flagged_and_disturb_nothing(series: Series, alignment
     assert found.pairs_refused >= 20
 
 
-@pytest.mark.nightly
+@pytest.mark.ci
 def test_threads_direction_and_type_do_not_matter(series: Series) -> None:
     stack, positions = series.stack[:60], series.positions_um[:60]
     with limit_threads(1):
@@ -101,7 +105,7 @@ def test_threads_direction_and_type_do_not_matter(series: Series) -> None:
     np.testing.assert_array_equal(one.shift_um, back.shift_um)
 
 
-@pytest.mark.nightly
+@pytest.mark.ci
 def test_drift_of_colour_is_taken_off() -> None:
     # Fibres of 4 % over 30 um in 2.9 mm: their mean goes up and down by 0.3 %, which no anchor can tell from a drift.
     drifting = make_series(sections=60, cols=1200, texture=4.0, drift=0.03)
@@ -119,17 +123,16 @@ def test_drift_of_colour_is_taken_off() -> None:
 
 
 def test_what_is_no_series_is_refused() -> None:
-    blank = np.full((10, 40, 64), 60, np.uint8)
-    with pytest.raises(VolumeError, match="No sheet"):
-        align_sections(SectionSeries(blank, np.arange(10.0), PIXEL_UM))
-    with pytest.raises(VolumeError, match="sections 3 and 4 lie at 2 and 2 um"):
-        align_sections(SectionSeries(blank, np.array([0, 1, 2, 2, 4, 5, 6, 7, 8, 9.0]), PIXEL_UM))
-    with pytest.raises(VolumeError, match="10 sections and 9 positions"):
-        align_sections(SectionSeries(blank, np.arange(9.0), PIXEL_UM))
-    with pytest.raises(VolumeError, match="is none"):
-        align_sections(SectionSeries(blank, np.arange(10.0), (0.0, 1.0)))
-    with pytest.raises(VolumeError, match="at least two of each"):
-        align_sections(SectionSeries(blank[0], np.arange(10.0), PIXEL_UM))
+    blank, places = np.full((10, 40, 64), 60, np.uint8), np.arange(10.0)
+    twice = np.array([0, 1, 2, 2, 4, 5, 6, 7, 8, 9.0])
+    for words, stack, positions, pixels in (
+        ("No sheet", blank, places, PIXEL_UM),
+        ("sections 3 and 4 lie at 2 and 2 um", blank, twice, PIXEL_UM),
+        ("10 sections and 9 positions", blank, places[:9], PIXEL_UM),
+        ("is none", blank, places, (0.0, 1.0)),
+        ("at least two of each", blank[0], places, PIXEL_UM),
+    ):
+        refused(VolumeError, words, lambda *series: align_sections(SectionSeries(*series)), stack, positions, pixels)
 
 
 # --- parts ---------------------------------------------------------------------------------------------------
@@ -237,8 +240,7 @@ def test_pair_sums_twin() -> None:
     np.testing.assert_allclose(sums, twin, rtol=1e-4, atol=1e-3)
 
 
-@pytest.mark.parametrize("turn", [0.0, 0.03, -0.03])
-@pytest.mark.parametrize("shift", [(0.4, -1.7), (-50.0, 40.0), (2.0, 3.0)])
+@pytest.mark.parametrize(("turn", "shift"), [(0.0, (0.4, -1.7)), (0.03, (-50.0, 40.0)), (-0.03, (2.0, 3.0))])
 def test_between_twin(turn: float, shift: tuple[float, float]) -> None:
     rng = np.random.default_rng(8)
     first, second = rng.integers(0, 255, (2, 24, 31)).astype(np.uint8)

@@ -35,7 +35,7 @@ def test_shared_gradients_equal_their_twin_and_noise_does_not_shorten_a_displace
     assert short < 0.4
 
 
-@pytest.mark.nightly
+@pytest.mark.ci
 def test_what_is_said_is_what_is_left() -> None:
     # Without scratches along the rows, an error that all columns share. Said before: 0.4 of the truth for rows.
     series = make_series(seed=2, marks=False)

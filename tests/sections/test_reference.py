@@ -36,6 +36,7 @@ def drifting():
     return (series, drift, *with_fixture(series, drift))
 
 
+@pytest.mark.ci
 def test_places_against_two_edges(drifting):
     series, drift, stack, strip = drifting
     found = fixed_places(stack, PIXEL_UM, rows=(0, strip - 4), cols=(0, strip - 4))
@@ -47,6 +48,7 @@ def test_places_against_two_edges(drifting):
     assert rms(error[:, 2]) < 5e-5
 
 
+@pytest.mark.ci
 def test_what_lies_still_brings_back_the_bend(drifting):
     series, drift, stack, strip = drifting
     # the sheet's own photographs drift too: those of the fixture tell how far
