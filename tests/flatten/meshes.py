@@ -1,4 +1,4 @@
-"""Flat meshes, and how far a flattened one lies from what it should be."""
+"""Flat meshes, middles of pixels, and how far a flattened one lies from what it should be."""
 
 import numpy as np
 
@@ -6,6 +6,11 @@ import numpy as np
 def grid(rows, cols, pitch=1.0):
     v, u = np.mgrid[0:rows, 0:cols] * pitch
     return np.stack([u, v], axis=-1)
+
+
+def middles(pixels):
+    """Middles of the pixels of a grid, u and v."""
+    return np.stack(np.meshgrid(pixels.x_um, pixels.y_um), axis=-1)
 
 
 def in_space(uv, turn=0.0):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from flatten.meshes import middles
 from planish.core.errors import CannotFlatten
 from planish.core.frame import Frame
 from planish.core.grid import Grid
@@ -81,7 +82,7 @@ def test_shares_of_the_error_of_a_place():
     assert np.isnan(found["expected_error"].values[:3]).all()
     # a place in the flat map is a length: its angle is the length over the radius
     shorter = np.array([1 - OFFSET / (RADIUS + OFFSET), 1.0])
-    places = np.stack(np.meshgrid(grid.x_um, grid.y_um), axis=-1)
+    places = middles(grid)
     other = fit.refitted(shorter * marks)(shorter * fit.inverse(places))
     left = position_error.NEUTRAL["base"] * np.linalg.norm(other - places, axis=-1)
     np.testing.assert_allclose(found["error_neutral"].values[3:], left[3:], atol=0.03)

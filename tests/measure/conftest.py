@@ -55,7 +55,7 @@ def made():
 
     def make(
         grey=None, *, size_um=(120.0, 150.0), voxel=2.0, slope=(0.0, 0.0), base=50.0, top=16.0, bottom=12.0, blur=2.0,
-        noise=0.0, extra=None, dtype=np.float32, seed=0, air_um=40.0,
+        noise=0.0, extra=None, air_um=40.0,
     ):  # fmt: skip
         """Make a sheet; ``grey(s, u, v)`` replaces the staircase, ``extra`` is added to it.
 
@@ -81,9 +81,9 @@ def made():
         if extra is not None:
             values = values + extra(s, u, v)
         if noise:
-            values = values + np.random.default_rng(seed).normal(0, noise, shape)
+            values = values + np.random.default_rng(0).normal(0, noise, shape)
         coords = {"z": z, "y": y, "x": x}
-        volume = xr.DataArray(values.astype(dtype), dims=("z", "y", "x"), coords=coords)
+        volume = xr.DataArray(values.astype(np.float32), dims=("z", "y", "x"), coords=coords)
         data = {name: (("y", "x"), centre + offset * long, {"units": "um"}) for name, offset in faces.items()}
         for side, thick in (("top", top), ("bottom", bottom)):
             if thick == 0:

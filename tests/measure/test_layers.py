@@ -86,7 +86,7 @@ def test_weights_need_a_number_and_absorption(made):
     refused(CannotMeasure, "none was seen", made(bottom=0.0).measured, "coating_bottom_sum")
 
 
-def test_grammage_density_and_coat_weight_of_slabs_coated_on_one_or_both_sides(made):
+def test_grammage_and_density_of_a_slab_coated_on_both_sides(made):
     """Base 50 um at 0.8 g/cm3 and 28 um of coating at 1.6 are 40 + 44.8 g/m2; 84.8 / 78 um is 1.087 g/cm3."""
     sheet = made(size_um=SLAB)
     found = sheet.measured("grammage", "apparent_density", coating_g_cm3=1.6, base_g_cm3=0.8)
@@ -95,6 +95,9 @@ def test_grammage_density_and_coat_weight_of_slabs_coated_on_one_or_both_sides(m
     for coats in ({}, {"coat_weight_top_g_m2": 25.0, "coat_weight_bottom_g_m2": 20.0}):
         found = sheet.measured("grammage", grammage_g_m2=90.0, **coats)
         assert float(found["grammage"].mean()) == pytest.approx(90.0, rel=1e-5)
+
+
+def test_a_side_without_coating_weighs_nothing_and_has_no_thickness(made):
     found = made(bottom=0.0, size_um=SLAB).measured("grammage", "coating_bottom", coating_g_cm3=1.6, base_g_cm3=0.8)
     assert mean(found, "grammage") == pytest.approx(40.0 + 25.6, rel=3e-3)
     assert np.isnan(found["coating_bottom"]).all()

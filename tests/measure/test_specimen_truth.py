@@ -63,7 +63,6 @@ def test_maps_are_near_the_truth(measured, truth, name, bias, scatter):
     error = error[np.isfinite(error)]
     stated = float(measured[f"{name}_se"].median())
     middle, spread = float(np.median(error)), 1.4826 * float(np.median(np.abs(error - np.median(error))))
-    print(f"{name}: bias {error.mean():.3f}, scatter {spread:.3f}, stated {stated:.3f} {measured[name].attrs['units']}")
     assert error.size > 30_000
     assert abs(middle) < bias
     assert spread < scatter

@@ -3,13 +3,13 @@
 import numpy as np
 import xarray as xr
 
+from flatten.meshes import grid
 from planish.core.grid import Grid
 from planish.resample import find_places, resample_dataset
 
 
 def test_a_dataset_takes_along_its_numbers_only():
-    y, x = np.mgrid[0:12, 0:15] * 3.0
-    uv, labels = np.stack([x, y], axis=-1), np.arange(12 * 15).reshape(12, 15)
+    uv, labels = grid(12, 15, 3.0), np.arange(12 * 15).reshape(12, 15)
     about = {"units": "um", "long_name": "Height"}
     data = xr.Dataset({"height": (("y", "x"), uv[..., 0], about | {"other": 1}), "status": (("y", "x"), labels)})
     places = find_places(uv, Grid.regular((6, 5), (4.0, 4.0), (1.0, 5.0)))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from flatten.meshes import middles
 from planish.core.errors import SurfaceError
 from planish.core.grid import Grid
 from planish.core.transform import Similarity, axial_angle
@@ -79,7 +80,7 @@ def test_maps_on_a_reference_lie_where_the_transformation_says(mirrored):
     way = Placed(scale=1.1, rotation_rad=0.2, shift_um=(150.0 if mirrored else 20.0, 5.0), mirrored=mirrored)
     grid = Grid.regular((50, 60), (1.9, 2.1))
     linked = resample_maps(surfaces, flat, onto=grid, transform=way)
-    points = way.inverse(np.stack(np.meshgrid(grid.x_um, grid.y_um), axis=-1))
+    points = way.inverse(middles(grid))
     known = np.isfinite(linked["thickness"].values)
     assert known.mean() > 0.3
     assert {"presence", "projected_u", "valid"}.isdisjoint(linked)
@@ -97,7 +98,7 @@ def test_an_image_on_a_reference_and_its_expected_error():
     way = Placed(rotation_rad=0.1, shift_um=(10.0, 0.0))
     grid = Grid.regular((45, 40), 1.9)
     found = resample_image(image, grid, way)["image"]
-    points = way.inverse(np.stack(np.meshgrid(grid.x_um, grid.y_um), axis=-1))
+    points = way.inverse(middles(grid))
     known = np.isfinite(found.values)
     assert known.mean() > 0.5
     np.testing.assert_allclose(found.values[known], (3 * points[..., 0] - points[..., 1])[known], atol=1e-8)

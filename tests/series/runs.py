@@ -2,8 +2,6 @@
 
 import copy
 from functools import cache
-from pathlib import Path
-from typing import Any
 
 from planish.results import Results
 from planish.series_results import Member
@@ -11,7 +9,7 @@ from report.runs import a_run
 
 
 @cache
-def _results() -> dict[str, Any]:
+def _results():
     run = a_run()["results"]
     run["layers"][0]["sheet"]["numbers"]["thin"] = {
         "top": {"thinner_than_um": [0.0, 2.0, 5.0], "share": [0.0, 0.01, 0.02], "support_um": 3.0, "warning": None}
@@ -20,9 +18,9 @@ def _results() -> dict[str, Any]:
 
 
 def results_of(
-    *, mean: float = 20.0, sd: float = 2.0, thin: float = 0.02, r: float | None = 0.6, n_eff: float = 70.0,
-    trust: str = "ok", volume: str = "", state: str = "pass", point_um: float = 100.0, linked: bool = True,
-) -> dict[str, Any]:  # fmt: skip
+    *, mean=20.0, sd=2.0, thin=0.02, r=0.6, n_eff=70.0, trust="ok", volume="", state="pass", point_um=100.0,
+    linked=True,
+):  # fmt: skip
     """Return results of a run whose leading map is the coating of the top side."""
     run = copy.deepcopy(_results())
     layer = run["layers"][0]
@@ -46,7 +44,7 @@ def results_of(
     return run
 
 
-def two_volumes(*, bias: float = 0.5) -> dict[str, Any]:
+def two_volumes(*, bias=0.5):
     """Return results of two volumes of one sheet."""
     run = results_of()
     first, second = run["layers"][0], copy.deepcopy(run["layers"][0])
@@ -68,7 +66,7 @@ def two_volumes(*, bias: float = 0.5) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def put(folder: Path, results: dict[str, Any]) -> Path:
+def put(folder, results):
     """Write a run of these results, whose maps are empty."""
     (folder / "maps.zarr").mkdir(parents=True)
     (folder / "run.toml").write_text("", encoding="utf-8")
@@ -77,7 +75,7 @@ def put(folder: Path, results: dict[str, Any]) -> Path:
     return folder
 
 
-def series(home: Path, *runs: tuple[dict[str, str], dict[str, Any]]) -> list[Member]:
+def series(home, *runs):
     """Write runs and return them as members, named run-1 and so on."""
     return [
         Member(name=put(home / f"run-{k}", results).name, factors=factors, run=f"run-{k}")

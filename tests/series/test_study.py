@@ -11,71 +11,76 @@ from pathlib import Path
 import pytest
 
 from folders import bytes_of
-from planish.run import link
 
-pytestmark = pytest.mark.nightly
+pytestmark = pytest.mark.ci
 
 
 @pytest.fixture(scope="module")
-def table(specimen_files: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three specimens that are whole and one that is cut off, in a folder with a blank and an umlaut in its name."""
+def table(made_once, tmp_path_factory):
+    """Three specimens that are whole and one that is cut off, in a folder with a blank and an umlaut in its name.
+
+    The first is that of a shared run; the others lie beside the table. One file is not two specimens: other points.
+    """
     home = tmp_path_factory.mktemp("series") / "Blätter 1"
     home.mkdir()
-    for name in ("a", "b", "c", "cut"):
-        (home / name).mkdir()
-        for file in specimen_files:
-            shutil.copyfile(file, home / name / file.name)
-    os.truncate(home / "cut" / "volume.tif", 100_000)
-    rows = [
-        f"{name} ö,{name}/volume.tif,{name}/image.tif,{paper}"
-        for name, paper in zip(("a", "b", "c", "cut"), "AABB", strict=True)
-    ]
+    small = made_once.small
+    for file in (small.volume, small.image):
+        shutil.copyfile(file, home / file.name)
+    shutil.copyfile(small.volume, home / "cut.tif")
+    os.truncate(home / "cut.tif", 100_000)
     table = home / "specimens.csv"
-    # One file is not two specimens: other points of two of them.
-    options = ["", "60", "70", ""]
-    lines = [f"{row},{point}" for row, point in zip(rows, options, strict=True)]
-    table.write_text("\n".join(["name,volume,image,paper,correlate.point_um", *lines]) + "\n", encoding="utf-8")
+    rows = [
+        "name,volume,image,paper,correlate.point_um",
+        f"a ö,{small.volume},{small.image},A,",
+        "b ö,volume.tif,image.tif,A,60",
+        "c ö,volume.tif,image.tif,B,70",
+        "cut ö,cut.tif,image.tif,B,",
+    ]
+    table.write_text("\n".join(rows), encoding="utf-8")
     return table
 
 
-def command(table: Path, out: Path, *more: str) -> list[str]:
+def command(table, out, *more):
     return [sys.executable, "-m", "planish", "study", str(table), "--out", str(out), *more]
 
 
-def files_of(folder: Path) -> dict[str, bytes]:
+def done(*given):
+    return subprocess.run(command(*given), check=False, capture_output=True, text=True)
+
+
+def files_of(folder):
     return {name: data for name, data in bytes_of(folder).items() if ".series" not in Path(name).parts}
 
 
 @pytest.fixture(scope="module")
-def whole(table: Path) -> Path:
+def whole(table):
     """The series done in one go, by two processes."""
     out = table.parent / "whole"
-    done = subprocess.run(command(table, out, "--jobs", "2"), check=False, capture_output=True, text=True)
-    assert done.returncode == 4, done.stderr
-    assert "4 specimens: 3 linked, 1 refused" in done.stderr
-    assert "cut ö: refused: volume.tif is cut off" in done.stderr
-    assert "leaked" not in done.stderr  # semaphores of workers, which Python reports where these are killed
+    found = done(table, out, "--jobs", "2")
+    assert found.returncode == 4, found.stderr
+    assert "4 specimens: 3 linked, 1 refused" in found.stderr
+    assert "cut ö: refused: cut.tif is cut off" in found.stderr
+    assert "leaked" not in found.stderr  # semaphores of workers, which Python reports where these are killed
     return out
 
 
-def test_runs_have_the_bytes_of_single_links(table: Path, whole: Path) -> None:
-    single = table.parent / "single" / "runs" / "a ö"
-    link(table.parent / "a" / "volume.tif", table.parent / "a" / "image.tif", out=single)
-    assert files_of(single) == files_of(whole / "runs" / "a ö")
+def test_runs_have_the_bytes_of_single_links(kinds, whole):
+    assert files_of(kinds("upright")) == files_of(whole / "runs" / "a ö")
     assert files_of(whole).keys() >= {"report.html", "results.json", "specimens.csv", "values.csv"}
 
 
-def test_what_is_done_is_kept_wherever_it_is_moved(table: Path, whole: Path, tmp_path: Path) -> None:
+def test_what_is_done_is_kept_wherever_it_is_moved(table, whole, tmp_path):
     home = tmp_path / "moved"
-    shutil.copytree(table.parent, home, ignore=shutil.ignore_patterns("killed", "single"))
-    before = {name: (home / "whole" / name).stat().st_mtime_ns for name in files_of(home / "whole") if "runs/" in name}
-    done = subprocess.run(command(home / table.name, home / "whole"), check=False, capture_output=True, text=True)
-    assert (done.returncode, done.stderr.count("linked, kept")) == (4, 3)
-    assert before == {name: (home / "whole" / name).stat().st_mtime_ns for name in before}
+    shutil.copytree(table.parent, home, ignore=shutil.ignore_patterns("killed"))
+    runs = [name for name in files_of(home / "whole") if "runs/" in name]
+    before = [(home / "whole" / name).stat().st_mtime_ns for name in runs]
+    found = done(home / table.name, home / "whole")
+    assert (found.returncode, found.stderr.count("linked, kept")) == (4, 3)
+    assert before == [(home / "whole" / name).stat().st_mtime_ns for name in runs]
     assert files_of(whole) == files_of(home / "whole")
 
 
-def test_killed_and_interrupted_it_goes_on(table: Path, whole: Path) -> None:
+def test_killed_and_interrupted_it_goes_on(table, whole):
     out = table.parent / "killed"
     process = subprocess.Popen(command(table, out), stderr=subprocess.DEVNULL)
     while not (out / "runs" / "a ö").exists():
@@ -84,7 +89,6 @@ def test_killed_and_interrupted_it_goes_on(table: Path, whole: Path) -> None:
     process.kill()
     process.wait()
     process = subprocess.Popen(command(table, out), stderr=subprocess.PIPE, text=True)
-    assert process.stderr is not None
     # Python itself loses a signal that comes while modules are loaded.
     next(line for line in process.stderr if "b ö" in line)
     process.send_signal(signal.SIGINT)
@@ -93,12 +97,5 @@ def test_killed_and_interrupted_it_goes_on(table: Path, whole: Path) -> None:
     assert "what is done is kept" in said
     assert "Traceback" not in said
     assert "leaked" not in said
-    assert subprocess.run(command(table, out), check=False, capture_output=True).returncode == 4
+    assert done(table, out).returncode == 4
     assert files_of(whole) == files_of(out)
-
-
-def test_two_at_once_and_foreign_folders_are_refused(table: Path, tmp_path: Path) -> None:
-    (tmp_path / "foreign").mkdir()
-    done = subprocess.run(command(table, tmp_path / "foreign"), check=False, capture_output=True, text=True)
-    assert done.returncode == 3
-    assert "exists already" in done.stderr

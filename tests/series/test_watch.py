@@ -1,9 +1,7 @@
 """Files of a watched folder: taken once, when they are whole and stand still."""
 
 import os
-from collections.abc import Iterator
 from functools import partial
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -11,27 +9,27 @@ import pytest
 import tifffile
 
 from planish.core.errors import InputError
-from planish.series import Plan, PlannedSpecimen, watched
+from planish.series import Plan, watched
 from planish.series.watch import watch_params
 
 
 class Clock:
     now = 0.0
 
-    def __call__(self) -> float:
+    def __call__(self):
         return self.now
 
-    def after(self, seconds: float, coming: Iterator[PlannedSpecimen | None]) -> PlannedSpecimen | None:
+    def after(self, seconds, coming):
         """What a look at the folder finds so much later."""
         self.now += seconds
         return next(coming)
 
 
-def plan(folder: Path, **watch: str) -> Plan:
+def plan(folder, **watch):
     return Plan(specimens=(), home=folder, watch=watch)
 
 
-def write(path: Path, *, seed: int = 0) -> bytes:
+def write(path, *, seed=0):
     values = np.random.default_rng(seed).integers(0, 255, (6, 40, 30), dtype=np.uint8)
     if "_ct" in path.name:
         tifffile.imwrite(path, values, imagej=True, metadata={"axes": "ZYX"})
@@ -40,7 +38,7 @@ def write(path: Path, *, seed: int = 0) -> bytes:
     return path.read_bytes()
 
 
-def test_pairs_are_taken_once_when_they_are_whole_and_stand_still(tmp_path: Path) -> None:
+def test_pairs_are_taken_once_when_they_are_whole_and_stand_still(tmp_path):
     clock, said = Clock(), list[str]()
     coming = watched(
         plan(tmp_path, volume="{paper} {sheet}_ct.tif", image="{paper} {sheet}_img.tif"), tmp_path, settle_s=30,
@@ -60,13 +58,12 @@ def test_pairs_are_taken_once_when_they_are_whole_and_stand_still(tmp_path: Path
     (tmp_path / "part").replace(tmp_path / "Süd 1_ct.tif")  # renamed at the end
     assert look(1) is None
     found = look(31)
-    assert found is not None
     assert (found.name, found.factors, look(100)) == ("Süd-1", {"paper": "Süd", "sheet": "1"}, None)
     with pytest.raises(StopIteration):
         look(101)
 
 
-def test_an_image_that_is_missing_is_waited_for(tmp_path: Path) -> None:
+def test_an_image_that_is_missing_is_waited_for(tmp_path):
     clock = Clock()
     coming = watched(
         plan(tmp_path, volume="{sheet}_ct.tif", image="{sheet}_img.tif"), tmp_path, settle_s=0, idle_s=None,
@@ -77,11 +74,10 @@ def test_an_image_that_is_missing_is_waited_for(tmp_path: Path) -> None:
     write(tmp_path / "1_img.tif")
     assert next(coming) is None
     found = next(coming)
-    assert found is not None
     assert [os.path.basename(file) for file in found.files] == ["1_ct.tif", "1_img.tif"]  # noqa: PTH119
 
 
-def test_a_part_of_each_file_is_taken_when_all_of_it_stands_still(tmp_path: Path) -> None:
+def test_a_part_of_each_file_is_taken_when_all_of_it_stands_still(tmp_path):
     clock, said = Clock(), list[str]()
     coming = watched(
         plan(tmp_path, volume="{sheet}_ct.h5:/entry/a"), tmp_path, settle_s=30, idle_s=None, tell=said.append,
@@ -93,7 +89,6 @@ def test_a_part_of_each_file_is_taken_when_all_of_it_stands_still(tmp_path: Path
             file["entry/a"] = np.zeros((9, rows, 7), np.uint8)
         assert look(20) is None  # the second time the file was written anew
     found = look(31)
-    assert found is not None
     assert (found.name, found.files, said) == ("1", (f"{tmp_path / '1_ct.h5'}:/entry/a",), [])
 
 
@@ -107,7 +102,7 @@ def test_a_part_of_each_file_is_taken_when_all_of_it_stands_still(tmp_path: Path
         ({"volume": "{a}.tif", "picture": "x"}, "watch.picture"),
     ],
 )
-def test_patterns_that_pair_nothing_are_refused(tmp_path: Path, watch: dict[str, str], words: str) -> None:
+def test_patterns_that_pair_nothing_are_refused(tmp_path, watch, words):
     with pytest.raises(InputError) as caught:
         watch_params(plan(tmp_path, **watch))
     assert words in str(caught.value)

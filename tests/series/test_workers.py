@@ -20,10 +20,10 @@ class Workers:
     deaths = (Death,)
     tries = 2
 
-    def __init__(self, at_once: int, **doomed: int) -> None:
+    def __init__(self, at_once, **doomed):
         self.at_once, self.doomed, self.begun = at_once, doomed, list[str]()
 
-    def start(self, job: jobs.Job) -> Future[jobs.Note]:
+    def start(self, job):
         self.begun.append(job.name)
         future: Future[jobs.Note] = Future()
         if self.doomed.get(job.name, 0):
@@ -33,35 +33,35 @@ class Workers:
             future.set_result(job.note.model_copy(update={"state": "whole", "seconds": 1.0}))
         return future
 
-    def forget(self, future: Future[jobs.Note]) -> None:
+    def forget(self, future):
         assert future.exception() is not None
 
 
 STUDY = Study.model_validate({"layers": [{"name": "sheet", "volume": {"path": "v.tif"}}]})
 
 
-def job(name: str) -> jobs.Job:
+def job(name):
     return jobs.Job(name=name, study=STUDY, folder=Path(name), compute=Compute(), note=jobs.Note(key=name))
 
 
 @pytest.mark.parametrize("at_once", [1, 2, 5])
-def test_every_job_has_one_outcome(at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_job_has_one_outcome(at_once, monkeypatch):
     monkeypatch.setattr(workers, "_PAUSE", 0.001)
     slow: Iterator[jobs.Job | None] = iter([job("a"), None, job("b"), None, None, job("c"), job("d")])
     pool = Workers(at_once, b=1, d=5)
-    found = [(one.name, outcome.state) for one, outcome in workers._run_jobs(slow, pool)]  # type: ignore[arg-type]
+    found = [(one.name, outcome.state) for one, outcome in workers._run_jobs(slow, pool)]
     assert sorted(found) == [("a", "whole"), ("b", "whole"), ("c", "whole"), ("d", "damaged")]
     assert sorted(pool.begun) == ["a", "b", "b", "c", "d", "d"]
 
 
-def test_jobs_are_taken_as_there_is_room() -> None:
+def test_jobs_are_taken_as_there_is_room():
     taken: list[str] = []
 
-    def coming() -> Iterator[jobs.Job]:
+    def coming():
         for name in "abc":
             taken.append(name)
             yield job(name)
 
-    done = workers._run_jobs(coming(), Workers(1))  # type: ignore[arg-type]
+    done = workers._run_jobs(coming(), Workers(1))
     next(done)
     assert taken == ["a"]

@@ -27,23 +27,15 @@ def grown(backing, s, k, weight):
     return done.y[0, -1]
 
 
-@pytest.mark.parametrize("backing", [0.0, 0.5, 0.8, 1.0])
-@pytest.mark.parametrize(("s", "k"), [(150.0, 0.3), (45.0, 1.2), (45.0, 0.0), (30.0, 60.0), (0.0, 20.0), (120.0, 1e-7)])
-@pytest.mark.parametrize("weight", [0.0, 1e-6, 0.005, 0.03, 0.2])
+@pytest.mark.parametrize("backing", [0.0, 0.8, 1.0])
+@pytest.mark.parametrize(("s", "k"), [(150.0, 0.3), (45.0, 0.0), (30.0, 60.0), (0.0, 20.0), (120.0, 1e-7)])
+@pytest.mark.parametrize("weight", [1e-6, 0.03, 0.2])
 def test_the_closed_form_solves_the_differential_equation(backing, s, k, weight):
-    want = grown(backing, s, k, weight) if weight > 0 else backing
-    assert layer_over(backing, s, k, weight) == pytest.approx(want, abs=1e-8)
+    assert layer_over(backing, s, k, weight) == pytest.approx(grown(backing, s, k, weight), abs=1e-8)
+    assert layer_over(backing, s, k, 0.0) == backing
 
 
-def test_limits_and_a_second_flux_give_the_closed_form():
-    # The equations as they are first stated, di/dW = -(s + k) i + s j down and up, without Riccati's form between.
-    s, k, weight, backing = 90.0, 0.3, 0.02, 0.79
-    done = solve_ivp(
-        lambda _, f: [(s + k) * f[0] - s * f[1], s * f[0] - (s + k) * f[1]],
-        (0.0, weight), [1.0, backing], method="DOP853", rtol=1e-12, atol=1e-13,
-    )  # fmt: skip
-    down, up = done.y[:, -1]
-    assert layer_over(backing, s, k, weight) == pytest.approx(up / down, abs=1e-10)
+def test_limits_give_the_closed_form():
     # A layer that only absorbs is passed twice: exp(-2 k W).
     assert layer_over(0.6, 0.0, 5.0, 0.1) == pytest.approx(0.6 * np.exp(-1.0), abs=1e-14)
     # Over black and without absorption: s W / (1 + s W).
@@ -62,8 +54,6 @@ def test_without_absorption_it_is_the_simple_form(backing, s, weight):
 @given(backing=share, s=st.floats(1.0, 500.0), k=st.floats(0.01, 50.0))
 def test_a_thick_layer_hides_its_backing(backing, s, k):
     thick = 40.0 / np.sqrt(k * (k + 2 * s))  # b s W = 40: tanh is 1 to the last digit
-    ratio = k / s
-    assert infinite_stack(s, k) == pytest.approx(1 + ratio - np.sqrt(ratio * ratio + 2 * ratio), abs=1e-9)
     assert layer_over(backing, s, k, thick) == pytest.approx(infinite_stack(s, k), abs=1e-9)
     assert layer_over(backing, s, k, 1e6 * thick) == pytest.approx(infinite_stack(s, k), abs=1e-9)
 
@@ -94,19 +84,18 @@ def test_each_map_and_a_coating_act_on_the_brightness_in_their_own_sense():
         camera.sheet_reflectance(paper, backing, coating_top_um=coating, coating_bottom_um=17.4)
         for backing in ("pile", "black")
     )
-    assert (np.diff(pile) > 0).all()
     assert (np.diff(black) > 0).all()
     assert (black < pile).all()
     # Less and less: what is bright already gains less.
+    assert (np.diff(pile) > 0).all()
     assert (np.diff(pile, 2) < 0).all()
-    assert (pile > 0.78).all()
-    assert (pile < 0.93).all()
-    paper = PaperParams()
-    usual = {"coating_top_um": 17.4, "coating_bottom_um": 17.4}
-    at = camera.sheet_reflectance(paper, "black", **usual)
+    assert 0.78 < pile[0] < pile[-1] < 0.93
+
+    def over_black(paper=paper, **more):
+        given = {"coating_top_um": 17.4, "coating_bottom_um": 17.4} | more
+        return camera.sheet_reflectance(paper, "black", **given)
+
     for more in ({"coating_density": 1.1}, {"base_mass": 1.1}, {"base_s_m2_per_kg": 50.0}, {"coating_bottom_um": 20.0}):
-        assert camera.sheet_reflectance(paper, "black", **{**usual, **more}) > at
+        assert over_black(**more) > over_black()
     heavy = replace(paper, base_um=paper.base_um * 2)
-    assert camera.sheet_reflectance(heavy, "black", **usual) == pytest.approx(
-        camera.sheet_reflectance(paper, "black", base_mass=2.0, **usual), abs=1e-14
-    )
+    assert over_black(heavy) == pytest.approx(over_black(base_mass=2.0), abs=1e-14)
