@@ -6,18 +6,20 @@ import subprocess
 import sys
 import urllib.request
 from collections.abc import Callable, Generator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 import pytest
-import tifffile
 
-from folders import disc_image, write_image
+from app.exploring.made import put
+from app.marks_page import Browsed
 from planish.app import Session
-from planish.cli import main
-from planish.run import open_run
+from planish.marks.exchange import MarkPlaces, make_marks
+from planish.register import fit_transform
+from planish.run import Registration
+from report.runs import a_run
 
 START_S = 60.0
 """How long a server may take to print its address on a loaded machine."""
@@ -107,72 +109,75 @@ def run_copy(linked_run, tmp_path) -> Path:
     return beside(linked_run, tmp_path)
 
 
-@pytest.fixture(scope="module")
-def module_server(linked_run, tmp_path_factory) -> Generator[Served]:
-    """A server on a copy of the small run for all tests of a module: it takes seconds to start."""
+@pytest.fixture(scope="session")
+def one_server(linked_run, tmp_path_factory) -> Generator[Served]:
+    """A server on a copy of the small run for all tests: it takes seconds to start."""
     server = start(beside(linked_run, tmp_path_factory.mktemp("served")))
     yield server
     server.end()
 
 
 @pytest.fixture
-def served(module_server) -> Generator[Served]:
+def served(one_server) -> Generator[Served]:
     """That server, with the run as it was linked: what the test changes is taken back.
 
     To be asked for before ``window``, so that the page is closed by then.
     """
-    yield module_server
-    module_server.take_back()
+    yield one_server
+    one_server.take_back()
+
+
+@pytest.fixture(scope="session")
+def made_run(tmp_path_factory) -> Path:
+    """A made sheet of 0.8 x 0.5 mm, linked to its made image by five pairs of holes; which no test may change."""
+    run, draw = a_run(), np.random.default_rng(3)
+    moving = np.array([[150, 110], [640, 130], [420, 260], [180, 420], [700, 440]], dtype=float)
+    fixed = moving @ [[0.99, 0.12], [-0.12, 0.99]] + (20, -15) + draw.normal(0, 1, moving.shape)
+    known = {"diameter": 180.0, "cov_xx": 1.2, "cov_yy": 1.1, "cov_xy": 0.1}
+    planes = {
+        plane: MarkPlaces(
+            um=um, source=["detected"] * 5, extras={k: v + draw.uniform(0, 0.1, 5) for k, v in known.items()}
+        )
+        for plane, um in (("moving", moving), ("fixed", fixed))
+    }
+    folder = put(
+        tmp_path_factory.mktemp("made") / "run", run | {"groups": {k: run["groups"][k] for k in ("maps", "linked")}}
+    )
+    with (folder / "run.toml").open("a", encoding="utf-8") as study:
+        study.write('[[layers]]\nname = "image"\n\n[layers.image]\npath = "image.png"\n')
+    marks = make_marks([f"hole {k}" for k in range(1, 6)], planes)
+    Registration(fit=fit_transform(moving, fixed), marks=marks).save(folder / "marks.json")
+    return folder
 
 
 @pytest.fixture
-def session(linked_run, tmp_path):
-    """A session on a copy of the small run."""
-    session = Session.open(Path(shutil.copytree(linked_run, tmp_path / "run")))
+def made_copy(made_run, tmp_path) -> Path:
+    """A copy of the made run, alone in its folder."""
+    return Path(shutil.copytree(made_run, tmp_path / "made" / "run"))
+
+
+@pytest.fixture
+def session(made_copy):
+    """A session on a copy of the made run."""
+    session = Session.open(made_copy)
     yield session
     session.close()
 
 
-@pytest.fixture(scope="session")
-def demo_run(kinds) -> Path:
-    """The run of ``planish demo``: six holes."""
-    return kinds("demo")
+@pytest.fixture
+def linked_session(run_copy):
+    """A session on a copy of the small run."""
+    session = Session.open(run_copy)
+    yield session
+    session.close()
 
 
-@pytest.fixture(scope="session")
-def images_run(kinds) -> Path:
-    """The run of two images of the small specimen, `white` on the pixels of `uv`, by two cameras."""
-    return kinds("images")
+class Window(Browsed):
+    """A page of a served session."""
 
-
-@pytest.fixture(scope="session")
-def laid_run(kinds) -> Path:
-    """The run of the sheet through y whose image shows the side at the high end."""
-    return kinds("laid")
-
-
-@pytest.fixture(scope="session")
-def refused(specimen_files, linked_run, tmp_path_factory) -> tuple[Path, Path]:
-    """Maps and an image of two holes on a plain sheet, as a link leaves them that was refused at the marks."""
-    volume, image = specimen_files
-    folder = tmp_path_factory.mktemp("refused")
-    run = open_run(linked_run)
-    marks, pixel = run.marks, float(run.linked.x.values[1] - run.linked.x.values[0])
-    at = np.flatnonzero(np.isfinite(marks.fixed_x.values))[:2]
-    holes = [(marks.fixed_x.values[k], marks.fixed_y.values[k]) for k in at]
-    write_image(folder / "image.tif", disc_image(holes, tifffile.imread(image).shape, pixel), pixel)
-    with pytest.raises(SystemExit):
-        main(["map", str(volume), "--out", str(folder / "out-map")])
-    return folder / "out-map", folder / "image.tif"
-
-
-@dataclass
-class Window:
-    """A page of a served session; ``faults`` are the errors that its console showed."""
-
-    page: Any
-    server: Served
-    faults: list[str] = field(default_factory=list)
+    def __init__(self, page: Any, server: Served) -> None:
+        super().__init__(page)
+        self.server = server
 
     def role(self, role: str, name: str) -> Any:
         return self.page.get_by_role(role, name=name, exact=True)
@@ -190,11 +195,6 @@ class Window:
             self.fill(f"{name}, um per screen pixel", str(pixel_um))
         self.fill(f"{name} centre, um", f"{x_um}, {y_um}")
 
-    def fill(self, label: str, text: str) -> None:
-        box = self.page.get_by_label(label, exact=True)
-        box.fill(text)
-        box.press("Enter")
-
     def click(self, name: str, x_um: float, y_um: float, pixel_um: float | None = None) -> None:
         """Click a point of a view with the mouse."""
         self.go(name, x_um, y_um, pixel_um)
@@ -210,16 +210,16 @@ class Window:
 
 @pytest.fixture
 def window(chromium) -> Generator[Callable[..., Window]]:
-    """Return a function that opens the page of a server; errors in its console fail the test at the end."""
+    """Return a function that opens the page of a server.
+
+    Errors in its console, and requests to another machine or with the token, fail the test at the end.
+    """
     opened: list[Window] = []
 
     def begin(server: Served, *, width: int = 1366, height: int = 768, context: Any = None, **options: Any) -> Window:
         context = context or chromium.new_context(viewport={"width": width, "height": height}, **options)
-        page = context.new_page()
-        shown = Window(page, server)
-        page.on("console", lambda line: shown.faults.append(line.text) if line.type == "error" else None)
-        page.on("pageerror", lambda error: shown.faults.append(str(error)))
-        page.goto(server.url)
+        shown = Window(context.new_page(), server)
+        shown.page.goto(server.url)
         opened.append(shown)
         return shown
 
@@ -228,3 +228,6 @@ def window(chromium) -> Generator[Callable[..., Window]]:
         if not shown.page.is_closed():
             shown.page.context.close()
     assert [fault for shown in opened for fault in shown.faults] == []
+    here = ("http://127.0.0.1:", "data:", "blob:")
+    for shown in opened:
+        assert [url for url in shown.asked if not url.startswith(here) or shown.server.token in url] == []

@@ -1,4 +1,4 @@
-"""What tests of the page's marks share."""
+"""What tests of pages share, and those of its marks."""
 
 import re
 from typing import Any
@@ -6,6 +6,26 @@ from typing import Any
 import numpy as np
 
 VOLUME, IMAGE = "Volume side", "Image side"
+
+
+class Browsed:
+    """A page in the browser; ``faults`` are the errors of its console, ``asked`` the addresses it asked for."""
+
+    def __init__(self, page: Any) -> None:
+        self.page = page
+        self.faults: list[str] = []
+        self.asked: list[str] = []
+        page.on("console", lambda line: self.faults.append(line.text) if line.type == "error" else None)
+        page.on("pageerror", lambda error: self.faults.append(str(error)))
+        page.on("request", lambda request: self.asked.append(request.url))
+
+    def field(self, label: str) -> Any:
+        return self.page.get_by_label(label, exact=True)
+
+    def fill(self, label: str, text: str) -> None:
+        box = self.field(label)
+        box.fill(text)
+        box.press("Enter")
 
 
 def expect(what):

@@ -23,11 +23,6 @@ from planish.core.errors import FileError, ResourceError
 
 
 @pytest.fixture
-def run(linked_run, tmp_path) -> Path:
-    return Path(shutil.copytree(linked_run, tmp_path / "run"))
-
-
-@pytest.fixture
 def path(tmp_path) -> Path:
     return tmp_path / "edits" / "journal.jsonl"
 
@@ -45,13 +40,6 @@ def test_nothing_is_written_before_the_first_change(path):
     with closing(Journal(path, subject="a", write=True)):
         assert not path.exists()
     assert not path.parent.exists()
-
-
-def test_lines_come_back(path):
-    with closing(Journal(path, subject="a", write=True)) as made:
-        made.append(b'{"do": 1}')
-        made.append(b'{"do": 2}')
-    assert Journal(path, subject="a", write=False).lines == [b'{"do": 1}', b'{"do": 2}']
 
 
 @pytest.mark.parametrize("half", [b'{"do": 3', b'{"do": 3}', b"\0" * 40])
@@ -142,15 +130,15 @@ def test_one_process_writes_and_others_read(path):
 
 
 # --- sessions ----------------------------------------------------------------------------------------------------
-def test_undo_and_redo_survive_a_new_start(run):
-    first = Session.open(run)
+def test_undo_and_redo_survive_a_new_start(made_copy):
+    first = Session.open(made_copy)
     begin = standing(first)
     change(first, do="use", id="m0-1", used=False)
     change(first, do="delete", id="m0-2")
     end = standing(first)
     first.undo()
     first.close()
-    second = Session.open(run)
+    second = Session.open(made_copy)
     assert (second.can_undo, second.can_redo, second.version) == (True, True, 3)
     second.redo()
     assert standing(second) == end
@@ -161,8 +149,8 @@ def test_undo_and_redo_survive_a_new_start(run):
     second.close()
 
 
-def test_ids_never_return(run):
-    session = Session.open(run)
+def test_ids_never_return(made_copy):
+    session = Session.open(made_copy)
     for _ in range(2):
         change(session, do="add", moving=[1, 2])
         session.undo()
@@ -172,8 +160,8 @@ def test_ids_never_return(run):
     assert ids == ["m1", "m3", "m5"]
 
 
-def test_a_change_of_what_was_changed_meanwhile_is_stale(run):
-    session = Session.open(run)
+def test_a_change_of_what_was_changed_meanwhile_is_stale(made_copy):
+    session = Session.open(made_copy)
     seen = session.version
     change(session, do="use", id="m0-1", used=False)
     with pytest.raises(Stale):
@@ -183,32 +171,36 @@ def test_a_change_of_what_was_changed_meanwhile_is_stale(run):
     session.close()
 
 
-def test_a_run_is_not_touched_by_its_session(run):
-    before = {p.relative_to(run): p.read_bytes() for p in run.rglob("*") if p.is_file()}
-    session = Session.open(run)
+def test_a_run_is_not_touched_by_its_session(made_copy):
+    before = {p.relative_to(made_copy): p.read_bytes() for p in made_copy.rglob("*") if p.is_file()}
+    session = Session.open(made_copy)
     change(session, do="use", id="m0-1", used=False)
     session.close()
-    after = {p.relative_to(run): p.read_bytes() for p in run.rglob("*") if p.is_file() and p.parent.name != "edits"}
+    after = {
+        p.relative_to(made_copy): p.read_bytes()
+        for p in made_copy.rglob("*")
+        if p.is_file() and p.parent.name != "edits"
+    }
     assert after == before
 
 
-def test_a_run_that_cannot_be_written_opens_read_only_and_says_so(run):
-    (run / "edits").write_text("a file where the folder would be")
-    session = Session.open(run)
+def test_a_run_that_cannot_be_written_opens_read_only_and_says_so(made_copy):
+    (made_copy / "edits").write_text("a file where the folder would be")
+    session = Session.open(made_copy)
     assert session.read_only
     assert "cannot be written" in session.reason
     refused(FileError, "read only", change, session, do="use", id="m0-1", used=False)
     assert session.state.of(None)[0].used
 
 
-@pytest.mark.parametrize("seed", range(10))
-def test_a_hundred_sequences_of_changes_undo_and_redo(run, seed, monkeypatch):
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.nightly) for k in range(1, 25))])
+def test_forty_sequences_of_changes_undo_and_redo(made_copy, seed, monkeypatch):
     """1000 in all, with new starts between; the slow model keeps every state that there was."""
     monkeypatch.setattr(module.os, "fsync", lambda _at: None)  # of which other tests speak
     draw = random.Random(seed)
-    session = Session.open(run)
-    for _sequence in range(100):
-        shutil.rmtree(run / "edits", ignore_errors=True)
+    session = Session.open(made_copy)
+    for _sequence in range(40):
+        shutil.rmtree(made_copy / "edits", ignore_errors=True)
         session = restarted(session)
         done, undone = [standing(session)], []
         for _ in range(draw.randrange(2, 12)):
@@ -257,13 +249,13 @@ with closing(Journal(Path(sys.argv[1]), subject="a", write=True)) as made:
 """
 
 
-@pytest.mark.parametrize("after_s", [0.05, 0.1, 0.2])
-def test_a_killed_writer_loses_at_most_the_line_in_flight(path, after_s):
+@pytest.mark.ci
+def test_a_killed_writer_loses_at_most_the_line_in_flight(path):
     path.parent.mkdir(exist_ok=True)
     writer = subprocess.Popen([sys.executable, "-c", _WRITER, str(path)], stdout=subprocess.PIPE, text=True)
     assert writer.stdout is not None
     writer.stdout.readline()
-    time.sleep(after_s)
+    time.sleep(0.1)
     writer.kill()
     answered = 1 + len(writer.stdout.read().splitlines())
     writer.wait()

@@ -13,19 +13,7 @@ from planish.core.frame import Frame
 from planish.io import read_group
 from planish.run import open_run
 
-pytestmark = pytest.mark.nightly
-
 AROUND_UM = 150.0
-
-
-@pytest.fixture
-def copied(laid_run, tmp_path):
-    return beside(laid_run, tmp_path)
-
-
-@pytest.fixture
-def shown(serve, window, copied):
-    return window(serve(copied))
 
 
 def in_volume(specimen, u, v):
@@ -48,10 +36,35 @@ def on_the_map(maps, points):
     return np.array(found)
 
 
-def test_a_hole_is_where_the_truth_has_it_and_is_clicked_predicted_and_snapped(shown, copied, specimen):
+def test_every_tab_shows_a_sheet_in_its_own_frame_where_the_truth_has_it(kinds, specimen, serve, window, tmp_path):
+    run = beside(kinds("laid"), tmp_path)
+    shown = window(serve(run))
+    hole_is_clicked_predicted_and_snapped(shown, run, specimen)
+
+    tab = Shown(shown, run)
+    assert (tab.frame.rows, tab.frame.through, tab.frame.sign) == ("z", "y", -1.0)
+    face_lies_on_the_top(tab)
+
+    shown.role("tab", "Maps").click()
+    expect(shown.page.get_by_text(re.compile("Scatter of [0-9]+ points"))).to_be_visible()
+    left = shown.field("Left layer").input_value()
+    assert (left, shown.field("Right layer").input_value()) == ("coating_bottom", RIGHT)
+    pixel = cursor_gives_the_pixel(shown, open_run(run).linked, left)
+    true = specimen.truth.sel(x=float(pixel.x), y=float(pixel.y), method="nearest")
+    place = in_volume(specimen, float(true.u), float(true.v))
+    assert [float(pixel[f"volume_{axis}"]) for axis in "xyz"] == pytest.approx(place, abs=15.0)
+
+    shown.role("tab", "Flattening").click()
+    expect(shown.role("img", "Sheet in space")).to_have_attribute("data-detail", "full")
+    expect(shown.role("application", "Flat sheet")).to_be_visible()
+    expect(shown.page.get_by_role("alert")).to_be_hidden()
+
+
+def hole_is_clicked_predicted_and_snapped(shown, run, specimen):
+    """All holes are where the truth has them; one is deleted, set again beside its place, and snapped."""
     holes = specimen.sheet.holes
-    assert Frame.of(open_run(copied).groups["surfaces"]) == Frame(through="y", top="low")
-    flat = on_the_map(read_group(copied / "maps.zarr", "maps"), in_volume(specimen, *holes.T))
+    assert Frame.of(open_run(run).groups["surfaces"]) == Frame(through="y", top="low")
+    flat = on_the_map(read_group(run / "maps.zarr", "maps"), in_volume(specimen, *holes.T))
     image = specimen.pose(holes)
     true = np.concatenate([flat, image], 1)
     before = settled(shown)
@@ -77,27 +90,3 @@ def test_a_hole_is_where_the_truth_has_it_and_is_clicked_predicted_and_snapped(s
     shown.role("button", "Snap").click()
     expect(message(shown)).to_contain_text("snapped")
     assert ends(settled(shown))[-1] == pytest.approx(at, abs=0.011)
-
-
-def test_the_maps_give_the_place_in_the_volume(shown, copied, specimen):
-    shown.role("tab", "Maps").click()
-    expect(shown.page.get_by_text(re.compile("Scatter of [0-9]+ points"))).to_be_visible()
-    left = shown.page.get_by_label("Left layer", exact=True).input_value()
-    assert (left, shown.page.get_by_label("Right layer", exact=True).input_value()) == ("coating_bottom", RIGHT)
-    pixel = cursor_gives_the_pixel(shown, open_run(copied).linked, left)
-    true = specimen.truth.sel(x=float(pixel.x), y=float(pixel.y), method="nearest")
-    place = in_volume(specimen, float(true.u), float(true.v))
-    assert [float(pixel[f"volume_{axis}"]) for axis in "xyz"] == pytest.approx(place, abs=15.0)
-
-
-def test_the_slice_shows_the_face_on_the_top_of_the_file(shown, copied):
-    tab = Shown(shown, copied)
-    assert (tab.frame.rows, tab.frame.through, tab.frame.sign) == ("z", "y", -1.0)
-    face_lies_on_the_top(tab)
-
-
-def test_the_sheet_in_space_is_opened(shown):
-    shown.role("tab", "Flattening").click()
-    expect(shown.role("img", "Sheet in space")).to_have_attribute("data-detail", "full")
-    expect(shown.role("application", "Flat sheet")).to_be_visible()
-    expect(shown.page.get_by_role("alert")).to_be_hidden()

@@ -61,7 +61,7 @@ def test_a_mark_out_of_use_is_missed_by_the_fit_to_the_others():
 
 @pytest.mark.parametrize("model", ["auto", "similarity"])
 @pytest.mark.parametrize("n", [6, 12])
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_two_errors_of_60_um_stand_first_and_are_named(model, n, seed):
     moving, fixed, draw = pairs(n, seed)
     wrong = np.sort(draw.choice(n, 2, replace=False))
@@ -73,14 +73,16 @@ def test_two_errors_of_60_um_stand_first_and_are_named(model, n, seed):
     assert "stand out" in found.message
 
 
-@pytest.mark.parametrize("n", [5, 6, 12, 30])
-def test_right_marks_are_seldom_named(n):
+@pytest.mark.parametrize(
+    ("n", "sets", "most"), [(6, 20, 1), *(pytest.param(n, 200, 7, marks=pytest.mark.nightly) for n in (5, 6, 12, 30))]
+)
+def test_right_marks_are_seldom_named(n, sets, most):
     """One in a hundred sets by its own measure: fewer than 4 % of 200 by chance in all but one of 10 000 cases."""
     named = 0
-    for seed in range(200):
+    for seed in range(sets):
         moving, fixed, _ = pairs(n, seed, error_um=4.0)
         named += bool(fits.find_outliers(moving, fixed, False, tolerance_um=25).any())
-    assert named < 8
+    assert named <= most
 
 
 def test_mirrored_marks_agree_when_the_planes_show_both_sides():
@@ -135,10 +137,11 @@ def test_a_place_is_predicted_from_the_first_pair_on(n, words, side):
     assert (error is None) == (n < 3 or not np.isfinite(error or np.nan))
 
 
-def test_a_stated_error_of_a_predicted_place_holds():
+@pytest.mark.parametrize("sets", [12, pytest.param(60, marks=pytest.mark.nightly)])
+def test_a_stated_error_of_a_predicted_place_holds(sets):
     """Its rms over many sets of marks: what is stated allows for a map that is no similarity, which this one is."""
     off, stated = [], []
-    for seed in range(60):
+    for seed in range(sets):
         moving, fixed, _ = pairs(12, seed)
         found = shown(moving, fixed).predicted("moving", (900.0, 700.0))
         assert found is not None
@@ -161,10 +164,10 @@ def followed(live: Live, layer: str) -> dict:
     return live.shown(layer)
 
 
-def test_what_is_shown_at_first_is_what_the_run_says(session):
-    layer = session.layers[0]
-    found = followed(Live(session), layer)
-    fit = session.registrations[layer].fit
+def test_what_is_shown_at_first_is_what_the_run_says(linked_session):
+    layer = linked_session.layers[0]
+    found = followed(Live(linked_session), layer)
+    fit = linked_session.registrations[layer].fit
     assert found["fit"]["rms_um"] == pytest.approx(fit.rms_um, rel=1e-12)
     assert found["fit"]["loo_rms_um"] == pytest.approx(fit.leave_one_out_rms_um, rel=1e-12)
     assert [m["residual_um"] for m in found["marks"]] == pytest.approx(np.hypot(*fit.residuals_um.T).tolist(), rel=1e-9)
@@ -172,7 +175,7 @@ def test_what_is_shown_at_first_is_what_the_run_says(session):
 
 def test_a_fit_that_follows_is_a_new_version(session):
     layer, live = session.layers[0], Live(session)
-    session.change(imported(*pairs(12, 1)[:2]))
+    session.change(imported(*pairs(6, 1)[:2]))
     followed(live, layer)
     heard: list[int] = []
     session.listen(lambda: heard.append(session.version))
@@ -198,22 +201,24 @@ def test_rough_clicks_snap_to_the_holes_they_were_meant_for(session):
 
 
 def test_a_hole_that_is_searched_around_its_mark_is_precise_and_is_moved_to_the_face_as_the_others(
-    session, monkeypatch
+    linked_session, monkeypatch
 ):
     """Holes of a laser that was not perpendicular: a single hole does not show its angle, the link's holes did."""
-    layer = session.layers[0]
-    none = {plane: holes.isel(mark=slice(0, 0)) for plane, holes in session.holes(layer).items()}
-    monkeypatch.setattr(session, "holes", lambda _layer: none)
-    marks = session.state.of(layer)
-    straight = [snap.snapped(session, layer, mark) for mark in marks]
+    layer = linked_session.layers[0]
+    none = {plane: holes.isel(mark=slice(0, 0)) for plane, holes in linked_session.holes(layer).items()}
+    monkeypatch.setattr(linked_session, "holes", lambda _layer: none)
+    marks = linked_session.state.of(layer)
+    straight = [snap.snapped(linked_session, layer, mark) for mark in marks]
     for mark, move in zip(marks, straight, strict=True):
         for end, old in ((move.moving, mark.moving), (move.fixed, mark.fixed)):
             assert np.hypot(end.x - old.x, end.y - old.y) < 2.0  # um: less than a pixel of either
             assert None not in (end.cov_xx, end.diameter)
-    facts = session.results.layer(layer).registration
+    facts = linked_session.results.layer(layer).registration
     oblique = facts.model_copy(update={"tilt": facts.tilt.model_copy(update={"to_face_um": (3.0, -2.0)})})
-    monkeypatch.setattr(type(session.results), "layer", lambda _self, _name: SimpleNamespace(registration=oblique))
-    moved = snap.snapped(session, layer, marks[0])
+    monkeypatch.setattr(
+        type(linked_session.results), "layer", lambda _self, _name: SimpleNamespace(registration=oblique)
+    )
+    moved = snap.snapped(linked_session, layer, marks[0])
     assert moved.moving.xy == pytest.approx((straight[0].moving.x + 3.0, straight[0].moving.y - 2.0))
     assert moved.fixed == straight[0].fixed
 
@@ -240,18 +245,18 @@ def test_a_click_is_answered_within_its_time(session):
         assert statistics.median(ends) < limit_s
 
 
-def test_a_search_before_the_first_snap_changes_nothing(session, monkeypatch):
+def test_a_search_before_the_first_snap_changes_nothing(linked_session, monkeypatch):
     searched = []
     find = snap.find_holes
     monkeypatch.setattr(snap, "find_holes", lambda *given, **how: searched.append(1) or find(*given, **how))
-    version = session.version
-    snap.warm(session)
+    version = linked_session.version
+    snap.warm(linked_session)
     assert len(searched) == 2
-    assert session.version == version
+    assert linked_session.version == version
 
 
 def test_messages_name_the_layers_of_two_images(session, monkeypatch):
-    assert session.where("sheet") == {"moving": "on the volume side", "fixed": "in the image"}
+    assert session.where("volume") == {"moving": "on the volume side", "fixed": "in the image"}
     kinds = {"moving": "vis", "fixed": "uv"}
     monkeypatch.setattr(type(session), "view_names", lambda *_: kinds)
     assert session.where("vis") == {"moving": "in vis", "fixed": "in uv"}

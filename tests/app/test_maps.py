@@ -104,15 +104,12 @@ def test_a_long_profile_comes_from_a_coarser_level(maps, tiles, pair, monkeypatc
     np.testing.assert_array_equal(np.array(found["lines"][0]["values"], float), coarse)
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize("posed", ["upright", "laid"])
-def test_both_ends_of_a_mark_show_one_place_of_the_volume(passes, request, tmp_path, posed):
-    files = request.getfixturevalue(posed)
-    passes("link", files.volume, files.image, *files.options, "-o", tmp_path / "run", codes=(0, 4))
-    tiles = pictures.Tiles(pictures.Pictures.of(tmp_path / "run"))
+@pytest.mark.parametrize("kind", ["upright", "laid"])
+def test_both_ends_of_a_mark_show_one_place_of_the_volume(kinds, kind):
+    run = open_run(kinds(kind))
+    tiles = pictures.Tiles(pictures.Pictures.of(run.folder))
     by = {(p.plane, p.name): p for p in tiles.pictures}
-    (marks,) = (one.marks for one in open_run(tmp_path / "run").registrations.values())
-    pairs = marks[["moving_x", "moving_y", "fixed_x", "fixed_y"]].to_dataframe().dropna()
+    pairs = run.marks[["moving_x", "moving_y", "fixed_x", "fixed_y"]].to_dataframe().dropna()
     assert len(pairs) >= 4
     for _, one in pairs.iterrows():
         on_sheet = cursor(tiles, by["moving", "thickness"], one.moving_x, one.moving_y)["volume"]

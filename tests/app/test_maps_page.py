@@ -7,9 +7,13 @@ import pytest
 
 from app.marks_page import api, drag, expect
 
-pytestmark = pytest.mark.nightly
-
 LEFT, RIGHT = "coating_top", "image"
+TAKES = {
+    "Region, um": "A region is", "Line, um": "A line is", "Left colour range": "A colour range is",
+    "Right map centre, um": "Right map centre is", "Right map, um per screen pixel": "Right map",
+    f"Brush {LEFT}": "A brush is", "Polygon, um": "A polygon is",
+}  # fmt: skip
+"""Fields, and the beginning of what each says of words that it does not take."""
 
 
 @pytest.fixture
@@ -55,27 +59,40 @@ def known(linked, region=None, names=(LEFT, RIGHT)):
     return a[both].astype(float), b[both].astype(float)
 
 
+def values_in(shown, label):
+    """The numbers in a field."""
+    return [float(word) for word in shown.field(label).input_value().split(",")]
+
+
+def valid_pixel(linked, left=LEFT):
+    """A pixel that counts."""
+    row, col = np.argwhere(linked.valid.values & np.isfinite(linked[left].values))[4000]
+    return linked.isel(y=row, x=col)
+
+
+def place_of(pixel):
+    """Its place in the volume, as the page writes it."""
+    return ", ".join(f"{axis} {float(pixel[f'volume_{axis}']):.2f}" for axis in "xyz")
+
+
 def cursor_gives_the_pixel(maps, linked, left=LEFT):
     """The place in the volume and the values of a pixel under the mouse are those of the file: that pixel."""
-    row, col = (int(n) for n in np.argwhere(linked.valid.values & np.isfinite(linked[left].values))[4000])
-    maps.go("Left map", float(linked.x[col]), float(linked.y[row]), 1.0)
+    pixel = valid_pixel(linked, left)
+    maps.go("Left map", float(pixel.x), float(pixel.y), 1.0)
     maps.page.mouse.move(*maps.middle("Left map"))
     cursor = maps.role("status", "Cursor")
-    pixel = linked.isel(y=row, x=col)
-    place = ", ".join(f"{axis} {float(pixel[f'volume_{axis}']):.2f}" for axis in "xyz")
-    expect(cursor).to_contain_text(f"volume {place} µm")
+    expect(cursor).to_contain_text(f"volume {place_of(pixel)} µm")
     for name in (left, RIGHT, "thickness", "expected_error"):
         found = re.search(rf"; {name} (\S+)", cursor.inner_text())
         assert float(found[1].rstrip(";")) == pytest.approx(float(pixel[name]), rel=1e-4)
     return pixel
 
 
-def test_cursor_brush_and_region_are_those_of_the_maps(maps, linked):
-    assert maps.page.get_by_label("Left layer", exact=True).input_value() == LEFT
-    assert maps.page.get_by_label("Right layer", exact=True).input_value() == RIGHT
+def test_cursor_brush_and_region_are_those_of_the_maps_and_a_pixel_leads_to_its_slice(maps, linked):
+    assert maps.field("Left layer").input_value() == LEFT
+    assert maps.field("Right layer").input_value() == RIGHT
     cursor_gives_the_pixel(maps, linked)
-    centres = [maps.page.get_by_label(f"{side} map centre, um", exact=True).input_value() for side in ("Left", "Right")]
-    one, other = ([float(word) for word in text.split(",")] for text in centres)
+    one, other = (values_in(maps, f"{side} map centre, um") for side in ("Left", "Right"))
     assert one == pytest.approx(other, abs=0.01)  # both maps move together
     # Values picked by the fields: painted in both maps, counted over all pixels.
     a, b = known(linked)
@@ -99,9 +116,22 @@ def test_cursor_brush_and_region_are_those_of_the_maps(maps, linked):
     assert count(said) == a.size
     assert float(re.search(r"r (-?[0-9.]+);", said)[1]) == pytest.approx(np.corrcoef(a, b)[0, 1], abs=1e-3)
     assert re.search(r"95 % interval -?0\.\d+ to -?0\.\d+; n_eff \d", said)
+    # The slice beside the maps goes to the pixel that is clicked, and the cursor to the place clicked in it.
+    pixel = valid_pixel(linked)
+    maps.click("Left map", float(pixel.x), float(pixel.y), 1.0)
+    expect(maps.role("status", "Slice position")).to_have_text(f"{place_of(pixel)} µm")
+    expect(maps.role("button", "Show slice")).to_be_enabled()
+    for name in ("Left map", "Right map", "Scatter"):
+        box = maps.role("application", name).bounding_box()
+        assert box["y"] + box["height"] <= 768, name
+    box = maps.role("img", "Slice").bounding_box()
+    assert box["y"] + box["height"] <= 768, "maps, scatter and slice stand on one screen"
+    before = maps.role("status", "Cursor").inner_text()
+    maps.page.mouse.click(box["x"] + 0.6 * box["width"], box["y"] + 0.5 * box["height"])
+    expect(maps.role("status", "Cursor")).not_to_have_text(before)
 
 
-def test_a_rectangle_in_the_scatter_fills_the_brushes(maps, linked):
+def test_a_rectangle_in_the_scatter_fills_the_brushes_and_no_tile_is_asked_for_twice(maps, linked):
     scatter = maps.role("application", "Scatter")
     scatter.scroll_into_view_if_needed()
     box = scatter.bounding_box()
@@ -109,48 +139,41 @@ def test_a_rectangle_in_the_scatter_fills_the_brushes(maps, linked):
     drag(maps.page, *at)  # moves the points
     expect(maps.role("status", "Selection")).to_have_text("n 0: nothing is selected.")
     scatter.press("0")
-    drag(maps.page, *at, key="Shift")
-    said = selection(maps, r"^n \d+;")
-    limits = [maps.page.get_by_label(f"Brush {n}", exact=True).input_value() for n in (LEFT, RIGHT)]
-    (a0, a1), (b0, b1) = ([float(v) for v in text.split(", ")] for text in limits)
-    a, b = known(linked)
-    assert count(said) == np.count_nonzero((a >= a0) & (a <= a1) & (b >= b0) & (b <= b1)) > 0
-    scatter.focus()
-    maps.page.keyboard.press("Escape")
-    expect(maps.role("status", "Selection")).to_have_text("n 0: nothing is selected.")
-
-
-def test_colours_and_brushes_ask_the_server_for_no_tile_twice(maps):
     expect(maps.page.get_by_role("img", name=re.compile("^Histogram of image"))).to_be_visible()
     asked = []
     maps.page.on("request", lambda request: asked.append(request.url) if "/api/tiles/" in request.url else None)
+    drag(maps.page, *at, key="Shift")
+    said = selection(maps, r"^n \d+;")
+    (a0, a1), (b0, b1) = (values_in(maps, f"Brush {n}") for n in (LEFT, RIGHT))
+    a, b = known(linked)
+    assert count(said) == np.count_nonzero((a >= a0) & (a <= a1) & (b >= b0) & (b <= b1)) > 0
     maps.fill("Left colour range", "5, 30")
-    maps.page.get_by_label("Left colours", exact=True).select_option("magma")
-    maps.fill(f"Brush {LEFT}", "10, 20")
-    selection(maps, r"^n \d+;")
+    maps.field("Left colours").select_option("magma")
     maps.fill(f"Brush {LEFT}", "12, 20")
     selection(maps, r"^n \d+;")
     shown = [url.rpartition("/api/")[2] for url in asked]
     assert len(shown) == len(set(shown))
     (mask,) = (p["id"] for p in api(maps, "session")["pictures"] if (p["plane"], p["name"]) == ("fixed", "valid"))
     assert {path.split("/")[1] for path in shown} <= {mask}  # which no map has shown before
+    scatter.focus()
+    maps.page.keyboard.press("Escape")
+    expect(maps.role("status", "Selection")).to_have_text("n 0: nothing is selected.")
 
 
-def test_layers_profile_blend_and_masks(maps):
-    maps.page.get_by_label("Left layer", exact=True).select_option("thickness")
-    expect(maps.page.get_by_role("img", name=re.compile("^Histogram of thickness: n [0-9]+"))).to_be_visible()
-    expect(maps.page.get_by_label("Brush thickness", exact=True)).to_be_visible()
-    maps.fill("Line, um", "100, 100, 700, 500")
-    expect(maps.page.get_by_role("img", name="Profile over 721.11 um of thickness and image")).to_be_visible()
-    maps.page.get_by_label("Only valid pixels", exact=True).check()
-    maps.page.get_by_label("Layout", exact=True).select_option("Blended")
-    expect(maps.role("application", "Right map")).to_be_hidden()
-    maps.page.get_by_label("Share of the right layer", exact=True).fill("0.8")
-    maps.page.get_by_label("Layout", exact=True).select_option("Side by side")
-    expect(maps.role("application", "Right map")).to_be_visible()
+def test_regions_lines_and_artefacts_are_drawn_typed_shown_and_undone_and_a_field_says_what_it_takes(maps):
+    for name, field in (("Draw region", "Region, um"), ("Draw line", "Line, um")):
+        maps.role("button", name).click()
+        clicked(maps, (-60, -30), (50, 40))
+        expect(maps.field(field)).to_have_value(re.compile(r"^(-?[\d.]+, ){3}-?[\d.]+$"))
+    (pixel,) = values_in(maps, "Left map, um per screen pixel")
+    x0, y0, x1, y1 = values_in(maps, "Region, um")
+    assert (x1 - x0, y1 - y0) == pytest.approx((110 * pixel, 70 * pixel), abs=0.2 * pixel)
+    expect(maps.page.get_by_role("img", name=re.compile("^Profile over"))).to_be_visible()
+    maps.role("button", "Draw line").click()
+    maps.role("application", "Left map").press("Escape")  # leaves drawing
+    maps.page.mouse.click(*maps.middle("Left map"))
+    expect(maps.role("button", "Show slice")).to_be_enabled()  # the click took a place again
 
-
-def test_an_artefact_is_declared_by_keys_and_by_drawing_and_undone(maps):
     maps.fill("Artefact: Author", "R. Hirn")
     maps.fill("Artefact: Reason", "a <b>stain</b>")
     maps.fill("Polygon, um", "100, 100; 300, 100; 200, 250")
@@ -158,14 +181,8 @@ def test_an_artefact_is_declared_by_keys_and_by_drawing_and_undone(maps):
     artefacts = maps.role("list", "Declared artefacts")
     expect(artefacts).to_contain_text("a <b>stain</b>, by R. Hirn")  # inert
     maps.role("button", "Draw polygon").click()
-    left = maps.role("application", "Left map")
-    left.scroll_into_view_if_needed()
-    x, y = maps.middle("Left map")
-    for dx, dy in ((-40, -40), (40, -40), (0, 40)):
-        maps.page.mouse.click(x + dx, y + dy)
-        maps.page.wait_for_timeout(300)  # two clicks at once would be a double click
-    maps.page.mouse.click(x - 40, y - 38)  # the first corner
-    expect(maps.page.get_by_label("Polygon, um", exact=True)).to_have_value(re.compile(r"(-?[\d.]+, -?[\d.]+; ){2,}"))
+    clicked(maps, (-40, -40), (40, -40), (0, 40), (-40, -38))  # the last one is the first corner
+    expect(maps.field("Polygon, um")).to_have_value(re.compile(r"(-?[\d.]+, -?[\d.]+; ){2,}"))
     maps.role("button", "Declare artefact").click()
     expect(maps.role("status", "Message")).to_contain_text("Give it an author and a reason")
     maps.fill("Artefact: Reason", "a second one")
@@ -174,47 +191,32 @@ def test_an_artefact_is_declared_by_keys_and_by_drawing_and_undone(maps):
     maps.role("button", "Undo").click()
     expect(artefacts.get_by_role("listitem")).to_have_count(1)
 
+    for field, needed in TAKES.items():
+        box = maps.field(field)
+        box.fill("-1" if box.get_attribute("type") == "number" else "one, two")
+        box.press("Enter")
+        if field.startswith("Polygon"):
+            maps.role("button", "Declare artefact").click()
+        expect(maps.role("status", "Message")).to_contain_text(needed)
+        expect(box).to_have_attribute("aria-invalid", "true")
 
-def test_a_region_and_a_line_are_drawn_with_the_mouse_and_escape_leaves_drawing(maps):
-    for name, field in (("Draw region", "Region, um"), ("Draw line", "Line, um")):
-        maps.role("button", name).click()
-        x, y = maps.middle("Left map")
-        for dx, dy in ((-60, -30), (50, 40)):
-            maps.page.mouse.click(x + dx, y + dy)
-            maps.page.wait_for_timeout(300)  # two clicks at once would be a double click
-        expect(maps.page.get_by_label(field, exact=True)).to_have_value(re.compile(r"^(-?[\d.]+, ){3}-?[\d.]+$"))
-    pixel = float(maps.page.get_by_label("Left map, um per screen pixel", exact=True).input_value())
-    x0, y0, x1, y1 = map(float, maps.page.get_by_label("Region, um", exact=True).input_value().split(","))
-    assert (x1 - x0, y1 - y0) == pytest.approx((110 * pixel, 70 * pixel), abs=0.2 * pixel)
-    expect(maps.page.get_by_role("img", name=re.compile("^Profile over"))).to_be_visible()
-    maps.role("button", "Draw line").click()
-    maps.role("application", "Left map").press("Escape")
-    maps.page.mouse.click(*maps.middle("Left map"))
-    expect(maps.role("button", "Show slice")).to_be_enabled()  # the click took a place again
-
-
-@pytest.mark.parametrize(
-    ("field", "needed"),
-    [
-        ("Region, um", "A region is"), ("Line, um", "A line is"), ("Left colour range", "A colour range is"),
-        ("Right map centre, um", "Right map centre is"), ("Right map, um per screen pixel", "Right map"),
-        (f"Brush {LEFT}", "A brush is"), ("Polygon, um", "A polygon is"),
-    ],
-)  # fmt: skip
-def test_a_field_says_what_it_takes(maps, field, needed):
-    box = maps.page.get_by_label(field, exact=True)
-    box.fill("-1" if box.get_attribute("type") == "number" else "one, two")
-    box.press("Enter")
-    if field.startswith("Polygon"):
-        maps.role("button", "Declare artefact").click()
-    expect(maps.role("status", "Message")).to_contain_text(needed)
-    expect(box).to_have_attribute("aria-invalid", "true")
+    maps.field("Left layer").select_option("thickness")
+    expect(maps.page.get_by_role("img", name=re.compile("^Histogram of thickness: n [0-9]+"))).to_be_visible()
+    expect(maps.field("Brush thickness")).to_be_visible()
+    maps.fill("Line, um", "100, 100, 700, 500")
+    expect(maps.page.get_by_role("img", name="Profile over 721.11 um of thickness and image")).to_be_visible()
+    maps.field("Only valid pixels").check()
+    maps.field("Layout").select_option("Blended")
+    expect(maps.role("application", "Right map")).to_be_hidden()
+    maps.field("Share of the right layer").fill("0.8")
+    maps.field("Layout").select_option("Side by side")
+    expect(maps.role("application", "Right map")).to_be_visible()
 
 
-def test_a_pixel_leads_to_its_slice(maps, linked):
-    row, col = (int(n) for n in np.argwhere(linked.valid.values & np.isfinite(linked[LEFT].values))[4000])
-    maps.click("Left map", float(linked.x[col]), float(linked.y[row]), 1.0)
-    pixel = linked.isel(y=row, x=col)
-    place = ", ".join(f"{axis} {float(pixel[f'volume_{axis}']):.2f}" for axis in "xyz")
-    expect(maps.role("status", "Slice position")).to_have_text(f"{place} µm")
-    expect(maps.role("button", "Show slice")).to_be_enabled()
+def clicked(maps, *places):
+    """Click places by their distance from the middle of the left map, on the screen."""
+    maps.role("application", "Left map").scroll_into_view_if_needed()
+    x, y = maps.middle("Left map")
+    for dx, dy in places:
+        maps.page.mouse.click(x + dx, y + dy)
+        maps.page.wait_for_timeout(300)  # two clicks at once would be a double click

@@ -2,12 +2,11 @@
 
 import json
 import re
+import shutil
 
 import pytest
 
 from app.marks_page import IMAGE, VOLUME, ends, expect, message, settled
-
-pytestmark = pytest.mark.nightly
 
 APPLY_MS = 180_000
 """Apply computes a run: it may take a minute on a loaded machine."""
@@ -94,13 +93,13 @@ def accessible(shown, *, controls):
     assert [one["what"] for one in found if not one["seen"]] == []
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("scheme", ["light", pytest.param("dark", marks=pytest.mark.nightly)])
 def test_names_roles_contrast_and_focus(served, window, scheme):
     shown = window(served, color_scheme=scheme)
     rows = settled(shown)
     shown.role("button", rows[0][0]).click()
-    shown.page.get_by_label(f"Use {rows[1][0]}", exact=True).uncheck()
-    shown.page.get_by_label("View", exact=True).select_option("blend")
+    shown.field(f"Use {rows[1][0]}").uncheck()
+    shown.field("View").select_option("blend")
     accessible(shown, controls=50)
     for tab, ready in TABS.items():
         shown.role("tab", tab).click()
@@ -109,6 +108,7 @@ def test_names_roles_contrast_and_focus(served, window, scheme):
         accessible(shown, controls=10)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("width", "height"), [(390, 844), (683, 384), (1366, 768)], ids=["390", "200 %", "1366"])
 def test_every_tab_fits_small_windows_which_scroll_one_way_only(served, window, width, height):
     shown = window(served, width=width, height=height)
@@ -135,8 +135,10 @@ def test_every_tab_fits_small_windows_which_scroll_one_way_only(served, window, 
         assert shown.page.evaluate("document.documentElement.scrollWidth") <= width, tab
 
 
-def test_a_mark_is_corrected_and_applied_by_keys_alone(serve, window, run_copy):
-    shown = window(serve(run_copy))
+def test_a_mark_is_corrected_by_keys_alone_a_cancelled_run_leaves_nothing_and_the_next_one_shows_its_report(
+    served, window
+):
+    shown = window(served)
     before = settled(shown)
     press = shown.page.keyboard.press
 
@@ -156,32 +158,19 @@ def test_a_mark_is_corrected_and_applied_by_keys_alone(serve, window, run_copy):
     assert ends(shown.rows())[0, 2] > ends(before)[0, 2]
     tab_to("button", "Apply", "Shift+Tab")
     press("Enter")
-    link = shown.page.get_by_role("link", name=re.compile("report"))
-    expect(link).to_be_visible(timeout=APPLY_MS)
-    made = run_copy.with_name("run-2")
-    assert json.loads((made / "marks.json").read_text())
-    tab_to("link", link.inner_text(), "Shift+Tab")
-
-
-def test_enter_sets_a_pair_at_the_crosses(served, window):
-    shown = window(served)
-    settled(shown)
-    for view, at in ((VOLUME, (220.0, 260.0)), (IMAGE, (410.0, 380.0))):
-        shown.go(view, *at)
-        shown.role("application", view).press("Enter")
-        expect(message(shown)).to_contain_text(view)
-    expect(shown.role("table", "Marks").get_by_role("row")).to_have_count(7)
-    assert ends(shown.rows())[-1] == pytest.approx([220, 260, 410, 380], abs=0.011)
-
-
-def test_cancel_leaves_nothing(serve, window, run_copy):
-    shown = window(serve(run_copy))
-    rows = settled(shown)
-    shown.page.get_by_label(f"Use {rows[0][0]}", exact=True).uncheck()
-    expect(message(shown)).to_contain_text("Saved")
-    shown.role("button", "Apply").click()
     expect(shown.page.get_by_role("progressbar")).to_be_visible()
     shown.role("button", "Cancel").click()
     expect(message(shown)).to_contain_text("cancelled")
+    assert [path.name for path in served.run.parent.iterdir()] == [served.run.name]
     expect(shown.role("button", "Apply")).to_be_enabled()
-    assert [path.name for path in run_copy.parent.iterdir()] == ["run"]
+    shown.role("button", "Apply").press("Enter")
+    link = shown.page.get_by_role("link", name=re.compile("report"))
+    expect(link).to_be_visible(timeout=APPLY_MS)
+    made = served.run.with_name("run-2")
+    assert json.loads((made / "marks.json").read_text())
+    tab_to("link", link.inner_text(), "Shift+Tab")
+    with shown.page.context.expect_page() as report:
+        press("Enter")
+    expect(report.value.locator("h1")).to_be_visible()
+    expect(shown.page.get_by_text("This page still shows the run before.")).to_be_visible()
+    shutil.rmtree(made)

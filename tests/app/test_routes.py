@@ -1,4 +1,4 @@
-"""What the routes of the marks answer, on a link and on the maps of a link that was refused."""
+"""What the routes of the marks answer."""
 
 import asyncio
 import base64
@@ -8,11 +8,10 @@ import zipfile
 
 import numpy as np
 import pytest
-import tifffile
 
 from app.asgi import HOST, TOKEN, Client, run_apart
 from planish.app import Session, create_app, marks_routes
-from planish.core.errors import FileError, SizeError
+from planish.core.errors import FileError
 from planish.io import ImageParams
 from planish.run import open_run
 
@@ -119,34 +118,6 @@ def test_every_window_hears_of_a_change(client, session):
     assert [line["version"] for line in run_apart(listen())] == [first, first + 1, first + 1]
 
 
-# --- the maps of a link that was refused -------------------------------------------------------------------------
-@pytest.mark.nightly
-def test_marks_of_a_refused_link_are_set_by_hand(refused, linked_run, tmp_path):
-    maps, image = refused
-    pairs = open_run(linked_run).marks
-    pixel = float(np.diff(open_run(linked_run).linked.x.values)[0])
-    with pytest.raises(FileError, match=r"planish view .* IMAGE"):
-        Session.open(maps)
-    session = Session.open(maps, ImageParams(path=str(image), pixel_um=(pixel, pixel)))
-    client = served(session)
-    found = client.get("/api/session").json()
-    assert (len(found["holes"]["fixed"]), client.get("/api/state").json()["marks"]) == (2, [])
-    moving, fixed = (np.stack([pairs[f"{s}_x"].values, pairs[f"{s}_y"].values], 1) for s in ("moving", "fixed"))
-    for a, b in zip(moving.tolist(), fixed.tolist(), strict=True):
-        if np.isfinite([*a, *b]).all():
-            state = client.post("/api/change", {"change": {"do": "add", "moving": a, "fixed": b}}).json()
-    assert state["fit"]["rms_um"] < 5
-    client.app.state.applying.close()
-    session.close()
-    again = Session.open(maps, ImageParams(path=str(image), pixel_um=(pixel, pixel)))
-    assert len(again.state.of(None)) == len(state["marks"])
-    again.close()
-    bare = tmp_path / "bare.tif"
-    tifffile.imwrite(bare, tifffile.imread(image))  # states no size
-    with pytest.raises(SizeError, match="pixel_um="):
-        _ = Session.open(maps, ImageParams(path=str(bare)), read_only=True).image
-
-
-def test_a_link_takes_no_other_image(linked_run, tmp_path):
+def test_a_link_takes_no_other_image(made_run, tmp_path):
     with pytest.raises(FileError, match="already"):
-        Session.open(linked_run, ImageParams(path=str(tmp_path / "image.tif")))
+        Session.open(made_run, ImageParams(path=str(tmp_path / "image.tif")))

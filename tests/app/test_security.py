@@ -1,12 +1,7 @@
 """What the server lets in: its own page and nobody else's."""
 
 import itertools
-import json
-import os
 import shutil
-import subprocess
-import sys
-import urllib.request
 from pathlib import Path
 
 import pytest
@@ -28,9 +23,9 @@ WRITES: dict[str, object] = {
 
 
 @pytest.fixture(scope="module")
-def session(linked_run, tmp_path_factory):
+def session(made_run, tmp_path_factory):
     """Shared: what is refused changes nothing, and other tests do not mind."""
-    found = Session.open(Path(shutil.copytree(linked_run, tmp_path_factory.mktemp("security") / "run")))
+    found = Session.open(Path(shutil.copytree(made_run, tmp_path_factory.mktemp("security") / "run")))
     yield found
     found.close()
 
@@ -194,9 +189,9 @@ def test_a_fault_of_ours_says_no_more_than_its_kind(client, session, monkeypatch
 
 
 # --- the program -------------------------------------------------------------------------------------------------
-def test_another_address_is_served_only_when_it_is_meant(linked_run, planish):
+def test_another_address_is_served_only_when_it_is_meant(made_run, planish):
     for host in ("0.0.0.0", "192.0.2.1"):
-        code, _, err = planish("view", linked_run, "--no-browser", "--host", host)
+        code, _, err = planish("view", made_run, "--no-browser", "--host", host)
         assert (code, "--expose" in err) == (2, True)
 
 
@@ -205,31 +200,20 @@ def test_a_second_server_on_a_run_is_refused(session, planish):
     assert (code, "--read-only" in err) == (3, True)
 
 
-@pytest.mark.nightly
-def test_the_token_stands_in_no_file_and_no_log(linked_run, tmp_path):
-    run = Path(shutil.copytree(linked_run, tmp_path / "run"))
-    command = [sys.executable, "-m", "planish", "view", str(run), "--json", "--no-browser"]
+@pytest.mark.ci
+def test_an_exposed_server_says_what_it_exposes_and_its_token_stands_in_no_file_and_no_log(
+    serve, made_copy, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
     log = tmp_path / "log.txt"
     with log.open("w") as errors:
-        server = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=errors, text=True, env=os.environ | {"TMPDIR": str(tmp_path)}
-        )
-        assert server.stdout is not None
-        try:
-            first = json.loads(server.stdout.readline())
-            assert first["run"] == str(run)
-            assert first["read_only"] is False
-            address, _, token = first["url"].partition("/#token=")
-            body = json.dumps(WRITES["/api/change"]).encode()
-            headers = {"authorization": f"Bearer {token}", "origin": address, "content-type": "application/json"}
-            asked = urllib.request.Request(f"{address}/api/change", body, headers)
-            with urllib.request.urlopen(asked, timeout=60) as answer:
-                assert json.loads(answer.read())["marks"][0]["used"] is False
-        finally:
-            server.terminate()
-            server.wait(timeout=60)
-            rest = server.stdout.read()
-            server.stdout.close()
-    assert token not in rest + log.read_text()
+        server = serve(made_copy, "--host", "0.0.0.0", "--expose", stderr=errors)
+    assert server.ask("change", body=WRITES["/api/change"])["marks"][0]["used"] is False
+    server.process.terminate()
+    rest, _ = server.process.communicate(timeout=60)
+    said = log.read_text()
+    for part in ("exposed on 0.0.0.0", "token included", "maps and marks", "can change them", "nothing is encrypted"):
+        assert part in said
+    assert server.token not in rest + said
     for file in (p for p in tmp_path.rglob("*") if p.is_file()):
-        assert token.encode() not in file.read_bytes(), file
+        assert server.token.encode() not in file.read_bytes(), file

@@ -10,26 +10,15 @@ import tifffile
 from scipy import ndimage
 
 from planish.app import changes, slices, view_routes
-from planish.cli import main
 from planish.core.errors import InputError
 from planish.core.frame import Frame
 from planish.run import changed, open_run, read_study, run_study
 from planish.surface import Corrections, correct_surfaces
 
 
-@pytest.fixture(scope="module")
-def laid_run(laid, tmp_path_factory):
-    """The map of a sheet that lies through y, with its top at the low end."""
-    out = tmp_path_factory.mktemp("laid-map") / "run"
-    with pytest.raises(SystemExit) as ended:
-        main(["map", str(laid.volume), "--through", "y", "--top", "low", "--out", str(out)])
-    assert ended.value.code in (0, 4)
-    return out
-
-
 @pytest.fixture(params=["upright", "laid"])
-def folder(request) -> Path:
-    return request.getfixturevalue("linked_run" if request.param == "upright" else "laid_run")
+def folder(kinds, request) -> Path:
+    return kinds(request.param)
 
 
 def opened(folder: Path) -> slices.SlicedSheet:
@@ -159,7 +148,6 @@ def stretch_in(surfaces, *, off_um=12.0):
     return int(row), changes.Correct(id="c1", points=tuple(points), reach_um=40.0)
 
 
-@pytest.mark.nightly
 def test_what_is_tried_shows_what_apply_makes(folder):
     sheet, surfaces = opened(folder), open_run(folder).groups["surfaces"]
     row, correction = stretch_in(surfaces)
@@ -172,10 +160,9 @@ def test_what_is_tried_shows_what_apply_makes(folder):
     np.testing.assert_array_equal(lines["top"], surfaces["top"].values[row].astype(np.float32))
 
 
-@pytest.mark.nightly
 def test_corrections_become_a_file_of_the_new_run_and_come_back(linked_run, tmp_path):
     study, surfaces = read_study(linked_run / "run.toml"), open_run(linked_run).groups["surfaces"]
-    _, correction = stretch_in(surfaces)
+    row, correction = stretch_in(surfaces)
     state = changes.State(marks={}, corrections=(correction,))
     ((name, made),) = changes.changed_corrections(study, (), state.corrections).items()
     file = tmp_path / "made.json"
@@ -188,6 +175,12 @@ def test_corrections_become_a_file_of_the_new_run_and_come_back(linked_run, tmp_
     file.unlink()
     new = read_study(tmp_path / "new" / "run.toml")
     assert Path(str(new.layers[0].surface.corrections)) == tmp_path / "new" / "edits" / "surface.json"
+    corrected = open_run(tmp_path / "new").groups["surfaces"]
+    drawn = corrected["correction_top"].values > 0
+    assert drawn[row].any()
+    assert corrected["bottom"].equals(surfaces["bottom"])
+    old, top = (one["top"].values[~drawn] for one in (surfaces, corrected))
+    assert (top == old)[np.isfinite(old)].all()
     (back,) = changes.corrections_of(new)
     assert (back.points, back.reach_um) == (correction.points, correction.reach_um)
     assert changes.changed_corrections(new, (back,), (back,)) == {}

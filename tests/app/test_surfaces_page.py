@@ -9,8 +9,6 @@ from app.marks_page import expect
 from planish.core.frame import Frame
 from planish.run import open_run
 
-pytestmark = pytest.mark.nightly
-
 TOP, PREVIEW = (255, 176, 0), (125, 255, 106)
 _COLOUR = """(canvas, [x, colour]) => {
   const ratio = canvas.width / canvas.clientWidth;
@@ -73,19 +71,8 @@ class Shown:
 
 
 @pytest.fixture
-def shown(serve, window, run_copy):
-    return Shown(window(serve(run_copy)), run_copy)
-
-
-def test_every_direction_shows_its_slice_with_the_face_on_the_top_of_the_file(shown):
-    face_lies_on_the_top(shown)
-    for direction in ("z", "y", "x", "straight"):
-        shown.page.get_by_label("Direction", exact=True).select_option(direction)
-        shown.page.wait_for_timeout(1000)
-        place = shown.at(300, 200)
-        assert all(np.isfinite(list(place.values())))
-        pixels = "c => c.getContext('2d').getImageData(0, 0, c.width, c.height).data"
-        assert shown.canvas.evaluate(f"{pixels}.some(v => v > 60)")
+def shown(served, window):
+    return Shown(window(served), served.run)
 
 
 def face_lies_on_the_top(shown):
@@ -113,7 +100,10 @@ def points_above(shown):
     return middle
 
 
-def test_six_clicks_are_seen_before_they_are_applied_saved_and_undone(shown):
+def test_slices_show_the_face_and_points_by_clicks_or_keys_are_seen_before_they_are_a_correction_saved_and_undone(
+    shown,
+):
+    face_lies_on_the_top(shown)
     middle = points_above(shown)
     expect(shown.page.get_by_text("6 points, the last at")).to_be_visible()
     for _ in range(80):
@@ -122,7 +112,7 @@ def test_six_clicks_are_seen_before_they_are_applied_saved_and_undone(shown):
         shown.page.wait_for_timeout(250)
     assert shown.rows_of(middle, PREVIEW).size
     shown.window.role("button", "Correct").click()
-    listed = shown.page.get_by_label("Corrections", exact=True)
+    listed = shown.window.field("Corrections")
     expect(listed).to_contain_text("6 points on the top face, reach 60 µm")
     expect(shown.window.role("status", "Message")).to_contain_text("aved")
     shown.window.role("button", "Undo").click()
@@ -130,39 +120,57 @@ def test_six_clicks_are_seen_before_they_are_applied_saved_and_undone(shown):
     shown.window.role("button", "Redo").click()
     expect(listed).to_contain_text("6 points")
     shown.page.reload()
-    shown.window.role("tab", "Surfaces").click()
-    expect(shown.page.get_by_label("Corrections", exact=True)).to_contain_text("6 points on the top face")
+    shown = Shown(shown.window, shown.run)
+    expect(listed).to_contain_text("6 points on the top face")
+    shown.window.role("button", "Undo").click()
+    expect(listed).to_be_empty()
 
-
-def test_a_correction_is_made_by_keys_alone(shown):
+    # By keys alone.
     shown.canvas.focus()
     for key in ("ArrowUp", "Shift+ArrowLeft", "Enter", "ArrowRight", "Enter", "Enter", "Backspace"):
         shown.page.keyboard.press(key)
     expect(shown.page.get_by_text("2 points, the last at")).to_be_visible()
-    before = shown.page.get_by_label("Slice at, um", exact=True).input_value()
+    before = shown.window.field("Slice at, um").input_value()
     shown.page.keyboard.press("PageDown")
-    assert shown.page.get_by_label("Slice at, um", exact=True).input_value() != before
+    assert shown.window.field("Slice at, um").input_value() != before
     shown.window.fill("Point, um", "300, 300, 150")
     expect(shown.page.get_by_text("3 points, the last at x, y, z = 300.00, 300.00, 150.00 µm")).to_be_visible()
     shown.window.role("button", "Correct").press("Enter")
-    expect(shown.page.get_by_label("Corrections", exact=True)).to_contain_text("3 points")
+    expect(listed).to_contain_text("3 points")
+
+    far_click_is_asked_about(Shown(shown.window, shown.run))
+    for direction in ("z", "y", "x", "straight"):
+        shown.window.field("Direction").select_option(direction)
+        shown.page.wait_for_timeout(1000)
+        place = shown.at(300, 200)
+        assert all(np.isfinite(list(place.values())))
+        pixels = "c => c.getContext('2d').getImageData(0, 0, c.width, c.height).data"
+        assert shown.canvas.evaluate(f"{pixels}.some(v => v > 60)")
 
 
-def test_apply_makes_a_run_with_the_corrected_face(shown):
-    points_above(shown)
-    shown.page.wait_for_timeout(500)
-    shown.window.role("button", "Correct").click()
-    expect(shown.page.get_by_label("Corrections", exact=True)).to_contain_text("6 points")
-    shown.window.role("button", "Apply").click()
-    new = shown.run.with_name("run-2")
-    for _ in range(240):
-        if new.is_dir():
-            break
-        shown.page.wait_for_timeout(500)
-    corrected = open_run(new).groups["surfaces"]
-    drawn = corrected["correction_top"].values > 0
-    assert drawn[shown.row].any()
-    assert (new / "edits" / "surface.json").is_file()
-    assert corrected["bottom"].equals(shown.surfaces["bottom"])
-    old, top = (surfaces["top"].values[~drawn] for surfaces in (shown.surfaces, corrected))
-    assert (top == old)[np.isfinite(old)].all()
+MISSES = """async () => {
+  const { Corrections } = await import("/corrections.js");
+  const app = { state: { corrections: [] } }, sheet = { axes: { y: { step_um: 1 } } };
+  const made = new Corrections(app, { sheet: () => sheet });
+  made.draft = [{ x: 5, y: 0, z: 50, face: "top" }];
+  const facts = { across: { name: "x" }, down: { name: "z", step_um: 1 }, normal: "y", at_um: 0 };
+  return [30, 49].map((height) => {
+    made.compare({ facts, at: () => height });
+    return made.off.textContent;
+  });
+}"""
+"""What is said of a point that the tried face misses by 20 um, and by 1 um."""
+
+
+def far_click_is_asked_about(shown):
+    """A click far off a face, and by how much the tried face misses a point."""
+    expect(shown.page.get_by_role("img", name=re.compile("^Histogram of grey: n"))).to_be_visible()
+    box = shown.canvas.bounding_box()
+    for answer, points in (("Leave it out", 0), ("Set it", 1)):
+        shown.page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.16 * box["height"])
+        expect(shown.page.get_by_text(re.compile(r"lies \d+ µm from the top face"))).to_be_visible()
+        shown.window.role("button", answer).click()
+        expect(shown.page.get_by_text(re.compile("1 point, the last at"))).to_have_count(points)
+    far, near = shown.page.evaluate(MISSES)
+    assert "misses a point by 20.0 µm" in far
+    assert near == ""

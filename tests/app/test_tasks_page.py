@@ -48,7 +48,7 @@ class Person:
 
     def choose(self, label: str, words: str) -> None:
         self.actions += 1
-        self.shown.page.get_by_label(label, exact=True).select_option(label=words)
+        self.shown.field(label).select_option(label=words)
 
     def write(self, label: str, words: str) -> None:
         self.actions += 1
@@ -92,12 +92,10 @@ def two_images(run, _linked) -> tuple[Any, ...]:
     return ("white", "uv"), maps, ("white/image", "uv/image"), ("white: Relative grey", "uv: Relative grey")
 
 
-@pytest.fixture(
-    scope="module", params=[("linked_run", sheet_and_image), ("images_run", two_images)], ids=["sheet", "images"]
-)
-def case(request, linked, tmp_path_factory) -> Generator[Case]:
+@pytest.fixture(scope="module", params=[("upright", sheet_and_image), ("images", two_images)], ids=["sheet", "images"])
+def case(request, kinds, linked, tmp_path_factory) -> Generator[Case]:
     name, facts_of = request.param
-    run = beside(request.getfixturevalue(name), tmp_path_factory.mktemp("case"))
+    run = beside(kinds(name), tmp_path_factory.mktemp("case"))
     server = start(run)
     yield Case(server, *facts_of(run, linked))
     server.end()
@@ -154,7 +152,7 @@ def test_r_of_a_region_and_its_interval(person):
     box, scatter = said.bounding_box(), person.shown.role("application", "Scatter").bounding_box()
     assert box["y"] + box["height"] <= person.shown.page.viewport_size["height"]
     assert abs(box["x"] - scatter["x"]) < 2
-    region = [float(v) for v in person.shown.page.get_by_label("Region, um", exact=True).input_value().split(",")]
+    region = [float(v) for v in person.shown.field("Region, um").input_value().split(",")]
     a, b = known(person.case.maps, region, person.case.layers)
     assert int(re.match(r"n (\d+)", words)[1]) == pytest.approx(a.size, rel=0.02)
     assert float(re.search(r"r (-?[0-9.]+);", words)[1]) == pytest.approx(np.corrcoef(a, b)[0, 1], abs=0.02)

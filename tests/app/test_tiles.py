@@ -11,9 +11,9 @@ from planish.app import order as orders
 
 
 @pytest.fixture
-def tiled(run_copy):
-    """The small run, its pairs tiles as a link by texture gives them; the last one stays a hole."""
-    path = run_copy / "marks.json"
+def tiled(made_copy):
+    """The made run, its pairs tiles as a link by texture gives them; the last one stays a hole."""
+    path = made_copy / "marks.json"
     file = json.loads(path.read_text())
     pairs = [mark for mark in file["marks"] if len(mark["at"]) == 2]
     for mark in pairs[:-1]:
@@ -21,7 +21,7 @@ def tiled(run_copy):
             known = {name: end[name] for name in ("x", "y", "covariance_um2") if name in end}
             mark["at"][plane] = known | {"source": "tile"}
     path.write_text(json.dumps(file | {"marks": pairs}))
-    return run_copy
+    return made_copy
 
 
 @pytest.fixture
@@ -63,6 +63,6 @@ def test_apply_writes_tiles_without_a_diameter_and_forgets_those_that_were_delet
 
 
 @pytest.mark.nightly
-def test_the_page_says_what_tiles_are(serve, window, tiled):
-    shown = window(serve(tiled))
+def test_the_page_says_what_tiles_are(serve, window, kinds):
+    shown = window(serve(kinds("no-holes"), "--read-only"))
     expect(shown.page.get_by_text("Tiles are pieces of the map's texture")).to_be_visible()

@@ -12,6 +12,7 @@ import numpy as np
 from planish.io import write_tree
 from planish.results import Results
 
+HOSTILE = '</script><script>alert(1)</script><img src=x onerror="alert(2)">"\'&'
 VOID = {"meta", "link", "img", "br", "input"}
 STUDY = '[[layers]]\nname = "volume"\n\n[layers.volume]\npath = "{name}"\n'
 
@@ -32,6 +33,19 @@ def put(folder: Path, run: dict[str, Any], *, volume: str = "sheet.tif") -> Path
     (folder / "results.json").write_text(Results.model_validate(run["results"]).to_json(), encoding="utf-8")
     write_tree(folder / "maps.zarr", groups)
     return folder
+
+
+def codes_of(text: str, shape: tuple[int, int], bits: int, order: int) -> np.ndarray:
+    """Codes of a packed map, its differences summed up again: the slow counterpart of the script."""
+    raw, size = zlib.decompress(base64.b64decode(text)), shape[0] * shape[1]
+    differences = [*raw]
+    if bits == 16:
+        folded = [raw[i] + 256 * raw[size + i] for i in range(size)]
+        differences = [f // 2 if f % 2 == 0 else -(f // 2) - 1 for f in folded]
+    codes = np.array(differences, dtype=np.int64).reshape(shape)
+    if order == 2:
+        codes = codes.cumsum(axis=0)
+    return codes.cumsum(axis=1) % 2**bits
 
 
 class Explored(HTMLParser):
@@ -72,19 +86,10 @@ class Explored(HTMLParser):
             self.words += data
 
     def unpack(self, spec: dict[str, Any]) -> np.ndarray:
-        """Values of a packed map, written out plainly: the slow counterpart of the script."""
-        raw = zlib.decompress(base64.b64decode(self.blocks[spec["block"]]))
-        rows, cols, bits = spec["rows"], spec["cols"], spec["bits"]
-        size, differences = rows * cols, list(raw)
-        if bits == 16:
-            folded = [raw[i] | raw[size + i] << 8 for i in range(size)]
-            differences = [d >> 1 if d % 2 == 0 else -(d >> 1) - 1 for d in folded]
-        codes = np.array(differences, dtype=np.int64).reshape(rows, cols)
-        if spec["order"] == 2:
-            codes = codes.cumsum(axis=0)
-        codes = codes.cumsum(axis=1) % 2**bits
+        """Values of a packed map."""
+        codes = codes_of(self.blocks[spec["block"]], (spec["rows"], spec["cols"]), spec["bits"], spec["order"])
         values = spec["low"] + spec["step"] * (codes.astype(float) - 2)
-        values[codes == 1], values[codes == 2**bits - 1] = -np.inf, np.inf
+        values[codes == 1], values[codes == 2 ** spec["bits"] - 1] = -np.inf, np.inf
         values[codes == 0] = np.nan
         return values
 

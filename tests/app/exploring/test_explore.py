@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from app.exploring.made import Explored, put
+from app.exploring.made import HOSTILE, Explored, put
+from folders import bytes_of
 from planish.app.exploring import maps as maps_module
 from planish.app.exploring import page as page_module
 from planish.app.exploring import slices as slices_module
@@ -19,8 +20,6 @@ from planish.io import read_group, write_tree
 from planish.run import open_run
 from report.runs import a_run
 from report.test_layers import layers
-
-HOSTILE = '</script><script>alert(1)</script><img src=x onerror="alert(2)">"\'&'
 
 
 @pytest.fixture(scope="module")
@@ -134,10 +133,10 @@ def test_nothing_but_its_own_style_and_script_may_run_and_nothing_is_asked_of_a_
     assert not re.findall(r"(?:https?:)?//[a-z]|@import|url\(|\beval\b|innerHTML|Function\(", page.style + script)
 
 
-def test_the_command_says_what_it_wrote_gives_the_same_bytes_again_and_writes_over_nothing(
+def test_the_command_says_what_it_wrote_gives_the_same_bytes_again_and_writes_neither_over_nor_into_anything(
     passes, refuses, linked_run, tmp_path, page
 ):
-    path = tmp_path / "page.html"
+    path, run = tmp_path / "page.html", bytes_of(linked_run)
     out, _ = passes("explore", linked_run, "--out", path, "--json")
     told = json.loads(out)
     assert (told["bytes"], told["maps"]) == (path.stat().st_size, 10)
@@ -146,18 +145,15 @@ def test_the_command_says_what_it_wrote_gives_the_same_bytes_again_and_writes_ov
     assert before.decode() == page.html
     refuses("explore", linked_run, "--out", path, words="never written over", out=False)
     assert path.read_bytes() == before
+    assert bytes_of(linked_run) == run
 
 
-@pytest.mark.parametrize("place", ["run", "nowhere"])
-def test_it_refuses_an_output_in_the_run_and_what_is_no_run(planish, linked_run, tmp_path, place):
-    if place == "run":
-        code, _, err = planish("explore", linked_run, "--out", linked_run / "page.html")
-        assert "which is read" in err
-    else:
-        code, _, err = planish("explore", tmp_path, "--out", tmp_path.parent / "page-of-no-run.html")
-        assert "is no run" in err
-    assert code == 3
-    assert not (linked_run / "page.html").exists()
+def test_it_refuses_an_output_in_the_run_and_what_is_no_run(refuses, made_run, tmp_path):
+    inside = made_run / "page.html"
+    refuses("explore", made_run, "--out", inside, words="which is read", out=False)
+    assert not inside.exists()
+    elsewhere = tmp_path.parent / "page-of-no-run.html"
+    refuses("explore", tmp_path, "--out", elsewhere, words="is no run", out=False)
 
 
 # --- other runs ------------------------------------------------------------------------------------------------
@@ -257,7 +253,6 @@ def test_hostile_names_stay_text(planish, tmp_path):
 
 
 # --- size ------------------------------------------------------------------------------------------------------
-@pytest.mark.nightly
 def test_maps_and_slices_are_thinned_out_to_their_budget_and_the_page_says_so(
     planish, linked_run, tmp_path, monkeypatch, page
 ):
@@ -287,7 +282,7 @@ def test_maps_and_slices_are_thinned_out_to_their_budget_and_the_page_says_so(
     assert np.abs(found[: rows // size, : cols // size] - expected)[inside].max() <= spec["error"] * 1.001 + 1e-4
 
 
-@pytest.mark.nightly
+@pytest.mark.ci
 def test_large_maps_come_from_the_smaller_copies_of_the_store(planish, tmp_path, monkeypatch):
     monkeypatch.setattr(maps_module, "BUDGET", 30_000)
     folder = put(tmp_path / "run", a_run())

@@ -1,29 +1,14 @@
 """Packed maps: values to within half a step, what lies beyond, and what is kept exactly."""
 
-import base64
-import zlib
-
 import numpy as np
 import pytest
 
+from app.exploring.made import codes_of
 from planish.app.exploring.maps import Packed, packed
 
 
 def unpacked(one: Packed) -> np.ndarray:
-    """Codes summed up again, value by value."""
-    raw, (rows, cols) = zlib.decompress(base64.b64decode(one.text)), one.shape
-    if one.bits == 16:
-        folded = [raw[i] + 256 * raw[rows * cols + i] for i in range(rows * cols)]
-        raw = [f // 2 if f % 2 == 0 else -(f // 2) - 1 for f in folded]
-    codes = np.zeros((rows, cols), dtype=np.int64)
-    for i, difference in enumerate(raw):
-        r, c = divmod(i, cols)
-        left = codes[r, c - 1] if c else 0
-        up = codes[r - 1, c] if r else 0
-        corner = codes[r - 1, c - 1] if r and c else 0
-        before = left + up - corner if one.order == 2 else left
-        codes[r, c] = (difference + before) % 2**one.bits
-    return codes
+    return codes_of(one.text, one.shape, one.bits, one.order)
 
 
 def values(one: Packed) -> np.ndarray:
