@@ -11,25 +11,24 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.frame import Frame
 from planish.core.status import Status, status_flags
+from planish.core.typing import Floats
 from planish.surface import SurfaceParams
 from planish.surface.assemble import alternative_surfaces, centre_surface
 
-Array = NDArray[np.float64]
 PITCH_UM = 8.0  # of the columns
 _RIM_UM = 100.0
 _FACES = ("top", "interface_top", "interface_bottom", "bottom")
 
 
-Surface = Callable[[Array], Array]
+Surface = Callable[[Floats], Floats]
 """A surface that keeps its lengths: (u, v) in the plane (..., 2) to points in space (..., 3)."""
 
 
-def waves(rng: np.random.Generator, at: Array) -> Array:
+def waves(rng: np.random.Generator, at: Floats) -> Floats:
     """One to three waves of 1.6 to 9 mm."""
     return sum(
         rng.uniform(0.4, 1.0) * np.sin(2 * np.pi * at / rng.uniform(1600, 9000) + rng.uniform(0, 6.28))
@@ -42,8 +41,8 @@ class Cylinder:
     """Rolled along a direction: its profile turns by a sum of waves of arc length."""
 
     turn: float
-    at: Array
-    curve: Array  # (n, 2)
+    at: Floats
+    curve: Floats  # (n, 2)
 
     @classmethod
     def drawn(cls, rng: np.random.Generator, slope: float) -> Cylinder:
@@ -56,7 +55,7 @@ class Cylinder:
         curve = np.concatenate([np.zeros((1, 2)), np.cumsum(0.5 * (steps[1:] + steps[:-1]), axis=0)])
         return cls(turn=rng.uniform(0, np.pi), at=at, curve=curve - curve[at.size // 2])
 
-    def __call__(self, uv: Array) -> Array:
+    def __call__(self, uv: Floats) -> Floats:
         c, s = np.cos(self.turn), np.sin(self.turn)
         p, q = uv[..., 0] * c + uv[..., 1] * s, -uv[..., 0] * s + uv[..., 1] * c
         x, z = (np.interp(p, self.at, self.curve[:, k]) for k in range(2))
@@ -69,8 +68,8 @@ class Cone:
 
     apex: float
     turn: float
-    at: Array
-    lines: Array  # (n, 3) unit vectors over the angle between them
+    at: Floats
+    lines: Floats  # (n, 3) unit vectors over the angle between them
 
     @classmethod
     def drawn(cls, rng: np.random.Generator, slope: float) -> Cone:
@@ -85,7 +84,7 @@ class Cone:
         at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(lines, axis=0), axis=1))])
         return cls(apex=apex, turn=rng.uniform(0, 2 * np.pi), at=at - at[at.size // 2], lines=lines)
 
-    def __call__(self, uv: Array) -> Array:
+    def __call__(self, uv: Floats) -> Floats:
         c, s = np.cos(self.turn), np.sin(self.turn)
         p, q = uv[..., 0] * c + uv[..., 1] * s + self.apex, -uv[..., 0] * s + uv[..., 1] * c
         along, angle = np.hypot(p, q), np.arctan2(q, p)
@@ -94,14 +93,14 @@ class Cone:
         return np.stack([x * c - y * s, x * s + y * c, z], axis=-1)
 
 
-def tangents(surface: Surface, uv: Array, step: float = 4.0) -> tuple[Array, Array, Array]:
+def tangents(surface: Surface, uv: Floats, step: float = 4.0) -> tuple[Floats, Floats, Floats]:
     """Derivatives by u and v and the unit normal, each (..., 3)."""
     by = [(surface(uv + d) - surface(uv - d)) / (2 * step) for d in (np.array([step, 0.0]), np.array([0.0, step]))]
     normal = np.cross(by[0], by[1])
     return by[0], by[1], normal / np.linalg.norm(normal, axis=-1, keepdims=True)
 
 
-def material(surface: Surface, points: Array) -> Array:
+def material(surface: Surface, points: Floats) -> Floats:
     """(u, v, s) with surface(u, v) + s normal = points (..., 3)."""
     uv = points[..., :2].copy()
     for _ in range(12):
@@ -124,8 +123,8 @@ class Bent:
     surface: Surface
     surfaces: xr.Dataset
     known: xr.Dataset  # the same, with the true neutral surface smoothed in place of the middle of the base
-    columns: Array  # (n, 2): x and y of the columns over the holes' middles on the centre surface
-    holes: Array  # (n, 2)
+    columns: Floats  # (n, 2): x and y of the columns over the holes' middles on the centre surface
+    holes: Floats  # (n, 2)
 
     @classmethod
     def drawn(cls, rng: np.random.Generator, slope: float, holes: int) -> Bent:
@@ -162,11 +161,11 @@ class _Fields:
         self.rng, self.surface = rng, surface
         self.n = int(2.4 * height / PITCH_UM)
 
-    def __call__(self, mean: float, sd: float) -> Array:
+    def __call__(self, mean: float, sd: float) -> Floats:
         fine, wide = _noise(self.rng, self.n, self.n, 25 / PITCH_UM), _noise(self.rng, self.n, self.n, 300 / PITCH_UM)
         return mean + sd * (0.85 * fine + 0.5 * wide)
 
-    def under(self, places: Array, start: Array, field: Array) -> tuple[Array, Array]:
+    def under(self, places: Floats, start: Floats, field: Floats) -> tuple[Floats, Floats]:
         """(u, v) and height of the face ``field`` over the neutral surface at the columns ``places`` (..., 2)."""
         uv = start.copy()
         for _ in range(8):

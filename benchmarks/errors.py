@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.bent import Bent, material
 from benchmarks.shared import rms
@@ -26,8 +25,6 @@ from planish.resample import find_places, resample
 from planish.run.position_error import PositionErrors
 from planish.synthetic import CameraParams
 from planish.synthetic.pose import draw_pose
-
-Array = NDArray[np.float64]
 
 SLOPES = {"flat": (0.02, 0.12), "bent": (0.15, 0.45), "steep": (0.5, 0.95)}
 MARKS = {"4-6": (4, 6), "7-14": (7, 14), "15-30": (15, 30)}

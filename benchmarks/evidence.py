@@ -20,19 +20,18 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 import zarr
-from numpy.typing import NDArray
 from scipy import fft, ndimage, optimize, stats
 
 from benchmarks.shared import in_parts, memory
 from planish.analyze import coherence, correlate, paired_difference, size_curve, without_screen
 from planish.analyze.compare import correlate_layers
 from planish.analyze.covariance import Lags
+from planish.core.typing import Floats
 
-Array = NDArray[np.float64]
-Maps = tuple[Array, Array]
+Maps = tuple[Floats, Floats]
 
 SHAPE, SIDE = (150, 200), 150
-Say = Callable[[Array], str]
+Say = Callable[[Floats], str]
 
 
 def field(rng: np.random.Generator, shape: tuple[int, int], length: float | tuple[float, float], kind: str) -> Maps:
@@ -98,7 +97,7 @@ def exact_n_eff(length: float | tuple[float, float], kind: str = "exp") -> float
     return 1 + trace**2 / (float(np.sum(pairs * c * c)) - 2 * float(np.sum(rows**2)) / n + whole**2 / n**2)
 
 
-def statements(make: Callable[[np.random.Generator], Maps], r: float, seed: int, count: int) -> Array:
+def statements(make: Callable[[np.random.Generator], Maps], r: float, seed: int, count: int) -> Floats:
     """For each pair: whether the interval holds r, p < .05, naive p < .05, n_eff, width, whether a sign is named.
 
     NaN where withheld.
@@ -114,7 +113,7 @@ def statements(make: Callable[[np.random.Generator], Maps], r: float, seed: int,
     return np.array(out, dtype=float)
 
 
-def coherences(length: float, seed: int, count: int) -> Array:
+def coherences(length: float, seed: int, count: int) -> Floats:
     """p of each octave of unrelated maps."""
     rng = np.random.default_rng(seed)
     return np.array([[k.p for k in coherence(*related(rng, 0, length), pixel_um=1.0).bands] for _ in range(count)])
@@ -123,7 +122,7 @@ def coherences(length: float, seed: int, count: int) -> Array:
 CURVE = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)
 
 
-def curves(r: float, length: float, noise: float, seed: int, count: int) -> Array:
+def curves(r: float, length: float, noise: float, seed: int, count: int) -> Floats:
     """Whether the band holds the whole true curve."""
     rng, out = np.random.default_rng(seed), []
     own, rest = ([_variance(k, s) for s in CURVE] for k in (length, noise))
@@ -141,7 +140,7 @@ def _variance(length, size):
     return float(np.sum(weight * np.exp(-np.hypot(at[:, None], at) / length)))
 
 
-def differences(length: float, seed: int, count: int) -> Array:
+def differences(length: float, seed: int, count: int) -> Floats:
     """Whether the paired interval holds the true difference; 3 x 2 mm at 12 um."""
     rng, out, shape = np.random.default_rng(seed), [], (166, 250)
     for _ in range(count):
@@ -152,7 +151,7 @@ def differences(length: float, seed: int, count: int) -> Array:
     return np.array(out, dtype=float)
 
 
-def against(run: Path, seed: int, count: int) -> Array:
+def against(run: Path, seed: int, count: int) -> Floats:
     """Of drawn images and a run's maps: whether a direction is named, and whether any p of the table is below .05."""
     linked = xr.open_zarr(run / "maps.zarr", group="linked", consolidated=False).load()
     pixel = float(linked["x"].values[1] - linked["x"].values[0])
@@ -171,7 +170,7 @@ FIELD, FIELD_UM = (300, 400), 20.0  # 8 x 6 mm
 _THICK_SD_UM, _THICK_ERROR_UM, _PLACE_ERROR_UM = 4.5, 0.35, 1.5  # errors: docs/accuracy.md
 
 
-def brightness(r2: float, seed: int, count: int) -> Array:
+def brightness(r2: float, seed: int, count: int) -> Floats:
     """Fields of 8 x 6 mm at points of 100 um: r, limits, n_eff, n. Thickness and places are measured with errors."""
     rng, out = np.random.default_rng(seed + round(1e6 * r2)), []
     for _ in range(count):
@@ -190,7 +189,7 @@ def _measured(rng, a):
     return _THICK_SD_UM * moved + _THICK_ERROR_UM * rng.normal(size=a.shape)
 
 
-def prints(seed: int, count: int) -> Array:
+def prints(seed: int, count: int) -> Floats:
     """Prints with a screen of 60 lines/cm at 45 degrees: r² with it taken off, r² without any screen, n_eff, n."""
     rng, out, pixel = np.random.default_rng(seed), [], 12.0
     rows, cols = np.indices((500, 667)) * pixel

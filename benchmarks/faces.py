@@ -12,14 +12,12 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from tests.surface.sheets import Sheet
 
 from planish.core.errors import PlanishError
 from planish.core.frame import Frame
+from planish.core.typing import Floats
 from planish.surface import SurfaceParams, find_surfaces
-
-Array = NDArray[np.float64]
 
 _MOST_RMS = 0.5  # voxel
 _MOST_BIAS_UM = 0.5  # of a coating of 3 um or more
@@ -163,7 +161,7 @@ def main(*only: Any) -> int:
     return failed
 
 
-def wedge(most: float, voxel: float, seed: int = 0) -> tuple[xr.DataArray, Array]:
+def wedge(most: float, voxel: float, seed: int = 0) -> tuple[xr.DataArray, Floats]:
     """A sheet whose top coating grows from 0 to ``most`` um along the columns, and its thickness per column."""
     count = 160
     thickness = np.linspace(0.0, most, count)

@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from benchmarks.shared import rms
+from planish.core.typing import Floats
 from planish.marks import find_holes
-
-Floats = NDArray[np.float64]
 
 ACROSS = (8, 12, 20, 35, 60, 80)  # pixels across a hole of the usual diameter
 DIAMETER_UM, DIAMETER_SD_UM = 175.0, 8.0

@@ -11,12 +11,9 @@ slope, bend and level, which is the simple way.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.evidence import field
 from planish.analyze import correlate, fit_kubelka_munk, independent_points, pile, reflectance, straight_or_curved
-
-Array = NDArray[np.float64]
 
 _SHAPE, _POINT_UM = (60, 80), 100.0
 _WEIGHT, _SPREAD = 17.0, 4.5  # g/m2

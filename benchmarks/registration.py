@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from benchmarks.shared import rms
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.transform import Similarity
+from planish.core.typing import Floats
 from planish.register import fit_transform
 from planish.register.bent import inside
 from planish.register.models import MODELS
 
-Floats = NDArray[np.float64]
 Truth = Callable[[Floats], Floats]
 
 EXTENT_UM = (3000.0, 2400.0)

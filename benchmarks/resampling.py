@@ -13,15 +13,14 @@ from statistics import median
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import Delaunay
 
 from planish.core.grid import Grid
 from planish.core.threads import limit_threads
+from planish.core.typing import Floats
 from planish.resample import find_places, resample
 
-Array = NDArray[np.float64]
 Result = TypeVar("Result")
 
 _PITCH_UM = 4.0
@@ -30,7 +29,7 @@ _LEAST_RATIO = 50.0
 _MOST_ERROR = 1e-9  # of the values, on a field that is affine in the plane
 
 
-def mesh(rows: int, cols: int, *, seed: int = 0) -> Array:
+def mesh(rows: int, cols: int, *, seed: int = 0) -> Floats:
     """A mesh with long waves of two pitches and a roughness of a fifth of a pitch to each side; nowhere folded."""
     y, x = np.mgrid[0:rows, 0:cols].astype(np.float64)
     rough = np.random.default_rng(seed).uniform(-0.2, 0.2, (rows, cols, 2))
@@ -38,7 +37,7 @@ def mesh(rows: int, cols: int, *, seed: int = 0) -> Array:
     return _PITCH_UM * (np.stack([x, y], axis=-1) + smooth + rough)
 
 
-def turned(uv: Array, degrees: float) -> Array:
+def turned(uv: Floats, degrees: float) -> Floats:
     """The mesh turned about its middle."""
     a = np.deg2rad(degrees)
     middle = uv.mean(axis=(0, 1))

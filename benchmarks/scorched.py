@@ -6,13 +6,12 @@ Beside ``benchmarks.holes``: looks of a burnt rim, drawn with other levels, widt
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from benchmarks.holes import Scene, around, fine_window, gauss, make_hole, polar, shrunk
+from planish.core.typing import Floats
 from planish.marks import find_holes
 
-Floats = NDArray[np.float64]
 ANGLES = np.arange(720) * np.pi / 360
 
 LOOKS = (

@@ -34,11 +34,10 @@ from planish.analyze import (
     two_groups,
     variances_of,
 )
-
-Array = NDArray[np.float64]
+from planish.core.typing import Floats
 
 MEAN_Z, N_EFF, EACH = 0.55, 70.0, 3
-Parts = Callable[..., Array]
+Parts = Callable[..., Floats]
 _OWN = 1 / (N_EFF - 3)
 
 
@@ -47,7 +46,7 @@ def names_of(counts: Sequence[int]) -> list[str]:
     return [f"S{k}" for k, n in enumerate(counts) for _ in range(n)]
 
 
-def students(values: Array) -> tuple[float, float]:
+def students(values: Floats) -> tuple[float, float]:
     """Interval of the mean of values that are taken for independent."""
     wide = float(stats.t.ppf(0.975, values.size - 1)) * float(values.std(ddof=1)) / math.sqrt(values.size)
     return float(values.mean()) - wide, float(values.mean()) + wide
@@ -61,7 +60,7 @@ def holds(interval: tuple[float, float], truth: float) -> float:
 # --- r and properties over sheets ------------------------------------------------------------------------------------
 
 
-def ways(z: Array, n_eff: Array, names: list[str]):
+def ways(z: Floats, n_eff: Floats, names: list[str]):
     """What is pooled of fields, and the intervals of z by the fields and by their numbers of points alone."""
     found = pooled_r(Fields(np.tanh(z).tolist(), names), n_eff.tolist())
     wide = 1.96 / math.sqrt(float(np.sum(n_eff - 3)))
@@ -69,7 +68,7 @@ def ways(z: Array, n_eff: Array, names: list[str]):
     return found, students(z), (middle - wide, middle + wide)
 
 
-def pooled(sheets: int, between: float, uneven: bool, seed: int, count: int) -> Array:
+def pooled(sheets: int, between: float, uneven: bool, seed: int, count: int) -> Floats:
     """Whether the interval of r holds it: by sheets, by weights (Hartung-Knapp), by fields, by n_eff alone."""
     rng, out, truth = np.random.default_rng((seed, sheets)), [], math.tanh(MEAN_Z)
     sheet = np.repeat(np.arange(sheets), EACH)
@@ -86,7 +85,7 @@ def pooled(sheets: int, between: float, uneven: bool, seed: int, count: int) -> 
     return np.array(out)
 
 
-def properties(counts: Sequence[int], between: float, seed: int, count: int) -> Array:
+def properties(counts: Sequence[int], between: float, seed: int, count: int) -> Floats:
     """Whether the intervals hold the mean, and the share of variance between sheets; and the mean by fields."""
     rng, out = np.random.default_rng((seed, len(counts))), []
     sheets, share = names_of(counts), between**2 / (between**2 + 1)
@@ -101,7 +100,7 @@ def properties(counts: Sequence[int], between: float, seed: int, count: int) -> 
     return np.array(out)
 
 
-def differences(sheets: int, seed: int, count: int) -> Array:
+def differences(sheets: int, seed: int, count: int) -> Floats:
     """Whether intervals of differences hold the truth: a property and r before and after, r², and of two papers.
 
     And how often a difference as large as the margin is called equivalent.
@@ -140,7 +139,7 @@ def differences(sheets: int, seed: int, count: int) -> Array:
 SHAPE, LENGTH = (60, 80), 4.0
 
 
-def with_maps(sheets: int, between: float, seed: int, count: int) -> Array:
+def with_maps(sheets: int, between: float, seed: int, count: int) -> Floats:
     """The same with maps that correlate: r pooled, by fields, by n_eff alone; r and r² before and after."""
     rng, out, names = np.random.default_rng((seed, sheets, 1)), [], names_of([EACH] * sheets)
     nodes, weights = np.polynomial.hermite_e.hermegauss(60)
@@ -175,7 +174,7 @@ DESIGNS = (
 )  # fmt: skip
 
 
-def designed(which: int, seed: int, count: int) -> Array:
+def designed(which: int, seed: int, count: int) -> Floats:
     """How often simulated studies of a design see the difference; and where there is none."""
     plan = DESIGNS[which]
     planned = sheets_needed(**plan)  # type: ignore[arg-type]
@@ -197,7 +196,7 @@ def designed(which: int, seed: int, count: int) -> Array:
     return np.array(out, dtype=float)
 
 
-def designed_with_maps(paired: bool, seed: int, count: int) -> Array:
+def designed_with_maps(paired: bool, seed: int, count: int) -> Floats:
     """How often studies with random maps see r² .2 against .3, with 5 sheets of 2 fields."""
     rng, out, names = np.random.default_rng((seed, int(paired), 2)), [], names_of([2] * 5)
     mean = np.arctanh(np.sqrt(MAPS_R2))
@@ -223,11 +222,11 @@ MAPS_R2, MAPS_BETWEEN = (0.2, 0.3), 0.05
 FIELD = (90, 120)
 
 
-def waves(length: float | tuple[float, float], kind: str, shape: tuple[int, int], rng: np.random.Generator) -> Array:
+def waves(length: float | tuple[float, float], kind: str, shape: tuple[int, int], rng: np.random.Generator) -> Floats:
     return field(rng, shape, length, kind)[0]
 
 
-def mixed(rng: np.random.Generator) -> Array:
+def mixed(rng: np.random.Generator) -> Floats:
     """Noise of single pixels over waves."""
     return 0.6 * field(rng, FIELD, 8.0, "exp")[0] + 0.8 * rng.normal(size=FIELD)
 
@@ -242,7 +241,7 @@ def pierced() -> NDArray[np.bool_]:
     return known
 
 
-INSTRUMENTS: dict[str, tuple[Callable[[np.random.Generator], Array], bool]] = {
+INSTRUMENTS: dict[str, tuple[Callable[[np.random.Generator], Floats], bool]] = {
     "independent points": (lambda rng: rng.normal(size=FIELD), False),
     **{f"side/{90 / k:.0f}": (partial(waves, k, "exp", FIELD), False) for k in (1.0, 3.0, 6.0, 8.0, 10.0)},
     "Gaussian, side/15": (partial(waves, 6.0, "gauss", FIELD), False),
@@ -254,7 +253,7 @@ INSTRUMENTS: dict[str, tuple[Callable[[np.random.Generator], Array], bool]] = {
 }
 
 
-def instruments(name: str, seed: int, count: int) -> Array:
+def instruments(name: str, seed: int, count: int) -> Floats:
     """Whether the intervals of bias, scatter and both limits hold the truth; and what the limits are off by."""
     make, holes = INSTRUMENTS[name]
     rng, out, mask = np.random.default_rng((seed, *name.encode())), [], pierced() if holes else None

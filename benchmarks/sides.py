@@ -13,14 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy import fft
 
 from benchmarks.shared import rms
 from planish.analyze.sides import texture_of
 from planish.core.facts import is_known
-
-Array = NDArray[np.float64]
+from planish.core.typing import Floats
 
 
 @dataclass
@@ -40,7 +38,7 @@ class _Fields:
         self._f = [fft.fftfreq(n, pixel_um)[:, None] if k == 0 else fft.fftfreq(n, pixel_um)[None] for k, n in
                    enumerate(shape)]  # fmt: skip
 
-    def draw(self) -> Array:
+    def draw(self) -> Floats:
         """A field of sd 1: Gaussian, exponential, power law or fibrous, of some length and direction."""
         kind, length = self.rng.integers(4), float(np.exp(self.rng.uniform(np.log(8.0), np.log(60.0))))
         angle, stretch = self.rng.uniform(0, np.pi), self.rng.uniform(1.0, 2.0)
@@ -50,17 +48,17 @@ class _Fields:
         power = (np.exp(-k2 / 4), (1 + k2) ** -1.5, (0.05 + k2) ** -self.rng.uniform(0.7, 1.3), (1 + k2) ** -2.5)[kind]
         return self.filtered(self.rng.standard_normal(self.shape), np.sqrt(power), unit=True)
 
-    def filtered(self, values: Array, gain: Array, *, unit: bool = False) -> Array:
+    def filtered(self, values: Floats, gain: Floats, *, unit: bool = False) -> Floats:
         out = fft.ifft2(fft.fft2(values) * gain).real
         return (out - out.mean()) / out.std() if unit else out
 
-    def blurred(self, values: Array, sigma_um: float) -> Array:
+    def blurred(self, values: Floats, sigma_um: float) -> Floats:
         return self.filtered(values, np.exp(-2 * (np.pi * sigma_um) ** 2 * (self._f[0] ** 2 + self._f[1] ** 2)))
 
-    def moved(self, values: Array, shift_um: tuple[float, float]) -> Array:
+    def moved(self, values: Floats, shift_um: tuple[float, float]) -> Floats:
         return self.filtered(values, np.exp(-2j * np.pi * (self._f[1] * shift_um[0] + self._f[0] * shift_um[1])))
 
-    def slopes(self, values: Array) -> list[Array]:
+    def slopes(self, values: Floats) -> list[Floats]:
         return [np.asarray(np.gradient(values, self.pixel_um, axis=axis)) for axis in (1, 0)]
 
 
@@ -80,7 +78,7 @@ def draw_sheet(seed: int, *, program: int | None = None) -> Drawn:
     # The sheet: faces of the base, coatings that level them in part.
     coupled = rng.uniform(0, 0.7)
     base = [rng.uniform(1, 4) * fields.draw() for _ in range(2)]
-    coatings = list[Array]()
+    coatings = list[Floats]()
     for face in base:
         made = np.sqrt(1 - coupled**2) * fields.draw() - coupled * face / face.std()
         mean = rng.uniform(8, 20)

@@ -15,17 +15,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from benchmarks.shared import rms
 from planish.checks import CHECKS, RegisteredSheet
 from planish.checks.through_scale import estimate, judge_marks, scale_from_thickness
 from planish.core.frame import Frame
+from planish.core.typing import Floats
 from planish.flatten import flatten_sheet
 from planish.register import fit_transform
 
-Floats = NDArray[np.float64]
 Development = Callable[[Floats, Floats], tuple[Floats, Floats, Floats]]
 
 _THICK_UM, _FORMATION, _GRAIN_UM = 90.0, 0.05, 150.0

@@ -12,12 +12,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.evidence import field
 from planish.analyze import correlate, second_opinion
-
-Array = NDArray[np.float64]
 
 _SHAPE, _R = (100, 133), 0.5
 _LEAST = 0.89

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from benchmarks.wrong.case import Case, traced
@@ -18,7 +17,6 @@ from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.run import Run
 
-Array = NDArray[np.float64]
 LEAST_UM, TIMES = 1.0, 2.0
 LEAST_R = 0.15
 _RIM_UM = 15.0  # rough, burnt

@@ -17,13 +17,13 @@ from scipy import fft, ndimage
 if TYPE_CHECKING:
     from benchmarks.wrong.specimens import Draw, Right
 
-Array = NDArray[np.float64]
+Floats = NDArray[np.float64]
 _GRID_UM = 4.0  # of the fields of thickness
 _BEYOND_UM = 500.0
 _LEAST = 0.03  # share of the normal along an axis, below which the box counts as that wide: no division by 0
 
 
-def turned(angle: float) -> Array:
+def turned(angle: float) -> Floats:
     """The matrix of a rotation in a plane."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s], [s, c]])
@@ -40,15 +40,15 @@ class Cone:
     half_rad: float
     convex: bool
     along_rad: float
-    turn: Array
-    middle: Array
+    turn: Floats
+    middle: Floats
 
     def _frame(self):
         """Place of the origin, and the axes (3, 3) along the ray, across it, and out of the cone, as rows."""
         s, c = np.sin(self.half_rad), np.cos(self.half_rad)
         return self.rho_um * np.array([s, 0, c]), np.array([[s, 0, c], [0, 1, 0], [c, 0, -s]])
 
-    def material(self, points: Array) -> Array:
+    def material(self, points: Floats) -> Floats:
         """(u, v, s) of points (..., 3)."""
         sign = 1.0 if self.convex else -1.0
         local = (points - self.middle) @ self.turn
@@ -64,7 +64,7 @@ class Cone:
         )
         return np.concatenate([flat, (sign * (r * cos - p[2] * sin))[..., None]], axis=-1)
 
-    def points(self, uv: Array, s: Array | float = 0.0) -> Array:
+    def points(self, uv: Floats, s: Floats | float = 0.0) -> Floats:
         """Points (..., 3) of material (u, v, s)."""
         sign = 1.0 if self.convex else -1.0
         flat = uv @ turned(self.along_rad)
@@ -79,7 +79,7 @@ class Cone:
         local = local * np.array([1.0, sign, sign])
         return local @ self.turn.T + self.middle
 
-    def centre(self, y: Array, x: Array) -> Array:
+    def centre(self, y: Floats, x: Floats) -> Floats:
         """(u, v, z) of the sheet's middle over the columns (y, x), by Newton's method along z."""
         xs, ys = np.meshgrid(x, y)
         z = np.full(xs.shape, self.middle[2])
@@ -96,17 +96,17 @@ class Cone:
 class Fields:
     """Four faces (4, rows, cols) over the material, from ``low`` (u, v) on."""
 
-    low: Array
-    faces: Array
-    tint: Array
+    low: Floats
+    faces: Floats
+    tint: Floats
 
-    def at(self, field: Array, u: Array, v: Array) -> Array:
+    def at(self, field: Floats, u: Floats, v: Floats) -> Floats:
         """Bilinear value at (u, v); NaN where that is."""
         places = np.stack([(v - self.low[1]) / _GRID_UM, (u - self.low[0]) / _GRID_UM])
         found = ndimage.map_coordinates(field, np.nan_to_num(places), order=1, mode="nearest")
         return np.where(np.isfinite(u) & np.isfinite(v), found, np.nan)
 
-    def thickness(self, name: str, u: Array, v: Array) -> Array:
+    def thickness(self, name: str, u: Floats, v: Floats) -> Floats:
         """True thickness by name."""
         from benchmarks.wrong.specimens import layer
 
@@ -117,18 +117,18 @@ class Fields:
 class Pose:
     """From (u, v) to the image (x, y), an affine map, and back."""
 
-    linear: Array
-    shift: Array
+    linear: Floats
+    shift: Floats
 
-    def __call__(self, uv: Array) -> Array:
+    def __call__(self, uv: Floats) -> Floats:
         return np.asarray(uv) @ self.linear.T + self.shift
 
     @cached_property
-    def back(self) -> Array:
+    def back(self) -> Floats:
         """Inverse of the linear part."""
         return np.linalg.inv(self.linear)
 
-    def inverse(self, xy: Array) -> Array:
+    def inverse(self, xy: Floats) -> Floats:
         """From the image to the sheet."""
         return (np.asarray(xy) - self.shift) @ self.back.T
 

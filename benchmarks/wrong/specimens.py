@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from benchmarks.paper import KINDS
 from benchmarks.wrong import maker
+from planish.core.typing import Floats
 from planish.synthetic import (
     MICRO_CT,
     PRESETS,
@@ -24,7 +25,6 @@ from planish.synthetic import (
 )
 from planish.validate.truth import field_at
 
-Array = NDArray[np.float64]
 OF = {"coating_top": (0, 1), "base_thickness": (1, 2), "coating_bottom": (2, 3), "thickness": (0, 3)}
 NAMES = tuple(OF)
 SIZE_UM, LARGE_UM = (1250.0, 1000.0), (1700.0, 1350.0)
@@ -45,22 +45,22 @@ class Right:
     voxel_um: float
     grey: tuple[float, float, float]
     noise: float
-    image: Array
+    image: Floats
     pixel_um: float
-    holes: Array
+    holes: Floats
     radius_um: float
-    material: Callable[[Array], Array]
-    points: Callable[[Array], Array]
-    thickness: Callable[[str, Array, Array], Array]
-    image_of: Callable[[Array], Array]
-    pixels: Callable[[], Array]
-    columns: Array
-    faces: Array
+    material: Callable[[Floats], Floats]
+    points: Callable[[Floats], Floats]
+    thickness: Callable[[str, Floats, Floats], Floats]
+    image_of: Callable[[Floats], Floats]
+    pixels: Callable[[], Floats]
+    columns: Floats
+    faces: Floats
     note: str
     made: dict[str, Any] = field(default_factory=dict[str, Any])
 
     @cached_property
-    def uv(self) -> Array:
+    def uv(self) -> Floats:
         """Material (y, x, 2) that the image's pixels show."""
         return self.pixels()
 
@@ -80,14 +80,14 @@ class Draw:
     program: int | None = None  # seed of the hole pattern, where two specimens share the laser's program
 
 
-def heights(columns: Array, voxel_um: float, faces: Array, at: Callable[..., Array]) -> Array:
+def heights(columns: Floats, voxel_um: float, faces: Floats, at: Callable[..., Floats]) -> Floats:
     """Heights of the faces over each column, whose distances from the middle ``at`` gives along the normal."""
     u, v, middle = np.moveaxis(columns, -1, 0)
     lift = np.sqrt(1 + sum(g**2 for g in np.gradient(middle, voxel_um)))
     return np.stack([middle + lift * at(face, u, v) for face in faces])
 
 
-def layer(faces: Array, name: str) -> Array:
+def layer(faces: Floats, name: str) -> Floats:
     """Thickness between two of the four faces, by name."""
     upper, lower = OF[name]
     return faces[upper] - faces[lower]
