@@ -1,25 +1,35 @@
 # ruff: noqa: E501  # texts of the code stand on one line each
 """Mutants of the code: small faults that the tests have to find.
 
-``python -m tests.mutants`` copies the package to a temporary folder, puts in one fault at a time, runs the tests that
-must fail, and prints whether the mutant was killed. ``--only 12`` runs one, ``--only 1-20`` some, ``--list`` names all.
-A mutant whose old text is not found exactly once is an error of this list: mend it here.
+``python -m tests.mutants`` copies the package to a temporary folder, puts in one fault at a time, and runs the tests that
+must fail: the fast ones of their files, then those of ci, then the nightly ones, up to the first tier that kills the
+mutant, whose name is printed. ``--only 12`` runs one, ``--only 1-20`` some, ``--jobs 2`` two side by side, each with its
+own copy; ``--list`` names all. A mutant whose old text is not found exactly once is an error of this list: mend it here.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import queue
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[1]
+TIERS = {"fast": (), "ci": ("--ci",), "nightly": ("-m", "nightly")}  # lowest first, with what selects it
 _ENOUGH_S = 900
+# A fast test that is only too slow, because it has compiled the kernels anew, kills nothing.
+_FAILED = re.compile(r"^(FAILED|ERROR) ", re.MULTILINE)
 
 
 class Mutant(NamedTuple):
@@ -39,15 +49,15 @@ MUTANTS = [
     Mutant("core/area.py", "self._least_weight = least_share * factor[0]", "self._least_weight = 2 * least_share * factor[0]", "core/test_area.py"),
     Mutant("core/frame.py", '(self.through == "y") != (self.top == "low")', '(self.through == "y") == (self.top == "low")', "core/test_frame.py"),
     Mutant("core/frame.py", '1.0 if self.top == "high" else -1.0', "1.0", "core/test_frame.py measure/test_along_normals.py surface/test_any_sheet.py"),
-    Mutant("core/transform.py", "np.array([[cos * flip, -sin], [sin * flip, cos]])", "np.array([[cos * flip, sin], [sin * flip, -cos]])", "core/test_transform.py register/test_fit.py"),
-    Mutant("core/transform.py", "x, y = (-linear @ np.asarray(self.shift_um))", "x, y = (linear @ np.asarray(self.shift_um))", "core/test_transform.py register/test_fit.py"),
+    Mutant("core/transform.py", "np.array([[cos * flip, -sin], [sin * flip, cos]])", "np.array([[cos * flip, sin], [sin * flip, -cos]])", "core/test_transform.py register/test_models.py"),
+    Mutant("core/transform.py", "x, y = (-linear @ np.asarray(self.shift_um))", "x, y = (linear @ np.asarray(self.shift_um))", "core/test_transform.py register/test_models.py"),
     Mutant("core/transform.py", "np.where(denominators > 0, denominators, np.nan)", "denominators", "core/test_transform.py register/test_models.py register/test_refusals.py"),
     Mutant("core/transform.py", "np.rad2deg(0.5 * np.arctan2(sine, cosine))", "np.rad2deg(np.arctan2(sine, cosine))", "core/test_transform.py resample/test_maps.py measure/test_orientation.py"),
     # io: sizes and files
     Mutant("io/sizes.py", "pixel_um = unit_length / density", "pixel_um = unit_length * density", "io/test_sizes.py"),
-    Mutant("core/arrays.py", "TOLERANCE * min(first, second)", "100 * TOLERANCE * min(first, second)", "io/test_sizes.py"),
+    Mutant("core/numbers.py", "TOLERANCE * min(first, second)", "100 * TOLERANCE * min(first, second)", "io/test_sizes.py"),
     Mutant("io/sizes.py", "abs(25400.0 / pixel_um - dpi) <= 1.0", "abs(25400.0 / pixel_um - dpi) <= 0.0001", "io/test_sizes.py"),
-    Mutant("io/slice_volume.py", "count != (last - first) / step + 1", "count != (last - first) / step", "io/test_nrecon.py io/test_formats.py"),
+    Mutant("io/slice_volume.py", "count != (last - first) / step + 1", "count != (last - first) / step", "io/test_formats.py"),
     Mutant("io/sections.py", "if len(kinds) > 1:", "if len(kinds) > 2:", "io/test_sections.py"),
     # surface
     Mutant("surface/faces.py", '("top", "bottom") if columns.frame.top == "high" else ("bottom", "top")', '("top", "bottom")', "surface/test_any_sheet.py surface/test_find.py"),
@@ -88,9 +98,9 @@ MUTANTS = [
     Mutant("marks/regions/files.py", "start, kind = (_HEAD + 4 * count", "start, kind = (_HEAD + 2 * count", "test_regions.py"),
     Mutant("run/overlay.py", "is_allowed & ~self.regions.inside(part)", "is_allowed", "test_regions.py"),
     # register
-    Mutant("register/similarity.py", "angle, shift_um = float(np.angle(alpha))", "angle, shift_um = -float(np.angle(alpha))", "register/test_fit.py"),
-    Mutant("register/similarity.py", "np.sum(share * zc.conj() * wc)", "np.sum(zc.conj() * wc) / len(z)", "register/test_fit.py register/test_models.py"),
-    Mutant("register/pairs.py", "(-points[..., 0] if mirrored else points[..., 0]) + 1j * points[..., 1]", "points[..., 0] + 1j * points[..., 1]", "register/test_fit.py"),
+    Mutant("register/similarity.py", "angle, shift_um = float(np.angle(alpha))", "angle, shift_um = -float(np.angle(alpha))", "register/test_models.py"),
+    Mutant("register/similarity.py", "np.sum(share * zc.conj() * wc)", "np.sum(zc.conj() * wc) / len(z)", "register/test_models.py"),
+    Mutant("register/pairs.py", "(-points[..., 0] if mirrored else points[..., 0]) + 1j * points[..., 1]", "points[..., 0] + 1j * points[..., 1]", "register/test_models.py"),
     Mutant("register/result.py", "np.sqrt(2.0 * self.field.mark_variance", "np.sqrt(self.field.mark_variance", "register/test_models.py"),
     Mutant("register/result.py", "square_errors = square_errors * stretch + fit.expected_error_um(points_um) ** 2", "square_errors = square_errors + fit.expected_error_um(points_um) ** 2", "register/test_chain.py"),
     Mutant("register/result.py", "% 2 == 1", ">= 1", "register/test_chain.py"),
@@ -124,6 +134,7 @@ def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.mutants", description=__doc__)
     parser.add_argument("--only", help="number of a mutant, or first-last")
     parser.add_argument("--list", action="store_true", help="name all mutants and whether their text is there")
+    parser.add_argument("--jobs", type=int, default=1, help="mutants that run side by side, each in its own copy")
     asked = parser.parse_args(arguments)
     first, last = 1, len(MUTANTS)
     if asked.only:
@@ -135,34 +146,68 @@ def main(arguments: list[str]) -> int:
     if asked.list or stale:
         print(*(f"{k}: {m.file}: {m.old!r} -> {m.new!r}" for k, m in chosen if asked.list), sep="\n")
         return len(stale)
-    survived = 0
-    with tempfile.TemporaryDirectory(prefix="planish-mutants-") as name:
-        shutil.copytree(ROOT / "src", Path(name) / "src")
-        for k, mutant in chosen:
-            start = time.perf_counter()
-            state = run(mutant, Path(name), k)
-            survived += state != "killed"
-            print(f"{k}: {state}, {time.perf_counter() - start:.0f} s: {mutant.file}: {mutant.new!r}", flush=True)
-    print(f"{len(chosen) - survived} of {len(chosen)} killed")
-    return survived
+    found = Counter(run_side_by_side(chosen, asked.jobs))
+    killed = {tier: found[tier] for tier in TIERS}
+    of_each = ", ".join(f"{count} by {tier}" for tier, count in killed.items())
+    print(f"{sum(killed.values())} of {len(chosen)} killed: {of_each}")
+    return len(chosen) - sum(killed.values())
+
+
+def run_side_by_side(chosen: list[tuple[int, Mutant]], jobs: int) -> list[str]:
+    """Run so many mutants at a time, print each when it is done, and return what :func:`run` says of each."""
+    copies: queue.SimpleQueue[Path] = queue.SimpleQueue()
+
+    def run_and_print(numbered: tuple[int, Mutant]) -> str:
+        number, mutant = numbered
+        folder, start = copies.get(), time.perf_counter()
+        try:
+            state = run(mutant, folder, number)
+        finally:
+            copies.put(folder)
+        said = f"killed by {state}" if state in TIERS else state
+        print(f"{number}: {said}, {time.perf_counter() - start:.0f} s: {mutant.file}: {mutant.new!r}", flush=True)
+        return state
+
+    with tempfile.TemporaryDirectory(prefix="planish-mutants-") as name, ThreadPoolExecutor(jobs) as workers:
+        for k in range(jobs):
+            shutil.copytree(ROOT / "src", Path(name, str(k), "src"))
+            copies.put(Path(name, str(k)))
+        return [*workers.map(run_and_print, chosen)]
 
 
 def run(mutant: Mutant, folder: Path, number: int) -> str:
-    """Put one mutant into the copy of the package and run its tests: killed, SURVIVED, or what else happened."""
+    """Put one mutant into a copy of the package: the tier that kills it, SURVIVED, or what else happened."""
     file = folder / "src" / "planish" / mutant.file
     text = file.read_text(encoding="utf-8")
     file.write_text(text.replace(mutant.old, mutant.new), encoding="utf-8")
     # The kernels of all mutants are the same, but for those whose own kernels are changed.
     kernels = folder / (f"kernels-{number}" if file.stem.endswith("kernels") else "kernels")
     environment = os.environ | {"PYTHONPATH": str(folder / "src"), "NUMBA_CACHE_DIR": str(kernels)}
-    tests, _, keyword = mutant.tests.partition(" -k ")
+    try:
+        return first_tier_that_fails(mutant.tests, environment)
+    except subprocess.TimeoutExpired:
+        return f"ended after {_ENOUGH_S} s"
+    finally:
+        file.write_text(text, encoding="utf-8")
+
+
+def first_tier_that_fails(tests: str, environment: dict[str, str]) -> str:
+    """Run the tests of one tier after the other: the first that fails, SURVIVED, or what else happened."""
+    files, _, keyword = tests.partition(" -k ")
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-p", "no:cacheprovider", "--no-header"]
-    command += [f"tests/{test}" for test in tests.split()] + (["-k", keyword] if keyword else [])
-    done = subprocess.run(
-        command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False, timeout=_ENOUGH_S
-    )
-    file.write_text(text, encoding="utf-8")
-    return {0: "SURVIVED", 1: "killed"}.get(done.returncode, f"ended with {done.returncode}:\n{done.stdout[-2000:]}")
+    command += [f"tests/{file}" for file in files.split()] + (["-k", keyword] if keyword else [])
+    codes: set[int] = set()
+    for tier, options in TIERS.items():
+        done = subprocess.run(
+            [*command, *options], cwd=ROOT, env=environment, capture_output=True, text=True, check=False,
+            timeout=_ENOUGH_S,
+        )  # fmt: skip
+        if done.returncode == pytest.ExitCode.TESTS_FAILED and _FAILED.search(done.stdout):
+            return tier
+        if done.returncode > pytest.ExitCode.TESTS_FAILED and done.returncode != pytest.ExitCode.NO_TESTS_COLLECTED:
+            return f"{tier} ended with {done.returncode}:\n{done.stdout[-2000:]}"
+        codes.add(done.returncode)
+    return "no test of it was found" if codes == {pytest.ExitCode.NO_TESTS_COLLECTED} else "SURVIVED"
 
 
 def _count(mutant: Mutant) -> int:

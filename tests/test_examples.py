@@ -10,8 +10,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-# Those that measure no sheet take a second; the others a quarter of a minute and more.
-QUICK = ("05_", "10_")
+CHEAPEST = "05_"
 MEASURED = {
     "11_wound_cell": "battery_sector_right", "12_letter_packet": "letterpacket_ct", "13_dot_pattern": "dot_patterns",
     "14_tissue": "tissue_sheet_mesh", "15_height_map": "heightmaps",
@@ -46,7 +45,9 @@ def test_the_page_shows_every_example_with_its_picture():
 @pytest.mark.parametrize(
     "example",
     [
-        pytest.param(path, id=path.stem, marks=() if path.stem.startswith(QUICK) else pytest.mark.nightly)
+        pytest.param(
+            path, id=path.stem, marks=pytest.mark.ci if path.stem.startswith(CHEAPEST) else pytest.mark.nightly
+        )
         for path in EXAMPLES
         if path.stem not in MEASURED
     ],

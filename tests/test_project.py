@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+import mutants
 import planish
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -91,12 +92,17 @@ def test_each_command_installs_its_lock_once(monkeypatch: pytest.MonkeyPatch, tm
     assert of("dev.lock") == ["dev.lock"]  # the old folder's tools are not in the new one
 
 
+def test_every_mutant_of_the_list_fits_the_code() -> None:
+    assert mutants.main(["--list"]) == 0
+
+
 @pytest.mark.parametrize("name", ["run.lock", "docs.lock", "dev.lock"])
 def test_locks_hold_names_versions_and_hashes_only(name: str) -> None:
     line = re.compile(r"[\w.-]+==[\w.]+( ; [\w .<>='!()*]+)? \\|    --hash=sha256:[0-9a-f]{64}( \\)?")
     assert [text for text in read(f"requirements/{name}").splitlines() if not line.fullmatch(text)] == []
 
 
+@pytest.mark.ci
 def test_a_benchmark_needs_the_libraries_of_no_other() -> None:
     program = "import sys; sys.modules['playwright'] = None; import benchmarks.__main__ as b; b.main(['none'])"
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False)
@@ -117,6 +123,7 @@ def build(folder: Path, target: str, to: Path) -> Path:
     return made
 
 
+@pytest.mark.ci
 def test_the_source_archive_holds_what_the_tests_read_and_builds_the_same_wheel(tmp_path: Path) -> None:
     archive = build(ROOT, "sdist", tmp_path / "sdist")
     with tarfile.open(archive) as tar:

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from planish.cli import setup
-from planish.cli import setup as completion
+from planish.cli import main, setup
 from planish.cli.main import planish
 from planish.core.errors import FileError
 
@@ -45,7 +44,7 @@ def test_the_script_is_printed(planish, shell):
     ],
 )
 def test_it_is_installed_once_and_says_where(home, monkeypatch, planish, shell, start, place):
-    monkeypatch.setattr(completion, "_profile", lambda: home / "Documents" / "profile.ps1")
+    monkeypatch.setattr(setup, "_profile", lambda: home / "Documents" / "profile.ps1")
     if start is not None:
         (home / start).parent.mkdir(exist_ok=True)
         (home / start).write_bytes(b"alias ll='ls -l'")
@@ -63,12 +62,12 @@ def test_it_is_installed_once_and_says_where(home, monkeypatch, planish, shell, 
 
 
 def test_a_missing_powershell_is_reported_and_an_older_profile_stays_readable(monkeypatch, home):
-    monkeypatch.setattr(completion.shutil, "which", lambda _name: None)
+    monkeypatch.setattr(setup.shutil, "which", lambda _name: None)
     with pytest.raises(FileError, match=r"planish completion powershell >> \$PROFILE"):
         setup.install_script("powershell")
     profile = home / "profile.ps1"
     profile.write_bytes("Set-Location C:\\\r\n".encode("utf-16"))
-    monkeypatch.setattr(completion, "_profile", lambda: profile)
+    monkeypatch.setattr(setup, "_profile", lambda: profile)
     setup.install_script("powershell")
     assert profile.read_bytes().decode("utf-16").splitlines() == [
         "Set-Location C:\\", '. "$PSScriptRoot/planish.completion.ps1"'
@@ -81,13 +80,10 @@ def test_a_missing_powershell_is_reported_and_an_older_profile_stays_readable(mo
         (("ma",), ["map", "marks"]),
         (("link", "a.tif", "--thr"), ["--through", "--threads"]),
         (("link", "--through", ""), ["z", "y", "x"]),
-        (("link", "--fringe", "a"), ["auto"]),
         (("marks", ""), ["design", "check", "simulate", "convert"]),
     ],
 )
 def test_powershell_gets_words_with_their_help(monkeypatch, capsys, words, expected):
-    from planish.cli import main
-
     monkeypatch.setenv("_PLANISH_COMPLETE", "powershell_complete")
     monkeypatch.setenv("COMP_WORDS", "\n".join(("planish", *filter(None, words))))
     monkeypatch.setenv("COMP_CWORD", words[-1])
@@ -113,6 +109,7 @@ def shell_answers(program, *arguments, home):
     return subprocess.run([found, *arguments], env=env, capture_output=True, text=True, check=True, timeout=60).stdout
 
 
+@pytest.mark.ci
 def test_bash_completes(home):
     setup.install_script("bash")
     asked = (
@@ -128,6 +125,7 @@ def test_fish_completes(home):
     assert [line.split("\t")[0] for line in out.splitlines()] == ["map", "marks"]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("arguments", "needless"),
     [

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from PIL import Image
 
 from planish.cli import console, show
 from planish.cli.console import stacked, table, wrapped
@@ -47,11 +48,15 @@ def in_terminal(code: str, **environment: str) -> str:
     return found.decode()
 
 
-def test_a_terminal_gets_colours_and_rows_below_each_other():
+@pytest.mark.ci
+def test_a_terminal_gets_colours():
     text = in_terminal(SHOWN, TERM="xterm-256color", COLUMNS="80")
     assert "\x1b[1m" in text, "the heading is bold"
     assert "coating [top]" in text
     assert "[1, 2] of 3" in text
+
+
+def test_in_a_narrow_terminal_rows_stand_below_each_other():
     text = stacked(
         "Properties of the sheet", ("", "unit", "mean", "n"),
         [("porosity", "1", "0.41", "70"), ("tilt", "deg", "2.1", "9")], 24,
@@ -63,6 +68,7 @@ def test_a_terminal_gets_colours_and_rows_below_each_other():
     assert text.split("\n") == ["coat_weight_top", "  unit  g/m2", "    Coat weight, top side"]
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("environment", [{"NO_COLOR": "1", "TERM": "xterm-256color"}, {"TERM": "dumb"}])
 def test_colours_that_are_off_are_off(environment):
     text = in_terminal(SHOWN, **environment, COLUMNS="80")
@@ -85,7 +91,7 @@ def test_what_is_no_terminal_gets_plain_lines(capsys):
 
 
 # --- narrow terminals ------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("width", [40, 60, 100])
+@pytest.mark.parametrize("width", [40, 100])
 def test_narrow_terminals_keep_units_beside_their_numbers(linked_run, monkeypatch, capsys, width):
     monkeypatch.setattr(console, "width", lambda **_: width)
     results = open_results(linked_run)
@@ -104,13 +110,13 @@ def test_narrow_terminals_keep_units_beside_their_numbers(linked_run, monkeypatc
     assert re.search(r"residual\s+\d+\.\d+ um rms", out)
 
 
-@pytest.mark.parametrize("width", range(20, 60))
-def test_no_line_ends_between_a_number_and_its_unit(width):
+def test_no_line_ends_between_a_number_and_its_unit():
     text = "Expected error 1.3 um rms; 87 % of its square is marks, 12 voxels of 3 x 3 x 3 um, 0.21 deg and 4 GB."
-    for line in wrapped(text, width).split("\n"):
-        assert len(line) <= width
-        assert not re.match(r"\s*(um|%|voxels|deg|GB)", line)
-    assert " ".join(wrapped(text, width).split()) == text
+    for width in range(20, 60):
+        for line in wrapped(text, width).split("\n"):
+            assert len(line) <= width
+            assert not re.match(r"\s*(um|%|voxels|deg|GB)", line)
+        assert " ".join(wrapped(text, width).split()) == text
 
 
 # --- letters ---------------------------------------------------------------------------------------------------------
@@ -122,28 +128,12 @@ def run(*arguments: str, cwd: Path, **environment: str) -> tuple[int, bytes, byt
     return found.returncode, found.stdout, found.stderr
 
 
-@pytest.mark.parametrize(
-    ("environment", "name"),
-    [
-        ({"PYTHONIOENCODING": "cp1252", "PYTHONUTF8": "0"}, b"N\xfaria \\u4e2d\\u6587.png"),
-        pytest.param(
-            {"PYTHONIOENCODING": "cp437", "PYTHONUTF8": "0"}, b"N\xa3ria \\u4e2d\\u6587.png", marks=pytest.mark.nightly
-        ),
-        pytest.param({"PYTHONUTF8": "1"}, "Núria 中文.png".encode(), marks=pytest.mark.nightly),
-    ],
-    ids=["cp1252", "cp437", "utf-8"],
-)
-def test_a_name_that_the_console_cannot_show_ends_nothing(tmp_path, environment, name):
-    from PIL import Image
-
+@pytest.mark.ci
+def test_a_name_that_the_console_cannot_show_ends_nothing(tmp_path):
     Image.new("L", (40, 30)).save(tmp_path / "Núria 中文.png")
-    code, out, err = run("info", "Núria 中文.png", cwd=tmp_path, **environment)
+    code, out, err = run("info", "Núria 中文.png", cwd=tmp_path, PYTHONIOENCODING="cp1252", PYTHONUTF8="0")
     assert (code, err) == (0, b"")
-    assert out.startswith(name + b": image, 30 x 40 (y, x)")
-
-
-@pytest.mark.nightly
-def test_a_message_with_such_a_name_is_written_too(tmp_path):
+    assert out.startswith(b"N\xfaria \\u4e2d\\u6587.png: image, 30 x 40 (y, x)")
     code, _, err = run("info", "没有.png", cwd=tmp_path, PYTHONIOENCODING="cp1252", PYTHONUTF8="0")
     assert code == 3
     assert b"\\u6ca1\\u6709.png does not exist." in err

@@ -5,7 +5,6 @@ from importlib.resources import files
 from pathlib import Path
 
 import program_pages as docs
-import pytest
 
 import console
 from planish.results import Results
@@ -27,7 +26,9 @@ OTHER = {
     "--record-seconds",
     "--coating-above-um",
 }
-OTHER |= {"--of", "--size"}  # of examples/studies/make.py
+OPTION = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]+")
+MESSAGES = re.compile(r"^```\{messages\}.*?^```$", re.MULTILINE | re.DOTALL)
+OTHER |= {"--of", "--size", "--texture"}  # of examples/studies/make.py and of a benchmark
 OTHER |= {"--require-hashes", "--cpus-per-task", "--mem", "--wrap", "--bind", "--rm", "--user"}
 
 
@@ -35,34 +36,28 @@ def test_the_pages_have_the_help_options_schema_and_terms_of_the_program():
     assert (DOCS / "cli.md").read_text(encoding="utf-8") == docs.page(), "run: python3 run.py docs"
     text = (DOCS / "properties.md").read_text(encoding="utf-8")
     assert text == docs.with_options(text), "run: python3 run.py docs"
-    assert (DOCS / "results.schema.json").read_text(encoding="utf-8") == docs.schema(Results), (
-        "run: python3 run.py docs"
-    )
-    assert (DOCS / "series.schema.json").read_text(encoding="utf-8") == docs.schema(SeriesResults), (
-        "run: python3 run.py docs"
-    )
-    packed = files("planish.core").joinpath("results.schema.json")
-    assert packed.read_text(encoding="utf-8") == docs.schema(Results), "run: python3 run.py docs"
-    assert (DOCS / "series.schema.json").read_text(encoding="utf-8") == docs.schema(SeriesResults), (
-        "run: python3 run.py docs"
-    )
+    for place in (DOCS, files("planish.core")):
+        text = place.joinpath("results.schema.json").read_text(encoding="utf-8")
+        assert text == docs.schema(Results), "run: python3 run.py docs"
+    text = (DOCS / "series.schema.json").read_text(encoding="utf-8")
+    assert text == docs.schema(SeriesResults), "run: python3 run.py docs"
     terms = re.findall(r"\*\*([\w -]+)\*\*", (DOCS / "glossary.md").read_text(encoding="utf-8"))
     assert len(terms) == len(set(terms)) > 40
 
 
-@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_a_page_links_to_files_that_exist_and_names_options_that_exist(path):
-    text = path.read_text(encoding="utf-8")
-    links = {link for link in re.findall(r"\]\(([^)#\s]+)", text) if not link.startswith("http")}
-    assert {link for link in links if not (path.parent / link).exists()} == set()
-    commands = "".join(f"```console\n$ {said}\n```\n" for said in re.findall(r"`(planish [a-z]+ [^`\n\"]+)`", text))
-    assert console.unknown_verbs(text + "\n" + commands) == set()
-    said = re.sub(
-        r"^```\{messages\}.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL
-    )  # words of messages, not options
-    named = set(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]+", said))
-    known = set(re.findall(r"--[a-z][a-z0-9-]+", (DOCS / "cli.md").read_text(encoding="utf-8")))
-    assert named <= known | OTHER
+def test_pages_link_to_files_that_exist_and_name_commands_and_options_that_exist():
+    known = OTHER | set(OPTION.findall((DOCS / "cli.md").read_text(encoding="utf-8")))
+    faults = []
+    for path in PAGES:
+        text = path.read_text(encoding="utf-8")
+        links = {link for link in re.findall(r"\]\(([^)#\s]+)", text) if not link.startswith("http")}
+        wrong = {link for link in links if not (path.parent / link).exists()}
+        said = re.findall(r"`(planish [a-z]+ [^`\n\"]+)`", text)
+        wrong |= console.unknown_verbs(text + "".join(f"\n```console\n$ {command}\n```\n" for command in said))
+        # Words of messages are no options.
+        wrong |= set(OPTION.findall(MESSAGES.sub("", text))) - known
+        faults += [f"{path.relative_to(ROOT)}: {one}" for one in wrong]
+    assert faults == []
 
 
 def test_the_changes_that_contributing_shows_still_fit():

@@ -18,6 +18,12 @@ OF_DEVELOPERS = {"dev", "benchmark", "docs"}
 Disk = namedtuple("Disk", "total used free")
 
 
+@pytest.fixture(scope="module", autouse=True)
+def loaded():
+    """The first look loads every library and kernel, which is no test's own time."""
+    return check_installation()
+
+
 def states(monkeypatch=None, requires=None):
     if monkeypatch is not None:
         monkeypatch.setattr(metadata, "requires", lambda _name: requires)
@@ -37,18 +43,18 @@ def test_a_sound_installation_is_well(planish, monkeypatch):
     code, out, err = planish("doctor")
     assert (code, err) == (0, "")
     assert out.endswith("All is well.\n")
-    lines = out.splitlines()
-    assert lines[0].startswith("planish 0.")
+    assert out.startswith("planish 0.")
     assert re.search(r"ok +libraries: numpy \d", out)
     assert re.search(r"ok +compile cache: \d+ of \d+ kernels are compiled and kept", out)
     assert re.search(r"ok +temporary folder: [\d.]+ GB are free", out)
     assert re.search(r"ok +extra cluster: installed \(distributed ", out)
+
+
+def test_programs_get_the_same_checks(planish, loaded):
     code, out, _ = planish("doctor", "--json")
     found = json.loads(out)
     assert (code, found["well"]) == (0, True)
-    assert [check["name"] for check in found["checks"]] == [
-        line.split(":")[0].split(None, 1)[1] for line in lines[1:-1]
-    ]
+    assert [check["name"] for check in found["checks"]] == [check.name for check in loaded]
 
 
 def test_it_names_no_folders_of_the_user(planish):

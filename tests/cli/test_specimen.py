@@ -46,6 +46,7 @@ def test_the_files_of_the_instruments_and_of_the_truth(made):
     assert image[row, col].max() < 0.3 * np.median(image)
 
 
+@pytest.mark.ci
 def test_a_specimen_too_large_for_voxels(passes, tmp_path, monkeypatch):
     import planish.synthetic as synthetic
 
@@ -56,14 +57,9 @@ def test_a_specimen_too_large_for_voxels(passes, tmp_path, monkeypatch):
     assert not (tmp_path / "large" / "scan").exists()
 
 
-def test_wrong_names_are_told(planish, passes, tmp_path):
-    code, _, err = planish("specimen", "--preset", "newsprint", "-o", tmp_path / "x")
-    assert (code, "wfc135" in err) == (2, True)
-    code, _, err = planish("specimen", "--nuisance", "dust", "-o", tmp_path / "x")
-    assert (code, "dust" in err) == (2, True)
-    code, _, err = planish("specimen")
-    assert (code, "--out" in err) == (2, True)
+def test_wrong_names_are_told(refuses, passes):
+    refuses("specimen", "--preset", "newsprint", words="wfc135", code=2)
+    refuses("specimen", "--nuisance", "dust", words="dust", code=2)
     out, _ = passes("specimen", "--list")
     assert "wfc135-calendered" in out
     assert "knife" in out
-    assert not list(tmp_path.iterdir())

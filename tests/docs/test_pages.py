@@ -1,21 +1,32 @@
-"""Every command of the tutorial and of the how-to pages runs as it stands and prints what the page shows.
-
-From a fresh clone to a map in ImageJ and a table in Octave a newcomer copies at most 15 commands from the documents.
-"""
+"""Every command of the tutorial and of the how-to pages runs as it stands and prints what the page shows."""
 
 import importlib.util
 import os
+import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import matplotlib.pyplot as plt
+import numpy as np
 import pytest
 import tifffile
 
 import console
 
-DOCS = Path(__file__).resolve().parents[2] / "docs"
+ROOT = Path(__file__).resolve().parents[2]
+DOCS, README = ROOT / "docs", ROOT / "README.md"
+IMAGEJ = next((path for path in (Path("/usr/share/java/ij.jar"),) if path.exists()), None)
+# Dragging a file onto ImageJ, without a window.
+OPEN = """
+import sys, jpype
+jpype.startJVM("-Djava.awt.headless=true", classpath=[sys.argv[1]])
+image = jpype.JClass("ij.IJ").openImage(sys.argv[2])
+size = image.getCalibration()
+about = image.getWidth(), image.getHeight(), image.getBitDepth(), size.pixelWidth, size.getUnit()
+print(*about, image.getStatistics().mean)
+"""
 # Pages without such blocks speak of what a test cannot do here: another system, an installation.
 PAGES = sorted(path for path in (DOCS / "how-to").glob("*.md") if console.steps(path.read_text(encoding="utf-8")))
 
@@ -28,7 +39,7 @@ def after_tutorial(tmp_path_factory):
     return folder, console.report(console.run(page, folder))
 
 
-@pytest.mark.nightly
+@pytest.mark.ci
 def test_the_tutorial_prints_what_it_shows(after_tutorial):
     folder, faults = after_tutorial
     assert not faults, faults
@@ -48,121 +59,47 @@ def test_a_page_prints_what_it_shows(path, after_tutorial, tmp_path):
         pytest.skip(f"the rest fits; {', '.join(sorted(over))}")
 
 
-# --- a newcomer -------------------------------------------------------------------------------------------------------
-
-IMAGEJ = next((path for path in (Path("/usr/share/java/ij.jar"),) if path.exists()), None)
-# What the newcomer types, and the document that it is copied from. The first two have made what these tests run in.
-SET_UP = (("README.md", "python3 run.py demo"), ("README.md", "source .venv/bin/activate"))
-COMMANDS = (
-    (
-        "tutorial.md",
-        "planish specimen --size T1 --slab --seed 3 --voxel-um 6 --instrument ct --instrument image --out sheet",
-    ),
-    ("tutorial.md", "planish info sheet/scan --picture look.png"),
-    ("tutorial.md", "planish info sheet/image.ome.tif"),
-    (
-        "tutorial.md",
-        "planish link sheet/scan sheet/image.ome.tif --through y --image-side top --headline coating_top --out run",
-    ),
-    ("how-to/open-in-fiji.md", "planish export run --map coating_top --map image --to tiff --out coating.tif"),
-    (
-        "how-to/open-in-matlab.md",
-        "planish export run --map coating_top --map image --to csv --point-um 100 --out points.csv",
-    ),
-    (
-        "how-to/open-in-matlab.md",
-        "octave-cli --quiet --eval \"t = dlmread('points.csv', ',', 2, 0); ok = all(isfinite(t), 2) & t(:, 5) > 0.5; "
-        "printf('%d points, r = %.2f\\n', sum(ok), corr(t(ok, 3), t(ok, 4)))\"",
-    ),
-)
-MEASURED = (
-    (
-        "how-to/not-paper.md",
-        "planish map battery_sector_right --voxel-um 1 --through x --sheet-grey 100,255 --out wall",
-    ),
-    ("how-to/not-paper.md", "planish export wall --map thickness --to tiff --out wall.tif"),
-)
-# Dragging a file onto ImageJ, without a window.
-OPEN = """
-import sys, jpype
-jpype.startJVM("-Djava.awt.headless=true", classpath=[sys.argv[1]])
-image = jpype.JClass("ij.IJ").openImage(sys.argv[2])
-size = image.getCalibration()
-about = image.getWidth(), image.getHeight(), image.getBitDepth(), size.pixelWidth, size.getUnit()
-print(*about, image.getStatistics().mean)
-"""
+@pytest.mark.ci
+def test_the_readme_reads_a_run_as_it_shows(kinds, tmp_path, monkeypatch):
+    """Its commands and options are checked with those of all pages; here its Python runs in the folder of a run."""
+    (block,) = re.findall(r"^```python\n(.*?)^```$", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    shutil.copytree(kinds("upright"), tmp_path / "run")
+    monkeypatch.chdir(tmp_path)
+    plt.switch_backend("agg")
+    names = {}
+    exec(compile(block, str(README), "exec"), names)
+    plt.close("all")
+    assert names["run"].linked.coating_top.where(names["run"].linked.valid).notnull().any()
 
 
-def test_pages_are_short_with_few_commands():
-    assert len((*SET_UP, *COMMANDS, *MEASURED)) <= 15
-    for page, command in (*SET_UP, *COMMANDS, *MEASURED):
-        text = (DOCS.parent / page if page == "README.md" else DOCS / page).read_text(encoding="utf-8")
-        assert command in " ".join(text.split("\n")) or command in text, f"{page}: {command}"
+@pytest.mark.nightly
+def test_imagej_opens_a_map_with_its_size_and_values(after_tutorial, tmp_path):
+    if IMAGEJ is None or importlib.util.find_spec("jpype") is None:
+        pytest.skip("ImageJ (the distribution's ij.jar) or JPype is not installed")
+    command = f"planish export {after_tutorial[0] / 'run'} --map coating_top --to tiff --out coating.tif"
+    assert console.run(f"```console\n$ {command}\n...\n```\n", tmp_path)[0].code == 0
+    path = tmp_path / "coating.tif"
+    program = [sys.executable, "-c", OPEN, str(IMAGEJ), str(path)]
+    done = subprocess.run(program, capture_output=True, text=True, check=True)
+    width, height, bits, pixel, unit, mean = done.stdout.split()
+    assert (int(width), int(height), int(bits), float(pixel)) == (889, 670, 32, 4.0)
+    assert unit in {"um", "µm", "micron"}
+    values = tifffile.imread(path)
+    assert float(mean) == pytest.approx(float(np.nanmean(values, dtype=float)), rel=1e-5)
+
+
+def test_pages_are_short():
     assert len(PAGES) >= 12
-    for path in PAGES:
-        lines = path.read_text(encoding="utf-8").splitlines()
-        assert len(lines) <= 75, f"{path.name} is longer than a screen or two"
+    lines = {path.name: len(path.read_text(encoding="utf-8").splitlines()) for path in PAGES}
+    assert [name for name, count in lines.items() if count > 75] == [], "longer than a screen or two"
 
 
 def test_the_first_lines_of_windows_stand_where_a_newcomer_begins():
-    for page in (DOCS.parent / "README.md", DOCS / "how-to" / "windows.md"):
+    for page in (README, DOCS / "how-to" / "windows.md"):
         text = page.read_text(encoding="utf-8")
         assert "\npy run.py demo\n" in text
         assert "Set-ExecutionPolicy -Scope Process" in text
         assert ".venv\\Scripts\\activate" in text
-
-
-@pytest.fixture(scope="module")
-def programs():
-    """Skip where something that the newcomer uses is not there, and say what."""
-    missing = console.unknown_verbs("".join(f"```console\n$ {command}\n```\n" for _, command in COMMANDS))
-    if missing:
-        pytest.skip(f"this planish has no command {', '.join(sorted(missing))}")
-    if IMAGEJ is None or importlib.util.find_spec("jpype") is None:
-        pytest.skip("ImageJ (the distribution's ij.jar) or JPype is not installed")
-    if shutil.which("octave-cli") is None:
-        pytest.skip("GNU Octave is not installed")
-
-
-def carry_out(commands, folder):
-    """Run the commands and return what each printed; none may fail."""
-    page = "".join(f"```console\n$ {command}\n...\n```\n" for _, command in commands)
-    outcomes = console.run(page, folder)
-    for outcome in outcomes:
-        assert outcome.code == 0, outcome.printed
-    return [outcome.printed for outcome in outcomes]
-
-
-def opened(path):
-    """Width, height, bits, pixel size, unit and mean of a map as ImageJ has it."""
-    done = subprocess.run(
-        [sys.executable, "-c", OPEN, str(IMAGEJ), str(path)], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    width, height, bits, pixel, unit, mean = done.stdout.split()
-    return (int(width), int(height), int(bits)), float(pixel), unit, float(mean)
-
-
-@pytest.mark.nightly
-@pytest.mark.usefixtures("programs")
-def test_a_newcomer_gets_a_map_into_imagej_and_a_table_into_octave(after_tutorial, tmp_path):
-    shutil.copytree(after_tutorial[0], tmp_path, dirs_exist_ok=True, copy_function=os.link)
-    printed = carry_out([one for one in COMMANDS if one[0] != "tutorial.md"], tmp_path)
-    assert "points, r = 0.3" in printed[-1]
-    shape, pixel, unit, mean = opened(tmp_path / "coating.tif")
-    assert (shape, pixel) == ((889, 670, 32), 4.0)
-    assert unit in {"um", "µm", "micron"}
-    values = tifffile.imread(tmp_path / "coating.tif")[0]
-    assert mean == pytest.approx(float(values[values == values].mean(dtype=float)), rel=1e-5)
-
-
-@pytest.mark.nightly
-@pytest.mark.usefixtures("programs")
-def test_the_same_with_a_measured_volume(shared_data, tmp_path):
-    (tmp_path / "battery_sector_right").symlink_to(shared_data("battery_sector_right"))
-    carry_out(MEASURED, tmp_path)
-    (_, _, bits), pixel, _, mean = opened(tmp_path / "wall.tif")
-    assert (bits, pixel, mean) == (32, pytest.approx(1.0, rel=0.05), pytest.approx(7.1, abs=0.5))
 
 
 # --- the runner itself ---------------------------------------------------------------------------------------

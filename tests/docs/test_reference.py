@@ -38,14 +38,16 @@ def commands(command=group, name="planish"):
 
 
 # --- the command line and the study file ---------------------------------------------------------------------
-@pytest.mark.parametrize(("name", "command"), [*commands()], ids=lambda value: value if isinstance(value, str) else "")
-def test_a_command_stands_with_its_options_and_examples(name, command):
+def test_every_command_stands_with_its_options_and_examples():
     sections = dict(re.findall(r"^## (planish[\w -]*)\n\n```\n(.*?)^```$", page("cli.md"), re.MULTILINE | re.DOTALL))
-    text = sections[name]
-    flags = [flag for p in command.params if isinstance(p, click.Option) and not p.hidden for flag in p.opts]
-    assert [flag for flag in flags if flag not in text] == []
-    if not isinstance(command, click.Group):
-        assert f"\nExamples:\n  {name}" in text
+    missing = []
+    for name, command in commands():
+        shown = [p for p in command.params if isinstance(p, click.Option) and not p.hidden]
+        wanted = [flag for option in shown for flag in option.opts]
+        if not isinstance(command, click.Group):
+            wanted.append(f"\nExamples:\n  {name}")
+        missing += [f"{name}: {part}" for part in wanted if part not in sections[name]]
+    assert missing == []
 
 
 def test_every_key_of_a_study_has_type_and_meaning():
@@ -138,6 +140,7 @@ def test_every_variable_of_other_runs_stands_with_its_unit(passes, tmp_path):
     check_variables(tmp_path / "run" / "maps.zarr")
 
 
+@pytest.mark.ci
 def test_every_map_package_exit_code_and_message_is_collected():
     text = page("reference/maps.md")
     for name, known in registered().items():
@@ -152,12 +155,16 @@ def test_every_map_package_exit_code_and_message_is_collected():
 
 
 # --- Python --------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("package", public_names.packages())
-def test_every_public_name_stands_with_a_sentence(package):
-    text = page(f"reference/api/{package}.md")
-    for name, found in public_names.objects(package):
-        assert re.search(rf"^\| {{py:obj}}`{name} <planish[\w.]*{name}>` \|", text, re.MULTILINE), name
-        assert len(api_pages.first_sentence(package, name, found)) > 10, f"{package}.{name} has no docstring"
+@pytest.mark.ci
+def test_every_public_name_stands_with_a_sentence():
+    missing = []
+    for package in public_names.packages():
+        text = page(f"reference/api/{package}.md")
+        for name, found in public_names.objects(package):
+            has_row = re.search(rf"^\| {{py:obj}}`{name} <planish[\w.]*{name}>` \|", text, re.MULTILINE)
+            if not (has_row and len(api_pages.first_sentence(package, name, found)) > 10):
+                missing.append(f"{package}.{name}")
+    assert missing == [], "without a row, or without a docstring"
 
 
 # --- exit codes and messages ---------------------------------------------------------------------------------
@@ -172,12 +179,9 @@ def test_every_message_has_its_entry():
 def test_every_entry_has_messages_a_cause_and_a_cure():
     for path in sorted(message_pages.FOLDER.glob("*.md")):
         text = path.read_text(encoding="utf-8")
-        entries = re.split(r"^### ", text, flags=re.MULTILINE)[1:]
-        for entry in entries:
-            title = entry.splitlines()[0]
-            assert "**Cause.**" in entry, f"{path.name}: {title}"
-            assert "**Cure.**" in entry, f"{path.name}: {title}"
-            assert "```{messages}" in entry, f"{path.name}: {title}"
+        for entry in re.split(r"^### ", text, flags=re.MULTILINE)[1:]:
+            lacking = [part for part in ("**Cause.**", "**Cure.**", "```{messages}") if part not in entry]
+            assert lacking == [], f"{path.name}: {entry.splitlines()[0]}"
         for patterns in (block for page_, block in message_pages.families() if page_ == path):
             for line in filter(None, map(str.strip, patterns.splitlines())):
                 there = any(m.module.startswith(line.partition(": ")[0]) for m in messages.messages())
