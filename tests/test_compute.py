@@ -12,72 +12,82 @@ import nibabel
 import numpy as np
 import pytest
 
-from folders import bytes_of
+from folders import bytes_of, write_volume
 from planish.cli import show
+from planish.core import tiles
 from planish.core.errors import FileError, InputError, ResourceError
 from planish.core.frame import Frame
 from planish.core.labelled import labelled
 from planish.core.lazy import LazyArray
 from planish.core.memory import COLUMN_BYTES
 from planish.core.tiles import tiles_of
-from planish.io import VolumeParams, describe, new_folder, read_volume, work_folder, write_store
+from planish.io import VolumeParams, describe, new_folder, read_volume, run_folder, work_folder, write_store
 from planish.io.run_folder import WORK_MARKER
 from planish.run import Compute, as_study, column_step, engine, map_sheet, read_whole, run_study
-from planish.synthetic import BurnParams, SectionsParams, SpecimenParams, make_specimen, write_instruments
 from surface.sheets import slab, volume
 
 
-@pytest.fixture(scope="module")
-def store(tmp_path_factory):
-    """A small specimen in a working store."""
-    folder = tmp_path_factory.mktemp("store")
-    params = SpecimenParams(size_um=(900.0, 700.0), holes=BurnParams(pattern="irregular", count=4), seed=3)
-    files = write_instruments(make_specimen(params), folder / "specimen")
-    write_store(read_volume(files.volume), folder / "sheet.zarr")
-    return folder / "sheet.zarr"
+def map_of(kinds, out, **options):
+    """Map the volume of the run `other-map`."""
+    run_study(as_study({"volume": {"path": str(kinds.other.volume)}}), out, compute=Compute(**options))
 
 
-def study(store):
-    return as_study({"volume": {"path": str(store)}})
+def same_as_the_shared_run(kinds, out):
+    """All bytes but those of the study, which says how to get from the run to its volume."""
+    one, other = bytes_of(kinds("other-map")), bytes_of(out)
+    assert one.pop("run.toml")
+    assert other.pop("run.toml")
+    assert other == one
 
 
-@pytest.fixture(scope="module")
-def whole(store, tmp_path_factory):
-    """What the run gives when nothing happens."""
-    out = tmp_path_factory.mktemp("whole") / "run"
-    run_study(study(store), out)
-    return bytes_of(out)
+LITTLE = 530 * 10**6  # for columns of one voxel, in many tiles
+
+
+def test_a_run_that_stops_goes_on_with_its_tiles_other_memory_and_threads_and_gives_the_same(
+    kinds, tmp_path, monkeypatch
+):
+    """As if it were killed: what vanishes after an error is still there."""
+    usual, kept = tiles.move, []
+
+    def stop_at_the_third(partial_path, path, *, over):
+        usual(partial_path, path, over=over)
+        kept.append(path)
+        if len(kept) == 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(tiles, "move", stop_at_the_third)
+    with monkeypatch.context() as killed:
+        killed.setattr(run_folder, "_remove_work_folder", lambda _: None)
+        with pytest.raises(KeyboardInterrupt):
+            map_of(kinds, tmp_path / "run", memory_bytes=LITTLE)
+    assert [path.is_file() for path in kept] == [True] * 3
+    map_of(kinds, tmp_path / "run", memory_bytes=LITTLE, threads=3)
+    assert len(kept) == len(set(kept)) > 3
+    same_as_the_shared_run(kinds, tmp_path / "run")
 
 
 @pytest.mark.nightly
-def test_memory_and_threads_change_no_byte(store, whole, tmp_path):
-    run_study(study(store), tmp_path / "run", compute=Compute(threads=3, memory_bytes=300 * 2**20))
-    assert bytes_of(tmp_path / "run") == whole
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
-def test_a_killed_run_goes_on_and_gives_the_same(store, whole, tmp_path, share):
+def test_a_killed_run_goes_on_and_gives_the_same(kinds, tmp_path):
     out = tmp_path / "run"
-    command = [sys.executable, "-m", "planish", "map", str(store), "--out", str(out), "--memory", "300MB"]
+    command = [sys.executable, "-m", "planish", "map", str(kinds.other.volume), "--out", str(out), "--memory", "530MB"]
     with subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as process:
-        tiles = out.with_name(f".{out.name}.work") / "tiles"
+        folder = out.with_name(f".{out.name}.work") / "tiles"
         # Killed when so many tiles are on the disk, whatever the speed of the machine.
-        wanted = 1 + int(share * 6)
         end = time.monotonic() + 120
-        while process.poll() is None and len(list(tiles.rglob("*.npy"))) < wanted and time.monotonic() < end:
+        while process.poll() is None and len(list(folder.rglob("*.npy"))) < 4 and time.monotonic() < end:
             time.sleep(0.01)
         process.send_signal(getattr(signal, "SIGKILL", signal.SIGTERM))
     assert not out.exists()
-    kept = len(list(tiles.rglob("*.npy")))
-    assert kept >= wanted
+    assert len(list(folder.rglob("*.npy"))) >= 4
     subprocess.run(command, check=True, capture_output=True)
-    assert (bytes_of(out), sorted(p.name for p in tmp_path.iterdir())) == (whole, ["run"])
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+    same_as_the_shared_run(kinds, out)
 
 
-def test_two_runs_do_not_write_to_one_place(store, tmp_path):
+def test_two_runs_do_not_write_to_one_place(tmp_path):
+    path = write_volume(tmp_path / "v.tif", np.zeros((8, 9, 10), np.uint8))
     with work_folder(tmp_path / "run", "a"), pytest.raises(FileError, match="Another planish"):
-        run_study(study(store), tmp_path / "run")
+        run_study(as_study({"volume": {"path": str(path)}}), tmp_path / "run")
 
 
 def test_tiles_of_another_study_are_not_used(tmp_path):
@@ -115,10 +125,9 @@ def cluster():
 
 
 @pytest.mark.nightly
-def test_a_cluster_gives_the_same_bytes(store, whole, cluster, tmp_path):
-    compute = Compute(scheduler=cluster.scheduler_address, memory_bytes=300 * 2**20)
-    run_study(study(store), tmp_path / "run", compute=compute)
-    assert bytes_of(tmp_path / "run") == whole
+def test_a_cluster_gives_the_same_bytes(kinds, cluster, tmp_path):
+    map_of(kinds, tmp_path / "run", scheduler=cluster.scheduler_address, memory_bytes=LITTLE)
+    same_as_the_shared_run(kinds, tmp_path / "run")
 
 
 def slow_sum(grid, tile):
@@ -129,17 +138,17 @@ def slow_sum(grid, tile):
 @pytest.mark.nightly
 def test_a_worker_that_dies_costs_only_time(cluster):
     grid = np.arange(400.0).reshape(20, 20)
-    tiles = tiles_of(grid.shape, (2, 5))
+    parts = tiles_of(grid.shape, (2, 5))
     workers = {w.pid for w in (n.process for n in cluster.workers.values()) if w is not None}
     assert len(workers) == 2
     with engine(Compute(scheduler=cluster.scheduler_address)) as on:
         found, seen = [], set()
-        for tile, part in on.map("sums", slow_sum, lambda _tile: grid, tiles):
+        for tile, part in on.map("sums", slow_sum, lambda _tile: grid, parts):
             found.append((tile, part[0, 0]))
             if len(found) == 4:
                 os.kill(min(workers), signal.SIGKILL)
             seen.add(int(part[0, 1]))
-    assert found == [(tile, grid[tile.rows, tile.cols].sum()) for tile in tiles]
+    assert found == [(tile, grid[tile.rows, tile.cols].sum()) for tile in parts]
     assert seen - workers or len(seen) >= 1
 
 
@@ -171,9 +180,9 @@ def test_an_import_on_a_cluster_has_the_same_bytes_though_a_worker_dies(cluster,
 
 
 @pytest.mark.nightly
-def test_import_takes_a_scheduler(cluster, store, tmp_path, planish):
+def test_import_takes_a_scheduler(cluster, kinds, tmp_path, planish):
     for name, how in (("local", ()), ("cluster", ("--scheduler", cluster.scheduler_address))):
-        assert planish("import", store, "--out", tmp_path / name, *how)[0] == 0
+        assert planish("import", kinds.other.volume, "--out", tmp_path / name, *how)[0] == 0
     assert bytes_of(tmp_path / "cluster") == bytes_of(tmp_path / "local")
 
 
@@ -236,10 +245,8 @@ def test_the_memory_that_info_states_holds_a_volume_that_is_decoded_as_a_whole(t
         assert Compute(memory_bytes=stated).volume_bytes >= values.nbytes
 
 
-def test_sections_that_do_not_fit_are_imported_in_parts(tmp_path):
-    sections = SectionsParams(pixel_um=2.5, section_um=4.0)
-    params = SpecimenParams(size_um=(400.0, 240.0), holes=BurnParams(count=0), sections=sections, seed=3)
-    files = write_instruments(make_specimen(params), tmp_path / "specimen", volume="sections")
+def test_sections_that_do_not_fit_are_imported_in_parts(kinds, tmp_path):
+    files = kinds.files("sections")
     section = VolumeParams(path=str(files.volume), through="y")
     silent = lambda _stage, _detail: None  # noqa: E731
     whole = read_whole(section, Compute(), silent)

@@ -20,18 +20,18 @@ def numbers(value, place=""):
     return {name: number for key, part in parts for name, number in numbers(part, f"{place}/{key}").items()}
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize("what", ["sheet and image", "two images"])
-def test_tiles_and_a_store_change_nothing(planish, passes, linked_run, specimen_files, tmp_path, monkeypatch, what):
-    image = specimen_files[1]
-    layers = [linked_run, image] if what == "sheet and image" else [f"one={image}", f"two={image}"]
-    names = ["linked"] if what == "sheet and image" else ["layers/one", "layers/two"]
-    assert planish("link", *layers, "-o", tmp_path / "whole")[0] in (0, 4)
+@pytest.mark.parametrize("kind", ["upright", pytest.param("images", marks=pytest.mark.nightly)])
+def test_tiles_and_a_store_change_nothing(passes, kinds, tmp_path, monkeypatch, kind):
+    layers = {
+        "upright": (kinds("upright"), kinds.small.image),
+        "images": (f"white={kinds.small.image}", f"uv={kinds.other.image}"),
+    }[kind]
+    names = {"upright": ["linked"], "images": ["layers/white", "layers/uv"]}[kind]
     monkeypatch.setattr(map_store, "LARGE_BYTES", 1)
     monkeypatch.setattr(map_store, "_TILE", (128, 192))
     monkeypatch.setattr(bands, "BAND", 100)
     passes("link", *layers, "-o", tmp_path / "tiles", codes=(0, 4))
-    one, other = (open_run(tmp_path / name) for name in ("whole", "tiles"))
+    one, other = open_run(kinds(kind)), open_run(tmp_path / "tiles")
     for name in names:
         a, b = one.groups[name].load().drop_attrs(), other.groups[name].load().drop_attrs()
         assert min(a.sizes.values()) > 200
@@ -39,16 +39,13 @@ def test_tiles_and_a_store_change_nothing(planish, passes, linked_run, specimen_
         for key in a.data_vars:
             np.testing.assert_allclose(a[key], b[key], rtol=1e-6, atol=1e-9)
         xr.testing.assert_allclose(a.coords.to_dataset(), b.coords.to_dataset())
-    found, expected = (
-        numbers(json.loads((tmp_path / name / "results.json").read_text(encoding="utf-8")))
-        for name in ("tiles", "whole")
-    )
+    found, expected = (numbers(json.loads(run.results.to_json())) for run in (other, one))
     assert found.keys() == expected.keys()
     assert len(expected) > 100
     for key, value in expected.items():
         assert found[key] == (pytest.approx(value, rel=1e-5, abs=1e-9) if isinstance(value, float) else value), key
     # The page of the run as it is read again is the one that was written.
-    assert planish("report", tmp_path / "tiles", "-o", tmp_path / "again.html")[0] == 0
+    passes("report", tmp_path / "tiles", "-o", tmp_path / "again.html")
     assert (tmp_path / "again.html").read_bytes() == (tmp_path / "tiles" / "report.html").read_bytes()
     assert not list(tmp_path.glob(".*"))
 

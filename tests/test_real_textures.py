@@ -7,6 +7,8 @@ import xarray as xr
 from scipy import ndimage
 
 import planish as pl
+from folders import refused
+from planish.core.errors import CannotRegister
 from planish.core.transform import Similarity, nearest_similarity
 
 
@@ -14,7 +16,7 @@ from planish.core.transform import Similarity, nearest_similarity
 @pytest.mark.parametrize(
     ("moving", "fixed"), [((0, 0), (2, 0)), ((3, 1), (2, 0))], ids=["two depths", "another channel and depth"]
 )
-def test_images_of_one_tissue_are_linked_by_their_texture(shared_data, moving, fixed):
+def test_images_of_one_tissue_are_linked_by_their_texture_and_one_of_another_is_refused(shared_data, moving, fixed):
     """Light-sheet images of one epithelium, by the numbers of depth and channel; the second under another camera.
 
     Their pixel counts as 4 um, since the search looks for the waves of paper. Cell walls lean, so one depth shows them
@@ -36,6 +38,13 @@ def test_images_of_one_tissue_are_linked_by_their_texture(shared_data, moving, f
         attrs={"pixel_um": [camera_pixel] * 2},
     )  # fmt: skip
     found = pl.register_texture(maps, image, mirrored=False)
+    organoid = tifffile.imread(shared_data("tissue_sheet_mesh") / "Neural_tube_organoid_DAPI_betaCat-small.tif")[15, 0]
+    other = xr.DataArray(
+        np.pad(organoid.astype(np.float64), 60, constant_values=np.median(organoid)), dims=("y", "x"),
+        attrs={"pixel_um": [camera_pixel] * 2},
+    )  # fmt: skip
+    other = other.assign_coords({dim: np.arange(size) * camera_pixel for dim, size in other.sizes.items()})
+    refused(CannotRegister, "stands out by its texture", pl.register_texture, maps, other)
     corners = np.array([[200.0, 200.0], [800.0, 200.0], [200.0, 800.0], [800.0, 800.0]])
     off_pixels = np.linalg.norm(found(corners) - place(corners), axis=1) / pixel
     print(f"off by {off_pixels.min():.2f} to {off_pixels.max():.2f} pixels, p {found.false_probability:.1g}")

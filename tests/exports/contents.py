@@ -3,6 +3,7 @@
 import numpy as np
 import xarray as xr
 
+from folders import bytes_of
 from planish.core.frame import Frame
 from planish.core.grid import Grid
 from planish.core.transform import Affine
@@ -42,6 +43,11 @@ def written(content, path, to, **options):
     """Write as a format."""
     writer_of(to)(content, path, HISTORY, ExportParams(to=to, **options))
     return path
+
+
+def files_of(path):
+    """Bytes of the files of an export, whatever its name is."""
+    return bytes_of(path) if path.is_dir() else {"": path.read_bytes()}
 
 
 def surface(through: str = "z", top: str = "high", name: str = "top") -> Surface:
