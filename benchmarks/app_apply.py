@@ -18,7 +18,7 @@ from pathlib import Path
 
 from benchmarks.app import WATCH, opened, until
 from benchmarks.large_image import specimen
-from benchmarks.shared import children_s, folder_for, options, planish, timed
+from benchmarks.shared import children_s, folder_for, options, planish, succeeded
 from planish.app.changes import change_of
 from planish.app.server import create_app
 from planish.app.session import Session
@@ -29,10 +29,10 @@ def main(*arguments: str | int) -> int:
     with folder_for(asked.folder) as folder:
         demo, large = Path(folder) / "demo", Path(folder) / f"run-{asked.rows}"
         if not demo.exists():
-            timed(planish("demo", "--out", demo))
+            succeeded(planish("demo", "--out", demo))
         if not large.exists():
             files = specimen(asked.rows, asked.rows * 4 // 3, Path(folder) / f"image-{asked.rows}")
-            timed(planish("link", *files, "--out", large))
+            succeeded(planish("link", *files, "--out", large))
         for run in (demo / "run", large):
             measure(run)
     return 0

@@ -22,7 +22,7 @@ import tifffile
 import zarr
 from zarr.codecs import ZstdCodec
 
-from benchmarks.shared import planish, timed
+from benchmarks.shared import planish, succeeded
 from benchmarks.size import DEPTH, VOXEL_UM, boxes, decode_slices, sixteen_bits, write_slices
 from planish.io.store import CHUNK, SHARD
 
@@ -75,7 +75,7 @@ def main(mvoxel: int = 300, times: int = 5) -> int:
         values = sixteen_bits(round(np.sqrt(mvoxel * 1e6 / DEPTH)))
         out = folder / "store.zarr"
         encoding = _seconds(lambda: _encode(values, out), times, out)
-        start = _seconds(lambda: timed(planish("import", "--help")), times)
+        start = _seconds(lambda: succeeded(planish("import", "--help")), times)
         print(f"{values.nbytes / 1e9:.2f} GB of 16 bits; encoding {encoding:.2f} s; start of the program {start:.2f} s")
         for kind, (compression, least) in _KINDS.items():
             path = folder / kind
@@ -85,9 +85,9 @@ def main(mvoxel: int = 300, times: int = 5) -> int:
             else:
                 write_slices(values, path, compression)
             command = planish("import", path, "--voxel-um", VOXEL_UM, "-o", out)
-            _seconds(lambda command=command: timed(command), 1, out)  # from the disk into the page cache
+            _seconds(lambda command=command: succeeded(command), 1, out)  # from the disk into the page cache
             decoding = _seconds(lambda path=path: _decode(path), times)
-            took = _seconds(lambda command=command: timed(command), times, out) - start
+            took = _seconds(lambda command=command: succeeded(command), times, out) - start
             alone = max(decoding, encoding) if least < 0.5 else decoding + encoding
             print(
                 f"{kind:8} decoding {decoding:.2f} s, import {took:.2f} s: {alone / took:.2f} of it ({least})",

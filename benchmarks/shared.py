@@ -79,6 +79,14 @@ def timed(command: list[str], **more: Any) -> Ran:
     return ran
 
 
+def succeeded(command: list[str], **more: Any) -> Ran:
+    """Run a command that has to go well, with or without a check that fails."""
+    ran = timed(command, **more)
+    if ran.code not in (0, 4):
+        sys.exit(ran.said)
+    return ran
+
+
 def _follow(process, ran):
     while process.poll() is None:
         with suppress(OSError, StopIteration, ValueError):

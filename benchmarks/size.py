@@ -16,7 +16,6 @@ import itertools
 import json
 import shutil
 import statistics
-import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -30,7 +29,7 @@ from numba import njit
 from xarray.backends import BackendArray
 from xarray.core.indexing import IndexingSupport, LazilyIndexedArray, explicit_indexing_adapter
 
-from benchmarks.shared import Ran, folder_for, options, planish, size_of, timed
+from benchmarks.shared import Ran, folder_for, options, planish, size_of, succeeded
 from planish.io.store import write_store
 
 VOXEL_UM = 1.37
@@ -150,10 +149,8 @@ def mapped(volume: Path, out: Path, asked) -> Ran:
     """Map a volume by the command line."""
     shutil.rmtree(out, ignore_errors=True)
     voxel = () if volume.suffix == ".zarr" else ("--voxel-um", VOXEL_UM)
-    ran = timed(planish("map", volume, "--out", out, "--column-um", asked.column_um, "--memory", asked.memory, *voxel))
-    if ran.code not in (0, 4):
-        sys.exit(ran.said)
-    return ran
+    command = planish("map", volume, "--out", out, "--column-um", asked.column_um, "--memory", asked.memory, *voxel)
+    return succeeded(command)
 
 
 def sixteen_bits(edge: int):
