@@ -151,8 +151,7 @@ def large_run(folder: Path, mpixel: float) -> Path:
         values = rng.normal(17.0, 4.0, tile.shape).astype(np.float32)
         values[rng.random(tile.shape) < 0.1] = np.nan
         part = grid.part(tile.rows, tile.cols)
-        coords = {axis: (axis, at, {"units": "um"}) for axis, at in part.coords.items()}
-        sink.add("linked", grid, tile, xr.Dataset({"coating_top": (("y", "x"), values, about)}, coords=coords))
+        sink.add("linked", grid, tile, xr.Dataset({"coating_top": (("y", "x"), values, about)}, coords=part.coords))
     if not sink.stored:  # small enough to have stayed in memory
         write_tree(making / "maps.zarr", {"linked": sink.group("linked")})
     making.rename(run)
