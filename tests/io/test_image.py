@@ -21,7 +21,7 @@ def picture(dtype: str = "uint8", shape: tuple[int, ...] = (7, 9)) -> NDArray[An
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "int8", "uint16", "int16", "uint32", "float16", "float32", "float64"])
-@pytest.mark.parametrize("compression", [None, "zlib", "lzw"])
+@pytest.mark.parametrize("compression", [None, "zlib"])
 def test_grey_tiff_survives(tmp_path: Path, dtype: str, compression: str | None) -> None:
     tifffile.imwrite(tmp_path / "i.tif", picture(dtype), photometric="minisblack", compression=compression)
     image = read_image(tmp_path / "i.tif", pixel_um=(3, 2))
@@ -47,9 +47,11 @@ def test_png_keeps_all_its_bits(tmp_path: Path, dtype: str, samples: int) -> Non
         assert image.attrs["full_scale"] == np.iinfo(dtype).max
 
 
-def test_channels_of_a_colour_image(tmp_path: Path) -> None:
+@pytest.mark.parametrize("planar", ["contig", "separate"])
+def test_channels_of_a_colour_image(tmp_path: Path, planar: str) -> None:
     values = picture(shape=(7, 9, 3))
-    tifffile.imwrite(tmp_path / "i.tif", values, photometric="rgb")
+    stored = values if planar == "contig" else np.moveaxis(values, -1, 0)
+    tifffile.imwrite(tmp_path / "i.tif", stored, photometric="rgb", planarconfig=planar)
     for i, colour in enumerate(("red", "green", "blue")):
         image = read_image(tmp_path / "i.tif", pixel_um=1, channel=colour)
         np.testing.assert_array_equal(image.values, values[..., i])
@@ -68,14 +70,6 @@ def test_alpha_does_not_change_colour_or_grey(tmp_path: Path) -> None:
     Image.fromarray(rgba[..., :3]).save(tmp_path / "j.png")
     with_alpha, without = (read_image(tmp_path / name, pixel_um=1).values for name in ("i.png", "j.png"))
     np.testing.assert_array_equal(with_alpha, without)
-
-
-@pytest.mark.parametrize("planar", ["contig", "separate"])
-def test_planar_colour_is_colour(tmp_path: Path, planar: str) -> None:
-    values = picture(shape=(7, 9, 3))
-    stored = values if planar == "contig" else np.moveaxis(values, -1, 0)
-    tifffile.imwrite(tmp_path / "i.tif", stored, photometric="rgb", planarconfig=planar)
-    np.testing.assert_array_equal(read_image(tmp_path / "i.tif", pixel_um=1, channel="green").values, values[..., 1])
 
 
 def test_channels_that_an_image_lacks_are_refused(tmp_path: Path) -> None:
@@ -128,7 +122,7 @@ def test_missing_values_stay_missing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("extension", [".png", ".jpg", ".tif"])
-def test_the_pixel_size_is_read_from_the_resolution(tmp_path: Path, extension: str) -> None:
+def test_the_pixel_size_is_read_from_the_resolution_unless_it_is_a_default(tmp_path: Path, extension: str) -> None:
     path = tmp_path / f"i{extension}"
     Image.fromarray(picture()).save(path, dpi=(1270, 2540))
     image = read_image(path)
@@ -137,14 +131,10 @@ def test_the_pixel_size_is_read_from_the_resolution(tmp_path: Path, extension: s
     assert image.attrs["pixel_um_source"] == f"the {kind} resolution"
     refused(SizeError, r"pixel_um= gives y 5, x 5 um, but the .* override_size=True", read_image, path, pixel_um=5)
     assert read_image(path, pixel_um=5, override_size=True).attrs["pixel_um"] == [5, 5]
-
-
-@pytest.mark.parametrize("extension", [".png", ".jpg", ".tif"])
-@pytest.mark.parametrize("dpi", [None, 72, 96])
-def test_no_resolution_is_no_pixel_size(tmp_path: Path, extension: str, dpi: int | None) -> None:
-    path = tmp_path / f"i{extension}"
-    Image.fromarray(picture()).save(path, **({} if dpi is None else {"dpi": (dpi, dpi)}))
-    refused(SizeError, r"states no pixel size .* Give it with pixel_um=SIZE \(or Y,X\), in um", read_image, path)
+    words = r"states no pixel size .* Give it with pixel_um=SIZE \(or Y,X\), in um"
+    for options in ({}, {"dpi": (72, 72)}):  # which programs write that do not know
+        Image.fromarray(picture()).save(path, **options)
+        refused(SizeError, words, read_image, path)
     assert read_image(path, pixel_um=400).attrs["pixel_um"] == [400, 400]
 
 

@@ -35,13 +35,9 @@ def damaged(path, at, value):
     path.write_bytes(data)
 
 
-def test_a_sound_file_passes_and_version_4_or_a_cut_file_is_refused(saved, tmp_path):
-    assert read_volume(saved).shape == (8, 12, 10)
-    old = tmp_path / "old.mat"
-    scipy_io.savemat(old, {"A": VOLUME[0].astype(float)}, format="4")
-    refused(FileError, "version 4", read_volume, old)
-    saved.write_bytes(saved.read_bytes()[:200])
-    refused(FileError, "longer than the file", read_volume, saved)
+def test_version_4_is_refused(tmp_path):
+    scipy_io.savemat(tmp_path / "old.mat", {"A": VOLUME[0].astype(float)}, format="4")
+    refused(FileError, "version 4", read_volume, tmp_path / "old.mat")
 
 
 @pytest.mark.parametrize(

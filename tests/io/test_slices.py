@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from folders import refused
-from planish.core.errors import FileError, InputError, ResourceError, SizeError, VolumeError
+from planish.core.errors import FileError, InputError, SizeError, VolumeError
 from planish.io import read_volume, slice_volume
 
 
@@ -35,19 +35,12 @@ def write_folder(folder: Path, values: NDArray[Any], extension: str = ".tif", na
     return folder
 
 
-@pytest.mark.parametrize("dtype", ["uint8", "int8", "uint16", "int16", "float32", "float64", "float16"])
+@pytest.mark.parametrize("dtype", ["uint8", "int16", "float64", "float16"])
 def test_tiff_slices_survive_in_the_order_of_their_numbers(tmp_path: Path, dtype: str) -> None:
     volume = read_volume(write_folder(tmp_path / "v", stack(dtype)), voxel_um=1)
     np.testing.assert_array_equal(volume.values, stack(dtype))  # s10 comes after s9
     assert (volume.dtype, volume.attrs["file_name"]) == ("float32" if dtype == "float16" else dtype, "v")
     assert volume.attrs["file_bytes"] == sum(p.stat().st_size for p in (tmp_path / "v").iterdir())
-
-
-@pytest.mark.parametrize(("extension", "dtype"), [(".png", "uint8"), (".png", "uint16"), (".bmp", "uint8")])
-def test_other_formats_survive(tmp_path: Path, extension: str, dtype: str) -> None:
-    volume = read_volume(write_folder(tmp_path / "v", stack(dtype), extension), voxel_um=1)
-    np.testing.assert_array_equal(volume.values, stack(dtype))
-    assert volume.dtype == dtype
 
 
 def test_jpeg_slices_are_read(tmp_path: Path) -> None:
@@ -85,17 +78,15 @@ def test_other_files_are_ignored(tmp_path: Path) -> None:
     assert read_volume(folder, voxel_um=1).shape == (12, 7, 9)
 
 
-def test_missing_numbers_are_named(tmp_path: Path) -> None:
+def test_missing_numbers_are_named_but_do_not_fill_the_screen(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "v", stack())
     (folder / "s4.tif").unlink()
     (folder / "s9.tif").unlink()
     refused(VolumeError, r"^v has 10 slices from 0 to 11, 2 missing: 4, 9\. Add them", read_volume, folder, voxel_um=1)
-
-
-def test_a_wide_gap_does_not_fill_the_screen(tmp_path: Path) -> None:
-    folder = write_folder(tmp_path / "v", stack(shape=(3, 4, 4)))
-    (folder / "s2.tif").rename(folder / "s99999999999.tif")
-    refused(VolumeError, r"99999999997 missing: 2, 3, 4, 5, 6, 7, 8, 9, \.\.\.\. Add", read_volume, folder, voxel_um=1)
+    (folder / "s11.tif").rename(folder / "s99999999999.tif")
+    refused(
+        VolumeError, r"99999999990 missing: 4, 9, 11, 12, 13, 14, 15, 16, \.\.\.\. Add", read_volume, folder, voxel_um=1
+    )
 
 
 @pytest.mark.parametrize(
@@ -112,13 +103,17 @@ def test_a_wide_gap_does_not_fill_the_screen(tmp_path: Path) -> None:
 def test_the_odd_slice_is_named(tmp_path: Path, name: str, page: NDArray[Any], words: str) -> None:
     folder = write_folder(tmp_path / "v", stack())
     tifffile.imwrite(folder / name, page, photometric="rgb" if page.ndim == 3 else "minisblack")
-    refused(VolumeError, words, read_volume, folder, voxel_um=1)
+    for limit in (None, 500):  # at once, and in parts
+        refused(VolumeError, words, read_volume, folder, voxel_um=1, memory_bytes=limit)
 
 
-def test_a_slice_with_several_pages_is_named(tmp_path: Path) -> None:
+def test_a_slice_that_is_damaged_or_has_several_pages_is_named(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "v", stack())
     tifffile.imwrite(folder / "s5.tif", stack(), photometric="minisblack")
     refused(FileError, r"^s5\.tif is not one picture but 12 x 7 x 9", read_volume, folder, voxel_um=1)
+    folder = write_folder(tmp_path / "w", stack(), ".png")
+    (folder / "s7.png").write_bytes((folder / "s7.png").read_bytes()[:-20])
+    refused(FileError, r"^s7\.png cannot be decoded .* It is damaged", read_volume, folder, voxel_um=1)
 
 
 def test_colour_slices_become_luminance_or_the_channel_chosen(tmp_path: Path) -> None:
@@ -165,27 +160,6 @@ def test_sizes_of_slices_are_read_and_must_agree(tmp_path: Path) -> None:
     tifffile.imwrite(tmp_path / "5.tif", stack()[5], resolution=(2500, 2500), **tags)
     with pytest.raises(SizeError, match=r"^5\.tif states a pixel size of 4 um, 0\.tif one of 2 um"):
         read_volume(tmp_path, voxel_um=(3, 2, 2))
-
-
-def test_a_damaged_slice_is_named(tmp_path: Path) -> None:
-    folder = write_folder(tmp_path / "v", stack(), ".png")
-    data = (folder / "s7.png").read_bytes()
-    (folder / "s7.png").write_bytes(data[:-20])
-    refused(FileError, r"^s7\.png cannot be decoded .* It is damaged", read_volume, folder, voxel_um=1)
-
-
-def test_a_folder_that_does_not_fit_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ResourceError, match=r"^v needs"):
-        read_volume(write_folder(tmp_path / "v", stack()), voxel_um=1, memory_bytes=100)
-
-
-@pytest.mark.parametrize("extension", [".tif", ".png"])
-def test_a_folder_that_does_not_fit_is_read_in_parts(tmp_path: Path, extension: str) -> None:
-    folder = write_folder(tmp_path / "v", stack(), extension)
-    volume = read_volume(folder, voxel_um=1, memory_bytes=500)
-    np.testing.assert_array_equal(volume.isel(z=slice(9, 12), y=slice(2, 4)).values, stack()[9:12, 2:4])
-    Image.fromarray(stack()[3][:, :5]).save(folder / f"s3{extension}")
-    refused(VolumeError, rf"^s3\{extension} is 7 x 5 pixels", read_volume, folder, voxel_um=1, memory_bytes=500)
 
 
 def test_of_uncompressed_slices_only_the_rows_asked_for_are_read(tmp_path: Path) -> None:

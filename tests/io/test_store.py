@@ -16,7 +16,7 @@ from planish.io import store as module
 VOXEL = [2.0, 1.5, 1.5]
 
 
-def volume(shape=(70, 130, 200), dtype=np.uint8, seed=0):
+def volume(shape=(38, 74, 200), dtype=np.uint8, seed=0):
     values = np.random.default_rng(seed).integers(0, 200, shape).astype(dtype)
     coords = {k: np.arange(n) * v for k, n, v in zip("zyx", shape, VOXEL, strict=True)}
     attrs = {"voxel_um": VOXEL, "file_name": "made", "file_bytes": values.nbytes, "full_scale": 255}
@@ -31,8 +31,7 @@ def small_shards(monkeypatch):
     monkeypatch.setattr(module, "_LEAST_DEPTH", 8)
 
 
-@pytest.mark.parametrize("ome", ["0.5", "0.4"])
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+@pytest.mark.parametrize(("ome", "dtype"), [("0.5", np.uint8), ("0.4", np.uint16), ("0.5", np.float32)])
 def test_what_goes_in_comes_out(tmp_path, ome, dtype):
     data = volume(dtype=dtype)
     write_store(data, tmp_path / "s.zarr", ome=ome)
@@ -46,16 +45,13 @@ def test_coarser_levels_are_means_also_at_odd_ends(tmp_path):
     data = volume()
     write_store(data, tmp_path / "s.zarr")
     group = zarr.open_group(tmp_path / "s.zarr", mode="r")
-    assert [group[k].shape for k in sorted(group.array_keys())] == [(70, 130, 200), (35, 65, 100), (18, 33, 50)]
-    whole = data.values.reshape(35, 2, 65, 2, 100, 2).mean(axis=(1, 3, 5))
+    assert [group[k].shape for k in sorted(group.array_keys())] == [(38, 74, 200), (19, 37, 100), (10, 19, 50)]
+    whole = data.values.reshape(19, 2, 37, 2, 100, 2).mean(axis=(1, 3, 5))
     assert np.abs(group["1"][:] - whole).max() <= 0.5
     np.testing.assert_array_equal(group["2"][:], store.halve(group["1"][:]))
     scales = [d["coordinateTransformations"] for d in group.attrs["ome"]["multiscales"][0]["datasets"]]
     moved = {"type": "translation", "translation": [1.0, 0.75, 0.75]}
     assert scales[1] == [{"type": "scale", "scale": [4.0, 3.0, 3.0]}, moved]
-    np.testing.assert_array_equal(store.halve(np.full((3, 3, 3), 7, np.uint8)), np.full((2, 2, 2), 7))
-    ramp = np.arange(4.0)[:, None, None] * np.ones((4, 2, 2))
-    np.testing.assert_allclose(store.halve(ramp)[:, 0, 0], [0.5, 2.5])
 
 
 def test_neither_memory_nor_threads_change_a_byte(tmp_path):
@@ -70,7 +66,16 @@ class Stop(BaseException):
     pass
 
 
-@pytest.mark.parametrize("after", [0, 1, 3, 7])
+def raising(error):
+    """A function that only raises."""
+
+    def stop(*_args, **_more):
+        raise error
+
+    return stop
+
+
+@pytest.mark.parametrize("after", [0, 3, 7])
 def test_an_import_that_was_killed_goes_on(tmp_path, monkeypatch, after):
     data = volume()
     write, whole = module._write_shards, []
@@ -99,7 +104,7 @@ def test_an_import_that_was_killed_goes_on(tmp_path, monkeypatch, after):
 def test_empty_chunks_are_written_by_an_import_that_goes_on(tmp_path, monkeypatch):
     data = xr.zeros_like(volume())
     with monkeypatch.context() as patch:
-        patch.setattr(module, "_write_coarser_level", lambda *_a: (_ for _ in ()).throw(Stop))
+        patch.setattr(module, "_write_coarser_level", raising(Stop))
         with pytest.raises(Stop):
             write_store(data, tmp_path / "s.zarr")
     for shard in (tmp_path / ".s.zarr.partial" / "0").rglob("checksums.sha256"):
@@ -111,23 +116,23 @@ def test_empty_chunks_are_written_by_an_import_that_goes_on(tmp_path, monkeypatc
 
 
 def test_another_volume_does_not_go_on_with_it(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "_write_finest_levels", lambda *_a, **_k: (_ for _ in ()).throw(Stop))
+    monkeypatch.setattr(module, "_write_finest_levels", raising(Stop))
     with pytest.raises(Stop):
         write_store(volume(), tmp_path / "s.zarr")
-    refused(InputError, "another volume stopped", write_store, volume(shape=(70, 130, 201)), tmp_path / "s.zarr")
+    refused(InputError, "another volume stopped", write_store, volume(shape=(38, 74, 201)), tmp_path / "s.zarr")
 
 
 @pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "full"), RuntimeError("wires crossed")])
 def test_an_import_that_fails_leaves_nothing_and_blocks_nothing(tmp_path, monkeypatch, error):
     with monkeypatch.context() as patch:
-        patch.setattr(module, "_write_coarser_level", lambda *_a: (_ for _ in ()).throw(error))
+        patch.setattr(module, "_write_coarser_level", raising(error))
         with pytest.raises(RuntimeError if isinstance(error, RuntimeError) else ResourceError) as raised:
             write_store(volume(), tmp_path / "s.zarr")
         if isinstance(error, OSError):
             assert "MB are free" in str(raised.value)
             assert "it takes about" in str(raised.value)
     assert list(tmp_path.iterdir()) == []
-    write_store(volume(shape=(70, 130, 201)), tmp_path / "s.zarr")
+    write_store(volume(shape=(38, 74, 201)), tmp_path / "s.zarr")
     assert [p.name for p in tmp_path.iterdir()] == ["s.zarr"]
     assert not list((tmp_path / "s.zarr").glob("*lock*"))
 
@@ -192,8 +197,8 @@ def test_refusals_say_what_to_do(tmp_path):
     refused(ResourceError, "memory=", write_store, volume(), tmp_path / "s.zarr", memory_bytes=1000)
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.uint32, np.float32])
-@pytest.mark.parametrize("shape", [(4, 6, 8), (5, 7, 3), (1, 2, 9)])
+@pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.float32])
+@pytest.mark.parametrize("shape", [(5, 7, 4), (1, 2, 9)])
 def test_halving_equals_its_slow_twin(dtype, shape):
     values = np.random.default_rng(1).integers(0, 200, shape).astype(dtype)
     padded = np.pad(values, [(0, n % 2) for n in shape], mode="edge").astype(np.float64)

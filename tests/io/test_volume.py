@@ -7,16 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 import tifffile
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from folders import refused
-from planish.core.errors import FileError, ResourceError, SizeError, VolumeError
+from planish.core.errors import FileError, SizeError, VolumeError
 from planish.io import read_volume
-
-DTYPES = ["uint8", "int8", "uint16", "int16", "float32", "float64"]
 
 KINDS: dict[str, dict[str, Any]] = {
     "plain": {"metadata": None},
@@ -39,7 +37,7 @@ def stack(dtype: str = "uint16", shape: tuple[int, ...] = (5, 7, 9)) -> NDArray[
     return (values if np.dtype(dtype).kind != "u" else values + 120).astype(dtype)
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("dtype", ["uint8", "int16", "float64"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_values_type_and_order_survive(tmp_path: Path, kind: str, dtype: str) -> None:
     path = tmp_path / "v.tif"
@@ -56,6 +54,7 @@ def test_values_type_and_order_survive(tmp_path: Path, kind: str, dtype: str) ->
     }  # fmt: skip
 
 
+@settings(max_examples=40)
 @given(
     values=hnp.arrays(
         dtype=st.sampled_from(["u1", "i1", "u2", "i2", "f4"]),
@@ -74,7 +73,7 @@ def test_any_volume_survives(values: NDArray[Any], compression: str | None, big:
         np.testing.assert_array_equal(np.array(read_volume(path, voxel_um=1).values), values)
 
 
-@pytest.mark.parametrize("how", [{"metadata": None}, {}, {"compression": "zlib"}, {"tile": (16, 16)}])
+@pytest.mark.parametrize("how", [{"metadata": None}, {}, {"compression": "zlib"}])
 def test_pages_written_one_by_one_are_a_volume(tmp_path: Path, how: dict[str, Any]) -> None:
     values = stack()
     with tifffile.TiffWriter(tmp_path / "v.tif") as tif:
@@ -156,46 +155,19 @@ def test_parts_of_a_stack_that_does_not_fit_are_read(tmp_path: Path, options: di
     np.testing.assert_array_equal(part.values, whole)
 
 
-def test_a_compressed_stack_that_does_not_fit_is_refused(tmp_path: Path) -> None:
-    tifffile.imwrite(tmp_path / "v.tif", stack(), photometric="minisblack", compression="zlib")
-    with pytest.raises(ResourceError, match=r"v\.tif needs .* GiB of memory, .* GiB may be used\. Crop"):
-        read_volume(tmp_path / "v.tif", voxel_um=1, memory_bytes=100)
-
-
-def write_imagej(path: Path, *, resolution: tuple[float, float] = (1, 1), order: str = ">", **meta: Any) -> Path:
-    tifffile.imwrite(
-        path, stack(), imagej=True, byteorder=order, resolution=resolution, metadata={"axes": "ZYX", **meta}
-    )  # type: ignore[arg-type]  # fmt: skip
+def write_imagej(path: Path, across_um: float, **meta: Any) -> Path:
+    resolution = (1 / across_um, 1 / across_um)
+    tifffile.imwrite(path, stack(), imagej=True, resolution=resolution, metadata={"axes": "ZYX", **meta})
     return path
 
 
-@pytest.mark.parametrize(
-    ("unit", "um"), [("um", 1), ("micron", 1), ("\\u00B5m", 1), ("mm", 1e3), ("nm", 1e-3), ("cm", 1e4), ("inch", 25400)]
-)
+@pytest.mark.parametrize(("unit", "um"), [("\\u00B5m", 1), ("nm", 1e-3), ("inch", 25400)])
 def test_imagej_sizes_come_in_their_unit(tmp_path: Path, unit: str, um: float) -> None:
-    across, along = 2.0 / um, 2.5 / um
-    path = write_imagej(tmp_path / "v.tif", resolution=(1 / across, 2 / across), order="<", unit=unit, spacing=along)
-    volume = read_volume(path)
-    assert volume.attrs["voxel_um"] == pytest.approx([2.5, 1.0, 2.0], rel=1e-5)  # resolutions are stored as fractions
-    assert volume.attrs["voxel_um_source"] == "ImageJ metadata"
+    volume = read_volume(write_imagej(tmp_path / "v.tif", 2.0 / um, unit=unit, spacing=2.5 / um))
+    assert volume.attrs["voxel_um"] == pytest.approx([2.5, 2.0, 2.0], rel=1e-5)  # resolutions are stored as fractions
 
 
-def test_imagej_hyperstack_written_by_imagej_is_big_endian_behind_one_page(tmp_path: Path) -> None:
-    volume = read_volume(write_imagej(tmp_path / "v.tif", unit="um", spacing=3))
-    np.testing.assert_array_equal(volume.values, stack())
-    assert volume.dtype.isnative
-    assert volume.attrs["voxel_um"] == [3, 1, 1]
-
-
-def test_imagej_without_spacing_or_in_pixels_states_no_size(tmp_path: Path) -> None:
-    path = write_imagej(tmp_path / "v.tif", resolution=(0.5, 0.5), unit="um")
-    refused(SizeError, r"no voxel size along z: ImageJ metadata states y 2, x 2 um only .*exactly 1", read_volume, path)
-    assert read_volume(path, voxel_um=(1, 2, 2)).attrs["voxel_um"] == [1, 2, 2]
-    write_imagej(path, unit="pixel", spacing=1)
-    refused(SizeError, r"states no voxel size \(ImageJ metadata: 'pixel' is no unit of length\)", read_volume, path)
-
-
-@pytest.mark.parametrize(("unit", "um"), [("µm", 1), ("nm", 1e-3), ("mm", 1e3), ("cm", 1e4), (None, 1)])
+@pytest.mark.parametrize(("unit", "um"), [("mm", 1e3), (None, 1)])
 def test_ome_sizes_come_in_their_unit(tmp_path: Path, unit: str | None, um: float) -> None:
     meta: dict[str, Any] = {"axes": "ZYX"}
     for axis, size in zip("ZYX", (3.0, 2.0, 1.5), strict=True):
@@ -203,9 +175,15 @@ def test_ome_sizes_come_in_their_unit(tmp_path: Path, unit: str | None, um: floa
         if unit is not None:
             meta[f"PhysicalSize{axis}Unit"] = unit
     tifffile.imwrite(tmp_path / "v.ome.tif", stack(), ome=True, metadata=meta)
-    volume = read_volume(tmp_path / "v.ome.tif")
-    assert volume.attrs["voxel_um"] == pytest.approx([3.0, 2.0, 1.5])
-    assert volume.attrs["voxel_um_source"] == "OME metadata"
+    assert read_volume(tmp_path / "v.ome.tif").attrs["voxel_um"] == pytest.approx([3.0, 2.0, 1.5])
+
+
+def test_imagej_without_spacing_or_in_pixels_states_no_size(tmp_path: Path) -> None:
+    path = write_imagej(tmp_path / "v.tif", 2.0, unit="um")
+    refused(SizeError, r"no voxel size along z: ImageJ metadata states y 2, x 2 um only .*exactly 1", read_volume, path)
+    assert read_volume(path, voxel_um=(1, 2, 2)).attrs["voxel_um"] == [1, 2, 2]
+    write_imagej(path, 1.0, unit="pixel", spacing=1)
+    refused(SizeError, r"states no voxel size \(ImageJ metadata: 'pixel' is no unit of length\)", read_volume, path)
 
 
 def test_ome_against_the_resolution_tags_is_an_error(tmp_path: Path) -> None:
@@ -214,26 +192,18 @@ def test_ome_against_the_resolution_tags_is_an_error(tmp_path: Path) -> None:
     tifffile.imwrite(path, stack(), ome=True, metadata=meta, resolution=(2500, 2500), resolutionunit="CENTIMETER")
     words = r"contradicts itself: OME metadata .* x 2 um and the TIFF resolution .* x 4 um"
     refused(SizeError, words, read_volume, path)
-    assert read_volume(path, voxel_um=2, override_size=True).attrs["voxel_um"] == [2, 2, 2]
     tifffile.imwrite(path, stack(), ome=True, metadata=meta, resolution=(5000, 5000), resolutionunit="CENTIMETER")
     assert read_volume(path).attrs["voxel_um_source"] == "OME metadata and the TIFF resolution"
 
 
-def test_resolution_tags_speak_about_x_and_y_only(tmp_path: Path) -> None:
+def test_resolution_tags_speak_about_x_and_y_only_and_not_at_all_by_default(tmp_path: Path) -> None:
     path = tmp_path / "v.tif"
     tifffile.imwrite(path, stack(), photometric="minisblack", resolution=(2540, 1270), resolutionunit="INCH")
     with pytest.raises(SizeError, match=r"no voxel size along z: the TIFF resolution states y 20, x 10 um only\. Give"):
         read_volume(path)
     assert read_volume(path, voxel_um=(5, 20, 10)).attrs["voxel_um"] == [5, 20, 10]
-    refused(SizeError, "override_size=True", read_volume, path, voxel_um=5)
-
-
-@pytest.mark.parametrize("dpi", [1, 72, 96])
-def test_default_resolutions_are_no_size(tmp_path: Path, dpi: int) -> None:
-    path = tmp_path / "v.tif"
-    tifffile.imwrite(path, stack(), photometric="minisblack", resolution=(dpi, dpi), resolutionunit="INCH")
+    tifffile.imwrite(path, stack(), photometric="minisblack", resolution=(72, 72), resolutionunit="INCH")
     refused(SizeError, "states no voxel size ", read_volume, path)
-    assert read_volume(path, voxel_um=5).attrs["voxel_um_source"] == "given"
 
 
 @pytest.mark.parametrize(
@@ -261,15 +231,10 @@ def test_pages_of_two_sizes_are_no_volume(tmp_path: Path) -> None:
     refused(VolumeError, words, read_volume, tmp_path / "v.tif", voxel_um=1)
 
 
-def test_incomplete_missing_and_empty_files_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "v.ome.tif"
-    tifffile.imwrite(path, stack(), ome=True, metadata={"axes": "ZYX"})
-    data = path.read_bytes().replace(b'SizeZ="5"', b'SizeZ="9"').replace(b'PlaneCount="5"', b'PlaneCount="9"')
-    path.write_bytes(data)
-    with pytest.raises(FileError):
-        read_volume(path, voxel_um=1)
-    refused(FileError, r"[/\\]v\.tif does not exist", read_volume, tmp_path / "v.tif", voxel_um=1)
-    (tmp_path / "v.tif").touch()
-    refused(FileError, r"^v\.tif is empty", read_volume, tmp_path / "v.tif", voxel_um=1)
-    (tmp_path / "v.tif").write_text("version https://git-lfs.github.com/spec/v1")
-    refused(FileError, r"^v\.tif is no TIFF, PNG, JPEG or BMP file", read_volume, tmp_path / "v.tif", voxel_um=1)
+def test_missing_empty_and_foreign_files_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "v.tif"
+    refused(FileError, r"[/\\]v\.tif does not exist", read_volume, path, voxel_um=1)
+    path.touch()
+    refused(FileError, r"^v\.tif is empty", read_volume, path, voxel_um=1)
+    path.write_text("version https://git-lfs.github.com/spec/v1")
+    refused(FileError, r"^v\.tif is no TIFF, PNG, JPEG or BMP file", read_volume, path, voxel_um=1)
