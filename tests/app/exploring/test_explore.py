@@ -179,14 +179,16 @@ def test_another_file_in_the_place_of_the_volume_is_not_shown(planish, linked_ru
     assert "not there unchanged" in page.words
 
 
-def test_sheets_without_an_image_or_any_value(planish, tmp_path):
+def test_a_sheet_without_an_image(planish, tmp_path):
     page = explored(planish, put(tmp_path / "run", a_run(linked=False)), tmp_path)
     assert page.data["maps"][0]["title"] == "Coating thickness, top side"
     assert page.data["grid"]["names"] == ["u", "v"]
     assert "No image was linked." in page.words
     assert page.data["groups"][0]["valid"] is None
-    blank = tmp_path / "blank"
-    page = explored(planish, put(blank / "run", layers(blank=True)), blank)
+
+
+def test_a_map_without_any_value_is_shown_empty(planish, tmp_path):
+    page = explored(planish, put(tmp_path / "run", layers(blank=True)), tmp_path)
     assert np.isnan(page.unpack(page.data["maps"][0])).all()
 
 
