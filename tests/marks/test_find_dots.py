@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy import ndimage
-from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import KDTree
 
 from planish.marks import find_holes
@@ -67,61 +65,20 @@ def projective_residuals(places, points):
     return scale * np.hypot(w[:, 0] / w[:, 2] - x, w[:, 1] / w[:, 2] - y)
 
 
-def left_out(image, points, places):
-    """How many places between the dots found hold a dot that was not found: dark there, with paper around."""
-    i, j = (places - places.min(axis=0)).astype(int).T
-    there = np.zeros((i.max() + 1, j.max() + 1), bool)
-    there[i, j] = True
-    gaps = np.argwhere(~there) + places.min(axis=0)
-    at = LinearNDInterpolator(places, points)(gaps)
-    at = at[np.isfinite(at).all(axis=1)]
-    typical = np.median(ndimage.map_coordinates(image, points.T[::-1], order=1))
-    paper = np.median(image)
-    return np.count_nonzero(ndimage.map_coordinates(image, at.T[::-1], order=1) < 0.5 * (typical + paper)), len(at)
+@pytest.mark.parametrize(("name", "count"), [("02", 1324), ("05", 4414)])
+def test_every_dot_is_found(photograph, name, count):
+    """``count`` is that of connected regions darker than 0.72 of the bright background around, between half and twice
+    the median area, that do not touch the border.
+    """
+    assert len(dots(photograph(name), name)) == pytest.approx(count, rel=0.01)
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize("name", ["02", pytest.param("05", marks=pytest.mark.nightly)])
-def test_every_dot_is_found(photograph, name):
-    """98 % of the lattice's places that hold a dot, and nothing that is not on the lattice."""
-    image = photograph(name)
-    points = dots(image, name)
-    places, index = lattice(points)
-    assert len(set(map(tuple, places))) == len(places)
-    missed, empty = left_out(image, points[index], places)
-    print(f"target {name}: {len(points)} found, {len(index)} on the lattice, {missed} missed, {empty - missed} no dot")
-    assert len(index) >= 0.99 * len(points)
-    assert missed <= 0.02 * len(index)
-
-
-@pytest.mark.parametrize(("angle", "blur"), [(5.0, 0.0), (17.0, 0.0), (30.0, 0.0), (0.0, 0.7), (0.0, 1.0)])
-def test_centres_stay_when_the_picture_is_turned_or_blurred(photograph, angle, blur):
-    """0.1 pixel rms an axis."""
-    image = photograph("02")[600:1500, 800:1700]
-    before = dots(image, "02")
-    middle = (np.array(image.shape) - 1) / 2
-    turn = np.deg2rad(angle)
-    matrix = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    changed = image
-    if angle:
-        changed = ndimage.affine_transform(image, matrix, middle - matrix @ middle, mode="nearest")
-    if blur:
-        changed = ndimage.gaussian_filter(changed, blur)
-    after = dots(changed, "02")[:, ::-1]
-    back = ((after - middle) @ matrix.T + middle)[:, ::-1]
-    away, partner = KDTree(before).query(back)
-    inside = np.hypot(*(before - middle[::-1]).T) < 0.45 * image.shape[0]
-    same = (away < 2.0) & inside[partner]
-    rms = np.sqrt(np.mean(away[same] ** 2) / 2)
-    print(f"{angle} degrees, blur {blur}: {same.sum()} of {inside.sum()}, {rms:.3f} px")
-    assert same.sum() >= 0.98 * inside.sum()
-    assert rms < 0.1
-
-
-@pytest.mark.nightly
 def test_the_published_distortion_straightens_the_lattice(photograph, shared_data):
     """Radius in the picture = radius without distortion times a polynomial in the latter (Vo et al. 2015)."""
     points = dots(photograph("05"), "05")
+    places, index = lattice(points)
+    assert len(set(map(tuple, places))) == len(places)
+    assert len(index) >= 0.99 * len(points)
     lines = (shared_data("dot_patterns") / "coef_dot_05.txt").read_text(encoding="utf-8").splitlines()
     values = [float(line.split(":")[1]) for line in lines if ":" in line]
     centre, factors = np.array(values[:2]), values[2:]
@@ -130,9 +87,7 @@ def test_the_published_distortion_straightens_the_lattice(photograph, shared_dat
     for _ in range(50):
         true = radius / np.polyval(factors[::-1], true)
     straight = centre + (points - centre) * (true / radius)[:, None]
-    places, index = lattice(points)
     plain, better = (np.sqrt(np.mean(projective_residuals(places, p[index]) ** 2)) for p in (points, straight))
-    print(f"off a projective lattice: {plain:.3f} pixels as photographed, {better:.3f} straightened")
     assert better < 0.2 * plain
     assert better < 0.2
 
@@ -148,24 +103,16 @@ def lit(image, light):
     return np.round(image * light)
 
 
-@pytest.mark.parametrize(
-    "light", ["across", *(pytest.param(k, marks=pytest.mark.nightly) for k in ("vignette", "bright quarter"))]
-)
-@pytest.mark.parametrize(
-    ("name", "part"),
-    [("05", (400, 640)), *(pytest.param(name, None, marks=pytest.mark.nightly) for name in ("02", "05"))],
-)
-def test_uneven_light_hides_no_dots(photograph, name, part, light):
+@pytest.mark.parametrize("light", ["across", "vignette", "bright quarter"])
+@pytest.mark.parametrize("name", ["02", "05"])
+def test_uneven_light_hides_no_dots(photograph, name, light):
     """97 % of what the plain photograph shows, and nothing else but at the border of image or quarter."""
     image = photograph(name)
-    if part is not None:
-        image = image[: part[0], : part[1]]
     before, after = dots(image, name), dots(lit(image, light), name)
     away, partner = KDTree(before).query(after)
     same, other = np.unique(partner[away < 2.0]), after[away >= 2.0]
     # Dots that the plain photograph leaves out lie a pitch from the others.
     pitch = np.median(KDTree(before).query(before, k=2)[0][:, 1])
     on_lattice = np.abs(KDTree(before).query(other)[0] - pitch) < 0.1 * pitch if len(other) else np.empty(0, bool)
-    print(f"{name}, {light}: {len(same)} of {len(before)}, {len(other)} others, {on_lattice.sum()} on the lattice")
     assert len(same) >= 0.97 * len(before)
     assert on_lattice.all()

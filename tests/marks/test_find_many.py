@@ -9,23 +9,18 @@ from planish.marks import rims as k
 from planish.marks._edge_kernels import half_level_edges
 
 
-def lit_from_one_side(across, pixel=10.0, pitch=300.0, noise=0.004):
-    """Dots of 160 um on a lattice; on the left half the sheet has a fifth of the light."""
-    rng = np.random.default_rng(0)
-    side = int(across * pitch / pixel)
-    y, x = np.mgrid[:side, :side] * pixel
+@pytest.mark.ci
+def test_dim_regions_keep_their_holes(monkeypatch):
+    """On the left half the sheet has a fifth of the light; with a limit for the whole image that would have no hole."""
+    monkeypatch.setattr(candidates, "ENOUGH_CANDIDATES", 150)
+    rng, across, pitch = np.random.default_rng(0), 18, 300.0
+    side = int(across * pitch / 10)
+    y, x = np.mgrid[:side, :side] * 10.0
     dot = np.hypot(x % pitch - pitch / 2, y % pitch - pitch / 2) < 80
     light = 0.6 + 0.4 * np.tanh((x - x.max() / 2) / 500)
-    return ndimage.gaussian_filter(light * (1 - 0.8 * dot), 0.7) + rng.normal(0, noise, (side, side))
-
-
-def test_dim_regions_keep_their_holes(monkeypatch):
-    """With a limit for the whole image the dim half would have none."""
-    monkeypatch.setattr(candidates, "ENOUGH_CANDIDATES", 150)
-    across = 18
-    found = find_holes(lit_from_one_side(across), pixel_um=10.0)
-    left = np.count_nonzero(found.x.values < 150.0 * across)
-    print(f"{left} of {across**2 // 2} in the dim half, {found.sizes['mark']} of {across**2}")
+    image = ndimage.gaussian_filter(light * (1 - 0.8 * dot), 0.7) + rng.normal(0, 0.004, (side, side))
+    found = find_holes(image, pixel_um=10.0)
+    left = np.count_nonzero(found.x.values < 0.5 * across * pitch)
     assert found.sizes["mark"] >= 0.98 * across**2
     assert left >= 0.97 * across**2 / 2
 
@@ -38,15 +33,6 @@ def test_each_part_of_an_image_has_a_limit_of_its_own():
     assert kept[:510].all()
     assert kept[3000:].all()
     assert candidates._strongest_by_tile(crowded, 50.0).all(), "a small image keeps all"
-
-
-def test_dropped_candidates_are_counted(monkeypatch):
-    image = lit_from_one_side(6)
-    assert find_holes(image, pixel_um=10.0).attrs["not_taken"]["not_measured"] == 0
-    monkeypatch.setattr(candidates, "_strongest_by_tile", lambda places, _radius: np.arange(len(places)) < 20)
-    found = find_holes(image, pixel_um=10.0)
-    assert found.attrs["not_taken"]["not_measured"] >= 16
-    assert found.sizes["mark"] <= 20
 
 
 def rows_of(rng, count, field):
@@ -87,7 +73,7 @@ def naive_joined(rows, floors):
     return rows
 
 
-@pytest.mark.parametrize("count", [0, 1, 2, 40, 300])
+@pytest.mark.parametrize("count", [0, 1, 40, 300])
 def test_overlaps_are_judged_as_pair_by_pair(count):
     rng = np.random.default_rng(count)
     rows, others = rows_of(rng, count, 2000.0), rows_of(rng, count // 2, 2000.0)

@@ -12,11 +12,11 @@ from planish.marks import REASONS, candidates, find_holes, holes_from_json, hole
 def row_of_holes(change=None, **more):
     """Six holes of 180 um in a row, pixels of 2.6 um; ``change(k, hole)`` alters one, ``more`` goes to the scene."""
     rng = np.random.default_rng(3)
-    holes = [make_hole(rng, 300.0 + 450 * k, 350.0, 180.0) for k in range(6)]
+    holes = [make_hole(rng, 300.0 + 450 * k, 350.0) for k in range(6)]
     for k, hole in enumerate(holes):
         if change is not None:
             change(k, hole)
-    return scene(rng, shape=(280, 1080), pixel=2.6, holes=holes, **({"mottle": 0.05} | more))
+    return scene(rng, (280, 1080), 2.6, holes, **({"mottle": 0.05} | more))
 
 
 def counted(found):
@@ -41,6 +41,15 @@ def test_holes_of_another_size_are_counted():
     assert check_holes(found).sentence == "4 holes found; seen and not taken: 1 too small, 1 too large."
 
 
+def test_a_blot_without_char_is_unlike_the_others():
+    def blot(k, hole):
+        if k == 2:
+            hole.char, hole.outline = 0.0 * hole.char, np.full_like(hole.outline, 105.0)
+
+    found = find_holes(row_of_holes(blot).image, pixel_um=2.6)
+    assert (found.sizes["mark"], counted(found)) == (5, {"unlike": 1})
+
+
 def test_faint_closed_and_cut_holes_are_counted():
     sheet = row_of_holes(mottle=0.08, length_um=60.0)
     image = sheet.image.copy()
@@ -50,23 +59,25 @@ def test_faint_closed_and_cut_holes_are_counted():
     found = find_holes(image[:, 95:], pixel_um=2.6)  # the border cuts a fifth off the first
     assert (found.sizes["mark"], counted(found)) == (4, {"cut": 1, "not_round": 1})
     pale = np.hypot(x - holes[4].x, y - holes[4].y) < 150
-    for share, reason in ((0.36, "too_faint"), (0.45, "unlike")):
+    for share, reason in ((0.42, "too_faint"), (0.5, "unlike")):
         part = sheet.image.copy()
         part[pale] = 1.0 - share * (1.0 - part[pale])
         found = find_holes(part, pixel_um=2.6)
         assert (found.sizes["mark"], counted(found)) == (5, {reason: 1})
 
 
-def test_places_beyond_the_limit_of_an_area_are_a_look(monkeypatch):
+def test_places_beyond_the_limit_of_an_area_are_counted_and_are_a_look(monkeypatch):
     monkeypatch.setattr(candidates, "_strongest_by_tile", lambda places, _radius: np.arange(len(places)) < 2)
-    check = check_holes(find_holes(row_of_holes().image, pixel_um=2.6))
+    found = find_holes(row_of_holes().image, pixel_um=2.6)
+    assert found.sizes["mark"] == 2
+    assert counted(found)["not_measured"] >= 4
+    check = check_holes(found)
     assert check.state == "look"
     assert "2 holes found; seen and not taken:" in check.sentence
-    assert "not measured" in check.sentence
     assert "--hole-um" in check.advice
 
 
-@pytest.mark.parametrize("shape", [(300, 400), (37, 500), (8, 9)])
+@pytest.mark.parametrize("shape", [(300, 400), (8, 9)])
 @pytest.mark.parametrize("share", [0.25, 0.5])
 def test_what_is_usual_around_a_place(shape, share):
     """Beside a slow twin that takes every value of the nine squares."""
@@ -88,7 +99,7 @@ def test_what_is_usual_around_a_place(shape, share):
 
 def test_texture_far_away_hides_no_hole():
     """The right half shines ten times as bright, with its mottle; the left keeps its holes."""
-    sheet = make_scene(5, "mottle", 20)
+    sheet = make_scene(5, "mottle", 12)
     columns = np.arange(sheet.image.shape[1])
     light = 1 + 9 / (1 + np.exp((columns.mean() - columns) / 3))
     plain, lit = (find_holes(image, pixel_um=sheet.pixel) for image in (sheet.image, sheet.image * light))

@@ -15,7 +15,7 @@ def volume(array, voxel=VOXEL):
     )
 
 
-def slab(shape=(70, 80, 90), *, height=105.0, base=55.0, coat=17.0, slope=0.0, wave=0.0, greys=(40.0, 90.0,
+def slab(shape=(70, 50, 56), *, height=105.0, base=55.0, coat=17.0, slope=0.0, wave=0.0, greys=(40.0, 90.0,
 200.0), blur=2.6, noise=4.0, seed=0):  # fmt: skip
     """A sheet of constant normal layers along a smooth mid-surface, blurred exactly along its normal."""
     z, y, x = np.meshgrid(*(np.arange(n) * VOXEL for n in shape), indexing="ij")

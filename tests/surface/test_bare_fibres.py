@@ -1,12 +1,13 @@
 """Faces of a bare base of walls and pores: laid ribbons of another maker against the definition of its face."""
 
 import numpy as np
-import xarray as xr
+import pytest
 from scipy import ndimage
 
 from planish.measure import measure_properties
 from planish.surface import find_surfaces
 from planish.surface.faces import outermost_crossing
+from surface.sheets import volume as voxels
 
 WALL, AIR = 100.0, 40.0
 LATERAL, VOXEL, FWHM = 2, 3, 4.0  # um: cells of the structure are 2 x 2 x 1
@@ -36,12 +37,9 @@ def scanned(solid, noise, seed):
     """The volume of a structure, and the true thickness at each of its columns."""
     sigma = FWHM / np.sqrt(8 * np.log(2))
     blurred = ndimage.gaussian_filter(solid, (sigma / LATERAL, sigma / LATERAL, sigma))
-    n_rows, n_cols, n_cells = (
-        int(n * size / VOXEL) for n, size in zip(solid.shape, (LATERAL, LATERAL, 1), strict=True)
-    )
+    counts = [int(n * size / VOXEL) for n, size in zip(solid.shape, (LATERAL, LATERAL, 1), strict=True)]
     rows, cols, cells = (
-        (np.arange(n) + 0.5) * VOXEL / size - 0.5
-        for n, size in zip((n_rows, n_cols, n_cells), (LATERAL, LATERAL, 1), strict=True)
+        (np.arange(n) + 0.5) * VOXEL / size - 0.5 for n, size in zip(counts, (LATERAL, LATERAL, 1), strict=True)
     )
     at = np.meshgrid(rows, cols, np.arange(solid.shape[2]), indexing="ij")
     fine = ndimage.map_coordinates(blurred, at, order=1, mode="nearest")
@@ -52,12 +50,11 @@ def scanned(solid, noise, seed):
     at = np.meshgrid(rows, cols, cells, indexing="ij")
     grey = AIR + (WALL - AIR) * ndimage.map_coordinates(blurred, at, order=1, mode="nearest")
     grey += noise * np.random.default_rng(seed).standard_normal(grey.shape)
-    coords = {axis: np.arange(n) * float(VOXEL) for axis, n in zip("zyx", (n_cells, n_rows, n_cols), strict=True)}
-    attrs = {"voxel_um": [float(VOXEL)] * 3}
     values = np.rint(np.moveaxis(grey, 2, 0)).clip(0, 255).astype(np.uint8)
-    return xr.DataArray(values, coords, ("z", "y", "x"), attrs=attrs), true
+    return voxels(values, float(VOXEL)).assign_attrs(voxel_um=[float(VOXEL)] * 3), true
 
 
+@pytest.mark.ci
 def test_faces_of_laid_ribbons_are_those_of_half_a_wall():
     volume, true = scanned(laid(3, 700, 7), 6.0, 4)
     found = measure_properties(find_surfaces(volume), volume=volume)
@@ -67,7 +64,6 @@ def test_faces_of_laid_ribbons_are_those_of_half_a_wall():
     assert np.isfinite(values[inside]).mean() > 0.97
     error = (values - true)[inside & np.isfinite(values)]
     spread = error.std() / np.sqrt(np.mean(stated[inside & np.isfinite(values)] ** 2))
-    print(f"true {true[inside].mean():.1f} um, off {error.mean():+.2f}, sd {error.std():.2f}, {spread:.2f} stated")
     assert abs(error.mean()) < 1.5
     assert 0.5 < spread < 1.5
     assert float(found["level_top_error"].attrs["common_um"]) > 0

@@ -43,7 +43,7 @@ def test_a_paraboloid_passes_unchanged_up_to_the_border_and_nothing_lies_far_fro
     assert np.isnan(gaussian_regression(height, (5.0, 5.0), cutoff_um=200.0)[150:]).all()
 
 
-@pytest.mark.parametrize(("wavelength", "gain"), [(4000.0, 1.0), (1500.0, 1.0), (400.0, 0.5), (100.0, 0.0)])
+@pytest.mark.parametrize(("wavelength", "gain"), [(4000.0, 1.0), (400.0, 0.5), (100.0, 0.0)])
 def test_transmission(wavelength, gain):
     """The cut-off passes by half; ten times longer waves pass, four times shorter ones do not."""
     x = np.arange(900) * 5.0
@@ -51,7 +51,6 @@ def test_transmission(wavelength, gain):
     smooth = gaussian_regression(height, (5.0, 5.0), cutoff_um=400.0)
     inner = (slice(80, 120), slice(200, 700))
     measured = np.sqrt(np.mean(smooth[inner] ** 2) / np.mean(height[inner] ** 2))
-    print(f"gain at {wavelength:g} um: {measured:.3f}")
     # 0.02 of it is the averaging over blocks of 16 um
     assert measured == pytest.approx(gain, abs=0.05)
 
@@ -71,45 +70,43 @@ def test_a_few_columns_far_from_all_others_spoil_nothing():
     assert np.isnan(smooth[56:]).all()
 
 
+def bridged(middle, cutoff):
+    """The centre surface in pixels of 4 um; only gaps may be bridged with a wider cut-off, at any share of data."""
+    params = SurfaceParams(cutoff_um=cutoff)
+    centre, used = assemble.centre_surface(middle, np.ones(middle.shape, bool), (4.0, 4.0), params)
+    # a block that is hardly known counts as a gap
+    assert not ((used > cutoff) & ndimage.binary_erosion(np.isfinite(middle), iterations=3, border_value=1)).any()
+    return centre, used
+
+
 def test_the_surface_is_that_of_the_cutoff_that_is_stated():
-    """Many burnt rims leave islands of a few columns between them; only gaps may be bridged with a wider cut-off."""
+    """Many burnt rims leave islands of a few columns between them."""
     rng = np.random.default_rng(0)
-    pitch, cutoff = (4.0, 4.0), 300.0
+    cutoff = 300.0
     y, x = np.mgrid[0:200, 0:240] * 4.0
     middle = 20 * np.sin(x / 90) + ndimage.gaussian_filter(rng.normal(0, 40, x.shape), 6)
-    whole = gaussian_regression(middle, pitch, cutoff_um=cutoff)
+    whole = gaussian_regression(middle, (4.0, 4.0), cutoff_um=cutoff)
     middle[(np.hypot(y - 400, x - 480) < 1.1 * cutoff) & (np.hypot(y - 400, x - 480) > 25)] = np.nan
-    centre, used = assemble.centre_surface(middle, np.ones(middle.shape, bool), pitch, SurfaceParams(cutoff_um=cutoff))
+    centre, used = bridged(middle, cutoff)
     assert np.isfinite(centre).all()
-    data = np.isfinite(middle)
-    wider = used > cutoff
-    assert wider.any()
-    # a block that is hardly known counts as a gap
-    assert not (wider & ndimage.binary_erosion(data, iterations=3, border_value=1)).any()
-    inner = ndimage.distance_transform_edt(data) * 4.0 > 60.0
-    doubled = gaussian_regression(middle, pitch, cutoff_um=2 * cutoff)
+    assert (used > cutoff).any()
+    inner = ndimage.distance_transform_edt(np.isfinite(middle)) * 4.0 > 60.0
+    doubled = gaussian_regression(middle, (4.0, 4.0), cutoff_um=2 * cutoff)
     rms, of_doubled = (np.sqrt(np.mean((found - whole)[inner] ** 2)) for found in (centre, doubled))
-    print(
-        f"{cutoff:g} um: {100 * wider.mean():.2f} % bridged, {rms:.2f} um off, with twice the cut-off {of_doubled:.2f}"
-    )
     assert rms < 0.2 * of_doubled
 
 
-@pytest.mark.parametrize("cutoff", [80.0, 150.0, 280.0])
+@pytest.mark.parametrize("cutoff", [80.0, 280.0])
 def test_data_with_poor_neighbours_never_blanks_a_field(cutoff):
-    """Specks between overlapping rims: all that is known keeps the stated cut-off, at any share of data."""
+    """Specks between overlapping rims."""
     rng = np.random.default_rng(3)
-    pitch = (4.0, 4.0)
-    y, x = np.mgrid[0:150, 0:160] * 4.0
-    for holes in (10, 40, 120):
+    y, x = np.mgrid[0:110, 0:120] * 4.0
+    for holes in (10, 120):
         middle = 15 * np.sin(x / 110) + 0.1 * y
-        for at in rng.uniform(0, 600, (holes, 2)):
+        for at in rng.uniform(0, 480, (holes, 2)):
             middle[np.hypot(y - at[0], x - at[1]) < 80] = np.nan
         middle[rng.random(middle.shape) < 1e-3] = 3.0
-        data = np.isfinite(middle)
-        _, used = assemble.centre_surface(middle, np.ones(middle.shape, bool), pitch, SurfaceParams(cutoff_um=cutoff))
-        # a block that is hardly known counts as a gap
-        assert not ((used > cutoff) & ndimage.binary_erosion(data, iterations=3, border_value=1)).any()
+        bridged(middle, cutoff)
 
 
 def test_a_cut_off_that_was_not_kept_is_said():

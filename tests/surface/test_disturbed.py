@@ -9,40 +9,44 @@ from planish.core._envelope_kernels import rolled
 from planish.surface import SurfaceParams, find_surfaces, regions
 from surface.sheets import Sheet
 
-SHEET = Sheet(lateral=(100, 110), thickness=60.0, margin=30.0)
+SHEET = Sheet(lateral=(80, 64), thickness=60.0, margin=20.0)
 
 
-def dusty(*boxes):
-    """The sheet with boxes of coating: first voxel above the face, height, and lateral edges."""
-    grey = SHEET.volume()
+def dusty(above, high, rows, cols, sheet=SHEET):
+    """The sheet with a box of coating: first voxel above the face, height, and lateral edges."""
+    grey = sheet.volume()
     array = grey.values.copy()
-    face = round(float(SHEET.surfaces()["top"][0, 0]) / SHEET.voxel)
-    for above, high, rows, cols in boxes:
-        array[face + above : face + above + high, slice(*rows), slice(*cols)] = 210
+    first = round(float(sheet.surfaces()["top"][0, 0]) / sheet.voxel) + above
+    array[first : first + high, slice(*rows), slice(*cols)] = 210
     return grey.copy(data=array)
 
 
-@pytest.mark.parametrize("above", [3, 6, 12])
+@pytest.mark.parametrize("above", [3, 12])
 def test_what_floats_two_voxels_above_the_face_is_counted_and_the_face_below_it_is_found(above):
-    found = find_surfaces(dusty((above, 5, (30, 55), (30, 55))))
+    found = find_surfaces(dusty(above, 5, (30, 55), (30, 55)))
     error = found["top"].values - SHEET.surfaces()["top"]
     assert found.attrs["particles_removed"] == 1
     assert np.nanmax(np.abs(error)) < 0.7
     assert np.isfinite(error[33:52, 33:52]).all()
 
 
-def test_a_narrow_particle_is_removed_and_a_wide_lump_is_topography():
-    found = find_surfaces(dusty((-1, 8, (40, 46), (20, 26))))
+@pytest.mark.ci
+def test_a_narrow_particle_is_removed():
+    sheet = replace(SHEET, lateral=(100, 110), margin=30.0)
+    found = find_surfaces(dusty(-1, 8, (40, 46), (20, 26), sheet))
     assert (found.attrs["particles_removed"], set(np.unique(found["status"].values[41:45, 21:25]))) == (1, {7})
     assert np.isnan(found["top"].values[41:45, 21:25]).all()
-    assert np.nanmax(np.abs(found["top"].values - SHEET.surfaces()["top"])) < 2.0
-    found = find_surfaces(dusty((-1, 8, (40, 70), (20, 50))))
+    assert np.nanmax(np.abs(found["top"].values - sheet.surfaces()["top"])) < 2.0
+
+
+def test_a_wide_lump_is_topography():
+    found = find_surfaces(dusty(-1, 8, (40, 70), (20, 50)), params=SurfaceParams(rim_um=30.0))
     assert found.attrs["particles_removed"] == 0
     rise = found["top"].values - SHEET.surfaces()["top"]
     assert np.nanmedian(rise[45:65, 25:45]) > 7.0
-    assert find_surfaces(SHEET.volume()).attrs["particles_removed"] == 0
 
 
+@pytest.mark.ci
 def test_a_sheet_that_leaves_the_volume_is_measured_inside_and_nowhere_else():
     sheet = replace(SHEET, tilt=(0.0, 30.0), margin=20.0)
     cut = 30
@@ -60,12 +64,10 @@ def test_a_sheet_that_leaves_the_volume_is_measured_inside_and_nowhere_else():
 
 
 def holes(fill):
+    """Four holes of 120 um in pixels of 2 um, of which the last is partly filled."""
     y, x = np.mgrid[0:200, 0:200] * 2.0
-    sheet = np.ones(y.shape, dtype=bool)
-    for r, c in ((100.0, 100.0), (100.0, 300.0), (300.0, 100.0), (300.0, 300.0)):
-        sheet &= np.hypot(y - r, x - c) > 60.0
-    sheet |= fill(y - 300.0, x - 300.0) & (np.hypot(y - 300, x - 300) <= 60)
-    return sheet
+    sheet = np.min([np.hypot(y - r, x - c) for r in (100, 300) for c in (100, 300)], axis=0) > 60.0
+    return sheet | fill(y - 300.0, x - 300.0) & (np.hypot(y - 300, x - 300) <= 60)
 
 
 def test_open_holes_have_the_area_of_their_ellipse():
@@ -99,4 +101,4 @@ def test_both_faces_and_their_envelopes_are_reported():
     found = find_surfaces(SHEET.volume(), params=SurfaceParams(envelope_um=100.0))
     assert (found["top_envelope"] >= found["top"] - 1e-9).all()
     assert (found["bottom_envelope"] <= found["bottom"] + 1e-9).all()
-    assert "top_envelope" not in find_surfaces(SHEET.volume())
+    assert found.attrs["particles_removed"] == 0

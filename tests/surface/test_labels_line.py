@@ -9,6 +9,8 @@ from planish.core.errors import InputError
 from planish.run import as_study, open_run, run_study
 from planish.surface import LabelParams, SurfaceParams
 
+pytestmark = pytest.mark.ci
+
 
 @pytest.fixture(scope="module")
 def labels(specimen, tmp_path_factory):
@@ -42,7 +44,6 @@ def test_grey_properties_of_labels_are_refused(labels, tmp_path):
         run_study(study(labels, properties={"maps": ("porosity",)}), tmp_path / "run")
 
 
-@pytest.mark.nightly
 def test_labels_without_a_coating_are_said_on_the_command_line(passes, refuses, labels, tmp_path):
     """The base is then the whole sheet; the same label may not mean both."""
     out = tmp_path / "run"
