@@ -12,8 +12,9 @@ from planish.core.grid import Grid
 def gaussian_maps(rng, shape, length, *, kind="exp"):
     """Two unrelated maps of variance 1 whose correlation is exp(-h / length), or exp(-(h / length)²), by embedding.
 
-    ``length`` is in pixels, one number or two: along rows and columns.
+    ``rng`` may be a seed; ``length`` is in pixels, one number or two: along rows and columns.
     """
+    rng = np.random.default_rng(rng)
     down, across = length if np.ndim(length) else (length, length)
     size = [fft.next_fast_len(2 * n) for n in shape]
     lags = [np.abs(fft.fftfreq(n, 1 / n)) for n in size]
@@ -26,6 +27,7 @@ def gaussian_maps(rng, shape, length, *, kind="exp"):
 
 def related_maps(rng, shape, length, r, *, noise=None, kind="exp"):
     """Two maps whose correlation is r; what b does not share with a has the length ``noise`` where given."""
+    rng = np.random.default_rng(rng)
     a, rest = gaussian_maps(rng, shape, length, kind=kind)
     if noise is not None:
         rest = gaussian_maps(rng, shape, noise, kind=kind)[0]

@@ -30,16 +30,16 @@ def test_the_ceiling_is_the_r_of_a_displaced_map(kind, length, error, point):
 
 
 def test_a_ceiling_needs_a_map_and_an_error_and_lies_between_those_of_its_errors():
-    a = gaussian_maps(np.random.default_rng(1), (60, 80), 4.0)[0]
+    a = gaussian_maps(1, (60, 80), 4.0)[0]
     assert ceiling(a, error_um=0.0, pixel_um=1.0).r == pytest.approx(1)
     found = ceiling(a, error_um=0.0, pixel_um=1.0, reliability=0.64)
     assert found.r == pytest.approx(0.8)
     assert "r = 0.80" in found.sentence
-    a = gaussian_maps(np.random.default_rng(2), (60, 80), 6.0)[0]
+    a = gaussian_maps(2, (60, 80), 6.0)[0]
     errors = np.broadcast_to(np.linspace(1.0, 5.0, 80), a.shape)
     low, high = (ceiling(a, error_um=e, pixel_um=1.0).r for e in (5.0, 1.0))
     assert low < ceiling(a, error_um=errors, pixel_um=1.0).r < high
-    a = gaussian_maps(np.random.default_rng(2), (20, 30), 6.0)[0]
+    a = gaussian_maps(2, (20, 30), 6.0)[0]
     for given in ({"error_um": -1.0}, {"error_um": np.full(a.shape, np.nan)}, {"error_um": 1.0, "reliability": 0.0}):
         with pytest.raises(InputError):
             ceiling(a, pixel_um=1.0, **given)
@@ -47,7 +47,7 @@ def test_a_ceiling_needs_a_map_and_an_error_and_lies_between_those_of_its_errors
 
 
 def test_origins_scatter_about_r():
-    a, b = related_maps(np.random.default_rng(3), (90, 120), 5.0, 0.6)
+    a, b = related_maps(3, (90, 120), 5.0, 0.6)
     found = origins(a, b, pixel_um=2.0, point_um=24.0)
     assert found.count == 16
     assert found.least < found.r < found.largest
@@ -76,7 +76,7 @@ def test_partial_r_leaves_what_the_others_do_not_explain():
 
 
 def test_maps_without_common_pixels_are_refused():
-    a, b = related_maps(np.random.default_rng(8), (20, 30), 2.0, 0.5)
+    a, b = related_maps(8, (20, 30), 2.0, 0.5)
     none = np.full(a.shape, np.nan)
     for call in (
         lambda: of_short_waves(none, b, pixel_um=1.0),

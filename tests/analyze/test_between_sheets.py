@@ -71,8 +71,7 @@ def test_groups_without_interval_state_the_reason_and_p_is_adjusted_for_the_tabl
 
 
 @pytest.mark.parametrize(("shift", "margin", "verdict"), [
-    (0.0, 1.0, "equivalent"), (0.3, 1.0, "equivalent"), (0.0, 0.05, "undecided"), (1.0, 1.0, "undecided"),
-    (3.0, 1.0, "larger"), (-3.0, 1.0, "larger"),
+    (0.3, 1.0, "equivalent"), (0.0, 0.05, "undecided"), (1.0, 1.0, "undecided"), (-3.0, 1.0, "larger"),
 ])  # fmt: skip
 def test_equivalence_is_two_one_sided_tests(shift, margin, verdict):
     change = shift + 0.2 * np.array([-1.0, 0.5, 1.0, -0.5, 0.3, -0.3])
@@ -87,22 +86,18 @@ def test_equivalence_is_two_one_sided_tests(shift, margin, verdict):
     assert found.interval == pytest.approx(stats.t.interval(0.9, 5, change.mean(), stats.sem(change)), abs=1e-12)
 
 
-def test_the_smallest_difference_that_is_seen_has_the_power_and_a_margin_is_above_0():
-    rng = np.random.default_rng(3)
-    found = two_groups(fields(rng.normal(size=5)), fields(rng.normal(size=5)))
-    quantile = stats.t.ppf(0.975, found.free)
-    for power in (0.5, 0.8, 0.95):
-        shift = found.smallest_seen(power) / found.standard_error
-        seen = stats.nct.sf(quantile, found.free, shift) + stats.nct.cdf(-quantile, found.free, shift)
-        assert seen == pytest.approx(power, abs=1e-6)
-    refused(InputError, "The power is 1", found.smallest_seen, 1.0)
-    found = paired_over_sheets(fields([1.0, 2.0, 3.0]), fields([1.0, 2.5, 3.1]))
-    refused(InputError, "margin is 0", equivalence, found, margin=0.0)
-
-
-@pytest.mark.parametrize("free", [2.0, 3.0, 3.9, 4.0, 7.3, 40.0, 3000.0])
+@pytest.mark.parametrize("free", [2.0, 3.9, 4.0, 7.3, 3000.0])
 def test_the_smallest_difference_that_is_seen_has_that_power_at_any_degrees_of_freedom(free):
+    quantile = stats.t.ppf(0.975, free)
     for power in (0.1, 0.8, 0.99):
-        assert between_sheets.power_of_shift(between_sheets.shift_seen(power, free), free) == pytest.approx(
-            power, abs=1e-8
-        )
+        shift = between_sheets.shift_seen(power, free)
+        seen = stats.nct.sf(quantile, free, shift) + stats.nct.cdf(-quantile, free, shift)
+        assert seen == pytest.approx(power, abs=1e-6)
+    found = two_groups(fields([1.0, 2.0, 4.0]), fields([1.0, 2.5, 3.1]))
+    assert found.smallest_seen() == pytest.approx(found.standard_error * between_sheets.shift_seen(0.8, found.free))
+
+
+def test_a_power_of_1_and_a_margin_of_0_are_refused():
+    found = paired_over_sheets(fields([1.0, 2.0, 3.0]), fields([1.0, 2.5, 3.1]))
+    refused(InputError, "The power is 1", found.smallest_seen, 1.0)
+    refused(InputError, "margin is 0", equivalence, found, margin=0.0)

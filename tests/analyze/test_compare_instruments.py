@@ -12,6 +12,7 @@ from planish.core.errors import CannotMeasure
 
 def measured(rng, shape=(90, 120), *, bias=0.3, blur=2.0, noise=0.3):
     """A quantity, seen by a sharp instrument and by a blurred one."""
+    rng = np.random.default_rng(rng)
     truth = gaussian_maps(rng, shape, 6.0)[0]
     a = truth + noise * rng.normal(size=shape)
     b = ndimage.gaussian_filter(truth, blur) + bias + noise * rng.normal(size=shape)
@@ -19,7 +20,7 @@ def measured(rng, shape=(90, 120), *, bias=0.3, blur=2.0, noise=0.3):
 
 
 def test_two_instruments_are_compared_over_points():
-    a, b = measured(np.random.default_rng(0))
+    a, b = measured(0)
     mask = np.ones(a.shape, bool)
     mask[20:40, 30:60] = False
     a[70:75, :8] = np.nan
@@ -35,13 +36,13 @@ def test_two_instruments_are_compared_over_points():
 
 
 def test_the_shared_scale_is_coarser_than_the_blur_or_reported_as_missing():
-    a, b = measured(np.random.default_rng(1))
+    a, b = measured(1)
     found = compare_instruments(a, b, pixel_um=5.0)
     assert found.rings is not None
     assert found.shared_um == found.rings.resolution_um
     assert 20.0 < found.shared_um < 150.0  # a blur of 10 um (sd) takes 9/10 of waves of 30 um away
     assert (found.line, found.point_um) == (None, 5.0)
-    a, b = measured(np.random.default_rng(2), (4, 5))
+    a, b = measured(2, (4, 5))
     found = compare_instruments(a, b, pixel_um=1.0)
     assert (found.rings, found.shared_um) == (None, None)
     assert any("rings" in note for note in found.notes)

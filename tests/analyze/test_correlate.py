@@ -1,11 +1,10 @@
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given
-from hypothesis import strategies as st
 
 import planish as pl
 from analyze.fields import exact_n_eff, gaussian_maps, related_maps
+from folders import refused
 from planish.analyze import PairAtSizes, PairSums, correlate, covariance, pearson
 from planish.core.errors import InputError, PlanishError, SizeError
 
@@ -26,12 +25,6 @@ def test_a_known_correlation_of_independent_points_is_found(r):
     assert high - low == pytest.approx(2 * 1.96 * (1 - found.r**2) / np.sqrt(60_000), rel=0.08)
     assert low < r < high
     assert (found.warnings, found.direction) == ((), np.sign(r))
-
-
-@given(scale=st.floats(0.01, 100), shift=st.floats(-1e3, 1e3))
-def test_scale_and_shift_keep_r(scale, shift):
-    a, b = pair(0.6, (20, 25))
-    assert correlate(scale * a + shift, b, pixel_um=1).r == pytest.approx(correlate(a, b, pixel_um=1).r, abs=1e-9)
 
 
 def test_slopes_are_those_of_the_lines():
@@ -56,7 +49,6 @@ def test_missing_points_do_not_count():
     [
         (np.full((3, 3), 5.0), np.arange(9.0).reshape(3, 3), "The first map is constant"),
         (np.arange(9.0).reshape(3, 3), np.full((3, 3), 5.0), "The second map is constant"),
-        (np.full((3, 3), np.nan), np.arange(9.0).reshape(3, 3), "Only 0 points"),
         (np.array([[1.0, 2.0]]), np.array([[1.0, 2.0]]), "Only 2 points"),
         (np.zeros((0, 4)), np.zeros((0, 4)), "Only 0 points"),
     ],
@@ -137,20 +129,16 @@ def test_sums_by_lag_and_n_eff_equal_those_over_all_pairs_of_points(masked):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(("length", "kind"), [(2.0, "exp"), (3.0, "gauss"), ((1.5, 3.0), "exp")])
-def test_n_eff_is_that_of_the_covariance(length, kind):
-    rng, shape = np.random.default_rng(6), (50, 60)
-    found = [correlate(*gaussian_maps(rng, shape, length, kind=kind), pixel_um=1).n_eff for _ in range(60)]
-    assert np.median(found) == pytest.approx(exact_n_eff(shape, length, kind=kind), rel=0.1)
-
-
-@pytest.mark.nightly
-def test_a_hole_leaves_fewer_independent_points():
-    rng, shape = np.random.default_rng(7), (50, 60)
-    known = np.ones(shape, bool)
-    known[10:40, 10:30] = False
-    found = [correlate(*gaussian_maps(rng, shape, 3.0), mask=known, pixel_um=1).n_eff for _ in range(60)]
-    assert np.median(found) == pytest.approx(exact_n_eff(shape, 3.0, known=known), rel=0.12)
+@pytest.mark.parametrize(
+    ("length", "kind", "hole"),
+    [(2.0, "exp", False), (3.0, "gauss", False), ((1.5, 3.0), "exp", False), (3.0, "exp", True)],
+)
+def test_n_eff_is_that_of_the_covariance_also_around_a_hole(length, kind, hole):
+    rng, known = np.random.default_rng(6), np.ones((50, 60), bool)
+    known[10:40, 10:30] = not hole
+    maps = [gaussian_maps(rng, known.shape, length, kind=kind) for _ in range(60)]
+    found = [correlate(*pair, mask=known, pixel_um=1).n_eff for pair in maps]
+    assert np.median(found) == pytest.approx(exact_n_eff(known.shape, length, known=known, kind=kind), rel=0.12)
 
 
 @pytest.mark.nightly
@@ -165,7 +153,7 @@ def test_the_interval_holds_the_truth_and_unrelated_maps_are_not_significant():
 
 
 def test_large_maps_by_cells_say_the_same():
-    a, b = related_maps(np.random.default_rng(9), (240, 300), 12.0, 0.5)
+    a, b = related_maps(9, (240, 300), 12.0, 0.5)
     whole, cells = correlate(a, b, pixel_um=2.0), correlate(a, b, pixel_um=2.0, most_cells=8000)
     assert (cells.r, cells.n_eff) == (whole.r, pytest.approx(whole.n_eff, rel=0.03))
     assert cells.interval == pytest.approx(whole.interval, abs=0.005)
@@ -214,10 +202,10 @@ def test_two_planes_say_nothing():
     assert "nothing is claimed" in found.warnings[0]
 
 
-def test_few_points_trends_uneven_spread_and_constant_maps_are_named():
+def test_few_points_trends_and_constant_maps_are_named():
     found = [correlate(*gaussian_maps(np.random.default_rng(k), (60, 80), 13.0), pixel_um=1) for k in range(20)]
     assert any("independent points" in w for c in found for w in c.warnings)
-    a, b = gaussian_maps(np.random.default_rng(1), (60, 80), 2.0)
+    a, b = gaussian_maps(1, (60, 80), 2.0)
     slope = np.linspace(0, 4, 80)
     found = correlate(a + slope, b + slope, pixel_um=1)
     assert found.r > 0.4
@@ -225,11 +213,6 @@ def test_few_points_trends_uneven_spread_and_constant_maps_are_named():
     assert warned
     assert abs(float(warned[0].rpartition("r is ")[2].rstrip("."))) < 0.2
     assert not correlate(a + slope, b, pixel_um=1).warnings
-    a, b = gaussian_maps(np.random.default_rng(2), (90, 120), 4.0)
-    spread = np.ones((90, 120))
-    spread[30:55, 40:70] = 6.0
-    found = correlate(a * spread, b * spread, pixel_um=1)
-    assert any("vary unevenly" in w for w in found.warnings)
     a, b = pair(0.5, (30, 40))
     a[np.random.default_rng(0).random(a.shape) < 0.95] = 0.0
     assert any("of the first map have the same value" in w for w in correlate(a, b, pixel_um=1).warnings)
@@ -240,12 +223,9 @@ def test_few_points_trends_uneven_spread_and_constant_maps_are_named():
     [
         ({"pixel_um": 0}, SizeError, "pixel is 0 um"),
         ({"pixel_um": (1, np.nan)}, SizeError, "Give one number"),
-        ({"pixel_um": (1, 2, 3)}, SizeError, "Give one number"),
         ({"pixel_um": "2"}, SizeError, "Give one number"),
         ({"point_um": 0.5}, SizeError, "smaller than a pixel"),
-        ({"point_um": np.nan}, SizeError, "smaller than a pixel"),
         ({"b": np.zeros((4, 5))}, InputError, "onto one grid"),
-        ({"b": np.zeros(5)}, InputError, "two dimensions"),
         ({"b": np.full((6, 7), "x")}, InputError, "numbers"),
         ({"b": [[1.0]]}, InputError, "two dimensions"),
         ({"mask": np.zeros((6, 7))}, InputError, "true or false"),
@@ -262,5 +242,4 @@ def test_wrong_input_is_a_sentence(change, error, word):
 def test_maps_at_other_places_are_refused():
     a = xr.DataArray(np.ones((4, 5)), dims=("y", "x"), coords={"y": np.arange(4.0), "x": np.arange(5.0)})
     for b in (a.assign_coords(x=np.arange(5.0) + 1), a.rename(x="u")):
-        with pytest.raises(InputError, match="other places"):
-            correlate(a, b, pixel_um=1)
+        refused(InputError, "other places", correlate, a, b, pixel_um=1)

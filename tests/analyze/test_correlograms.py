@@ -6,7 +6,7 @@ import pytest
 from analyze.fields import gaussian_maps
 from folders import refused
 from planish.analyze import correlate, cross_correlogram, pearson
-from planish.core.errors import CannotMeasure, InputError, SizeError
+from planish.core.errors import SizeError
 
 
 def moved(rng, shape, length, lag, *, kind="gauss"):
@@ -29,8 +29,7 @@ def at_lag(a, b, lag):
 
 
 def test_every_lag_is_the_r_of_its_pairs():
-    rng = np.random.default_rng(0)
-    a, b = gaussian_maps(rng, (14, 17), 2.0)
+    a, b = gaussian_maps(0, (14, 17), 2.0)
     a[3:5, 2:9], b[8, 4:6] = np.nan, np.nan
     found = cross_correlogram(a, b + 0.3 * np.nan_to_num(a), pixel_um=(2.0, 1.0), reach_um=4.0)
     assert (found.lag_y_um.tolist(), found.lag_x_um.tolist()) == ([-4, -2, 0, 2, 4], list(range(-4, 5)))
@@ -39,16 +38,16 @@ def test_every_lag_is_the_r_of_its_pairs():
 
 
 def test_the_peak_is_where_the_map_was_moved_to_also_between_pixels_but_not_beyond_the_reach():
-    a, b = moved(np.random.default_rng(1), (90, 120), 5.0, (6, -4))
+    a, b = moved(1, (90, 120), 5.0, (6, -4))
     found = cross_correlogram(a, -b, pixel_um=(2.0, 3.0), reach_um=40.0)
     assert found.lag_um == pytest.approx((12.0, -12.0), abs=0.1)
     assert (found.inner, found.beyond_chance) == (True, True)
     # The 3 x 3 parabola is a little flatter than the summit of exp(-(h / 5)^2).
     assert found.peak_r == pytest.approx(-1, abs=0.02)
-    fine, other = moved(np.random.default_rng(2), (240, 320), 24.0, (2, -5))
+    fine, other = moved(2, (240, 320), 24.0, (2, -5))
     found = cross_correlogram(fine[::4, ::4], other[::4, ::4], pixel_um=1.0, reach_um=10.0)
     assert found.lag_um == pytest.approx((0.5, -1.25), abs=0.05)
-    a, b = moved(np.random.default_rng(4), (60, 80), 12.0, (9, 0))
+    a, b = moved(4, (60, 80), 12.0, (9, 0))
     found = cross_correlogram(a, b, pixel_um=1.0, reach_um=6.0)
     assert not found.inner
     assert found.lag_um[0] == 6.0
@@ -58,8 +57,7 @@ def test_the_peak_is_where_the_map_was_moved_to_also_between_pixels_but_not_beyo
 @pytest.mark.parametrize(("length", "angle"), [((4, 9), 0.0), ((9, 4), 90.0)])
 def test_widths_are_those_of_the_texture(length, angle):
     found = [
-        cross_correlogram(m, m, pixel_um=2.0, reach_um=60.0)
-        for m in gaussian_maps(np.random.default_rng(3), (150, 200), length, kind="gauss")
+        cross_correlogram(m, m, pixel_um=2.0, reach_um=60.0) for m in gaussian_maps(3, (150, 200), length, kind="gauss")
     ]
     full = 2 * math.sqrt(math.log(2)) * 2.0  # of exp(-(h / l)^2), in um for one pixel of l
     assert np.mean([c.widths_um for c in found], axis=0) == pytest.approx([9 * full, 4 * full], rel=0.1)
@@ -78,22 +76,21 @@ def test_a_turned_texture_has_a_turned_axis():
 
 
 def test_limits_are_those_of_r_wider_far_away_and_missing_for_long_waves():
-    a, b = gaussian_maps(np.random.default_rng(5), (90, 120), 4.0)
+    a, b = gaussian_maps(5, (90, 120), 4.0)
     found = cross_correlogram(a, b, pixel_um=2.0, reach_um=60.0)
     alone = correlate(a, b, pixel_um=2.0)
     assert (found.n_eff, found.r[30, 30]) == (pytest.approx(alone.n_eff), pytest.approx(alone.r))
     assert found.band_99[30, 30] == pytest.approx(2.576 / math.sqrt(found.n_eff), rel=0.02)
     assert found.band_99[0, 0] == pytest.approx(found.band_99[30, 30] * math.sqrt(120 * 90 / 90 / 60), rel=0.02)
     assert (found.band_99_of_any > 1.2 * found.band_99).all()
-    a, b = gaussian_maps(np.random.default_rng(6), (40, 50), 30.0, kind="gauss")
+    a, b = gaussian_maps(6, (40, 50), 30.0, kind="gauss")
     found = cross_correlogram(a, b, pixel_um=1.0, reach_um=10.0)
     assert np.isnan(found.band_99).all()
     assert found.beyond_chance is None
 
 
 def test_a_mask_counts_in_both():
-    rng = np.random.default_rng(7)
-    a, b = gaussian_maps(rng, (40, 50), 3.0)
+    a, b = gaussian_maps(7, (40, 50), 3.0)
     mask = np.ones(a.shape, bool)
     mask[10:20, 15:30] = False
     one = cross_correlogram(a, np.where(mask, b, 1e6), mask=mask, pixel_um=1.0, reach_um=5.0)
@@ -101,16 +98,13 @@ def test_a_mask_counts_in_both():
     assert (one.r, one.peak_r) == (pytest.approx(two.r, abs=1e-9), pytest.approx(two.peak_r))
 
 
-def test_wrong_input_is_refused():
-    a = gaussian_maps(np.random.default_rng(8), (30, 40), 3.0)[0]
+def test_a_reach_of_less_than_a_pixel_is_refused():
+    a = gaussian_maps(8, (30, 40), 3.0)[0]
     refused(SizeError, "reach of a pixel", cross_correlogram, a, a, pixel_um=2.0, reach_um=1.0)
-    refused(InputError, "one grid", cross_correlogram, a, a[:, 1:], pixel_um=2.0)
-    refused(CannotMeasure, "map b is constant", cross_correlogram, a, np.ones(a.shape), pixel_um=2.0)
-    refused(CannotMeasure, "0 pixels", cross_correlogram, a, np.full(a.shape, np.nan), pixel_um=2.0)
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(("length", "kind"), [(1.0, "gauss"), (5.0, "exp"), (5.0, "gauss"), (12.0, "gauss")])
+@pytest.mark.parametrize(("length", "kind"), [(1.0, "gauss"), (5.0, "exp"), (12.0, "gauss")])
 def test_unrelated_maps_exceed_the_limits_in_one_of_a_hundred(length, kind):
     rng, n = np.random.default_rng(9), 600
     alone, anywhere = [], []

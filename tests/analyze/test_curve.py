@@ -6,7 +6,14 @@ from scipy import optimize, stats
 
 from analyze.fields import gaussian_maps
 from folders import refused
-from planish.analyze import fit_kubelka_munk, independent_points, reflectance, straight_or_curved
+from planish.analyze import (
+    bland_altman,
+    correlate,
+    fit_kubelka_munk,
+    independent_points,
+    reflectance,
+    straight_or_curved,
+)
 from planish.core.errors import CannotMeasure, InputError
 
 
@@ -53,8 +60,6 @@ def test_fewer_independent_points_widen_and_missing_points_do_not_count(x):
         (lambda x: np.sqrt(x), "curved, saturating"),
         (lambda x: -np.sqrt(x), "curved, saturating"),
         (lambda x: x**2, "curved, growing"),
-        (lambda x: -(x**2), "curved, growing"),
-        (lambda x: 0 * x, "not distinguishable from a straight line"),
         (lambda x: 3 - 2 * x, "not distinguishable from a straight line"),
     ],
 )
@@ -74,8 +79,7 @@ def test_shift_and_scale_carry_over_and_a_valley_has_no_slope(x):
 
 
 @pytest.mark.parametrize(
-    ("s", "ratio", "backing"),
-    [(0.15, 0.002, 0.794), (0.15, 0.0, 0.82), (0.05, 0.01, 0.0), (0.24, 0.0, 0.3), (0.1, 0.5, 0.9)],
+    ("s", "ratio", "backing"), [(0.15, 0.002, 0.794), (0.05, 0.01, 0.0), (0.24, 0.0, 0.3), (0.1, 0.5, 0.9)]
 )
 def test_a_layer_without_noise_is_found(x, s, ratio, backing):
     y = bright(x, s, ratio, backing)
@@ -119,7 +123,7 @@ def test_intervals_equal_those_of_a_grid(x):
     x, y = x[:100], with_noise(x[:100], sd=0.03)
     found = fit_kubelka_munk(x, y, n_eff=40, absorption_over_scattering=0.002)
     s, g = np.linspace(0, 0.6, 101), np.linspace(0.5, 1.0, 101)
-    squares = np.array([[np.sum((bright(x, a, 0.002, b) - y) ** 2) for b in g] for a in s])
+    squares = np.sum((bright(x, s[:, None, None], 0.002, g[:, None]) - y) ** 2, axis=-1)
     inside = squares < np.sum((found(x) - y) ** 2) * (1 + stats.t.ppf(0.975, 38) ** 2 / 38)
     rows, cols = (np.flatnonzero(inside.any(axis=k)) for k in (1, 0))
     assert found.scattering_interval == pytest.approx((s[rows[0]], s[rows[-1]]), abs=0.007)
@@ -138,6 +142,17 @@ def test_a_level_that_is_less_sure_widens_the_intervals_and_leaves_the_fit(x):
     assert width[1] ** 2 - width[0] ** 2 == pytest.approx(level**2, rel=0.15)
 
 
+def test_independent_points_are_those_of_the_rest_with_x_with_its_square_and_alone():
+    x, e = gaussian_maps(6, (50, 60), 2.0)
+    x[10:20, 15:30] = np.nan
+    found = independent_points(x, 2 * x + e, pixel_um=10)
+    known = np.isfinite(x)
+    rest = e - np.polyval(np.polyfit(x[known], e[known], 1), x)
+    for n, m in ((found.n_eff, x), (found.n_eff_square, (x - x[known].mean()) ** 2)):
+        assert n == pytest.approx(correlate(m, rest, pixel_um=10).n_eff, rel=1e-6)
+    assert found.n_eff_level == pytest.approx(bland_altman(x, x + rest, pixel_um=10).n_eff, rel=1e-6)
+
+
 @pytest.mark.nightly
 def test_independent_points_of_level_slope_and_bend():
     rng, found = np.random.default_rng(6), []
@@ -153,14 +168,6 @@ def test_independent_points_of_level_slope_and_bend():
     # n² over the sum of the products of correlations: rest and x; rest and x², which has the square; rest alone.
     want = [n**2 / np.sum(near ** (k + 1)) for k in (1, 2, 0)]
     assert np.median(found, axis=0) == pytest.approx(want, rel=0.15)
-
-
-def test_maps_that_tell_no_points_are_refused():
-    refused(CannotMeasure, "map x is constant", independent_points, np.ones((20, 20)), np.ones((20, 20)), pixel_um=1)
-    with pytest.raises(CannotMeasure, match="0 pixels are known"):
-        independent_points(np.ones((20, 20)), np.ones((20, 20)), mask=np.zeros((20, 20), bool), pixel_um=1)
-    with pytest.raises(InputError, match="Bring both onto one grid"):
-        independent_points(np.ones((20, 20)), np.ones((20, 21)), pixel_um=1)
 
 
 def test_intervals_end_at_what_is_possible(x):
@@ -188,10 +195,8 @@ RISE = np.linspace(1.0, 20.0, 50)
         (RISE, RISE[:-1] / 30, 20, InputError, r"x has \(50,\) points, y has \(49,\)"),
         (RISE, RISE.astype(str), 20, InputError, "y holds <U"),
         (RISE, RISE / 30, 51, InputError, "n_eff is 51 of 50 points"),
-        (RISE, RISE / 30, -3, InputError, "n_eff is -3"),
         (RISE, RISE / 30, 9.4, CannotMeasure, "50 points are known .* 9 of them independent; .* 10 .* larger field"),
         (RISE, RISE / 30, np.nan, CannotMeasure, "an unknown number of them"),
-        (RISE[:5], RISE[:5] / 30, 5, CannotMeasure, "5 points are known"),
         (RISE, NAN, 20, CannotMeasure, "0 points are known"),
         (np.full(50, 7.0), RISE / 30, 20, CannotMeasure, "x has 1 different value;"),
         (np.repeat([5.0, 10.0], 25), RISE / 30, 20, CannotMeasure, "x has 2 different values"),

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from folders import refused
 from planish.analyze import ScatteringLayer, pile, reflectance, stack
 from planish.core.errors import InputError
 
@@ -89,5 +90,4 @@ def test_maps_broadcast_and_what_is_missing_stays_so():
     ],
 )
 def test_what_cannot_be_is_refused(call, message):
-    with pytest.raises(InputError, match=message):
-        call()
+    refused(InputError, message, call)

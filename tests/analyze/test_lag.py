@@ -73,7 +73,7 @@ def test_a_known_lag_is_found_to_a_fifth_of_a_pixel(lag):
     assert max(found.se_um) < 0.8
 
 
-@pytest.mark.nightly
+@pytest.mark.ci
 def test_the_standard_error_is_what_the_lags_scatter_by():
     lag = (1.7, -2.4)
     lags = [lag_of(*pair(0.4, lag, seed, shape=(120, 140))) for seed in range(60)]
@@ -95,6 +95,7 @@ def test_the_positive_peak_is_found_beside_a_deeper_valley():
     assert peak.r == pytest.approx(0.5, abs=0.01)
 
 
+@pytest.mark.ci
 def test_unrelated_maps_give_no_lag():
     silent = 0
     for seed in range(60):
@@ -144,6 +145,7 @@ def test_light_from_one_side_moves_no_lag(shift):
     assert both.light > 0.2
 
 
+@pytest.mark.ci
 def test_tiles_show_a_stretch():
     rng = np.random.default_rng(5)
     big = texture((230, 250), 2.0, rng)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from folders import refused
 from planish.analyze import without_screen
 from planish.core.errors import CannotMeasure, InputError, SizeError
 
@@ -114,5 +115,4 @@ def test_pictures_stay_in_single_precision():
     ],
 )
 def test_what_cannot_be_averaged_is_refused(image, options, error, message):
-    with pytest.raises(error, match=message):
-        without_screen(image, **({"pixel_um": PIXEL_UM} | options))
+    refused(error, message, without_screen, image, **({"pixel_um": PIXEL_UM} | options))

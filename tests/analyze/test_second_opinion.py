@@ -35,7 +35,7 @@ def test_the_critical_value_is_that_of_drawn_values():
 
 
 def test_both_opinions_agree_on_even_maps_and_the_second_is_wider_on_uneven_ones():
-    a, b = related_maps(np.random.default_rng(1), (100, 130), 2.0, 0.5)
+    a, b = related_maps(1, (100, 130), 2.0, 0.5)
     first, second = correlate(a, b, pixel_um=3.0), second_opinion(a, b, pixel_um=3.0)
     assert second.r == pytest.approx(first.r)
     assert np.diff(second.interval) == pytest.approx(np.diff(first.interval), rel=0.3)
@@ -50,7 +50,7 @@ def test_both_opinions_agree_on_even_maps_and_the_second_is_wider_on_uneven_ones
 
 
 def test_points_masks_and_what_is_withheld():
-    a, b = related_maps(np.random.default_rng(3), (80, 100), 3.0, 0.6)
+    a, b = related_maps(3, (80, 100), 3.0, 0.6)
     mask = np.ones(a.shape, bool)
     mask[20:40, 30:60] = False
     at_points = second_opinion(a, np.where(mask, b, 1e9), mask=mask, pixel_um=5.0, point_um=20.0)

@@ -11,13 +11,14 @@ from planish.core.errors import InputError
 
 def drawn(rng, counts, *, between=1.0, within=0.5):
     """Fields of sheets, so many of each."""
+    rng = np.random.default_rng(rng)
     sheet = np.repeat(np.arange(len(counts)), counts)
     values = 10 + between * rng.normal(size=len(counts))[sheet] + within * rng.normal(size=sheet.size)
     return Fields(values.tolist(), [f"S{k}" for k in sheet])
 
 
 def test_the_mean_over_sheets_has_the_interval_of_scipy_whatever_the_number_of_fields():
-    fields = drawn(np.random.default_rng(0), (3, 1, 2, 5))
+    fields = drawn(0, (3, 1, 2, 5))
     means = [np.mean([v for v, s in zip(fields.values, fields.sheets, strict=True) if s == name])
              for name in ("S0", "S1", "S2", "S3")]  # fmt: skip
     found = over_sheets(fields)
@@ -25,7 +26,7 @@ def test_the_mean_over_sheets_has_the_interval_of_scipy_whatever_the_number_of_f
     assert found.sd == pytest.approx(np.std(means, ddof=1), abs=1e-12)
     assert found.interval == pytest.approx(stats.t.interval(0.95, 3, np.mean(means), stats.sem(means)), abs=1e-12)
     assert (found.sheets, found.fields, found.missing, found.reason) == (4, 11, 0, "")
-    fields = drawn(np.random.default_rng(1), (1, 1, 1))
+    fields = drawn(1, (1, 1, 1))
     ten = Fields(list(fields.values) * 10, list(fields.sheets) * 10)
     assert over_sheets(ten).interval == pytest.approx(over_sheets(fields).interval, abs=1e-12)
 
@@ -48,7 +49,7 @@ def test_few_equal_or_missing_fields_give_no_interval():
 
 
 def test_variances_are_those_of_the_analysis_of_variance():
-    fields = drawn(np.random.default_rng(2), (4,) * 6)
+    fields = drawn(2, (4,) * 6)
     table = np.array(fields.values).reshape(6, 4)
     inside, outside = table.var(axis=1, ddof=1).mean(), 4 * table.mean(axis=1).var(ddof=1)
     found = variances_of(fields)
@@ -63,10 +64,10 @@ def test_variances_are_those_of_the_analysis_of_variance():
 
 
 def test_the_error_of_a_mean_falls_with_sheets_and_fields():
-    found = variances_of(drawn(np.random.default_rng(3), (3,) * 5))
+    found = variances_of(drawn(3, (3,) * 5))
     # Balanced, and above 0, it is the error that the sheets themselves show.
     error = math.sqrt(found.sd_between**2 / 5 + found.sd_within**2 / 15)
-    assert error == pytest.approx(over_sheets(drawn(np.random.default_rng(3), (3,) * 5)).standard_error)
+    assert error == pytest.approx(over_sheets(drawn(3, (3,) * 5)).standard_error)
 
 
 def test_unequal_sheets_have_the_true_variances_on_average():

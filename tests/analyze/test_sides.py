@@ -30,12 +30,14 @@ def sheet(*, sign=1.0, shown="top", base=0):
     return {"coating_top": top, "coating_bottom": bottom, "image": image}
 
 
+def judged(maps, *, coated=("top", "bottom"), side="top", given=True):
+    return image_of_sheet(prepared(**maps), coated=coated, side=side, is_given=given, image="image")
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize(("shown", "state"), [("top", "pass"), ("bottom", "fail")])
 def test_the_side_that_the_image_shows_is_told_whatever_the_sign(shown, state, sign):
-    found = image_of_sheet(
-        prepared(**sheet(sign=sign, shown=shown)), coated=("top", "bottom"), side="top", is_given=True, image="photo"
-    )
+    found = judged(sheet(sign=sign, shown=shown))
     check = found.check
     assert (check.state, found.side) == (state, shown)
     assert check.value * sign > check.limit
@@ -48,34 +50,29 @@ def test_the_side_that_the_image_shows_is_told_whatever_the_sign(shown, state, s
 
 def test_what_cannot_be_told_is_said():
     maps = sheet()
-    other = sheet(base=50)["image"]
-
-    def judged(coated=("top", "bottom"), given=True, **changes):
-        textured = prepared(**(maps | changes))
-        return image_of_sheet(textured, coated=coated, side="top", is_given=given, image="image").check
-
-    foreign = judged(image=other)
+    foreign = judged(maps | {"image": sheet(base=50)["image"]}).check
     assert foreign.state == "look"
     assert foreign.sentence.endswith("nothing beside the marks says that both show one specimen.")
-    bare = judged(coated=())
+    bare = judged(maps, coated=()).check
     assert (bare.state, bare.figures) == ("unknown", ())
     assert bare.sentence.startswith("Side: inconclusive, because no coating is seen on the top side; nothing beside")
-    assert "so both show one specimen" in judged(coated=(), thickness=maps["coating_top"] + field(9)).sentence
-    both = judged(image=maps["coating_top"] + maps["coating_bottom"])
+    thick = maps | {"thickness": maps["coating_top"] + field(9)}
+    assert "so both show one specimen" in judged(thick, coated=()).check.sentence
+    both = judged(maps | {"image": maps["coating_top"] + maps["coating_bottom"]}).check
     assert both.state == "unknown"
     assert "correlates with both coatings" in both.sentence
-    assert "was assumed (--image-side not given)" in judged(given=False).sentence
-    assert judged(coated=("bottom",), image=maps["coating_bottom"]).state == "look"
+    assert "was assumed (--image-side not given)" in judged(maps, given=False).check.sentence
+    assert judged(maps | {"image": maps["coating_bottom"]}, coated=("bottom",)).check.state == "look"
 
 
 def test_light_from_one_side_tells_the_side_where_the_coating_does_not():
     maps = sheet()
     top, bottom = field(30, 4.0), field(31, 4.0)
     lit = {"topography_top": top, "topography_bottom": 0.5 * bottom - 0.3 * top, "image": np.gradient(top, axis=1)}
-    found = image_of_sheet(prepared(**(maps | lit)), coated=("top", "bottom"), side="top", is_given=True, image="image")
-    assert found.check.state == "pass"
-    assert "slopes of the top face" in found.check.sentence
-    turned = image_of_sheet(prepared(**(maps | lit)), coated=(), side="bottom", is_given=True, image="image").check
+    found = judged(maps | lit).check
+    assert found.state == "pass"
+    assert "slopes of the top face" in found.sentence
+    turned = judged(maps | lit, coated=(), side="bottom").check
     assert turned.state == "look"
     assert turned.advice.startswith("Top and bottom are exchanged")
 
@@ -107,6 +104,7 @@ def test_two_images_and_two_sheets():
     assert "so both show one specimen" in thin.sentence
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("kind", ["fine and coarse", "grating", "stain"])
 def test_z_of_unrelated_textures_is_standard_normal_or_less(kind):
     rng = np.random.default_rng(3)

@@ -22,21 +22,13 @@ def test_nugget_sill_and_range_of_known_maps(kind, length, nugget):
     assert seen[2] == pytest.approx(2 * length, rel=0.09)
 
 
-def test_the_curve_is_that_of_the_covariance_and_white_noise_is_all_nugget():
-    rng, values = np.random.default_rng(1), []
-    for _ in range(10):
-        a = gaussian_maps(rng, (100, 130), 4.0)[0] + 0.5 * rng.normal(size=(100, 130))
-        v = variogram(a, pixel_um=2.0)
-        values.append(v.values)
-    assert v.distances_um[-1] <= 100
-    assert np.mean(values, axis=0)[:10] == pytest.approx(1.25 - np.exp(-np.array(v.distances_um[:10]) / 8), abs=0.05)
+def test_white_noise_is_all_nugget():
     found = variogram(np.random.default_rng(6).normal(size=(90, 120)), pixel_um=1.0)
     assert (found.nugget, found.sill) == (pytest.approx(found.sill, rel=0.05), pytest.approx(1, abs=0.05))
 
 
 def test_rings_are_sums_over_pairs_of_points():
-    rng = np.random.default_rng(2)
-    a = gaussian_maps(rng, (20, 15), 2.0)[0]
+    a = gaussian_maps(2, (20, 15), 2.0)[0]
     a[2:4, 5:9] = np.nan
     found = variogram(a, pixel_um=(1.0, 2.0))
     at = np.argwhere(np.isfinite(a))
@@ -76,7 +68,7 @@ def test_an_isotropic_map_has_a_ratio_of_one_with_a_direction_and_none_without()
     rng = np.random.default_rng(4)
     found = [variogram(gaussian_maps(rng, (120, 160), 4.0)[0], pixel_um=1.0, md_deg=30).ratio for _ in range(6)]
     assert np.mean(found) == pytest.approx(1, abs=0.1)
-    found = variogram(gaussian_maps(np.random.default_rng(7), (60, 80), 3.0)[0], pixel_um=1.0)
+    found = variogram(gaussian_maps(7, (60, 80), 3.0)[0], pixel_um=1.0)
     assert math.isnan(found.range_along_um)
     assert math.isnan(found.ratio)
 
@@ -84,26 +76,26 @@ def test_an_isotropic_map_has_a_ratio_of_one_with_a_direction_and_none_without()
 def test_the_machine_direction_turns_clockwise_on_the_screen():
     y, x = np.mgrid[0:150, 0:200]
     # Stripes along 45 deg: towards growing columns and growing rows.
-    a = gaussian_maps(np.random.default_rng(5), (1, 400), 4.0)[0][0][(x - y + 150) % 400]
+    a = gaussian_maps(5, (1, 400), 4.0)[0][0][(x - y + 150) % 400]
     one, other = (variogram(a, pixel_um=1.0, md_deg=md_deg) for md_deg in (45, -45))
     assert one.range_along_um > 3 * one.range_across_um
     assert (other.range_along_um, other.range_across_um) == (one.range_across_um, one.range_along_um)
 
 
 def test_missing_pixels_do_not_count_and_scale_and_offset_carry_over():
-    a = gaussian_maps(np.random.default_rng(8), (60, 80), 3.0)[0]
+    a = gaussian_maps(8, (60, 80), 3.0)[0]
     known = np.ones(a.shape, bool)
     known[10:30, 20:50] = False
     one = variogram(np.where(known, a, np.nan), pixel_um=1.0)
     two = variogram(np.where(known, a, 1e9), mask=known, pixel_um=1.0)
     assert (one.values, one.nugget) == (pytest.approx(two.values), pytest.approx(two.nugget, abs=1e-6))
-    a = gaussian_maps(np.random.default_rng(9), (60, 80), 3.0)[0]
+    a = gaussian_maps(9, (60, 80), 3.0)[0]
     one, two = variogram(a, pixel_um=1.0), variogram(3 * a + 50, pixel_um=1.0)
     assert (two.sill, two.range_um) == (pytest.approx(9 * one.sill), pytest.approx(one.range_um, rel=1e-4))
 
 
 def test_wrong_input_is_refused():
-    a = gaussian_maps(np.random.default_rng(10), (30, 40), 3.0)[0]
+    a = gaussian_maps(10, (30, 40), 3.0)[0]
     refused(CannotMeasure, "constant", variogram, np.ones((30, 40)), pixel_um=1.0)
     refused(CannotMeasure, "0 pixels", variogram, a, mask=np.zeros(a.shape, bool), pixel_um=1.0)
     refused(CannotMeasure, "larger map", variogram, a[:5, :5], pixel_um=1.0)
@@ -115,7 +107,7 @@ def test_gstools_says_the_same():
     """Means over the same pairs: gstools takes half the square of differences, planish the covariance."""
     gstools = pytest.importorskip("gstools")
     shape = (60, 80)
-    a = gaussian_maps(np.random.default_rng(11), shape, 3.0)[0] + 0.5 * np.random.default_rng(12).normal(size=shape)
+    a = gaussian_maps(11, shape, 3.0)[0] + 0.5 * np.random.default_rng(12).normal(size=shape)
     found = variogram(a, pixel_um=1.0)
     edges = np.arange(0.5, 15.0)
     at = [np.arange(80.0), np.arange(60.0)]

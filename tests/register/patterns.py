@@ -1,4 +1,4 @@
-"""Hole patterns and what a side shows of them, for the tests of matching; and the slow twin of the search."""
+"""Hole patterns, what a side shows of them, marks with covariances; and the slow twin of the search."""
 
 from itertools import combinations
 
@@ -7,6 +7,17 @@ import numpy as np
 from planish.core.transform import Similarity
 
 PITCHES = ((500, 725, 590, 860, 650, 950), (545, 905, 620, 770, 510, 830), (695, 560, 815, 530, 935, 605))
+
+
+def marks(n, seed=0, size=3000.0):
+    """Any places of a field."""
+    return np.random.default_rng(seed).uniform(0, size, (n, 2))
+
+
+def covariances(n, rng):
+    """Covariances (n, 2, 2) of places, each along an axis of its own."""
+    half = rng.uniform(-1, 1, (n, 2, 2)) + 1.5 * np.eye(2)
+    return half @ half.swapaxes(1, 2)
 
 
 def scattered(n, rng, apart=450.0):

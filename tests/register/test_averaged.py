@@ -9,12 +9,9 @@ from planish.core.transform import Affine, Similarity
 from planish.register import Pairs, fit_transform
 from planish.register import field as of_field
 from planish.register.field import KERNELS, DeviationField, covariance
+from register.patterns import covariances, marks
 
 TURN = Similarity(scale=1.012, rotation_rad=0.7, shift_um=(100.0, -40.0))
-
-
-def marks(n, seed=0):
-    return np.random.default_rng(seed).uniform(0, 3000, (n, 2))
 
 
 def wavy(points, size=40.0):
@@ -74,8 +71,7 @@ def dense(field, pairs, mirrored, where):
 def test_it_is_the_average_of_the_dense_formulas(kind, mirrored, monkeypatch):
     monkeypatch.setattr(of_field, "_LEAST", 0.0)
     rng = np.random.default_rng(1)
-    half = rng.uniform(-1, 1, (7, 2, 2)) + 1.5 * np.eye(2)
-    info = half @ half.swapaxes(1, 2) if kind == "covariances" else rng.uniform(0.5, 2, 7)[:, None, None] * np.eye(2)
+    info = covariances(7, rng) if kind == "covariances" else rng.uniform(0.5, 2, 7)[:, None, None] * np.eye(2)
     points, where = marks(7), marks(5, 2) * 1.3
     seen = wavy(points * (-1 if mirrored else 1, 1)) + rng.normal(0, 3, (7, 2))
     pairs = Pairs(moving=points, fixed=seen, information=info)
@@ -165,6 +161,7 @@ def test_five_of_six_and_an_affine_sheet_are_followed():
     assert np.sqrt(np.mean(np.sum((fit(where) - truth(where)) ** 2, axis=1))) < 2.0
 
 
+@pytest.mark.ci
 def test_many_marks_are_taken_together_and_lose_nothing(monkeypatch):
     """460 marks in 256 groups, beside all of them; covariances differ from mark to mark."""
     rng, points, where = np.random.default_rng(5), marks(460), marks(300, 7)

@@ -11,28 +11,24 @@ TURN = Similarity(scale=0.99, rotation_rad=-0.4, shift_um=(2000.0, 10.0))
 
 
 @pytest.mark.nightly
-def test_auto_is_near_the_best_model_and_all_state_their_error():
+def test_all_models_state_their_error_and_those_that_leave_structure_warn():
     """Limits wider than the benchmark's for a sixth of its truths, with one wrong mark in ten."""
     rows = [judged(drawn(np.random.default_rng([1, k]))) for k in range(70)]
-    auto = summary(rows, "auto")
-    print(auto)
-    assert auto.mean < 1.12
-    assert auto.p90 < 1.6
-    assert auto.within > 0.9
     for model in ("rigid", "similarity", "affine", "tps", "auto"):
         assert 0.7 < summary(rows, model).pooled < 1.25
-    # What warns of structure, and what need not.
-    right = [r for r in rows if r.kind == "similarity"]
+    right, warped = ([r for r in rows if r.kind == kind] for kind in ("similarity", "warp"))
     assert summary(right, "similarity").warned < 0.05
-    assert summary([r for r in rows if r.kind == "warp"], "similarity").warned > 0.3
+    assert summary(warped, "similarity").warned > 0.3
 
 
-def test_stated_and_true_error_quickly():
+@pytest.mark.ci
+def test_stated_and_true_error_agree():
     """12 truths fix the ratio to some 25 %."""
     auto = summary([judged(drawn(np.random.default_rng([2, k])), ("auto",)) for k in range(12)], "auto")
     assert 0.5 < auto.pooled < 1.5
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("way", ["weights", "covariances"])
 def test_precise_marks_count_more_and_are_believed(way):
     """12 marks of a similarity, errors as their covariances say: true over stated error, pooled over 25 sets."""

@@ -7,52 +7,43 @@ from planish.register import match_marks
 from register.patterns import coded, exhaustive, pose, scattered, seen
 
 
-@pytest.mark.parametrize("count", [4, 5, 7, 12, 25])
+def tried(a, b):
+    """The match, or None where it is refused."""
+    try:
+        return match_marks(a, b)
+    except CannotRegister:
+        return None
+
+
+@pytest.mark.parametrize("count", [4, 5, 7, 25])
 def test_whole_patterns_are_matched(count):
     rng = np.random.default_rng(count)
-    right = refusals = 0
+    right = 0
     for _ in range(25):
         points = scattered(count, rng)
         order = rng.permutation(count)
-        try:
-            found = match_marks(points[order], pose(rng)(points) + rng.normal(0, 3, points.shape))
-        except CannotRegister:
-            refusals += 1
-            continue
-        assert np.array_equal(order[found.pairs[:, 0]], found.pairs[:, 1])
-        right += len(found.pairs) == count
-    print(f"{count} holes: {right} of 25 matched, {refusals} refused")
+        found = tried(points[order], pose(rng)(points) + rng.normal(0, 3, points.shape))
+        if found is not None:
+            assert np.array_equal(order[found.pairs[:, 0]], found.pairs[:, 1])
+            right += len(found.pairs) == count
     assert right >= 0.9 * 25
 
 
 @pytest.mark.nightly
 def test_missing_and_false_marks_are_right_or_refused_but_never_wrong():
     """A thousand patterns, 30 % missing on each side and 30 % false ones."""
-    rng = np.random.default_rng(0)
-    wrong = right = 0
+    rng, off_um = np.random.default_rng(0), []
     for _ in range(1000):
         points = scattered(int(rng.integers(6, 26)), rng)
         truth = pose(rng)
-        low, high = points.min(axis=0), points.max(axis=0)
-        sides = []
-        for _side in range(2):
-            kept = points[rng.random(len(points)) > 0.3]
-            false = rng.uniform(low, high, (int(0.3 * len(points)), 2))
-            side = np.concatenate([kept, false])
-            sides.append(side + rng.normal(0, 3, side.shape))
-        a, b = sides
-        try:
-            found = match_marks(a, truth(b))
-        except CannotRegister:
-            continue
-        where = rng.uniform(low, high, (20, 2))
-        off = np.linalg.norm(found.transform(where) - truth(where), axis=1).max()
-        wrong += off > 30.0
-        right += off <= 30.0
-    print(f"{right} of 1000 matched, {wrong} wrong, {1000 - right - wrong} refused")
-    assert wrong == 0
+        (a, _), (b, _) = seen(points, rng, 0.3, 0.3, 3.0), seen(points, rng, 0.3, 0.3, 3.0)
+        found = tried(a, truth(b))
+        if found is not None:
+            off_um.append(np.linalg.norm(found.transform(points) - truth(points), axis=1).max())
+    print(f"{len(off_um)} of 1000 matched, off by {max(off_um):.1f} um at most")
+    assert max(off_um) < 30.0
     # Half of the marks on either side are on the other: below 10 holes, chance offers as much.
-    assert right > 700
+    assert len(off_um) > 700
 
 
 @pytest.mark.parametrize("both", [False, True])
@@ -85,9 +76,8 @@ def test_the_search_finds_what_an_exhaustive_one_finds():
         points = scattered(7 + k % 3, rng)
         (a, _), (b, _) = seen(points, rng, 0.15, 0.15), seen(points, rng, 0.15, 0.15)
         b = pose(rng)(b)
-        try:
-            found = match_marks(a, b)
-        except CannotRegister:
+        found = tried(a, b)
+        if found is None:
             continue
         compared += 1
         slow = exhaustive(a, b, 25.0, 0.03)
@@ -136,7 +126,6 @@ def test_a_stretched_or_distorted_sheet_of_20_mm_is_matched(kind):
 
 SYMMETRIC = {
     "square": [(0, 0), (900, 0), (900, 900), (0, 900)],
-    "rectangle": [(0, 0), (1300, 0), (1300, 700), (0, 700)],
     "pentagon": [(800 * np.cos(t), 800 * np.sin(t)) for t in np.arange(5) * 2 * np.pi / 5],
     "line": [(k * 600.0, 0) for k in range(6)],
     "lattice": [(600.0 * i, 600.0 * j) for i in range(4) for j in range(3)],
@@ -145,10 +134,10 @@ SYMMETRIC = {
 
 
 @pytest.mark.parametrize("name", SYMMETRIC)
-@pytest.mark.parametrize("jitter", [0.0, 2.0, 4.0])
+@pytest.mark.parametrize("jitter", [0.0, 4.0])
 def test_symmetric_patterns_are_always_refused(name, jitter):
     rng = np.random.default_rng(1)
-    for _ in range(10):
+    for _ in range(6):
         points = np.array(SYMMETRIC[name], float) + rng.normal(0, jitter, (len(SYMMETRIC[name]), 2))
         with pytest.raises(CannotRegister, match=r"symmetric|alike|ambiguous"):
             match_marks(points, pose(rng)(points) + rng.normal(0, 1, points.shape))
@@ -168,7 +157,7 @@ WITH_LOSS = {
 }
 
 
-@pytest.mark.nightly
+@pytest.mark.ci
 @pytest.mark.parametrize("both", [False, True])
 @pytest.mark.parametrize("false", [0.0, 0.3])
 @pytest.mark.parametrize("name", WITH_LOSS)
@@ -189,8 +178,7 @@ def test_refusals_say_what_was_seen_by_the_names_of_the_sides():
         match_marks(scattered(10, rng), scattered(12, rng), names=("volume", "image"))
     points = WITH_LOSS["two-fold"](rng)
     (a, _), (b, _) = seen(points, rng, 0.2, 0.0), seen(points, rng, 0.2, 0.0)
-    with pytest.raises(CannotRegister, match=r"symmetric or regular: of the \d+ marks .* turned by 180 deg|ambiguous"):
-        match_marks(a, b)
+    refused(CannotRegister, r"symmetric or regular: of the \d+ marks .* turned by 180 deg|ambiguous", match_marks, a, b)
     with pytest.raises(MarkError, match=r"mark 1 .* of the image is not finite"):
         match_marks(points, [(0, 0), (np.nan, 1)], names=("volume", "image"))
 
@@ -205,35 +193,25 @@ def test_a_mirror_image_needs_a_word_and_three_marks_a_triangle_without_double()
     found = match_marks(points, pose(np.random.default_rng(3))(points))
     assert np.array_equal(found.pairs[:, 0], found.pairs[:, 1])
     alike = np.array([(0.0, 0.0), (1000.0, 0.0), (500.0, 870.0)])
-    with pytest.raises(CannotRegister):
-        match_marks(alike, alike)
+    assert tried(alike, alike) is None
 
 
-@pytest.mark.nightly
+@pytest.mark.ci
 def test_a_wrong_handed_image_is_not_matched_by_chance():
     """Among many patterns some fit their own mirror image at most of their marks; the true hand gives them away."""
     rng = np.random.default_rng(6)
-    accepted = 0
     for _ in range(200):
         points = scattered(int(rng.integers(5, 9)), rng)
-        try:
-            match_marks(points, pose(rng, mirrored=True)(points) + rng.normal(0, 1, points.shape))
-        except CannotRegister:
-            continue
-        accepted += 1
-    print(f"{accepted} of 200 mirror images accepted without --mirror")
-    assert accepted == 0
+        assert tried(points, pose(rng, mirrored=True)(points) + rng.normal(0, 1, points.shape)) is None
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_too_few_marks_are_named(count):
-    points = np.array([(0.0, 0.0), (500.0, 20.0), (100.0, 900.0), (1200.0, 300.0)])
+    points = scattered(4, np.random.default_rng(3))
     refused(CannotRegister, str(count) if count else "No|no|0", match_marks, points, points[:count])
 
 
 def test_a_scale_outside_the_calibration_is_no_match_and_named_when_little():
-    points = scattered(8, np.random.default_rng(4))
-    with pytest.raises(CannotRegister):
-        match_marks(points, 1.08 * points)
     points = scattered(12, np.random.default_rng(17))
+    assert tried(points, 1.08 * points) is None
     refused(CannotRegister, r"scale of 1\.0350, which is 3\.5 % off", match_marks, points, 1.035 * points)

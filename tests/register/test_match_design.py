@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from folders import refused
 from planish.core.errors import CannotRegister, MarkError
 from planish.register import match_by_design
 from register.patterns import coded, pose, scattered, seen
@@ -55,8 +56,7 @@ def test_without_common_marks_or_with_a_marker_gap_the_design_gives_the_transfor
     rng = np.random.default_rng(5)
     design = scattered(14, rng)
     a, b = design + rng.normal(0, 4, design.shape), pose(rng, mirrored=True)(design)
-    with pytest.raises(CannotRegister, match="mirror=True"):
-        match_by_design(a, b, design)
+    refused(CannotRegister, "mirror=True", match_by_design, a, b, design)
     assert match_by_design(a, b, design, mirror=True).mirrored
 
 
@@ -76,5 +76,4 @@ def test_designs_that_are_symmetric_of_another_sheet_or_faulty_are_refused():
     points = scattered(6, np.random.default_rng(7))
     with pytest.raises(MarkError, match="2 labels are given for 6 designed holes"):
         match_by_design(points, points, points, labels=["a", "b"])
-    with pytest.raises(CannotRegister, match="2 marks of the fixed: at least 3"):
-        match_by_design(points, points[:2], points)
+    refused(CannotRegister, "2 marks of the fixed: at least 3", match_by_design, points, points[:2], points)

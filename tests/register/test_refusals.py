@@ -6,12 +6,9 @@ import pytest
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.transform import Similarity
 from planish.register import fit_transform, registration_from_json
+from register.patterns import marks
 
 TURN = Similarity(scale=1.01, rotation_rad=0.3, shift_um=(50.0, 20.0))
-
-
-def marks(n, seed=0):
-    return np.random.default_rng(seed).uniform(0, 3000, (n, 2))
 
 
 def refused(kind, words, moving, fixed, **more):

@@ -5,12 +5,9 @@ import pytest
 
 from planish.core.transform import Similarity
 from planish.register import fit_transform
+from register.patterns import marks
 
 TURN = Similarity(scale=1.01, rotation_rad=0.4, shift_um=(300.0, 20.0))
-
-
-def marks(n, seed=0):
-    return np.random.default_rng(seed).uniform(0, 3000, (n, 2))
 
 
 @pytest.mark.parametrize("model", ["rigid", "similarity", "affine", "projective", "tps"])
@@ -39,7 +36,7 @@ def test_a_quarter_of_wrong_marks_is_found():
         assert np.linalg.norm(fit(points) - TURN(points), axis=1).max() < 6.0
 
 
-@pytest.mark.nightly
+@pytest.mark.ci
 def test_right_marks_are_left_alone():
     """One set in a hundred may lose weight by chance; the error grows by less than 2 %."""
     rng = np.random.default_rng(2)
@@ -67,7 +64,6 @@ def test_three_marks_cannot_outvote_each_other_nor_a_smooth_distortion_make_one_
         assert np.all(fit_transform(points, seen, model=model).robust_weights == 1.0)
 
 
-@pytest.mark.nightly
 def test_wrong_marks_among_many_are_taken_out_together():
     rng = np.random.default_rng(4)
     points = rng.uniform(0, 3000, (160, 2))

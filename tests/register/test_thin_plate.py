@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 from scipy.interpolate import RBFInterpolator
 
+from folders import refused
 from planish.core.errors import CannotRegister
 from planish.register import Pairs, fit_transform
 from planish.register.spline import Smoothing
-
-
-def marks(n, size=3000.0, seed=0):
-    return np.random.default_rng(seed).uniform(0, size, (n, 2))
+from register.patterns import covariances, marks
 
 
 def bent(points, size=3000.0, amount=15.0):
@@ -38,19 +36,18 @@ def test_it_is_the_spline_of_scipy(smoothing):
 @pytest.mark.parametrize("n", [6, 30, 100])
 def test_without_smoothing_it_goes_through_its_marks(n):
     """Coordinates of 20 mm: 1e-6 um."""
-    moving = marks(n, 20000.0) + 20000.0
+    moving = marks(n, size=20000.0) + 20000.0
     fixed = bent(moving, 20000.0, 60.0)
     spline = Smoothing(pairs_of(moving, fixed)).spline(0.0)
     np.testing.assert_allclose(spline(moving), fixed, rtol=0, atol=1e-6)
-    inside = marks(300, 20000.0, 5) + 20000.0
+    inside = marks(300, 5, 20000.0) + 20000.0
     np.testing.assert_allclose(spline.inverse(spline(inside)), inside, rtol=0, atol=1e-9 * 100)
 
 
 def test_leave_one_out_equals_the_fit_without_each_mark_at_the_same_smoothing():
     rng = np.random.default_rng(3)
     moving = marks(12)
-    half = rng.uniform(-1, 1, (12, 2, 2)) + 1.5 * np.eye(2)
-    weights = half @ half.swapaxes(1, 2)
+    weights = covariances(12, rng)
     fit = fit_transform(moving, bent(moving) + rng.normal(0, 2, (12, 2)), model="tps", weights=weights, robust=False)
     smoothing = fit.transform.smoothing_um2
     assert 0 < smoothing < np.inf
@@ -95,8 +92,7 @@ def test_a_fold_is_refused_with_its_place_and_a_strain_of_one_per_cent_reported(
     # Two neighbours have changed places, exactly enough in number that no spline of the others passes them by.
     fixed[moving[:, 0] == 1000.0] += [700.0, 0.0]
     fixed[moving[:, 0] == 1500.0] -= [700.0, 0.0]
-    with pytest.raises(CannotRegister, match="folds the map near"):
-        fit_transform(moving, fixed, model="tps", robust=False)
+    refused(CannotRegister, "folds the map near", fit_transform, moving, fixed, model="tps", robust=False)
     moving = marks(20)
     assert "Local strain" not in str(fit_transform(moving, bent(moving, amount=5.0), model="tps").warnings)
     fit = fit_transform(moving, bent(moving, amount=60.0), model="tps")

@@ -7,8 +7,6 @@ from pathlib import Path
 import pytest
 
 from planish.report import Canvas, draw
-from planish.run import run_study
-from planish.synthetic import make_specimen, write_instruments
 from planish.validate import certify, in_order, read_scenario
 
 
@@ -34,13 +32,3 @@ def certificate(small):
 def whole_certificate(small):
     """The small scenario run with the seeds of its record."""
     return certify.run_scenario(small)
-
-
-@pytest.fixture(scope="session")
-def measured(small, tmp_path_factory):
-    """One small specimen, its files and what the program made of them."""
-    folder = tmp_path_factory.mktemp("measured")
-    specimen = make_specimen(small.params(1))
-    made = write_instruments(specimen, folder / "specimen", volume="stack")
-    run = run_study(small.study_of([(made.volume, made.through)], made.image), folder / "run")
-    return specimen, made, run

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import record
+from folders import refused
 from planish.core.errors import CannotRegister, InputError
 from planish.validate import STAGES, Certificate, Entry, Limit, certify, read_scenario, render_page, run_scenario, table
 from planish.validate.page import dots
@@ -81,8 +82,7 @@ def test_a_specimen_that_cannot_be_made_is_named(monkeypatch, small):
         raise ValueError("5 holes do not fit")
 
     monkeypatch.setattr(certify, "make_specimen", fail)
-    with pytest.raises(InputError, match="small cannot be made: 5 holes"):
-        run_scenario(small, 1)
+    refused(InputError, "small cannot be made: 5 holes", run_scenario, small, 1)
 
 
 @pytest.mark.usefixtures("no_specimen")

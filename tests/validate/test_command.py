@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 
+from folders import refused
 from planish.cli.validate import validate
 from planish.core.errors import FileError
 from planish.validate import Limit, certify
@@ -47,6 +48,7 @@ def test_the_table_with_its_verdict_and_the_list(call):
     assert error.value.exit_code == 3
 
 
+@pytest.mark.ci
 def test_files_and_folders_of_scenarios(call, tmp_path):
     code, _, err = call("--out", tmp_path / "out")
     assert code == 0
@@ -55,8 +57,7 @@ def test_files_and_folders_of_scenarios(call, tmp_path):
     }  # fmt: skip
     assert json.loads((tmp_path / "out" / "certificate.json").read_text())["passed"]
     assert "certificate" in err
-    with pytest.raises(FileError, match="exists already"):
-        call("--out", tmp_path / "out")
+    refused(FileError, "exists already", call, "--out", tmp_path / "out")
     code, out, _ = call("--scenario", "small", "--scenario", "quiet", "--out", tmp_path / "both", "--json")
     assert code in (0, 4)
     assert [found["scenario"]["name"] for found in json.loads(out)] == ["small", "quiet"]

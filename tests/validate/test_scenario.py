@@ -54,16 +54,13 @@ def test_as_2_is_what_the_specification_asks_for():
     [
         ("nonsense = 1", "nonsense"),
         ('preset = "newsprint"', "wfc135"),
-        ('size = "T9"', "size"),
         ('nuisances = ["hiccup"]', "scan_noise"),
         ("[limits]\nblur = { limit = 1 }", "tre_p95"),
         ("[limits]\ntre_p95 = { limit = 1, least = 1 }", "either limit or least"),
-        ("[specimen.warp]\nslop = 1", "slop"),
         ('[specimen.warp]\nslope = "steep"', "specimen.warp.slope"),
         ("[specimen]\nwarp = 3", "specimen.warp: .* dictionary"),
         ("[study.surfaces]\ncutoff_um = 100", "study.surfaces"),
         ("[study.surface]\ncutoff = 100", r"surface\.cutoff: Extra"),
-        ("seeds = 0", "seeds"),
     ],
 )
 def test_wrong_scenarios_are_named(tmp_path, text, said):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from folders import refused
 from planish.core.errors import InputError
 from planish.validate import certify, render_page, scenario, table
 from planish.validate import certify as module
@@ -90,13 +91,10 @@ def test_nuisances_that_cancel_or_are_missing_have_a_sentence(monkeypatch, small
     found = certify.sensitivity(small)
     assert found.ratio["holes"] == float("inf")
     assert "add nothing, although single ones do" in table.sum_sentence("holes", found)
-    with pytest.raises(InputError, match="no nuisances"):
-        certify.sensitivity(scenario.read_scenario("as-1"))
-    with pytest.raises(InputError, match="No nuisance"):
-        certify.sensitivity(scenario.read_scenario("quiet"))
+    refused(InputError, "no nuisances", certify.sensitivity, scenario.read_scenario("as-1"))
+    refused(InputError, "No nuisance", certify.sensitivity, scenario.read_scenario("quiet"))
     fake(monkeypatch, lambda _on: {"values": {}, "refusal": "No sheet."})
-    with pytest.raises(InputError, match="No sheet"):
-        certify.sensitivity(small)
+    refused(InputError, "No sheet", certify.sensitivity, small)
 
 
 def test_a_nuisance_that_stops_the_program(monkeypatch, small, certificate):

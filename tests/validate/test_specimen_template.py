@@ -5,6 +5,7 @@ import shutil
 
 import pytest
 
+from folders import refused
 from planish.core.errors import FileError, InputError, PlanishError
 from planish.validate import read_scenario, specimen_template
 
@@ -47,8 +48,7 @@ def test_a_folder_that_is_no_run(linked_run, tmp_path, missing):
         shutil.rmtree(part / missing)
     else:
         (part / missing).unlink()
-    with pytest.raises(FileError, match=r"results\.json|is no run"):
-        specimen_template.like_run(part)
+    refused(FileError, r"results\.json|is no run", specimen_template.like_run, part)
 
 
 @pytest.mark.parametrize("text", ["{", "[1, 2]", "{}", '{"inputs": {"volume": {"voxel_um": [1, 2, 3]}}}'])
