@@ -11,7 +11,7 @@ from planish.core.errors import CannotMeasure
 from planish.measure import measure_properties, thin_fraction
 
 MIDDLE = (slice(8, -8), slice(20, -20))
-SLAB = (50.0, 110.0)
+SLAB = (40.0, 100.0)
 
 
 def mean(found, name):
