@@ -25,6 +25,7 @@ with warnings.catch_warnings():
     import SimpleITK as sitk
 
 Volume = NDArray[Any]
+Size = tuple[float, float, float] | None  # z, y, x in um
 
 VALUES: Volume = np.random.default_rng(11).integers(0, 60000, (12, 17, 19)).astype(np.uint16)
 VOXEL = (3.0, 2.5, 2.0)
@@ -41,7 +42,7 @@ class Case:
     ``cut`` and ``resize`` find the file to cut and make a declared size wrong.
     """
 
-    write: Callable[[Path, Volume, tuple[float, float, float] | None], str | Path]
+    write: Callable[[Path, Volume, Size], str | Path]
     source: str
     voxel: tuple[float, float, float] = VOXEL
     lazy: bool = True
@@ -51,7 +52,7 @@ class Case:
     dtype: str = "uint16"
 
 
-def write_tiff(folder: Path, values: Volume, size: tuple[float, float, float] | None, **options: Any) -> Path:
+def write_tiff(folder: Path, values: Volume, size: Size, **options: Any) -> Path:
     meta: dict[str, Any] = {"axes": "ZYX"}
     if size is not None:
         meta |= {f"PhysicalSize{a.upper()}": v for a, v in zip(ZYX, size, strict=True)}
@@ -60,7 +61,7 @@ def write_tiff(folder: Path, values: Volume, size: tuple[float, float, float] | 
     return path
 
 
-def write_imagej(folder: Path, values: Volume, size: tuple[float, float, float] | None, **options: Any) -> Path:
+def write_imagej(folder: Path, values: Volume, size: Size, **options: Any) -> Path:
     path = folder / f"{NAME}.tif"
     meta: dict[str, Any] = {"axes": "ZYX"}
     if size is None:
@@ -71,7 +72,7 @@ def write_imagej(folder: Path, values: Volume, size: tuple[float, float, float] 
     return path
 
 
-def write_pages(folder: Path, values: Volume, size: tuple[float, float, float] | None) -> Path:
+def write_pages(folder: Path, values: Volume, size: Size) -> Path:
     path = folder / f"{NAME}.btf"
     with tifffile.TiffWriter(path, bigtiff=True, byteorder=">") as tif:
         for page in values:
@@ -80,9 +81,7 @@ def write_pages(folder: Path, values: Volume, size: tuple[float, float, float] |
     return path
 
 
-def write_slices(
-    folder: Path, values: Volume, size: tuple[float, float, float] | None, suffix: str, **options: Any
-) -> Path:
+def write_slices(folder: Path, values: Volume, size: Size, suffix: str, **options: Any) -> Path:
     del size
     place = folder / NAME
     place.mkdir()
@@ -95,7 +94,7 @@ def write_slices(
     return place
 
 
-def write_nrecon(folder: Path, values: Volume, size: tuple[float, float, float] | None) -> Path:
+def write_nrecon(folder: Path, values: Volume, size: Size) -> Path:
     place = folder / NAME
     place.mkdir()
     for k, page in enumerate(values):
@@ -114,7 +113,7 @@ def write_nrecon(folder: Path, values: Volume, size: tuple[float, float, float] 
     return place
 
 
-def multiscales(size: tuple[float, float, float] | None, *, lead: int = 0) -> list[dict[str, Any]]:
+def multiscales(size: Size, *, lead: int = 0) -> list[dict[str, Any]]:
     unit = {} if size is None else {"unit": "micrometer"}
     axes: list[dict[str, Any]] = [{"name": n, "type": t} for n, t in (("t", "time"), ("c", "channel"))][:lead]
     axes += [{"name": n, "type": "space", **unit} for n in ZYX]
@@ -125,7 +124,7 @@ def multiscales(size: tuple[float, float, float] | None, *, lead: int = 0) -> li
     return [{"axes": axes, "datasets": datasets, "version": "0.4"}]
 
 
-def write_zarr(folder: Path, values: Volume, size: tuple[float, float, float] | None, version: int) -> Path:
+def write_zarr(folder: Path, values: Volume, size: Size, version: int) -> Path:
     path = folder / f"{NAME}.ome.zarr"
     group = zarr.open_group(str(path), mode="w", zarr_format=version)
     lead = 2 if version == 2 else 0
@@ -140,7 +139,7 @@ def write_zarr(folder: Path, values: Volume, size: tuple[float, float, float] | 
     return path
 
 
-def write_nrrd(folder: Path, values: Volume, size: tuple[float, float, float] | None, kind: str, packing: str) -> Path:
+def write_nrrd(folder: Path, values: Volume, size: Size, kind: str, packing: str) -> Path:
     path = folder / f"{NAME}{kind}"
     header: dict[str, Any] = {"encoding": packing}
     if size is not None and kind == ".nhdr":
@@ -158,7 +157,7 @@ def write_nrrd(folder: Path, values: Volume, size: tuple[float, float, float] | 
     return path
 
 
-def write_meta(folder: Path, values: Volume, size: tuple[float, float, float] | None, kind: str, packed: bool) -> Path:
+def write_meta(folder: Path, values: Volume, size: Size, kind: str, packed: bool) -> Path:
     image = sitk.GetImageFromArray(values)
     image.SetSpacing([v / 1000 for v in (size or CUBE)[::-1]])
     path = folder / f"{NAME}{kind}"
@@ -169,7 +168,7 @@ def write_meta(folder: Path, values: Volume, size: tuple[float, float, float] | 
     return path
 
 
-def write_hdf5(folder: Path, values: Volume, size: tuple[float, float, float] | None) -> str:
+def write_hdf5(folder: Path, values: Volume, size: Size) -> str:
     path = folder / f"{NAME}.h5"
     with h5py.File(path, "w") as file:
         data = file.create_dataset("entry/Größe/volume", data=values, chunks=(4, 8, 8), compression="gzip")
@@ -180,7 +179,7 @@ def write_hdf5(folder: Path, values: Volume, size: tuple[float, float, float] | 
     return f"{path}:/entry/Größe/volume"
 
 
-def write_nexus(folder: Path, values: Volume, size: tuple[float, float, float] | None) -> Path:
+def write_nexus(folder: Path, values: Volume, size: Size) -> Path:
     path = folder / f"{NAME}.nxs"
     with h5py.File(path, "w") as file:
         file.attrs["default"] = "entry"
@@ -198,7 +197,7 @@ def write_nexus(folder: Path, values: Volume, size: tuple[float, float, float] |
     return path
 
 
-def write_mat(folder: Path, values: Volume, size: tuple[float, float, float] | None, packed: bool) -> Path:
+def write_mat(folder: Path, values: Volume, size: Size, packed: bool) -> Path:
     path = folder / f"{NAME}.mat"
     content: dict[str, Any] = {"V": np.moveaxis(values, 0, -1), "note": "V(row, column, slice)"}
     if size is not None:
@@ -207,7 +206,7 @@ def write_mat(folder: Path, values: Volume, size: tuple[float, float, float] | N
     return path
 
 
-def write_mat73(folder: Path, values: Volume, size: tuple[float, float, float] | None) -> Path:
+def write_mat73(folder: Path, values: Volume, size: Size) -> Path:
     path = folder / f"{NAME}.mat"
     with h5py.File(path, "w", userblock_size=512) as file:
         # MATLAB writes its columns first, so that HDF5 sees the axes in reverse.
@@ -222,7 +221,7 @@ def write_mat73(folder: Path, values: Volume, size: tuple[float, float, float] |
     return path
 
 
-def write_raw(folder: Path, values: Volume, size: tuple[float, float, float] | None) -> Path:
+def write_raw(folder: Path, values: Volume, size: Size) -> Path:
     path = folder / f"{NAME}.raw"
     path.write_bytes(b"head" + values.astype(">u2").tobytes())
     keys: dict[str, Any] = {"shape": list(values.shape), "dtype": "uint16", "byte_order": "big", "offset": 4}
@@ -232,7 +231,7 @@ def write_raw(folder: Path, values: Volume, size: tuple[float, float, float] | N
     return path
 
 
-def write_nifti(folder: Path, values: Volume, size: tuple[float, float, float] | None, kind: str) -> Path:
+def write_nifti(folder: Path, values: Volume, size: Size, kind: str) -> Path:
     image = nibabel.Nifti1Image(values.T, np.diag([*(size or CUBE)[::-1], 1.0]))
     if size is not None:
         image.header.set_xyzt_units("micron")
@@ -240,7 +239,7 @@ def write_nifti(folder: Path, values: Volume, size: tuple[float, float, float] |
     return folder / f"{NAME}{kind}"
 
 
-def write_mrc(folder: Path, values: Volume, size: tuple[float, float, float] | None, kind: str) -> Path:
+def write_mrc(folder: Path, values: Volume, size: Size, kind: str) -> Path:
     path = folder / f"{NAME}{kind}"
     compression = {".gz": "gzip", ".bz2": "bzip2"}.get(path.suffix)
     with mrcfile.new(path, compression=compression) as file:
@@ -318,11 +317,10 @@ def meta_case(kind: str, *, packed: bool = False, **more: Any) -> Case:
     return Case(write=partial(write_meta, kind=kind, packed=packed), source="MetaImage", resize=resize, **more)
 
 
+MORE_OF_OME = swap("*.tif", b'SizeZ="12"', b'SizeZ="19"')
 CASES: dict[str, Case] = {
-    "OME-TIFF": Case(write=write_tiff, source="OME", lazy=False, resize=swap("*.tif", b'SizeZ="12"', b'SizeZ="19"')),
-    "OME-TIFF deflate": Case(
-        write=partial(write_tiff, compression="zlib"), source="OME", resize=swap("*.tif", b'SizeZ="12"', b'SizeZ="19"')
-    ),
+    "OME-TIFF": Case(write=write_tiff, source="OME", lazy=False, resize=MORE_OF_OME),
+    "OME-TIFF deflate": Case(write=partial(write_tiff, compression="zlib"), source="OME", resize=MORE_OF_OME),
     "ImageJ TIFF": Case(
         write=write_imagej, source="ImageJ", lazy=False, resize=swap("*.tif", b"images=12", b"images=19")
     ),

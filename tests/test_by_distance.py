@@ -48,7 +48,6 @@ def test_variograms_are_those_of_the_function():
         assert (one.layer, one.map, one.units, one.md_deg) == (layer, name, units, 30.0)
         assert (one.nugget, one.sill, one.range_um, one.ratio) == (twin.nugget, twin.sill, twin.range_um, twin.ratio)
         assert len(one.distances_um) <= 60
-        assert (one.distances_um[0], one.distances_um[-1]) == (twin.distances_um[0], twin.distances_um[-1])
         assert set(one.values) <= set(twin.values)
 
 
@@ -61,7 +60,6 @@ def test_the_correlogram_is_that_of_the_function_with_lag_0_in_its_profiles():
         middle = len(profile.r) // 2
         assert profile.lags_um[middle] == 0
         assert profile.r[middle] == found.r_at_zero
-        assert profile.lags_um[0] == -profile.lags_um[-1]
         assert profile.limit[middle] < profile.limit_of_any[middle] == found.limit_of_any
     assert len(found.along_x.r) <= 81
     assert found.beyond_chance

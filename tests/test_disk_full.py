@@ -1,4 +1,4 @@
-"""A disk that fills up at twelve moments: one sentence, exit code 5, nothing left, and nothing in the way afterwards.
+"""A disk that fills up at ten moments: one sentence, exit code 5, nothing left, and nothing in the way afterwards.
 
 A limit on the size of files makes the real write fail: files that are not larger than it are written before.
 """
@@ -48,7 +48,7 @@ def given(specimen, specimen_files, linked_run, tmp_path_factory, monkeypatch) -
     """What the commands read, outside of the folder that is compared. The link has compiled what they need."""
     monkeypatch.setitem(synthetic.SIZES_UM, "T0", (560.0, 420.0))  # the least that has room for three holes
     corner = write_volume(tmp_path_factory.mktemp("corner") / "volume.tif", specimen.volume.values[:, :125, :200])
-    return SimpleNamespace(corner=corner, volume=specimen_files[0], image=specimen_files[1], run=linked_run)
+    return SimpleNamespace(corner=corner, volume=specimen_files[0], run=linked_run)
 
 
 def entries(folder: Path) -> list[str]:
@@ -59,7 +59,6 @@ Moment = tuple[int, str]  # the limit, and the function or file that fails under
 
 CASES: dict[str, tuple[Callable[[SimpleNamespace], tuple[object, ...]], Moment, Moment]] = {
     "map": (lambda given: ("map", given.corner), (0, "claim_folder"), (2000, "take")),
-    "link": (lambda given: ("link", given.run, given.image), (0, "claim_folder"), (600_000, "report.html")),
     "import": (lambda given: ("import", given.volume), (0, "claim_folder"), (50_000, "_write_shards")),
     "specimen": (
         lambda _given: ("specimen", "--size", "T0", "--seed", "7", "--instrument", "image"),
@@ -73,11 +72,8 @@ CASES: dict[str, tuple[Callable[[SimpleNamespace], tuple[object, ...]], Moment, 
 }  # fmt: skip
 
 
-_SLOW = ("link", "map", "run")
-
-
 @pytest.mark.parametrize(
-    "command", [pytest.param(name, marks=[pytest.mark.nightly] if name in _SLOW else []) for name in CASES]
+    "command", [pytest.param(name, marks=[pytest.mark.nightly] if name == "run" else []) for name in CASES]
 )
 def test_a_full_disk_leaves_nothing_and_blocks_nothing(planish, passes, given, tmp_path, failed_in, command):
     arguments, *moments = CASES[command]

@@ -12,10 +12,12 @@ import numpy as np
 import pytest
 import tifffile
 
-from folders import bytes_of, disc_image, write_image
-from planish.core.errors import InputError
-from planish.core.frame import likely_through
-from planish.run import open_run, read_study, with_values, write_study
+from folders import bytes_of, disc_image, refused, write_image
+from planish.core.errors import FileError, InputError
+from planish.core.files import write_whole
+from planish.io import new_folder
+from planish.results import Results
+from planish.run import open_run, read_study, study_of, with_values, write_study
 
 
 def image_with(path, holes):
@@ -44,43 +46,50 @@ def mapped(*_args, **_more):
 )
 @pytest.mark.usefixtures("unread")
 def test_a_property_without_its_input_is_refused_before_the_volume_is_read(refuses, specimen_files, options, words):
-    for verb in (("map", specimen_files[0]), ("link", *specimen_files)):
-        refuses(*verb, *options, words=words)
+    refuses("link", *specimen_files, *options, words=words)
 
 
 @pytest.mark.usefixtures("unread")
 def test_too_few_holes_or_useless_marks_are_refused_before_the_volume_is_mapped(refuses, specimen_files, tmp_path):
-    two = image_with(tmp_path / "two.tif", [(300, 300), (900, 600)])
-    maps = tmp_path / "run-map"
-    then = (f"planish map {specimen_files[0]} --out {maps}", f"planish view {maps} {two}")
-    refuses("link", specimen_files[0], two, "--by", "holes", words=("Only 2 holes found in the image", *then))
+    places = [(300, 300), (900, 600)]
+    for count, words in enumerate(("No hole", "Only 1 hole found", "Only 2 holes found")):
+        image = image_with(tmp_path / f"{count}.tif", places[:count])
+        maps = tmp_path / "run-map"
+        then = (f"planish map {specimen_files[0]} --out {maps}", f"planish view {maps} {image}")
+        refuses("link", specimen_files[0], image, "--by", "holes", words=(words, "at least 3", "--marks", *then))
     rows = ["label,volume_x_um,volume_y_um,volume_z_um,fixed_x_um,fixed_y_um", "a,1,1,1,1,1", "b,9,9,9,9,9"]
     (tmp_path / "m.csv").write_text("\n".join(rows))
     refuses("link", *specimen_files, "--marks", tmp_path / "m.csv", words="2 pairs of marks in use")
 
 
-@pytest.mark.nightly
-def test_maps_of_a_refused_link_are_kept_and_taken_up(
+@pytest.mark.ci
+def test_maps_of_a_refused_link_are_kept_and_taken_up_but_with_other_parameters(
     planish, passes, refuses, specimen_files, linked_run, tmp_path, monkeypatch
 ):
     volume, image = specimen_files
     wrong = image_with(tmp_path / "wrong.tif", [(200, 200), (1100, 250), (700, 850), (350, 700), (950, 600)])
-    out, maps = tmp_path / "run", tmp_path / "run-map"
+    out, maps, kept_in = tmp_path / "run", tmp_path / "run-map", tmp_path / "run-map-2"
     maps.mkdir()
     (maps / "thesis.txt").write_text("years")  # another's
     code, _, err = planish("link", volume, wrong, "-o", out)
     message = " ".join(err.split())
     assert (code, "no match found" in message) == (3, True), err
-    assert f"kept in {tmp_path / 'run-map-2'}; the same command goes on" in message
+    assert f"kept in {kept_in}; the same command goes on" in message
     assert {p.name for p in tmp_path.iterdir()} == {"wrong.tif", "run-map", "run-map-2"}
     assert bytes_of(maps) == {"thesis.txt": b"years"}
-    kept = bytes_of(tmp_path / "run-map-2")
-    assert open_run(tmp_path / "run-map-2").results.passed
-    code, _, err = planish("run", tmp_path / "run-map-2" / "run.toml", "-o", tmp_path / "same")
-    assert (code, f"same bytes as {tmp_path / 'run-map-2'}" in err) == (0, True), err
-    shutil.rmtree(tmp_path / "same")
+    kept = bytes_of(kept_in)
+    assert open_run(kept_in).results.passed
+
+    cutoffs: list[float] = []
+
+    def stopped(params, **_more):
+        cutoffs.append(params.surface.cutoff_um)
+        raise InputError("stop here")
 
     with monkeypatch.context() as patch:
+        instead_of_mapping(patch, stopped)
+        refuses("link", volume, wrong, "-o", out, "--cutoff-um", "500", words="stop here", out=False)
+        assert cutoffs == [500.0]
         instead_of_mapping(patch, mapped)
         refuses("link", volume, wrong, "-o", out, words="sheet, mapped before", out=False)
         passes("link", volume, image, "-o", out)
@@ -88,26 +97,7 @@ def test_maps_of_a_refused_link_are_kept_and_taken_up(
     found, straight = bytes_of(out), bytes_of(linked_run)
     assert found.keys() == straight.keys()
     assert [name for name in found if found[name] != straight[name]] in ([], ["run.toml"])
-    assert bytes_of(tmp_path / "run-map-2") == kept
-    code, _, err = planish("link", volume, wrong, "-o", tmp_path / "run-3", "--cutoff-um", "500")
-    assert f"kept in {tmp_path / 'run-3-map'};" in err
-
-
-@pytest.mark.nightly
-def test_other_parameters_are_mapped_anew(planish, specimen_files, tmp_path, monkeypatch):
-    wrong = image_with(tmp_path / "wrong.tif", [(200, 200), (1100, 250), (700, 850), (350, 700), (950, 600)])
-    assert planish("link", specimen_files[0], wrong, "-o", tmp_path / "run")[0] == 3
-    calls: list[float] = []
-
-    def stopped(params, **_more):
-        calls.append(params.surface.cutoff_um)
-        raise InputError("stop here")
-
-    instead_of_mapping(monkeypatch, stopped)
-    code, _, err = planish("link", specimen_files[0], wrong, "-o", tmp_path / "run", "--cutoff-um", "500")
-    assert (code, calls) == (3, [500.0])
-    assert "stop here" in err
-    assert {p.name for p in tmp_path.iterdir()} == {"wrong.tif", "run-map"}
+    assert bytes_of(kept_in) == kept
 
 
 def test_results_are_never_written_into_an_input(refuses, run_copy, tmp_path):
@@ -128,25 +118,34 @@ def test_a_run_that_lost_a_part_is_no_run_with_missing_values(refuses, run_copy,
     page = ("report", run_copy, "-o", tmp_path / "page.html")
     part = next(p for p in (run_copy / "maps.zarr" / "linked" / "coating_top" / "c").rglob("*") if p.is_file())
     data = part.read_bytes()
-    for cut in (None, b"", data[: len(data) // 2]):
-        part.unlink() if cut is None else part.write_bytes(cut)
-        for arguments in (page, ("correlate", run_copy)):
-            refuses(*arguments, words="damaged", out=False)
+    part.unlink()
+    refuses(*page, words="damaged", out=False)
+    for cut in (b"", data[: len(data) // 2]):
+        part.write_bytes(cut)
+        refuses("correlate", run_copy, words="damaged", out=False)
     part.write_bytes(data)
-    for text in ("[]", "[" * 100_000, '{"planish"', ""):
-        (run_copy / "results.json").write_text(text)
-        for arguments in (page, ("info", run_copy)):
-            refuses(*arguments, words="results.json", out=False)
+    (run_copy / "results.json").write_text("[]")
+    for arguments in (page, ("info", run_copy)):
+        refuses(*arguments, words="results.json", out=False)
+
+
+@pytest.mark.parametrize("text", ["[]", "[" * 100_000, '{"planish"', ""], ids=["list", "deep", "cut", "empty"])
+def test_what_is_no_file_of_results_is_named(text, tmp_path):
+    (tmp_path / "results.json").write_text(text)
+    refused(FileError, r"results\.json .*repeat the run", Results.read, tmp_path / "results.json")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no modes there")
-def test_results_have_the_mode_that_the_user_asks_for(planish, tmp_path):
+def test_results_have_the_mode_that_the_user_asks_for(tmp_path):
     before = os.umask(0o027)
     try:
-        assert planish("marks", "design", "--field-um", "9000,7000", "-o", tmp_path / "s")[0] == 0
+        with new_folder(tmp_path / "run"):
+            pass
+        write_whole(tmp_path / "page.html", b"")
     finally:
         os.umask(before)
-    assert stat.S_IMODE((tmp_path / "s").stat().st_mode) == 0o750
+    modes = [stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("run", "page.html")]
+    assert modes == [0o750, 0o640]
 
 
 @pytest.mark.skipif(os.name == "nt" or sys.platform == "darwin", reason="such names are not possible there")
@@ -166,25 +165,7 @@ def test_names_that_are_no_text_do_not_reach_the_terminal(planish, refuses, spec
     refuses("info", path, words=r"a\x1b[31m", out=False)
 
 
-def test_a_wrong_axis_is_named(planish, refuses, specimen_files, laid):
-    for path, wrong, right in ((specimen_files[0], "y", "z"), (laid.volume, "z", "y")):
-        for command in ("map", "surface"):
-            refuses(command, path, "--through", wrong, words=f"try --through {right}")
-        assert f"sheet: across {right}" in planish("info", path)[1]
-
-
-def test_nothing_is_said_of_an_axis_where_the_grey_tells_none():
-    rng = np.random.default_rng(0)
-    assert likely_through(rng.normal(size=(40, 50, 60))) is None
-    z, y, x = np.mgrid[0:40, 0:50, 0:60]
-    box = (abs(z - 20) < 10) & (abs(y - 25) < 12) & (abs(x - 30) < 15)
-    assert (likely_through(200 * box.astype(np.uint8)), likely_through(np.zeros((9, 9, 9)))) == (None, None)
-    holed = np.where(abs(y - 25) < 4, 200.0, 10.0)
-    holed[:, :, :6] = np.nan
-    assert likely_through(holed) == "y"
-
-
-@pytest.mark.nightly
+@pytest.mark.ci
 def test_a_scale_beyond_the_calibration_has_a_way_through(passes, refuses, linked_run, specimen_files, tmp_path):
     command = ("link", linked_run, specimen_files[1], "--pixel-um", "5.25", "--override-size")
     refuses(*command, words="--scale-tolerance")
@@ -193,7 +174,7 @@ def test_a_scale_beyond_the_calibration_has_a_way_through(passes, refuses, linke
     assert abs(registration.scale - 1.05) < 0.01
 
 
-@pytest.mark.nightly
+@pytest.mark.ci
 def test_a_piece_that_fills_a_third_of_its_box_is_covered(passes, specimen, tmp_path):
     """Beside a small specimen lies air, which is no sheet that was lost."""
     grey = specimen.volume.values
@@ -217,46 +198,38 @@ NOT_REPEATED = {
     "search": [("sheet", "find_surfaces")],
     "nothing": [],
 }
+IN_CI = ("flatten.rest=chord", "measurement")
 CHANGES = [
     ("registration.model=affine", "all"),
-    ("correlate.point_um=50", "all"),
     ("holes.hole_um=[110, 290]", "all"),
-    ("image.md_deg=12", "all"),
-    ("flatten.rest=chord", "measurement"),
+    IN_CI,
     ('properties.maps=["porosity", "roughness_top"]', "search"),
     ("sheet.surface.cutoff_um=450", "nothing"),
     ("volume.md_deg=5", "nothing"),
 ]
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize(("change", "kept"), [pytest.param(*one, id=one[0]) for one in CHANGES])
+@pytest.mark.parametrize(
+    ("change", "kept"),
+    [pytest.param(*one, id=one[0], marks=pytest.mark.ci if one == IN_CI else pytest.mark.nightly) for one in CHANGES],
+)
 def test_a_changed_parameter_repeats_what_depends_on_it(passes, linked_run, tmp_path, monkeypatch, change, kept):
-    again(passes, linked_run, tmp_path, monkeypatch, change, NOT_REPEATED[kept])
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize(("change", "kept"), [CHANGES[4], CHANGES[5]], ids=["flatten", "properties"])
-def test_a_changed_map_repeats_what_depends_on_it(passes, specimen_files, tmp_path, monkeypatch, change, kept):
-    passes("map", specimen_files[0], "-o", tmp_path / "map", "--property", "porosity")
-    again(passes, tmp_path / "map", tmp_path, monkeypatch, change, NOT_REPEATED[kept])
-
-
-def again(passes, run, tmp_path, monkeypatch, change, not_repeated):
     """A run with a changed parameter has the bytes of a fresh one, whatever it takes from the old one."""
-    edited = with_values(read_study(run / "run.toml"), [change])
+    edited = with_values(read_study(linked_run / "run.toml"), [change])
     study = tmp_path / "study"
     study.mkdir()
     write_study(edited, study, home=study, version="")
     passes("run", study, "-o", tmp_path / "fresh", codes=(0, 4))
     with monkeypatch.context() as patch:
-        for module, name in not_repeated:
+        for module, name in NOT_REPEATED[kept]:
             patch.setattr(import_module(f"planish.run.{module}"), name, mapped)
-        passes("run", run / "run.toml", "--set", change, "-o", tmp_path / "set", codes=(0, 4))
-    assert bytes_of(tmp_path / "set") == bytes_of(tmp_path / "fresh") != bytes_of(run)
+        passes("run", linked_run / "run.toml", "--set", change, "-o", tmp_path / "set", codes=(0, 4))
+    assert bytes_of(tmp_path / "set") == bytes_of(tmp_path / "fresh") != bytes_of(linked_run)
 
 
-def test_changes_are_checked_and_named(refuses, linked_run):
+def test_changes_are_checked_and_named(refuses, specimen_files, tmp_path):
+    study = study_of(specimen_files, {})
+    write_study(study, tmp_path, home=tmp_path, version="")
     for changes, words in (
         (
             ["surface.cutoff=600", "registration.tolerance_um=-1"],
@@ -266,8 +239,6 @@ def test_changes_are_checked_and_named(refuses, linked_run):
         (["image.surface.cutoff_um=3"], ["no layer of this study has it"]),
     ):
         options = [word for change in changes for word in ("--set", change)]
-        refuses("run", linked_run / "run.toml", *options, words=tuple(words), code=2)
-    study = read_study(linked_run / "run.toml")
+        refuses("run", tmp_path / "run.toml", *options, words=tuple(words), code=2)
     assert with_values(study, ["surface.seed_um=[1, 2, 3]"]).layers[0].surface.seed_um == (1.0, 2.0, 3.0)
     assert with_values(study, ["volume.voxel_um="]).layers[0].volume.voxel_um is None
-    assert with_values(study, ["registration.model=affine"]).registration.model == "affine"

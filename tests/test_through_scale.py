@@ -73,46 +73,58 @@ def turned_onto(places, truth):
     return float(np.sqrt(np.mean(np.abs(b - turn / abs(turn) * a) ** 2)))
 
 
-def test_places_follow_the_exact_development_whatever_the_mesh():
+def test_places_follow_the_exact_development():
     seen = sheet(1 / 1.5)
     flat, at, places = marks(seen, 20)
     scales, moved = places_when_scaled(seen, flat, at)
     for scale, found in zip(scales, moved, strict=True):
         assert turned_onto(found, developed(places, SLOPE * scale / 1.5)) < 0.06
     np.testing.assert_array_equal(moved[list(scales).index(1.0)], at)
-    # A mesh of half the pitch moves no place by as much as a mark's own error, to a slope of 0.8.
+
+
+@pytest.mark.ci
+def test_a_mesh_of_half_the_pitch_moves_no_place_by_as_much_as_a_marks_own_error():
+    seen = sheet(1 / 1.5)  # a slope to 0.8
     flat, at, _ = marks(seen, 20)
     usual = places_when_scaled(seen, flat, at)[1]
     other = places_when_scaled(seen, flat, at, mesh_um=12.5)[1]
     assert max(map(turned_onto, other, usual)) < 0.1
 
 
-@pytest.mark.parametrize("stated", [1.5, 1.1, 0.9, 0.5])
+@pytest.mark.parametrize("stated", [1.5, 1.1, 0.5])
 def test_marks_find_a_wrong_spacing(stated):
     found, check = checked(sheet(stated))
     assert found.scale == pytest.approx(1 / stated, abs=3 * found.error + 0.003)
     assert found.error < 0.02
     assert (check.state, check.value) == ("fail", found.scale)
     assert check.figures == ("properties", "position", "correlation")
-    assert f"{3.0:.3g} um for {3 * stated:.4g}" in check.sentence or check.state == "fail"
     assert "--voxel-um" in check.advice
 
 
-def test_a_right_spacing_passes_also_with_a_stretch_or_a_wrong_mark():
+def test_a_right_spacing_passes():
     found, check = checked(sheet())
     assert (check.state, check.advice, found.scale) == ("pass", "", pytest.approx(1, abs=3 * found.error))
     assert check.sentence.startswith("The marks imply a voxel spacing along z that is ")
-    # A stretch by 4 % explains the marks better than any spacing does.
+
+
+def test_a_stretch_that_explains_the_marks_better_than_any_spacing_is_no_fault_of_it():
     found, check = checked(sheet(), linear=[[1.04, 0], [0, 1]])
     assert check.state != "fail"
     assert found.over_stretch < 0 or check.state == "pass"
     assert found.stretch == pytest.approx(0.04, abs=0.003)
+
+
+def test_a_wrong_mark_makes_no_wrong_spacing():
     _, check = checked(sheet(slope=0.3), count=8, wrong_um=60.0, slope=0.3, model="similarity")
     assert check.state in ("pass", "unknown")
+
+
+def test_a_wrong_mark_hides_no_wrong_spacing():
     _, check = checked(sheet(1.5), count=16, wrong_um=60.0)
     assert check.state == "fail"
 
 
+@pytest.mark.nightly
 def test_its_error_is_what_it_says():
     """Thirty draws of nine marks: the scale over its error has the size that an estimate with few marks allows."""
     seen = sheet(1.2)
@@ -158,19 +170,19 @@ def test_flat_sheets_cannot_tell_a_spacing():
     assert BY_THICKNESS(MeasuredSheet(None, empty)).value is None
 
 
-@pytest.mark.parametrize("count", [3, 4])
-def test_few_marks(count):
-    found, check = checked(sheet(1.5), count=count)
-    assert (found is None) == (count == 3)
-    assert check is None or np.isfinite(check.value)
+def test_three_marks_tell_no_spacing():
+    assert checked(sheet(1.5), count=3)[0] is None
 
 
-def test_marks_on_a_line_or_beside_the_sheet_do_not_count():
+def test_marks_on_a_line_tell_no_spacing():
     seen = sheet()
     flat, _, _ = marks(seen, 8)
     line = np.stack([np.linspace(100, 1500, 8), np.full(8, 500.0)], axis=1)
     scales, places = places_when_scaled(seen, flat, line)
     assert find_through_scale(scales, places, weigh_evenly(line, line), mirrored=False) is None
+
+
+def test_marks_beside_the_sheet_do_not_count():
     seen = sheet(1.5)
     flat, at, places = marks(seen, 16)
     at, fixed = np.append(at, [[9e4, 9e4]], axis=0), np.append(developed(places), [[8e4, 8e4]], axis=0)
@@ -183,7 +195,7 @@ def test_a_sheet_seen_from_the_low_end_of_its_axis():
     assert (found.scale, check.state) == (pytest.approx(1 / 1.5, abs=0.02), "fail")
 
 
-@pytest.mark.parametrize("stated", [2.0, 1.5, 1.0, 0.5])
+@pytest.mark.parametrize("stated", [2.0, 1.0, 0.5])
 def test_thickness_against_slope_is_exact_without_noise(stated):
     found = through_scale.scale_from_thickness(sheet(stated, slope=0.8))
     assert found.scale == pytest.approx(1 / stated, rel=0.01)

@@ -30,29 +30,24 @@ SOURCES = sorted((ROOT / "src").rglob("*.py"))
 
 
 # --- names and lengths -----------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    "name", ["aux", "CON", "nul.txt", "Com1.tar.gz", "lpt9", "prn ", "COM¹", "run.", "run ", "CONIN$", "aux .zarr"]
-)
-def test_names_that_windows_cannot_keep_are_refused_everywhere(name, tmp_path, refuses):
+@pytest.mark.parametrize("name", ["aux", "Com1.tar.gz", "lpt9", "prn ", "COM¹", "run.", "CONIN$", "aux .zarr"])
+def test_names_that_windows_cannot_keep_are_refused_everywhere(name, tmp_path):
     assert fault_of_name(name, windows=False)
     with pytest.raises(FileError, match="Windows"):
         write_whole(tmp_path / name, b"")
     with pytest.raises(FileError, match="Windows"), new_folder(tmp_path / name / "run"):
         pytest.fail("must not get here")
-    refuses("import", tmp_path / "none.tif", "--out", tmp_path / name, words=repr(name), out=False)
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("name", ["run", "auxiliary", "con_1", "com", "com10", ".hidden", "Blatt ä 7.zarr", "a.b"])
-def test_other_names_are_taken(name, tmp_path):
-    assert fault_of_name(name, windows=True) is None
-    refuse_existing(tmp_path / name)
-
-
-@pytest.mark.parametrize("sign", ["?", "*", ":", "|", '"', "<", "\n"])
-def test_signs_that_only_windows_refuses_are_refused_there(sign):
-    assert fault_of_name(f"run{sign}1", windows=False) is None
-    assert fault_of_name(f"run{sign}1", windows=True)
+def test_other_names_are_taken_but_for_signs_that_only_windows_refuses(tmp_path, refuses):
+    for name in ("run", "auxiliary", "con_1", "com", "com10", ".hidden", "Blatt ä 7.zarr", "a.b"):
+        assert fault_of_name(name, windows=True) is None
+        refuse_existing(tmp_path / name)
+    for sign in ("?", "*", ":", "|", '"', "<", "\n"):
+        assert fault_of_name(f"run{sign}1", windows=False) is None
+        assert fault_of_name(f"run{sign}1", windows=True)
+    refuses("import", tmp_path / "none.tif", "--out", tmp_path / "nul.txt", words="'nul.txt'", out=False)
 
 
 def test_names_of_layers_and_drives():
@@ -136,8 +131,8 @@ def crlf(path: Path) -> Path:
 @pytest.mark.parametrize(
     ("name", "text"),
     [
-        ("bigwarp.csv", by_hand.bigwarp_2d()), ("bigwarp.json", by_hand.bigwarp_json()),
-        ("elastix.txt", by_hand.elastix(by_hand.MOVING)), ("marks.csv", by_hand.native()),
+        ("bigwarp.csv", by_hand.bigwarp_2d()), ("elastix.txt", by_hand.elastix(by_hand.MOVING)),
+        ("marks.csv", by_hand.native()),
         ("marks.mrk.json", by_hand.slicer(by_hand.slicer_list(by_hand.MOVING / 1000, "m"))),
     ],
 )  # fmt: skip

@@ -6,9 +6,11 @@ import tifffile
 
 import planish as pl
 from planish.core.errors import CannotMeasure, VolumeError
+from planish.core.frame import likely_through
 from planish.run import map_sheet
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("slope", "rim_um", "error"),
     [
@@ -34,6 +36,7 @@ def test_a_search_along_a_wrong_axis_names_the_right_one(slope, rim_um, error, t
     assert told[2].startswith("surface: ")
 
 
+@pytest.mark.ci
 def test_a_sheet_seen_edge_on_is_refused_before_every_column_is_searched(monkeypatch):
     """A sheet of 12 voxels, 81 degrees off the axis given: its run is above 6 times its thickness."""
     z, y, x = np.ogrid[:160, :90, :120]
@@ -49,10 +52,27 @@ def test_a_sheet_seen_edge_on_is_refused_before_every_column_is_searched(monkeyp
 
 
 def test_a_function_refuses_what_the_command_line_refuses():
-    z, y, x = np.ogrid[:40, :60, :60]
-    values = np.where(abs(z - 20) < 6 + 0 * y * x, 120.0, 20.0) + np.random.default_rng(3).normal(0, 6, (40, 60, 60))
+    z, y, x = np.ogrid[:40, :40, :40]
+    values = np.where(abs(z - 20) < 6 + 0 * y * x, 120.0, 20.0) + np.random.default_rng(3).normal(0, 6, (40, 40, 40))
     thin = pl.volume(values.astype(np.float32), voxel_um=0.1)
     with pytest.raises(VolumeError, match=r"would be 1.\d+ um thick; sheets of 2 to 5000 um .* unusual_size=True"):
         pl.find_surfaces(thin, params={"rim_um": 0.1, "cutoff_um": 2.0})
     found = pl.find_surfaces(thin, params={"rim_um": 0.1, "cutoff_um": 2.0}, unusual_size=True)
     assert 0.9 < found.attrs["thickness_um"] < 1.5
+
+
+@pytest.mark.ci
+def test_the_command_line_names_the_right_axis(planish, refuses, specimen_files):
+    refuses("map", specimen_files[0], "--through", "y", words="try --through z")
+    assert "sheet: across z" in planish("info", specimen_files[0])[1]
+
+
+def test_nothing_is_said_of_an_axis_where_the_grey_tells_none():
+    rng = np.random.default_rng(0)
+    assert likely_through(rng.normal(size=(40, 50, 60))) is None
+    z, y, x = np.mgrid[0:40, 0:50, 0:60]
+    box = (abs(z - 20) < 10) & (abs(y - 25) < 12) & (abs(x - 30) < 15)
+    assert (likely_through(200 * box.astype(np.uint8)), likely_through(np.zeros((9, 9, 9)))) == (None, None)
+    holed = np.where(abs(y - 25) < 4, 200.0, 10.0)
+    holed[:, :, :6] = np.nan
+    assert likely_through(holed) == "y"

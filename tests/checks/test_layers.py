@@ -24,6 +24,7 @@ def levels(air, base, coating, noise):
 
 
 GREYS = levels(40.0, 90.0, 200.0, 5.0)
+SMALL = (110, 120)
 
 
 def layered(*, extra=None, depth=40, seed=0, noise=5.0, shape=(190, 200)):
@@ -73,58 +74,73 @@ def judged(name, **scan):
     return RULES[name](SimpleNamespace(**scan))
 
 
-def by_name(checks):
-    return {check.name: check for check in checks}
+def of_scan(name, volume, measured):
+    """The check of this name; None where it says nothing."""
+    return {check.name: check for check in check_scan(volume, measured)}.get(name)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def right():
+    """A right sheet, whose volume and measurement no test may change; its scan loads the kernels."""
+    made = layered()
+    check_scan(*made)
+    return made
 
 
 def test_right_sheet_passes_every_check_and_threads_change_nothing():
-    volume, measured = layered()
+    volume, measured = layered(shape=SMALL)
     checks = check_scan(volume, measured, threads=1)
     assert ([c.name for c in checks if c.state != "pass"], len(checks)) == ([], 12)
     assert checks == check_scan(volume, measured, threads=3)
 
 
-@pytest.mark.parametrize("through", ["z", "y", "x"])
+@pytest.mark.parametrize("through", ["z", "x"])
 def test_second_sheet_fails(through):
     """A coating of 10 voxels in the middle of the base in a third of the sheet, through any axis."""
-    volume, measured = layered(extra=lambda t, _r, c: np.where((abs(t - 0.5) < 0.12) & (c < 70), 200.0, np.nan))
-    found = by_name(check_scan(turned(volume, through), measured.assign_attrs(through=through)))["one sheet"]
+    volume, measured = layered(
+        extra=lambda t, _r, c: np.where((abs(t - 0.5) < 0.12) & (c < 42), 200.0, np.nan), shape=SMALL
+    )
+    found = of_scan("one sheet", turned(volume, through), measured.assign_attrs(through=through))
     assert (found.state, found.value) == ("fail", pytest.approx(0.35, abs=0.06))
     assert "second sheet" in found.sentence
     assert set(found.figures) == {"properties", "position"}
 
 
-@pytest.mark.parametrize(("edge_um", "state"), [(120.0, "pass"), (300.0, "fail"), (500.0, "fail")])
+@pytest.mark.parametrize(("edge_um", "state"), [(120.0, "pass"), (300.0, "fail")])
 def test_a_delamination_fails_from_300_um_on(edge_um, state):
     edge = edge_um / VOXEL
     volume, measured = layered(
-        extra=lambda t, r, c: np.where((abs(t - 0.5) < 0.08) & (abs(r - 95) < edge / 2) & (c < edge), 40.0, np.nan)
+        extra=lambda t, r, c: np.where((abs(t - 0.5) < 0.08) & (abs(r - 55) < edge / 2) & (c < edge), 40.0, np.nan),
+        shape=SMALL,
     )
-    found = by_name(check_scan(volume, measured))["one sheet"]
+    found = of_scan("one sheet", volume, measured)
     assert found.state == state
     assert found.value == pytest.approx((edge_um / 60) ** 2, abs=0.45 * (edge_um / 60) ** 2)
     assert ("split" in found.sentence) == (state == "fail")
 
 
-def test_a_second_sheet_learnt_as_base_is_seen_and_strong_noise_is_no_gap():
-    volume, measured = layered(extra=lambda t, _r, _c: np.where(abs(t - 0.5) < 0.12, 200.0, np.nan))
+def test_a_second_sheet_learnt_as_base_is_seen():
+    volume, measured = layered(extra=lambda t, _r, _c: np.where(abs(t - 0.5) < 0.12, 200.0, np.nan), shape=SMALL)
     measured = measured.assign_attrs(grey_base=150.0, grey_coating_top=np.nan, grey_coating_bottom=np.nan)
-    assert by_name(check_scan(volume, measured))["one sheet"].state == "fail"
-    # Noise of 1.2 of the step from base to air leaves the median of 49 columns open by a fifth of it.
-    volume, measured = layered(noise=60.0)
-    assert by_name(check_scan(volume, measured))["one sheet"].state == "pass"
+    assert of_scan("one sheet", volume, measured).state == "fail"
 
 
-@pytest.mark.parametrize("through", ["z", "x"])
-@pytest.mark.parametrize(("fades_by", "state"), [(0.3, "look"), (0.03, "pass")])
-def test_a_fading_beam_is_a_look(through, fades_by, state):
+def test_strong_noise_is_no_gap():
+    """Noise of 1.2 of the step from base to air leaves the median of 49 columns open by a fifth of it."""
+    volume, measured = layered(noise=60.0, shape=SMALL)
+    assert of_scan("one sheet", volume, measured).state == "pass"
+
+
+@pytest.mark.parametrize(
+    ("through", "fades_by", "state"), [("z", 0.3, "look"), ("x", 0.3, "look"), ("z", 0.03, "pass")]
+)
+def test_a_fading_beam_is_a_look(right, through, fades_by, state):
     """All grey falls along y; of the base's step from the air, 40 of 90, that is 2.25 times as much."""
-    volume, measured = layered()
+    volume, measured = right
     fade = xr.DataArray(np.linspace(1, 1 - fades_by, volume.sizes["y"]), dims="y")
     volume = (volume * fade).transpose("z", "y", "x").assign_attrs(volume.attrs)
     greys = {f"grey_{k}": v * (1 - fades_by / 2) for k, v in (("air", 40.0), ("base", 90.0))}
-    seen = check_scan(turned(volume, through), measured.assign_attrs(greys, through=through))
-    found = by_name(seen)["grey across the sheet"]
+    found = of_scan("grey across the sheet", turned(volume, through), measured.assign_attrs(greys, through=through))
     assert found.state == state
     # From the first tile's middle to the last one's, which is less than the whole.
     whole = fades_by * 90 / (50 * (1 - fades_by / 2))
@@ -134,28 +150,38 @@ def test_a_fading_beam_is_a_look(through, fades_by, state):
     assert f"Along {along}" in found.sentence or state == "pass"
 
 
-def test_narrow_strips_wide_blurs_and_few_columns_are_reported():
-    """One tile across: no parabola can be laid through it that way."""
+def test_a_strip_one_tile_wide_is_judged_along_it():
+    """No parabola can be laid through it the other way."""
     volume, measured = layered(shape=(24, 700))
-    found = by_name(check_scan(volume, measured))["grey across the sheet"]
+    found = of_scan("grey across the sheet", volume, measured)
     assert found.state == "pass"
     assert found.sentence.startswith("Along x, ")
     assert np.isfinite(found.value)
-    volume, measured = layered()
-    for blur, state in ((5.5, "pass"), (7.5, "look")):
-        found = by_name(check_scan(volume, measured.assign_attrs(blur_um=blur)))["blur of the scan"]
-        assert (found.state, found.value) == (state, pytest.approx(2.3548 * blur / 15, rel=0.02))
+
+
+@pytest.mark.parametrize(("blur", "state"), [(5.5, "pass"), (7.5, "look")])
+def test_wide_blurs_are_reported(right, blur, state):
+    volume, measured = right
+    found = of_scan("blur of the scan", volume, measured.assign_attrs(blur_um=blur))
+    assert (found.state, found.value) == (state, pytest.approx(2.3548 * blur / 15, rel=0.02))
+
+
+def test_what_the_sheet_does_not_show_is_left_out_or_unknown(right):
+    volume, measured = right
+    assert of_scan("filler", volume, measured) is None
     bare = measured.drop_vars(["coating_top", "coating_bottom"]).assign_attrs(grey_coating_top=np.nan)
-    assert "blur of the scan" not in by_name(check_scan(volume, bare))
-    volume, measured = layered(shape=(190, 200))
+    assert of_scan("blur of the scan", volume, bare) is None
+    measured = measured.copy(deep=True)
     measured["status"].values[20:] = 3
     measured["status"].values[:, 100:] = 3
-    found = by_name(check_scan(volume, measured))["one sheet"]
+    found = of_scan("one sheet", volume, measured)
     assert found.state == "unknown"
     assert found.sentence.startswith("The base is seen in 5 tiles of 60 um only")
 
 
-@pytest.mark.parametrize("through", ["z", pytest.param("x", marks=pytest.mark.nightly)])
+@pytest.mark.parametrize(
+    "through", [pytest.param("z", marks=pytest.mark.ci), pytest.param("x", marks=pytest.mark.nightly)]
+)
 @pytest.mark.parametrize(("sigma", "state"), [(1.0, "pass"), (2.5, "look")])
 def test_a_filter_is_seen_in_the_noise_of_the_air(sigma, state, through):
     """White noise smoothed by a Gaussian, with streaks that go on: the width is that of the filter."""
@@ -212,11 +238,12 @@ def test_tiles_of_a_large_sheet_are_whole_squares():
         (95.0, np.nan, "look", "On the top side no layer shows"),
     ],
 )
-def test_a_grey_that_no_coating_has_is_a_look(top, bottom, state, words):
-    volume, measured = layered()
-    found = by_name(check_scan(volume, measured.assign_attrs(grey_coating_top=top, grey_coating_bottom=bottom)))
-    assert found["grey of the coating"].state == state
-    assert words in found["grey of the coating"].sentence
+def test_a_grey_that_no_coating_has_is_a_look(right, top, bottom, state, words):
+    volume, measured = right
+    measured = measured.assign_attrs(grey_coating_top=top, grey_coating_bottom=bottom)
+    found = of_scan("grey of the coating", volume, measured)
+    assert found.state == state
+    assert words in found.sentence
 
 
 @pytest.mark.parametrize(("grain", "state"), [(2, "look"), (7, "pass"), (None, "look")])
@@ -228,17 +255,16 @@ def test_filler_is_doubted_where_its_grains_are_not_resolved(grain, state):
         is_grain = is_column & (abs(t - 0.5) < grain / 80) if grain else np.zeros_like(t, bool)
         return np.where(is_grain | ((r < 15) & (t < 0.6)), 200.0, np.nan)
 
-    volume, measured = layered(extra=extra)
-    assert "filler" not in by_name(check_scan(volume, measured))
-    found = by_name(check_scan(volume, measured.assign(filler=measured["coating_top"])))["filler"]
+    volume, measured = layered(extra=extra, shape=SMALL)
+    found = of_scan("filler", volume, measured.assign(filler=measured["coating_top"]))
     assert (found.state, found.value) == (state, pytest.approx(VOXEL * (grain or 0), abs=VOXEL))
     assert ("No grain" in found.sentence) == (grain is None)
 
 
-@pytest.mark.parametrize(("voxel", "state"), [(3.0, "pass"), (30.0, "pass"), (31.0, "look")])
-def test_few_voxels_through_the_sheet(voxel, state):
+@pytest.mark.parametrize(("voxel", "state"), [(30.0, "pass"), (31.0, "look")])
+def test_few_voxels_through_the_sheet(right, voxel, state):
     """150 um between faces that lie level: five voxels of 30 um."""
-    volume, measured = layered()
+    volume, measured = right[0], right[1].copy(deep=True)
     measured["top"].values[:] = 150.0
     measured["bottom"].values[:] = measured["centre"].values[:] = 0.0
     voxels = voxels_through(volume.assign_attrs(voxel_um=[voxel] * 3), measured)
@@ -254,7 +280,7 @@ def histogram(dtype, scale=1.0, *, seed=0, at=np.inf, n=300_000, sign=1.0):
     return grey.astype(dtype) if np.dtype(dtype).kind == "f" else np.rint(grey).astype(dtype)
 
 
-KINDS = [(np.uint8, 1.0), (np.uint16, 16.0), (np.uint16, 200.0), (np.int16, 50.0), (np.float32, 1 / 300), (float, 1.0)]
+KINDS = [(np.uint8, 1.0), (np.uint16, 16.0), (np.int16, 50.0), (np.float32, 1 / 300)]
 
 
 @pytest.mark.parametrize(("dtype", "scale"), KINDS)
@@ -266,6 +292,7 @@ def test_clipping_at_any_level_in_any_type(dtype, scale, sign):
         greys = levels(air, base, min(coating, at * scale) if sign > 0 else coating, 8 * scale)
         check = judged("clipped grey", sample=histogram(dtype, scale, at=at, sign=sign), greys=greys)
         assert check.state == ("pass" if np.isinf(at) else "look"), (at, check.sentence)
+        assert ("where the scale was cut off" in check.sentence) == (check.state == "look")
     assert set(check.figures) == {"coating_top", "coating_bottom", "base_thickness", "thickness"}
 
 
@@ -280,9 +307,8 @@ def test_clipping_above_the_coating_passes_and_is_seen_in_stretched_volumes():
     assert (share, end) == (pytest.approx(0.1, abs=0.01), 150 * 257)
 
 
-def test_slices_scaled_one_by_one_are_seen():
-    volume, _ = layered()
-    values = np.moveaxis(volume.values, 1, 0).astype(float)
+def test_slices_scaled_one_by_one_are_seen(right):
+    values = np.moveaxis(right[0].values, 1, 0).astype(float)
     right = window_of(values, "y")
     gain = 1 + 0.15 * np.random.default_rng(1).normal(size=len(values))
     wrong = window_of(values * gain[:, None, None], "y")
@@ -295,7 +321,7 @@ def test_slices_scaled_one_by_one_are_seen():
     assert 0.1 < check.value < 0.15 * 200 / 160
 
 
-def test_particles_are_counted_and_covered_and_filled_valleys_are_none():
+def test_particles_are_a_look_counted_and_covered_and_filled_valleys_are_none():
     rng = np.random.default_rng(0)
     field = ndimage.gaussian_filter(rng.normal(size=(500, 600)), 8)
     valleys = 15 + 4 * field / field.std()
@@ -304,6 +330,7 @@ def test_particles_are_counted_and_covered_and_filled_valleys_are_none():
     for k in range(9):
         valleys[(rows - 40 - 50 * k) ** 2 + (cols - 500 + 55 * k) ** 2 < 36] += 40.0
     assert sheets.find_particles(valleys, face, (3.0, 3.0)).n_particles == 0
+    assert dust(valleys, face).state == "pass"
     grains = np.zeros(valleys.shape)
     for k in range(9):
         grains[(rows - 50 - 50 * k) ** 2 + (cols - 60 - 55 * k) ** 2 < 36] += 40.0
@@ -311,3 +338,13 @@ def test_particles_are_counted_and_covered_and_filled_valleys_are_none():
     found = sheets.find_particles(valleys + grains, face + grains, (3.0, 3.0))
     assert (found.n_particles, found.per_mm2) == (9, pytest.approx(9 / 2.6775))
     assert found.mask.sum() == pytest.approx(9 * 113, rel=0.15)
+    check = dust(valleys + grains, face + grains)
+    assert check.state == "look"
+    assert check.sentence.startswith("9 particles stick out of the top coating, 3.4 per mm²")
+
+
+def dust(coating, face):
+    """What the check says of a coating on a face above a level centre surface."""
+    maps = {"coating_top": coating, "top": face, "centre": 0 * face}
+    places = {"y": 3.0 * np.arange(500), "x": 3.0 * np.arange(600)}
+    return judged("dust, top", measured=xr.Dataset({k: (("y", "x"), v) for k, v in maps.items()}, places))

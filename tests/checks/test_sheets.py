@@ -18,6 +18,7 @@ def test_a_film_that_was_left_out_is_named_and_doubted_where_the_blur_reaches_th
     assert check is None or "40 um" in check.sentence
 
 
+@pytest.mark.ci
 def test_tape_that_touches_a_coated_sheet_is_learnt_and_fails():
     volume = np.full((60, 40, 40), 40.0)
     volume[12:47] = 75.0  # the base

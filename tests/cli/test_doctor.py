@@ -21,7 +21,7 @@ Disk = namedtuple("Disk", "total used free")
 @pytest.fixture(scope="module", autouse=True)
 def loaded():
     """The first look loads every library and kernel, which is no test's own time."""
-    return check_installation()
+    return [*check_installation()]
 
 
 def states(monkeypatch=None, requires=None):

@@ -168,6 +168,7 @@ def test_every_public_name_stands_with_a_sentence():
 
 
 # --- exit codes and messages ---------------------------------------------------------------------------------
+@pytest.mark.ci
 def test_every_message_has_its_entry():
     covered = {message.text for _, patterns in message_pages.families() for message in message_pages.of(patterns)}
     every = messages.messages()
@@ -176,6 +177,7 @@ def test_every_message_has_its_entry():
     assert missing == [], "write cause and cure into a page of docs/reference/messages"
 
 
+@pytest.mark.ci
 def test_every_entry_has_messages_a_cause_and_a_cure():
     for path in sorted(message_pages.FOLDER.glob("*.md")):
         text = path.read_text(encoding="utf-8")
