@@ -156,6 +156,7 @@ def test_half_closed_holes_are_left_out():
     np.testing.assert_allclose(positions(found), sheet.centres[:1], atol=2.0)
 
 
+@pytest.mark.ci
 def test_results_carry_units_and_repeat_to_the_same_bytes():
     sheet = make_scene(5, "mottle", 12)
     found = find_holes(sheet.image, pixel_um=sheet.pixel)
