@@ -20,7 +20,7 @@ def numbers(value, place=""):
     return {name: number for key, part in parts for name, number in numbers(part, f"{place}/{key}").items()}
 
 
-@pytest.mark.parametrize("kind", ["upright", pytest.param("images", marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("kind", ["upright", "images"])
 def test_tiles_and_a_store_change_nothing(passes, kinds, tmp_path, monkeypatch, kind):
     layers = {
         "upright": (kinds("upright"), kinds.small.image),

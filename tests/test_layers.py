@@ -45,7 +45,7 @@ def test_a_mirrored_image_is_refused_and_linked_when_it_is_declared_or_of_the_bo
     assert "bottom side of the sheet, as given" in orientation["sentence"]
 
 
-@pytest.mark.parametrize(("given", "code"), [pytest.param("-7.0", 0, marks=pytest.mark.nightly), ("60", 4)])
+@pytest.mark.parametrize(("given", "code"), [("-7.0", 0), ("60", 4)])
 def test_machine_directions_that_contradict_each_other_are_seen(
     planish, run_copy, specimen_files, tmp_path, given, code
 ):
@@ -183,7 +183,6 @@ def test_a_refined_link_stands_beside_that_of_the_marks_and_is_nearer_to_the_tru
     assert "Refined by the maps themselves" in (tmp_path / "run" / "report.html").read_text()
 
 
-@pytest.mark.nightly
 def test_two_images_are_refined_by_what_they_show(kinds, tmp_path):
     before = open_run(kinds("images"))
     given = clicked(before.registrations["white"].marks, tmp_path / "clicked.csv")

@@ -168,7 +168,6 @@ def test_the_marks_of_a_run_given_back_give_its_bytes(passes, linked_run, specim
     assert (checks[0], of_holes) == (checks[1], {c.name for c in first.checks} - {c.name for c in again.checks})
 
 
-@pytest.mark.nightly
 def test_a_mark_that_is_not_used_is_still_masked(passes, linked_run, specimen_files, tmp_path):
     text = json.loads((linked_run / "marks.json").read_text())
     text["marks"][0]["used"] = False

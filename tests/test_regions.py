@@ -307,6 +307,7 @@ def test_a_wrong_file_is_refused_with_its_faults(tmp_path, content, words):
     assert "regions.json" in str(error.value)
 
 
+@pytest.mark.ci
 @given(st.data())
 def test_damaged_bytes_are_read_or_refused(tmp_path_factory, data):
     folder = tmp_path_factory.getbasetemp()

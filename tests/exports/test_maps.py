@@ -69,7 +69,7 @@ def test_an_ome_tiff_says_size_place_and_channels(tmp_path):
     assert json.loads(root.find(f"{OME}Image/{OME}Description").text)["study_sha256"] == HISTORY.study_sha256
 
 
-@pytest.mark.parametrize("several", [True, False])
+@pytest.mark.parametrize("several", [pytest.param(True, marks=pytest.mark.ci), False])
 def test_an_ome_zarr_is_read_by_another_library(tmp_path, several):
     import tensorstore as ts
 
@@ -140,6 +140,7 @@ def test_maps_beyond_2_gb_take_version_7_3(monkeypatch):
         matlab.chosen_version(content, ExportParams(to="mat", mat_version="5"))
 
 
+@pytest.mark.ci
 def test_gwyddion_channels_are_in_metres_and_masked(tmp_path):
     content = maps((60, 110))
     path = written(content, tmp_path / "maps.gwy", "gwy")
@@ -208,6 +209,7 @@ def test_a_table_of_points_holds_means_over_valid_pixels_and_no_less(tmp_path):
         written(maps((60, 110)), tmp_path / "maps.csv", "csv", point_um=2.0)
 
 
+@pytest.mark.ci
 def test_pictures_show_the_pixels_in_their_colours(tmp_path):
     content = Maps(
         data=maps((60, 110)).data[["coating_top"]], group="linked", scales={"coating_top": Scale(low=0.0, high=40.0)}
