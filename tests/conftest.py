@@ -7,6 +7,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from cpu_time import SHARED
 from folders import chromium_path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line has it; tests run side by side
@@ -32,8 +33,7 @@ settings.load_profile("planish")
 
 def pytest_configure(config: pytest.Config) -> None:
     """Let the workers share what they compile."""
-    if hasattr(config, "workerinput"):
-        compile_once(config.rootpath / ".pytest_cache" / "kernels")
+    compile_once(config.rootpath / ".pytest_cache" / "kernels")
 
 
 def compile_once(locks: Path) -> None:
@@ -45,7 +45,7 @@ def compile_once(locks: Path) -> None:
         if not name.startswith("planish."):
             return compile_here(self, sig)
         # The lock among threads comes first: a thread that held a file and waited for it would stop the others.
-        with global_compiler_lock, FileLock(locks / f"{name}.lock", is_singleton=True):
+        with global_compiler_lock, FileLock(locks / f"{name}.lock", is_singleton=True), SHARED.within():
             return compile_here(self, sig)
 
     Dispatcher.compile = compile_locked

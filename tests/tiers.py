@@ -5,14 +5,14 @@ fixtures needs; all others are fast.
 """
 
 import json
-import os
 import subprocess
 import sys
-import time
 from collections.abc import Generator
 from pathlib import Path
 
 import pytest
+
+from cpu_time import SHARED, cpu_seconds, loop_seconds
 
 #: Lowest first. ``run.py test`` runs the first, ``--ci`` the second, ``--all`` all of them.
 TIERS = ("fast", "ci", "nightly")
@@ -20,8 +20,8 @@ TIERS = ("fast", "ci", "nightly")
 #: What a fixture takes: a linked run or a browser is no matter of milliseconds, measured data are not everywhere.
 NEEDED_TIER = {"linked_run": "ci", "kinds": "ci", "chromium": "ci", "shared_data": "nightly"}
 
-#: CPU time that a fast test may use once all kernels are compiled, on a machine that counts to 3 million in .25 s;
-#: fixtures that several tests share do not count. This is the one limit on the time of tests.
+#: CPU time that a fast test may use on a machine that counts to 3 million in .25 s; what several tests share does not
+#: count (fixtures, kernels that are compiled or loaded). This is the one limit on the time of tests.
 FAST_CPU_S = 0.5
 REFERENCE_LOOP_S = 0.25
 
@@ -34,7 +34,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("planish")
     group.addoption("--ci", action="store_true", help="run the tests of the tier ci")
     group.addoption("--all", action="store_true", help="run the tests of all tiers")
-    group.addoption("--alone", action="store_true", help="all is compiled and nothing runs beside: the limit decides")
+    group.addoption("--alone", action="store_true", help="nothing runs beside: the limit decides")
     group.addoption("--record-seconds", action="store_true", help="write how long each file takes, for the schedule")
 
 
@@ -112,39 +112,25 @@ class SecondsRecorder:
 
 # --- CPU time of each test -----------------------------------------------------------------------------------------
 
-SHARED = pytest.StashKey[float]()  # CPU seconds spent in fixtures that several tests share
 USED = pytest.StashKey[float]()
 
 
-def cpu_seconds() -> float:
-    """CPU time of this process, all its threads, and its children that ended."""
-    return sum(os.times()[:4])
-
-
 @pytest.hookimpl(wrapper=True)
-def pytest_fixture_setup(
-    fixturedef: pytest.FixtureDef[object], request: pytest.FixtureRequest
-) -> Generator[None, object, object]:
+def pytest_fixture_setup(fixturedef: pytest.FixtureDef[object]) -> Generator[None, object, object]:
     """Take the time of a shared fixture off the test that happens to make it."""
-    session = request.session
-    is_within_another = session.stash.get(SHARED, 0.0) < 0
-    if fixturedef.scope == "function" or is_within_another:
+    if fixturedef.scope == "function":
         return (yield)
-    before, spent = cpu_seconds(), session.stash.get(SHARED, 0.0)
-    session.stash[SHARED] = -1.0
-    try:
+    with SHARED.within():
         return (yield)
-    finally:
-        session.stash[SHARED] = spent + cpu_seconds() - before
 
 
 def count(item: pytest.Item) -> Generator[None, object, object]:
     """Add what the wrapped step uses to the test's CPU time."""
-    before, shared = cpu_seconds(), item.session.stash.get(SHARED, 0.0)
+    before, shared = cpu_seconds(), SHARED.seconds
     try:
         return (yield)
     finally:
-        used = cpu_seconds() - before - (item.session.stash.get(SHARED, 0.0) - shared)
+        used = cpu_seconds() - before - (SHARED.seconds - shared)
         item.stash[USED] = item.stash.get(USED, 0.0) + used
 
 
@@ -165,7 +151,7 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
 
 
 class FastLimit:
-    """Collects the fast tests above the limit; they are taken again alone, when all is compiled."""
+    """Collects the fast tests above the limit; they are taken again alone, as tests beside them slow them down."""
 
     def __init__(self, *, alone: bool) -> None:
         self.alone = alone
@@ -177,9 +163,10 @@ class FastLimit:
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         noted = dict(report.user_properties)
-        used = noted.get("cpu_s", 0.0)
-        is_over = isinstance(used, float) and used > self.limit_s
-        if report.when == "call" and noted.get("tier") == "fast" and is_over:
+        used = noted.get("cpu_s")
+        if report.when != "call" or noted.get("tier") != "fast" or not isinstance(used, float):
+            return
+        if used > self.limit_s:
             self.over[report.nodeid] = used
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
@@ -199,12 +186,3 @@ class FastLimit:
             for name, used in self.over.items():
                 line = f"{used:.1f} s CPU, a fast test may use {self.limit_s:.2g} s: {name}"
                 terminalreporter.line(line, red=True)
-
-
-def loop_seconds() -> float:
-    """CPU seconds of a plain loop, which says how quick this machine is now."""
-    start = time.process_time()
-    total = 0
-    for i in range(3_000_000):
-        total += i * i
-    return time.process_time() - start
