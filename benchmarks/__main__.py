@@ -9,30 +9,22 @@ from importlib import import_module
 # Each is the function ``main`` of the module of its name, which is imported when it is run: no benchmark needs the
 # libraries of another.
 _ALL = (
-    "app_apply",
     "flattening",
     "relaxation",
-    "resampling",
     "optics",
     "holes",
-    "holes_on_fibres",
     "no_holes",
     "no_holes_layers",
     "texture_fields",
     "registration",
     "specimens",
     "size",
-    "reading",
     "startup",
     "large_image",
-    "exporting",
     "programs",
     "series",
     "series_runs",
     "sides",
-    "artefacts",
-    "brightness",
-    "warping",
     "wrong",
     "right",
     "through_scale",
@@ -44,11 +36,11 @@ _ALL = (
     "faces",
     "paper",
 )
-# Only where they are named: two take the network and half an hour, one writes documents, one wants a run.
-_BY_NAME = ("installs", "pictures", "app_space", "same")
+# Only where they are named: two take the network and half an hour, one writes documents.
+_BY_NAME = ("installs", "pictures", "same")
 
 
-def main(arguments: list[str]) -> int:
+def main(arguments):
     """Run what is named; the exit code is 1 when a limit was missed or a library is not installed."""
     names = arguments[:1] or _ALL
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # else each program that is timed compiles its modules anew

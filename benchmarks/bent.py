@@ -28,7 +28,7 @@ Surface = Callable[[Floats], Floats]
 """A surface that keeps its lengths: (u, v) in the plane (..., 2) to points in space (..., 3)."""
 
 
-def waves(rng: np.random.Generator, at: Floats) -> Floats:
+def waves(rng, at):
     """One to three waves of 1.6 to 9 mm."""
     return sum(
         rng.uniform(0.4, 1.0) * np.sin(2 * np.pi * at / rng.uniform(1600, 9000) + rng.uniform(0, 6.28))
@@ -45,7 +45,7 @@ class Cylinder:
     curve: Floats  # (n, 2)
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, slope: float) -> Cylinder:
+    def drawn(cls, rng, slope):
         """Draw a profile whose steepest slope is ``slope``."""
         at = np.arange(-9000.0, 9001.0)
         angle = waves(rng, at) + rng.uniform(-0.3, 0.3)
@@ -55,7 +55,7 @@ class Cylinder:
         curve = np.concatenate([np.zeros((1, 2)), np.cumsum(0.5 * (steps[1:] + steps[:-1]), axis=0)])
         return cls(turn=rng.uniform(0, np.pi), at=at, curve=curve - curve[at.size // 2])
 
-    def __call__(self, uv: Floats) -> Floats:
+    def __call__(self, uv):
         c, s = np.cos(self.turn), np.sin(self.turn)
         p, q = uv[..., 0] * c + uv[..., 1] * s, -uv[..., 0] * s + uv[..., 1] * c
         x, z = (np.interp(p, self.at, self.curve[:, k]) for k in range(2))
@@ -72,7 +72,7 @@ class Cone:
     lines: Floats  # (n, 3) unit vectors over the angle between them
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, slope: float) -> Cone:
+    def drawn(cls, rng, slope):
         """Draw a cone whose steepest slope is about ``slope``."""
         apex = rng.uniform(5000, 15000)
         theta = np.linspace(-0.9, 0.9, 36001)
@@ -84,7 +84,7 @@ class Cone:
         at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(lines, axis=0), axis=1))])
         return cls(apex=apex, turn=rng.uniform(0, 2 * np.pi), at=at - at[at.size // 2], lines=lines)
 
-    def __call__(self, uv: Floats) -> Floats:
+    def __call__(self, uv):
         c, s = np.cos(self.turn), np.sin(self.turn)
         p, q = uv[..., 0] * c + uv[..., 1] * s + self.apex, -uv[..., 0] * s + uv[..., 1] * c
         along, angle = np.hypot(p, q), np.arctan2(q, p)
@@ -93,14 +93,14 @@ class Cone:
         return np.stack([x * c - y * s, x * s + y * c, z], axis=-1)
 
 
-def tangents(surface: Surface, uv: Floats, step: float = 4.0) -> tuple[Floats, Floats, Floats]:
+def tangents(surface, uv, step=4.0):
     """Derivatives by u and v and the unit normal, each (..., 3)."""
     by = [(surface(uv + d) - surface(uv - d)) / (2 * step) for d in (np.array([step, 0.0]), np.array([0.0, step]))]
     normal = np.cross(by[0], by[1])
     return by[0], by[1], normal / np.linalg.norm(normal, axis=-1, keepdims=True)
 
 
-def material(surface: Surface, points: Floats) -> Floats:
+def material(surface, points):
     """(u, v, s) with surface(u, v) + s normal = points (..., 3)."""
     uv = points[..., :2].copy()
     for _ in range(12):
@@ -127,7 +127,7 @@ class Bent:
     holes: Floats  # (n, 2)
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator, slope: float, holes: int) -> Bent:
+    def drawn(cls, rng, slope, holes):
         """Draw a sheet with a neutral surface anywhere between stiffness ratios of 0 and 3."""
         surface = (Cylinder if rng.random() < 0.6 else Cone).drawn(rng, slope)
         height = float(np.sqrt(max(3.2, 0.3 * holes) / 1.3)) * 1000
@@ -157,15 +157,15 @@ class Bent:
 class _Fields:
     """Smooth random fields of the plane, and the columns that stand on a face."""
 
-    def __init__(self, rng: np.random.Generator, surface: Surface, height: float) -> None:
+    def __init__(self, rng, surface, height):
         self.rng, self.surface = rng, surface
         self.n = int(2.4 * height / PITCH_UM)
 
-    def __call__(self, mean: float, sd: float) -> Floats:
+    def __call__(self, mean, sd):
         fine, wide = _noise(self.rng, self.n, self.n, 25 / PITCH_UM), _noise(self.rng, self.n, self.n, 300 / PITCH_UM)
         return mean + sd * (0.85 * fine + 0.5 * wide)
 
-    def under(self, places: Floats, start: Floats, field: Floats) -> tuple[Floats, Floats]:
+    def under(self, places, start, field):
         """(u, v) and height of the face ``field`` over the neutral surface at the columns ``places`` (..., 2)."""
         uv = start.copy()
         for _ in range(8):

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -32,7 +31,7 @@ _PIXEL_UM = 40.0
 _ALONE = {0.35: 0.06, 0.8: 0.3}  # um that the flattening may leave where the neutral surface is known
 
 
-def one(slope: str, marks: str, seed: int) -> dict[str, Any]:
+def one(slope, marks, seed):
     """Draw, flatten and register one sheet; true and stated error, rms over the pixels."""
     rng = np.random.default_rng([seed, [*SLOPES].index(slope), [*MARKS].index(marks)])
     low, high = MARKS[marks]
@@ -72,7 +71,7 @@ def _registered(sheet, flat, pose, noise, rng):
     return fit_transform(moving, fixed, model="auto", weights=covariance, lowest="similarity")
 
 
-def alone(slope: float, sheets: int = 6) -> float:
+def alone(slope, sheets=6):
     """What the flattening leaves where the neutral surface is known, rms over some sheets of 9 holes, in um."""
     found = []
     for seed in range(sheets):
@@ -81,7 +80,7 @@ def alone(slope: float, sheets: int = 6) -> float:
     return rms(found)
 
 
-def main(each: int = 16, file: str = "errors.jsonl") -> int:
+def main(each=16, file="errors.jsonl"):
     """Draw what is not there yet and print the table; 1 where a limit is missed."""
     path = Path(file)
     lines = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []

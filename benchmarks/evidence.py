@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 import tempfile
 import time
-from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
@@ -26,15 +25,11 @@ from benchmarks.shared import in_parts, memory
 from planish.analyze import coherence, correlate, paired_difference, size_curve, without_screen
 from planish.analyze.compare import correlate_layers
 from planish.analyze.covariance import Lags
-from planish.core.typing import Floats
-
-Maps = tuple[Floats, Floats]
 
 SHAPE, SIDE = (150, 200), 150
-Say = Callable[[Floats], str]
 
 
-def field(rng: np.random.Generator, shape: tuple[int, int], length: float | tuple[float, float], kind: str) -> Maps:
+def field(rng, shape, length, kind):
     """Two unrelated maps of variance 1 and correlation exp(-h / length), or exp(-(h / length)^2), by embedding."""
     down, across = length if isinstance(length, tuple) else (length, length)
     size = [fft.next_fast_len(2 * n) for n in shape]
@@ -46,10 +41,7 @@ def field(rng: np.random.Generator, shape: tuple[int, int], length: float | tupl
     return both.real.copy(), both.imag.copy()
 
 
-def related(
-    rng: np.random.Generator, r: float, length: float | tuple[float, float], noise: float | None = None,
-    kind: str = "exp", shape: tuple[int, int] = SHAPE,
-) -> Maps:  # fmt: skip
+def related(rng, r, length, noise=None, kind="exp", shape=SHAPE):
     """Two maps of correlation r; what the second does not share with the first has its own length."""
     a, rest = field(rng, shape, length, kind)
     if noise is not None:
@@ -57,20 +49,20 @@ def related(
     return a, r * a + math.sqrt(1 - r * r) * rest
 
 
-def with_nugget(rng: np.random.Generator, r: float, length: float) -> Maps:
+def with_nugget(rng, r, length):
     """Maps of correlation r, 40 % of whose variance is noise of single pixels."""
     a, b = related(rng, r / 0.6, length)
-    return tuple(math.sqrt(0.6) * m + math.sqrt(0.4) * rng.normal(size=SHAPE) for m in (a, b))  # type: ignore[return-value]
+    return tuple(math.sqrt(0.6) * m + math.sqrt(0.4) * rng.normal(size=SHAPE) for m in (a, b))
 
 
-def lognormal(rng: np.random.Generator, r: float, length: float) -> Maps:
+def lognormal(rng, r, length):
     """Exponentials of 0.6 times Gaussian maps, with the correlation r of the exponentials."""
     s = 0.36
     a, b = related(rng, math.log(1 + r * (math.exp(s) - 1)) / s, length)
     return np.exp(0.6 * a), np.exp(0.6 * b)
 
 
-def with_holes(rng: np.random.Generator, r: float, length: float) -> Maps:
+def with_holes(rng, r, length):
     """Maps with holes, their rims and a border missing."""
     a, b = related(rng, r, length)
     rows, cols = np.mgrid[: SHAPE[0], : SHAPE[1]]
@@ -81,7 +73,7 @@ def with_holes(rng: np.random.Generator, r: float, length: float) -> Maps:
     return a, b
 
 
-def exact_n_eff(length: float | tuple[float, float], kind: str = "exp") -> float:
+def exact_n_eff(length, kind="exp"):
     """Dutilleul's number by the true covariance at every lag."""
     known = np.ones(SHAPE, bool)
     lags = Lags(known, (1.0, 1.0))
@@ -97,7 +89,7 @@ def exact_n_eff(length: float | tuple[float, float], kind: str = "exp") -> float
     return 1 + trace**2 / (float(np.sum(pairs * c * c)) - 2 * float(np.sum(rows**2)) / n + whole**2 / n**2)
 
 
-def statements(make: Callable[[np.random.Generator], Maps], r: float, seed: int, count: int) -> Floats:
+def statements(make, r, seed, count):
     """For each pair: whether the interval holds r, p < .05, naive p < .05, n_eff, width, whether a sign is named.
 
     NaN where withheld.
@@ -113,7 +105,7 @@ def statements(make: Callable[[np.random.Generator], Maps], r: float, seed: int,
     return np.array(out, dtype=float)
 
 
-def coherences(length: float, seed: int, count: int) -> Floats:
+def coherences(length, seed, count):
     """p of each octave of unrelated maps."""
     rng = np.random.default_rng(seed)
     return np.array([[k.p for k in coherence(*related(rng, 0, length), pixel_um=1.0).bands] for _ in range(count)])
@@ -122,7 +114,7 @@ def coherences(length: float, seed: int, count: int) -> Floats:
 CURVE = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)
 
 
-def curves(r: float, length: float, noise: float, seed: int, count: int) -> Floats:
+def curves(r, length, noise, seed, count):
     """Whether the band holds the whole true curve."""
     rng, out = np.random.default_rng(seed), []
     own, rest = ([_variance(k, s) for s in CURVE] for k in (length, noise))
@@ -140,7 +132,7 @@ def _variance(length, size):
     return float(np.sum(weight * np.exp(-np.hypot(at[:, None], at) / length)))
 
 
-def differences(length: float, seed: int, count: int) -> Floats:
+def differences(length, seed, count):
     """Whether the paired interval holds the true difference; 3 x 2 mm at 12 um."""
     rng, out, shape = np.random.default_rng(seed), [], (166, 250)
     for _ in range(count):
@@ -151,7 +143,7 @@ def differences(length: float, seed: int, count: int) -> Floats:
     return np.array(out, dtype=float)
 
 
-def against(run: Path, seed: int, count: int) -> Floats:
+def against(run, seed, count):
     """Of drawn images and a run's maps: whether a direction is named, and whether any p of the table is below .05."""
     linked = xr.open_zarr(run / "maps.zarr", group="linked", consolidated=False).load()
     pixel = float(linked["x"].values[1] - linked["x"].values[0])
@@ -170,7 +162,7 @@ FIELD, FIELD_UM = (300, 400), 20.0  # 8 x 6 mm
 _THICK_SD_UM, _THICK_ERROR_UM, _PLACE_ERROR_UM = 4.5, 0.35, 1.5  # errors: docs/accuracy.md
 
 
-def brightness(r2: float, seed: int, count: int) -> Floats:
+def brightness(r2, seed, count):
     """Fields of 8 x 6 mm at points of 100 um: r, limits, n_eff, n. Thickness and places are measured with errors."""
     rng, out = np.random.default_rng(seed + round(1e6 * r2)), []
     for _ in range(count):
@@ -189,7 +181,7 @@ def _measured(rng, a):
     return _THICK_SD_UM * moved + _THICK_ERROR_UM * rng.normal(size=a.shape)
 
 
-def prints(seed: int, count: int) -> Floats:
+def prints(seed, count):
     """Prints with a screen of 60 lines/cm at 45 degrees: r² with it taken off, r² without any screen, n_eff, n."""
     rng, out, pixel = np.random.default_rng(seed), [], 12.0
     rows, cols = np.indices((500, 667)) * pixel
@@ -203,7 +195,7 @@ def prints(seed: int, count: int) -> Floats:
     return np.array(out, dtype=float)
 
 
-def stored(folder: Path, rows: int, cols: int) -> None:
+def stored(folder, rows, cols):
     """Write two maps and a mask, band by band, as a run stores them."""
     rng = np.random.default_rng(0)
     group = zarr.open_group(folder, mode="w")
@@ -216,7 +208,7 @@ def stored(folder: Path, rows: int, cols: int) -> None:
         made["mask"][begin : begin + many] = rng.random((many, cols)) > 0.1
 
 
-def cost_of(folder: Path, whole: bool, what: str) -> str:
+def cost_of(folder, whole, what):
     """Correlate the stored maps, in a process of its own: processor time and what the memory grew by."""
     data = xr.open_zarr(folder, consolidated=False)
     data = data.load() if whole else data
@@ -234,7 +226,7 @@ def cost_of(folder: Path, whole: bool, what: str) -> str:
     return f"{spent:.2f} s of processor time, {grown}; n_eff {n_eff:.0f}"
 
 
-def large() -> None:
+def large():
     """Cost at 4000 x 3000 pixels with a mask, and of 160 million pixels from a store."""
     for rows, cols, whole, what in (
         (3000, 4000, True, "correlate"), (3000, 4000, True, "scales"), (10_944, 14_592, False, "correlate"),
@@ -324,7 +316,7 @@ _FEW = {**{_FIELD_OF.format(r2): 200 for r2 in _POPULATIONS}, "print screen": 20
 """Large fields take longer, and fewer of them say enough."""
 
 
-def main(pairs: int | str = 1000, run: str = "") -> int:
+def main(pairs=1000, run=""):
     jobs = [*_jobs()]
     if run:
         jobs.append(("drawn images against a run", partial(against, Path(run)), _named))

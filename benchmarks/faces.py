@@ -8,15 +8,12 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any
 
 import numpy as np
-import xarray as xr
 from tests.surface.sheets import Sheet
 
 from planish.core.errors import PlanishError
 from planish.core.frame import Frame
-from planish.core.typing import Floats
 from planish.surface import SurfaceParams, find_surfaces
 
 _MOST_RMS = 0.5  # voxel
@@ -74,7 +71,7 @@ def _families():
     yield "wide, tilt 45 about both", wide | {"tilt": (35.0, 35.0)}
 
 
-def cases() -> dict[str, Sheet]:
+def cases():
     """Every case by its name."""
     return {name: replace(Sheet(), **changes) for name, changes in _families()}
 
@@ -91,7 +88,7 @@ class Figures:
     share: float
     coated: bool
 
-    def missed(self, sheet: Sheet) -> list[str]:
+    def missed(self, sheet):
         """Names of the limits that were missed."""
         coats = sheet.coats if sheet.top == "high" else sheet.coats[::-1]
         bias = [abs(layer[0]) for layer, coat in zip(self.layers, coats, strict=False) if coat >= 3]
@@ -103,9 +100,9 @@ class Figures:
         return [name for name, is_kept in kept.items() if not is_kept]
 
 
-def judge(found: xr.Dataset, sheet: Sheet) -> Figures:
+def judge(found, sheet):
     """Compare what was found with the planes."""
-    truth, up = sheet.surfaces(), Frame(top=sheet.top).sign  # type: ignore[arg-type]
+    truth, up = sheet.surfaces(), Frame(top=sheet.top).sign
     heights = {name: found[name].values for name in truth}
     ok = found["status"].values == 0
 
@@ -128,7 +125,7 @@ def judge(found: xr.Dataset, sheet: Sheet) -> Figures:
     )
 
 
-def main(*only: Any) -> int:
+def main(*only):
     """Print the table; return the number of cases that missed a limit."""
     part = " ".join(str(word) for word in only)
     print("bias and rms in um: faces along the normal, layers' thickness; share of columns measured")
@@ -141,7 +138,7 @@ def main(*only: Any) -> int:
         grey = sheet.volume()
         begin = time.perf_counter()
         try:
-            found = find_surfaces(grey, frame=Frame(through=sheet.through, top=sheet.top))  # type: ignore[arg-type]
+            found = find_surfaces(grey, frame=Frame(through=sheet.through, top=sheet.top))
         except PlanishError as error:
             failed += 1
             print(f"{name:52s} {type(error).__name__}: {error}")
@@ -161,7 +158,7 @@ def main(*only: Any) -> int:
     return failed
 
 
-def wedge(most: float, voxel: float, seed: int = 0) -> tuple[xr.DataArray, Floats]:
+def wedge(most, voxel, seed=0):
     """A sheet whose top coating grows from 0 to ``most`` um along the columns, and its thickness per column."""
     count = 160
     thickness = np.linspace(0.0, most, count)
@@ -173,7 +170,7 @@ def wedge(most: float, voxel: float, seed: int = 0) -> tuple[xr.DataArray, Float
     return shape.copy(data=np.concatenate([p.values[:, :, :1] for p in parts], axis=2)), thickness
 
 
-def thin_layers() -> None:
+def thin_layers():
     """Print true against found thickness of layers thinner than the blur: 4 um of blur, voxels of 1.37 um."""
     print("found thickness in um of thin coatings, blur 4 um, voxel 1.37 um, noise 5 %")
     print(f"{'true':>6s}{'even':>14s}{'other side 15':>16s}{'grey given':>12s}{'in a wedge':>13s}")

@@ -1,6 +1,6 @@
 """How well laser holes are found and centred: diameters of 8 to 80 pixels on eleven papers, among ten look-alikes each.
 
-``python -m benchmarks holes [synthetic | rims | scorched]``
+``python -m benchmarks holes [synthetic | rims | scorched | fibres] [times]``
 
 Two truths: the centre the laser aimed at, and the area centroid of the outline it cut. The rim's roughness moves the
 second against the first, and no image shows by how much.
@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import itertools
 from collections import defaultdict
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -43,7 +42,7 @@ class Hole:
     lean: tuple[float, float]  # where the bottom's centre lies from the top's
 
     @property
-    def centroid(self) -> Floats:
+    def centroid(self):
         """Centre of the area that was really cut, at the top."""
         cube = self.outline**3 / (1.5 * np.sum(self.outline**2))
         return np.array([self.x + np.sum(cube * np.cos(_ANGLES)), self.y + np.sum(cube * np.sin(_ANGLES))])
@@ -67,7 +66,7 @@ class Score:
     false: int = 0
     errors: dict[str, list[Floats]] = field(default_factory=lambda: defaultdict(list))
 
-    def add(self, scene: Scene, holes: Floats, variance: Floats, centres: Floats | None = None) -> None:
+    def add(self, scene, holes, variance, centres=None):
         """Compare what was found (n, 2) with a scene; ``centres`` (m, 2) instead of the nominal ones."""
         nominal = np.array([(h.x, h.y) for h in scene.holes])
         true = nominal if centres is None else centres
@@ -82,7 +81,7 @@ class Score:
         }  # fmt: skip
         self.take(Score(found, len(true) - found, len(holes) - found, {name: [v] for name, v in errors.items()}))
 
-    def take(self, part: Score) -> None:
+    def take(self, part):
         """Add another score to this one."""
         self.found += part.found
         self.missed += part.missed
@@ -90,29 +89,29 @@ class Score:
         for name, values in part.errors.items():
             self.errors[name] += values
 
-    def rms(self, name: str) -> float:
+    def rms(self, name):
         """Rms per axis of one kind of error, um."""
         return rms(np.concatenate(self.errors[name] or [[]]))
 
     @property
-    def recall(self) -> float:
+    def recall(self):
         """Share of the holes that was found."""
         return self.found / max(self.found + self.missed, 1)
 
     @property
-    def stated(self) -> float:
+    def stated(self):
         """Rms per axis of the stated standard deviations, um."""
         return float(np.sqrt(np.mean(np.concatenate(self.errors["variance"] or [[np.nan]]))))
 
 
-def around(rng: np.random.Generator, sd: float, length: float, perimeter: float) -> Floats:
+def around(rng, sd, length, perimeter):
     """Gaussian noise around a rim with correlation length ``length``, in um."""
     sigma = max(length / 2 / perimeter * _ANGLES.size, 1.0)
     noise = ndimage.gaussian_filter1d(rng.normal(size=_ANGLES.size), sigma, mode="wrap")
     return sd * noise * np.sqrt(2 * np.sqrt(np.pi) * sigma)
 
 
-def least_error(rough_um: float = 4.0, length: float = 30.0, diameter: float = DIAMETER_UM) -> float:
+def least_error(rough_um=4.0, length=30.0, diameter=DIAMETER_UM):
     """Standard deviation per axis of the first wave of a rim, um.
 
     The waves of a stationary Gaussian rim are independent: the others say nothing about the first, and the first is a
@@ -123,7 +122,7 @@ def least_error(rough_um: float = 4.0, length: float = 30.0, diameter: float = D
     return rough_um * float(np.sqrt(wave))
 
 
-def make_hole(rng: np.random.Generator, x: float, y: float, rough_um: float = 4.0) -> Hole:
+def make_hole(rng, x, y, rough_um=4.0):
     """A hole as the specification's specimen has it."""
     diameter = rng.normal(DIAMETER_UM, DIAMETER_SD_UM)
     ratio = rng.uniform(1.0, 1.12)
@@ -140,7 +139,7 @@ def make_hole(rng: np.random.Generator, x: float, y: float, rough_um: float = 4.
 # --- papers: grey (rows, columns), mean about 1 ---------------------------------------------------------------------
 
 
-def gauss(rng: np.random.Generator, shape: tuple[int, int], length_um: float, pixel: float, sd: float) -> Floats:
+def gauss(rng, shape, length_um, pixel, sd):
     """Gaussian mottle; made on a coarse raster where it is smooth."""
     step = max(1, int(length_um / 6 / pixel))
     small = tuple(-(-n // step) + 4 for n in shape)
@@ -239,9 +238,7 @@ def _blocks(image):
     return blocks[: image.shape[0], : image.shape[1]]
 
 
-Paper = Callable[[np.random.Generator, tuple[int, int], float, float], Floats]
-
-PAPERS: dict[str, Paper] = {
+PAPERS = {
     "plain": lambda _r, s, _p, _i: np.ones(s),
     "mottle": lambda r, s, p, _i: 1 + gauss(r, s, 120, p, 0.08) + gauss(r, s, 500, p, 0.05),
     "fibres": lambda r, s, p, _i: _fibres(r, s, p),
@@ -293,7 +290,7 @@ def _look_alikes(rng, paper, pixel, places, bright):
 # --- scenes ---------------------------------------------------------------------------------------------------------
 
 
-def places(rng: np.random.Generator) -> tuple[Floats, Floats]:
+def places(rng):
     """Places (x, y) of the holes, three diameters apart, and of eight look-alikes, two diameters from everything."""
     while True:
         found = []
@@ -308,9 +305,7 @@ def places(rng: np.random.Generator) -> tuple[Floats, Floats]:
             return np.array(found[:HOLES]), np.array(found[HOLES:])
 
 
-def fine_window(
-    hole: Hole, pixel: float, shape: tuple[int, int], beyond: float
-) -> tuple[tuple[slice, slice], Floats, Floats, int]:
+def fine_window(hole, pixel, shape, beyond):
     """Pixels around a hole, coordinates of their sub-pixels from its centre, and how many those are along a side."""
     box = _around(hole.x, hole.y, hole.outline.max() + beyond, pixel, shape)
     sub = int(np.clip(np.ceil(pixel / 1.5), 3, 15))
@@ -329,18 +324,18 @@ def _around(x, y, reach, pixel, shape):
     return slice(low[0], max(high[0], low[0])), slice(low[1], max(high[1], low[1]))
 
 
-def shrunk(values: Floats, sub: int) -> Floats:
+def shrunk(values, sub):
     """Means of sub x sub sub-pixels."""
     rows, cols = values.shape
     return values.reshape(rows // sub, sub, cols // sub, sub).mean((1, 3))
 
 
-def polar(v: Floats, u: Floats) -> tuple[Floats, NDArray[np.intp]]:
+def polar(v, u):
     """Radius, and which of the 720 angles."""
     return np.hypot(v, u), (np.arctan2(v, u) % (2 * np.pi) / np.pi * 360).astype(np.intp) % _ANGLES.size
 
 
-def make_scene(seed: int, paper: str, across: float, *, bright: bool = False, rough_um: float = 4.0) -> Scene:
+def make_scene(seed, paper, across, *, bright=False, rough_um=4.0):
     """An image of one paper with twelve holes, eight look-alikes and two holes cut by the border."""
     rng = np.random.default_rng([seed, list(PAPERS).index(paper), round(across), int(bright)])
     pixel = DIAMETER_UM / across
@@ -374,7 +369,7 @@ def make_scene(seed: int, paper: str, across: float, *, bright: bool = False, ro
     return Scene(image=image.astype(np.float32), pixel=pixel, holes=holes)
 
 
-def make_presence(seed: int, across: float, depth: float, *, rough_um: float = 4.0) -> tuple[Scene, Floats]:
+def make_presence(seed, across, depth, *, rough_um=4.0):
     """Where there is sheet at one depth (0 top, 1 bottom): 0 or 1 and noise; with the true centres there."""
     rng = np.random.default_rng([seed, round(across)])
     pixel = DIAMETER_UM / across
@@ -392,7 +387,7 @@ def make_presence(seed: int, across: float, depth: float, *, rough_um: float = 4
     return Scene(image=seen.astype(np.float32), pixel=pixel, holes=holes), centres
 
 
-def look(scene: Scene, score: Score, centres: Floats | None = None) -> None:
+def look(scene, score, centres=None):
     """Find the holes of a scene and add them to a score."""
     found = find_holes(scene.image, pixel_um=scene.pixel)
     at = np.stack([found["x"].values, found["y"].values], axis=1)
@@ -457,10 +452,15 @@ def _rims(seeds):
     return failed
 
 
-def main(part: str = "all", seeds: int = 1) -> int:
+def main(part="all", seeds=1):
     """Print the tables; 1 if a limit was missed."""
-    from benchmarks import scorched
+    from benchmarks import on_fibres, scorched
 
-    parts = {"synthetic": (_synthetic, 1), "rims": (_rims, 4), "scorched": (scorched.main, 3)}
+    parts = {
+        "synthetic": (_synthetic, 1),
+        "rims": (_rims, 4),
+        "scorched": (scorched.main, 3),
+        "fibres": (on_fibres.main, 60),
+    }
     chosen = parts.values() if part == "all" else [parts[part]]
     return int(sum(run(times * seeds) for run, times in chosen) > 0)

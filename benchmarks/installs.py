@@ -26,7 +26,7 @@ _PYTHONS = ("3.11", "3.12", "3.13")
 _PIP = ("-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--only-binary=:all:")
 
 
-def main(part: str = "tests", python: str | float | None = None) -> int:
+def main(part="tests", python=None):
     """Print a table; return the number of rows that failed."""
     wanted = (str(python),) if python is not None else _PYTHONS
     failed = 0
@@ -70,9 +70,7 @@ def _interpreter(version):
     return None
 
 
-def _row(
-    python, kind, folder, wheel, tests
-):  # fmt: skip
+def _row(python, kind, folder, wheel, tests):
     """Make an environment, install, try: the cells of a row, and whether all went well."""
     subprocess.run([python, "-m", "venv", str(folder)], check=True)
     scripts = folder / ("Scripts" if os.name == "nt" else "bin")

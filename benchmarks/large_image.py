@@ -21,7 +21,6 @@ from pathlib import Path
 import numpy as np
 import tifffile
 import xarray as xr
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from benchmarks.shared import folder_for, memory, options, planish, size_of, timed
@@ -38,12 +37,11 @@ from planish.synthetic import (
     write_instruments,
 )
 
-Floats32 = NDArray[np.float32]
 PIXEL_UM, VOXEL_UM = 1.37, 5.0
 _FIELD = 1.2  # image over sheet: it reaches beyond it and is turned against it
 
 
-def main(*arguments: str | int) -> int:
+def main(*arguments):
     asked = options(
         "large_image", arguments, rows="3416,10944", memory="4GB", folder=None, texture=False, hand=False, near=False
     )
@@ -55,7 +53,7 @@ def main(*arguments: str | int) -> int:
     return 0
 
 
-def measure(rows: int, cols: int, folder: Path, limit: str) -> None:
+def measure(rows, cols, folder, limit):
     """Make a specimen where it is not there yet, link it, and print what that took."""
     out, pixels = folder / f"run-{rows}", rows * cols
     shutil.rmtree(out, ignore_errors=True)
@@ -72,7 +70,7 @@ def measure(rows: int, cols: int, folder: Path, limit: str) -> None:
     shutil.rmtree(out, ignore_errors=True)
 
 
-def specimen(rows: int, cols: int, folder: Path) -> tuple[Path, Path]:
+def specimen(rows, cols, folder):
     """Volume and image of a specimen whose image has so many pixels."""
     volume, image = folder / "volume.tif", folder / "cut.tif"
     if image.exists():
@@ -96,7 +94,7 @@ def specimen(rows: int, cols: int, folder: Path) -> tuple[Path, Path]:
     return volume, image
 
 
-def find_texture(*, mirrored: bool | None, is_near: bool = False) -> int:
+def find_texture(*, mirrored, is_near=False):
     """Find a map with a texture r of .5 in a large image, and print what that took; 1 where it lies 6 um off."""
     rng, pixel, (rows, cols), (ny, nx) = np.random.default_rng(1), 4.0, (11250, 15000), (500, 625)
 

@@ -59,7 +59,7 @@ class Pair:
     holes: tuple[xr.Dataset, xr.Dataset] | None = None
 
 
-def draw_pair(number: int, *, shown: int | None = None, holes: int = 0, light: float = _LIGHT) -> Pair:
+def draw_pair(number, *, shown=None, holes=0, light=_LIGHT):
     """Draw maps of a sheet and an image of it, or of the sheet ``shown``."""
     rng = np.random.default_rng([number, 0 if shown is None else 1])
     sheet = _sheet(number % SHEETS, holes)
@@ -125,7 +125,7 @@ def _texture_r(maps, image, pose):
     )
 
 
-def main(right: int = 60, wrong: int = 120, first: int = 0, holes: int = 0, light: int = 6) -> int:
+def main(right=60, wrong=120, first=0, holes=0, light=6):
     """Print the power by texture r, the errors, and the wrong pairs that were linked; 1 where a limit is missed."""
     started, off, ratios, seconds = time.process_time(), [], [], []
     drawn = partial(draw_pair, holes=holes, light=light / 1000)

@@ -23,7 +23,7 @@ from planish.validate.errors import PAIR, Comparison
 _MOST_UM, _MOST_PIXELS = 1.5, 1.0
 
 
-def main(sheets: int = 3) -> int:
+def main(sheets=3):
     """Print the distances of each sheet; 1 where a median is too large."""
     missed = False
     for seed in range(5, 5 + sheets):

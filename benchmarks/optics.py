@@ -26,7 +26,7 @@ BASE = float(pile(scattering=45.0, absorption=1.2))
 """Reflectance of a pile of uncoated base."""
 
 
-def cover(fields: int, seed: int, lengths_um: tuple[float, float], *, of_rest: bool = True) -> tuple[list[float], str]:
+def cover(fields, seed, lengths_um, *, of_rest=True):
     """Shares of fields whose interval holds S, the base, and the slope and straightness of a line; and a row."""
     rng, held, n_effs = np.random.default_rng(seed), [], []
     for _ in range(fields):
@@ -54,7 +54,7 @@ def _field(rng, length_um):
     return field(rng, _SHAPE, length_um / _POINT_UM, "exp")[0]
 
 
-def main(fields: int = 200, seed: int = 0) -> int:
+def main(fields=200, seed=0):
     """Print the tables; the number of limits that were missed."""
     missed = 0
     for of_rest in (True, False):

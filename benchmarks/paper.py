@@ -22,11 +22,10 @@ from typing import NamedTuple
 from zlib import crc32
 
 import numpy as np
-import xarray as xr
 from scipy import ndimage
 
 from planish.core.errors import PlanishError
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Floats
 from planish.measure import measure_properties
 from planish.run import map_sheet
 from planish.run.facts import property_facts
@@ -38,7 +37,6 @@ from planish.synthetic import (
     FilmParams,
     PaperParams,
     ScannerParams,
-    Specimen,
     SpecimenParams,
     Warp,
     make_specimen,
@@ -64,29 +62,29 @@ class Sized:
     image: Floats | None  # reflectance at these columns, where the property shows in it
 
     @property
-    def mean(self) -> float:
+    def mean(self):
         """Mean error."""
         return float(self.error.mean())
 
     @property
-    def stated_off(self) -> float:
+    def stated_off(self):
         """Mean error in stated errors of the mean."""
         return abs(self.mean) / self.mean_stated
 
     @property
-    def ratios(self) -> tuple[float, float]:
+    def ratios(self):
         """Rms of (error less its mean) over the stated error, and the same from the median deviation."""
         ratio = ((self.error - self.mean) / self.stated)[self.stated > 0]
         return float(np.sqrt(np.mean(ratio**2))), 1.4826 * float(np.median(np.abs(ratio)))
 
     @property
-    def classes(self) -> list[float]:
+    def classes(self):
         """Mean error by class of the true value; NaN where fewer than 0.5 % of the columns are."""
         members = [(self.true >= low) & (self.true < high) for low, high in pairwise(_CLASSES_UM)]
         return [float(self.error[m].mean()) if m.mean() > 0.005 else math.nan for m in members]
 
     @property
-    def thin(self) -> tuple[float, float] | None:
+    def thin(self):
         """Of the places truly below 3 um the share found, and of those named the share that are it."""
         is_thin, is_named = self.true < _THIN_UM, self.true + self.error < _THIN_UM
         if is_thin.mean() < 0.02:
@@ -95,7 +93,7 @@ class Sized:
         return both / np.count_nonzero(is_thin), both / max(np.count_nonzero(is_named), 1)
 
     @property
-    def r(self) -> tuple[float, float] | None:
+    def r(self):
         """Correlation of the measured and of the true values with the image."""
         if self.image is None:
             return None
@@ -103,7 +101,7 @@ class Sized:
         maps = (self.true + self.error, self.true)
         return tuple(float(np.corrcoef(m[seen], self.image[seen])[0, 1]) for m in maps)
 
-    def line(self) -> str:
+    def line(self):
         """Numbers of a row of the table."""
         rms, robust = self.ratios
         words = [
@@ -207,7 +205,7 @@ def _fringed(rng):
 
 
 _COATED = ("coating_top", "coating_bottom", "thickness")
-KINDS: dict[str, Kind] = {
+KINDS = {
     "coated": Kind(_coated, _COATED),
     "coarse": Kind(_coarse, _COATED),
     "film": Kind(_on_film, _COATED),
@@ -220,7 +218,7 @@ KINDS: dict[str, Kind] = {
 }
 
 
-def main(*arguments: str | int) -> int:
+def main(*arguments):
     """Draw, measure and print, and sum up each kind; 0 in any case: the limits stand in docs/accuracy.md."""
     parser = argparse.ArgumentParser(prog="paper")
     parser.add_argument("kinds", nargs="*", metavar="KIND", help=", ".join(KINDS))
@@ -296,12 +294,12 @@ def _summed_up(all_sized):
     return rows
 
 
-def drawn(name: str, number: int) -> Specimen:
+def drawn(name, number):
     """Draw a specimen of a kind."""
     return make_specimen(KINDS[name].draw(np.random.default_rng([crc32(name.encode()), number])))
 
 
-def measured(specimen: Specimen, names: tuple[str, ...]) -> tuple[xr.Dataset, list[Sized]]:
+def measured(specimen, names):
     """Measure a specimen, and compare it with the truth column by column."""
     surfaces = find_surfaces(specimen.volume)
     properties = measure_properties(surfaces, volume=specimen.volume)
@@ -342,7 +340,7 @@ def _uv(specimen, columns):
     return u, v
 
 
-def truth(specimen: Specimen, columns: xr.Dataset) -> tuple[dict[str, Floats], Bools]:
+def truth(specimen, columns):
     """True thicknesses at each column, and which columns are clear of holes."""
     voxel = specimen.params.scanner.voxel_um
     sheet = specimen.sheet
@@ -355,10 +353,8 @@ def truth(specimen: Specimen, columns: xr.Dataset) -> tuple[dict[str, Floats], B
         )
     else:
         paper = specimen.params.paper
-        assert paper.fibres is not None
         bare = replace(specimen.params, paper=replace(paper, fibres=replace(paper.fibres, fuzz_per_mm2=0.0)), film=None)
         structure = make_specimen(bare).sheet.structure
-        assert structure is not None
         blur = specimen.params.scanner.fwhm_um
         top, bottom = (sheet.at(structure.face(blur, PITCH_UM, top=side), u, v) for side in (True, False))
         inner_top, inner_bottom = top, bottom

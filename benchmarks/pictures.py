@@ -11,7 +11,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 
 import matplotlib as mpl
@@ -33,18 +32,18 @@ IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
 _MISSING = "#d4d6d8"  # as on the page of a run
 
 
-def planish(*arguments: str, folder: Path) -> None:
+def planish(*arguments, folder):
     """Run the program in a folder."""
     subprocess.run(command_of(*arguments), cwd=folder, check=True, stdout=subprocess.DEVNULL)
 
 
-def stored(drawn: Path, folder: Path, colours: int = 200) -> None:
+def stored(drawn, folder, colours=200):
     """Keep a drawn figure in few colours: a third of the bytes."""
     with Image.open(drawn) as picture:
         picture.convert("RGB").quantize(colours, dither=Image.Dither.NONE).save(folder / drawn.name, optimize=True)
 
 
-def linked(path: Path, folder: Path) -> None:
+def linked(path, folder):
     """The image of the demo's specimen, and its coating on the same pixels."""
     planish("demo", "--out", "demo", folder=folder)
     maps = pl.open_run(folder / "demo" / "run").linked
@@ -68,7 +67,7 @@ def linked(path: Path, folder: Path) -> None:
     plt.close(figure)
 
 
-def tutorial(path: Path, folder: Path) -> None:
+def tutorial(path, folder):
     """What the tutorial shows: sections through the scan, the first page of the report, two of its figures."""
     page = (IMAGES.parent / "tutorial.md").read_text(encoding="utf-8")
     outcomes = console.run(page, folder)
@@ -83,15 +82,14 @@ def tutorial(path: Path, folder: Path) -> None:
         shot(figure, path.with_name(f"tutorial-{name}.png"), *size_of(figure))
 
 
-def size_of(figure: Path) -> tuple[int, int]:
+def size_of(figure):
     """Width and height of an SVG figure in pixels, the width being 760."""
     box = re.search(r'viewBox="[\d.-]+ [\d.-]+ ([\d.]+) ([\d.]+)"', figure.read_text(encoding="utf-8"))
-    assert box is not None
     width, height = float(box[1]), float(box[2])
     return 760, round(760 * height / width)
 
 
-def shot(page: Path, path: Path, width: int, height: int) -> None:
+def shot(page, path, width, height):
     """Take a picture of a page or figure as a browser shows it."""
     browser = next((found for name in ("chromium", "google-chrome", "chrome") if (found := shutil.which(name))), None)
     if browser is None:
@@ -110,7 +108,7 @@ def shot(page: Path, path: Path, width: int, height: int) -> None:
     stored(path, path.parent, 128)
 
 
-def first_pages(path: Path, folder: Path) -> None:
+def first_pages(path, folder):
     """The first pages of six reports: what a reader meets when all is well, and when it is not."""
     planish("demo", "--out", "demo", folder=folder)
     specimen = ["ct", "sections", "image"]
@@ -134,7 +132,7 @@ def first_pages(path: Path, folder: Path) -> None:
         shot(folder / f"run-{name}" / "report.html", path.with_name(f"first-{name}.png"), 1280, 900)
 
 
-def with_noise_alone(image: Path, path: Path) -> None:
+def with_noise_alone(image, path):
     """The image of another sheet with the holes of this one: noise of 120 um between the holes."""
     read = pl.read_image(image)
     grey = read.to_numpy().astype(np.float64)
@@ -151,7 +149,7 @@ def _written(path, grey, pixel_um):
     tifffile.imwrite(path, grey, resolution=size, resolutionunit="CENTIMETER")
 
 
-def overexposed(image: Path, path: Path) -> None:
+def overexposed(image, path):
     """The same image in 8 bits, its brightest 30 % cut off."""
     read = pl.read_image(image)
     grey = read.to_numpy()
@@ -160,7 +158,7 @@ def overexposed(image: Path, path: Path) -> None:
     _written(path, bright, read.attrs["pixel_um"])
 
 
-def gallery(path: Path, folder: Path) -> None:
+def gallery(path, folder):
     """What the examples draw; those on measured data that are not there keep their pictures."""
     examples = sorted((IMAGES.parents[1] / "examples").glob("*.py"))
     for example in examples:
@@ -177,7 +175,7 @@ def gallery(path: Path, folder: Path) -> None:
 _FACES = {"top": "#ff9f1c", "interface_top": "#2ec4b6", "interface_bottom": "#2ec4b6", "bottom": "#ff9f1c"}
 
 
-def real_paper(path: Path, folder: Path) -> None:
+def real_paper(path, folder):
     """A slice of the first specimen of each kind of paper, with the faces found in it."""
     for name in paper.KINDS:
         volume = paper.drawn(name, 0).volume
@@ -208,7 +206,7 @@ STUDIES = ("fig-06", "fig-07", "fig-09", "fig-11", "flattening", "design", "larg
 """Of full specimens, as docs/studies.md shows them."""
 
 
-def studies(path: Path, folder: Path) -> None:
+def studies(path, folder):
     """Figures of the studies; their statements, which the page quotes, are printed."""
     program = IMAGES.parents[1] / "examples" / "studies" / "make.py"
     for name in STUDIES:
@@ -217,13 +215,13 @@ def studies(path: Path, folder: Path) -> None:
         stored(folder / f"{name}.png", path.parent / "studies")
 
 
-PICTURES: dict[str, Callable[[Path, Path], None]] = {
+PICTURES = {
     "linked": linked, "tutorial-page": tutorial, "first-pages": first_pages, "examples": gallery,
     "studies": studies, "real-paper": real_paper,
 }  # fmt: skip
 
 
-def main(*names: str) -> int:
+def main(*names):
     """Make the pictures that are named."""
     for name in names or PICTURES:
         with tempfile.TemporaryDirectory() as folder:

@@ -14,18 +14,16 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.exporting import small_run
-from benchmarks.shared import folder_for, options
+from benchmarks.shared import folder_for, options, small_specimen
 from planish import export, open_run
 from planish.register.params import RegistrationParams
-from planish.run import Run
+from planish.run import Run, link
 
 _JARS = ("/usr/share/java/ij.jar", "/usr/share/imagej/ij.jar")
 _NAMES = ("coating_top", "image", "valid")
@@ -51,7 +49,7 @@ class Case(NamedTuple):
     pictures: Path | None
 
 
-def main(*arguments: str | int) -> int:
+def main(*arguments):
     asked = options("programs", arguments, run=None, folder=None, pictures=None)
     table = [Row("Program", "Command", "File", "Compared", "Largest difference")]
     failed = 0
@@ -76,12 +74,16 @@ class Missing(Exception):
     """A program is not installed."""
 
 
-def bent_run(folder: Path) -> Path:
+def bent_run(folder):
     """A run whose registration no affine map holds, so that fields of displacements are tried too."""
-    return small_run(folder, "bent", holes=8, registration=RegistrationParams(model="tps"))
+    run = folder / "bent"
+    if not run.exists():
+        files = small_specimen(folder / "bent-specimen", holes=8)
+        link(files.volume, files.image, out=run, registration=RegistrationParams(model="tps"))
+    return run
 
 
-def written(run: Path, folder: Path, pictures: Path | None) -> Case:
+def written(run, folder, pictures):
     """Write one of each format."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -105,7 +107,7 @@ def written(run: Path, folder: Path, pictures: Path | None) -> Case:
     return Case(folder, maps, step, opened, pictures)
 
 
-def largest(found: np.ndarray, expected: np.ndarray) -> str:
+def largest(found, expected):
     """Largest difference of two maps whose NaN have to agree; those of float32 are none."""
     found, expected = np.asarray(found, np.float64), np.asarray(expected, np.float64)
     assert found.shape == expected.shape, (found.shape, expected.shape)
@@ -116,7 +118,7 @@ def largest(found: np.ndarray, expected: np.ndarray) -> str:
     return f"{worst:.2g}"
 
 
-def program(name: str, *options: str) -> str:
+def program(name, *options):
     """First line that says its version; Missing where it is not installed."""
     if shutil.which(name) is None:
         raise Missing(f"{name} is not installed")
@@ -126,8 +128,8 @@ def program(name: str, *options: str) -> str:
     return number[0] if number else "?"
 
 
-def output(command: list[str], **more: object) -> str:
-    return subprocess.run(command, capture_output=True, text=True, check=True, **more).stdout  # type: ignore[call-overload]
+def output(command, **more):
+    return subprocess.run(command, capture_output=True, text=True, check=True, **more).stdout
 
 
 # --- the programs ----------------------------------------------------------------------------------------------------
@@ -149,7 +151,7 @@ print(json.dumps({"version": str(IJ.getVersion()), "pixel": [c.pixelHeight, c.pi
 """
 
 
-def imagej(case: Case) -> Iterator[Row]:
+def imagej(case):
     """A stack of maps: values, labels, pixel and unit."""
     jar = next((path for path in _JARS if Path(path).exists()), None)
     if jar is None or find_spec("jpype") is None:
@@ -166,7 +168,7 @@ def imagej(case: Case) -> Iterator[Row]:
     yield Row(name, "getCalibration", "maps.tif", "pixel, unit µm", difference(said["pixel"], case.pixel_um))
 
 
-def difference(found: object, expected: object, limit: float = 0.0) -> str:
+def difference(found, expected, limit=0.0):
     worst = float(np.abs(np.asarray(found, float) - np.asarray(expected, float)).max())
     assert worst <= limit, (found, expected)
     return f"{worst:.2g}"
@@ -181,7 +183,7 @@ disp(version());
 """
 
 
-def octave(case: Case) -> Iterator[Row]:
+def octave(case):
     """Both versions of a MATLAB file, the matrix, and the table of pixels."""
     from scipy import io
 
@@ -230,7 +232,7 @@ print(json.dumps(size))
 """
 
 
-def gwyddion(case: Case) -> Iterator[Row]:
+def gwyddion(case):
     """The first channel through Gwyddion's own libraries, and its check of the file."""
     name = f"Gwyddion {program('gwyddion', '--version')}"
     path = case.folder / "maps.gwy"
@@ -261,7 +263,7 @@ if (requireNamespace("ncdf4", quietly = TRUE)) {
 """
 
 
-def statistics(case: Case) -> Iterator[Row]:
+def statistics(case):
     """R: the table of pixels as the document says it, and the NetCDF by its own package."""
     name = f"R {program('Rscript', '--version')}"
     (case.folder / "read.R").write_text(_R, encoding="utf-8")
@@ -277,7 +279,7 @@ def statistics(case: Case) -> Iterator[Row]:
         yield Row(name, "ncdf4::nc_open", "maps.nc", "pixel", pixel)
 
 
-def placed(table: np.ndarray, case: Case) -> np.ndarray:
+def placed(table, case):
     """The map of a table with x, y and a value in each row."""
     down, across = case.pixel_um
     rows, cols = np.rint(table[:, 1] / down).astype(int), np.rint(table[:, 0] / across).astype(int)
@@ -331,7 +333,7 @@ SaveScreenshot(sys.argv[2], view)
 """
 
 
-def paraview(case: Case) -> Iterator[Row]:
+def paraview(case):
     """The surface in four formats: nodes, cells, the map that it carries."""
     program("pvpython", "--version")
     names = ("top.ply", "top.vtu", "top.stl", "top.obj")
@@ -363,7 +365,7 @@ def paraview(case: Case) -> Iterator[Row]:
                 str(case.pictures / "surface.png")])  # fmt: skip
 
 
-def transformix(case: Case) -> Iterator[Row]:
+def transformix(case):
     """elastix's own program: points, and a map of the sheet brought onto the image."""
     name = f"transformix {program('transformix', '--version')}"
     maps, fit = case.run.maps, next(iter(case.run.registrations.values())).fit

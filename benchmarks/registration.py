@@ -7,7 +7,7 @@ whose deviation from a similarity is 0 to 5 times the noise of the marks, 6 to 6
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,7 +54,7 @@ class Row:
     wrong: int
 
 
-def spread_marks(n: int, rng: np.random.Generator) -> Floats:
+def spread_marks(n, rng):
     """Marks anywhere in the field, no two closer than a quarter of the mean distance, as lasered holes are."""
     apart = 0.25 * np.sqrt(np.prod(EXTENT_UM) / n)
     marks = np.empty((0, 2))
@@ -65,7 +65,7 @@ def spread_marks(n: int, rng: np.random.Generator) -> Floats:
     return marks
 
 
-def hull_grid(marks: Floats, steps: int = 15) -> Floats:
+def hull_grid(marks, steps=15):
     """Points of a grid inside the hull of the marks."""
     return inside(marks, steps)[len(marks) :]
 
@@ -92,7 +92,7 @@ def _deviation(kind, size_um, rng):
     return lambda p: factor * shape(p)
 
 
-def drawn(rng: np.random.Generator, most: float = 5.0) -> Drawn:
+def drawn(rng, most=5.0):
     """A truth with its marks; the deviation is up to ``most`` times the noise."""
     kind = str(rng.choice(KINDS, p=_SHARES))
     n = round(float(np.exp(rng.uniform(np.log(6), np.log(60)))))
@@ -113,11 +113,11 @@ def drawn(rng: np.random.Generator, most: float = 5.0) -> Drawn:
     return Drawn(kind=kind, truth=truth, marks=marks, seen=truth(marks) + error, wrong=wrong, noise_um=noise)
 
 
-def judged(one: Drawn, models: Sequence[str] = (*MODELS, "auto")) -> Row:
+def judged(one, models=(*MODELS, "auto")):
     """Fit all models to one drawn truth."""
     grid = hull_grid(one.marks)
     truth = one.truth(grid)
-    true, stated, warned = dict[str, float](), dict[str, float](), dict[str, bool]()
+    true, stated, warned = {}, {}, {}
     # Which marks are wrong does not depend on the model: found once.
     weights = fit_transform(one.marks, one.seen).robust_weights
     for model in models:
@@ -146,7 +146,7 @@ class Summary:
     warned: float
 
 
-def summary(rows: Sequence[Row], model: str) -> Summary:
+def summary(rows, model):
     """What a model does over many truths."""
     true, stated = (np.array([v[model] for v in of]) for of in ([r.true_um for r in rows], [r.stated_um for r in rows]))
     best = np.array([np.nanmin(list(r.true_um.values())) for r in rows])
@@ -159,7 +159,7 @@ def summary(rows: Sequence[Row], model: str) -> Summary:
     )  # fmt: skip
 
 
-def main(truths: int = 400) -> int:
+def main(truths=400):
     """Print the table of all models and the limits; the number of limits that are missed."""
     start = time.process_time()
     rows = [judged(drawn(np.random.default_rng([0, k]))) for k in range(truths)]

@@ -45,7 +45,7 @@ class Case:
     fixed_dt: float
 
 
-def main(full: int = 0) -> int:
+def main(full=0):
     """Print the tables; return how many limits were missed."""
     relax_dynamically(*deformed(0, 4, 5), params=RelaxationParams(most_steps=1))  # compiles
     return _print_accuracy() + _print_speed(full > 0)

@@ -16,7 +16,6 @@ import warnings
 from collections import Counter
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 import tifffile
@@ -30,7 +29,7 @@ from planish.run.compute import Compute
 
 _DATA = Path(os.environ.get("PLANISH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 # Path, part (y, x) of it, and options.
-_REAL: dict[str, tuple[str, tuple[slice, slice] | None, dict[str, dict[str, Any]]]] = {
+_REAL = {
     "letter": (
         "letterpacket_ct/volume_zyx_uint8.tif", (slice(0, 30), slice(0, 30)),
         {"volume": {"voxel_um": (1.0, 1.0, 1.0), "through": "y"},
@@ -42,7 +41,7 @@ _REAL: dict[str, tuple[str, tuple[slice, slice] | None, dict[str, dict[str, Any]
     ),
 }  # fmt: skip
 # Kinds of benchmarks.paper by the tens and the units of a specimen's number.
-_FIBRES: tuple[dict[int, str], ...] = tuple(
+_FIBRES = tuple(
     dict(zip((0, 2, 4, 6, 9), kinds, strict=True))
     for kinds in (
         ("coated", "coated", "coated", "resin", "calendered"),
@@ -55,7 +54,7 @@ _FIBRES: tuple[dict[int, str], ...] = tuple(
 )
 
 
-def order_of(k: int) -> tuple[Draw, str]:
+def order_of(k):
     """The k-th specimen and its instrument."""
     rng, unit = np.random.default_rng([3, k]), k % 10
     is_second, large, steep = unit in (1, 3, 5, 7), unit in (3, 4, 8), unit in (5, 8)
@@ -71,7 +70,7 @@ def order_of(k: int) -> tuple[Draw, str]:
     return draw, {2: "scanner", 6: "sections"}.get(unit, "stack")
 
 
-def main(*words: str | int) -> int:
+def main(*words):
     """Run all, print which checks spoke; 1 where a goal is missed."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks right")
     parser.add_argument("--count", type=int, default=60)

@@ -9,7 +9,6 @@ import numpy as np
 from scipy import ndimage
 
 from benchmarks.holes import Scene, around, fine_window, gauss, make_hole, polar, shrunk
-from planish.core.typing import Floats
 from planish.marks import find_holes
 
 ANGLES = np.arange(720) * np.pi / 360
@@ -36,7 +35,7 @@ def _char(rng, look, width, towards, strength):
     return np.maximum(char, 0.01)
 
 
-def make_scorched(seed: int, name: str) -> Scene:
+def make_scorched(seed, name):
     """Twelve holes of one look; its levels, widths, pixel, blur, light and noise are drawn."""
     rng = np.random.default_rng([seed, LOOKS.index(name)])
     bright, look = name.startswith("bright"), name.removeprefix("bright ")
@@ -79,7 +78,7 @@ def make_scorched(seed: int, name: str) -> Scene:
     return Scene(image=image.astype(np.float32), pixel=pixel, holes=holes)
 
 
-def beyond(scene: Scene) -> tuple[Floats, Floats, int]:
+def beyond(scene):
     """Errors of the centres (n, 2) in um and in stated ones (n,) against the outlines cut; how many holes are false."""
     found = find_holes(scene.image, pixel_um=scene.pixel)
     at = np.stack([found["x"].values, found["y"].values], axis=1)
@@ -92,7 +91,7 @@ def beyond(scene: Scene) -> tuple[Floats, Floats, int]:
     return error, np.sqrt((yy * x**2 - 2 * xy * x * y + xx * y**2) / (xx * yy - xy**2)), int(np.count_nonzero(~hit))
 
 
-def main(seeds: int = 3) -> int:
+def main(seeds=3):
     """Print a table; 1 if a centre is beyond three times its stated error, or something false was found."""
     print(f"scorched rims\n{'':>16} found missed false  rms um  max um  largest in stated errors, beyond 3")
     failed = total = far = 0

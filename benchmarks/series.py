@@ -10,12 +10,10 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from benchmarks.evidence import field, related
@@ -34,25 +32,23 @@ from planish.analyze import (
     two_groups,
     variances_of,
 )
-from planish.core.typing import Floats
 
 MEAN_Z, N_EFF, EACH = 0.55, 70.0, 3
-Parts = Callable[..., Floats]
 _OWN = 1 / (N_EFF - 3)
 
 
-def names_of(counts: Sequence[int]) -> list[str]:
+def names_of(counts):
     """The sheet of every field."""
     return [f"S{k}" for k, n in enumerate(counts) for _ in range(n)]
 
 
-def students(values: Floats) -> tuple[float, float]:
+def students(values):
     """Interval of the mean of values that are taken for independent."""
     wide = float(stats.t.ppf(0.975, values.size - 1)) * float(values.std(ddof=1)) / math.sqrt(values.size)
     return float(values.mean()) - wide, float(values.mean()) + wide
 
 
-def holds(interval: tuple[float, float], truth: float) -> float:
+def holds(interval, truth):
     """Whether an interval holds the truth; NaN where there is none."""
     return math.nan if math.isnan(interval[0]) else float(interval[0] <= truth <= interval[1])
 
@@ -60,7 +56,7 @@ def holds(interval: tuple[float, float], truth: float) -> float:
 # --- r and properties over sheets ------------------------------------------------------------------------------------
 
 
-def ways(z: Floats, n_eff: Floats, names: list[str]):
+def ways(z, n_eff, names):
     """What is pooled of fields, and the intervals of z by the fields and by their numbers of points alone."""
     found = pooled_r(Fields(np.tanh(z).tolist(), names), n_eff.tolist())
     wide = 1.96 / math.sqrt(float(np.sum(n_eff - 3)))
@@ -68,7 +64,7 @@ def ways(z: Floats, n_eff: Floats, names: list[str]):
     return found, students(z), (middle - wide, middle + wide)
 
 
-def pooled(sheets: int, between: float, uneven: bool, seed: int, count: int) -> Floats:
+def pooled(sheets, between, uneven, seed, count):
     """Whether the interval of r holds it: by sheets, by weights (Hartung-Knapp), by fields, by n_eff alone."""
     rng, out, truth = np.random.default_rng((seed, sheets)), [], math.tanh(MEAN_Z)
     sheet = np.repeat(np.arange(sheets), EACH)
@@ -85,7 +81,7 @@ def pooled(sheets: int, between: float, uneven: bool, seed: int, count: int) -> 
     return np.array(out)
 
 
-def properties(counts: Sequence[int], between: float, seed: int, count: int) -> Floats:
+def properties(counts, between, seed, count):
     """Whether the intervals hold the mean, and the share of variance between sheets; and the mean by fields."""
     rng, out = np.random.default_rng((seed, len(counts))), []
     sheets, share = names_of(counts), between**2 / (between**2 + 1)
@@ -100,7 +96,7 @@ def properties(counts: Sequence[int], between: float, seed: int, count: int) -> 
     return np.array(out)
 
 
-def differences(sheets: int, seed: int, count: int) -> Floats:
+def differences(sheets, seed, count):
     """Whether intervals of differences hold the truth: a property and r before and after, r², and of two papers.
 
     And how often a difference as large as the margin is called equivalent.
@@ -139,7 +135,7 @@ def differences(sheets: int, seed: int, count: int) -> Floats:
 SHAPE, LENGTH = (60, 80), 4.0
 
 
-def with_maps(sheets: int, between: float, seed: int, count: int) -> Floats:
+def with_maps(sheets, between, seed, count):
     """The same with maps that correlate: r pooled, by fields, by n_eff alone; r and r² before and after."""
     rng, out, names = np.random.default_rng((seed, sheets, 1)), [], names_of([EACH] * sheets)
     nodes, weights = np.polynomial.hermite_e.hermegauss(60)
@@ -174,15 +170,15 @@ DESIGNS = (
 )  # fmt: skip
 
 
-def designed(which: int, seed: int, count: int) -> Floats:
+def designed(which, seed, count):
     """How often simulated studies of a design see the difference; and where there is none."""
     plan = DESIGNS[which]
-    planned = sheets_needed(**plan)  # type: ignore[arg-type]
+    planned = sheets_needed(**plan)
     rng, out, k, each = np.random.default_rng((seed, which)), [], planned.sheets, planned.fields
     mean, names = np.arctanh(np.sqrt(planned.r2)), names_of([each] * k)
-    shared, change = (float(plan.get(key, 0.0)) for key in ("shared", "change_between_sheets"))  # type: ignore[arg-type]
+    shared, change = (float(plan.get(key, 0.0)) for key in ("shared", "change_between_sheets"))
     for _ in range(count):
-        sheet = float(plan["between_sheets"]) * rng.normal(size=(2, k))  # type: ignore[arg-type]
+        sheet = float(plan["between_sheets"]) * rng.normal(size=(2, k))
         noise = rng.normal(size=(2, k, each)) / math.sqrt(planned.n_eff - 3)
         if planned.paired:
             sheet[1] = sheet[0] + change * rng.normal(size=k)
@@ -196,7 +192,7 @@ def designed(which: int, seed: int, count: int) -> Floats:
     return np.array(out, dtype=float)
 
 
-def designed_with_maps(paired: bool, seed: int, count: int) -> Floats:
+def designed_with_maps(paired, seed, count):
     """How often studies with random maps see r² .2 against .3, with 5 sheets of 2 fields."""
     rng, out, names = np.random.default_rng((seed, int(paired), 2)), [], names_of([2] * 5)
     mean = np.arctanh(np.sqrt(MAPS_R2))
@@ -222,16 +218,16 @@ MAPS_R2, MAPS_BETWEEN = (0.2, 0.3), 0.05
 FIELD = (90, 120)
 
 
-def waves(length: float | tuple[float, float], kind: str, shape: tuple[int, int], rng: np.random.Generator) -> Floats:
+def waves(length, kind, shape, rng):
     return field(rng, shape, length, kind)[0]
 
 
-def mixed(rng: np.random.Generator) -> Floats:
+def mixed(rng):
     """Noise of single pixels over waves."""
     return 0.6 * field(rng, FIELD, 8.0, "exp")[0] + 0.8 * rng.normal(size=FIELD)
 
 
-def pierced() -> NDArray[np.bool_]:
+def pierced():
     """A field with six holes."""
     rows, cols = np.mgrid[: FIELD[0], : FIELD[1]]
     known = np.ones(FIELD, bool)
@@ -241,7 +237,7 @@ def pierced() -> NDArray[np.bool_]:
     return known
 
 
-INSTRUMENTS: dict[str, tuple[Callable[[np.random.Generator], Floats], bool]] = {
+INSTRUMENTS = {
     "independent points": (lambda rng: rng.normal(size=FIELD), False),
     **{f"side/{90 / k:.0f}": (partial(waves, k, "exp", FIELD), False) for k in (1.0, 3.0, 6.0, 8.0, 10.0)},
     "Gaussian, side/15": (partial(waves, 6.0, "gauss", FIELD), False),
@@ -253,7 +249,7 @@ INSTRUMENTS: dict[str, tuple[Callable[[np.random.Generator], Floats], bool]] = {
 }
 
 
-def instruments(name: str, seed: int, count: int) -> Floats:
+def instruments(name, seed, count):
     """Whether the intervals of bias, scatter and both limits hold the truth; and what the limits are off by."""
     make, holes = INSTRUMENTS[name]
     rng, out, mask = np.random.default_rng((seed, *name.encode())), [], pierced() if holes else None
@@ -275,14 +271,11 @@ def instruments(name: str, seed: int, count: int) -> Floats:
 # --- all of them -----------------------------------------------------------------------------------------------------
 
 
-Line = tuple[str, dict[str, float], int]  # what was drawn, shares by name, and how many are outside of their limits
-
-
 def _missed(low, high, *shares):
     return sum(not low <= share <= high for share in shares)
 
 
-def main(studies: int | str = 4000, maps: int | str = 2000) -> int:
+def main(studies=4000, maps=2000):
     count, missed = int(studies), 0
     with ProcessPoolExecutor(2) as pool:
 
@@ -341,7 +334,7 @@ def _with_maps(parts, count):
 def _designs(parts, count):
     kinds = {True: "before and after", False: "two papers"}
     for k, plan in enumerate(DESIGNS):
-        planned = sheets_needed(**plan)  # type: ignore[arg-type]
+        planned = sheets_needed(**plan)
         seen, wrong = parts(designed, k, count=count).mean(axis=0)
         line = (
             f"design r² {planned.r2}, {kinds[planned.paired]}, n_eff {planned.n_eff:g}, z varies by "

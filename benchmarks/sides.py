@@ -18,7 +18,6 @@ from scipy import fft
 from benchmarks.shared import rms
 from planish.analyze.sides import texture_of
 from planish.core.facts import is_known
-from planish.core.typing import Floats
 
 
 @dataclass
@@ -33,12 +32,12 @@ class Drawn:
 class _Fields:
     """Periodic random fields of one grid."""
 
-    def __init__(self, rng: np.random.Generator, shape: tuple[int, int], pixel_um: float) -> None:
+    def __init__(self, rng, shape, pixel_um):
         self.rng, self.shape, self.pixel_um = rng, shape, pixel_um
         self._f = [fft.fftfreq(n, pixel_um)[:, None] if k == 0 else fft.fftfreq(n, pixel_um)[None] for k, n in
                    enumerate(shape)]  # fmt: skip
 
-    def draw(self) -> Floats:
+    def draw(self):
         """A field of sd 1: Gaussian, exponential, power law or fibrous, of some length and direction."""
         kind, length = self.rng.integers(4), float(np.exp(self.rng.uniform(np.log(8.0), np.log(60.0))))
         angle, stretch = self.rng.uniform(0, np.pi), self.rng.uniform(1.0, 2.0)
@@ -48,21 +47,21 @@ class _Fields:
         power = (np.exp(-k2 / 4), (1 + k2) ** -1.5, (0.05 + k2) ** -self.rng.uniform(0.7, 1.3), (1 + k2) ** -2.5)[kind]
         return self.filtered(self.rng.standard_normal(self.shape), np.sqrt(power), unit=True)
 
-    def filtered(self, values: Floats, gain: Floats, *, unit: bool = False) -> Floats:
+    def filtered(self, values, gain, *, unit=False):
         out = fft.ifft2(fft.fft2(values) * gain).real
         return (out - out.mean()) / out.std() if unit else out
 
-    def blurred(self, values: Floats, sigma_um: float) -> Floats:
+    def blurred(self, values, sigma_um):
         return self.filtered(values, np.exp(-2 * (np.pi * sigma_um) ** 2 * (self._f[0] ** 2 + self._f[1] ** 2)))
 
-    def moved(self, values: Floats, shift_um: tuple[float, float]) -> Floats:
+    def moved(self, values, shift_um):
         return self.filtered(values, np.exp(-2j * np.pi * (self._f[1] * shift_um[0] + self._f[0] * shift_um[1])))
 
-    def slopes(self, values: Floats) -> list[Floats]:
+    def slopes(self, values):
         return [np.asarray(np.gradient(values, self.pixel_um, axis=axis)) for axis in (1, 0)]
 
 
-def draw_sheet(seed: int, *, program: int | None = None) -> Drawn:
+def draw_sheet(seed, *, program=None):
     """Draw a sheet with its image; field, pixel and holes are drawn by ``program``, all else by the seed."""
     frame, rng = np.random.default_rng([7, seed if program is None else program]), np.random.default_rng([8, seed])
     pixel = float(np.exp(frame.uniform(np.log(3.0), np.log(20.0))))
@@ -78,7 +77,7 @@ def draw_sheet(seed: int, *, program: int | None = None) -> Drawn:
     # The sheet: faces of the base, coatings that level them in part.
     coupled = rng.uniform(0, 0.7)
     base = [rng.uniform(1, 4) * fields.draw() for _ in range(2)]
-    coatings = list[Floats]()
+    coatings = []
     for face in base:
         made = np.sqrt(1 - coupled**2) * fields.draw() - coupled * face / face.std()
         mean = rng.uniform(8, 20)
@@ -147,7 +146,7 @@ def _told(check):
     return "other" if check.state == "fail" or "none is seen on the" in check.sentence else "none"
 
 
-def main(sheets: int = 100) -> int:
+def main(sheets=100):
     """Judge each as it is, exchanged, and with a foreign image; 1 on a wrong answer, or few answers."""
     told = {k: Counter() for k in ("stated", "other", "none")}  # by what should be told
     positions, errors = Counter(), []

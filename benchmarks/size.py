@@ -17,7 +17,6 @@ import json
 import shutil
 import statistics
 import time
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -29,7 +28,7 @@ from numba import njit
 from xarray.backends import BackendArray
 from xarray.core.indexing import IndexingSupport, LazilyIndexedArray, explicit_indexing_adapter
 
-from benchmarks.shared import Ran, folder_for, options, planish, size_of, succeeded
+from benchmarks.shared import folder_for, options, planish, size_of, succeeded
 from planish.io.store import write_store
 
 VOXEL_UM = 1.37
@@ -88,7 +87,7 @@ class Formula(BackendArray):
 
     dtype = np.dtype(np.uint8)
 
-    def __init__(self, shape: tuple[int, int, int]) -> None:
+    def __init__(self, shape):
         self.shape = shape
 
     def __getitem__(self, key):
@@ -104,7 +103,7 @@ class Formula(BackendArray):
         return out
 
 
-def main(*arguments: str | int) -> int:
+def main(*arguments):
     asked = options(
         "size", arguments, gvoxel="0.5,8", times=1, slices=False, folder=None, column_um="4.11", memory="2GB"
     )
@@ -145,7 +144,7 @@ def measure(gvoxel, folder, asked):
             print(f"  {check['state']}: {check['name']}: {check['sentence']}")
 
 
-def mapped(volume: Path, out: Path, asked) -> Ran:
+def mapped(volume, out, asked):
     """Map a volume by the command line."""
     shutil.rmtree(out, ignore_errors=True)
     voxel = () if volume.suffix == ".zarr" else ("--voxel-um", VOXEL_UM)
@@ -153,14 +152,14 @@ def mapped(volume: Path, out: Path, asked) -> Ran:
     return succeeded(command)
 
 
-def sixteen_bits(edge: int):
+def sixteen_bits(edge):
     """The greys of a sheet in 16 bits, whose last digits are noise."""
     values = volume((DEPTH, edge, edge)).values.astype(np.uint16) * 97
     values += np.random.default_rng(1).integers(0, 97, values.shape, dtype=np.uint16)
     return values
 
 
-def write_slices(values, folder: Path, compression: str | None) -> None:
+def write_slices(values, folder, compression):
     """Write a folder of slices."""
     folder.mkdir(exist_ok=True)
     for k, plane in enumerate(values):
@@ -168,7 +167,7 @@ def write_slices(values, folder: Path, compression: str | None) -> None:
         tifffile.imwrite(file, plane, photometric="minisblack", compression=compression)
 
 
-def decode_slices(folder: Path) -> None:
+def decode_slices(folder):
     """Read and decode every slice, on two threads."""
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(lambda file: tifffile.imread(file, maxworkers=1).nbytes, sorted(folder.iterdir())))
@@ -199,13 +198,13 @@ def compare_slices(gvoxel, folder, asked):
               "store (1.3)")  # fmt: skip
 
 
-def volume(shape: tuple[int, int, int]) -> xr.DataArray:
+def volume(shape):
     coords = {k: np.arange(n) * VOXEL_UM for k, n in zip("zyx", shape, strict=True)}
     attrs = {"voxel_um": [VOXEL_UM] * 3, "file_name": "formula", "file_bytes": 0, "full_scale": 255}
     return xr.DataArray(xr.Variable(("z", "y", "x"), LazilyIndexedArray(Formula(shape))), coords=coords, attrs=attrs)
 
 
-def plain_pass(store: Path) -> float:
+def plain_pass(store):
     """Seconds to read and decompress every chunk, on two threads."""
     array = zarr.open_group(store, mode="r")["0"]
     start = time.perf_counter()
@@ -215,7 +214,7 @@ def plain_pass(store: Path) -> float:
     return time.perf_counter() - start
 
 
-def boxes(shape: tuple[int, ...], edges: tuple[int, ...]) -> Iterator[tuple[slice, ...]]:
+def boxes(shape, edges):
     """Parts of an array, one after the other."""
     for corner in itertools.product(*(range(0, n, edge) for n, edge in zip(shape, edges, strict=True))):
         yield tuple(slice(at, at + edge) for at, edge in zip(corner, edges, strict=True))

@@ -30,7 +30,7 @@ _FOLDER = Path(__file__).resolve().parents[1] / "docs" / "images"
 _SIZE_UM = (1500.0, 1100.0)
 
 
-def main(seed: int = 7) -> int:
+def main(seed=7):
     """Draw one sheet a preset: both volumes in cross-section, the image, the print, and the coating."""
     for name in PRESETS:
         path = _FOLDER / f"specimen-{name}.png"
@@ -39,7 +39,7 @@ def main(seed: int = 7) -> int:
     return 0
 
 
-def draw(name: str, seed: int, path: Path) -> None:
+def draw(name, seed, path):
     """Draw one preset."""
     params = SpecimenParams(
         size_um=_SIZE_UM,

@@ -20,7 +20,7 @@ from benchmarks.shared import planish, succeeded
 _LIMITS = {"--help": 0.25, "info": 0.55, "link": 7.5}
 
 
-def main(times: int = 5, cold: int = 0) -> int:
+def main(times=5, cold=0):
     """Print the times; 1 where one is above its limit."""
     failed = 0
     with tempfile.TemporaryDirectory() as name:

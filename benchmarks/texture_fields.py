@@ -34,7 +34,7 @@ def _drawn_um(rng):
     return float(np.exp(rng.uniform(np.log(8.0), np.log(60.0))))
 
 
-def searched(number: int) -> tuple[float, bool]:
+def searched(number):
     """Probability that the search of one pair states, and whether it would be linked."""
     rng, pixel = np.random.default_rng([number, 7]), (_SEARCH_UM, _SEARCH_UM)
     shape = int(rng.integers(45, 80)), int(rng.integers(45, 80))
@@ -49,7 +49,7 @@ def searched(number: int) -> tuple[float, bool]:
     return found.false_probability, found.is_sure
 
 
-def held_out(number: int, r: float) -> tuple[float, tuple[float, float] | None, bool]:
+def held_out(number, r):
     """r of two fields whose correlation is known, its interval, and whether they are called related."""
     rng = np.random.default_rng([number, 8])
     shape, length_um = (int(rng.integers(150, 200)), int(rng.integers(190, 240))), rng.uniform(10.0, 30.0)
@@ -62,7 +62,7 @@ def held_out(number: int, r: float) -> tuple[float, tuple[float, float] | None, 
     return found.r, None, found.p <= 0.05
 
 
-def linked(number: int, r: float, area_mm2: float) -> bool:
+def linked(number, r, area_mm2):
     """Whether a map of an area is found in an image that shows it with a texture r."""
     rng, pixel = np.random.default_rng([number, 9]), (_SEARCH_UM, _SEARCH_UM)
     n = round(1000.0 * np.sqrt(area_mm2) / _SEARCH_UM)
@@ -82,7 +82,7 @@ def linked(number: int, r: float, area_mm2: float) -> bool:
     return found.is_sure and bool(off_um < 60.0)
 
 
-def main(searches: int = 300, fields: int = 40, power: int = 10, first: int = 0) -> int:
+def main(searches=300, fields=40, power=10, first=0):
     """Print the shares; 1 where a limit is missed."""
     started = time.process_time()
     pairs = [searched(k) for k in range(first, first + searches)]

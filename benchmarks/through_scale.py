@@ -10,7 +10,6 @@ direction, and its thickness varies as paper's does. Fields: 600 x 500 columns o
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,11 +20,8 @@ from benchmarks.shared import rms
 from planish.checks import CHECKS, RegisteredSheet
 from planish.checks.through_scale import estimate, judge_marks, scale_from_thickness
 from planish.core.frame import Frame
-from planish.core.typing import Floats
 from planish.flatten import flatten_sheet
 from planish.register import fit_transform
-
-Development = Callable[[Floats, Floats], tuple[Floats, Floats, Floats]]
 
 _THICK_UM, _FORMATION, _GRAIN_UM = 90.0, 0.05, 150.0
 
@@ -42,7 +38,7 @@ class Case:
     cone: bool = False
 
 
-def profile(rng: np.random.Generator, lengths: Floats) -> Floats:
+def profile(rng, lengths):
     """Slopes along a line: three waves of about its length, of rms 1."""
     span = float(np.ptp(lengths))
     waves = [
@@ -52,7 +48,7 @@ def profile(rng: np.random.Generator, lengths: Floats) -> Floats:
     return np.sum(waves, axis=0)
 
 
-def cylinder(rng: np.random.Generator, tilt: float, shape_um: tuple[float, float]) -> Development:
+def cylinder(rng, tilt, shape_um):
     """Heights and flat places of a general cylinder, by points (x, y)."""
     turn = rng.uniform(0, np.pi)
     half = np.hypot(*shape_um) / 2
@@ -75,7 +71,7 @@ def cylinder(rng: np.random.Generator, tilt: float, shape_um: tuple[float, float
     return at
 
 
-def cone(rng: np.random.Generator, tilt: float, shape_um: tuple[float, float]) -> Development:
+def cone(rng, tilt, shape_um):
     """Heights and flat places of a general cone, its tip outside of the field."""
     far = np.hypot(*shape_um) * rng.uniform(1.0, 2.5)
     at_deg = rng.uniform(-np.pi, np.pi)
@@ -100,7 +96,7 @@ def cone(rng: np.random.Generator, tilt: float, shape_um: tuple[float, float]) -
     return at
 
 
-def examine(case: Case, rng: np.random.Generator):
+def examine(case, rng):
     """Draw a sheet, state its spacing wrongly, flatten, register and check it: the check, and the estimate."""
     rows, cols = 250, 300  # every second column of the scanner
     step = 2 * case.pitch_um
@@ -129,7 +125,6 @@ def examine(case: Case, rng: np.random.Generator):
     fit = fit_transform(moving, fixed, model="auto", lowest="similarity")
     registered = RegisteredSheet(measured=seen, flat=flat, fit=fit)
     found = estimate(registered)
-    assert found is not None
     light = next(light for light in CHECKS if light.stage is RegisteredSheet)
     return judge_marks(light, registered, found, scale_from_thickness(seen)), found
 
@@ -150,7 +145,7 @@ def _stretch(rng):
     return rng.uniform(0.98, 1.02) * (np.eye(2) + rng.uniform(0, 0.002) * np.outer(way, way)) @ rotation
 
 
-def draw(rng: np.random.Generator, *, tilts=(0.0, 60.0), marks=(4, 31), errors=(0.5, 5.0)) -> Case:
+def draw(rng, *, tilts=(0.0, 60.0), marks=(4, 31), errors=(0.5, 5.0)):
     """A case of either instrument: a scanner's voxels of 1.5 to 5 um, photographs' of 4 to 10 um."""
     low, high = (1.5, 5.0) if rng.random() < 0.5 else (4.0, 10.0)
     return Case(
@@ -170,7 +165,7 @@ _LINES = (  # what is drawn, how, stated over true spacing, share of the cases, 
 )
 
 
-def main(cases: int = 200, seed: int = 1) -> int:
+def main(cases=200, seed=1):
     """Print the table; 1 if a limit is missed."""
     rng = np.random.default_rng(seed)
     print(f"{'':34}{'cases':>7}{'seen %':>8}{'fail %':>8}{'unknown %':>11}{'error of s':>12}{'z, rms':>8}{'s CPU':>8}")

@@ -24,7 +24,7 @@ _CASES = (
 )  # fmt: skip
 
 
-def cover(fields: int, seed: int, share: float, what: str) -> list[float]:
+def cover(fields, seed, share, what):
     """Shares of fields whose r lies in the interval as stated and in the second opinion; warned; ratio of widths."""
     rng, side = np.random.default_rng(seed), _SHAPE[0]
     found = np.zeros(4)
@@ -44,7 +44,7 @@ def cover(fields: int, seed: int, share: float, what: str) -> list[float]:
     return list(found / fields)
 
 
-def main(fields: int | str = 200, seed: int | str = 0) -> int:
+def main(fields=200, seed=0):
     """Print the table; the number of cases in which the interval as stated covers less than it promises."""
     print("maps, length          as stated  second opinion  warned  second over first, width")
     failed = 0

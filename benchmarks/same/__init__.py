@@ -25,7 +25,6 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -38,11 +37,11 @@ _HERE = Path(__file__).parent
 _FORMER = {"0.1.0": "53637cb", "0.2.0": "9ab4fc1"}  # the last commit of each version's own results
 _MOST_LINES = 20  # of one part
 
-KEYS: dict[str, str] = {}
+KEYS = {}
 """Keys of results that got another name: old -> new, with ``[]`` for an index."""
 
 _CODE = "which code made a run is noted since 0.3.0"
-EXPECTED: tuple[tuple[str, str], ...] = (
+EXPECTED = (
     ("*.json:code", _CODE),
     ("exports/all-crate/ro-crate-metadata.json:*", f"size and hash of results.json: {_CODE}"),
     ("design/specimen/truth/parameters.json:parameters.*", "a base of fibres, a film and section gains are parameters"),
@@ -57,7 +56,7 @@ EXPECTED: tuple[tuple[str, str], ...] = (
 """Differences that are meant: a pattern of ``PART/PLACE``, and why."""
 
 
-def main(*arguments: str | int) -> int:
+def main(*arguments):
     """Print what differs, part by part; 1 where something does that is not meant."""
     parser = argparse.ArgumentParser(prog="same")
     parser.add_argument("old", nargs="?", help="commit to compare with")
@@ -78,7 +77,7 @@ def main(*arguments: str | int) -> int:
         return compare(Path(place).resolve(), commit, asked.new.resolve(), names, reuse=asked.reuse)
 
 
-def compare(folder: Path, commit: str, new: Path, names: Sequence[str], *, reuse: bool) -> int:
+def compare(folder, commit, new, names, *, reuse):
     """Do the parts on both sides at the same time, and print their differences."""
     begun, home = time.monotonic(), folder / commit
     tree = worktree(folder, commit)
@@ -137,7 +136,7 @@ def _reported(name, home, seconds):
 # --- what both sides need --------------------
 
 
-def worktree(folder: Path, commit: str) -> Path:
+def worktree(folder, commit):
     """A checkout of a commit."""
     tree = folder / "trees" / commit
     if not (tree / "src").is_dir():
@@ -146,14 +145,14 @@ def worktree(folder: Path, commit: str) -> Path:
     return tree
 
 
-def environment(tree: Path) -> Path:
+def environment(tree):
     """The interpreter of a checkout's own environment, made as its run.py makes it."""
     code = "import run; run.set_up('dev.lock'); print(run.PYTHON)"
     made = subprocess.run([sys.executable, "-c", code], cwd=tree, check=True, capture_output=True, text=True)
     return Path(made.stdout.splitlines()[-1])
 
 
-def make_inputs(home: Path, tree: Path, python: Path) -> None:
+def make_inputs(home, tree, python):
     """Specimens by the old side, and runs of earlier versions by these versions."""
     inputs, partial = home / "inputs", home / "inputs.partial"
     if inputs.is_dir():

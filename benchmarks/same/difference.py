@@ -6,9 +6,7 @@ import csv
 import json
 import re
 import tomllib
-from collections.abc import Callable, Iterator, Mapping
-from pathlib import Path
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -26,7 +24,7 @@ _SIDE = re.compile(r"(?<=/)(old|new)(?=/)")  # folder of a side, in whole paths
 _OF_THEIR_OWN = {".jsonl", ".lock", ".log"}  # journals know the time
 
 
-def differences(old: Path, new: Path, keys: Keys) -> Iterator[tuple[str, str]]:
+def differences(old, new, keys):
     """Give place and size of every difference of two folders, file by file; hidden files do not count."""
     places = [sorted(units(folder)) for folder in (old, new)]
     for place in sorted({*places[0]} | {*places[1]}):
@@ -39,7 +37,7 @@ def differences(old: Path, new: Path, keys: Keys) -> Iterator[tuple[str, str]]:
                 yield f"{place}{':' if where else ''}{where}", what
 
 
-def units(folder: Path) -> Iterator[str]:
+def units(folder):
     """Files of a folder, a Zarr store counting as one."""
     for path in sorted(folder.iterdir()):
         if path.name.startswith(".") or path.suffix in _OF_THEIR_OWN:
@@ -53,7 +51,7 @@ def units(folder: Path) -> Iterator[str]:
 # --- arrays --------------------
 
 
-def arrays(old: Any, new: Any) -> str | None:
+def arrays(old, new):
     """Say how two arrays differ: type, shape, or how many values by how much; NaN equals NaN."""
     if (old.dtype, old.shape) != (new.dtype, new.shape):
         return f"{old.dtype} {old.shape} -> {new.dtype} {new.shape}"
@@ -214,7 +212,7 @@ def _bytes(old, new, _keys):
         yield "", f"{int((a != b).sum())} of {a.size} bytes, the first at {int(np.argmax(a != b))}"
 
 
-_READERS: dict[str, Callable[[Path, Path, Keys], Iterator[tuple[str, str]]]] = {
+_READERS = {
     ".json": _json, ".geojson": _json, ".toml": _toml, ".csv": _csv, ".html": _html, ".tif": _tiff, ".mat": _matlab,
     ".nc": _netcdf,
 }  # fmt: skip

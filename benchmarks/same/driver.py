@@ -13,7 +13,7 @@ from pathlib import Path
 _LIBRARIES = ("numba", "numpy", "pydantic", "rich", "scipy.ndimage", "tifffile", "xarray", "zarr")
 
 
-def main() -> None:
+def main():
     """Serve until the input ends."""
     os.sched_setaffinity(0, {int(sys.argv[1])})
     for name in _LIBRARIES:

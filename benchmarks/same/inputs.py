@@ -25,7 +25,7 @@ from planish.synthetic import (
 try:
     from planish.synthetic import BurnParams
 except ImportError:  # its former name
-    from planish.synthetic import HoleParams as BurnParams  # type: ignore[reportAttributeAccessIssue, no-redef]
+    from planish.synthetic import HoleParams as BurnParams
 
 VOXEL_UM, PIXEL_UM = 4.0, 5.0
 _CAMERA = CameraParams(pixel_um=PIXEL_UM, radial=0.0, stretch=0.0, shading=0.0, nuisance_sd=0.004)
@@ -52,7 +52,7 @@ _REGIONS = """{"type": "FeatureCollection", "features": [{"type": "Feature",
 """
 
 
-def main(folder: Path) -> None:
+def main(folder):
     """Write all of them."""
     small = make_specimen(_SMALL)
     write_instruments(small, folder / "small")
@@ -83,7 +83,7 @@ def main(folder: Path) -> None:
     write_marks(folder / "marks")
 
 
-def write_marks(folder: Path) -> None:
+def write_marks(folder):
     """Write marks as ImageJ and BigWarp do, in the layouts that planish only reads."""
     folder.mkdir()
     moving = [(250.0, 500.0), (1250.0, 312.5), (800.0, 1500.0), (2000.0, 1800.0)]
@@ -98,7 +98,7 @@ def write_marks(folder: Path) -> None:
     (folder / "bigwarp.json").write_text(json.dumps({"landmarks": inner}), encoding="utf-8")
 
 
-def save(path: Path, volume: np.ndarray) -> None:
+def save(path, volume):
     """Write a volume as ImageJ does."""
     size, metadata = (1 / VOXEL_UM, 1 / VOXEL_UM), {"spacing": VOXEL_UM, "unit": "um", "axes": "ZYX"}
     tifffile.imwrite(path, np.ascontiguousarray(volume), imagej=True, resolution=size, metadata=metadata)

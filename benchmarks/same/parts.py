@@ -36,17 +36,17 @@ class Side:
     _driver: subprocess.Popen[str] | None = None
 
     @property
-    def folder(self) -> Path:
+    def folder(self):
         """Where the part is done."""
         return self.home / self.part
 
     @property
-    def environment(self) -> dict[str, str]:
+    def environment(self):
         """Of every process: the sources of this side, one thread a library, one version."""
         path = os.pathsep.join(map(str, (SITE, self.source)))
         return os.environ | {"PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}
 
-    def do(self, part: str) -> None:
+    def do(self, part):
         """Do a part, and list its commands with their exit codes."""
         self.part, self.commands = part, []
         shutil.rmtree(self.folder, ignore_errors=True)
@@ -56,15 +56,11 @@ class Side:
         with subprocess.Popen(command, cwd=self.folder, env=self.environment, **pipes) as self._driver:
             for line in PARTS[part].lines:
                 self._done(line)
-            assert self._driver.stdin is not None
             self._driver.stdin.close()
         (self.folder / "commands.json").write_text(json.dumps(self.commands, indent=1), encoding="utf-8")
 
-    def planish(self, *arguments: str | float) -> int:
+    def planish(self, *arguments):
         """Run a command; what it prints stands in ``NN-VERB.json`` or ``.txt``, what it says of errors in ``.err``."""
-        assert self._driver is not None
-        assert self._driver.stdin is not None
-        assert self._driver.stdout is not None
         words = [str(word) for word in arguments]
         output = f"{len(self.commands):02d}-{words[0]}"
         asked = {"arguments": words, "output": output, "suffix": ".json" if "--json" in words else ".txt"}
@@ -95,7 +91,7 @@ class Part:
     lines: tuple[str, ...]
 
 
-def read_parts(text: str) -> dict[str, Part]:
+def read_parts(text):
     """Read the table of parts."""
     text = re.sub(r"^#.*\n", "", text, flags=re.MULTILINE)
     text = re.sub(r"\n +", " ", text)
@@ -114,7 +110,7 @@ PARTS = read_parts(Path(__file__).with_suffix(".txt").read_text(encoding="utf-8"
 # --- between the commands --------------------
 
 
-def clicked(side: Side) -> None:
+def clicked(side):
     """Marks of the run, some um off."""
     head, *rows = (side.folder / "run" / "marks.csv").read_text(encoding="utf-8").splitlines()
     cells = [row.split(",") for row in rows]
@@ -125,13 +121,13 @@ def clicked(side: Side) -> None:
     (side.folder / "clicked.csv").write_text("\n".join([head, *map(",".join, cells)]) + "\n", encoding="utf-8")
 
 
-def listed(side: Side) -> None:
+def listed(side):
     """A table of the runs of a series."""
     rows = [f"series/runs/s{k},{'AB'[k % 2]},{k}" for k in range(1, 5)]
     (side.folder / "runs.csv").write_text("\n".join(["run,paper,sheet", *rows]) + "\n", encoding="utf-8")
 
 
-def changed(side: Side) -> None:
+def changed(side):
     """Changes in the app, and its Apply."""
     with _Session(side, "run") as session:
         marks = json.loads((side.folder / "run" / "marks.json").read_text(encoding="utf-8"))["marks"]
@@ -154,28 +150,27 @@ ACTS = {"clicked": clicked, "listed": listed, "changed": changed}
 class _Session:
     """``planish view`` of a run, which is asked as its page asks it."""
 
-    def __init__(self, side: Side, run: str) -> None:
+    def __init__(self, side, run):
         command = [str(side.python), "-m", "planish", "view", run, "--no-browser", "--json"]
         self.server = subprocess.Popen(
             command, cwd=side.folder, env=side.environment, stdout=subprocess.PIPE, text=True
         )
-        assert self.server.stdout is not None
         self.address, _, self.token = json.loads(self.server.stdout.readline())["url"].partition("/#token=")
 
-    def __enter__(self) -> _Session:
+    def __enter__(self):
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *_):
         self.server.send_signal(signal.SIGINT)
         with suppress(subprocess.TimeoutExpired):
             self.server.wait(30)
         self.server.kill()
 
-    def change(self, **change: Any) -> None:
+    def change(self, **change):
         """Make a change."""
         self._asked("/api/change", {"change": change})
 
-    def apply(self) -> None:
+    def apply(self):
         """Make a new run of the changes, and wait for it."""
         self._asked("/api/apply", {})
         end = time.monotonic() + _APPLY_S

@@ -13,7 +13,6 @@ import tifffile
 from numpy.typing import NDArray
 
 from benchmarks.wrong.specimens import Right
-from planish.run import Run
 from planish.run.build import link
 from planish.run.compute import Compute
 from planish.synthetic import InstrumentFiles, write_instruments
@@ -35,43 +34,42 @@ class Case:
     voxel_um: tuple[float, float, float]
     image: Array
     pixel_um: tuple[float, float]
-    options: dict[str, dict[str, Any]] = field(default_factory=dict[str, dict[str, Any]])
-    back: list[Places] = field(default_factory=list[Places])
-    image_back: list[Places] = field(default_factory=list[Places])
+    options: dict[str, dict[str, Any]] = field(default_factory=dict)
+    back: list[Places] = field(default_factory=list)
+    image_back: list[Places] = field(default_factory=list)
     by_nature: tuple[str, ...] = ()
     side: str = "top"
     shown: Right | None = None  # the specimen of the image, where it is another
-    first: Array | None = None  # an image that is linked in place of the volume
     pairs: Array | None = None  # marks by hand: volume x, y, z and image x, y, in um
     note: str = ""
     instrument: str = "stack"  # or "scanner", "sections": of a specimen by planish, as it is
     files: InstrumentFiles | None = None  # of such an instrument
 
     @classmethod
-    def of(cls, right: Right) -> Case:
+    def of(cls, right):
         """The right input itself."""
         return cls(
             right=right, volume=right.volume, voxel_um=(right.voxel_um,) * 3, image=right.image,
             pixel_um=(right.pixel_um,) * 2,
         )  # fmt: skip
 
-    def option(self, group: str, **values: Any) -> None:
+    def option(self, group, **values):
         """Say something on the command line."""
         self.options[group] = self.options.get(group, {}) | values
 
-    def store(self, values: NDArray[np.floating]) -> None:
+    def store(self, values):
         """Take other greys for the volume, as 8 bits hold them."""
         self.volume = eight_bits(values)
 
-    def air(self, shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.uint8]:
+    def air(self, shape, rng):
         """What a scan shows beside the sheet."""
         return eight_bits(self.right.grey[0] + self.right.noise * rng.standard_normal(shape))
 
-    def run(self) -> Run:
+    def run(self):
         """Write the files and link them."""
         with tempfile.TemporaryDirectory(prefix="wrong-") as name:
             folder = Path(name)
-            first = self._write(folder)
+            volume = self._write(folder)
             image = folder / "image.tif"
             _write_image(image, self.image, self.pixel_um)
             sections = {k: dict(v) for k, v in self.options.items()}
@@ -83,13 +81,9 @@ class Case:
                 labels = [f"{k + 1},{','.join(f'{v:.3f}' for v in row)}" for k, row in enumerate(self.pairs)]
                 path.write_text("\n".join([f"label,{head}", *labels]) + "\n", encoding="utf-8")
                 sections["registration"] = sections.get("registration", {}) | {"marks": str(path)}
-            return link(str(first), str(image), compute=Compute(threads=1), **sections)
+            return link(str(volume), str(image), compute=Compute(threads=1), **sections)
 
     def _write(self, folder):
-        if self.first is not None:
-            path = folder / "first.tif"
-            _write_image(path, self.first, (self.right.pixel_um,) * 2)
-            return path
         if self.instrument != "stack":
             made = self.right.made["specimen"]
             self.files = write_instruments(made, folder / "files", volume=self.instrument, image=False)
@@ -103,7 +97,7 @@ class Case:
         return path
 
 
-def eight_bits(values: NDArray[np.floating]) -> NDArray[np.uint8]:
+def eight_bits(values):
     """Round to 0 to 255."""
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
 
@@ -114,7 +108,7 @@ def _write_image(path, image, pixel_um):
     tifffile.imwrite(path, grey, resolution=size, resolutionunit="CENTIMETER")
 
 
-def traced(steps: list[Places], places: Array) -> Array:
+def traced(steps, places):
     """Follow places of the last file back to the right one."""
     for step in reversed(steps):
         places = step(places)

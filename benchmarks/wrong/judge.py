@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
 
-from benchmarks.wrong.case import Case, traced
+from benchmarks.wrong.case import traced
 from benchmarks.wrong.specimens import NAMES
 from planish.analyze import correlate
 from planish.core.checks import CORRELATION, POSITION, PROPERTIES
 from planish.core.facts import is_known
 from planish.core.frame import Frame
 from planish.core.grid import pitch
-from planish.run import Run
 
 LEAST_UM, TIMES = 1.0, 2.0
 LEAST_R = 0.15
@@ -33,13 +31,13 @@ class Figure:
     stated: float
 
     @property
-    def wrong(self) -> bool:
+    def wrong(self):
         """Wrong by more than twice the stated error and more than 1 um."""
         least = LEAST_R if self.name == "correlation" else LEAST_UM
         return not self.error <= max(TIMES * self.stated, least)
 
 
-def covers(named: Sequence[str], figure: str) -> bool:
+def covers(named, figure):
     """Whether a check that names some figures speaks of one, as the run itself marks figures."""
     name = figure.split()[0]
     about = {name, *((PROPERTIES,) if name in NAMES else ())}
@@ -48,15 +46,13 @@ def covers(named: Sequence[str], figure: str) -> bool:
     return not about.isdisjoint(named)
 
 
-def figures(case: Case, run: Run) -> list[Figure]:
+def figures(case, run):
     """Every figure of the run with its error."""
-    found = []
-    if case.first is None:
-        found += _thicknesses(case, run)
-        if "linked" in run.groups and "position" not in case.by_nature:
-            found += _position(case, run)
+    found = _thicknesses(case, run)
+    if "linked" in run.groups and "position" not in case.by_nature:
+        found += _position(case, run)
     found += [Figure(name=name, error=np.inf, stated=0.0) for name in case.by_nature]
-    if "correlation" not in case.by_nature and case.first is None:
+    if "correlation" not in case.by_nature:
         found += _correlation(case, run)
     return found
 
@@ -64,10 +60,8 @@ def figures(case: Case, run: Run) -> list[Figure]:
 def _material(case, places_um, run):
     """True (u, v, s) of places (n, 3), x, y, z in um of the file as the run read it."""
     volume = run.study.layers[0].volume
-    assert volume is not None
     if case.files is not None:
         return case.right.material(case.files.to_physical(places_um, run.groups.get("sections")))
-    assert volume.voxel_um is not None
     voxels = traced(case.back, places_um[:, ::-1] / np.array(volume.voxel_um))
     return case.right.material(np.ascontiguousarray(voxels[:, ::-1] * case.right.voxel_um))
 

@@ -10,9 +10,6 @@ import numpy as np
 
 from benchmarks.wrong.case import Case
 
-Rng = np.random.Generator
-Change = Callable[[Case, Rng], object]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Kind:
@@ -23,22 +20,22 @@ class Kind:
 
     name: str
     title: str
-    change: Change
+    change: Callable[[Case, np.random.Generator], object]
     grave: bool = False
     hidden: str = ""
     answer: str = ""
-    order: dict[str, Any] = field(default_factory=dict[str, Any])
+    order: dict[str, Any] = field(default_factory=dict)
 
 
-KINDS: dict[str, Kind] = {}
+KINDS = {}
 
 
-def enter(name: str, title: str, change: Change, *, grave=False, hidden="", answer="", **order: Any) -> None:
+def enter(name, title, change, *, grave=False, hidden="", answer="", **order):
     """Enter a function into the table."""
     KINDS[name] = Kind(name=name, title=title, change=change, grave=grave, hidden=hidden, answer=answer, order=order)
 
 
-def kind(name: str, title: str, *, size: tuple[float, float, str] | None = None, **more: Any):
+def kind(name, title, *, size=None, **more):
     """Enter the function below; with ``size``, a range and its unit, it is given a strength from there."""
 
     def entered(change):
@@ -48,7 +45,7 @@ def kind(name: str, title: str, *, size: tuple[float, float, str] | None = None,
     return entered
 
 
-def sized(change: Callable[[Case, Rng, float], object], low: float, high: float, unit: str) -> Change:
+def sized(change, low, high, unit):
     """A change of a strength that is drawn evenly, and noted."""
 
     def strong(case, rng):
@@ -59,7 +56,7 @@ def sized(change: Callable[[Case, Rng, float], object], low: float, high: float,
     return strong
 
 
-def both(*changes: Change) -> Change:
+def both(*changes):
     """One change after the other."""
 
     def in_turn(case, rng):
@@ -69,12 +66,12 @@ def both(*changes: Change) -> Change:
     return in_turn
 
 
-def told(group: str, **values: Any) -> Change:
+def told(group, **values):
     """Something said on the command line."""
     return lambda case, _: case.option(group, **values)
 
 
-def along_either(change: Callable[[Case, Rng, int], object]) -> Change:
+def along_either(change):
     """Along y or x, as it is drawn."""
 
     def along(case, rng):

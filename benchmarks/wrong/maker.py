@@ -8,14 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage
-
-if TYPE_CHECKING:
-    from benchmarks.wrong.specimens import Draw, Right
 
 Floats = NDArray[np.float64]
 _GRID_UM = 4.0  # of the fields of thickness
@@ -23,7 +19,7 @@ _BEYOND_UM = 500.0
 _LEAST = 0.03  # share of the normal along an axis, below which the box counts as that wide: no division by 0
 
 
-def turned(angle: float) -> Floats:
+def turned(angle):
     """The matrix of a rotation in a plane."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s], [s, c]])
@@ -48,7 +44,7 @@ class Cone:
         s, c = np.sin(self.half_rad), np.cos(self.half_rad)
         return self.rho_um * np.array([s, 0, c]), np.array([[s, 0, c], [0, 1, 0], [c, 0, -s]])
 
-    def material(self, points: Floats) -> Floats:
+    def material(self, points):
         """(u, v, s) of points (..., 3)."""
         sign = 1.0 if self.convex else -1.0
         local = (points - self.middle) @ self.turn
@@ -64,7 +60,7 @@ class Cone:
         )
         return np.concatenate([flat, (sign * (r * cos - p[2] * sin))[..., None]], axis=-1)
 
-    def points(self, uv: Floats, s: Floats | float = 0.0) -> Floats:
+    def points(self, uv, s=0.0):
         """Points (..., 3) of material (u, v, s)."""
         sign = 1.0 if self.convex else -1.0
         flat = uv @ turned(self.along_rad)
@@ -79,7 +75,7 @@ class Cone:
         local = local * np.array([1.0, sign, sign])
         return local @ self.turn.T + self.middle
 
-    def centre(self, y: Floats, x: Floats) -> Floats:
+    def centre(self, y, x):
         """(u, v, z) of the sheet's middle over the columns (y, x), by Newton's method along z."""
         xs, ys = np.meshgrid(x, y)
         z = np.full(xs.shape, self.middle[2])
@@ -100,13 +96,13 @@ class Fields:
     faces: Floats
     tint: Floats
 
-    def at(self, field: Floats, u: Floats, v: Floats) -> Floats:
+    def at(self, field, u, v):
         """Bilinear value at (u, v); NaN where that is."""
         places = np.stack([(v - self.low[1]) / _GRID_UM, (u - self.low[0]) / _GRID_UM])
         found = ndimage.map_coordinates(field, np.nan_to_num(places), order=1, mode="nearest")
         return np.where(np.isfinite(u) & np.isfinite(v), found, np.nan)
 
-    def thickness(self, name: str, u: Floats, v: Floats) -> Floats:
+    def thickness(self, name, u, v):
         """True thickness by name."""
         from benchmarks.wrong.specimens import layer
 
@@ -120,20 +116,20 @@ class Pose:
     linear: Floats
     shift: Floats
 
-    def __call__(self, uv: Floats) -> Floats:
+    def __call__(self, uv):
         return np.asarray(uv) @ self.linear.T + self.shift
 
     @cached_property
-    def back(self) -> Floats:
+    def back(self):
         """Inverse of the linear part."""
         return np.linalg.inv(self.linear)
 
-    def inverse(self, xy: Floats) -> Floats:
+    def inverse(self, xy):
         """From the image to the sheet."""
         return (np.asarray(xy) - self.shift) @ self.back.T
 
 
-def make(order: Draw) -> Right:
+def make(order):
     """Draw one specimen."""
     from benchmarks.wrong.specimens import LARGE_UM, SIZE_UM, Right, heights
 
@@ -243,10 +239,7 @@ def _below(distance, normal, voxel):
     return np.clip(total / (6 * sides.prod(axis=-1)), 0.0, 1.0)
 
 
-def _scan(
-    cone, fields, burnt, shape, voxel, columns,
-    grey, noise, rng,
-):  # fmt: skip
+def _scan(cone, fields, burnt, shape, voxel, columns, grey, noise, rng):
     slopes = np.gradient(columns[..., 2], voxel)
     normal = np.stack([-slopes[1], -slopes[0], np.ones(shape[1:])], axis=-1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
@@ -290,9 +283,7 @@ def _pose(rng, columns, pixel):
     return Pose(linear=linear, shift=shift), (int(frame[1]), int(frame[0]))
 
 
-def _photograph(
-    fields, burnt, uv, pixel, rng
-):  # fmt: skip
+def _photograph(fields, burnt, uv, pixel, rng):
     u, v = uv[..., 0], uv[..., 1]
     coating = fields.thickness("coating_top", u, v)
     light = 0.62 + 0.012 * (coating - coating.mean()) + 0.012 * fields.at(fields.tint, u, v)

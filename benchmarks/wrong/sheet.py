@@ -5,14 +5,11 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from benchmarks.wrong.case import eight_bits
-from benchmarks.wrong.geometry import HALF, image_of_another, mirror_image, pixel, spacing
+from benchmarks.wrong.geometry import image_of_another, pixel
 from benchmarks.wrong.kinds import both, enter, kind, told
-
-Mask = NDArray[np.bool_]
 
 
 def _axes(case):
@@ -43,13 +40,6 @@ kind("second-sheet", "the same sheet a second time, touching", grave=True, size=
 kind("second-sheet-near", "the same sheet a second time, 5-15 um apart", size=(5, 15, _GAP))(_second)
 
 
-@kind("second-sheet-part", "a second sheet touching over a third of the field", size=(-3, 1, _GAP))
-def _part(case, rng, gap_um):
-    rows, cols = case.volume.shape[1:]
-    is_beyond = np.arange(cols) > rng.uniform(0.55, 0.7) * cols
-    _second(case, rng, gap_um, np.tile(is_beyond, (rows, 1)))
-
-
 kind(
     "second-uncoated", "two uncoated sheets pressed together", hidden="no face between them", coated=False,
     size=(-4, -1, _GAP),
@@ -65,14 +55,6 @@ def _fold(case, rng):
     _second(case, rng, rng.uniform(-2, 3), where)
     beyond = case.volume[:, :, x - width :]
     beyond[...] = case.air(beyond.shape, rng)
-
-
-@kind("overlap", "a scrap of 0.3-0.6 mm lies on the sheet")
-def _scrap(case, rng):
-    y, x = _axes(case)
-    at, half = rng.uniform(300, 700, 2), rng.uniform(150, 300, 2)
-    where = (np.abs(y - at[0]) < half[0])[:, None] & (np.abs(x - at[1]) < half[1])[None, :]
-    _second(case, rng, rng.uniform(-2, 2), where)
 
 
 @kind("delamination", "the base split over a patch of 0.25-0.5 mm, 10-30 um open")
@@ -105,88 +87,44 @@ def _split(case, rng):
     case.note = f"{open_um:.0f} um open"
 
 
-@kind("tear", "torn: 30-80 um open, one side 10-40 um higher")
-def _tear(case, rng):
-    voxel = case.right.voxel_um
-    wide, rise = rng.uniform(30, 80) / voxel, rng.uniform(10, 40) / voxel
-    _, rows, cols = case.volume.shape
-    edge = rng.uniform(0.35, 0.65) * cols + ndimage.gaussian_filter1d(rng.standard_normal(rows), 6) * 25
-    _taller(case, int(rise) + 2, rng)
-    z, y, x = np.indices(case.volume.shape, dtype=np.float32)
-    beyond = x > edge[None, :, None] + wide
-    gap = (x > edge[None, :, None]) & ~beyond
-    source = [np.where(beyond, z - rise, z), y, np.where(beyond, x - wide, x)]
-    moved = ndimage.map_coordinates(case.volume.astype(np.float32), source, order=1, mode="nearest")
-    case.store(np.where(gap, case.air(gap.shape, rng), moved))
-
-    def back(places):
-        done = places.copy()
-        past = places[:, 2] > np.interp(places[:, 1], np.arange(rows), edge) + 0.5 * wide
-        done[past] -= [rise, 0.0, wide]
-        return done
-
-    case.back.append(back)
-    case.note = f"{wide * voxel:.0f} um open, {rise * voxel:.0f} um higher"
-
-
-def _stuck(case, count, length_um, rng):
-    """Bright blobs or hairs on the top face, as dense as the coating."""
+@kind("dust", "30-80 grains of 20-40 um a mm2 stick to the coating", size=(30, 80, "grains a mm2"))
+def _dust(case, rng, density):
+    """Bright blobs on the top face, as dense as the coating."""
     right = case.right
     n, rows, cols = case.volume.shape
+    voxel = right.voxel_um
     grey = case.volume.astype(np.float32)
-    z = np.arange(n)[:, None, None] * right.voxel_um
-    for _ in range(count):
+    z = np.arange(n)[:, None, None] * voxel
+    for _ in range(int(density * rows * cols * voxel**2 * 1e-6)):
         i, j = int(rng.integers(5, rows - 5)), int(rng.integers(5, cols - 5))
-        radius = float(rng.uniform(5, 9) if length_um else rng.uniform(9, 22))
-        around, length = rng.uniform(0, np.pi), length_um * rng.uniform(0.5, 1.5)
-        reach = int((radius + 0.5 * length) / right.voxel_um) + 2
+        radius = float(rng.uniform(9, 22))
+        reach = int(radius / voxel) + 2
         box = (slice(max(i - reach, 0), i + reach), slice(max(j - reach, 0), j + reach))
         y, x = (axis[s] for axis, s in zip(_axes(case), box, strict=True))
-        dy, dx = (y - i * right.voxel_um)[:, None], (x - j * right.voxel_um)[None, :]
-        along = np.clip(dx * np.cos(around) + dy * np.sin(around), -0.5 * length, 0.5 * length)
-        flat = np.hypot(dx - along * np.cos(around), dy - along * np.sin(around))
+        flat = np.hypot((y - i * voxel)[:, None], (x - j * voxel)[None, :])
         middle = right.faces[0][box] + 0.7 * radius
-        inside = np.clip((radius - np.hypot(flat[None], z - middle[None])) / right.voxel_um + 0.5, 0, 1)
+        inside = np.clip((radius - np.hypot(flat[None], z - middle[None])) / voxel + 0.5, 0, 1)
         part = grey[:, *box]
         part[...] = np.maximum(part, part + inside * (right.grey[2] - part))
     case.store(grey)
 
 
-@kind("dust", "30-80 grains of 20-40 um a mm2 stick to the coating", size=(30, 80, "grains a mm2"))
-def _dust(case, rng, density):
-    area = np.prod(case.right.volume.shape[1:]) * case.right.voxel_um**2 * 1e-6
-    _stuck(case, int(density * area), 0.0, rng)
-
-
-@kind("hairs", "4-10 hairs of 0.2-0.6 mm on the coating")
-def _hairs(case, rng):
-    count = int(rng.integers(4, 11))
-    _stuck(case, count, 400.0, rng)
-    case.note = f"{count} hairs"
-
-
-def _plug(case, rng, share, *, low):
-    """Fill a share of the holes with base, the lower half or all of it."""
+@kind("closed-holes", "half of the holes closed by fibres in the scan")
+def _closed(case, rng):
     right = case.right
     z = np.arange(case.volume.shape[0])[:, None, None] * right.voxel_um
-    inside = (z > right.faces[3]) & (z < (right.columns[..., 2] if low else right.faces[1]))
+    inside = (z > right.faces[3]) & (z < right.faces[1])
     grey = eight_bits(right.grey[1] + right.noise * rng.standard_normal(case.volume.shape))
-    holes = [at for at in right.holes if rng.random() < share]
+    holes = [at for at in right.holes if rng.random() < 0.5]
     for u, v in holes:
         near = np.hypot(right.columns[..., 0] - u, right.columns[..., 1] - v) < 1.05 * right.radius_um
         case.volume = np.where(inside & near, grey, case.volume)
     case.note = f"{len(holes)} of {len(right.holes)}"
 
 
-enter("half-cut", "all holes cut through the upper half of the sheet only", partial(_plug, share=1.0, low=True))
-enter("closed-holes", "half of the holes closed by fibres in the scan", partial(_plug, share=0.5, low=False))
 enter(
     "uncoated-wrong-specimen", "uncoated, an image of another specimen of the same program",
     partial(image_of_another, coated=False), coated=False, large=True, answer="side and specimen",
-)  # fmt: skip
-enter(
-    "uncoated-spacing-z", "uncoated, spacing along z half or 50 % too large, bent", spacing(HALF, 0), coated=False,
-    slope=0.4, answer="scale through the sheet",
 )  # fmt: skip
 
 
@@ -251,24 +189,6 @@ def _shifted(case, rng):
     case.note = f"{1.41 * shift:.0f} um"
 
 
-kind("marks-sloppy", "marks by hand, each 10-25 um off", size=(10, 25, "um"))(_by_hand)
-
-
-@kind("marks-mirrored", "marks by hand in an image that was mirrored afterwards", large=True)
-def _marks_mirrored(case, rng):
-    _by_hand(case, rng)
-    mirror_image(case, rng)
-
-
-def _cutoff(case, rng, lengths_um):
-    cutoff = float(rng.choice(lengths_um))
-    case.option("surface", cutoff_um=cutoff)
-    case.note = f"{cutoff:g} um"
-
-
-_SHORT_UM, _LONG_UM = (120.0, 150.0, 250.0, 280.0, 300.0), (1500.0, 2500.0, 4000.0)
-enter("cutoff-short", "--cutoff-um 120-300", partial(_cutoff, lengths_um=_SHORT_UM))
-enter("cutoff-long", "--cutoff-um 1500-4000 on a bent sheet", partial(_cutoff, lengths_um=_LONG_UM), steep=True)
 enter(
     "rigid-on-stretched", "--model rigid, pixel size of the image wrong by 1.5 %",
     both(pixel(0.985, 1.015), told("registration", model="rigid")),

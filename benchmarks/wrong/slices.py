@@ -5,13 +5,9 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from benchmarks.wrong.case import Case, Places
-from benchmarks.wrong.kinds import Rng, along_either, enter
+from benchmarks.wrong.kinds import along_either, enter
 from benchmarks.wrong.specimens import Draw, drawn
-
-Order = NDArray[np.intp]
 
 
 def _span(case, axis):
@@ -32,7 +28,7 @@ def _some(case, rng, axis, least=2, most=8):
     return slice(at, at + count)
 
 
-def traced_order(order: Order, axis: int) -> Places:
+def traced_order(order, axis):
     """Places along one axis, by the order that the slices were taken in; linear between neighbours that were such."""
 
     def back(places):
@@ -47,13 +43,13 @@ def traced_order(order: Order, axis: int) -> Places:
     return back
 
 
-def reorder(case: Case, order: Order, axis: int) -> None:
+def reorder(case, order, axis):
     """Take the slices along one axis in another order."""
     case.volume = np.take(case.volume, order, axis=axis)
     case.back.append(traced_order(order, axis))
 
 
-def exchanged(case: Case, rng: Rng, axis: int) -> None:
+def exchanged(case, rng, axis):
     """Some pairs of neighbouring slices exchanged."""
     low, high = _span(case, axis)
     count = int(rng.integers(1, 6))
@@ -64,20 +60,7 @@ def exchanged(case: Case, rng: Rng, axis: int) -> None:
     case.note = f"{count} pairs"
 
 
-def blocks(case: Case, rng: Rng, axis: int) -> None:
-    """Two blocks of slices exchanged."""
-    low, high = _span(case, axis)
-    count = int(rng.integers(4, max(5, min(30, (high - low) // 3))))
-    first = int(rng.integers(low, max(low + 1, high - 2 * count - 1)))
-    second = int(rng.integers(first + count, max(first + count + 1, high - count)))
-    n = np.arange(case.volume.shape[axis])
-    one, two = n[first : first + count], n[second : second + count]
-    order = np.concatenate([n[:first], two, n[first + count : second], one, n[second + count :]])
-    reorder(case, order, axis)
-    case.note = f"{count} slices each"
-
-
-def reversed_run(case: Case, rng: Rng, axis: int) -> None:
+def reversed_run(case, rng, axis):
     """A run of slices in the reverse order."""
     low, high = _span(case, axis)
     run = _some(case, rng, axis, 3, max(4, min(40, (high - low) // 2)))
@@ -86,18 +69,12 @@ def reversed_run(case: Case, rng: Rng, axis: int) -> None:
     reorder(case, order, axis)
 
 
-def repeated(case: Case, rng: Rng, axis: int) -> None:
-    """Some slices once more behind themselves, so that the stack becomes longer."""
-    run, n = _some(case, rng, axis), case.volume.shape[axis]
-    reorder(case, np.concatenate([np.arange(run.stop), np.arange(run.start, n)]), axis)
-
-
-def missing(case: Case, rng: Rng, axis: int) -> None:
+def missing(case, rng, axis):
     """Some slices left out."""
     reorder(case, np.delete(np.arange(case.volume.shape[axis]), _some(case, rng, axis)), axis)
 
 
-def filled(case: Case, rng: Rng, axis: int) -> None:
+def filled(case, rng, axis):
     """Some slices made from those beside them."""
     run = _some(case, rng, axis)
     volume = np.moveaxis(case.volume.copy(), axis, 0)
@@ -109,15 +86,7 @@ def filled(case: Case, rng: Rng, axis: int) -> None:
     case.volume = np.moveaxis(volume, 0, axis)
 
 
-def frozen(case: Case, rng: Rng, axis: int) -> None:
-    """A slice in place of those behind it, as a stage that stuck leaves them."""
-    run = _some(case, rng, axis)
-    order = np.arange(case.volume.shape[axis])
-    order[run] = run.start
-    case.volume = np.take(case.volume, order, axis=axis)  # the places stay: what lies there is not what is shown
-
-
-def foreign(case: Case, rng: Rng, axis: int) -> None:
+def foreign(case, rng, axis):
     """One to three files of another scan in the series."""
     run = _some(case, rng, axis, 1, 4)
     there = np.moveaxis(drawn(Draw(maker=case.right.maker, seed=case.right.seed + 1)).volume, axis, 0)
@@ -130,29 +99,19 @@ def foreign(case: Case, rng: Rng, axis: int) -> None:
     case.volume = np.moveaxis(volume, 0, axis)
 
 
-def interlaced(case: Case, _: Rng, axis: int) -> None:
+def interlaced(case, _, axis):
     """Files sorted by name where numbers have no leading zeros: 1, 10, 11, ..., 2, 20, ..."""
     reorder(case, np.array(sorted(range(case.volume.shape[axis]), key=str)), axis)
 
 
-def halved(case: Case, _: Rng, axis: int) -> None:
-    """Every second slice of a part is missing: the disk was full, the series thinned."""
-    n = case.volume.shape[axis]
-    reorder(case, np.concatenate([np.arange(n // 2), np.arange(n // 2, n, 2)]), axis)
-
-
 for _name, _title, _change, _grave in (
     ("exchanged", "1-5 pairs of neighbouring slices along {} exchanged", exchanged, True),
-    ("blocks", "two blocks of slices along {} exchanged", blocks, True),
     ("reversed", "a run of slices along {} in the reverse order", reversed_run, True),
-    ("repeated", "2-7 slices along {} twice", repeated, False),
     ("missing", "2-7 slices along {} missing", missing, False),
     ("filled", "2-7 slices along {} made of their neighbours", filled, False),
-    ("frozen", "2-7 slices along {} show the one before them", frozen, False),
     ("foreign", "1-3 files of another scan along {}", foreign, False),
 ):
     enter(f"{_name}-z", _title.format("z"), partial(_change, axis=0), grave=_grave)
     enter(f"{_name}-xy", _title.format("y or x"), along_either(_change), grave=_grave)
 enter("sorted-as-text", "files in the order 1, 10, 11, ..., 2, 20, ...", along_either(interlaced))
-enter("thinned", "every second slice missing in half of the stack", along_either(halved))
 enter("right", "nothing wrong", lambda *_: None)

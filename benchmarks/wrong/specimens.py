@@ -57,10 +57,10 @@ class Right:
     columns: Floats
     faces: Floats
     note: str
-    made: dict[str, Any] = field(default_factory=dict[str, Any])
+    made: dict[str, Any] = field(default_factory=dict)
 
     @cached_property
-    def uv(self) -> Floats:
+    def uv(self):
         """Material (y, x, 2) that the image's pixels show."""
         return self.pixels()
 
@@ -80,21 +80,21 @@ class Draw:
     program: int | None = None  # seed of the hole pattern, where two specimens share the laser's program
 
 
-def heights(columns: Floats, voxel_um: float, faces: Floats, at: Callable[..., Floats]) -> Floats:
+def heights(columns, voxel_um, faces, at):
     """Heights of the faces over each column, whose distances from the middle ``at`` gives along the normal."""
     u, v, middle = np.moveaxis(columns, -1, 0)
     lift = np.sqrt(1 + sum(g**2 for g in np.gradient(middle, voxel_um)))
     return np.stack([middle + lift * at(face, u, v) for face in faces])
 
 
-def layer(faces: Floats, name: str) -> Floats:
+def layer(faces, name):
     """Thickness between two of the four faces, by name."""
     upper, lower = OF[name]
     return faces[upper] - faces[lower]
 
 
 @lru_cache(maxsize=24)
-def drawn(order: Draw) -> Right:
+def drawn(order):
     """Make a specimen, or take it from the last ones made."""
     return _ours(order) if order.maker == "planish" else maker.make(order)
 

@@ -7,9 +7,7 @@ import json
 import time
 import warnings
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -17,29 +15,26 @@ import numpy as np
 from benchmarks.wrong import geometry, grey, sheet, slices
 from benchmarks.wrong.case import Case
 from benchmarks.wrong.judge import covers, figures
-from benchmarks.wrong.kinds import KINDS, Kind
+from benchmarks.wrong.kinds import KINDS
 from benchmarks.wrong.specimens import Draw, drawn
 from planish.core.errors import PlanishError
-from planish.run import Run
 
 _MODULES = (slices, geometry, grey, sheet)  # each enters its kinds when it is imported
 _POOL = 6  # specimens of each maker and sort: kinds share them
-Row = dict[str, Any]
 
 
-def main(*words: str | int) -> int:
+def main(*words):
     """Judge all kinds or some; 1 where a goal is missed."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks wrong")
     parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS, metavar="NAME")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--out", type=Path, default=Path("wrong"))
-    parser.add_argument("--markdown", action="store_true", help="print the table of the documents")
     given = parser.parse_args([str(w) for w in words])
     jobs = {f"{name} {seed}": (KINDS[name], seed) for seed in range(given.seeds) for name in given.kinds}
-    return shown(done(given.out / "wrong.jsonl", jobs, judged), markdown=given.markdown)
+    return shown(done(given.out / "wrong.jsonl", jobs, judged))
 
 
-def done(path: Path, jobs: dict[str, tuple[Any, int]], judge: Callable[[Any, int], Row]) -> list[Row]:
+def done(path, jobs, judge):
     """Do what has no line in a file yet, and give the lines of all jobs."""
     path.parent.mkdir(parents=True, exist_ok=True)
     rows = {}
@@ -53,13 +48,13 @@ def done(path: Path, jobs: dict[str, tuple[Any, int]], judge: Callable[[Any, int
     return [rows[name] for name in jobs]
 
 
-def order_of(kind: Kind, seed: int) -> Draw:
+def order_of(kind, seed):
     """The specimen of one kind and seed: two of five by the second maker."""
     maker = "second" if seed % 5 in (1, 3) else "planish"
     return Draw(maker=maker, seed=(crc32(kind.name.encode()) + seed) % _POOL, **kind.order)
 
 
-def case_of(name: str, seed: int) -> Case:
+def case_of(name, seed):
     """The input of one kind and seed."""
     kind = KINDS[name]
     case = Case.of(drawn(order_of(kind, seed)))
@@ -67,14 +62,14 @@ def case_of(name: str, seed: int) -> Case:
     return case
 
 
-def judged(kind: Kind, seed: int) -> Row:
+def judged(kind, seed):
     """Make the input, run it, compare."""
     started = time.process_time()
     case = case_of(kind.name, seed)
     return row_of(kind.name, seed, case, case.note, started)
 
 
-def row_of(name: str, seed: int, case: Case, note: str, started: float) -> Row:
+def row_of(name, seed, case, note, started):
     """Run a case that has been made since ``started``: refusal, or figures and checks that do not pass."""
     made, right = time.process_time(), case.right
     row = {"kind": name, "seed": seed, "maker": right.maker, "specimen": right.seed, "note": note}
@@ -82,7 +77,7 @@ def row_of(name: str, seed: int, case: Case, note: str, started: float) -> Row:
     return row | {"made_s": round(made - started, 2), "run_s": round(time.process_time() - made, 2)}
 
 
-def judged_case(case: Case) -> Row:
+def judged_case(case):
     """Refusal, or figures and checks of a run."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -100,12 +95,12 @@ def judged_case(case: Case) -> Row:
     }
 
 
-def lights(run: Run) -> list[list[Any]]:
+def lights(run):
     """State, name, sentence and figures of each check that does not pass."""
     return [[c.state, c.name, c.sentence, list(c.figures)] for c in run.checks if c.state != "pass"]
 
 
-def silent_of(row: Row) -> list[str]:
+def silent_of(row):
     """Wrong figures that nothing warned of; a run that failed is not silent, an ``unknown`` counts where it answers."""
     spoken = row.get("lights", ())
     answer = KINDS[row["kind"]].answer if row["kind"] in KINDS else ""
@@ -119,7 +114,7 @@ def _short(value):
     return round(float(value), 3) if np.isfinite(value) else None
 
 
-def worst_of(row: Row) -> str:
+def worst_of(row):
     """The figure that is wrong by the most, in um where there is one."""
     found = [(v[0], name, v[1]) for name in row.get("wrong", ()) if (v := row["figures"][name])[0] is not None]
     if not found:
@@ -128,7 +123,7 @@ def worst_of(row: Row) -> str:
     return f"{name} {error:.3g} (stated {stated or 0:.2g})"
 
 
-def line_of(row: Row) -> str:
+def line_of(row):
     """One run in one line."""
     if "refused" in row:
         said = "refused: " + row["refused"][:90]
@@ -142,11 +137,11 @@ def line_of(row: Row) -> str:
     return f"{name} {row['note']}: {said}  [{row['run_s']:.1f} s]"
 
 
-def shown(rows: list[Row], *, markdown: bool = False) -> int:
+def shown(rows):
     """Print a line a kind, and the totals; 1 where a goal is missed."""
     missed = []
     total = silent = 0
-    lines = [("kind", "runs", "wrong", "silent", "worst error", "said by")]
+    lines = [("kind", "runs", "wrong", "silent", "worst error", "said by"), ("---",) * 6]
     for name, kind in KINDS.items():
         own = [row for row in rows if row["kind"] == name]
         if not own:
@@ -154,26 +149,21 @@ def shown(rows: list[Row], *, markdown: bool = False) -> int:
         wrong = [row for row in own if row.get("wrong")]
         quiet = [row for row in own if silent_of(row)]
         said = Counter(end for end in ("refused", "crash") for row in own if end in row)
-        said.update(f"{state} *{check}*" for row in own for state, check, *_ in row.get("lights", ()))
+        said.update(f"{state} `{check}`" for row in own for state, check, *_ in row.get("lights", ()))
         worst = max((worst_of(row) for row in quiet or wrong), key=_size, default="")
         mark = " (cannot be seen)" if kind.hidden else " (grave)" if kind.grave else ""
-        heard = ", ".join(f"{what} {n}" for what, n in said.most_common(5))
-        title = f"{kind.title if markdown else name}{mark}"
-        lines.append((title, str(len(own)), str(len(wrong)), str(len(quiet)), worst, heard))
+        heard = ", ".join(f"{what} {n}" for what, n in said.most_common(3))
+        lines.append((f"{kind.title}{mark}", str(len(own)), str(len(wrong)), str(len(quiet)), worst, heard))
         if kind.hidden or name == "right":
             continue
         total, silent = total + len(own), silent + len(quiet)
         if len(quiet) > 0.2 * len(own) or said["crash"]:
             missed.append(name)
-    if markdown:
-        lines.insert(1, ("---",) * 6)
-        print("\n".join(f"| {' | '.join(row)} |" for row in lines))
-    else:
-        for name, *counts, worst, heard in lines:
-            print(f"{name:34s} {' '.join(f'{c:>6s}' for c in counts)}  {worst:44s} {heard}")
+    for row in lines:
+        print(f"| {' | '.join(row)} |")
     if total:
         share = 100 - 100 * silent / total
-        print(f"\n{total} runs of {len(lines) - 1} kinds; silent {silent}, {share:.1f} % are not silent")
+        print(f"\n{total} runs of {len(lines) - 2} kinds; silent {silent}, {share:.1f} % are not silent")
         print(f"silent in more than one of five: {', '.join(missed) or 'none'}")
         grave = [r for r in rows if KINDS[r["kind"]].grave and r.get("wrong")]
         ends = [r for r in grave if any(k[0] == "fail" for k in r["lights"])]

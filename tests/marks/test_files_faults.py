@@ -267,7 +267,7 @@ def damaged(data, rng):
 
 @pytest.mark.parametrize("name", sorted(WHOLE))
 def test_damaged_files_end_in_a_sentence_or_in_marks(put, name):
-    """Twenty damaged files of each kind, 240 in all; ``python -m benchmarks fuzz marks`` makes more."""
+    """Twenty damaged files of each kind, 240 in all."""
     layers = {"moving": LayerPixels(2.0), "fixed": LayerPixels(2.0)}
     assert read_any(put(WHOLE[name], name), **layers).sizes["mark"] > 0
     rng = np.random.default_rng(sorted(WHOLE).index(name))

@@ -1,6 +1,6 @@
 """How many laser holes are found in images of fibre paper that is mottled, printed or full of shives.
 
-``python -m benchmarks holes_on_fibres [IMAGES [FIRST]]``
+``python -m benchmarks holes fibres [TIMES]``: 60 images, or so many times 60.
 
 Sheets are laid fibre by fibre and photographed by ``planish.synthetic``; every image has holes of its own. The texture
 is that of the coating and of a mottle that has nothing to do with it, from a faint one to one whose darkest places are
@@ -60,7 +60,7 @@ def _shives(rng, shape, pixel):
     return dark
 
 
-def make_photograph(number: int, look: str) -> Photograph:
+def make_photograph(number, look):
     """Photograph one sheet with holes, mottle, light and print of its own."""
     rng = np.random.default_rng([number, LOOKS.index(look)])
     specimen = _sheet(number % SHEETS)
@@ -109,13 +109,12 @@ def make_photograph(number: int, look: str) -> Photograph:
                       texture=float(image[is_paper].std() / image[is_paper].mean()))  # fmt: skip
 
 
-def main(images: int = 60, first: int = 0) -> int:
+def main(images=60):
     """Print holes found and false marks by look; 1 if fewer than 97 % are found or a mark is false."""
     print(f"{'':>12} images  found      of  false  r2 with the coating  texture")
     counts = {look: np.zeros(3, int) for look in LOOKS}
     drawn = {look: [] for look in LOOKS}
-    last = first + -(-images // len(LOOKS))
-    for number in sorted(range(first, last), key=lambda number: number % SHEETS):
+    for number in sorted(range(-(-images // len(LOOKS))), key=lambda number: number % SHEETS):
         for look in LOOKS:
             photo = make_photograph(number, look)
             holes = find_holes(photo.image, pixel_um=photo.pixel)
