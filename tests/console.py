@@ -40,7 +40,7 @@ class Step:
     name: str = ""
 
     @property
-    def verb(self) -> str:
+    def verb(self):
         """The command of planish that is called; empty where there is none."""
         words = shlex.split(self.text)
         return words[1] if self.kind == "console" and words[0] == "planish" else ""
@@ -57,9 +57,9 @@ class Outcome:
     passed_over: str = ""
 
 
-def steps(page: str) -> list[Step]:
+def steps(page):
     """Return what a page shows to do, in its order."""
-    found: list[Step] = []
+    found = []
     for kind, name, body in _BLOCK.findall(page):
         if kind == "console":
             for part in re.split(r"^\$ ", body, flags=re.MULTILINE)[1:]:
@@ -72,17 +72,17 @@ def steps(page: str) -> list[Step]:
     return found
 
 
-def unknown_verbs(page: str) -> set[str]:
+def unknown_verbs(page):
     """Commands of planish that a page shows and that this planish does not have."""
     return {step.verb for step in steps(page) if step.verb and not step.verb.startswith("-")} - {
         *group.list_commands(click.Context(group))
     }
 
 
-def run(page: str, folder: Path, names: dict[str, object] | None = None) -> list[Outcome]:
+def run(page, folder, names=None):
     """Carry out what a page shows, in a folder; one outcome for each command and each block of Python."""
     names = {} if names is None else names
-    outcomes: list[Outcome] = []
+    outcomes = []
     with contextlib.chdir(folder), contextlib.ExitStack() as background:
         for step in steps(page):
             if step.kind == "file":
@@ -94,7 +94,7 @@ def run(page: str, folder: Path, names: dict[str, object] | None = None) -> list
     return outcomes
 
 
-def fits(printed: str, expected: str) -> bool:
+def fits(printed, expected):
     """Tell whether text is what is expected, ``...`` being anything."""
     pattern = ""
     for line in expected.rstrip("\n").splitlines():
@@ -104,9 +104,9 @@ def fits(printed: str, expected: str) -> bool:
     return re.fullmatch(pattern, text) is not None
 
 
-def report(outcomes: list[Outcome]) -> str:
+def report(outcomes):
     """Return what went wrong, to read; empty where nothing did."""
-    parts: list[str] = []
+    parts = []
     for outcome in (one for one in outcomes if one.faults):
         step = outcome.step
         parts.append(f"$ {step.text}\n{'; '.join(outcome.faults)} (exit code {outcome.code})")
@@ -114,7 +114,7 @@ def report(outcomes: list[Outcome]) -> str:
     return "\n".join(parts)
 
 
-def _command(step: Step, background: contextlib.ExitStack) -> Outcome:
+def _command(step, background):
     words = shlex.split(step.text)
     if words[0] == "planish":
         printed, code = _planish(words[1:])
@@ -135,12 +135,12 @@ def _command(step: Step, background: contextlib.ExitStack) -> Outcome:
     return Outcome(step, printed, code, faults)
 
 
-def _environment() -> dict[str, str]:
+def _environment():
     """Return an environment in which other processes find the planish that is tested."""
     return os.environ | {"PYTHONPATH": str(Path(planish.__file__).resolve().parents[1])}
 
 
-def _planish(arguments: list[str]) -> tuple[str, int]:
+def _planish(arguments):
     """Call the command line in this process: everything that it prints, in its order, and its exit code."""
     printed, code = io.StringIO(), 0
     columns = mock.patch.dict(os.environ, COLUMNS=_COLUMNS)
@@ -152,7 +152,7 @@ def _planish(arguments: list[str]) -> tuple[str, int]:
     return printed.getvalue(), code
 
 
-def _python(step: Step, names: dict[str, object]) -> Outcome:
+def _python(step, names):
     flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
     test = doctest.DocTestParser().get_doctest(step.text, names, "page", None, None)
     printed = io.StringIO()

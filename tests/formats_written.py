@@ -27,7 +27,7 @@ with warnings.catch_warnings():
 Volume = NDArray[Any]
 Size = tuple[float, float, float] | None  # z, y, x in um
 
-VALUES: Volume = np.random.default_rng(11).integers(0, 60000, (12, 17, 19)).astype(np.uint16)
+VALUES = np.random.default_rng(11).integers(0, 60000, (12, 17, 19)).astype(np.uint16)
 VOXEL = (3.0, 2.5, 2.0)
 CUBE = (2.0, 2.0, 2.0)
 NAME = "Blatt ä 7"  # neither ASCII nor without spaces
@@ -52,8 +52,8 @@ class Case:
     dtype: str = "uint16"
 
 
-def write_tiff(folder: Path, values: Volume, size: Size, **options: Any) -> Path:
-    meta: dict[str, Any] = {"axes": "ZYX"}
+def write_tiff(folder, values, size, **options):
+    meta = {"axes": "ZYX"}
     if size is not None:
         meta |= {f"PhysicalSize{a.upper()}": v for a, v in zip(ZYX, size, strict=True)}
     path = folder / f"{NAME}.ome.tif"
@@ -61,9 +61,9 @@ def write_tiff(folder: Path, values: Volume, size: Size, **options: Any) -> Path
     return path
 
 
-def write_imagej(folder: Path, values: Volume, size: Size, **options: Any) -> Path:
+def write_imagej(folder, values, size, **options):
     path = folder / f"{NAME}.tif"
-    meta: dict[str, Any] = {"axes": "ZYX"}
+    meta = {"axes": "ZYX"}
     if size is None:
         tifffile.imwrite(path, values, imagej=True, metadata=meta, **options)
     else:
@@ -72,7 +72,7 @@ def write_imagej(folder: Path, values: Volume, size: Size, **options: Any) -> Pa
     return path
 
 
-def write_pages(folder: Path, values: Volume, size: Size) -> Path:
+def write_pages(folder, values, size):
     path = folder / f"{NAME}.btf"
     with tifffile.TiffWriter(path, bigtiff=True, byteorder=">") as tif:
         for page in values:
@@ -81,7 +81,7 @@ def write_pages(folder: Path, values: Volume, size: Size) -> Path:
     return path
 
 
-def write_slices(folder: Path, values: Volume, size: Size, suffix: str, **options: Any) -> Path:
+def write_slices(folder, values, size, suffix, **options):
     del size
     place = folder / NAME
     place.mkdir()
@@ -94,7 +94,7 @@ def write_slices(folder: Path, values: Volume, size: Size, suffix: str, **option
     return place
 
 
-def write_nrecon(folder: Path, values: Volume, size: Size) -> Path:
+def write_nrecon(folder, values, size):
     place = folder / NAME
     place.mkdir()
     for k, page in enumerate(values):
@@ -113,9 +113,9 @@ def write_nrecon(folder: Path, values: Volume, size: Size) -> Path:
     return place
 
 
-def multiscales(size: Size, *, lead: int = 0) -> list[dict[str, Any]]:
+def multiscales(size, *, lead=0):
     unit = {} if size is None else {"unit": "micrometer"}
-    axes: list[dict[str, Any]] = [{"name": n, "type": t} for n, t in (("t", "time"), ("c", "channel"))][:lead]
+    axes = [{"name": n, "type": t} for n, t in (("t", "time"), ("c", "channel"))][:lead]
     axes += [{"name": n, "type": "space", **unit} for n in ZYX]
     scale = [1.0] * lead + [1.0, 1.0, 1.0] if size is None else [1.0] * lead + list(size)
     transform = [{"type": "scale", "scale": scale}]
@@ -124,14 +124,14 @@ def multiscales(size: Size, *, lead: int = 0) -> list[dict[str, Any]]:
     return [{"axes": axes, "datasets": datasets, "version": "0.4"}]
 
 
-def write_zarr(folder: Path, values: Volume, size: Size, version: int) -> Path:
+def write_zarr(folder, values, size, version):
     path = folder / f"{NAME}.ome.zarr"
     group = zarr.open_group(str(path), mode="w", zarr_format=version)
     lead = 2 if version == 2 else 0
     for name, level in (("0", values), ("1", values[::2, ::2, ::2])):
         shape = (1,) * lead + level.shape
         chunks = (1,) * lead + (4, 8, 8)
-        options: dict[str, Any] = {"shards": (8, 16, 16)} if version == 3 else {}
+        options = {"shards": (8, 16, 16)} if version == 3 else {}
         array = group.create_array(name, shape=shape, chunks=chunks, dtype=level.dtype, fill_value=0, **options)
         array[...] = level.reshape(shape)
     told = multiscales(size, lead=lead)
@@ -139,9 +139,9 @@ def write_zarr(folder: Path, values: Volume, size: Size, version: int) -> Path:
     return path
 
 
-def write_nrrd(folder: Path, values: Volume, size: Size, kind: str, packing: str) -> Path:
+def write_nrrd(folder, values, size, kind, packing):
     path = folder / f"{NAME}{kind}"
-    header: dict[str, Any] = {"encoding": packing}
+    header = {"encoding": packing}
     if size is not None and kind == ".nhdr":
         header |= {"space directions": np.diag(size[::-1]) / 1000, "space units": ["mm"] * 3, "space dimension": 3}
     elif size is not None:
@@ -157,7 +157,7 @@ def write_nrrd(folder: Path, values: Volume, size: Size, kind: str, packing: str
     return path
 
 
-def write_meta(folder: Path, values: Volume, size: Size, kind: str, packed: bool) -> Path:
+def write_meta(folder, values, size, kind, packed):
     image = sitk.GetImageFromArray(values)
     image.SetSpacing([v / 1000 for v in (size or CUBE)[::-1]])
     path = folder / f"{NAME}{kind}"
@@ -168,7 +168,7 @@ def write_meta(folder: Path, values: Volume, size: Size, kind: str, packed: bool
     return path
 
 
-def write_hdf5(folder: Path, values: Volume, size: Size) -> str:
+def write_hdf5(folder, values, size):
     path = folder / f"{NAME}.h5"
     with h5py.File(path, "w") as file:
         data = file.create_dataset("entry/Größe/volume", data=values, chunks=(4, 8, 8), compression="gzip")
@@ -179,7 +179,7 @@ def write_hdf5(folder: Path, values: Volume, size: Size) -> str:
     return f"{path}:/entry/Größe/volume"
 
 
-def write_nexus(folder: Path, values: Volume, size: Size) -> Path:
+def write_nexus(folder, values, size):
     path = folder / f"{NAME}.nxs"
     with h5py.File(path, "w") as file:
         file.attrs["default"] = "entry"
@@ -197,16 +197,16 @@ def write_nexus(folder: Path, values: Volume, size: Size) -> Path:
     return path
 
 
-def write_mat(folder: Path, values: Volume, size: Size, packed: bool) -> Path:
+def write_mat(folder, values, size, packed):
     path = folder / f"{NAME}.mat"
-    content: dict[str, Any] = {"V": np.moveaxis(values, 0, -1), "note": "V(row, column, slice)"}
+    content = {"V": np.moveaxis(values, 0, -1), "note": "V(row, column, slice)"}
     if size is not None:
         content["voxel_um"] = list(size)
     scipy.io.savemat(path, content, do_compression=packed)
     return path
 
 
-def write_mat73(folder: Path, values: Volume, size: Size) -> Path:
+def write_mat73(folder, values, size):
     path = folder / f"{NAME}.mat"
     with h5py.File(path, "w", userblock_size=512) as file:
         # MATLAB writes its columns first, so that HDF5 sees the axes in reverse.
@@ -221,17 +221,17 @@ def write_mat73(folder: Path, values: Volume, size: Size) -> Path:
     return path
 
 
-def write_raw(folder: Path, values: Volume, size: Size) -> Path:
+def write_raw(folder, values, size):
     path = folder / f"{NAME}.raw"
     path.write_bytes(b"head" + values.astype(">u2").tobytes())
-    keys: dict[str, Any] = {"shape": list(values.shape), "dtype": "uint16", "byte_order": "big", "offset": 4}
+    keys = {"shape": list(values.shape), "dtype": "uint16", "byte_order": "big", "offset": 4}
     if size is not None:
         keys["voxel_um"] = list(size)
     (folder / f"{NAME}.raw.toml").write_text(tomli_w.dumps(keys), encoding="utf-8")
     return path
 
 
-def write_nifti(folder: Path, values: Volume, size: Size, kind: str) -> Path:
+def write_nifti(folder, values, size, kind):
     image = nibabel.Nifti1Image(values.T, np.diag([*(size or CUBE)[::-1], 1.0]))
     if size is not None:
         image.header.set_xyzt_units("micron")
@@ -239,7 +239,7 @@ def write_nifti(folder: Path, values: Volume, size: Size, kind: str) -> Path:
     return folder / f"{NAME}{kind}"
 
 
-def write_mrc(folder: Path, values: Volume, size: Size, kind: str) -> Path:
+def write_mrc(folder, values, size, kind):
     path = folder / f"{NAME}{kind}"
     compression = {".gz": "gzip", ".bz2": "bzip2"}.get(path.suffix)
     with mrcfile.new(path, compression=compression) as file:
@@ -249,10 +249,10 @@ def write_mrc(folder: Path, values: Volume, size: Size, kind: str) -> Path:
     return path
 
 
-def resize_at(name: str, at: int) -> Callable[[Path], None]:
+def resize_at(name, at):
     """Let one byte of a header, in a gzip or not, declare two more slices."""
 
-    def change(folder: Path) -> None:
+    def change(folder):
         path = next(folder.rglob(name))
         packed = path.suffix == ".gz"
         data = bytearray(gzip.decompress(path.read_bytes()) if packed else path.read_bytes())
@@ -262,10 +262,10 @@ def resize_at(name: str, at: int) -> Callable[[Path], None]:
     return change
 
 
-def swap(name: str, old: bytes, new: bytes) -> Callable[[Path], None]:
+def swap(name, old, new):
     """Replace bytes in the file with this name, which has to hold them."""
 
-    def change(folder: Path) -> None:
+    def change(folder):
         path = next(folder.rglob(name))
         data = path.read_bytes()
         assert old in data
@@ -274,17 +274,17 @@ def swap(name: str, old: bytes, new: bytes) -> Callable[[Path], None]:
     return change
 
 
-def named(pattern: str) -> Callable[[Path], Path]:
+def named(pattern):
     return lambda folder: sorted(folder.rglob(pattern))[len(list(folder.rglob(pattern))) // 2]
 
 
-def remove(pattern: str) -> Callable[[Path], None]:
+def remove(pattern):
     return lambda folder: named(pattern)(folder).unlink()
 
 
-def reshape_hdf5(folder: Path) -> None:
+def reshape_hdf5(folder):
     with h5py.File(next(p for p in folder.iterdir()), "r+") as file:
-        names: list[str] = []
+        names = []
         file.visititems(lambda name, item: names.append(name) if getattr(item, "ndim", 0) == 3 else None)
         for name in names:
             old = file[name]
@@ -295,30 +295,30 @@ def reshape_hdf5(folder: Path) -> None:
             new.attrs.update(attrs)
 
 
-def with_values(values: Volume) -> Volume:
+def with_values(values):
     return (values >> 8).astype(np.uint8)
 
 
-def slices(suffix: str, dtype: str = "uint16", **options: Any) -> Case:
+def slices(suffix, dtype="uint16", **options):
     """A folder of images, which says nothing of the size of its voxels."""
     write, data = partial(write_slices, suffix=suffix, **options), named(f"*{suffix}")
     return Case(write=write, source="given", states_size=False, data=data, resize=remove(f"*{suffix}"), dtype=dtype)
 
 
-def nrrd_case(kind: str, packing: str, sections: bytes, **more: Any) -> Case:
+def nrrd_case(kind, packing, sections, **more):
     """NRRD, whose header can be made to state another number of sections than its 12."""
     resize = swap(f"*{kind}", b"sizes: 19 17 12", b"sizes: 19 17 " + sections)
     return Case(write=partial(write_nrrd, kind=kind, packing=packing), resize=resize, **more)
 
 
-def meta_case(kind: str, *, packed: bool = False, **more: Any) -> Case:
+def meta_case(kind, *, packed=False, **more):
     """MetaImage, whose header can be made to state 21 sections in place of its 12."""
     resize = swap(f"*{kind}", b"DimSize = 19 17 12", b"DimSize = 19 17 21")
     return Case(write=partial(write_meta, kind=kind, packed=packed), source="MetaImage", resize=resize, **more)
 
 
 MORE_OF_OME = swap("*.tif", b'SizeZ="12"', b'SizeZ="19"')
-CASES: dict[str, Case] = {
+CASES = {
     "OME-TIFF": Case(write=write_tiff, source="OME", lazy=False, resize=MORE_OF_OME),
     "OME-TIFF deflate": Case(write=partial(write_tiff, compression="zlib"), source="OME", resize=MORE_OF_OME),
     "ImageJ TIFF": Case(

@@ -3,7 +3,6 @@
 import sys
 import tomllib
 from pathlib import Path
-from typing import Any
 
 import tomli_w
 
@@ -16,7 +15,7 @@ _SPREADS = 2.0
 _FLOOR = {"um": 0.01, "%": 0.01, "deg": 0.01, "1": 0.002, "pitch": 1e-4, "s": 1.0}
 
 
-def record(certificate: certify.Certificate) -> dict[str, Any]:
+def record(certificate):
     """Mean and standard deviation over the seeds of every figure, ready for TOML."""
     figures = {
         name: {"mean": float(f"{found.mean:.5g}"), "sd": float(f"{found.sd or 0.0:.3g}")}
@@ -30,7 +29,7 @@ def record(certificate: certify.Certificate) -> dict[str, Any]:
     }
 
 
-def read_recorded(path: Path) -> dict[str, Any]:
+def read_recorded(path):
     """Read a record.
 
     Raises
@@ -44,7 +43,7 @@ def read_recorded(path: Path) -> dict[str, Any]:
         raise FileError(f"{path} cannot be read: {error}. Make it with 'python tests/record.py {path}'.") from error
 
 
-def worse(certificate: certify.Certificate, recorded: dict[str, Any]) -> list[str]:
+def worse(certificate, recorded):
     """Name the figures that are worse than recorded by more than the seeds scatter; better ones are no fault.
 
     The allowance is twice the standard deviation over the seeds, 2 % of the value, or a floor, whichever is largest.
@@ -52,7 +51,7 @@ def worse(certificate: certify.Certificate, recorded: dict[str, Any]) -> list[st
     of what was found, which ought to be large.
     """
     found = {name: line.mean for name, line in certificate.lines().items() if line.mean is not None}
-    faults: list[str] = []
+    faults = []
     for name, old in recorded["figures"].items():
         figure = scenario.FIGURES.get(name)
         if figure is None or figure.better == "neither":
@@ -69,13 +68,13 @@ def worse(certificate: certify.Certificate, recorded: dict[str, Any]) -> list[st
     return faults
 
 
-def main(arguments: list[str]) -> int:
+def main(arguments):
     """Run the scenario and write its record."""
     if len(arguments) != 1:
         sys.stderr.write("usage: python tests/record.py FILE\n")
         return 2
 
-    def report(stage: str, detail: str) -> None:
+    def report(stage, detail):
         sys.stderr.write(f"{stage}: {detail}\n")
 
     certificate = certify.run_scenario(scenario.read_scenario(_SCENARIO), progress=report)

@@ -17,8 +17,6 @@ from planish.cli import show
 from planish.core import tiles
 from planish.core.errors import FileError, InputError, ResourceError
 from planish.core.frame import Frame
-from planish.core.labelled import labelled
-from planish.core.lazy import LazyArray
 from planish.core.memory import COLUMN_BYTES
 from planish.core.tiles import tiles_of
 from planish.io import VolumeParams, describe, new_folder, read_volume, run_folder, work_folder, write_store
@@ -64,24 +62,6 @@ def test_a_run_that_stops_goes_on_with_its_tiles_other_memory_and_threads_and_gi
     map_of(kinds, tmp_path / "run", memory_bytes=LITTLE, threads=3)
     assert len(kept) == len(set(kept)) > 3
     same_as_the_shared_run(kinds, tmp_path / "run")
-
-
-@pytest.mark.nightly
-def test_a_killed_run_goes_on_and_gives_the_same(kinds, tmp_path):
-    out = tmp_path / "run"
-    command = [sys.executable, "-m", "planish", "map", str(kinds.other.volume), "--out", str(out), "--memory", "530MB"]
-    with subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as process:
-        folder = out.with_name(f".{out.name}.work") / "tiles"
-        # Killed when so many tiles are on the disk, whatever the speed of the machine.
-        end = time.monotonic() + 120
-        while process.poll() is None and len(list(folder.rglob("*.npy"))) < 4 and time.monotonic() < end:
-            time.sleep(0.01)
-        process.send_signal(getattr(signal, "SIGKILL", signal.SIGTERM))
-    assert not out.exists()
-    assert len(list(folder.rglob("*.npy"))) >= 4
-    subprocess.run(command, check=True, capture_output=True)
-    assert [path.name for path in tmp_path.iterdir()] == ["run"]
-    same_as_the_shared_run(kinds, out)
 
 
 def test_two_runs_do_not_write_to_one_place(tmp_path):
@@ -150,33 +130,6 @@ def test_a_worker_that_dies_costs_only_time(cluster):
             seen.add(int(part[0, 1]))
     assert found == [(tile, grid[tile.rows, tile.cols].sum()) for tile in parts]
     assert seen - workers or len(seen) >= 1
-
-
-class Deadly(LazyArray):
-    """A volume on the readers of which the first that is asked for its second half dies."""
-
-    shape, dtype = (140, 800, 900), np.dtype(np.uint8)
-
-    def __init__(self, note):
-        self.note = note
-
-    def read(self, where):
-        if where[2].start > 0 and not self.note.exists():
-            self.note.write_text("died")
-            os.kill(os.getpid(), signal.SIGKILL)
-        z, y, x = np.ix_(*(np.arange(w.start, w.stop, w.step) for w in where))
-        return (z * 7 + y * 3 + x * x).astype(np.uint8)
-
-
-@pytest.mark.nightly
-def test_an_import_on_a_cluster_has_the_same_bytes_though_a_worker_dies(cluster, tmp_path):
-    note = tmp_path / "died"
-    data = labelled(Deadly(note), "zyx", (1.0, 1.0, 1.0), name="grey", attrs={"voxel_um": [1.0, 1.0, 1.0]})
-    with engine(Compute(scheduler=cluster.scheduler_address)) as on:
-        write_store(data, tmp_path / "cluster.zarr", executor=on.executor, workers=on.at_once, memory_bytes=3 * 10**8)
-    assert note.exists()
-    write_store(data, tmp_path / "local.zarr")
-    assert bytes_of(tmp_path / "cluster.zarr") == bytes_of(tmp_path / "local.zarr")
 
 
 @pytest.mark.nightly

@@ -1,12 +1,10 @@
-"""A disk that fills up at ten moments: one sentence, exit code 5, nothing left, and nothing in the way afterwards.
+"""A disk that fills up at eight moments: one sentence, exit code 5, nothing left, and nothing in the way afterwards.
 
 A limit on the size of files makes the real write fail: files that are not larger than it are written before.
 """
 
 import traceback
-from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -19,7 +17,7 @@ resource = pytest.importorskip("resource", reason="this system limits no sizes o
 
 
 @contextmanager
-def full_after(size: int) -> Generator[None]:
+def full_after(size):
     """No file may grow beyond so many bytes."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
@@ -30,12 +28,12 @@ def full_after(size: int) -> Generator[None]:
 
 
 @pytest.fixture
-def failed_in(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
+def failed_in(monkeypatch):
     """Of each write that failed the functions and the name of the file, or folder."""
-    found: list[list[str]] = []
+    found = []
     write_failure = files.write_failure
 
-    def noted(error: OSError, path: Path, *, needed: int | None = None) -> Exception:
+    def noted(error, path, *, needed=None):
         found.append([frame.name for frame in traceback.extract_tb(error.__traceback__)] + [path.name])
         return write_failure(error, path, needed=needed)
 
@@ -44,20 +42,19 @@ def failed_in(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
 
 
 @pytest.fixture
-def given(specimen, specimen_files, linked_run, tmp_path_factory, monkeypatch) -> SimpleNamespace:
+def given(specimen, specimen_files, linked_run, tmp_path_factory, monkeypatch):
     """What the commands read, outside of the folder that is compared. The link has compiled what they need."""
     monkeypatch.setitem(synthetic.SIZES_UM, "T0", (560.0, 420.0))  # the least that has room for three holes
     corner = write_volume(tmp_path_factory.mktemp("corner") / "volume.tif", specimen.volume.values[:, :125, :200])
     return SimpleNamespace(corner=corner, volume=specimen_files[0], run=linked_run)
 
 
-def entries(folder: Path) -> list[str]:
+def entries(folder):
     return sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*"))
 
 
-Moment = tuple[int, str]  # the limit, and the function or file that fails under it
-
-CASES: dict[str, tuple[Callable[[SimpleNamespace], tuple[object, ...]], Moment, Moment]] = {
+# Of each command the limits, and the function or file that fails under them.
+CASES = {
     "map": (lambda given: ("map", given.corner), (0, "claim_folder"), (2000, "take")),
     "import": (lambda given: ("import", given.volume), (0, "claim_folder"), (50_000, "_write_shards")),
     "specimen": (
@@ -65,16 +62,10 @@ CASES: dict[str, tuple[Callable[[SimpleNamespace], tuple[object, ...]], Moment, 
         (100, "write_image"), (50_000, "write_truth"),
     ),
     "report": (lambda given: ("report", given.run), (0, "out"), (900_000, "out")),
-    "run": (
-        lambda given: ("run", given.run / "run.toml", "--set", "correlate.point_um=50"),
-        (0, "claim_folder"), (2000, "marks.json"),
-    ),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "command", [pytest.param(name, marks=[pytest.mark.nightly] if name == "run" else []) for name in CASES]
-)
+@pytest.mark.parametrize("command", CASES)
 def test_a_full_disk_leaves_nothing_and_blocks_nothing(planish, passes, given, tmp_path, failed_in, command):
     arguments, *moments = CASES[command]
     (tmp_path / "thesis.txt").write_text("years")

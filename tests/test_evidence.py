@@ -28,7 +28,7 @@ from report.runs import a_run
 
 @pytest.fixture(scope="module")
 def results(linked_run):
-    return Results.model_validate_json((linked_run / "results.json").read_text(encoding="utf-8"))
+    return Results.read(linked_run / "results.json")
 
 
 @pytest.fixture(scope="module")
@@ -135,12 +135,9 @@ def test_a_map_that_its_numbers_make_may_lead_or_stand_beside(layers, properties
                 preflight.check_request(as_study(parts), Compute())
 
 
-def test_two_of_three_parts_may_stand_beside(layers):
+def test_two_of_three_parts_may_stand_beside_and_of_labels_maps_of_the_faces_may_lead(layers):
     parts = layers | {"correlate": {"beside": ["base_thickness", "coating_bottom"]}}
     assert preflight.check_request(as_study(parts), Compute()) is None
-
-
-def test_of_labels_no_map_but_those_of_the_faces_may_lead(layers):
     parts = layers | {"surface": {"labels": {}}, "properties": {"coating_g_cm3": 1.6}}
     assert preflight.check_request(as_study(parts | {"correlate": {"headline": "thickness"}}), Compute()) is None
     with pytest.raises(InputError, match=r'coat_weight_top"?: there will be no such map'):

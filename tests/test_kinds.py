@@ -209,14 +209,6 @@ def test_a_map_ends_with_the_flat_maps(kinds, planish, tmp_path):
     assert planish("info", tmp_path)[0] == 3
 
 
-def test_what_files_say_is_described(passes, specimen_files):
-    volume, image = specimen_files
-    facts = json.loads(passes("info", volume, "--json")[0])
-    assert facts["kind"] == "volume"
-    told, _ = passes("info", image)
-    assert "pixel size: 5 x 5 um (y, x), from the TIFF resolution" in told
-
-
 # --- two volumes, two images, a chain --------------------------------------------------------------------------------
 def test_two_volumes_show_the_same_material_at_the_same_pixel(kinds):
     run = open_run(kinds("volumes"))

@@ -7,13 +7,15 @@ import pytest
 import tifffile
 import xarray as xr
 
+import planish as pl
+from folders import disc_image
 from planish.app.pictures import Pictures
 from planish.core.transform import Similarity
-from planish.io import ImageParams, VolumeParams
+from planish.io import ImageParams
 from planish.marks import HoleParams, cut_holes, find_holes, read_any, write_marks
-from planish.register import RegistrationParams, fit_transform
+from planish.register import fit_transform
 from planish.resample.maps import _with_angles
-from planish.run import Layer, LayerHoles, LayerParams, Study, link, open_run, read_study, write_study
+from planish.run import Layer, LayerHoles, LayerParams, link, open_run
 
 
 def test_a_size_may_be_that_of_one_layer_alone(passes, refuses, kinds, tmp_path):
@@ -65,16 +67,6 @@ def test_machine_directions_that_contradict_each_other_are_seen(
     assert any(check["name"] == "machine direction" for check in results["checks"])
 
 
-def sheet_with(holes):
-    """An image of a sheet of 1 mm with dark discs of 160 um."""
-    places = np.arange(200) * 5.0
-    y, x = np.meshgrid(places, places, indexing="ij")
-    values = np.full((200, 200), 180.0)
-    for hole_x, hole_y in holes:
-        values[np.hypot(x - hole_x, y - hole_y) < 80] = 20.0
-    return xr.DataArray(values, dims=("y", "x"), coords={"y": places, "x": places})
-
-
 def test_each_face_of_a_layer_is_searched_for_holes_once(monkeypatch):
     searches = []
 
@@ -96,7 +88,7 @@ def test_each_face_of_a_layer_is_searched_for_holes_once(monkeypatch):
 
 
 def test_a_hole_that_the_border_cuts_is_left_out():
-    image = sheet_with([(300.0, 300.0), (600.0, 700.0), (-20.0, 500.0)])
+    image = pl.image(disc_image([(300.0, 300.0), (600.0, 700.0), (-20.0, 500.0)], (200, 200)), pixel_um=5.0)
     holes = find_holes(image.values, pixel_um=5.0)
     assert holes.sizes["mark"] == 2
     cut = cut_holes(image, holes)
@@ -109,11 +101,11 @@ def test_a_hole_that_the_border_cuts_is_left_out():
 @pytest.mark.parametrize("frame", [True, False])
 def test_dark_ground_beside_a_sheet_is_no_hole_that_the_border_cuts(frame):
     """A circle around it would leave no pixel of the sheet."""
-    image = sheet_with([(300.0, 300.0), (600.0, 700.0)])
+    image = pl.image(disc_image([(300.0, 300.0), (600.0, 700.0)], (200, 200)), pixel_um=5.0)
     if frame:
-        image[[0, 1, -2, -1]], image[:, [0, 1, -2, -1]] = 15.0, 15.0
+        image[[0, 1, -2, -1]], image[:, [0, 1, -2, -1]] = 2000, 2000
     else:
-        image[:, image.x > 800] = 15.0
+        image[:, image.x > 800] = 2000
     holes = find_holes(image.values, pixel_um=5.0)
     assert (holes.sizes["mark"], cut_holes(image, holes).sizes["mark"]) == (2, 0)
 
@@ -204,41 +196,13 @@ def test_links_that_cannot_be_made_are_refused_with_the_reason(refuses, linked_r
     for arguments, code, words in (
         ((image,), 2, ("reference last",)),
         ((linked_run, image, "--cutoff-um", "300"), 2, ("--cutoff-um", "keeps the options")),
-        ((linked_run, image, "--voxel-um", "3"), 2, ("--voxel-um", "keeps the options")),
         ((f"a={image}", f"a={volume}", other_run), 2, ("more than one is a", "NAME=PATH")),
-        ((f"a b={image}", linked_run), 2, ("no name of a layer",)),
         ((linked_run, other_run, image, "--marks", "pairs.csv"), 2, ("--marks", "study file")),
         ((linked_run, tmp_path / "nothing.tif"), 3, ("nothing.tif",)),
         ((linked_run, image, "--image-side", "left"), 2, ("--image-side",)),
         ((linked_run, image, "--design", tmp_path / "none.json"), 3, ("none.json",)),
     ):
         refuses("link", *arguments, words=words, code=code)
-
-
-def test_layers_that_do_not_show_one_specimen_are_refused(refuses, linked_run, tmp_path):
-    rng = np.random.default_rng(0)
-    picture = np.full((400, 500), 180, dtype=np.uint8) + rng.integers(0, 20, (400, 500), dtype=np.uint8)
-    blank = tmp_path / "blank.tif"
-    tifffile.imwrite(blank, picture)
-    refuses("link", f"a={blank}", f"b={linked_run}", "--pixel-um", "5", words="No hole found in the a")
-
-
-def test_a_study_of_layers_is_read_as_it_was_written(tmp_path):
-    study = Study(
-        layers=(
-            LayerParams(name="ct", volume=VolumeParams(path=str(tmp_path / "v.tif"), md_deg=12.0)),
-            LayerParams(name="lm", run=str(tmp_path / "lm"), marks=str(tmp_path / "pairs.csv")),
-            LayerParams(name="photo", image=ImageParams(path=str(tmp_path / "p.png"), side="bottom")),
-        ),
-        chain=True,
-        registration=RegistrationParams(design=str(tmp_path / "pattern.json")),
-    )
-    (tmp_path / "run").mkdir()
-    write_study(study, tmp_path / "run", home=tmp_path / "run", version="1")
-    text = (tmp_path / "run" / "run.toml").read_text()
-    assert 'path = "../v.tif"' in text
-    assert str(tmp_path) not in text
-    assert read_study(tmp_path / "run" / "run.toml") == study
 
 
 def test_fibre_directions_turn_with_the_sheet():

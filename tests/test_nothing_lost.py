@@ -80,7 +80,7 @@ def test_maps_of_a_refused_link_are_kept_and_taken_up_but_with_other_parameters(
     kept = bytes_of(kept_in)
     assert open_run(kept_in).results.passed
 
-    cutoffs: list[float] = []
+    cutoffs = []
 
     def stopped(params, **_more):
         cutoffs.append(params.surface.cutoff_um)
@@ -201,11 +201,9 @@ NOT_REPEATED = {
 IN_CI = ("flatten.rest=chord", "measurement")
 CHANGES = [
     ("registration.model=affine", "all"),
-    ("holes.hole_um=[110, 290]", "all"),
     IN_CI,
     ('properties.maps=["porosity", "roughness_top"]', "search"),
     ("sheet.surface.cutoff_um=450", "nothing"),
-    ("volume.md_deg=5", "nothing"),
 ]
 
 

@@ -9,17 +9,16 @@ import xarray as xr
 
 import planish as pl
 from folders import bytes_of
-from kinds import Files
 from planish.cli import runs
 from planish.core.errors import FileError, StudyError
 from planish.run import SECTIONS, Compute, build, cached_maps, open_results, read_study, study_of
 from planish.run.run import open_sheet
 
 
-def by_hand(files, frame, side):
+def by_hand(files, side):
     """The line of a notebook."""
     volume, image = pl.read_volume(files.volume), pl.read_image(files.image)
-    surfaces = pl.find_surfaces(volume, frame=frame)
+    surfaces = pl.find_surfaces(volume, through="y", top="low")
     measured = pl.measure_properties(surfaces, volume=volume)
     flat = pl.flatten_sheet(surfaces).flat
     maps = pl.resample_maps(measured, flat)
@@ -29,7 +28,7 @@ def by_hand(files, frame, side):
     return linked, registration, rows
 
 
-def same_bytes(a: xr.Dataset, b: xr.Dataset) -> None:
+def same_bytes(a, b):
     """Every array, dtype, coordinate and attribute."""
     xr.testing.assert_identical(a, b)
     for name in a.variables:
@@ -42,21 +41,15 @@ def group_of(path, group):
 
 
 # --- link, the stages, a notebook ------------------------------------------------------------------------------------
-@pytest.mark.parametrize(("pose", "frame", "side"), [
-    ("upright", pl.Frame(), "top"),
-    ("laid", pl.Frame(through="y", top="low"), "bottom"),
-])  # fmt: skip
-def test_link_the_stages_and_a_notebook_give_the_same_bytes(passes, kinds, tmp_path, pose, frame, side):
-    files = {"upright": Files(kinds.small.volume, kinds.small.image), "laid": kinds.laid}[pose]
-    folder = kinds(pose)
+def test_link_the_stages_and_a_notebook_give_the_same_bytes(passes, kinds, tmp_path):
+    files, folder, side = kinds.laid, kinds("laid"), "bottom"
     run = pl.open_run(folder)
-    linked, registration, rows = by_hand(files, frame, side)
+    linked, registration, rows = by_hand(files, side)
     same_bytes(linked, run.linked)
     assert rows == run.results.correlations
     registration.save(tmp_path / "again.json")
     assert (tmp_path / "again.json").read_bytes() == (folder / "marks.json").read_bytes()
-    lies = files.options[: files.options.index("--image-side")] if files.options else ()
-    seen = ("--image-side", side)
+    lies, seen = ("--through", "y", "--top", "low"), ("--image-side", side)
     steps = (
         ("surface", files.volume, "-o", tmp_path / "s.zarr", *lies),
         ("measure", tmp_path / "s.zarr", "-o", tmp_path / "p.zarr"),

@@ -24,7 +24,7 @@ PART = "/entry/a"
 FOLDER = "scan 1" if os.name == "nt" else "scan: 1"  # no name holds a colon on Windows
 
 
-def in_hdf5(folder: Path, values: np.ndarray) -> str:
+def in_hdf5(folder, values):
     """A volume as a part of a file in a folder with a colon, beside another part."""
     path = folder / FOLDER / "scan.h5"
     path.parent.mkdir()
@@ -35,12 +35,12 @@ def in_hdf5(folder: Path, values: np.ndarray) -> str:
 
 
 @pytest.fixture(scope="module")
-def volume(specimen_files, tmp_path_factory) -> str:
+def volume(specimen_files, tmp_path_factory):
     """The volume of the small specimen as a part."""
     return in_hdf5(tmp_path_factory.mktemp("parts"), tifffile.imread(specimen_files[0]))
 
 
-def test_name_stem_and_slashes_of_a_place(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_name_stem_and_slashes_of_a_place(monkeypatch):
     place = find_place("C:/scan: 1/scan.h5:/entry/a")
     assert (place.name, place.stem) == ("scan.h5:/entry/a", "scan-entry-a")
     assert (find_place("v.ome.tif").name, find_place("v.ome.tif").stem) == ("v.ome.tif", "v.ome")
@@ -49,7 +49,7 @@ def test_name_stem_and_slashes_of_a_place(monkeypatch: pytest.MonkeyPatch) -> No
     assert find_place("C:\\scans\\scan.h5:\\entry\\a").part == PART
 
 
-def test_measure_finds_the_part_that_the_surfaces_are_of(planish, linked_run, volume, tmp_path) -> None:
+def test_measure_finds_the_part_that_the_surfaces_are_of(planish, linked_run, volume, tmp_path):
     surfaces = surfaces_of(read_tree(linked_run / "maps.zarr")["surfaces"])
     for path, wanted in ((volume, 0), (volume.replace("scan.h5", "gone.h5"), 3)):
         store = tmp_path / f"{wanted}.zarr"
@@ -60,7 +60,7 @@ def test_measure_finds_the_part_that_the_surfaces_are_of(planish, linked_run, vo
     assert "gone.h5:/entry/a, is not there any more" in err
 
 
-def test_an_export_finds_the_part_that_was_mapped(linked_run, volume, tmp_path) -> None:
+def test_an_export_finds_the_part_that_was_mapped(linked_run, volume, tmp_path):
     run = tmp_path / "run"
     run.mkdir()
     results = json.loads((linked_run / "results.json").read_text(encoding="utf-8"))
@@ -79,7 +79,7 @@ def test_an_export_finds_the_part_that_was_mapped(linked_run, volume, tmp_path) 
         refused(FileError, words, run_contents.volume_params, opened, opened.results.layers[0], silent)
 
 
-def test_a_study_keeps_the_part_beside_a_relative_path(volume, tmp_path) -> None:
+def test_a_study_keeps_the_part_beside_a_relative_path(volume, tmp_path):
     study = Study(layers=(LayerParams(name="sheet", volume=VolumeParams(path=volume)),))
     home = Path(volume.partition(":/entry")[0]).parents[1] / "run"
     write_study(study, tmp_path, home=home, version="1")
@@ -89,14 +89,14 @@ def test_a_study_keeps_the_part_beside_a_relative_path(volume, tmp_path) -> None
     assert read_study(home / "run.toml") == study
 
 
-def test_layers_are_named_after_file_and_part(tmp_path) -> None:
+def test_layers_are_named_after_file_and_part(tmp_path):
     values = np.arange(504, dtype=np.uint8).reshape(9, 8, 7)
     part = in_hdf5(tmp_path, values)
     other = tmp_path / "a=b.h5"
     shutil.copy(part.removesuffix(f":{PART}"), other)
     tifffile.imwrite(tmp_path / "i.tif", values[0])
 
-    def names(*layers: str) -> list[str]:
+    def names(*layers):
         return [layer.name for layer in study_of((*layers, str(tmp_path / "i.tif")), {}).layers]
 
     # Two files with the same part: the part alone names neither.
@@ -106,7 +106,7 @@ def test_layers_are_named_after_file_and_part(tmp_path) -> None:
     refused(StudyError, "'häh' is no name of a layer", study_of, (f"häh={part}", str(tmp_path / "i.tif")), {})
 
 
-def test_specimens_are_named_after_file_and_part_and_a_sign_of_equality_names_no_layer(tmp_path, monkeypatch) -> None:
+def test_specimens_are_named_after_file_and_part_and_a_sign_of_equality_names_no_layer(tmp_path, monkeypatch):
     (tmp_path / "t.csv").write_text("volume,sheet\none.h5:/entry/a,1\ntwo.h5:/entry/a,1\n", encoding="utf-8")
     assert [one.name for one in read_plan(tmp_path / "t.csv").specimens] == ["one-entry-a", "two-entry-a"]
     monkeypatch.chdir(tmp_path)
@@ -118,7 +118,7 @@ def test_specimens_are_named_after_file_and_part_and_a_sign_of_equality_names_no
     assert read_plan(tmp_path / "t.csv").specimens[0].files == (str(tmp_path / "a=b.h5:/entry/a"),)
 
 
-def test_parts_of_a_store_have_hashes_of_their_own_and_nothing_is_written_into_it(tmp_path) -> None:
+def test_parts_of_a_store_have_hashes_of_their_own_and_nothing_is_written_into_it(tmp_path):
     values = xr.DataArray(
         np.arange(504, dtype=np.uint8).reshape(9, 8, 7), dims=("z", "y", "x"), attrs={"voxel_um": [1.0] * 3}
     )

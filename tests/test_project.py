@@ -24,24 +24,24 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 BUILD = ["hatchling", "editables"]  # run.py installs this folder without build isolation
 
 
-def read(name: str) -> str:
+def read(name):
     return (ROOT / name).read_text(encoding="utf-8")
 
 
-def locked(name: str) -> dict[str, set[str]]:
+def locked(name):
     """Versions of each package in a lock."""
-    versions: dict[str, set[str]] = {}
+    versions = {}
     for package, version in re.findall(r"^([\w.-]+)==(\S+)", read(f"requirements/{name}"), flags=re.MULTILINE):
         versions.setdefault(package, set()).add(version)
     return versions
 
 
-def names(requirements: list[str]) -> set[str]:
+def names(requirements):
     # Upper and lower case, and the signs between words, make no difference in the name of a package.
     return {re.sub(r"[-_.]+", "-", re.split(r"[\[<>=]", r)[0]).lower() for r in requirements}
 
 
-def test_locks_hold_everything_that_pyproject_names_in_the_same_versions() -> None:
+def test_locks_hold_everything_that_pyproject_names_in_the_same_versions():
     run = names([*PROJECT["dependencies"], *BUILD])
     assert run <= locked("run.lock").keys()
     docs = run | names(PROJECT["optional-dependencies"]["docs"])
@@ -55,20 +55,18 @@ def test_locks_hold_everything_that_pyproject_names_in_the_same_versions() -> No
     assert f"\n## [{planish.__version__}]" in changes
 
 
-def test_the_documents_are_built_without_the_tools_of_the_developers() -> None:
+def test_the_documents_are_built_without_the_tools_of_the_developers():
     """Few packages more than planish itself needs."""
     assert len(locked("docs.lock").keys() - locked("run.lock").keys()) <= 30
     assert not {"pytest", "pyright", "playwright", "pyarrow", "simpleitk"} & locked("docs.lock").keys()
 
 
-def test_each_command_installs_its_lock_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_each_command_installs_its_lock_once(monkeypatch, tmp_path):
     """A lock holds those before it; a set-up notes what it installed, and a folder that was moved starts anew."""
     module = importlib.util.spec_from_file_location("run_of_planish", ROOT / "run.py")
-    assert module is not None
-    assert module.loader is not None
     run = importlib.util.module_from_spec(module)
     module.loader.exec_module(run)
-    installed: list[str] = []
+    installed = []
     monkeypatch.setattr(run, "STAMP", tmp_path / "stamp.json")
     for name in ("PYTHON", "PLANISH"):
         monkeypatch.setattr(run, name, Path(sys.executable))
@@ -77,7 +75,7 @@ def test_each_command_installs_its_lock_once(monkeypatch: pytest.MonkeyPatch, tm
     monkeypatch.setattr(run, "find_pip", list)
     monkeypatch.setattr(run, "install", lambda _pip, *options: installed.append(Path(options[-1]).name))
 
-    def of(lock_name: str) -> list[str]:
+    def of(lock_name):
         installed.clear()
         run.set_up(lock_name)
         return [name for name in installed if name.endswith(".lock")]
@@ -92,18 +90,18 @@ def test_each_command_installs_its_lock_once(monkeypatch: pytest.MonkeyPatch, tm
     assert of("dev.lock") == ["dev.lock"]  # the old folder's tools are not in the new one
 
 
-def test_every_mutant_of_the_list_fits_the_code() -> None:
+def test_every_mutant_of_the_list_fits_the_code():
     assert mutants.main(["--list"]) == 0
 
 
 @pytest.mark.parametrize("name", ["run.lock", "docs.lock", "dev.lock"])
-def test_locks_hold_names_versions_and_hashes_only(name: str) -> None:
+def test_locks_hold_names_versions_and_hashes_only(name):
     line = re.compile(r"[\w.-]+==[\w.]+( ; [\w .<>='!()*]+)? \\|    --hash=sha256:[0-9a-f]{64}( \\)?")
     assert [text for text in read(f"requirements/{name}").splitlines() if not line.fullmatch(text)] == []
 
 
 @pytest.mark.ci
-def test_a_benchmark_needs_the_libraries_of_no_other() -> None:
+def test_a_benchmark_needs_the_libraries_of_no_other():
     program = "import sys; sys.modules['playwright'] = None; import benchmarks.__main__ as b; b.main(['none'])"
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False)
     assert "There is no benchmark 'none'. Choose one of " in done.stderr
@@ -114,7 +112,7 @@ def test_a_benchmark_needs_the_libraries_of_no_other() -> None:
         assert re.search(r"^def main\(|import .*\bmain\b", text, re.MULTILINE), name
 
 
-def build(folder: Path, target: str, to: Path) -> Path:
+def build(folder, target, to):
     """Build the wheel or the source archive of a folder as run.py does."""
     command = [sys.executable, "-m", "hatchling", "build", "--target", target, "--directory", str(to)]
     env = {k: v for k, v in os.environ.items() if k != "SOURCE_DATE_EPOCH"}
@@ -124,7 +122,7 @@ def build(folder: Path, target: str, to: Path) -> Path:
 
 
 @pytest.mark.ci
-def test_the_source_archive_holds_what_the_tests_read_and_builds_the_same_wheel(tmp_path: Path) -> None:
+def test_the_source_archive_holds_what_the_tests_read_and_builds_the_same_wheel(tmp_path):
     archive = build(ROOT, "sdist", tmp_path / "sdist")
     with tarfile.open(archive) as tar:
         tar.extractall(tmp_path / "unpacked", filter="data")
@@ -143,18 +141,18 @@ def test_the_source_archive_holds_what_the_tests_read_and_builds_the_same_wheel(
 
 
 @pytest.mark.nightly
-def test_nothing_is_left_of_a_wheel_that_was_uninstalled(tmp_path: Path) -> None:
+def test_nothing_is_left_of_a_wheel_that_was_uninstalled(tmp_path):
     """Compiled kernels beside the program kept its folders alive, so that an empty planish could be imported."""
     venv.create(tmp_path / "venv", with_pip=False)
     (python,) = [p for p in (tmp_path / "venv").glob("*/python*") if p.stem == "python"]
     env = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "NUMBA_CACHE_DIR")}
     env |= {"XDG_CACHE_HOME": str(tmp_path / "cache"), "HOME": str(tmp_path)}
 
-    def pip(*arguments: str) -> None:
+    def pip(*arguments):
         command = [sys.executable, "-m", "pip", "--python", str(python), *arguments]
         subprocess.run(command, check=True, capture_output=True, env=env)
 
-    def run(program: str) -> subprocess.CompletedProcess[str]:
+    def run(program):
         return subprocess.run(
             [python, "-c", program], cwd=tmp_path, env=env, capture_output=True, text=True, check=False
         )

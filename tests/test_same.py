@@ -42,7 +42,6 @@ def test_the_same_results_do_not_differ_and_renamed_numbers_are_named(sides):
     (MAP.astype("f4", keep_attrs=True), "coating", "float64 (2, 2) -> float32 (2, 2)"),
     (MAP.assign(coating=MAP.coating.assign_attrs(units="mm")), "coating.units", "'um' -> 'mm'"),
     (MAP.assign_coords(u=[0.0, 5.0]), "u", "1 of 2 values, by up to 1"),
-    (MAP.assign(more=MAP.coating), "more", "only new"),
 ])  # fmt: skip
 def test_arrays_types_attributes_and_coordinates_are_named(sides, changed, place, what):
     changed.to_zarr(sides[1] / "maps.zarr", mode="w", consolidated=False)

@@ -30,7 +30,7 @@ def make():
         sys.path.remove(str(STUDIES))
 
 
-def stated(make, capsys, name: str, out: Path, *options: str) -> str:
+def stated(make, capsys, name, out, *options):
     """Statement of a study, whose figure has to be drawn."""
     assert make.main([name, "--out", str(out), *options]) == 0
     said = capsys.readouterr().out
@@ -40,7 +40,7 @@ def stated(make, capsys, name: str, out: Path, *options: str) -> str:
     return said.split(f"{name} (")[-1].split(": ", 1)[1]
 
 
-def numbers(pattern: str, said: str) -> list[float]:
+def numbers(pattern, said):
     """The numbers that a pattern catches; it has to fit."""
     found = re.search(pattern, said)
     assert found is not None, said

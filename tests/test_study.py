@@ -6,16 +6,24 @@ import tifffile
 
 from planish.core.errors import FileError, InputError
 from planish.io import ImageParams, VolumeParams
+from planish.register import RegistrationParams
 from planish.run import LayerParams, Study, as_study, read_study, study_of, with_values, write_study
 
 
 def test_round_trip_keeps_everything_and_paths_are_relative(tmp_path):
-    volume = VolumeParams(path=str(tmp_path / "in" / "v.tif"), voxel_um=(1.0, 0.1 + 0.2, 3.0), through="x")
-    image = ImageParams(path=str(tmp_path / "i.tif"), channel="red")
-    study = Study(layers=(LayerParams(name="sheet", volume=volume), LayerParams(name="image", image=image)))
+    volume = VolumeParams(path=str(tmp_path / "in" / "v.tif"), voxel_um=(1.0, 0.1 + 0.2, 3.0), through="x", md_deg=12.0)
+    image = ImageParams(path=str(tmp_path / "i.tif"), channel="red", side="bottom")
+    layers = (
+        LayerParams(name="sheet", volume=volume),
+        LayerParams(name="lm", run=str(tmp_path / "lm"), marks=str(tmp_path / "pairs.csv")),
+        LayerParams(name="image", image=image),
+    )
+    design = RegistrationParams(design=str(tmp_path / "pattern.json"))
+    study = Study(layers=layers, chain=True, registration=design)
     (tmp_path / "run").mkdir()
     write_study(study, tmp_path / "run", home=tmp_path / "run", version="0")
     text = (tmp_path / "run" / "run.toml").read_text()
+    assert 'path = "../in/v.tif"' in text
     assert str(tmp_path) not in text
     assert read_study(tmp_path / "run" / "run.toml") == study
 

@@ -8,7 +8,7 @@ import pytest
 import tifffile
 
 from planish.core.options import Params
-from planish.run import Study, as_study, draft_study, in_study_words, read_study, study_of
+from planish.run import as_study, draft_study, in_study_words, read_study, study_of
 
 KEY = re.compile(r"^#(\w+) = ([^#]*)", re.MULTILINE)
 
@@ -31,7 +31,7 @@ def test_it_is_the_study_of_link_with_what_the_files_state(draft, specimen_files
     assert max(map(len, text.splitlines())) <= 110
 
 
-def fields(model: type[Params], place=()):
+def fields(model, place=()):
     for name, field in model.model_fields.items():
         inner = field.annotation
         if isinstance(inner, type) and issubclass(inner, Params):
@@ -59,7 +59,7 @@ def test_every_option_stands_in_it_with_its_default(draft):
     whole = as_study(tomllib.loads(KEY.sub(taken, text)))
     drop = {"path", "voxel_um", "pixel_um"}
 
-    def plain(study: Study):
+    def plain(study):
         return [
             {k: v for k, v in part.items() if k not in drop} if isinstance(part, dict) else part
             for layer in study.model_dump()["layers"] for part in layer.values()

@@ -68,18 +68,3 @@ def test_layers_without_a_valid_pixel_in_common_are_inconclusive(other):
     checks = texture_of(a_sheet(), other.assign(valid=other["valid"] & False), ("sheet", "other")).checks
     assert [check.state for check in checks] == ["unknown"] * len(checks)
     assert "inconclusive" in checks[0].sentence
-
-
-def test_two_real_images_and_one_of_them_flipped(shared_data):
-    with np.load(shared_data("heightmaps/sur-2_sur.npz")) as found:
-        heights = np.nan_to_num(found["heights_m"][:300, :300] * 1e6)
-    grain = ndimage.gaussian_filter(np.random.default_rng(4).standard_normal(heights.shape), 1.0)
-    first, second = layer(image=heights), layer(2.0, image=-heights + heights.std() * grain)
-    lag, checks = texture_of(first, second, ("one", "two"))
-    assert [check.state for check in checks] == ["pass", "pass"]
-    assert lag.length_um < 2.0
-    flipped = layer(2.0, image=second["image"].values[:, ::-1].copy())
-    lag, checks = texture_of(first, flipped, ("one", "two"))
-    assert [check.state for check in checks] == ["look", "unknown"]
-    assert checks[0].sentence.endswith("nothing beside the marks says that both show one specimen.")
-    assert np.isnan(lag.lag_um).all()

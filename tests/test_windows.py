@@ -4,26 +4,20 @@ import ast
 import ctypes
 import json
 import re
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path, PureWindowsPath
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import xarray as xr
 
 import planish as pl
-from folders import bytes_of
-from formats_written import CASES, VALUES, VOXEL
+from formats_written import CASES, VALUES
 from marks import files_by_hand as by_hand
 from planish.core.errors import FileError
 from planish.core.files import DEEPEST_PATH_LENGTH, check_length, fault_of_name, move, refuse_name, write_whole
-from planish.core.tiles import Engine
-from planish.io import guard, new_folder, read_volume, refuse_existing, write_store
+from planish.io import guard, new_folder, read_volume, refuse_existing
 from planish.marks import read_any
 from planish.run import as_study, read_study
-from planish.surface import find_surfaces
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = sorted((ROOT / "src").rglob("*.py"))
@@ -122,7 +116,7 @@ def test_what_is_there_is_replaced_only_on_request(tmp_path):
 
 
 # --- line ends -------------------------------------------------------------------------------------------------------
-def crlf(path: Path) -> Path:
+def crlf(path):
     """The same file as an editor on Windows saves it."""
     path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
     return path
@@ -145,7 +139,7 @@ def test_marks_with_the_line_ends_of_windows_are_the_same(tmp_path, name, text):
 
 @pytest.mark.parametrize("name", ["NRRD detached", "MetaImage detached", "NRecon", "raw"])
 def test_headers_with_the_line_ends_of_windows_are_the_same(tmp_path, name):
-    given = CASES[name].write(tmp_path, VALUES, VOXEL if CASES[name].voxel == VOXEL else CASES[name].voxel)
+    given = CASES[name].write(tmp_path, VALUES, CASES[name].voxel)
     texts = [p for p in tmp_path.rglob("*") if p.suffix in (".nhdr", ".mhd", ".log", ".toml")]
     assert texts
     for path in texts:
@@ -180,26 +174,6 @@ def test_the_memory_is_asked_of_windows():
 
     assert guard._available_on_windows(SimpleNamespace(GlobalMemoryStatusEx=answer)) == 5 * 2**30
     assert guard._available_on_windows(SimpleNamespace(GlobalMemoryStatusEx=lambda _: 0)) == guard.UNKNOWN_BYTES
-
-
-@pytest.mark.nightly
-def test_workers_that_are_spawned_write_the_same_store(specimen_files, tmp_path):
-    """Windows has no fork: what is sent to workers has to be pickled, and modules are imported anew."""
-    volume = read_volume(specimen_files[0])
-    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as workers:
-        write_store(volume, tmp_path / "spawned.zarr", executor=workers, workers=2, memory_bytes=2**27)
-    write_store(volume, tmp_path / "here.zarr", memory_bytes=2**27)
-    assert bytes_of(tmp_path / "spawned.zarr") == bytes_of(tmp_path / "here.zarr")
-
-
-@pytest.mark.nightly
-def test_tiles_that_are_spawned_are_the_same(specimen_files):
-    """Stages on an engine of spawned processes, as on a cluster of Windows machines."""
-    volume = read_volume(specimen_files[0])
-    expected = find_surfaces(volume)
-    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as workers:
-        found = find_surfaces(volume, engine=Engine(executor=workers, workers=2, memory_bytes=2**28))
-    xr.testing.assert_identical(found, expected)
 
 
 # --- rules for the code ----------------------------------------------------------------------------------------------

@@ -61,12 +61,6 @@ def test_a_function_refuses_what_the_command_line_refuses():
     assert 0.9 < found.attrs["thickness_um"] < 1.5
 
 
-@pytest.mark.ci
-def test_the_command_line_names_the_right_axis(planish, refuses, specimen_files):
-    refuses("map", specimen_files[0], "--through", "y", words="try --through z")
-    assert "sheet: across z" in planish("info", specimen_files[0])[1]
-
-
 def test_nothing_is_said_of_an_axis_where_the_grey_tells_none():
     rng = np.random.default_rng(0)
     assert likely_through(rng.normal(size=(40, 50, 60))) is None

@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-from collections.abc import Coroutine, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -14,7 +13,7 @@ TOKEN = "the-token-of-this-test"
 T = TypeVar("T")
 
 
-def run_apart(task: Coroutine[Any, Any, T]) -> T:
+def run_apart(task):
     """Run a task in a loop of its own: the browser of other tests has one in this thread."""
     with ThreadPoolExecutor(1) as pool:
         return pool.submit(asyncio.run, task).result()
@@ -28,7 +27,7 @@ class Answer:
     headers: dict[str, str]
     body: bytes
 
-    def json(self) -> Any:
+    def json(self):
         return json.loads(self.body)
 
 
@@ -40,21 +39,21 @@ class Client:
     token: str = TOKEN
     host: str = HOST
 
-    def get(self, path: str, **how: Any) -> Answer:
+    def get(self, path, **how):
         return self.ask("GET", path, **how)
 
-    def post(self, path: str, body: Any = None, **how: Any) -> Answer:
+    def post(self, path, body=None, **how):
         return self.ask("POST", path, body={} if body is None and "data" not in how else body, **how)
 
     def ask(
-        self, method: str, path: str, *, body: Any = None, data: bytes | Sequence[bytes] | None = None,
-        headers: Mapping[str, str | None] | None = None,
-    ) -> Answer:  # fmt: skip
+        self, method, path, *, body = None, data = None,
+        headers = None,
+    ):  # fmt: skip
         """Send one request; a header of None is left out, ``data`` are raw parts of a body."""
         parts = [data] if isinstance(data, bytes) else list(data or [])
         if body is not None:
             parts = [json.dumps(body).encode()]
-        usual: dict[str, str | None] = {"host": self.host, "authorization": f"Bearer {self.token}"}
+        usual = {"host": self.host, "authorization": f"Bearer {self.token}"}
         if method == "POST":
             usual |= {"origin": f"http://{self.host}", "content-type": "application/json"}
             usual["content-length"] = str(sum(map(len, parts)))
@@ -67,16 +66,16 @@ class Client:
         }  # fmt: skip
         return run_apart(self._exchange(scope, parts))
 
-    async def _exchange(self, scope: dict[str, Any], parts: list[bytes]) -> Answer:
+    async def _exchange(self, scope, parts):
         waiting, head, body = [*parts], {}, bytearray()
 
-        async def receive() -> dict[str, Any]:
+        async def receive():
             if waiting:
                 part = waiting.pop(0)
                 return {"type": "http.request", "body": part, "more_body": bool(waiting)}
             return {"type": "http.request", "body": b"", "more_body": False}
 
-        async def send(message: dict[str, Any]) -> None:
+        async def send(message):
             if message["type"] == "http.response.start":
                 head.update(message)
             else:

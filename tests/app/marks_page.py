@@ -1,7 +1,6 @@
 """What tests of pages share, and those of its marks."""
 
 import re
-from typing import Any
 
 import numpy as np
 
@@ -11,7 +10,7 @@ VOLUME, IMAGE = "Volume side", "Image side"
 class Browsed:
     """A page in the browser; ``faults`` are the errors of its console, ``asked`` the addresses it asked for."""
 
-    def __init__(self, page: Any) -> None:
+    def __init__(self, page):
         self.page = page
         self.faults: list[str] = []
         self.asked: list[str] = []
@@ -19,10 +18,10 @@ class Browsed:
         page.on("pageerror", lambda error: self.faults.append(str(error)))
         page.on("request", lambda request: self.asked.append(request.url))
 
-    def field(self, label: str) -> Any:
+    def field(self, label):
         return self.page.get_by_label(label, exact=True)
 
-    def fill(self, label: str, text: str) -> None:
+    def fill(self, label, text):
         box = self.field(label)
         box.fill(text)
         box.press("Enter")
@@ -42,7 +41,7 @@ def api(shown, path):
     return shown.page.evaluate(ask, [f"/api/{path}", shown.server.token])
 
 
-def drag(page: Any, start: tuple[float, float], end: tuple[float, float], *, key: str = "") -> None:
+def drag(page, start, end, *, key=""):
     """Press the mouse at one place of the screen, perhaps with a key, and let it go at another."""
     page.mouse.move(*start)
     if key:

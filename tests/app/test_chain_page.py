@@ -1,5 +1,7 @@
 """Layers in a chain: the marks of each stand on the plane of the next one, not on that of the reference."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -16,7 +18,6 @@ def test_a_hole_is_searched_on_the_plane_of_the_next_layer(kinds, monkeypatch):
     monkeypatch.setattr(Session, "holes", lambda *_: {"moving": None, "fixed": None})
     for mark in marks:
         found = snap.hole_at(session, "ct", "fixed", mark.fixed.xy)
-        assert found is not None
         np.testing.assert_allclose(found.xy, mark.fixed.xy, atol=2.0)
 
 
@@ -34,3 +35,5 @@ def test_the_image_side_shows_the_next_layer(kinds, serve, window):
         expect(box).to_have_value(next(k for k, one in places.items() if one == place))
     for name in ("near x um", "far y um"):
         assert shown.role("columnheader", name).is_visible()
+    shown.role("tab", "Maps").click()
+    expect(shown.page.get_by_text(re.compile("Scatter of [0-9]+ points"))).to_be_visible()

@@ -1,15 +1,11 @@
 """The tab Flattening in a real browser: the sheet in space, and what is shown where there is no WebGL."""
 
 import re
-import statistics
 
 import pytest
 
 from app.marks_page import drag, expect, settled
 from folders import chromium_path
-
-FRAME_MS = 100.0
-"""Longest that a frame may take, in the median, while the sheet is turned."""
 
 COLOURS = """(canvas) => {
   const copy = document.createElement("canvas");
@@ -46,22 +42,6 @@ OFF_THE_BAR = """(canvas) => {
   return angles.sort((a, b) => a - b)[Math.floor(0.5 * angles.length)];
 }"""
 
-WATCH = """(canvas) => {
-  window.frames_seen = { gaps: [], drawn: [], triangles: [] };
-  let last = performance.now();
-  const next = (now) => {
-    window.frames_seen.gaps.push(now - last);
-    last = now;
-    if (!window.frames_end) requestAnimationFrame(next);
-  };
-  requestAnimationFrame(next);
-  new MutationObserver(() => {
-    if (canvas.dataset.detail !== "turning") return;
-    window.frames_seen.drawn.push(Number(canvas.dataset.milliseconds));
-    window.frames_seen.triangles.push(Number(canvas.dataset.triangles));
-  }).observe(canvas, { attributes: true, attributeFilter: ["data-milliseconds"] });
-}"""
-
 
 def drawn(canvas):
     """A picture of a sheet: colours and the share that they cover."""
@@ -87,30 +67,6 @@ def test_the_sheet_is_drawn_whole_in_the_colours_of_the_bar_and_again_after_it_w
     assert drawn(canvas)
     assert canvas.screenshot() != before
     assert int(canvas.get_attribute("data-triangles")) <= 1_000_000
-
-
-@pytest.mark.nightly
-def test_the_sheet_is_drawn_quickly_while_it_turns(serve, window, kinds):
-    shown = window(serve(kinds("demo"), "--read-only"))
-    settled(shown)
-    shown.role("tab", "Flattening").click()
-    canvas = shown.role("img", "Sheet in space")
-    expect(canvas).to_have_attribute("data-detail", "full")
-    x, y = (canvas.bounding_box()[side] for side in ("x", "y"))
-    canvas.evaluate(WATCH)
-    shown.page.mouse.move(x + 200, y + 150)
-    shown.page.mouse.down()
-    for k in range(60):
-        shown.page.mouse.move(x + 200 + 2 * k, y + 150 + k % 20)
-        shown.page.wait_for_timeout(15)
-    shown.page.mouse.up()
-    seen = shown.page.evaluate("() => { window.frames_end = true; return window.frames_seen; }")
-    gap, milliseconds = statistics.median(seen["gaps"]), statistics.median(seen["drawn"])
-    print(f"{len(seen['drawn'])} frames turning, {gap:.0f} ms apart, drawn in {milliseconds:.0f} ms (medians);"
-          f" {max(seen['triangles'])} triangles at most")  # fmt: skip
-    assert len(seen["drawn"]) >= 10
-    assert gap < FRAME_MS
-    assert milliseconds < FRAME_MS
 
 
 @pytest.fixture

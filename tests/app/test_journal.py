@@ -9,7 +9,6 @@ import subprocess
 import sys
 import time
 from contextlib import closing
-from pathlib import Path
 
 import pytest
 
@@ -23,15 +22,15 @@ from planish.core.errors import FileError, ResourceError
 
 
 @pytest.fixture
-def path(tmp_path) -> Path:
+def path(tmp_path):
     return tmp_path / "edits" / "journal.jsonl"
 
 
-def change(session: Session, **values: object) -> None:
+def change(session, **values):
     session.change(changes.change_of(json.dumps(values)))
 
 
-def standing(session: Session) -> list[object]:
+def standing(session):
     now = session.state
     return [now.marks, now.model, now.corrections, now.regions]
 
@@ -63,7 +62,7 @@ def test_half_a_first_line_is_as_good_as_none(path):
 
 
 def test_a_line_is_on_the_disk_before_it_counts(path, monkeypatch):
-    seen: list[bytes] = []
+    seen = []
     real = os.fsync
     monkeypatch.setattr(module.os, "fsync", lambda at: (seen.append(path.read_bytes()), real(at)))
     with closing(Journal(path, subject="a", write=True)) as made:
@@ -225,7 +224,7 @@ def test_forty_sequences_of_changes_undo_and_redo(made_copy, seed, monkeypatch):
     session.close()
 
 
-def restarted(session: Session) -> Session:
+def restarted(session):
     """The same run in a new session, without reading its numbers again."""
     session.close()
     journal = Journal(session.journal.path, subject=session.journal.subject, write=True)
@@ -253,7 +252,6 @@ with closing(Journal(Path(sys.argv[1]), subject="a", write=True)) as made:
 def test_a_killed_writer_loses_at_most_the_line_in_flight(path):
     path.parent.mkdir(exist_ok=True)
     writer = subprocess.Popen([sys.executable, "-c", _WRITER, str(path)], stdout=subprocess.PIPE, text=True)
-    assert writer.stdout is not None
     writer.stdout.readline()
     time.sleep(0.1)
     writer.kill()

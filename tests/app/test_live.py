@@ -1,14 +1,13 @@
 """The fit on the screen: its numbers are those of `fit_transform`, wrong marks are named, and it is quick."""
 
 import json
-import statistics
 import time
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from planish.app import changes, fits, snap
+from planish.app import Session, changes, fits, snap
 from planish.app.live import Live
 from planish.register import RegistrationParams, fit_transform
 
@@ -18,7 +17,7 @@ SIX = np.array([[597, 394], [1475, 609], [1045, 652], [408, 690], [746, 891], [1
 TURN = np.array([[0.99, 0.12], [-0.12, 0.99]])
 
 
-def marks_of(moving, fixed, used=None) -> tuple[changes.Mark, ...]:
+def marks_of(moving, fixed, used=None):
     used = [True] * len(moving) if used is None else used
     return tuple(
         changes.Mark.model_validate(
@@ -28,7 +27,7 @@ def marks_of(moving, fixed, used=None) -> tuple[changes.Mark, ...]:
     )  # fmt: skip
 
 
-def pairs(n: int, seed: int, error_um: float = 2.0):
+def pairs(n, seed, error_um=2.0):
     """Marks on a sheet, of the demo's six or spread over as many square millimetres, and their images."""
     draw = np.random.default_rng(seed)
     moving = SIX.copy() if n == 6 else draw.uniform((300, 300), (1600, 1100), (n, 2))
@@ -89,7 +88,6 @@ def test_mirrored_marks_agree_when_the_planes_show_both_sides():
     moving, fixed, _ = pairs(6, 3)
     turned = moving * (-1, 1)
     found = fits.fitted(marks_of(turned, fixed), "similarity", mirrored=True, params=PARAMS)
-    assert found.fit is not None
     assert found.fit.rms_um < 4
     assert not found.is_outlier.any()
     other = fits.fitted(marks_of(turned, fixed), "similarity", mirrored=False, params=PARAMS)
@@ -101,7 +99,6 @@ def test_errors_of_marks_on_a_line_or_at_one_place_are_named():
     line = np.stack([np.arange(5.0) * 100, np.zeros(5)], axis=1)
     found = shown(line, line + 3, "affine")
     assert "one line" in found.error
-    assert found.fit is not None
     assert (found.fit.model, shown(line, line + 3, "similarity").error) == ("similarity", "")
     moving, fixed, _ = pairs(6, 4)
     moving[5] = moving[1]
@@ -130,33 +127,29 @@ def test_a_place_is_predicted_from_the_first_pair_on(n, words, side):
     found = shown(moving[:n], fixed[:n], "similarity").predicted(
         side, tuple((moving if side == "moving" else fixed)[5])
     )
-    assert found is not None
     place, error, text = found
     assert np.allclose(place, (fixed if side == "moving" else moving)[5], atol=1e-6)
     assert words in text or error is None
     assert (error is None) == (n < 3 or not np.isfinite(error or np.nan))
 
 
-@pytest.mark.parametrize("sets", [12, pytest.param(60, marks=pytest.mark.nightly)])
-def test_a_stated_error_of_a_predicted_place_holds(sets):
+def test_a_stated_error_of_a_predicted_place_holds():
     """Its rms over many sets of marks: what is stated allows for a map that is no similarity, which this one is."""
     off, stated = [], []
-    for seed in range(sets):
+    for seed in range(12):
         moving, fixed, _ = pairs(12, seed)
         found = shown(moving, fixed).predicted("moving", (900.0, 700.0))
-        assert found is not None
-        assert found[1] is not None
         off.append(np.linalg.norm(np.array(found[0]) - (TURN @ (900, 700) + (260, 220))))
         stated.append(found[1])
     assert 0.5 < np.sqrt(np.mean(np.square(off)) / np.mean(np.square(stated))) < 1.1
 
 
 # --- on a run ------------------------------------------------------------------------------------------------------
-def imported(moving, fixed) -> changes.Import:
+def imported(moving, fixed):
     return changes.Import(marks=marks_of(moving, fixed))
 
 
-def followed(live: Live, layer: str) -> dict:
+def followed(live, layer):
     """The state when its fit is ready."""
     end = time.monotonic() + 20
     while live.fit(layer).is_pending and time.monotonic() < end:
@@ -177,7 +170,7 @@ def test_a_fit_that_follows_is_a_new_version(session):
     layer, live = session.layers[0], Live(session)
     session.change(imported(*pairs(6, 1)[:2]))
     followed(live, layer)
-    heard: list[int] = []
+    heard = []
     session.listen(lambda: heard.append(session.version))
     session.change(changes.change_of('{"do": "model", "model": "tps"}'))
     changed_at = session.version
@@ -200,49 +193,27 @@ def test_rough_clicks_snap_to_the_holes_they_were_meant_for(session):
         assert (new.moving, new.fixed) == (old.moving, old.fixed)
 
 
+@pytest.mark.parametrize("kind", ["upright", "laid"])
 def test_a_hole_that_is_searched_around_its_mark_is_precise_and_is_moved_to_the_face_as_the_others(
-    linked_session, monkeypatch
+    kinds, kind, monkeypatch
 ):
     """Holes of a laser that was not perpendicular: a single hole does not show its angle, the link's holes did."""
-    layer = linked_session.layers[0]
-    none = {plane: holes.isel(mark=slice(0, 0)) for plane, holes in linked_session.holes(layer).items()}
-    monkeypatch.setattr(linked_session, "holes", lambda _layer: none)
-    marks = linked_session.state.of(layer)
-    straight = [snap.snapped(linked_session, layer, mark) for mark in marks]
+    session = Session.open(kinds(kind), read_only=True)
+    layer = session.layers[0]
+    none = {plane: holes.isel(mark=slice(0, 0)) for plane, holes in session.holes(layer).items()}
+    monkeypatch.setattr(session, "holes", lambda _layer: none)
+    marks = session.state.of(layer)
+    straight = [snap.snapped(session, layer, mark) for mark in marks]
     for mark, move in zip(marks, straight, strict=True):
         for end, old in ((move.moving, mark.moving), (move.fixed, mark.fixed)):
             assert np.hypot(end.x - old.x, end.y - old.y) < 2.0  # um: less than a pixel of either
             assert None not in (end.cov_xx, end.diameter)
-    facts = linked_session.results.layer(layer).registration
+    facts = session.results.layer(layer).registration
     oblique = facts.model_copy(update={"tilt": facts.tilt.model_copy(update={"to_face_um": (3.0, -2.0)})})
-    monkeypatch.setattr(
-        type(linked_session.results), "layer", lambda _self, _name: SimpleNamespace(registration=oblique)
-    )
-    moved = snap.snapped(linked_session, layer, marks[0])
+    monkeypatch.setattr(type(session.results), "layer", lambda _self, _name: SimpleNamespace(registration=oblique))
+    moved = snap.snapped(session, layer, marks[0])
     assert moved.moving.xy == pytest.approx((straight[0].moving.x + 3.0, straight[0].moving.y - 2.0))
     assert moved.fixed == straight[0].fixed
-
-
-@pytest.mark.nightly
-def test_a_click_is_answered_within_its_time(session):
-    """Times of this process, as CPU: 50 ms for models of few parameters, 250 ms until auto and tps of 30 marks are."""
-    layer, live = session.layers[0], Live(session)
-    session.change(imported(*pairs(30, 1)[:2]))
-    first = session.state.of(layer)[0].id
-    for model, limit_s in (("similarity", 0.05), ("affine", 0.05), ("tps", 0.25), ("auto", 0.25)):
-        session.change(changes.change_of(json.dumps({"do": "model", "model": model})))
-        followed(live, layer)
-        answers, ends = [], []
-        for k in range(9):
-            begin, clock = time.process_time(), time.perf_counter()
-            session.change(changes.change_of(json.dumps({"do": "move", "id": first, "moving": [600 + k, 400]})))
-            live.shown(layer)
-            answers.append(time.perf_counter() - clock)
-            followed(live, layer) if model in ("tps", "auto") else None
-            ends.append(time.process_time() - begin)
-            followed(live, layer)
-        print(model, f"answer {1e3 * statistics.median(answers):.0f} ms", f"fit {1e3 * statistics.median(ends):.0f} ms")
-        assert statistics.median(ends) < limit_s
 
 
 def test_a_search_before_the_first_snap_changes_nothing(linked_session, monkeypatch):

@@ -114,8 +114,6 @@ def test_both_ends_of_a_mark_show_one_place_of_the_volume(kinds, kind):
     for _, one in pairs.iterrows():
         on_sheet = cursor(tiles, by["moving", "thickness"], one.moving_x, one.moving_y)["volume"]
         on_image = cursor(tiles, by["fixed", "thickness"], one.fixed_x, one.fixed_y)["volume"]
-        assert on_sheet is not None
-        assert on_image is not None
         # A pixel of 4 um of either plane, and the residual of a mark of a few um.
         for axis in "xyz":
             assert on_sheet[axis] == pytest.approx(on_image[axis], abs=12)

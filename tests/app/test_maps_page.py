@@ -91,7 +91,9 @@ def cursor_gives_the_pixel(maps, linked, left=LEFT):
 def test_cursor_brush_and_region_are_those_of_the_maps_and_a_pixel_leads_to_its_slice(maps, linked):
     assert maps.field("Left layer").input_value() == LEFT
     assert maps.field("Right layer").input_value() == RIGHT
+    expect(maps.role("status", "Whole maps")).to_contain_text("95 % interval")
     cursor_gives_the_pixel(maps, linked)
+    expect(maps.role("table", "Values at the cursor")).to_be_visible()
     one, other = (values_in(maps, f"{side} map centre, um") for side in ("Left", "Right"))
     assert one == pytest.approx(other, abs=0.01)  # both maps move together
     # Values picked by the fields: painted in both maps, counted over all pixels.
@@ -205,6 +207,13 @@ def test_regions_lines_and_artefacts_are_drawn_typed_shown_and_undone_and_a_fiel
     expect(maps.field("Brush thickness")).to_be_visible()
     maps.fill("Line, um", "100, 100, 700, 500")
     expect(maps.page.get_by_role("img", name="Profile over 721.11 um of thickness and image")).to_be_visible()
+    for kind, first_bytes in (("PNG", b"\x89PNG"), ("SVG", b"<svg")):
+        with maps.page.expect_download() as download:
+            maps.role("button", f"Profile: save as {kind}").click()
+        data = download.value.path().read_bytes()
+        assert data.startswith(first_bytes)
+    assert b"var(" not in data  # as other programs read it
+    assert "Relative grey" in data.decode()
     maps.field("Only valid pixels").check()
     maps.field("Layout").select_option("Blended")
     expect(maps.role("application", "Right map")).to_be_hidden()

@@ -53,7 +53,7 @@ def written(folder, maps, *, smaller=True):
     return Pictures(group_pictures(folder, "linked", plane="fixed", layer="image"))
 
 
-def decoded(codes: Codes, numbers: np.ndarray) -> np.ndarray:
+def decoded(codes, numbers):
     """The values that codes stand for; NaN where they are missing."""
     return np.where(numbers == 0, np.nan, codes.offset + codes.scale * (numbers.astype(np.float64) - 1))
 

@@ -16,7 +16,7 @@ from planish.io import ImageParams
 from planish.run import open_run
 
 
-def served(session: Session) -> Client:
+def served(session):
     return Client(create_app(session, token=TOKEN, hosts=(HOST,)))
 
 
@@ -105,7 +105,7 @@ def test_a_change_that_the_disk_does_not_take_is_not_shown(client, monkeypatch):
 def test_every_window_hears_of_a_change(client, session):
     """A line at once, one for the change, and a heartbeat each half second."""
 
-    async def listen() -> list[dict[str, int]]:
+    async def listen():
         request = type("Request", (), {"app": client.app})()
         lines = (await marks_routes.get_events(request)).body_iterator
         found = [json.loads(await anext(lines))]

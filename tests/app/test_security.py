@@ -11,7 +11,7 @@ from planish.app import Session, create_app
 from planish.app.server import HEADERS, MOST_BYTES
 
 READS = ("/api/session", "/api/state", "/api/predict?side=moving&x=1&y=2", "/api/marks/export?format=json")
-WRITES: dict[str, object] = {
+WRITES = {
     "/api/change": {"change": {"do": "use", "id": "m0-1", "used": False}},
     "/api/undo": {},
     "/api/redo": {},
@@ -37,9 +37,9 @@ def client(session):
     app.state.applying.close()
 
 
-def routes(client: Client) -> list[tuple[str, str]]:
+def routes(client):
     """Every method and path that there is, with something in place of its parameters."""
-    found: list[tuple[str, str]] = []
+    found = []
     for route in client.app.routes:
         path = route.path
         for name in route.param_convertors:
@@ -178,7 +178,7 @@ def test_hostile_names_are_answered_as_json_text_alone(client):
 
 
 def test_a_fault_of_ours_says_no_more_than_its_kind(client, session, monkeypatch):
-    def broken(*_a: object, **_k: object) -> None:
+    def broken(*_a, **_k):
         raise RuntimeError("a secret of /home/somebody")
 
     monkeypatch.setattr(session, "undo", broken)

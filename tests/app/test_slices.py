@@ -17,19 +17,18 @@ from planish.surface import Corrections, correct_surfaces
 
 
 @pytest.fixture(params=["upright", "laid"])
-def folder(kinds, request) -> Path:
+def folder(kinds, request):
     return kinds(request.param)
 
 
-def opened(folder: Path) -> slices.SlicedSheet:
+def opened(folder):
     study = read_study(folder / "run.toml")
     ((name, (params, store)),) = slices.sheets_of(folder, study).items()
     return slices.SlicedSheet.open(name, params, store)
 
 
-def voxels(folder: Path) -> np.ndarray:
+def voxels(folder):
     study = read_study(folder / "run.toml")
-    assert study.layers[0].volume is not None
     return tifffile.imread(study.layers[0].volume.path)
 
 
@@ -70,7 +69,6 @@ def test_the_lines_of_a_slice_are_the_surfaces_of_the_run(folder):
         assert known.mean() > 0.8
         np.testing.assert_allclose((normal[:, known] ** 2).sum(axis=0), 1, rtol=1e-5)
         assert (np.sign(normal[2, known]) == frame.sign).all()  # towards the top
-        assert cut.facts.columns is not None
         assert cut.facts.columns.first_um == surfaces["x" if axis == 0 else "y"].values[0]
 
 

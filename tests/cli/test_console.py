@@ -25,7 +25,7 @@ table("Properties", ("", "unit", "mean"), [("coating [top]", "um", "17.60")])
 """
 
 
-def in_terminal(code: str, **environment: str) -> str:
+def in_terminal(code, **environment):
     """What a terminal gets from a program, as it is."""
     pty = pytest.importorskip("pty")
     above, below = pty.openpty()
@@ -120,7 +120,7 @@ def test_no_line_ends_between_a_number_and_its_unit():
 
 
 # --- letters ---------------------------------------------------------------------------------------------------------
-def run(*arguments: str, cwd: Path, **environment: str) -> tuple[int, bytes, bytes]:
+def run(*arguments, cwd, **environment):
     found = subprocess.run(
         [sys.executable, "-m", "planish", *arguments], cwd=cwd, capture_output=True, check=False,
         env=os.environ | environment,

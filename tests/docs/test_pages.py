@@ -1,32 +1,17 @@
 """Every command of the tutorial and of the how-to pages runs as it stands and prints what the page shows."""
 
-import importlib.util
 import os
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import matplotlib.pyplot as plt
-import numpy as np
 import pytest
-import tifffile
 
 import console
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS, README = ROOT / "docs", ROOT / "README.md"
-IMAGEJ = next((path for path in (Path("/usr/share/java/ij.jar"),) if path.exists()), None)
-# Dragging a file onto ImageJ, without a window.
-OPEN = """
-import sys, jpype
-jpype.startJVM("-Djava.awt.headless=true", classpath=[sys.argv[1]])
-image = jpype.JClass("ij.IJ").openImage(sys.argv[2])
-size = image.getCalibration()
-about = image.getWidth(), image.getHeight(), image.getBitDepth(), size.pixelWidth, size.getUnit()
-print(*about, image.getStatistics().mean)
-"""
 # Pages without such blocks speak of what a test cannot do here: another system, an installation.
 PAGES = sorted(path for path in (DOCS / "how-to").glob("*.md") if console.steps(path.read_text(encoding="utf-8")))
 
@@ -70,22 +55,6 @@ def test_the_readme_reads_a_run_as_it_shows(kinds, tmp_path, monkeypatch):
     exec(compile(block, str(README), "exec"), names)
     plt.close("all")
     assert names["run"].linked.coating_top.where(names["run"].linked.valid).notnull().any()
-
-
-@pytest.mark.nightly
-def test_imagej_opens_a_map_with_its_size_and_values(after_tutorial, tmp_path):
-    if IMAGEJ is None or importlib.util.find_spec("jpype") is None:
-        pytest.skip("ImageJ (the distribution's ij.jar) or JPype is not installed")
-    command = f"planish export {after_tutorial[0] / 'run'} --map coating_top --to tiff --out coating.tif"
-    assert console.run(f"```console\n$ {command}\n...\n```\n", tmp_path)[0].code == 0
-    path = tmp_path / "coating.tif"
-    program = [sys.executable, "-c", OPEN, str(IMAGEJ), str(path)]
-    done = subprocess.run(program, capture_output=True, text=True, check=True)
-    width, height, bits, pixel, unit, mean = done.stdout.split()
-    assert (int(width), int(height), int(bits), float(pixel)) == (889, 670, 32, 4.0)
-    assert unit in {"um", "µm", "micron"}
-    values = tifffile.imread(path)
-    assert float(mean) == pytest.approx(float(np.nanmean(values, dtype=float)), rel=1e-5)
 
 
 def test_pages_are_short():

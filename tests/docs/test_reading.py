@@ -56,11 +56,11 @@ TERMS = {
 THEIRS = {"words.md", "marks-files.md", "other-tools.md", "paper.md", "marks-from-bigwarp.md"}
 
 
-def read(path: Path) -> str:
+def read(path):
     return path.read_text(encoding="utf-8")
 
 
-def with_words(unwanted: dict[str, str], pages: list[Path]) -> list[str]:
+def with_words(unwanted, pages):
     """The sentences in which one of the words stands, with their page and what to write instead."""
     found = []
     for path in pages:

@@ -103,7 +103,7 @@ def test_the_search_finds_the_words_of_users(site, chromium):
 
 
 def test_every_question_is_answered_within_two_links_of_the_front_page():
-    def linked(page: str) -> set[str]:
+    def linked(page):
         path = DOCS / f"{page}.md"
         links = re.findall(r"\]\(([\w./-]+\.md)", path.read_text(encoding="utf-8"))
         leads = {(path.parent / link).resolve() for link in links}
@@ -121,7 +121,7 @@ def test_words_of_users_lead_to_pages_that_exist():
     assert (
         sum(len(sections) for sections in entries.values()) <= len(rows) == len([r for r in rows if words.ROW.match(r)])
     )
-    spread: dict[str, set[str]] = {}
+    spread = {}
     for page, sections in entries.items():
         text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
         written = words.with_entries(page, text)

@@ -18,7 +18,7 @@ HISTORY = ExportHistory(
 )  # fmt: skip
 
 
-def maps(shape: tuple[int, int] = (600, 1100), dims: tuple[str, str] = ("y", "x")) -> Maps:
+def maps(shape=(600, 1100), dims=("y", "x")):
     """Maps of several types with missing values; more than a band, and an odd number of columns of chunks."""
     rng = np.random.default_rng(7)
     coating = rng.normal(17, 4, shape).astype(np.float32)
@@ -50,7 +50,7 @@ def files_of(path):
     return bytes_of(path) if path.is_dir() else {"": path.read_bytes()}
 
 
-def surface(through: str = "z", top: str = "high", name: str = "top") -> Surface:
+def surface(through="z", top="high", name="top"):
     """A slope of 30 x 40 columns with a hole; its map is the column's number."""
     frame = Frame(through=through, top=top)
     rows, cols = 3.0 * np.arange(30), 2.0 * np.arange(40)
@@ -66,7 +66,7 @@ def surface(through: str = "z", top: str = "high", name: str = "top") -> Surface
     return Surface(data=data, name=name, maps=("coating_top",), scales=scales)
 
 
-def transform_pair(*, bent: bool) -> TransformPair:
+def transform_pair(*, bent):
     """An affine map, with a wave of 3 um on it where ``bent``."""
     affine = Affine(linear=((0.99, 0.12), (-0.13, 1.01)), source=(900.0, 700.0), target=(1200.0, 800.0))
 

@@ -21,11 +21,11 @@ from planish.report import Scale
 OME = "{http://www.openmicroscopy.org/Schemas/OME/2016-06}"
 
 
-def values(content: Maps, name: str) -> np.ndarray:
+def values(content, name):
     return content.data[name].values.astype(np.float64)
 
 
-def same(found, content: Maps, name: str) -> None:
+def same(found, content, name):
     """Equal to float32, and NaN at the same pixels."""
     np.testing.assert_array_equal(np.asarray(found, np.float32), values(content, name).astype(np.float32))
 
@@ -57,14 +57,12 @@ def test_an_ome_tiff_says_size_place_and_channels(tmp_path):
             same(np.asarray(image), content, name)
     root = ET.fromstring(text)
     pixels = root.find(f"{OME}Image/{OME}Pixels")
-    assert pixels is not None
     assert (float(pixels.get("PhysicalSizeY")), float(pixels.get("PhysicalSizeX"))) == PIXEL_UM
     assert pixels.get("PhysicalSizeXUnit") == "µm"
     assert [c.get("Name") for c in pixels.findall(f"{OME}Channel")] == [
         "coating_top (um)", "tilt (deg)", "valid", "status",
     ]  # fmt: skip
     plane = pixels.find(f"{OME}Plane")
-    assert plane is not None
     assert (float(plane.get("PositionY")), float(plane.get("PositionX"))) == FIRST_UM
     assert json.loads(root.find(f"{OME}Image/{OME}Description").text)["study_sha256"] == HISTORY.study_sha256
 

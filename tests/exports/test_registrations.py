@@ -2,8 +2,6 @@
 
 import json
 import re
-import shutil
-import subprocess
 from dataclasses import replace
 
 import numpy as np
@@ -114,20 +112,6 @@ def test_elastix_parameters_are_the_map(tmp_path, bent):
         assert (last["Size"], last["Spacing"]) == (
             ("640 500", "3 3") if name == "sheet_to_image" else ("534 435", "4 4")
         )
-
-
-@pytest.mark.nightly
-def test_transformix_moves_points(tmp_path):
-    if shutil.which("transformix") is None:
-        pytest.skip("transformix is not installed")
-    place = folder(tmp_path, "elastix", bent=True)
-    for name, points, function in pairs(bent=True):
-        lines = "".join(f"{x!r} {y!r}\n" for x, y in points.tolist())
-        (place / "points.txt").write_text(f"point\n{len(points)}\n{lines}", encoding="utf-8")
-        command = ["transformix", "-def", "points.txt", "-tp", f"{name}.txt", "-out", "."]
-        subprocess.run(command, check=True, capture_output=True, cwd=place)
-        found = re.findall(r"OutputPoint = \[ (\S+) (\S+) \]", (place / "outputpoints.txt").read_text(encoding="utf-8"))
-        assert np.abs(np.array(found, dtype=float) - function(points)).max() < LIMIT_UM
 
 
 def test_a_field_is_as_fine_as_needed_and_missing_values_take_the_affine_map():

@@ -4,20 +4,18 @@ import base64
 import json
 import zlib
 from html.parser import HTMLParser
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from planish.io import write_tree
 from planish.results import Results
+from report.pages import VOID
 
-HOSTILE = '</script><script>alert(1)</script><img src=x onerror="alert(2)">"\'&'
-VOID = {"meta", "link", "img", "br", "input"}
 STUDY = '[[layers]]\nname = "volume"\n\n[layers.volume]\npath = "{name}"\n'
 
 
-def put(folder: Path, run: dict[str, Any], *, volume: str = "sheet.tif") -> Path:
+def put(folder, run, *, volume="sheet.tif"):
     """Write a made run: its maps, with places in the volume where it holds a sheet, its results and a study."""
     groups = dict(run["groups"])
     if "surfaces" in groups:
@@ -35,7 +33,7 @@ def put(folder: Path, run: dict[str, Any], *, volume: str = "sheet.tif") -> Path
     return folder
 
 
-def codes_of(text: str, shape: tuple[int, int], bits: int, order: int) -> np.ndarray:
+def codes_of(text, shape, bits, order):
     """Codes of a packed map, its differences summed up again: the slow counterpart of the script."""
     raw, size = zlib.decompress(base64.b64decode(text)), shape[0] * shape[1]
     differences = [*raw]
@@ -51,7 +49,7 @@ def codes_of(text: str, shape: tuple[int, int], bits: int, order: int) -> np.nda
 class Explored(HTMLParser):
     """A page: elements, attributes, its script elements by type, and its text without them."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path):
         super().__init__()
         self.html = path.read_text(encoding="utf-8")
         self.elements: list[tuple[str, dict[str, str]]] = []
@@ -65,16 +63,16 @@ class Explored(HTMLParser):
         assert self._open == []
         self.data: dict[str, Any] = json.loads(self.blocks["data"])
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag, attrs):
         self._inside = {k: v or "" for k, v in attrs}
         self.elements.append((tag, self._inside))
         if tag not in VOID:
             self._open.append(tag)
 
-    def handle_endtag(self, tag: str) -> None:
+    def handle_endtag(self, tag):
         assert self._open.pop() == tag
 
-    def handle_data(self, data: str) -> None:
+    def handle_data(self, data):
         last = self._open[-1] if self._open else ""
         if last == "script" and "type" in self._inside:
             self.blocks[self._inside["id"]] = data
@@ -85,7 +83,7 @@ class Explored(HTMLParser):
         else:
             self.words += data
 
-    def unpack(self, spec: dict[str, Any]) -> np.ndarray:
+    def unpack(self, spec):
         """Values of a packed map."""
         codes = codes_of(self.blocks[spec["block"]], (spec["rows"], spec["cols"]), spec["bits"], spec["order"])
         values = spec["low"] + spec["step"] * (codes.astype(float) - 2)
@@ -93,7 +91,7 @@ class Explored(HTMLParser):
         values[codes == 0] = np.nan
         return values
 
-    def map(self, name: str) -> tuple[dict[str, Any], np.ndarray]:
+    def map(self, name):
         """The map of a title, and its values."""
         spec = next(one for one in self.data["maps"] if one["title"] == name)
         return spec, self.unpack(spec)

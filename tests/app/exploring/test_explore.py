@@ -10,14 +10,16 @@ import numpy as np
 import pytest
 import tifffile
 
-from app.exploring.made import HOSTILE, Explored, put
+from app.exploring.made import Explored, put
 from folders import bytes_of
+from planish.app import explore
 from planish.app.exploring import maps as maps_module
 from planish.app.exploring import page as page_module
 from planish.app.exploring import slices as slices_module
 from planish.core.area import overviews
 from planish.io import read_group, write_tree
 from planish.run import open_run
+from report.pages import HOSTILE
 from report.runs import a_run
 from report.test_layers import layers
 
@@ -25,8 +27,6 @@ from report.test_layers import layers
 @pytest.fixture(scope="module")
 def page_path(linked_run, tmp_path_factory):
     """The page of the small run, whose volume is there."""
-    from planish.app import explore
-
     path = tmp_path_factory.mktemp("page") / "page.html"
     explore(linked_run, path)
     return path

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from app.exploring.made import codes_of
-from planish.app.exploring.maps import Packed, packed
+from planish.app.exploring.maps import packed
 
 
-def unpacked(one: Packed) -> np.ndarray:
+def unpacked(one):
     return codes_of(one.text, one.shape, one.bits, one.order)
 
 
-def values(one: Packed) -> np.ndarray:
+def values(one):
     codes = unpacked(one)
     assert ((codes != 1) & (codes != 2**one.bits - 1)).all()
     return np.where(codes > 0, one.low + one.step * (codes - 2), np.nan)

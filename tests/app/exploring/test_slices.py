@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import xarray as xr
 
 from planish.app.exploring import slices
 from planish.core.frame import Frame
@@ -15,7 +14,7 @@ from planish.run import silent
 class Counted(LazyArray):
     """A volume that stays in its file; ``planes`` are those that were read."""
 
-    def __init__(self, values: np.ndarray) -> None:
+    def __init__(self, values):
         self.values, self.shape, self.dtype, self.planes = values, values.shape, values.dtype, []
 
     def read(self, where):
@@ -23,7 +22,7 @@ class Counted(LazyArray):
         return self.values[where]
 
 
-def volume(values: np.ndarray, chunk: int) -> tuple[xr.DataArray, Counted]:
+def volume(values, chunk):
     lazy = Counted(values)
     lazy.chunks = (chunk, 4, 4)
     return labelled(lazy, "zyx", (3.0, 2.0, 1.0), name="volume", attrs={}), lazy
