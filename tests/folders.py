@@ -27,10 +27,10 @@ def make_once(make: Callable[[Path], object], name: str, tmp_path_factory: pytes
     return folder
 
 
-def write_volume(path: Path, volume: np.ndarray, voxel_um: float = 4.0) -> Path:
-    """Write a volume that states its voxels, as ImageJ does."""
+def write_volume(path: Path, volume: np.ndarray, voxel_um: float = 4.0, across_um: float | None = None) -> Path:
+    """Write a volume that states its voxels, as ImageJ does: cubes, or of another size along y and x."""
     meta = {"spacing": voxel_um, "unit": "um", "axes": "ZYX"}
-    tifffile.imwrite(path, volume, imagej=True, resolution=(1 / voxel_um, 1 / voxel_um), metadata=meta)
+    tifffile.imwrite(path, volume, imagej=True, resolution=(1 / (across_um or voxel_um),) * 2, metadata=meta)
     return path
 
 

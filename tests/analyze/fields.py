@@ -45,6 +45,12 @@ def exact_n_eff(shape, length, *, known=None, kind="exp"):
     return 1 + np.trace(matrix) ** 2 / np.sum(matrix * matrix)
 
 
+def texture(shape, sigma, rng):
+    """A periodic field of standard deviation 1, smoothed by a Gaussian; ``rng`` may be a seed."""
+    field = ndimage.gaussian_filter(np.random.default_rng(rng).standard_normal(shape), sigma, mode="wrap")
+    return field / field.std()
+
+
 def compared(maps, lags, *, a=("sheet", "coating_top"), b=("image", "image"), units=("um", "1"), **more):
     """Two maps as ``correlation_diagnostics`` hands them to its questions."""
     grid = Grid.regular(lags.is_valid.shape, lags.pixel_um)

@@ -153,23 +153,6 @@ def test_independent_points_are_those_of_the_rest_with_x_with_its_square_and_alo
     assert found.n_eff_level == pytest.approx(bland_altman(x, x + rest, pixel_um=10).n_eff, rel=1e-6)
 
 
-@pytest.mark.nightly
-def test_independent_points_of_level_slope_and_bend():
-    rng, found = np.random.default_rng(6), []
-    shape, known = (50, 60), np.ones((50, 60), bool)
-    known[10:20, 15:30] = False
-    for _ in range(16):
-        a, e = gaussian_maps(rng, shape, 2.0)
-        points = independent_points(np.where(known, 5 + a, np.nan), 2 * a + e, pixel_um=10)
-        found.append((points.n_eff, points.n_eff_square, points.n_eff_level))
-    at = np.argwhere(known)
-    near = np.exp(-np.hypot(*(at[:, None, k] - at[:, k] for k in (0, 1))) / 2.0)
-    n = len(at)
-    # n² over the sum of the products of correlations: rest and x; rest and x², which has the square; rest alone.
-    want = [n**2 / np.sum(near ** (k + 1)) for k in (1, 2, 0)]
-    assert np.median(found, axis=0) == pytest.approx(want, rel=0.15)
-
-
 def test_intervals_end_at_what_is_possible(x):
     found = fit_kubelka_munk(x, with_noise(x, sd=0.05).clip(0, 1), n_eff=12)
     assert found.scattering_interval[0] == 0

@@ -4,18 +4,12 @@ import numpy as np
 import pytest
 from scipy import fft, ndimage
 
-from analyze.fields import by_shift
+from analyze.fields import by_shift, texture
 from folders import refused
 from planish.analyze import RegistrationBasis, cross_fitted, in_band, ncc, searched_null, texture_lag, textures
 from planish.core.errors import CannotMeasure, SizeError
 
 PAD = 16
-
-
-def texture(shape, sigma, rng):
-    """A Gaussian field of standard deviation 1, periodic."""
-    field = ndimage.gaussian_filter(rng.standard_normal(shape), sigma, mode="wrap")
-    return field / field.std()
 
 
 def moved(field, lag):

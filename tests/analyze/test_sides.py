@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from analyze.fields import texture as smooth
 from planish.analyze import Textures, image_of_sheet, texture, textures, two_images, two_sheets
 
 PIXEL = (5.0, 5.0)
@@ -11,8 +12,7 @@ SHAPE = (180, 220)
 
 
 def field(seed, sigma=3.0, shape=SHAPE):
-    made = ndimage.gaussian_filter(np.random.default_rng(seed).standard_normal(shape), sigma, mode="wrap")
-    return made / made.std()
+    return smooth(shape, sigma, seed)
 
 
 def prepared(**maps):

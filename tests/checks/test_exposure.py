@@ -21,12 +21,12 @@ GREY = RNG.normal(120.0, 20.0, (300, 200))
         (np.full((4, 4), np.nan), "pass", "does not end"),
     ],
 )
-def test_states(values: np.ndarray, state: str, words: str) -> None:
+def test_states(values, state, words):
     found = run_checks(SheetImage(values))[0]
     assert found.state == state
     assert words in found.sentence
 
 
-def test_the_share_is_the_share_of_the_pixels_cut_off() -> None:
+def test_the_share_is_the_share_of_the_pixels_cut_off():
     found = run_checks(SheetImage(np.where(GREY > 150.0, 150.0, GREY)))[0]
     assert found.value == pytest.approx(np.mean(GREY > 150.0), abs=1e-12)

@@ -7,6 +7,7 @@ from scipy import ndimage
 
 from planish.checks import CHECKS
 from planish.surface import find_surfaces
+from surface.sheets import volume as volume_of
 
 
 @pytest.mark.parametrize(("gap_um", "state"), [(30.0, "pass"), (4.0, "look"), (None, None)])
@@ -28,8 +29,7 @@ def test_tape_that_touches_a_coated_sheet_is_learnt_and_fails():
     rule, states = next(rule for rule in CHECKS if rule.name == "film"), []
     for grey in (plain, taped):
         grey = ndimage.gaussian_filter(grey, 0.6) + np.random.default_rng(0).normal(0.0, 6.0, grey.shape)
-        coords = {axis: 3.0 * np.arange(n) for axis, n in zip("zyx", grey.shape, strict=True)}
-        surfaces = find_surfaces(xr.DataArray(grey.astype(np.float32), coords, ("z", "y", "x")))
+        surfaces = find_surfaces(volume_of(grey.astype(np.float32)))
         check = rule(rule.stage(facts=None, measured=surfaces))
         states.append(check and (check.state, "bottom side some 24 um" in check.sentence))
     assert states == [None, ("fail", True)]

@@ -60,7 +60,7 @@ def test_switches_are_the_options_without_a_value():
     assert {*SWITCHES} == {*switches, "chain"}  # chain is an argument of link
 
 
-def errors_by_name(kind: type[Exception] = PlanishError) -> set[str]:
+def errors_by_name(kind=PlanishError):
     return {kind.__name__}.union(*(errors_by_name(sub) for sub in kind.__subclasses__()))
 
 

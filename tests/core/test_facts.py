@@ -27,7 +27,7 @@ class MapSlope(Slope, AtPoints):
     silence: str | None = None
 
 
-def test_missing_numbers_are_nan_in_memory_and_null_in_json_and_schema() -> None:
+def test_missing_numbers_are_nan_in_memory_and_null_in_json_and_schema():
     row = Slope()
     assert math.isnan(row.slope)
     assert all(map(math.isnan, row.interval))
@@ -39,14 +39,14 @@ def test_missing_numbers_are_nan_in_memory_and_null_in_json_and_schema() -> None
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, math.inf), (math.nan, 1.0), (-math.inf, 1.0)])
-def test_an_interval_without_an_end_is_null_and_keeps_its_ends_in_memory(low: float, high: float) -> None:
+def test_an_interval_without_an_end_is_null_and_keeps_its_ends_in_memory(low, high):
     row = Slope(slope=2.0, interval=(low, high))
     assert row.interval[1] == high
     assert not is_known(row.interval)
     assert json.loads(row.model_dump_json()) == {"slope": 2.0, "interval": None}
 
 
-def test_a_whole_holds_its_parts_and_equals_what_was_saved() -> None:
+def test_a_whole_holds_its_parts_and_equals_what_was_saved():
     row = MapSlope.holding(Slope(slope=2.0), point_um=100.0, silence="x")
     assert list(row.model_dump()) == ["point_um", "slope", "interval", "silence"]
     with pytest.raises(ValidationError):

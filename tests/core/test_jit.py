@@ -16,7 +16,7 @@ folder_of = jit.cache_folder.__wrapped__
 
 
 @pytest.fixture
-def user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def user(tmp_path, monkeypatch):
     """The user's folder for caches."""
     folder = tmp_path / "user"
     monkeypatch.setattr(jit, "AppDirs", lambda *_names, **_more: SimpleNamespace(user_cache_dir=str(folder)))
@@ -36,9 +36,7 @@ def test_kernels_lie_outside_the_program_and_those_of_other_libraries_where_they
 
 @pytest.mark.ci
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
-def test_another_installation_of_the_same_sources_finds_what_one_compiled(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_another_installation_of_the_same_sources_finds_what_one_compiled(tmp_path, monkeypatch):
     monkeypatch.setattr(jit, "cache_folder", lambda _numba_dir: str(tmp_path / "cache"))
     found = []
     for name in ("one", "two"):
@@ -56,14 +54,14 @@ def test_another_installation_of_the_same_sources_finds_what_one_compiled(
 
 
 @pytest.mark.skipif(os.name == "nt", reason="links need a privilege")
-def test_an_installation_behind_a_link_has_the_same_folder(tmp_path: Path):
+def test_an_installation_behind_a_link_has_the_same_folder(tmp_path):
     (tmp_path / "link").symlink_to(jit.PACKAGE)
     found = jit.Locator.from_function(halve_values.py_func, str(tmp_path / "link" / "core" / "_overview_kernels.py"))
     assert found is not None
     assert found.get_cache_path() == halve_values.stats.cache_path
 
 
-def test_the_cache_lies_in_the_given_folder_that_of_the_user_or_where_numba_can_write(user: Path, tmp_path: Path):
+def test_the_cache_lies_in_the_given_folder_that_of_the_user_or_where_numba_can_write(user, tmp_path):
     assert Path(folder_of("")).parent == user
     assert Path(folder_of(str(tmp_path / "given"))).parent == tmp_path / "given"
     given = tmp_path / "file"
@@ -74,15 +72,13 @@ def test_the_cache_lies_in_the_given_folder_that_of_the_user_or_where_numba_can_
     assert (folder_of(str(given)), folder_of("")) == ("", "")
 
 
-def test_a_user_without_a_home_gets_no_folder_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_user_without_a_home_gets_no_folder_here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(jit, "AppDirs", lambda *_names, **_more: SimpleNamespace(user_cache_dir="~/.cache/numba"))
     assert (folder_of(""), list(tmp_path.iterdir())) == ("", [])
 
 
-def test_kernels_of_other_sources_are_removed_when_nobody_used_them_for_a_month(
-    user: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_kernels_of_other_sources_are_removed_when_nobody_used_them_for_a_month(user, monkeypatch):
     unused, used = user / "planish-0123456789abcdef-0.60.0", Path(folder_of(""))
     unused.mkdir()
     results = user / "planish-demo"  # of a person whose NUMBA_CACHE_DIR is a folder of theirs

@@ -1,18 +1,14 @@
 """The hash of the package's sources, and what depends on it."""
 
-from pathlib import Path
-
-import pytest
-
 from planish.core import source_hash
 from planish.run import compute
 
 
-def test_names_and_bytes_of_the_sources_count_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_names_and_bytes_of_the_sources_count_and_nothing_else(tmp_path, monkeypatch):
     monkeypatch.setattr(source_hash, "PACKAGE", tmp_path)
     states = list[str]()
 
-    def state() -> str:
+    def state():
         states.append(source_hash.hash_sources.__wrapped__())
         return states[-1]
 
@@ -30,7 +26,7 @@ def test_names_and_bytes_of_the_sources_count_and_nothing_else(tmp_path: Path, m
     assert (len(set(states)), {len(text) for text in states}) == (4, {16})
 
 
-def test_tiles_of_other_code_are_not_used_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tiles_of_other_code_are_not_used_again(monkeypatch):
     before = compute.run_key({"a": 1}, ["hash"])
     assert compute.run_key({"a": 1}, ["hash"]) == before
     monkeypatch.setattr(compute, "hash_sources", lambda: "0" * 16)

@@ -1,10 +1,10 @@
 """Sheets with rings and cupping that are formulas."""
 
 import numpy as np
-import xarray as xr
 from scipy import special
 
 from planish.correct import CorrectParams, correct_volume
+from surface import sheets
 
 VOXEL = 3.0
 AIR, BASE, COATING = 400.0, 900.0, 2000.0
@@ -53,12 +53,7 @@ def volume(above_air, *, noise=0.08, seed=0, dtype=np.uint16, rings=0.0):
 
 
 def as_volume(values):
-    return xr.DataArray(
-        values,
-        dims=("z", "y", "x"),
-        coords={a: np.arange(n) * VOXEL for a, n in zip("zyx", values.shape, strict=True)},
-        attrs={"voxel_um": [VOXEL] * 3, "file_name": "made", "file_bytes": values.nbytes},
-    )
+    return sheets.volume(values, VOXEL).assign_attrs(voxel_um=[VOXEL] * 3, file_name="made", file_bytes=values.nbytes)
 
 
 def correct(given, *, rings=True, cupping=True, axis="y", centre_um=None, **more):

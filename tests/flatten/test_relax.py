@@ -80,7 +80,7 @@ def test_roughness_is_not_taken_for_curvature():
     assert relax_grid(bumpy(60, 60)).straight_share < 0.05
 
 
-@pytest.mark.parametrize("shape", [(2, 2), (2, 12), (5, 6), pytest.param((13, 16), marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("shape", [(2, 2), (2, 12), (5, 6)])
 @pytest.mark.parametrize("noise", [0.0, 0.05])
 def test_energy_minimum_equals_the_slow_twin(shape, noise):
     points = bumpy(*shape, noise=noise)

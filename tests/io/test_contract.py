@@ -3,14 +3,12 @@
 import pickle
 import re
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from xarray.core.indexing import LazilyIndexedArray
 
-from formats_written import CASES, CUBE, NAME, VALUES, Case
+from formats_written import CASES, CUBE, NAME, VALUES
 from planish.core.errors import FileError, InputError, ResourceError, SizeError, VolumeError
 from planish.io import describe, fingerprint, read_volume
 
@@ -23,11 +21,11 @@ every_format = pytest.mark.parametrize("kind", CASES)
 lazy_formats = pytest.mark.parametrize("kind", [kind for kind, case in CASES.items() if case.lazy])
 
 
-def expected(case: Case) -> Any:
+def expected(case):
     return (VALUES >> 8).astype(np.uint8) if case.dtype == "uint8" else VALUES
 
 
-def written(kind: str, tmp_path: Path, *, size: bool = True) -> tuple[Case, str | Path, Path, dict[str, Any]]:
+def written(kind, tmp_path, *, size=True):
     """Write a case into a folder of its own; return it with its path, its folder, and what has to be given."""
     case = CASES[kind]
     folder = tmp_path / "Prüfling – Maß µ 1"
@@ -36,7 +34,7 @@ def written(kind: str, tmp_path: Path, *, size: bool = True) -> tuple[Case, str 
     return case, path, folder, {} if case.states_size else {"voxel_um": case.voxel}
 
 
-def check_sentence(error: BaseException) -> None:
+def check_sentence(error):
     """A message names a file, tells a fault and ends with a remedy, in sentences."""
     message = str(error)
     assert NAME in message or "Núria" in message, message
@@ -46,7 +44,7 @@ def check_sentence(error: BaseException) -> None:
 
 
 @every_format
-def test_values_type_size_and_description_come_back_also_from_read_only_files(tmp_path: Path, kind: str) -> None:
+def test_values_type_size_and_description_come_back_also_from_read_only_files(tmp_path, kind):
     case, path, folder, given = written(kind, tmp_path)
     volume = read_volume(path, **given)
     assert (volume.dims, volume.dtype) == (("z", "y", "x"), case.dtype)
@@ -78,7 +76,7 @@ def test_values_type_size_and_description_come_back_also_from_read_only_files(tm
 
 @pytest.mark.ci
 @lazy_formats
-def test_parts_equal_the_whole_in_threads_and_in_another_process(tmp_path: Path, kind: str) -> None:
+def test_parts_equal_the_whole_in_threads_and_in_another_process(tmp_path, kind):
     case, path, _, given = written(kind, tmp_path)
     whole = expected(case)
     volume = read_volume(path, memory_bytes=LITTLE, **given)
@@ -109,7 +107,7 @@ def test_parts_equal_the_whole_in_threads_and_in_another_process(tmp_path: Path,
 
 @pytest.mark.ci
 @every_format
-def test_a_cut_or_foreign_file_is_an_error_that_names_it(tmp_path: Path, kind: str) -> None:
+def test_a_cut_or_foreign_file_is_an_error_that_names_it(tmp_path, kind):
     case, path, folder, given = written(kind, tmp_path)
     data = case.data(folder)
     content = data.read_bytes()
@@ -134,7 +132,7 @@ def test_a_cut_or_foreign_file_is_an_error_that_names_it(tmp_path: Path, kind: s
 
 
 @pytest.mark.parametrize("kind", [kind for kind, case in CASES.items() if case.resize is not None])
-def test_a_wrong_declared_size_is_an_error(tmp_path: Path, kind: str) -> None:
+def test_a_wrong_declared_size_is_an_error(tmp_path, kind):
     case, path, folder, given = written(kind, tmp_path)
     assert case.resize is not None
     case.resize(folder)
@@ -144,7 +142,7 @@ def test_a_wrong_declared_size_is_an_error(tmp_path: Path, kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", [kind for kind, case in CASES.items() if case.states_size])
-def test_a_size_that_contradicts_the_metadata_is_an_error(tmp_path: Path, kind: str) -> None:
+def test_a_size_that_contradicts_the_metadata_is_an_error(tmp_path, kind):
     _, path, _, _ = written(kind, tmp_path)
     with pytest.raises(SizeError, match=r"override_size=True") as caught:
         read_volume(path, voxel_um=7.0)
@@ -155,7 +153,7 @@ def test_a_size_that_contradicts_the_metadata_is_an_error(tmp_path: Path, kind: 
 
 
 @every_format
-def test_a_missing_voxel_size_is_an_error(tmp_path: Path, kind: str) -> None:
+def test_a_missing_voxel_size_is_an_error(tmp_path, kind):
     _, path, _, _ = written(kind, tmp_path, size=False)
     with pytest.raises(SizeError, match=r"voxel_um=") as caught:
         read_volume(path)
@@ -165,7 +163,7 @@ def test_a_missing_voxel_size_is_an_error(tmp_path: Path, kind: str) -> None:
         assert describe(path)["size_um"] is None
 
 
-def test_not_even_a_slice_fits(tmp_path: Path) -> None:
+def test_not_even_a_slice_fits(tmp_path):
     for number, kind in enumerate(k for k, case in CASES.items() if case.lazy):
         place = tmp_path / str(number)
         place.mkdir()

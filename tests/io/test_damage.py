@@ -7,7 +7,6 @@ import subprocess
 import sys
 import time
 import zlib
-from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -50,7 +49,7 @@ BY_PAGE: dict[str, dict[str, Any]] = {
 
 @pytest.mark.ci
 @pytest.mark.parametrize("kind", [*GOOD, *BY_PAGE])
-def test_a_file_cut_anywhere_is_an_error_not_a_shorter_volume(tmp_path: Path, kind: str) -> None:
+def test_a_file_cut_anywhere_is_an_error_not_a_shorter_volume(tmp_path, kind):
     good, cut = tmp_path / "good.tif", tmp_path / "cut.tif"
     if kind in BY_PAGE:
         with tifffile.TiffWriter(good, bigtiff=kind == "LZW pages") as tif:
@@ -71,7 +70,7 @@ def test_a_file_cut_anywhere_is_an_error_not_a_shorter_volume(tmp_path: Path, ki
 
 
 @pytest.mark.parametrize("name", ["i.png", "i.jpg", "i.bmp", "deep.png"])
-def test_a_cut_picture_is_an_error(tmp_path: Path, name: str) -> None:
+def test_a_cut_picture_is_an_error(tmp_path, name):
     page = (VALUES[0] % 250).astype(np.uint8)
     if name == "deep.png":
         (tmp_path / name).write_bytes(imagecodecs.png_encode(np.dstack([VALUES[0]] * 3)))
@@ -84,7 +83,7 @@ def test_a_cut_picture_is_an_error(tmp_path: Path, name: str) -> None:
             read_image(tmp_path / name, pixel_um=1)
 
 
-def sources() -> dict[str, bytes]:
+def sources():
     page = (VALUES[0] % 250).astype(np.uint8)
     return {
         "deflate.tif": tiff_bytes(compression="zlib", metadata=None),
@@ -97,7 +96,7 @@ def sources() -> dict[str, bytes]:
     }
 
 
-def tiff_bytes(**options: Any) -> bytes:
+def tiff_bytes(**options):
     buffer = BytesIO()
     tifffile.imwrite(buffer, VALUES, **({"photometric": "minisblack"} | options))
     return buffer.getvalue()
@@ -111,9 +110,7 @@ SOURCES = sources()
     name=st.sampled_from(sorted(SOURCES)),
     flips=st.lists(st.tuples(st.floats(0, 1), st.booleans(), st.integers(0, 255)), min_size=1, max_size=6),
 )
-def test_whatever_bytes_are_changed_nothing_but_our_errors_comes_out(
-    tmp_path_factory: pytest.TempPathFactory, name: str, flips: list[tuple[float, bool, int]]
-) -> None:
+def test_whatever_bytes_are_changed_nothing_but_our_errors_comes_out(tmp_path_factory, name, flips):
     data = bytearray(SOURCES[name])
     for place, near_head, value in flips:
         data[int(place * (min(400, len(data)) - 1 if near_head else len(data) - 1))] = value
@@ -124,7 +121,7 @@ def test_whatever_bytes_are_changed_nothing_but_our_errors_comes_out(
             read()
 
 
-def test_a_chain_of_pages_in_a_circle_is_found(tmp_path: Path) -> None:
+def test_a_chain_of_pages_in_a_circle_is_found(tmp_path):
     path = tmp_path / "v.tif"
     tifffile.imwrite(path, VALUES, photometric="minisblack", metadata=None, compression="zlib")
     with tifffile.TiffFile(path) as tif:
@@ -137,7 +134,7 @@ def test_a_chain_of_pages_in_a_circle_is_found(tmp_path: Path) -> None:
     refused(FileError, "page 7 of its chain is one of the pages before it", read_volume, path, voxel_um=1)
 
 
-def test_a_bomb_is_refused_before_it_is_decoded(tmp_path: Path) -> None:
+def test_a_bomb_is_refused_before_it_is_decoded(tmp_path):
     path = tmp_path / "v.tif"
     tifffile.imwrite(path, np.zeros((2, 16, 16), np.uint8), photometric="minisblack", compression="zlib", metadata=None)
     data = bytearray(path.read_bytes())
@@ -185,9 +182,7 @@ print(json.dumps([told, (memory_kib("VmHWM:") - before) / 1024]))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the peak memory is read from /proc")
-def test_every_file_of_a_fuzzing_corpus_is_an_input_error_at_once_and_without_memory(
-    shared_data: Callable[[str], Path],
-) -> None:
+def test_every_file_of_a_fuzzing_corpus_is_an_input_error_at_once_and_without_memory(shared_data):
     folder = shared_data("tiff_corpus/fuzz")
     done = subprocess.run([sys.executable, "-c", CORPUS, folder], capture_output=True, text=True, check=True)
     told, peak_mib = json.loads(done.stdout)
@@ -218,7 +213,7 @@ DECLARED = [
 
 @pytest.mark.ci
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak of the memory is not known")
-def test_declared_sizes_are_compared_with_the_file_before_anything_is_made(tmp_path: Path) -> None:
+def test_declared_sizes_are_compared_with_the_file_before_anything_is_made(tmp_path):
     """A list of 2e9 planes would fill the memory; another process shows that nothing of the kind is made."""
     data = np.zeros((4, 50, 50), np.uint8)
     for number, text in enumerate(DECLARED):

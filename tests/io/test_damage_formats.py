@@ -10,15 +10,13 @@ import shutil
 import struct
 import subprocess
 import sys
-from collections.abc import Iterator
-from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 import scipy.io
 
-from formats_written import CASES, VALUES, Case
+from formats_written import CASES, VALUES
 
 LENGTHS = (0, 7, 60, 130, 0.3, 0.7, 0.95, -1)
 FLIPS = 6
@@ -73,7 +71,7 @@ print(json.dumps({"peak_mib": memory_kib("VmHWM:") / 1024}), flush=True)
 """
 
 
-def damaged(folder: Path, kind: str, case: Case, values: np.ndarray) -> Iterator[tuple[str, str, str]]:
+def damaged(folder, kind, case, values):
     """Write damaged copies of one good input; give the name, the path, and whether other values are no wonder."""
     good = folder / "good"
     good.mkdir(parents=True)
@@ -82,7 +80,7 @@ def damaged(folder: Path, kind: str, case: Case, values: np.ndarray) -> Iterator
     main = header_of(good, case)
     data = case.data(good)
 
-    def copy(name: str) -> tuple[Path, str]:
+    def copy(name):
         other = folder / name
         shutil.copytree(good, other)
         return other, path.replace(str(good), str(other))
@@ -115,7 +113,7 @@ def damaged(folder: Path, kind: str, case: Case, values: np.ndarray) -> Iterator
         yield f"{kind}: another size declared", given, ""
 
 
-def header_of(folder: Path, case: Case) -> Path:
+def header_of(folder, case):
     """File with the header: that of a store or beside the data, or the data itself."""
     for pattern in ("*.nhdr", "*.mhd", "*.toml", "*.log", "0/.zarray", "0/zarr.json"):
         found = sorted(folder.rglob(pattern))
@@ -124,7 +122,7 @@ def header_of(folder: Path, case: Case) -> Path:
     return case.data(folder)
 
 
-def absurd(folder: Path) -> Iterator[tuple[str, str, str]]:
+def absurd(folder):
     """Inputs that declare far more than there is; those of TIFF stand in `test_damage`."""
     folder.mkdir()
     huge = (60000, 60000, 60000)
@@ -204,7 +202,7 @@ def absurd(folder: Path) -> Iterator[tuple[str, str, str]]:
 @pytest.mark.parametrize(
     "every", [pytest.param(1, marks=pytest.mark.nightly), pytest.param(12, marks=pytest.mark.ci)], ids=["all", "sample"]
 )
-def test_no_damage_gives_a_traceback_wrong_values_or_a_long_wait(tmp_path: Path, every: int) -> None:
+def test_no_damage_gives_a_traceback_wrong_values_or_a_long_wait(tmp_path, every):
     items: list[dict[str, str]] = []
     goods: dict[str, str] = {}
     for number, (kind, case) in enumerate(CASES.items()):

@@ -2,46 +2,34 @@
 
 import hashlib
 import json
-import math
-import subprocess
-import sys
-import zlib
-from pathlib import Path
-from typing import Any
 
-import h5py
 import imagecodecs
 import numpy as np
 import pytest
 import tifffile
 from PIL import Image
 
-from folders import refused
+from folders import refused, write_volume
+from formats_written import CUBE, VALUES, write_nrrd
 from planish.core.errors import FileError
 from planish.io import as_text, best_section, describe, fingerprint, middle_sections, write_picture
 
 
-def ramp(shape: tuple[int, ...], dtype: str = "uint16") -> np.ndarray:
+def ramp(shape, dtype="uint16"):
     return (np.arange(np.prod(shape)) % 200).reshape(shape).astype(dtype)
 
 
-def noise(shape: tuple[int, ...], dtype: str = "uint16") -> np.ndarray:
+def noise(shape, dtype="uint16"):
     return np.random.default_rng(2).integers(0, 250, shape).astype(dtype)
 
 
-def with_part(values: np.ndarray, part: Any, grey: Any) -> np.ndarray:
+def with_part(values, part, grey):
     values[part] = grey
     return values
 
 
-def write_sized(path: Path, values: np.ndarray, *, z: float = 2.0, yx: float = 2.0) -> Path:
-    meta = {"axes": "ZYX", "unit": "um", "spacing": z}
-    tifffile.imwrite(path, values, imagej=True, resolution=(1 / yx, 1 / yx), metadata=meta)
-    return path
-
-
-def test_a_volume_is_described(tmp_path: Path) -> None:
-    path = write_sized(tmp_path / "v.tif", ramp((5, 20, 30)), z=3.0)
+def test_a_volume_is_described(tmp_path):
+    path = write_volume(tmp_path / "v.tif", ramp((5, 20, 30)), 3.0, 2.0)
     told = describe(path)
     assert told == told | {
         "kind": "volume", "shape": [5, 20, 30], "dims": ["z", "y", "x"], "dtype": "uint16", "size_um": [3, 2, 2],
@@ -49,7 +37,7 @@ def test_a_volume_is_described(tmp_path: Path) -> None:
         "saturated_share": 0, "bytes": path.stat().st_size, "warnings": [],
     }  # fmt: skip
     assert told["percentiles"]["50"] == np.percentile(ramp((5, 20, 30)), 50)
-    assert describe(write_sized(tmp_path / "w.tif", noise((9, 40, 50))))["warnings"] == []
+    assert describe(write_volume(tmp_path / "w.tif", noise((9, 40, 50))))["warnings"] == []
 
 
 SHAPE = (10, 40, 50)
@@ -61,19 +49,19 @@ ODD = [
     (with_part(noise(SHAPE, "uint8"), np.s_[:, :, :5], 255), {}, "10 % of the values are at 255"),
     (with_part(noise(SHAPE), 3, 0), {}, "1 slices have one grey value only (black or empty), z 3:"),
     (with_part(noise(SHAPE), 8, noise(SHAPE)[1]), {}, "1 slices hold the same values as a slice before them, z 8:"),
-    (noise(SHAPE), {"z": 0.1, "yx": 0.1}, "unusual for paper"),
-    (noise(SHAPE), {"z": 20.0}, "differ by a factor of 10"),
+    (noise(SHAPE), {"voxel_um": 0.1}, "unusual for paper"),
+    (noise(SHAPE), {"voxel_um": 40.0, "across_um": 4.0}, "differ by a factor of 10"),
 ]
 
 
 @pytest.mark.parametrize(("values", "size", "words"), ODD, ids=[words for _, _, words in ODD])
-def test_what_looks_wrong_is_said(tmp_path: Path, values: np.ndarray, size: dict[str, float], words: str) -> None:
-    told = describe(write_sized(tmp_path / "v.tif", values, **size))
+def test_what_looks_wrong_is_said(tmp_path, values, size, words):
+    told = describe(write_volume(tmp_path / "v.tif", values, **size))
     assert any(words in w for w in told["warnings"])
     json.dumps(told, allow_nan=False)
 
 
-def test_an_image_is_described(tmp_path: Path) -> None:
+def test_an_image_is_described(tmp_path):
     exif = Image.Exif()
     exif[274] = 3
     Image.fromarray(ramp((20, 30), "uint8")).save(tmp_path / "i.jpg", exif=exif, dpi=(2540, 2540))
@@ -83,7 +71,7 @@ def test_an_image_is_described(tmp_path: Path) -> None:
     assert any("orientation tag (3)" in w for w in told["warnings"])
 
 
-def test_missing_sizes_are_reported_and_not_raised(tmp_path: Path) -> None:
+def test_missing_sizes_are_reported_and_not_raised(tmp_path):
     tifffile.imwrite(tmp_path / "v.tif", ramp((5, 20, 30)), photometric="minisblack")
     told = describe(tmp_path / "v.tif")
     assert told["size_um"] is None
@@ -94,13 +82,13 @@ def test_missing_sizes_are_reported_and_not_raised(tmp_path: Path) -> None:
     assert "no voxel size along z" in describe(tmp_path / "v.tif")["size_problem"]
 
 
-def test_slices_in_steps_are_mentioned(tmp_path: Path) -> None:
+def test_slices_in_steps_are_mentioned(tmp_path):
     for i in range(3):
         tifffile.imwrite(tmp_path / f"{i * 5}.tif", ramp((20, 30)))
     assert any("steps of 5" in w for w in describe(tmp_path, voxel_um=1)["warnings"])
 
 
-def test_broken_data_are_an_error(tmp_path: Path) -> None:
+def test_broken_data_are_an_error(tmp_path):
     path = tmp_path / "v.tif"
     tifffile.imwrite(path, ramp((5, 20, 30)), photometric="minisblack", compression="zlib", metadata=None)
     with tifffile.TiffFile(path) as tif:
@@ -111,7 +99,7 @@ def test_broken_data_are_an_error(tmp_path: Path) -> None:
     refused(FileError, r"v\.tif cannot be decoded", describe, path)
 
 
-def test_the_fingerprint_is_the_sha256_of_a_file_or_of_the_slices_of_a_folder(tmp_path: Path) -> None:
+def test_the_fingerprint_is_the_sha256_of_a_file_or_of_the_slices_of_a_folder(tmp_path):
     (tmp_path / "a").write_bytes(b"paper" * 100_000)
     assert fingerprint(tmp_path / "a") == hashlib.sha256(b"paper" * 100_000).hexdigest()
     refused(FileError, "does not exist", fingerprint, tmp_path / "b")
@@ -147,29 +135,27 @@ def test_a_folder_of_sections(tmp_path):
     assert "--voxel-um" in unsized["size_problem"]
 
 
-def test_of_a_large_volume_some_slices_are_seen_and_that_is_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_of_a_large_volume_some_slices_are_seen_and_that_is_said(tmp_path, monkeypatch):
     monkeypatch.setattr("planish.io.inspection.EAGER_BYTES", 100_000)
     monkeypatch.setattr("planish.io.inspection.SAMPLE_BYTES", 20_000)
-    told = describe(write_sized(tmp_path / "v.tif", noise((200, 40, 50))))
+    told = describe(write_volume(tmp_path / "v.tif", noise((200, 40, 50))))
     assert (told["sampled"], told["min"], told["max"]) == ("8 of 200 slices", 0, 249)
     assert told["stored"] == "mapped from its file"
 
 
-def test_what_a_run_needs_grows_with_the_columns(tmp_path: Path) -> None:
-    small = describe(write_sized(tmp_path / "v.tif", noise((9, 40, 50))))
-    large = describe(write_sized(tmp_path / "w.tif", noise((9, 80, 100))))
+def test_what_a_run_needs_grows_with_the_columns(tmp_path):
+    small = describe(write_volume(tmp_path / "v.tif", noise((9, 40, 50))))
+    large = describe(write_volume(tmp_path / "w.tif", noise((9, 80, 100))))
     assert large["run_seconds"] - small["run_seconds"] == pytest.approx(36.5e-6 * 6000, rel=0.05)  # as measured
     assert large["run_bytes"] > small["run_bytes"] > 1e8
 
 
-def test_every_byte_is_read_once_for_its_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_byte_is_read_once_for_its_hash(tmp_path, monkeypatch):
     for k in range(3):
         (tmp_path / f"s{k}.tif").write_bytes(b"x" * (1000 + k))
     digest, read = hashlib.file_digest, list[int]()
 
-    def counted(file: Any, name: str) -> Any:
+    def counted(file, name):
         found = digest(file, name)
         read.append(file.tell())
         return found
@@ -184,33 +170,17 @@ def test_every_byte_is_read_once_for_its_hash(tmp_path: Path, monkeypatch: pytes
     assert sum(read) == 1000 + 1001 + 1002 + 1000
 
 
-@pytest.mark.nightly
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak of the memory is not known")
-def test_a_look_takes_little_memory_whatever_is_declared(tmp_path: Path) -> None:
-    """What can only be decoded whole is described by its header; the rest is read in parts."""
-    row = np.random.default_rng(0).integers(0, 255, 1000, dtype=np.uint8)
-    raw = np.tile(row, (50, 1000, 1))
-    header = "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 1000 1000 400\nencoding: gzip\n\n"
-    packer = zlib.compressobj(1, wbits=31)
-    parts = [packer.compress(raw.tobytes()) for _ in range(8)] + [packer.flush()]
-    (tmp_path / "packed.nrrd").write_bytes(header.encode() + b"".join(parts))
-    tifffile.imwrite(tmp_path / "plain.tif", np.concatenate([raw] * 8))
-    Image.fromarray(np.zeros((20_000, 20_000), np.uint8)).save(tmp_path / "image.png")
-    tifffile.imwrite(tmp_path / "image.tif", np.zeros((20_000, 20_000), np.uint8), compression="zlib")
-    with h5py.File(tmp_path / "chunk.h5", "w") as file:
-        packed = {"chunks": (400, 1000, 1000), "compression": "gzip", "compression_opts": 1}
-        file.create_dataset("d", shape=(400, 1000, 1000), dtype="u1", **packed)[:50] = raw
-    for path in sorted(tmp_path.iterdir()):
-        code = (
-            "import json, re, sys; from planish.io import describe; told = describe(sys.argv[1])\n"
-            "peak = re.search(r'VmHWM:\\s*(\\d+)', open('/proc/self/status').read())[1]\n"
-            "print(json.dumps([int(peak), told['shape'], told['min']]))"
-        )
-        done = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True)
-        peak, shape, low = json.loads(done.stdout)
-        assert peak < 400 * 1024, path.name
-        assert math.prod(shape) >= 4 * 10**8
-        assert (low is None) == (path.name != "plain.tif")
+def test_what_can_only_be_decoded_whole_and_is_large_is_described_by_its_header(tmp_path, monkeypatch):
+    Image.fromarray(ramp((20, 30), "uint8")).save(tmp_path / "i.png")
+    tifffile.imwrite(tmp_path / "i.tif", ramp((20, 30)), compression="zlib")
+    volume = write_nrrd(tmp_path, VALUES, CUBE, ".nrrd", "gzip")
+    cases = ((volume, [12, 17, 19]), (tmp_path / "i.png", [20, 30]), (tmp_path / "i.tif", [20, 30]))
+    assert [describe(path)["min"] for path, _ in cases] == [VALUES.min(), 0, 0]
+    monkeypatch.setattr("planish.io.info.LOOK_BYTES", 500)
+    for path, shape in cases:
+        told = describe(path)
+        assert (told["shape"], told["min"]) == (shape, None)
+        assert any("can only be decoded whole, so no grey was looked at" in w for w in told["warnings"])
 
 
 def test_the_middle_of_a_volume_is_drawn(tmp_path):

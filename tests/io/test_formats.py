@@ -38,14 +38,14 @@ from planish.core.errors import FileError, SizeError, VolumeError
 from planish.io import describe, find_place, fingerprint, formats, read_volume
 
 
-def edit(path: Path, old: str, new: str, encoding: str = "utf-8") -> None:
+def edit(path, old, new, encoding="utf-8"):
     text = path.read_text(encoding=encoding)
     assert old in text
     path.write_text(text.replace(old, new), encoding="utf-8")
 
 
 # Which reader, and which volume
-def test_every_line_of_the_table_has_its_module(tmp_path: Path) -> None:
+def test_every_line_of_the_table_has_its_module(tmp_path):
     for line in formats.FORMATS:
         assert callable(formats.loader(line))
         for suffix in line.suffixes:
@@ -64,12 +64,12 @@ def test_every_line_of_the_table_has_its_module(tmp_path: Path) -> None:
         ("sheet.ome.zarr:1", "sheet.ome.zarr", "1"),
     ],
 )
-def test_a_drive_is_no_file_with_a_part(given: str, path: str, part: str) -> None:
+def test_a_drive_is_no_file_with_a_part(given, path, part):
     place = find_place(given)
     assert (str(place.path), place.part) == (str(Path(path)), part)
 
 
-def test_a_name_that_exists_is_not_split_and_a_part_of_a_plain_file_is_refused(tmp_path: Path) -> None:
+def test_a_name_that_exists_is_not_split_and_a_part_of_a_plain_file_is_refused(tmp_path):
     (tmp_path / "scan.h5:2").touch()
     assert find_place(tmp_path / "scan.h5:2").part == ""
     tifffile.imwrite(tmp_path / "v.tif", VALUES)
@@ -77,7 +77,7 @@ def test_a_name_that_exists_is_not_split_and_a_part_of_a_plain_file_is_refused(t
         read_volume(f"{tmp_path / 'v.tif'}:a", voxel_um=1)
 
 
-def test_a_missing_library_names_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_library_names_the_command(tmp_path, monkeypatch):
     path = write_meta(tmp_path, VALUES, CUBE, ".mha", True)
     monkeypatch.setitem(sys.modules, "SimpleITK", None)
     np.testing.assert_array_equal(read_volume(path).values, VALUES)  # not needed for what fits
@@ -87,7 +87,7 @@ def test_a_missing_library_names_the_command(tmp_path: Path, monkeypatch: pytest
 
 
 # HDF5 and NeXus
-def test_several_volumes_are_listed_with_their_shapes(tmp_path: Path) -> None:
+def test_several_volumes_are_listed_with_their_shapes(tmp_path):
     path = write_hdf5(tmp_path, VALUES, VOXEL).partition(":/")[0]
     words = r"holds 2 volumes\. .*/entry/Größe/volume \(12 x 17 x 19 uint16\), /entry/other \(12 x 4 x 19 uint16\)"
     refused(VolumeError, words, read_volume, path)
@@ -98,7 +98,7 @@ def test_several_volumes_are_listed_with_their_shapes(tmp_path: Path) -> None:
     assert fingerprint(f"{path}:entry/other") != fingerprint(f"{path}:/entry/Größe/volume")
 
 
-def test_raw_projections_and_uneven_or_contradicted_axes_are_errors(tmp_path: Path) -> None:
+def test_raw_projections_and_uneven_or_contradicted_axes_are_errors(tmp_path):
     path = write_nexus(tmp_path, VALUES, VOXEL)
     with h5py.File(path, "r+") as file:
         file["entry/data/density"].attrs["voxel_size_um"] = [4.0, 2.5, 2.0]
@@ -115,7 +115,7 @@ def test_raw_projections_and_uneven_or_contradicted_axes_are_errors(tmp_path: Pa
 
 
 @pytest.fixture
-def secret(tmp_path: Path) -> Path:
+def secret(tmp_path):
     """A folder, and beside it a file that must not be read."""
     (tmp_path / "scans").mkdir()
     with h5py.File(tmp_path / "secret.h5", "w") as file:
@@ -125,7 +125,7 @@ def secret(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("target", ["{folder}/secret.h5", "./../scans/../secret.h5"])
-def test_no_link_leads_out_of_the_folder(secret: Path, target: str) -> None:
+def test_no_link_leads_out_of_the_folder(secret, target):
     path = secret / "scan.h5"
     outside = target.format(folder=secret.parent)
     layout = h5py.VirtualLayout(VALUES.shape, VALUES.dtype)
@@ -141,7 +141,7 @@ def test_no_link_leads_out_of_the_folder(secret: Path, target: str) -> None:
     refused(VolumeError, "holds 2 volumes", read_volume, path, voxel_um=1)
 
 
-def test_links_inside_the_folder_are_followed(tmp_path: Path) -> None:
+def test_links_inside_the_folder_are_followed(tmp_path):
     (tmp_path / "parts").mkdir()
     for k in range(2):
         with h5py.File(tmp_path / "parts" / f"{k}.h5", "w") as file:
@@ -166,7 +166,7 @@ def test_links_inside_the_folder_are_followed(tmp_path: Path) -> None:
 
 # OME-Zarr
 @pytest.mark.parametrize("version", [2, 3])
-def test_levels_of_a_store_can_be_chosen(tmp_path: Path, version: int) -> None:
+def test_levels_of_a_store_can_be_chosen(tmp_path, version):
     path = write_zarr(tmp_path, VALUES, VOXEL, version)
     half = read_volume(f"{path}:1")
     np.testing.assert_array_equal(half.values, VALUES[::2, ::2, ::2])
@@ -175,7 +175,7 @@ def test_levels_of_a_store_can_be_chosen(tmp_path: Path, version: int) -> None:
     refused(FileError, "leads out of the store", read_volume, f"{path}:../x")
 
 
-def test_several_channels_are_refused_by_name(tmp_path: Path) -> None:
+def test_several_channels_are_refused_by_name(tmp_path):
     path = tmp_path / "v.zarr"
     group = zarr.open_group(str(path), mode="w", zarr_format=2)
     group.create_array("0", shape=(1, 2, 12, 17, 19), chunks=(1, 1, 4, 8, 8), dtype="u2")[...] = 5
@@ -194,7 +194,7 @@ def test_several_channels_are_refused_by_name(tmp_path: Path) -> None:
         ('"name": "z"', '"name": "y"', "its axes are y, y, x"),
     ],
 )
-def test_wrong_metadata_of_a_store(tmp_path: Path, old: str, new: str, words: str) -> None:
+def test_wrong_metadata_of_a_store(tmp_path, old, new, words):
     path = write_zarr(tmp_path, VALUES, VOXEL, 3)
     edit(path / "zarr.json", old, new)
     refused((FileError, VolumeError, SizeError), words, read_volume, path)
@@ -206,7 +206,7 @@ def test_chunks_of_blosc_with_a_checksum_behind_it_are_read(tmp_path):
     np.testing.assert_array_equal(read_volume(tmp_path / "v.zarr", voxel_um=2).values, VALUES)
 
 
-def test_plain_arrays_and_empty_chunks(tmp_path: Path) -> None:
+def test_plain_arrays_and_empty_chunks(tmp_path):
     values = VALUES.copy()
     values[:4, :8, :8] = 0  # left out when it is written
     array = zarr.create_array(str(tmp_path / "v.zarr"), shape=values.shape, chunks=(4, 8, 8), dtype="u2", fill_value=0)
@@ -217,7 +217,7 @@ def test_plain_arrays_and_empty_chunks(tmp_path: Path) -> None:
 
 
 # NRecon
-def test_the_one_log_is_read_by_section_also_with_decimal_commas_and_kept(tmp_path: Path) -> None:
+def test_the_one_log_is_read_by_section_also_with_decimal_commas_and_kept(tmp_path):
     volume = read_volume(write_nrecon(tmp_path, VALUES, CUBE))
     assert volume.attrs["voxel_um"] == [2.0] * 3  # neither 2.01 nor 11.32
     assert volume.attrs["attenuation_window"] == [-0.01, 0.15]
@@ -241,13 +241,13 @@ def test_the_one_log_is_read_by_section_also_with_decimal_commas_and_kept(tmp_pa
         ("Step=1", "Step=0", r"no number for 'Section to Section Step'"),
     ],
 )
-def test_a_log_that_does_not_fit_is_an_error(tmp_path: Path, old: str, new: str, words: str) -> None:
+def test_a_log_that_does_not_fit_is_an_error(tmp_path, old, new, words):
     folder = write_nrecon(tmp_path, VALUES, CUBE)
     edit(folder / "Núria_rec.log", old, new, "cp1252")
     refused((VolumeError, SizeError), words, read_volume, folder)
 
 
-def test_missing_sections_of_a_log_are_named(tmp_path: Path) -> None:
+def test_missing_sections_of_a_log_are_named(tmp_path):
     folder = write_nrecon(tmp_path, VALUES, CUBE)
     (folder / "Núria_rec00000024.png").unlink()
     refused(VolumeError, r"states 12 sections, .* holds 11\. Missing: 24\.", read_volume, folder)
@@ -256,7 +256,7 @@ def test_missing_sections_of_a_log_are_named(tmp_path: Path) -> None:
     refused(VolumeError, r"slices that .* does not name: 90", read_volume, folder)
 
 
-def test_sections_in_steps_are_as_far_apart(tmp_path: Path) -> None:
+def test_sections_in_steps_are_as_far_apart(tmp_path):
     folder = write_nrecon(tmp_path, VALUES, CUBE)
     for k in range(1, 12, 2):
         (folder / f"Núria_rec{k + 20:08d}.png").unlink()
@@ -267,13 +267,13 @@ def test_sections_in_steps_are_as_far_apart(tmp_path: Path) -> None:
     np.testing.assert_array_equal(volume.values, VALUES[::2])
 
 
-def test_eight_bits_of_a_window_are_mentioned(tmp_path: Path) -> None:
+def test_eight_bits_of_a_window_are_mentioned(tmp_path):
     told = describe(write_nrecon(tmp_path, (VALUES >> 8).astype(np.uint8), CUBE))
     assert any("grey 0 to 255 is attenuation -0.01 to 0.15" in w for w in told["warnings"])
 
 
 # Other headers
-def test_sizes_of_headers_have_to_agree_and_to_state_their_unit(tmp_path: Path) -> None:
+def test_sizes_of_headers_have_to_agree_and_to_state_their_unit(tmp_path):
     header: dict[str, Any] = {"spacings": [2.0, 2.5, 3.0], "units": ["um"] * 3}
     nrrd.write(str(tmp_path / "v.nrrd"), VALUES, header, index_order="C")
     text = (tmp_path / "v.nrrd").read_bytes()
@@ -295,7 +295,7 @@ def test_sizes_of_headers_have_to_agree_and_to_state_their_unit(tmp_path: Path) 
 
 @pytest.mark.parametrize("kind", [".nhdr", ".mhd", ".toml"])
 @pytest.mark.parametrize("target", ["../secret.raw", "{folder}/secret.raw"])
-def test_no_header_takes_data_from_outside_its_folder(secret: Path, kind: str, target: str) -> None:
+def test_no_header_takes_data_from_outside_its_folder(secret, kind, target):
     case = {".nhdr": "NRRD detached", ".mhd": "MetaImage detached", ".toml": "raw"}[kind]
     CASES[case].write(secret, VALUES, VOXEL)
     header = next(secret.glob(f"*{kind}"))
@@ -307,7 +307,7 @@ def test_no_header_takes_data_from_outside_its_folder(secret: Path, kind: str, t
     refused(FileError, "outside its folder, which planish does not open", read_volume, header)
 
 
-def test_every_fault_of_a_raw_header_is_named(tmp_path: Path) -> None:
+def test_every_fault_of_a_raw_header_is_named(tmp_path):
     path = write_raw(tmp_path, VALUES, VOXEL)
     header = tmp_path / f"{NAME}.raw.toml"
     np.testing.assert_array_equal(read_volume(header).values, read_volume(path).values)
@@ -319,7 +319,7 @@ def test_every_fault_of_a_raw_header_is_named(tmp_path: Path) -> None:
 
 
 # MATLAB
-def test_rows_columns_and_slices_of_matlab_become_y_x_and_z(tmp_path: Path) -> None:
+def test_rows_columns_and_slices_of_matlab_become_y_x_and_z(tmp_path):
     path = write_mat73(tmp_path, VALUES, VOXEL)
     theirs = pymatreader.read_mat(str(path))["V"]
     assert theirs.shape == (17, 19, 12)
@@ -327,7 +327,7 @@ def test_rows_columns_and_slices_of_matlab_become_y_x_and_z(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("new", [False, True])
-def test_several_variables_are_listed(tmp_path: Path, new: bool) -> None:
+def test_several_variables_are_listed(tmp_path, new):
     path = tmp_path / "v.mat"
     if new:
         write_mat73(tmp_path, VALUES, VOXEL).rename(path)
@@ -342,7 +342,7 @@ def test_several_variables_are_listed(tmp_path: Path, new: bool) -> None:
 
 
 # NIfTI and MRC
-def test_a_scaled_nifti_gives_true_values_in_parts_and_at_once(tmp_path: Path) -> None:
+def test_a_scaled_nifti_gives_true_values_in_parts_and_at_once(tmp_path):
     path, true = tmp_path / "v.nii", VALUES * 0.01 - 3.0
     image = nibabel.Nifti1Image(VALUES.T.astype(np.int32), np.diag([2.0, 2.0, 2.0, 1.0]))
     image.header.set_xyzt_units("micron")
@@ -358,7 +358,7 @@ def test_a_scaled_nifti_gives_true_values_in_parts_and_at_once(tmp_path: Path) -
         np.testing.assert_allclose(volume.values, true, rtol=1e-6, atol=1e-4)
 
 
-def test_a_nifti_that_is_left_handed_or_lacks_values_or_units_is_reported(tmp_path: Path) -> None:
+def test_a_nifti_that_is_left_handed_or_lacks_values_or_units_is_reported(tmp_path):
     for name, affine, told in (("l", np.diag([-2.0, 2.0, 2.0, 1.0]), True), ("r", np.diag([2.0, 2, 2, 1]), False)):
         image = nibabel.Nifti1Image(VALUES.T.astype(np.int32), affine)
         image.header.set_xyzt_units("mm")
@@ -372,7 +372,7 @@ def test_a_nifti_that_is_left_handed_or_lacks_values_or_units_is_reported(tmp_pa
 
 
 @pytest.mark.parametrize("order", "<>")
-def test_bytes_of_imod_are_unsigned_where_it_says_so(tmp_path: Path, order: str) -> None:
+def test_bytes_of_imod_are_unsigned_where_it_says_so(tmp_path, order):
     grey = (VALUES >> 8).astype(np.uint8)
     head = np.zeros((), dtypes.HEADER_DTYPE.newbyteorder(order))
     head["nz"], head["ny"], head["nx"] = grey.shape
@@ -386,7 +386,7 @@ def test_bytes_of_imod_are_unsigned_where_it_says_so(tmp_path: Path, order: str)
         np.testing.assert_array_equal(volume.values, grey.view(dtype))
 
 
-def test_a_turned_cell_of_mrc_and_a_default_of_it(tmp_path: Path) -> None:
+def test_a_turned_cell_of_mrc_and_a_default_of_it(tmp_path):
     with mrcfile.new(tmp_path / "v.mrc") as file:
         file.set_data(VALUES)
         file.voxel_size = (2e4, 2.5e4, 3e4)  # along x, y, z of the cell

@@ -1,14 +1,9 @@
 """Images: values as stored, the channel asked for, the pixel size or a refusal."""
 
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
-
 import imagecodecs
 import numpy as np
 import pytest
 import tifffile
-from numpy.typing import NDArray
 from PIL import Image
 
 from folders import refused
@@ -16,13 +11,13 @@ from planish.core.errors import FileError, InputError, ResourceError, SizeError
 from planish.io import read_image
 
 
-def picture(dtype: str = "uint8", shape: tuple[int, ...] = (7, 9)) -> NDArray[Any]:
+def picture(dtype="uint8", shape=(7, 9)):
     return np.random.default_rng(5).integers(0, 120, shape).astype(dtype)
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "int8", "uint16", "int16", "uint32", "float16", "float32", "float64"])
 @pytest.mark.parametrize("compression", [None, "zlib"])
-def test_grey_tiff_survives(tmp_path: Path, dtype: str, compression: str | None) -> None:
+def test_grey_tiff_survives(tmp_path, dtype, compression):
     tifffile.imwrite(tmp_path / "i.tif", picture(dtype), photometric="minisblack", compression=compression)
     image = read_image(tmp_path / "i.tif", pixel_um=(3, 2))
     assert (image.dims, image.dtype) == (("y", "x"), np.float32)
@@ -38,7 +33,7 @@ def test_grey_tiff_survives(tmp_path: Path, dtype: str, compression: str | None)
 
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])
 @pytest.mark.parametrize("samples", [1, 2, 3, 4])
-def test_png_keeps_all_its_bits(tmp_path: Path, dtype: str, samples: int) -> None:
+def test_png_keeps_all_its_bits(tmp_path, dtype, samples):
     values = picture(dtype, (7, 9, samples)) * (500 if dtype == "uint16" else 1)
     (tmp_path / "i.png").write_bytes(imagecodecs.png_encode(values.squeeze()))
     for channel in range(samples):
@@ -48,7 +43,7 @@ def test_png_keeps_all_its_bits(tmp_path: Path, dtype: str, samples: int) -> Non
 
 
 @pytest.mark.parametrize("planar", ["contig", "separate"])
-def test_channels_of_a_colour_image(tmp_path: Path, planar: str) -> None:
+def test_channels_of_a_colour_image(tmp_path, planar):
     values = picture(shape=(7, 9, 3))
     stored = values if planar == "contig" else np.moveaxis(values, -1, 0)
     tifffile.imwrite(tmp_path / "i.tif", stored, photometric="rgb", planarconfig=planar)
@@ -64,7 +59,7 @@ def test_channels_of_a_colour_image(tmp_path: Path, planar: str) -> None:
     refused(InputError, "'alpha' is no channel", read_image, tmp_path / "i.tif", pixel_um=1, channel="alpha")
 
 
-def test_alpha_does_not_change_colour_or_grey(tmp_path: Path) -> None:
+def test_alpha_does_not_change_colour_or_grey(tmp_path):
     rgba = picture(shape=(7, 9, 4))
     Image.fromarray(rgba, "RGBA").save(tmp_path / "i.png")
     Image.fromarray(rgba[..., :3]).save(tmp_path / "j.png")
@@ -72,7 +67,7 @@ def test_alpha_does_not_change_colour_or_grey(tmp_path: Path) -> None:
     np.testing.assert_array_equal(with_alpha, without)
 
 
-def test_channels_that_an_image_lacks_are_refused(tmp_path: Path) -> None:
+def test_channels_that_an_image_lacks_are_refused(tmp_path):
     tifffile.imwrite(tmp_path / "i.tif", picture())
     with pytest.raises(InputError, match=r"is a grey image, so it has no red\. Choose luminance"):
         read_image(tmp_path / "i.tif", pixel_um=1, channel="red")
@@ -82,7 +77,7 @@ def test_channels_that_an_image_lacks_are_refused(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_image(tmp_path / "i.tif", pixel_um=1, channel="2").values, values[..., 2])
 
 
-def test_jpeg_and_palettes_give_their_values(tmp_path: Path) -> None:
+def test_jpeg_and_palettes_give_their_values(tmp_path):
     smooth = np.add.outer(np.arange(40), np.arange(60)).astype(np.uint8)
     Image.fromarray(smooth).save(tmp_path / "i.jpg", quality=95)
     np.testing.assert_allclose(read_image(tmp_path / "i.jpg", pixel_um=1), smooth, atol=3)  # levels lost at quality 95
@@ -97,7 +92,7 @@ def test_jpeg_and_palettes_give_their_values(tmp_path: Path) -> None:
         np.testing.assert_array_equal(read.values, palette[index, 1])
 
 
-def test_orientation_tags_and_thumbnails_change_nothing(tmp_path: Path) -> None:
+def test_orientation_tags_and_thumbnails_change_nothing(tmp_path):
     exif = Image.Exif()
     exif[274] = 6
     Image.fromarray(picture()).save(tmp_path / "i.png", exif=exif)
@@ -110,7 +105,7 @@ def test_orientation_tags_and_thumbnails_change_nothing(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_image(tmp_path / "i.tif", pixel_um=1).values, picture())
 
 
-def test_missing_values_stay_missing(tmp_path: Path) -> None:
+def test_missing_values_stay_missing(tmp_path):
     values = picture("float64")
     values[2, 3], values[4, 5], values[0, 0] = np.nan, np.inf, 1e300
     tifffile.imwrite(tmp_path / "i.tif", values)
@@ -122,7 +117,7 @@ def test_missing_values_stay_missing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("extension", [".png", ".jpg", ".tif"])
-def test_the_pixel_size_is_read_from_the_resolution_unless_it_is_a_default(tmp_path: Path, extension: str) -> None:
+def test_the_pixel_size_is_read_from_the_resolution_unless_it_is_a_default(tmp_path, extension):
     path = tmp_path / f"i{extension}"
     Image.fromarray(picture()).save(path, dpi=(1270, 2540))
     image = read_image(path)
@@ -138,13 +133,13 @@ def test_the_pixel_size_is_read_from_the_resolution_unless_it_is_a_default(tmp_p
     assert read_image(path, pixel_um=400).attrs["pixel_um"] == [400, 400]
 
 
-def test_a_stack_and_a_folder_are_no_image(tmp_path: Path) -> None:
+def test_a_stack_and_a_folder_are_no_image(tmp_path):
     tifffile.imwrite(tmp_path / "i.tif", picture(shape=(5, 7, 9)), photometric="minisblack")
     refused(FileError, "is not one picture but 5 x 7 x 9", read_image, tmp_path / "i.tif", pixel_um=1)
     refused(FileError, "is not a file", read_image, tmp_path, pixel_um=1)
 
 
-def test_the_pixel_limit_is_ours_not_pillows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_pixel_limit_is_ours_not_pillows(tmp_path, monkeypatch):
     Image.fromarray(picture(shape=(70, 90))).save(tmp_path / "i.png")
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 10)  # Image.open would raise
     assert read_image(tmp_path / "i.png", pixel_um=1).shape == (70, 90)
@@ -163,7 +158,7 @@ REFUSED = {
 }  # fmt: skip
 
 
-def test_valid_tiff_files_of_all_kinds_are_read_but_for_those_named(shared_data: Callable[[str], Path]) -> None:
+def test_valid_tiff_files_of_all_kinds_are_read_but_for_those_named(shared_data):
     files = sorted(shared_data("tiff_corpus/images").iterdir())
     assert len(files) > 100
     for path in files:

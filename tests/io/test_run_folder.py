@@ -26,7 +26,7 @@ def test_a_folder_appears_only_when_whole_and_never_over_another(tmp_path):
 
 @pytest.mark.parametrize("error", [RuntimeError("boom"), KeyboardInterrupt()])
 def test_nothing_is_left_when_it_fails(tmp_path, error):
-    def fail() -> None:
+    def fail():
         with new_folder(tmp_path / "run") as folder:
             (folder / "a.txt").write_text("a")
             raise error

@@ -1,12 +1,10 @@
 """Folders of section photographs: what the cut counter may say, and every way in which it can be wrong."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import tifffile
-from numpy.typing import NDArray
 from PIL import Image
 
 from folders import refused
@@ -17,18 +15,21 @@ POSITIONS = (10.0, 13.0, 16.5, 25.0)
 PER_CM = 1e4 / 2.43  # pixels of 2.43 um
 
 
-def pictures(count: int = 4, dtype: str = "uint8") -> NDArray[Any]:
+def pictures(count=4, dtype="uint8"):
     return np.random.default_rng(2).integers(0, 200, (count, 7, 9)).astype(dtype)
 
 
-def counter(*rows: str, header: str = "file,position_um", before: str = "") -> str:
+def counter(*rows, header="file,position_um", before=""):
     return "\n".join([*([before] if before else []), header, *rows]) + "\n"
 
 
 ROWS = tuple(f"s{i}.tif,{p}" for i, p in enumerate(POSITIONS))
 
 
-def write(folder: Path, values: NDArray[Any] | None = None, text: str = counter(*ROWS), *, stated: bool = True) -> Path:
+WHOLE = counter(*ROWS)
+
+
+def write(folder, values=None, text=WHOLE, *, stated=True):
     folder.mkdir(exist_ok=True)
     for i, page in enumerate(pictures() if values is None else values):
         tags: dict[str, Any] = {"resolution": (PER_CM, PER_CM), "resolutionunit": "CENTIMETER"} if stated else {}
@@ -37,7 +38,7 @@ def write(folder: Path, values: NDArray[Any] | None = None, text: str = counter(
     return folder
 
 
-def test_values_positions_and_sizes_are_read(tmp_path: Path) -> None:
+def test_values_positions_and_sizes_are_read(tmp_path):
     folder = write(tmp_path / "v")
     read = read_section_stack(folder)
     np.testing.assert_array_equal(read.values, pictures())
@@ -51,7 +52,7 @@ def test_values_positions_and_sizes_are_read(tmp_path: Path) -> None:
     assert not is_section_folder(tmp_path)
 
 
-def test_order_and_positions_are_those_of_the_counter_also_with_decimal_commas(tmp_path: Path) -> None:
+def test_order_and_positions_are_those_of_the_counter_also_with_decimal_commas(tmp_path):
     rows = [f"s{i},{p}".replace(",", ".tif,") for i, p in zip((2, 0, 3, 1), POSITIONS, strict=True)]
     read = read_section_stack(write(tmp_path / "v", text=counter(*rows)))
     np.testing.assert_array_equal(read.values, pictures()[[2, 0, 3, 1]])
@@ -62,7 +63,7 @@ def test_order_and_positions_are_those_of_the_counter_also_with_decimal_commas(t
     assert read.kind == read.attrs["section_kind"] == "block-face"
 
 
-def test_colour_becomes_luminance_and_grey_stored_as_colour_stays_grey(tmp_path: Path) -> None:
+def test_colour_becomes_luminance_and_grey_stored_as_colour_stays_grey(tmp_path):
     colour = np.stack([pictures(), pictures()[::-1], pictures()[:, ::-1]], axis=-1)
     read = read_section_stack(write(tmp_path / "v", colour))
     expected = 0.2126 * colour[..., 0] + 0.7152 * colour[..., 1] + 0.0722 * colour[..., 2]
@@ -72,7 +73,7 @@ def test_colour_becomes_luminance_and_grey_stored_as_colour_stays_grey(tmp_path:
     np.testing.assert_array_equal(read.values, values)
 
 
-def test_png_sections_are_read(tmp_path: Path) -> None:
+def test_png_sections_are_read(tmp_path):
     folder = tmp_path / "v"
     folder.mkdir()
     for i, page in enumerate(pictures()):
@@ -83,7 +84,7 @@ def test_png_sections_are_read(tmp_path: Path) -> None:
     assert read.pixel_um == (2.43, 2.43)
 
 
-def test_given_sizes_join_the_counter_and_another_than_stated_needs_the_override(tmp_path: Path) -> None:
+def test_given_sizes_join_the_counter_and_another_than_stated_needs_the_override(tmp_path):
     folder = write(tmp_path / "v", stated=False)
     assert read_section_stack(folder, voxel_um=2.0).attrs["voxel_um"] == [3.5, 2.0, 2.0]
     assert read_section_stack(folder, voxel_um=(3.5, 1.0, 2.0)).pixel_um == (1.0, 2.0)
@@ -112,19 +113,19 @@ def test_given_sizes_join_the_counter_and_another_than_stated_needs_the_override
         (counter(*ROWS, before="# kind: frozen"), "has the kind 'frozen'. Give block-face or cut"),
     ],
 )  # fmt: skip
-def test_faults_of_the_counter_are_said(tmp_path: Path, text: str, words: str) -> None:
+def test_faults_of_the_counter_are_said(tmp_path, text, words):
     folder = write(tmp_path / "v", text=text)
     refused(VolumeError, words, read_section_stack, folder)
 
 
-def test_a_folder_without_memory_or_a_counter_is_refused(tmp_path: Path) -> None:
+def test_a_folder_without_memory_or_a_counter_is_refused(tmp_path):
     refused(ResourceError, "v needs", read_section_stack, write(tmp_path / "v"), memory_bytes=200)
     refused(FileError, "is not a folder", read_section_stack, tmp_path / "none")
     (tmp_path / "empty").mkdir()
     refused(FileError, r"sections\.csv does not exist", read_section_stack, tmp_path / "empty")
 
 
-def test_sections_that_differ_are_refused(tmp_path: Path) -> None:
+def test_sections_that_differ_are_refused(tmp_path):
     folder = write(tmp_path / "v")
     tifffile.imwrite(folder / "s2.tif", np.zeros((7, 8), np.uint8), photometric="minisblack")
     refused(VolumeError, r"s2\.tif is .*s0\.tif is ", read_section_stack, folder)

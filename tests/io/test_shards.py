@@ -1,7 +1,5 @@
 """Chunks of a working store, decoded by the reading threads: the values that zarr gives, and no damaged ones."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import zarr
@@ -18,7 +16,7 @@ def small_shards(monkeypatch):
     monkeypatch.setattr(store, "SHARD", (32, 48, 40))
 
 
-def made(path: Path, dtype) -> zarr.Array:
+def made(path, dtype):
     values = np.random.default_rng(0).integers(0, 200, (70, 130, 100)).astype(dtype)
     store.write_store(planish.volume(values, voxel_um=2.0), path)
     return zarr.open_array(path, path="0", mode="r")

@@ -2,9 +2,6 @@
 
 import random
 import tracemalloc
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import imagecodecs
 import numpy as np
@@ -12,7 +9,6 @@ import pytest
 import tifffile
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from PIL import Image
 
 from folders import refused
@@ -20,11 +16,11 @@ from planish.core.errors import FileError, InputError, SizeError, VolumeError
 from planish.io import read_volume, slice_volume
 
 
-def stack(dtype: str = "uint8", shape: tuple[int, ...] = (12, 7, 9)) -> NDArray[Any]:
+def stack(dtype="uint8", shape=(12, 7, 9)):
     return np.random.default_rng(3).integers(0, 120, shape).astype(dtype)
 
 
-def write_folder(folder: Path, values: NDArray[Any], extension: str = ".tif", name: str = "s{}") -> Path:
+def write_folder(folder, values, extension=".tif", name="s{}"):
     folder.mkdir(exist_ok=True)
     for i, page in enumerate(values):
         path = folder / (name.format(i) + extension)
@@ -36,20 +32,20 @@ def write_folder(folder: Path, values: NDArray[Any], extension: str = ".tif", na
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "int16", "float64", "float16"])
-def test_tiff_slices_survive_in_the_order_of_their_numbers(tmp_path: Path, dtype: str) -> None:
+def test_tiff_slices_survive_in_the_order_of_their_numbers(tmp_path, dtype):
     volume = read_volume(write_folder(tmp_path / "v", stack(dtype)), voxel_um=1)
     np.testing.assert_array_equal(volume.values, stack(dtype))  # s10 comes after s9
     assert (volume.dtype, volume.attrs["file_name"]) == ("float32" if dtype == "float16" else dtype, "v")
     assert volume.attrs["file_bytes"] == sum(p.stat().st_size for p in (tmp_path / "v").iterdir())
 
 
-def test_jpeg_slices_are_read(tmp_path: Path) -> None:
+def test_jpeg_slices_are_read(tmp_path):
     values = np.repeat(np.arange(12, dtype=np.uint8)[:, None, None] * 20, 16, axis=1).repeat(16, axis=2)
     volume = read_volume(write_folder(tmp_path / "v", values, ".JPG"), voxel_um=1)
     np.testing.assert_allclose(volume.values.astype(int), values, atol=1)  # JPEG keeps constant blocks to one level
 
 
-def test_grey_palettes_are_grey(tmp_path: Path) -> None:
+def test_grey_palettes_are_grey(tmp_path):
     folder = tmp_path / "v"
     folder.mkdir()
     for i, page in enumerate(stack()):
@@ -60,9 +56,7 @@ def test_grey_palettes_are_grey(tmp_path: Path) -> None:
 
 
 @given(first=st.integers(0, 2000), step=st.integers(1, 50), count=st.integers(2, 30), width=st.integers(1, 6))
-def test_any_numbering_with_a_constant_step_is_ordered(
-    tmp_path_factory: pytest.TempPathFactory, first: int, step: int, count: int, width: int
-) -> None:
+def test_any_numbering_with_a_constant_step_is_ordered(tmp_path_factory, first, step, count, width):
     folder = tmp_path_factory.mktemp("v")
     numbers = [first + i * step for i in range(count)]
     for number in random.Random(1).sample(numbers, count):
@@ -70,7 +64,7 @@ def test_any_numbering_with_a_constant_step_is_ordered(
     assert [int(p.stem.split("_")[-1]) for p in slice_volume.list_slices(folder)] == numbers
 
 
-def test_other_files_are_ignored(tmp_path: Path) -> None:
+def test_other_files_are_ignored(tmp_path):
     folder = write_folder(tmp_path / "v", stack())
     for name in ("LICENSE.upstream", "SOURCE.txt", "Thumbs.db", "scan_rec.log", ".hidden1.tif", "desktop.ini"):
         (folder / name).write_text("7")
@@ -78,7 +72,7 @@ def test_other_files_are_ignored(tmp_path: Path) -> None:
     assert read_volume(folder, voxel_um=1).shape == (12, 7, 9)
 
 
-def test_missing_numbers_are_named_but_do_not_fill_the_screen(tmp_path: Path) -> None:
+def test_missing_numbers_are_named_but_do_not_fill_the_screen(tmp_path):
     folder = write_folder(tmp_path / "v", stack())
     (folder / "s4.tif").unlink()
     (folder / "s9.tif").unlink()
@@ -100,14 +94,14 @@ def test_missing_numbers_are_named_but_do_not_fill_the_screen(tmp_path: Path) ->
         ("s5.tif", stack(shape=(7, 9)) > 3, r"^s5\.tif has black and white only"),
     ],
 )
-def test_the_odd_slice_is_named(tmp_path: Path, name: str, page: NDArray[Any], words: str) -> None:
+def test_the_odd_slice_is_named(tmp_path, name, page, words):
     folder = write_folder(tmp_path / "v", stack())
     tifffile.imwrite(folder / name, page, photometric="rgb" if page.ndim == 3 else "minisblack")
     for limit in (None, 500):  # at once, and in parts
         refused(VolumeError, words, read_volume, folder, voxel_um=1, memory_bytes=limit)
 
 
-def test_a_slice_that_is_damaged_or_has_several_pages_is_named(tmp_path: Path) -> None:
+def test_a_slice_that_is_damaged_or_has_several_pages_is_named(tmp_path):
     folder = write_folder(tmp_path / "v", stack())
     tifffile.imwrite(folder / "s5.tif", stack(), photometric="minisblack")
     refused(FileError, r"^s5\.tif is not one picture but 12 x 7 x 9", read_volume, folder, voxel_um=1)
@@ -116,7 +110,7 @@ def test_a_slice_that_is_damaged_or_has_several_pages_is_named(tmp_path: Path) -
     refused(FileError, r"^s7\.png cannot be decoded .* It is damaged", read_volume, folder, voxel_um=1)
 
 
-def test_colour_slices_become_luminance_or_the_channel_chosen(tmp_path: Path) -> None:
+def test_colour_slices_become_luminance_or_the_channel_chosen(tmp_path):
     values = stack(shape=(4, 7, 9, 3))
     folder = write_folder(tmp_path / "v", values, ".png")
     grey = np.rint(values @ np.array([0.2126, 0.7152, 0.0722])).astype(np.uint8)
@@ -143,15 +137,13 @@ def test_colour_slices_become_luminance_or_the_channel_chosen(tmp_path: Path) ->
         (["a.tif", "b.tif"], VolumeError, "named otherwise"),
     ],
 )
-def test_names_that_are_no_series_are_refused(
-    tmp_path: Path, names: list[str], error: type[Exception], words: str
-) -> None:
+def test_names_that_are_no_series_are_refused(tmp_path, names, error, words):
     for name in names:
         (tmp_path / name).touch()
     refused(error, words, slice_volume.list_slices, tmp_path)
 
 
-def test_sizes_of_slices_are_read_and_must_agree(tmp_path: Path) -> None:
+def test_sizes_of_slices_are_read_and_must_agree(tmp_path):
     tags = {"resolutionunit": "CENTIMETER", "photometric": "minisblack"}
     for i, page in enumerate(stack()):
         tifffile.imwrite(tmp_path / f"{i}.tif", page, resolution=(5000, 5000), **tags)
@@ -162,7 +154,7 @@ def test_sizes_of_slices_are_read_and_must_agree(tmp_path: Path) -> None:
         read_volume(tmp_path, voxel_um=(3, 2, 2))
 
 
-def test_of_uncompressed_slices_only_the_rows_asked_for_are_read(tmp_path: Path) -> None:
+def test_of_uncompressed_slices_only_the_rows_asked_for_are_read(tmp_path):
     folder = tmp_path / "v"
     folder.mkdir()
     values = np.random.default_rng(0).integers(0, 60000, (4, 500, 40)).astype(np.uint16)
@@ -180,7 +172,7 @@ def test_of_uncompressed_slices_only_the_rows_asked_for_are_read(tmp_path: Path)
     assert peak < 20_000 < values[0].nbytes
 
 
-def test_a_slice_that_changes_after_it_was_checked_is_noticed(tmp_path: Path) -> None:
+def test_a_slice_that_changes_after_it_was_checked_is_noticed(tmp_path):
     folder = write_folder(tmp_path / "v", stack(), ".png")
     volume = read_volume(folder, voxel_um=1, memory_bytes=500)
     Image.fromarray(stack()[3][:, :5]).save(folder / "s3.png")
@@ -191,7 +183,7 @@ def test_a_slice_that_changes_after_it_was_checked_is_noticed(tmp_path: Path) ->
         _ = volume.isel(z=3).values
 
 
-def test_a_folder_is_in_memory_once(tmp_path: Path) -> None:
+def test_a_folder_is_in_memory_once(tmp_path):
     folder = tmp_path / "v"
     folder.mkdir()
     page = np.zeros((512, 512), np.uint16)
@@ -205,11 +197,3 @@ def test_a_folder_is_in_memory_once(tmp_path: Path) -> None:
         tracemalloc.stop()
     print(f"peak {peak / volume.nbytes:.3f} times the volume")
     assert peak < 1.25 * volume.nbytes  # the volume, two slices of 24, and their files
-
-
-def test_a_real_scan_has_its_size(shared_data: Callable[[str], Path]) -> None:
-    folder = shared_data("battery_sector_right")
-    volume = read_volume(folder, voxel_um=1)
-    assert (volume.shape, volume.dtype) == ((45, 300, 128), np.uint8)
-    np.testing.assert_array_equal(volume.values[17], tifffile.imread(folder / "z072.tif"))
-    refused(SizeError, "states no voxel size", read_volume, folder)

@@ -1,7 +1,6 @@
 """Height maps: rows, units and missing values as the library of the format wrote them."""
 
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ with guard.quiet:
 HEIGHTS = np.random.default_rng(3).normal(0, 2, (9, 14))  # y, x
 
 
-def write(path: Path, unit: str, heights: np.ndarray = HEIGHTS) -> Path:
+def write(path, unit, heights=HEIGHTS):
     um = {"nm": 1e3, "um": 1.0, "mm": 1e-3}[unit]
     masked = np.ma.masked_invalid(heights.T * um)
     sizes = (heights.shape[1] * 2.0 * um, heights.shape[0] * 3.0 * um)
@@ -32,7 +31,7 @@ def write(path: Path, unit: str, heights: np.ndarray = HEIGHTS) -> Path:
 
 @pytest.mark.parametrize("unit", ["nm", "mm"])
 @pytest.mark.parametrize("suffix", [".x3p", ".nc"])
-def test_heights_come_in_um(tmp_path: Path, suffix: str, unit: str) -> None:
+def test_heights_come_in_um(tmp_path, suffix, unit):
     heights = HEIGHTS.copy()
     heights[2, 5] = np.nan
     surface = read_topography(write(tmp_path / f"Fläche 1{suffix}", unit, heights))
@@ -44,7 +43,7 @@ def test_heights_come_in_um(tmp_path: Path, suffix: str, unit: str) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".x3p", ".nc"])
-def test_a_cut_file_is_an_error(tmp_path: Path, suffix: str) -> None:
+def test_a_cut_file_is_an_error(tmp_path, suffix):
     path = write(tmp_path / f"s{suffix}", "um")
     data = path.read_bytes()
     for length in (0, 10, len(data) // 3, 2 * len(data) // 3, len(data) - 40):
@@ -52,7 +51,7 @@ def test_a_cut_file_is_an_error(tmp_path: Path, suffix: str) -> None:
         refused(FileError, rf"^s\{suffix}", read_topography, path)
 
 
-def test_contradicting_sizes_and_other_files_are_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_contradicting_sizes_and_other_files_are_errors(tmp_path, monkeypatch):
     path = write(tmp_path / "s.x3p", "um")
     assert read_topography(path, pixel_um=(3, 2)).attrs["pixel_um"] == pytest.approx([3.0, 2.0])
     refused(SizeError, r"s\.x3p: pixel_um= gives .* the topography file states", read_topography, path, pixel_um=5)

@@ -10,7 +10,6 @@ import tifffile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from numpy.typing import NDArray
 
 from folders import refused
 from planish.core.errors import FileError, SizeError, VolumeError
@@ -32,14 +31,14 @@ KINDS: dict[str, dict[str, Any]] = {
 }
 
 
-def stack(dtype: str = "uint16", shape: tuple[int, ...] = (5, 7, 9)) -> NDArray[Any]:
+def stack(dtype="uint16", shape=(5, 7, 9)):
     values = np.random.default_rng(3).integers(-120, 120, shape)
     return (values if np.dtype(dtype).kind != "u" else values + 120).astype(dtype)
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "int16", "float64"])
 @pytest.mark.parametrize("kind", KINDS)
-def test_values_type_and_order_survive(tmp_path: Path, kind: str, dtype: str) -> None:
+def test_values_type_and_order_survive(tmp_path, kind, dtype):
     path = tmp_path / "v.tif"
     values = stack(dtype)
     tifffile.imwrite(path, values, photometric="minisblack", **KINDS[kind])
@@ -65,7 +64,7 @@ def test_values_type_and_order_survive(tmp_path: Path, kind: str, dtype: str) ->
     big=st.booleans(),
     order=st.sampled_from("<>"),
 )
-def test_any_volume_survives(values: NDArray[Any], compression: str | None, big: bool, order: str) -> None:
+def test_any_volume_survives(values, compression, big, order):
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "v.tif"
         options: dict[str, Any] = {"compression": compression, "bigtiff": big, "byteorder": order}
@@ -74,7 +73,7 @@ def test_any_volume_survives(values: NDArray[Any], compression: str | None, big:
 
 
 @pytest.mark.parametrize("how", [{"metadata": None}, {}, {"compression": "zlib"}])
-def test_pages_written_one_by_one_are_a_volume(tmp_path: Path, how: dict[str, Any]) -> None:
+def test_pages_written_one_by_one_are_a_volume(tmp_path, how):
     values = stack()
     with tifffile.TiffWriter(tmp_path / "v.tif") as tif:
         for page in values:
@@ -86,7 +85,7 @@ def test_pages_written_one_by_one_are_a_volume(tmp_path: Path, how: dict[str, An
 
 
 @pytest.mark.parametrize(("other", "page"), [({"compression": "zlib"}, 6), ({"datetime": True}, 0)])
-def test_pages_of_two_layouts_are_no_volume(tmp_path: Path, other: dict[str, Any], page: int) -> None:
+def test_pages_of_two_layouts_are_no_volume(tmp_path, other, page):
     with tifffile.TiffWriter(tmp_path / "v.tif") as tif:
         for k, values in enumerate(stack()):
             tif.write(values, contiguous=False, **(other if k == 4 else {}))
@@ -96,7 +95,7 @@ def test_pages_of_two_layouts_are_no_volume(tmp_path: Path, other: dict[str, Any
     refused(VolumeError, "different images", read_volume, tmp_path / "v.tif", voxel_um=1)
 
 
-def test_float16_white_is_zero_and_singleton_axes_become_plain_volumes(tmp_path: Path) -> None:
+def test_float16_white_is_zero_and_singleton_axes_become_plain_volumes(tmp_path):
     tifffile.imwrite(tmp_path / "v.tif", stack("float16"), photometric="minisblack")
     volume = read_volume(tmp_path / "v.tif", voxel_um=1)
     assert volume.dtype == np.float32
@@ -108,7 +107,7 @@ def test_float16_white_is_zero_and_singleton_axes_become_plain_volumes(tmp_path:
 
 
 @pytest.mark.parametrize("kind", ["plain", "tifffile", "BigTIFF", "OME"])
-def test_an_uncompressed_stack_is_mapped_or_read_in_parts_but_not_copied(tmp_path: Path, kind: str) -> None:
+def test_an_uncompressed_stack_is_mapped_or_read_in_parts_but_not_copied(tmp_path, kind):
     """What is mapped counts as memory that is used, so that only what may be held is mapped."""
     tifffile.imwrite(tmp_path / "v.tif", stack(), photometric="minisblack", **KINDS[kind])
     volume = read_volume(tmp_path / "v.tif", voxel_um=1, memory_bytes=stack().nbytes)
@@ -119,7 +118,7 @@ def test_an_uncompressed_stack_is_mapped_or_read_in_parts_but_not_copied(tmp_pat
 
 
 @pytest.mark.parametrize("options", [{}, {"compression": "zlib"}, {"planarconfig": "separate"}, {"byteorder": ">"}])
-def test_a_stack_in_colour_becomes_luminance_or_the_channel_chosen(tmp_path: Path, options: dict[str, Any]) -> None:
+def test_a_stack_in_colour_becomes_luminance_or_the_channel_chosen(tmp_path, options):
     values = stack("uint16", (5, 7, 9, 3))
     order = (0, 3, 1, 2) if "planarconfig" in options else (0, 1, 2, 3)
     tifffile.imwrite(tmp_path / "v.tif", values.transpose(order), photometric="rgb", **options)
@@ -146,7 +145,7 @@ def test_a_stack_in_colour_becomes_luminance_or_the_channel_chosen(tmp_path: Pat
         {"compression": "jpeg"},
     ],
 )
-def test_parts_of_a_stack_that_does_not_fit_are_read(tmp_path: Path, options: dict[str, Any]) -> None:
+def test_parts_of_a_stack_that_does_not_fit_are_read(tmp_path, options):
     values = stack("uint8", (6, 37, 41))
     tifffile.imwrite(tmp_path / "v.tif", values, **({"photometric": "minisblack"} | options))
     whole = read_volume(tmp_path / "v.tif", voxel_um=1).values
@@ -155,20 +154,20 @@ def test_parts_of_a_stack_that_does_not_fit_are_read(tmp_path: Path, options: di
     np.testing.assert_array_equal(part.values, whole)
 
 
-def write_imagej(path: Path, across_um: float, **meta: Any) -> Path:
+def write_imagej(path, across_um, **meta):
     resolution = (1 / across_um, 1 / across_um)
     tifffile.imwrite(path, stack(), imagej=True, resolution=resolution, metadata={"axes": "ZYX", **meta})
     return path
 
 
 @pytest.mark.parametrize(("unit", "um"), [("\\u00B5m", 1), ("nm", 1e-3), ("inch", 25400)])
-def test_imagej_sizes_come_in_their_unit(tmp_path: Path, unit: str, um: float) -> None:
+def test_imagej_sizes_come_in_their_unit(tmp_path, unit, um):
     volume = read_volume(write_imagej(tmp_path / "v.tif", 2.0 / um, unit=unit, spacing=2.5 / um))
     assert volume.attrs["voxel_um"] == pytest.approx([2.5, 2.0, 2.0], rel=1e-5)  # resolutions are stored as fractions
 
 
 @pytest.mark.parametrize(("unit", "um"), [("mm", 1e3), (None, 1)])
-def test_ome_sizes_come_in_their_unit(tmp_path: Path, unit: str | None, um: float) -> None:
+def test_ome_sizes_come_in_their_unit(tmp_path, unit, um):
     meta: dict[str, Any] = {"axes": "ZYX"}
     for axis, size in zip("ZYX", (3.0, 2.0, 1.5), strict=True):
         meta[f"PhysicalSize{axis}"] = size / um
@@ -178,7 +177,7 @@ def test_ome_sizes_come_in_their_unit(tmp_path: Path, unit: str | None, um: floa
     assert read_volume(tmp_path / "v.ome.tif").attrs["voxel_um"] == pytest.approx([3.0, 2.0, 1.5])
 
 
-def test_imagej_without_spacing_or_in_pixels_states_no_size(tmp_path: Path) -> None:
+def test_imagej_without_spacing_or_in_pixels_states_no_size(tmp_path):
     path = write_imagej(tmp_path / "v.tif", 2.0, unit="um")
     refused(SizeError, r"no voxel size along z: ImageJ metadata states y 2, x 2 um only .*exactly 1", read_volume, path)
     assert read_volume(path, voxel_um=(1, 2, 2)).attrs["voxel_um"] == [1, 2, 2]
@@ -186,7 +185,7 @@ def test_imagej_without_spacing_or_in_pixels_states_no_size(tmp_path: Path) -> N
     refused(SizeError, r"states no voxel size \(ImageJ metadata: 'pixel' is no unit of length\)", read_volume, path)
 
 
-def test_ome_against_the_resolution_tags_is_an_error(tmp_path: Path) -> None:
+def test_ome_against_the_resolution_tags_is_an_error(tmp_path):
     meta = {"axes": "ZYX", "PhysicalSizeX": 2.0, "PhysicalSizeY": 2.0, "PhysicalSizeZ": 2.0}
     path = tmp_path / "v.ome.tif"
     tifffile.imwrite(path, stack(), ome=True, metadata=meta, resolution=(2500, 2500), resolutionunit="CENTIMETER")
@@ -196,7 +195,7 @@ def test_ome_against_the_resolution_tags_is_an_error(tmp_path: Path) -> None:
     assert read_volume(path).attrs["voxel_um_source"] == "OME metadata and the TIFF resolution"
 
 
-def test_resolution_tags_speak_about_x_and_y_only_and_not_at_all_by_default(tmp_path: Path) -> None:
+def test_resolution_tags_speak_about_x_and_y_only_and_not_at_all_by_default(tmp_path):
     path = tmp_path / "v.tif"
     tifffile.imwrite(path, stack(), photometric="minisblack", resolution=(2540, 1270), resolutionunit="INCH")
     with pytest.raises(SizeError, match=r"no voxel size along z: the TIFF resolution states y 20, x 10 um only\. Give"):
@@ -218,12 +217,12 @@ def test_resolution_tags_speak_about_x_and_y_only_and_not_at_all_by_default(tmp_
         (stack() > 5, {"photometric": "minisblack"}, "black and white only"),
     ],
 )
-def test_what_is_not_one_grey_volume_is_refused(tmp_path: Path, values: Any, options: Any, words: str) -> None:
+def test_what_is_not_one_grey_volume_is_refused(tmp_path, values, options, words):
     tifffile.imwrite(tmp_path / "v.tif", values, **options)
     refused(VolumeError, rf"^v\.tif .*{words}", read_volume, tmp_path / "v.tif", voxel_um=1)
 
 
-def test_pages_of_two_sizes_are_no_volume(tmp_path: Path) -> None:
+def test_pages_of_two_sizes_are_no_volume(tmp_path):
     with tifffile.TiffWriter(tmp_path / "v.tif") as tif:
         tif.write(stack(), photometric="minisblack")
         tif.write(stack(shape=(4, 6, 6)), photometric="minisblack")
@@ -231,7 +230,7 @@ def test_pages_of_two_sizes_are_no_volume(tmp_path: Path) -> None:
     refused(VolumeError, words, read_volume, tmp_path / "v.tif", voxel_um=1)
 
 
-def test_missing_empty_and_foreign_files_are_refused(tmp_path: Path) -> None:
+def test_missing_empty_and_foreign_files_are_refused(tmp_path):
     path = tmp_path / "v.tif"
     refused(FileError, r"[/\\]v\.tif does not exist", read_volume, path, voxel_um=1)
     path.touch()

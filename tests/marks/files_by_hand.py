@@ -11,12 +11,12 @@ MOVING_PIXEL, FIXED_PIXEL = 2.5, 4.0
 LABELS = ["Pt-0", "Pt-1", "Pt-2", "Pt-3"]
 
 
-def bigwarp_2d(moving=MOVING, fixed=FIXED) -> str:
+def bigwarp_2d(moving=MOVING, fixed=FIXED):
     rows = zip(LABELS, moving.tolist(), fixed.tolist(), strict=True)
     return "".join(f'"{n}","true","{a[0]}","{a[1]}","{b[0]}","{b[1]}"\n' for n, a, b in rows)
 
 
-def bigwarp_3d(z=(40.0, 41.0, 42.5, 39.0), target_z=0.0) -> str:
+def bigwarp_3d(z=(40.0, 41.0, 42.5, 39.0), target_z=0.0):
     rows = zip(LABELS, MOVING.tolist(), z, FIXED.tolist(), strict=True)
     return "".join(f'"{n}","true","{a[0]}","{a[1]}","{c}","{b[0]}","{b[1]}","{target_z}"\n' for n, a, c, b in rows)
 
@@ -26,7 +26,7 @@ PAIRS = "label,moving_x_um,moving_y_um,fixed_x_um,fixed_y_um\n" + "".join(
 )
 
 
-def bigwarp_json() -> str:
+def bigwarp_json():
     inner = {
         "type": "BigWarpLandmarks", "numDimensions": 2, "movingPoints": MOVING.tolist(), "fixedPoints": FIXED.tolist(),
         "active": [True] * 4, "names": LABELS,
@@ -34,11 +34,11 @@ def bigwarp_json() -> str:
     return json.dumps({"landmarks": inner})
 
 
-def elastix(points, word="point") -> str:
+def elastix(points, word="point"):
     return f"{word}\n{len(points)}\n" + "\n".join(" ".join(str(v) for v in row) for row in points.tolist()) + "\n"
 
 
-def slicer_list(points_mm, name, system="LPS", units="mm", labels=LABELS) -> dict:
+def slicer_list(points_mm, name, system="LPS", units="mm", labels=LABELS):
     controls = [
         {
             "id": str(k + 1), "label": label, "description": "", "associatedNodeID": "vtkMRMLScalarVolumeNode1",
@@ -55,17 +55,17 @@ def slicer_list(points_mm, name, system="LPS", units="mm", labels=LABELS) -> dic
     }  # fmt: skip
 
 
-def slicer(*lists) -> str:
+def slicer(*lists):
     schema = "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
     return json.dumps({"@schema": schema + "markups-schema-v1.0.3.json#", "markups": list(lists)}, indent=4)
 
 
-def imagej(points) -> str:
+def imagej(points):
     rows = [f"{k},0,{112 + k},112,112,{x},{y},1" for k, (x, y) in enumerate(points.tolist(), 1)]
     return " ,Area,Mean,Min,Max,X,Y,Slice\n" + "\n".join(rows) + "\n"
 
 
-def native() -> str:
+def native():
     return """{
  "format": "planish-marks",
  "version": 1,

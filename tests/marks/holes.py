@@ -1,8 +1,9 @@
-"""Images of holes whose outlines are known: a test's own generator, independent of the package."""
+"""Images of holes whose outlines are known: drawn independently of the package, and otherwise than the benchmark's."""
 
 from dataclasses import dataclass
 
 import numpy as np
+from benchmarks.holes import around
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -20,7 +21,7 @@ class Hole:
     char: Floats
 
     @property
-    def centre(self) -> tuple[float, float]:
+    def centre(self):
         """Least-squares centre of the outline that was really cut."""
         angle = np.arange(ANGLES) * 2 * np.pi / ANGLES
         return self.x + 2 * np.mean(self.outline * np.cos(angle)), self.y + 2 * np.mean(self.outline * np.sin(angle))
@@ -34,46 +35,28 @@ class Scene:
     holes: list[Hole]
 
     @property
-    def centres(self) -> Floats:
+    def centres(self):
         """Centres (n, 2), (x, y) in um."""
         return np.array([hole.centre for hole in self.holes])
 
 
-def periodic_noise(rng: np.random.Generator, sd: float, length: float, perimeter: float) -> Floats:
-    """Gaussian noise around a rim with correlation length ``length`` (1/e of the autocorrelation) in um."""
-    sigma = length / 2 / perimeter * ANGLES
-    noise = ndimage.gaussian_filter1d(rng.normal(size=ANGLES), sigma, mode="wrap")
-    return sd * noise / np.sqrt(1 / (2 * np.sqrt(np.pi) * sigma))
-
-
-def make_hole(
-    rng: np.random.Generator, x: float, y: float, diameter: float = 180.0, *, rough: float = 4.0, ratio: float = 1.06
-) -> Hole:
+def make_hole(rng, x, y, diameter=180.0, *, rough=4.0, ratio=1.06):
     """A hole with rough rim and an irregular char ring."""
     angle = np.arange(ANGLES) * 2 * np.pi / ANGLES
     second = (ratio - 1) / (ratio + 1)
     radius = diameter / 2 * (1 + second * np.cos(2 * (angle - rng.uniform(0, np.pi))))
-    outline = radius + periodic_noise(rng, rough, 30.0, np.pi * diameter)
-    char = np.maximum(10.0, 40.0 + periodic_noise(rng, 10.0, 40.0, np.pi * diameter))
+    outline = radius + around(rng, rough, 30.0, np.pi * diameter)
+    char = np.maximum(10.0, 40.0 + around(rng, 10.0, 40.0, np.pi * diameter))
     return Hole(x, y, outline, char)
 
 
-def texture(rng: np.random.Generator, shape: tuple[int, int], length_px: float, sd: float) -> Floats:
+def texture(rng, shape, length_px, sd):
     """Gaussian mottle with correlation length in pixels."""
     noise = ndimage.gaussian_filter(rng.normal(size=shape), length_px / 2, mode="wrap")
     return sd * noise / noise.std()
 
 
-def scene(
-    rng: np.random.Generator,
-    shape: tuple[int, int],
-    pixel: float | tuple[float, float],
-    holes: list[Hole],
-    *,
-    mottle: float = 0.08,
-    length_um: float = 80.0,
-    noise: float = 0.02,
-) -> Scene:
+def scene(rng, shape, pixel, holes, *, mottle=0.08, length_um=80.0, noise=0.02):
     """Render dark holes with char into a textured sheet; grey 1 is the mean brightness of the paper."""
     py, px = np.broadcast_to(pixel, 2)
     rows, columns = shape

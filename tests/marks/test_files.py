@@ -1,15 +1,14 @@
 """Marks come from and go to files of other programs: the same places, to 1e-9 um."""
 
-import io
 import struct
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 import xarray as xr
-from scipy.io import loadmat, savemat
+from scipy.io import loadmat
 
+from core.test_matlab import file_of
 from marks.files_by_hand import (
     FIXED,
     FIXED_PIXEL,
@@ -54,22 +53,13 @@ def same(marks, moving=MOVING, fixed=FIXED, *, atol=1e-9):
     return True
 
 
-def mat_v73(moving, fixed):
-    """As MATLAB writes it: columns first, a class on each variable, 512 bytes of heading."""
-    file = io.BytesIO()
-    with h5py.File(file, "w", userblock_size=512) as f:
-        for name, values in (("movingPoints", moving), ("fixedPoints", fixed)):
-            f.create_dataset(name, data=np.ascontiguousarray(values.T)).attrs["MATLAB_class"] = np.bytes_("double")
-    data = bytearray(file.getvalue())
-    heading = b"MATLAB 7.3 MAT-file, Platform: GLNXA64, Created on: Mon Mar  3 10:00:00 2025 HDF5 schema 1.00 ."
-    data[: len(heading)] = heading
+def mat(moving, fixed, version="6", *, names=("movingPoints", "fixedPoints")):
+    """A MATLAB file of this version; 7.3 with the heading that MATLAB writes."""
+    data = bytearray(file_of(version, dict(zip(names, (moving, fixed), strict=True))).getvalue())
+    if version == "7.3":
+        heading = b"MATLAB 7.3 MAT-file, Platform: GLNXA64, Created on: Mon Mar  3 10:00:00 2025 HDF5 schema 1.00 ."
+        data[: len(heading)] = heading
     return bytes(data)
-
-
-def mat_v5(moving, fixed, *, names=("movingPoints", "fixedPoints"), **how):
-    file = io.BytesIO()
-    savemat(file, dict(zip(names, (moving, fixed), strict=True)), **how)
-    return file.getvalue()
 
 
 # --- what other programs write
@@ -147,14 +137,12 @@ def test_slicer_points_not_set_or_not_selected_and_other_markups(put):
     assert exchange.used_pairs(marks, least=2).label.values.tolist() == ["Pt-0", "Pt-2"]
 
 
-@pytest.mark.parametrize("make", [
-    mat_v5, mat_v73,
-    lambda a, b: mat_v5(a, b, do_compression=True),
-    lambda a, b: mat_v5(a, b, format="4"),
-    lambda a, b: mat_v5(a, b, names=("input_points", "base_points")),
+@pytest.mark.parametrize("options", [
+    {"version": "4"}, {"version": "6"}, {"version": "7"}, {"version": "7.3"},
+    {"names": ("input_points", "base_points")},
 ])  # fmt: skip
-def test_matlab_counts_from_one(put, make):
-    path = put(make(MOVING / MOVING_PIXEL + 1, FIXED / FIXED_PIXEL + 1), "points.mat")
+def test_matlab_counts_from_one(put, options):
+    path = put(mat(MOVING / MOVING_PIXEL + 1, FIXED / FIXED_PIXEL + 1, **options), "points.mat")
     assert same(read_any(path, **PIXELS))
 
 

@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from marks.files_by_hand import FIXED, MOVING, bigwarp_2d, elastix
-from marks.test_files import mat_v5, same
+from marks.test_files import mat as mat_bytes
+from marks.test_files import same
 from planish.core.errors import PlanishError
 from planish.core.grid import Grid
 from planish.marks import LayerPixels, MarkPlaces, make_marks, read_any, write_any
@@ -34,7 +35,7 @@ def test_convert_from_bigwarp_to_everything(passes, tmp_path):
 
 def test_convert_asks_for_what_it_needs(passes, refuses, tmp_path):
     mat, marks = tmp_path / "m.mat", tmp_path / "m.json"
-    mat.write_bytes(mat_v5(MOVING, FIXED))
+    mat.write_bytes(mat_bytes(MOVING, FIXED))
     refuses("marks", "convert", mat, marks, words="--moving-pixel-um", out=False)
     wrong = ("--moving-pixel-um", "2;3")
     refuses("marks", "convert", mat, marks, *wrong, words="SIZE|Y,X|Z,Y,X", code=2, out=False)

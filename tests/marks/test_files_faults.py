@@ -19,7 +19,7 @@ from marks.files_by_hand import (
     slicer,
     slicer_list,
 )
-from marks.test_files import mat_v5, mat_v73
+from marks.test_files import mat
 from planish.core.errors import FileError, MarkError, PlanishError, SizeError
 from planish.marks import LayerPixels, MarkPlaces, exchange, make_marks, read_any, write_any
 
@@ -121,15 +121,15 @@ def test_faults_say_what_to_do(put, text, error, message):
 
 
 @pytest.mark.parametrize(("data", "error", "message"), [
-    (mat_v5(MOVING, FIXED[:3]), MarkError, "4 points in movingPoints, 3 in fixedPoints"),
-    (mat_v5(MOVING.T, FIXED.T), MarkError, "size 2 x 4; n x 2 real"),
-    (mat_v5(MOVING * 1j, FIXED), MarkError, "movingPoints is no real matrix"),
-    (mat_v5(MOVING * np.nan, FIXED), MarkError, "no finite position in the rows 1, 2, 3, 4"),
-    (mat_v5(MOVING[:0], FIXED[:0]), MarkError, "no point|size"),
-    (mat_v5(MOVING, FIXED, names=("a", "cpstruct")), MarkError, "holds a, cpstruct; movingPoints and fixedPoints"),
-    (mat_v5(np.zeros((9_000_000, 1)), FIXED, do_compression=True), MarkError, "is no real matrix"),
-    (mat_v5(MOVING, FIXED)[:300], FileError, "cannot be read as a MATLAB file"),
-    (mat_v73(MOVING, FIXED)[:1500], FileError, "cannot be read as a MATLAB file"),
+    (mat(MOVING, FIXED[:3]), MarkError, "4 points in movingPoints, 3 in fixedPoints"),
+    (mat(MOVING.T, FIXED.T), MarkError, "size 2 x 4; n x 2 real"),
+    (mat(MOVING * 1j, FIXED), MarkError, "movingPoints is no real matrix"),
+    (mat(MOVING * np.nan, FIXED), MarkError, "no finite position in the rows 1, 2, 3, 4"),
+    (mat(MOVING[:0], FIXED[:0]), MarkError, "no point|size"),
+    (mat(MOVING, FIXED, names=("a", "cpstruct")), MarkError, "holds a, cpstruct; movingPoints and fixedPoints"),
+    (mat(np.zeros((9_000_000, 1)), FIXED, "7"), MarkError, "is no real matrix"),
+    (mat(MOVING, FIXED)[:300], FileError, "cannot be read as a MATLAB file"),
+    (mat(MOVING, FIXED, "7.3")[:1500], FileError, "cannot be read as a MATLAB file"),
 ])  # fmt: skip
 def test_matlab_files_that_are_wrong(put, data, error, message):
     with pytest.raises(error, match=message):
@@ -243,8 +243,8 @@ WHOLE = {
     "b2.csv": bigwarp_2d().encode(), "b3.csv": bigwarp_3d().encode(), "bw.json": bigwarp_json().encode(),
     "e.txt": elastix(MOVING).encode(), "own.json": native().encode(), "pairs.csv": PAIRS.encode(),
     "s.mrk.json": slicer(slicer_list(MOVING / 1000, "a"), slicer_list(FIXED / 1000, "b", "RAS")).encode(),
-    "ij.csv": imagej(MOVING).encode(), "m5.mat": mat_v5(MOVING, FIXED), "m73.mat": mat_v73(MOVING, FIXED),
-    "m7.mat": mat_v5(MOVING, FIXED, do_compression=True), "m4.mat": mat_v5(MOVING, FIXED, format="4"),
+    "ij.csv": imagej(MOVING).encode(), "m5.mat": mat(MOVING, FIXED), "m73.mat": mat(MOVING, FIXED, "7.3"),
+    "m7.mat": mat(MOVING, FIXED, "7"), "m4.mat": mat(MOVING, FIXED, "4"),
 }  # fmt: skip
 TOKENS = (b'"', b",", b"\n", b"{", b"]", b"null", b"1e400", b"-", b"NaN", b"\x00", b"\xff\xff\xff\xff", b"999999999999")
 

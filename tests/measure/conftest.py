@@ -8,6 +8,7 @@ import xarray as xr
 from scipy import special
 
 from planish.measure import MeasureParams, measure_along_rays
+from surface.sheets import volume
 
 AIR, BASE, COAT = 40.0, 90.0, 200.0
 
@@ -82,8 +83,6 @@ def made():
             values = values + extra(s, u, v)
         if noise:
             values = values + np.random.default_rng(0).normal(0, noise, shape)
-        coords = {"z": z, "y": y, "x": x}
-        volume = xr.DataArray(values.astype(np.float32), dims=("z", "y", "x"), coords=coords)
         data = {name: (("y", "x"), centre + offset * long, {"units": "um"}) for name, offset in faces.items()}
         for side, thick in (("top", top), ("bottom", bottom)):
             if thick == 0:
@@ -94,7 +93,7 @@ def made():
             grey_coating_top=COAT if top else np.nan, grey_coating_bottom=COAT if bottom else np.nan,
         )  # fmt: skip
         surfaces = xr.Dataset(data, coords={"y": y, "x": x}, attrs=attrs)
-        return Made(volume=volume, surfaces=surfaces, faces=faces)
+        return Made(volume=volume(values.astype(np.float32), voxel), surfaces=surfaces, faces=faces)
 
     return make
 
@@ -113,12 +112,10 @@ def rough():
     inner = step(heights["interface_top"] - zz, 3.0) - step(heights["interface_bottom"] - zz, 3.0)
     values += 30 * np.sin(x / 5)[None, None, :] * np.cos(y / 7)[None, :, None] * inner
     values += rng.normal(0, 12.0, shape)
-    volume = xr.DataArray(
-        np.clip(values, 0, 255).astype(np.uint8), dims=("z", "y", "x"), coords={"z": z, "y": y, "x": x}
-    )
     status = np.zeros(centre.shape, np.uint8)
     status[20:25, 10:14] = 1
     heights["top"][30, 20] = np.nan
     data = {k: (("y", "x"), v) for k, v in heights.items()} | {"status": (("y", "x"), status)}
     attrs = about(grey_noise=12.0, blur_um=3.0, voxel_um=[3.0] * 3)
-    return Made(volume=volume, surfaces=xr.Dataset(data, coords={"y": y, "x": x}, attrs=attrs), faces=offsets)
+    surfaces = xr.Dataset(data, coords={"y": y, "x": x}, attrs=attrs)
+    return Made(volume=volume(np.clip(values, 0, 255).astype(np.uint8), voxel), surfaces=surfaces, faces=offsets)

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 import xarray as xr
 from scipy.interpolate import RegularGridInterpolator
-from xarray.backends import BackendArray
-from xarray.core import indexing
 
 from folders import refused
 from planish.core.errors import SurfaceError
@@ -16,6 +14,8 @@ from planish.core.status import Status
 from planish.core.tiles import Engine
 from planish.measure import MeasureParams, measure_along_rays, registered
 from planish.measure.rays import RayFrame
+from surface.sheets import volume
+from surface.test_tiles import lazy
 
 
 def straighten(made, rows, **params):
@@ -91,43 +91,25 @@ def test_every_pose_of_the_sheet_gives_the_same_rays(rough, through, top):
         values = np.flip(values, axis=order.index("z"))
         for name in ("top", "bottom", "interface_top", "interface_bottom", "centre"):
             surfaces[name] = (("y", "x"), depth[-1] - rough.surfaces[name].values)
-    coords = {axis: np.arange(n) * 3.0 for axis, n in zip("zyx", values.shape, strict=True)}
-    volume = xr.DataArray(values, coords, ("z", "y", "x"))
     surfaces.attrs |= {"through": through, "top_side": top}
-    found = straighten(replace(rough, volume=volume, surfaces=surfaces), slice(10, 40))
+    found = straighten(replace(rough, volume=volume(values), surfaces=surfaces), slice(10, 40))
     # mirrored coordinates round differently
     np.testing.assert_allclose(found.grey, reference.grey, rtol=1e-6)
     np.testing.assert_allclose(found.top, reference.top, atol=2e-4)
 
 
-class Counted(BackendArray):
-    """An array on a disk that counts what is read of it."""
-
-    def __init__(self, values):
-        self.values, self.shape, self.dtype, self.largest = values, values.shape, values.dtype, 0
-
-    def __getitem__(self, key):
-        def read(key):
-            part = self.values[key]
-            self.largest = max(self.largest, part.size)
-            return part
-
-        return indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.BASIC, read)
-
-
 def test_only_what_a_tile_needs_is_read(made):
     sheet = made(slope=(0.2, 0.0), size_um=(400.0, 60.0))
-    disk = Counted(sheet.volume.values)
-    lazy = xr.DataArray(xr.Variable(("z", "y", "x"), indexing.LazilyIndexedArray(disk)), coords=sheet.volume.coords)
-    rays = straighten(replace(sheet, volume=lazy), slice(90, 100))
+    on_disk, asked = lazy(sheet.volume.values, 2.0)
+    rays = straighten(replace(sheet, volume=on_disk), slice(90, 100))
     np.testing.assert_array_equal(rays.grey, straighten(sheet, slice(90, 100)).grey)
     # 10 of 200 rows, and the lean of rays of some 140 um at a slope of 0.2: 14 rows more
-    assert disk.largest < 0.2 * sheet.volume.size
+    assert max(asked.sizes) < 0.2 * sheet.volume.size
     one, all_at_once = (
         measure_along_rays(v, sheet.surfaces, names=["absorption"], rows_per_tile=r)
-        for v, r in ((lazy, 8), (sheet.volume, 500))
+        for v, r in ((on_disk, 8), (sheet.volume, 500))
     )
-    assert disk.largest < 0.25 * sheet.volume.size
+    assert max(asked.sizes) < 0.25 * sheet.volume.size
     xr.testing.assert_identical(one, all_at_once)
 
 

@@ -29,26 +29,9 @@ def test_whole_patterns_are_matched(count):
     assert right >= 0.9 * 25
 
 
-@pytest.mark.nightly
-def test_missing_and_false_marks_are_right_or_refused_but_never_wrong():
-    """A thousand patterns, 30 % missing on each side and 30 % false ones."""
-    rng, off_um = np.random.default_rng(0), []
-    for _ in range(1000):
-        points = scattered(int(rng.integers(6, 26)), rng)
-        truth = pose(rng)
-        (a, _), (b, _) = seen(points, rng, 0.3, 0.3, 3.0), seen(points, rng, 0.3, 0.3, 3.0)
-        found = tried(a, truth(b))
-        if found is not None:
-            off_um.append(np.linalg.norm(found.transform(points) - truth(points), axis=1).max())
-    print(f"{len(off_um)} of 1000 matched, off by {max(off_um):.1f} um at most")
-    assert max(off_um) < 30.0
-    # Half of the marks on either side are on the other: below 10 holes, chance offers as much.
-    assert len(off_um) > 700
-
-
 @pytest.mark.parametrize("both", [False, True])
 @pytest.mark.parametrize("kind", ["irregular", "coded"])
-def test_missing_and_false_marks_quickly(kind, both):
+def test_missing_and_false_marks_are_right_or_refused(kind, both):
     """30 % missing and 30 % false, on one side or both: right or refused, and hardly ever refused from 12 holes on."""
     rng = np.random.default_rng(10)
     reasons = []

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from analyze.fields import by_shift
+from analyze.fields import by_shift, texture
 from folders import refused
 from planish.analyze import cross_fitted
 from planish.core.errors import CannotRegister, SizeError
@@ -14,11 +14,6 @@ itk = pytest.importorskip("SimpleITK")
 PIXEL = 10.0
 SHAPE = (90, 110)
 PAD = 16
-
-
-def texture(shape, sigma, rng):
-    field = ndimage.gaussian_filter(rng.standard_normal(shape), sigma, mode="wrap")
-    return field / field.std()
 
 
 def places():

@@ -71,6 +71,10 @@ class Page(HTMLParser):
         return re.sub(r"[ \n]+", " ", "".join(self.words.get(tag, [])))
 
 
+def captions_of(html):
+    return re.findall(r"<figcaption>(.*?)</figcaption>", html, flags=re.DOTALL)
+
+
 def assert_alone(page):
     """A page fetches nothing and runs nothing."""
     assert {a.split(":")[0] for a in page.addresses if not a.startswith("#")} == {"data"}

@@ -8,7 +8,7 @@ import pytest
 from planish.report import first_screen
 from planish.report.maps import draw_maps
 from planish.results import PropertyFacts
-from report.pages import Page
+from report.pages import Page, captions_of
 from report.runs import IMAGE_PAIR, a_run, page_of, results_of
 from report.test_layers import layers
 
@@ -80,8 +80,7 @@ def test_a_map_has_a_first_page_of_its_own_and_one_mean_of_a_property(map_page):
     assert "A second field" in Page(html).text("li")
     assert map_page.count('id="counted"') == 1
     # The results say 20 ± 2; the pixels of the map themselves spread by 2.1 about that.
-    captions = re.findall(r"<figcaption>(.*?)</figcaption>", map_page, flags=re.DOTALL)
-    stated = [c for c in captions if "standard deviation of" in c]
+    stated = [c for c in captions_of(map_page) if "standard deviation of" in c]
     assert len(stated) == 5
     for caption in stated:
         assert "20.0 ± 2.00 µm (mean ± standard deviation of n = 12\u202f000 columns)" in caption

@@ -10,7 +10,7 @@ from planish.analyze import correlate_layers
 from planish.core.numbers import to_spread
 from planish.report import largest, relation, summary
 from planish.results import CorrelationRow
-from report.pages import HOSTILE, Page, assert_alone
+from report.pages import HOSTILE, Page, assert_alone, captions_of
 from report.runs import lag_of, marks_of, page_of, planes, registration_of, results_of, text_of
 
 MICRO = "\u202fµm"
@@ -93,10 +93,6 @@ def page():
 @pytest.fixture(scope="module")
 def chain_page():
     return page_of(layers(chain=True))
-
-
-def captions_of(page):
-    return re.findall(r"<figcaption>(.*?)</figcaption>", page, flags=re.DOTALL)
 
 
 def test_page_shows_every_layer_and_pair(page):

@@ -12,7 +12,7 @@ from PIL import Image
 
 from planish.core.numbers import count, fixed, in_words, length, number, percent, plain, to_spread
 from planish.report import Canvas, Scale, colours, draw, image_uri, limits, maps, relation, take_slice
-from report.pages import HOSTILE, Page, assert_alone
+from report.pages import HOSTILE, Page, assert_alone, captions_of
 from report.runs import PROPERTIES, a_run, page_of, text_of
 
 OF_A_LINK = [
@@ -58,7 +58,7 @@ def test_no_direction_is_named_that_is_not_certain(interval, says):
 
 def test_every_figure_is_embedded_and_states_n_and_mask(link_page):
     page = Page(link_page)
-    captions = re.findall(r"<figcaption>(.*?)</figcaption>", link_page, flags=re.DOTALL)
+    captions = captions_of(link_page)
     assert page.drawings == len(captions) == 21
     for caption in captions:
         assert re.search(r"\bn\b", caption)

@@ -12,6 +12,7 @@ Array = NDArray[np.float64]
 
 PITCH_UM = 3.0
 PIXEL_UM = (2.43, 2.43)
+TURN_RAD = np.deg2rad(0.02)
 RESIN, SHEET = 60.0, 160.0
 
 
@@ -28,12 +29,12 @@ class Series:
     height_um: Array
 
 
-def jitter(n: int, rng: np.random.Generator, *, white_um: float = 1.5, walk_um: float = 0.15) -> Array:
+def jitter(n, rng, *, white_um=1.5, walk_um=0.15):
     """White errors and a random walk; (n,)."""
     return rng.normal(0.0, white_um, n) + np.cumsum(rng.normal(0.0, walk_um, n))
 
 
-def fibres(shape: tuple[int, ...], pitch_um: tuple[float, ...], rng: np.random.Generator, reach_um: float) -> Array:
+def fibres(shape, pitch_um, rng, reach_um):
     """Noise of variance 1 whose correlation over a distance d is exp(-(d / reach)^2)."""
     field = gaussian_filter(
         rng.normal(size=shape).astype(np.float32), [0.5 * reach_um / p for p in pitch_um], mode="wrap"
@@ -43,21 +44,21 @@ def fibres(shape: tuple[int, ...], pitch_um: tuple[float, ...], rng: np.random.G
 
 def make_series(
     *,
-    sections: int = 200,
-    rows: int = 130,
-    cols: int = 800,
-    errors: tuple[float, float] = (1.5, 0.15),
-    turn_rad: float = np.deg2rad(0.02),
-    drift: float = 0.0,
-    noise: float = 10.0,
-    texture: float = 10.0,
-    rise_um: float = 48.0,
-    wave_um: float = 600.0,
-    missing: tuple[int, ...] = (),
-    marks: bool = True,
-    seed: int = 1,
-    dtype: str = "uint8",
-) -> Series:
+    sections=200,
+    rows=130,
+    cols=800,
+    errors=(1.5, 0.15),
+    turn_rad=TURN_RAD,
+    drift=0.0,
+    noise=10.0,
+    texture=10.0,
+    rise_um=48.0,
+    wave_um=600.0,
+    missing=(),
+    marks=True,
+    seed=1,
+    dtype="uint8",
+):
     """Photograph a sheet of 90 um, resin 60, sheet 160; the steepest rise along the cut is 2 pi rise / wave.
 
     ``errors`` are the white part and the walk in um, ``drift`` the standard deviation of the gain.
@@ -106,7 +107,7 @@ def make_series(
     )
 
 
-def split(at_um: Array, values: Array, *, wave_um: float = 50 * PITCH_UM) -> tuple[Array, Array]:
+def split(at_um, values, *, wave_um=50 * PITCH_UM):
     """Waves longer than ``wave_um``, by fitting cosines over the length, and the rest; along axis 0."""
     length = at_um[-1] - at_um[0] + PITCH_UM
     order = np.arange(int(2 * length / wave_um) + 1)
@@ -115,5 +116,5 @@ def split(at_um: Array, values: Array, *, wave_um: float = 50 * PITCH_UM) -> tup
     return slow, values - slow
 
 
-def rms(values: Array) -> float:
+def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))

@@ -8,24 +8,24 @@ from planish.core.errors import VolumeError
 from planish.core.threads import limit_threads
 from planish.sections import SectionSeries, align_sections, band, network, normalise_sections
 from planish.sections._kernels import interpolate, pair_sums, smooth, straighten
-from sections.bands import PITCH_UM, PIXEL_UM, Series, make_series, rms, split
+from sections.bands import PITCH_UM, PIXEL_UM, make_series, rms, split
 
 MISSING = (50, 51, 52, 120)
 
 
 @pytest.fixture(scope="module")
-def series() -> Series:
+def series():
     """Rises by up to 0.5 um per um; errors 1.5 um, turned by 0.02 degrees, 4 % noise, four sections missing."""
     return make_series(missing=MISSING)
 
 
 @pytest.fixture(scope="module")
-def alignment(series: Series):
+def alignment(series):
     return align_sections(SectionSeries(series.stack, series.positions_um, PIXEL_UM))
 
 
 @pytest.mark.ci
-def test_quick_errors_are_taken_off(series: Series, alignment) -> None:
+def test_quick_errors_are_taken_off(series, alignment):
     before = split(series.positions_um, series.shift_um)[1]
     after = split(series.positions_um, alignment.shift_um - series.shift_um)[1]
     print(f"rows {rms(before[:, 0]):.2f} -> {rms(after[:, 0]):.3f} um, cols {rms(before[:, 1]):.2f} -> "
@@ -41,7 +41,7 @@ def test_quick_errors_are_taken_off(series: Series, alignment) -> None:
 
 
 @pytest.mark.ci
-def test_missing_sections_and_a_nick_move_nothing_and_rotations_are_not_made_worse(series: Series, alignment) -> None:
+def test_missing_sections_and_a_nick_move_nothing_and_rotations_are_not_made_worse(series, alignment):
     error = alignment.shift_um - series.shift_um
     for gap in (np.searchsorted(series.positions_um, 50 * PITCH_UM), np.searchsorted(series.positions_um, 120 * 3.0)):
         beside = split(series.positions_um, error)[1][gap - 3 : gap + 3]
@@ -60,7 +60,7 @@ def test_missing_sections_and_a_nick_move_nothing_and_rotations_are_not_made_wor
 
 
 @pytest.mark.nightly
-def test_a_true_bend_is_left_alone() -> None:
+def test_a_true_bend_is_left_alone():
     still = make_series(errors=(0.0, 0.0), turn_rad=0.0, seed=2)
     found = align_sections(SectionSeries(still.stack, still.positions_um, PIXEL_UM))
     slow = split(still.positions_um, found.shift_um)[0]
@@ -71,7 +71,7 @@ def test_a_true_bend_is_left_alone() -> None:
 
 
 @pytest.mark.nightly
-def test_wide_sections_tell_rotations_and_more() -> None:
+def test_wide_sections_tell_rotations_and_more():
     wide = make_series(sections=60, cols=2400, seed=4)
     found = align_sections(SectionSeries(wide.stack, wide.positions_um, PIXEL_UM))
     after = split(wide.positions_um, found.rotation_rad - wide.rotation_rad)[1]
@@ -80,7 +80,7 @@ def test_wide_sections_tell_rotations_and_more() -> None:
 
 
 @pytest.mark.ci
-def test_torn_sections_are_flagged_and_disturb_nothing(series: Series, alignment) -> None:
+def test_torn_sections_are_flagged_and_disturb_nothing(series, alignment):
     stack = series.stack.copy()
     stack[80] = np.random.default_rng(0).integers(0, 255, stack[80].shape)
     stack[140] = 60
@@ -94,7 +94,7 @@ def test_torn_sections_are_flagged_and_disturb_nothing(series: Series, alignment
 
 
 @pytest.mark.ci
-def test_threads_direction_and_type_do_not_matter(series: Series) -> None:
+def test_threads_direction_and_type_do_not_matter(series):
     stack, positions = series.stack[:60], series.positions_um[:60]
     with limit_threads(1):
         one = align_sections(SectionSeries(stack, positions, PIXEL_UM))
@@ -106,7 +106,7 @@ def test_threads_direction_and_type_do_not_matter(series: Series) -> None:
 
 
 @pytest.mark.ci
-def test_drift_of_colour_is_taken_off() -> None:
+def test_drift_of_colour_is_taken_off():
     # Fibres of 4 % over 30 um in 2.9 mm: their mean goes up and down by 0.3 %, which no anchor can tell from a drift.
     drifting = make_series(sections=60, cols=1200, texture=4.0, drift=0.03)
     found = normalise_sections(SectionSeries(drifting.stack, drifting.positions_um, PIXEL_UM))
@@ -122,7 +122,7 @@ def test_drift_of_colour_is_taken_off() -> None:
     np.testing.assert_array_equal(found.gain, one.gain)
 
 
-def test_what_is_no_series_is_refused() -> None:
+def test_what_is_no_series_is_refused():
     blank, places = np.full((10, 40, 64), 60, np.uint8), np.arange(10.0)
     twice = np.array([0, 1, 2, 2, 4, 5, 6, 7, 8, 9.0])
     for words, stack, positions, pixels in (
@@ -136,7 +136,7 @@ def test_what_is_no_series_is_refused() -> None:
 
 
 # --- parts ---------------------------------------------------------------------------------------------------
-def test_the_slow_part_is_the_smoother_applied_twice_and_passes_cubics() -> None:
+def test_the_slow_part_is_the_smoother_applied_twice_and_passes_cubics():
     rng = np.random.default_rng(1)
     y, cut = rng.normal(size=40), 10.0
     fourth = np.diff(np.eye(40), 4, axis=0)
@@ -149,7 +149,7 @@ def test_the_slow_part_is_the_smoother_applied_twice_and_passes_cubics() -> None
     np.testing.assert_allclose(network.slow_part(x, y, cutoff_um=150.0), y, atol=1e-3)
 
 
-def test_places_survive_a_fifth_of_wrong_pairs() -> None:
+def test_places_survive_a_fifth_of_wrong_pairs():
     rng = np.random.default_rng(3)
     place = rng.normal(0, 2, 80)
     first, second = np.array([(i, j) for i in range(80) for j in range(i + 1, min(i + 6, 80))]).T
@@ -162,7 +162,7 @@ def test_places_survive_a_fifth_of_wrong_pairs() -> None:
     assert np.median(kept[wrong]) < 0.01
 
 
-def test_block_means_smoothing_and_layers_equal_their_twins() -> None:
+def test_block_means_smoothing_and_layers_equal_their_twins():
     section = np.random.default_rng(4).normal(size=(17, 23)).astype(np.float32)
     section[3, 4] = np.nan
     out = band.block_means(section, 3, 5)
@@ -186,7 +186,7 @@ def test_block_means_smoothing_and_layers_equal_their_twins() -> None:
     np.testing.assert_array_equal(off, section[away >= 8][::3])
 
 
-def test_straighten_twin() -> None:
+def test_straighten_twin():
     rng = np.random.default_rng(5)
     section = rng.integers(0, 255, (40, 30)).astype(np.uint8)
     height = (20 + rng.uniform(-9, 9, 30)).astype(np.float32)
@@ -205,7 +205,7 @@ def test_straighten_twin() -> None:
     np.testing.assert_allclose(out, twin, rtol=1e-5, atol=1e-3)
 
 
-def bilinear(section, y: float, x: float) -> float:
+def bilinear(section, y, x):
     i, j = int(np.floor(y)), int(np.floor(x))
     if i < 0 or j < 0 or i >= section.shape[0] - 1 or j >= section.shape[1] - 1:
         return np.nan
@@ -214,7 +214,7 @@ def bilinear(section, y: float, x: float) -> float:
     return float(np.array([1 - p, p]) @ a @ np.array([1 - q, q]))
 
 
-def test_pair_sums_twin() -> None:
+def test_pair_sums_twin():
     rng = np.random.default_rng(7)
     a, b = rng.normal(0.5, 1, (2, 8, 20)).astype(np.float32)
     a[2, 5] = np.nan
@@ -241,7 +241,7 @@ def test_pair_sums_twin() -> None:
 
 
 @pytest.mark.parametrize(("turn", "shift"), [(0.0, (0.4, -1.7)), (0.03, (-50.0, 40.0)), (-0.03, (2.0, 3.0))])
-def test_between_twin(turn: float, shift: tuple[float, float]) -> None:
+def test_between_twin(turn, shift):
     rng = np.random.default_rng(8)
     first, second = rng.integers(0, 255, (2, 24, 31)).astype(np.uint8)
     poses = np.array([[*shift, turn, turn], [-0.6, 0.2, -turn, -turn]])

@@ -8,7 +8,7 @@ from planish.sections._kernels import pair_sums
 from sections.bands import PIXEL_UM, fibres, make_series, rms, split
 
 
-def shared_and_plain(a, b) -> tuple[np.ndarray, np.ndarray]:
+def shared_and_plain(a, b):
     still, wide = np.zeros(a.shape[1], np.float32), np.full(a.shape[0], 100.0)
     found = np.empty((2, 1, 13))
     for k in (0, 1):
@@ -16,7 +16,7 @@ def shared_and_plain(a, b) -> tuple[np.ndarray, np.ndarray]:
     return found[1, 0], found[0, 0]
 
 
-def test_shared_gradients_equal_their_twin_and_noise_does_not_shorten_a_displacement() -> None:
+def test_shared_gradients_equal_their_twin_and_noise_does_not_shorten_a_displacement():
     a, b = np.random.default_rng(1).normal(size=(2, 9, 30)).astype(np.float32)
     shared, plain = shared_and_plain(a, b)
     (ar, ac), (br, bc) = ([g[1:-1, 1:-1] for g in np.gradient(v.astype(float))] for v in (a, b))
@@ -36,7 +36,7 @@ def test_shared_gradients_equal_their_twin_and_noise_does_not_shorten_a_displace
 
 
 @pytest.mark.ci
-def test_what_is_said_is_what_is_left() -> None:
+def test_what_is_said_is_what_is_left():
     # Without scratches along the rows, an error that all columns share. Said before: 0.4 of the truth for rows.
     series = make_series(seed=2, marks=False)
     found = align_sections(SectionSeries(series.stack, series.positions_um, PIXEL_UM))

@@ -15,7 +15,7 @@ def ramp(positions, shape=(12, 20)):
     return np.stack([10.0 + 0.5 * p + 2.0 * r + 1.0 * c for p in positions])
 
 
-def posed(n: int, shift=(0.0, 0.0), turn: float = 0.0, aligned=None) -> Alignment:
+def posed(n, shift=(0.0, 0.0), turn=0.0, aligned=None):
     return Alignment(
         shift_um=np.tile(shift, (n, 1)), rotation_rad=np.full(n, turn),
         aligned=np.ones(n, bool) if aligned is None else aligned,
@@ -23,7 +23,7 @@ def posed(n: int, shift=(0.0, 0.0), turn: float = 0.0, aligned=None) -> Alignmen
     )  # fmt: skip
 
 
-def test_uneven_and_even_sections_lie_at_their_true_places() -> None:
+def test_uneven_and_even_sections_lie_at_their_true_places():
     stack = np.random.default_rng(1).integers(0, 255, (9, 12, 20)).astype(np.uint16)
     volume = regular_volume(SectionSeries(stack, 50 + 3.0 * np.arange(9), (2.0, 4.0)))
     np.testing.assert_array_equal(volume.values, stack)
@@ -39,7 +39,7 @@ def test_uneven_and_even_sections_lie_at_their_true_places() -> None:
 
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
-def test_up_to_three_missing_sections_are_bridged(direction: float) -> None:
+def test_up_to_three_missing_sections_are_bridged(direction):
     positions = np.array([0, 3, 6, 18, 21, 24.0])
     stack = ramp(positions).astype(np.uint8)
     volume = regular_volume(SectionSeries(stack, direction * positions, (2.0, 4.0)))
@@ -48,7 +48,7 @@ def test_up_to_three_missing_sections_are_bridged(direction: float) -> None:
     assert volume.attrs["sections_missing"] == 3
 
 
-def test_longer_gaps_and_sections_without_alignment_are_named_or_empty() -> None:
+def test_longer_gaps_and_sections_without_alignment_are_named_or_empty():
     positions = np.array([0, 3, 6, 21, 24, 27.0])
     with pytest.raises(VolumeError, match=r"4 between 6 and 21 um.*At most 3 in a row.*split the series"):
         regular_volume(SectionSeries(ramp(positions).astype(np.uint8), positions, (2.0, 4.0)))
@@ -65,7 +65,7 @@ def test_longer_gaps_and_sections_without_alignment_are_named_or_empty() -> None
         regular_volume(SectionSeries(stack, positions, (2.0, 4.0)), alignment=posed(8, aligned=np.arange(8) == 4))
 
 
-def test_shift_turn_and_gain_are_taken_off_in_one_step() -> None:
+def test_shift_turn_and_gain_are_taken_off_in_one_step():
     positions = 3.0 * np.arange(4)
     stack = ramp(positions).astype(np.float32)
     volume = regular_volume(SectionSeries(stack, positions, (2.0, 4.0)), alignment=posed(4, (1.0, 6.0), 0.01))
@@ -82,7 +82,7 @@ def test_shift_turn_and_gain_are_taken_off_in_one_step() -> None:
 
 
 @pytest.mark.ci
-def test_the_whole_stage_puts_the_sheet_where_it_was() -> None:
+def test_the_whole_stage_puts_the_sheet_where_it_was():
     truth = make_series(errors=(0.0, 0.0), turn_rad=0.0, noise=0.0, marks=False, sections=64, cols=480)
     series = make_series(drift=0.03, marks=False, sections=64, cols=480, missing=(40, 41, 42))
     where = SectionSeries(series.stack, series.positions_um, PIXEL_UM)

@@ -59,17 +59,6 @@ def test_centre_of_folded_paper_lies_where_others_found_it(letter, part):
     assert np.nanpercentile((found["top"] - found["bottom"]).values[ok], 99) < 2.2 * found.attrs["thickness_um"]
 
 
-def test_where_the_paper_touches_itself_nothing_is_measured(letter):
-    """At z = 8 a blob lies against the inside of the upper flap, around x = 21."""
-    crop = letter[0].isel(y=slice(0, 30), x=slice(0, 30))
-    params = SurfaceParams(seed_um=(8.0, 9.0, 3.0), cutoff_um=12.0, rim_um=2.0)
-    found = find_surfaces(crop, frame=Frame(through="y"), params=params)
-    status = found["status"].values
-    assert (status == 5).mean() > 0.1
-    assert np.isnan(found["top"].values[status == 5]).all()
-    assert (status[5:11, 19:24] == 0).mean() < 0.2
-
-
 @pytest.fixture(scope="module")
 def cell(shared_data):
     files = sorted(shared_data("battery_sector_right").glob("*.tif"))

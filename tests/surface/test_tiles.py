@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
-from xarray.core.indexing import ExplicitIndexer, IndexingSupport, LazilyIndexedArray, explicit_indexing_adapter
+from xarray.core.indexing import IndexingSupport, LazilyIndexedArray, explicit_indexing_adapter
 
 from planish.core.frame import Frame
 from planish.core.tiles import Engine
@@ -21,7 +21,7 @@ class Asked(xr.backends.BackendArray):
     def __init__(self, array):
         self.array, self.shape, self.dtype, self.sizes = array, array.shape, array.dtype, []
 
-    def __getitem__(self, key: ExplicitIndexer):
+    def __getitem__(self, key):
         return explicit_indexing_adapter(key, self.shape, IndexingSupport.BASIC, self.read)
 
     def read(self, key):
@@ -49,19 +49,15 @@ def turned(through):
 
 
 SHEET = Sheet(lateral=(50, 56), thickness=60.0, margin=15.0, coats=(14.0, 0.0))
-FRINGED = Sheet(voxel=3.0, lateral=(40, 60), coats=(10.0, 6.0), thickness=90.0, fringe=0.2)
 WAYS = {
     "through z": (lambda: turned("z"), "z", SurfaceParams()),
     "through y": (lambda: turned("y"), "y", SurfaceParams()),
-    "fringe": (FRINGED.volume, "z", SurfaceParams()),
     "labels": (SHEET.labels, "z", SurfaceParams(labels=LabelParams())),
     "thresholds": (replace(SHEET, through="x").volume, "x", SurfaceParams(method="paper")),
 }
 
 
-@pytest.mark.parametrize(
-    "way", ["through z", "through y", "labels", "thresholds", pytest.param("fringe", marks=pytest.mark.nightly)]
-)
+@pytest.mark.parametrize("way", WAYS)
 def test_neither_threads_nor_memory_change_a_byte(way):
     make, through, params = WAYS[way]
     data, frame = make(), Frame(through=through)
@@ -69,7 +65,6 @@ def test_neither_threads_nor_memory_change_a_byte(way):
     engine = Engine(threads=3, memory_bytes=2**20)
     assert len(columns.Columns(volume=data, frame=frame).tiles(engine)) > 1
     assert_same_bytes(find_surfaces(data, frame=frame, params=params, engine=engine), one)
-    assert (one.attrs.get("fringe", 0.0) > 0.1) == (way == "fringe")
 
 
 def test_a_volume_on_disk_is_read_in_parts_and_gives_the_same():

@@ -67,12 +67,6 @@ def test_the_coating_lies_on_every_fibre_and_its_faces_bound_the_walls(sheet):
     assert sheet.structure.density[outside].max() == 0
 
 
-def test_the_same_seed_gives_the_same_fibres_and_another_one_others():
-    one, again, other = (sheet_of(seed=seed, size_um=500.0).structure.density[..., :40] for seed in (0, 0, 1))
-    assert np.array_equal(again, one)
-    assert not np.array_equal(other, one)
-
-
 @pytest.mark.parametrize(("thickness_um", "is_seen"), [(20.0, True), (2.4, True), (1.6, False)])
 def test_the_face_is_where_the_blurred_wall_reaches_half_of_its_grey(thickness_um, is_seen):
     # A wall of thickness t under a Gaussian of 4 um full width has a peak of erf(t / 2 / sqrt(2) / 1.70 um): .5 at 2.3.
@@ -87,15 +81,6 @@ def test_the_face_is_where_the_blurred_wall_reaches_half_of_its_grey(thickness_u
     assert np.isfinite(face).all() == is_seen
 
 
-def test_loose_fibres_stand_off_a_face_by_as_much_as_was_asked():
-    bare = replace(PAPER, coating_top_um=0.0, coating_bottom_um=0.0, coating_sd_um=0.0)
-    fuzzy = replace(bare, fibres=replace(bare.fibres, fuzz_per_mm2=10.0, fuzz_um=(20.0, 30.0)))
-    sheets = [sheet_of(paper, size_um=600.0) for paper in (bare, fuzzy)]
-    highest = [z.structure.density.any(axis=(0, 1)) * heights(z.structure) for z in sheets]
-    assert np.array_equal(sheets[0].faces, sheets[1].faces)  # the faces leave them out
-    assert 10.0 < highest[1].max() - highest[0].max() < 40.0
-
-
 def test_a_film_lies_under_the_sheet_with_air_between_and_has_no_holes():
     film = FilmParams(film_um=20.0, gap_um=15.0)
     structure = sheet_of(film=film, size_um=600.0).structure
@@ -105,13 +90,6 @@ def test_a_film_lies_under_the_sheet_with_air_between_and_has_no_holes():
     assert np.count_nonzero(is_film) * structure.cell_um == pytest.approx(20.0, abs=2.0)
     assert bottom - z[z < bottom][is_film].max() == pytest.approx(15.0, abs=1.5)
     assert structure.film_um == pytest.approx(bottom - 15.0, abs=0.1)
-
-
-def test_tape_fills_the_valleys_of_the_face_that_it_touches():
-    tape = sheet_of(film=FilmParams(film_um=20.0, is_tape=True))
-    z, low = heights(tape.structure), tape.faces[3][..., None]
-    below = (z < low - 1.0) & (z > np.percentile(low, 1.0))
-    assert (tape.structure.density[below] > 60).all()
 
 
 def test_a_film_under_a_slab_or_under_a_given_sheet_without_one_is_refused(sheet):

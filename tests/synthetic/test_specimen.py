@@ -188,16 +188,6 @@ def test_noise_has_the_size_and_the_length_that_were_asked_for():
 
 
 @pytest.mark.ci
-def test_the_fringe_overshoots_at_the_faces():
-    """Three per cent brighter just inside the sheet and darker just outside."""
-    params = replace(SMALL, warp=Warp(slope=0.0), scanner=ScannerParams(dtype="float32", fringe=0.12, voxel_um=2.0))
-    fringed, plain = (make_specimen(with_only(params, names)).volume for names in (["fringe"], []))
-    difference = (fringed - plain).values / 160.0
-    assert 0.015 < -difference.min() < 0.06
-    assert abs(float(difference.mean())) < 1e-4
-
-
-@pytest.mark.ci
 def test_sections_are_where_their_poses_say():
     """A picture moved back by its pose shows what a perfect one shows."""
     params = with_only(
@@ -239,11 +229,6 @@ def test_holes_have_the_size_that_was_ordered_or_are_half_closed_and_do_not_fit_
     assert bottom / top == pytest.approx(0.5, abs=0.05)
     refused(ValueError, "coded holes fit", make_specimen, SpecimenParams(size_um=(700.0, 600.0)))
     refused(ValueError, "do not fit", make_specimen, replace(SMALL, holes=BurnParams(pattern="irregular", count=9)))
-
-
-def test_uncoated_paper_has_no_coating():
-    specimen = make_specimen(replace(SMALL, paper=PaperParams(coating_top_um=0.0, coating_bottom_um=0.0)))
-    assert float(np.abs(specimen.truth["coating_top"]).max()) == 0.0
 
 
 def test_drawn_parameters_lie_in_their_ranges():
