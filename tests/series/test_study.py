@@ -85,6 +85,22 @@ def test_what_is_done_is_kept_wherever_it_is_moved(table, whole, tmp_path):
     assert files_of(whole) == files_of(home / "whole")
 
 
+def interrupted(table, out):
+    """Interrupt the series while its last specimen is linked; where that was done first, try again."""
+    for _ in range(4):
+        for name in ("b ö", "c ö"):
+            shutil.rmtree(out / "runs" / name, ignore_errors=True)
+        process = subprocess.Popen(command(table, out), stderr=subprocess.PIPE, text=True)
+        # Python itself loses a signal that comes while modules are loaded.
+        next(line for line in process.stderr if "b ö" in line)
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=60)
+        has_ended_first = (out / "runs" / "c ö").exists()
+        if not has_ended_first:
+            break
+    return process.returncode, said
+
+
 def test_killed_and_interrupted_it_goes_on(table, whole):
     out = table.parent / "killed"
     process = subprocess.Popen(command(table, out), stderr=subprocess.DEVNULL)
@@ -93,12 +109,8 @@ def test_killed_and_interrupted_it_goes_on(table, whole):
     time.sleep(1.0)
     process.kill()
     process.wait()
-    process = subprocess.Popen(command(table, out), stderr=subprocess.PIPE, text=True)
-    # Python itself loses a signal that comes while modules are loaded.
-    next(line for line in process.stderr if "b ö" in line)
-    process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=60)
-    assert process.returncode == 130
+    code, said = interrupted(table, out)
+    assert code == 130
     assert "what is done is kept" in said
     assert "Traceback" not in said
     assert "leaked" not in said
