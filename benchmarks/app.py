@@ -24,6 +24,7 @@ from scipy import ndimage
 
 from benchmarks.shared import folder_for, memory, options, planish
 from planish.core.grid import Grid
+from planish.io.map_groups import write_tree
 from planish.io.map_store import StoredMaps, map_tiles
 from planish.run import link
 
@@ -65,6 +66,9 @@ def make_run(run, shape, folder):
     for k, name in enumerate(("one", "two")):
         for tile in map_tiles(shape):
             sink.add(f"layers/{name}", grid, tile, _maps(tile, grid, k, rng))
+    if not sink.stored:  # small enough to have stayed in memory
+        groups = {f"layers/{name}": sink.group(f"layers/{name}") for name in ("one", "two")}
+        write_tree(run / "maps.zarr", groups)
 
 
 def _maps(tile, grid, k, rng):
