@@ -112,7 +112,7 @@ def measure(run):
         maps = page.get_by_role("tab", name="Maps", exact=True)
         say("first view of the maps", _times(page, _MAPS, 1, maps.click))
         page.get_by_text(re.compile("Scatter of [0-9]+ points")).wait_for(timeout=120_000)
-        spots = iter(np.random.default_rng(1).uniform(3000, 11000, (_REPEATS, 2)).round().tolist())
+        spots = iter(np.random.default_rng(1).uniform(3000, 9000, (_REPEATS, 2)).round().tolist())
         say("jump to full zoom, both maps", _times(page, _MAPS, _REPEATS, lambda: _jump(page, *next(spots))))
         ranges = iter([f"{100 + k}, {130 + k}" for k in range(_REPEATS)])
         brush = "Brush one/image"
