@@ -28,7 +28,7 @@ OTHER = {
 }
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]+")
 MESSAGES = re.compile(r"^```\{messages\}.*?^```$", re.MULTILINE | re.DOTALL)
-OTHER |= {"--of", "--size", "--texture", "--slices", "--count"}  # of examples/studies/make.py and of benchmarks
+OTHER |= {"--of", "--size", "--texture"}  # of examples/studies/make.py and of a benchmark
 OTHER |= {"--require-hashes", "--cpus-per-task", "--mem", "--wrap", "--bind", "--rm", "--user"}
 
 
