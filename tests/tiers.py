@@ -21,7 +21,7 @@ TIERS = ("fast", "ci", "nightly")
 NEEDED_TIER = {"linked_run": "ci", "kinds": "ci", "chromium": "ci", "shared_data": "nightly"}
 
 #: CPU time above which a fast test fails, on a machine that counts to 3 million in .25 s; what several tests share does
-#: not count (fixtures, kernels that are compiled or loaded). Write them for half of it: the same machine may be twice as
+#: not count (fixtures, kernels that are compiled or loaded). Write them for half of it: a machine may be twice as
 #: slow from one minute to the next. This is the one limit on the time of tests.
 FAST_CPU_S = 1.0
 REFERENCE_LOOP_S = 0.25
