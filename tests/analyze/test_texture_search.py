@@ -17,9 +17,9 @@ from planish.core.transform import Similarity, nearest_similarity
 from planish.register import RegistrationParams
 
 PIXEL_UM = 6.0
-SHAPE, IMAGE_SHAPE = (140, 180), (230, 250)
-CORNERS = np.array([[75.0, 60.0], [1000.0, 60.0], [75.0, 780.0], [1000.0, 780.0]])
-NEAR_UM = 5.0  # less than a pixel
+SHAPE, IMAGE_SHAPE = (200, 250), (330, 360)
+CORNERS = np.array([[100.0, 100.0], [1400.0, 100.0], [100.0, 1100.0], [1400.0, 1100.0]])
+NEAR_UM = 3.5
 
 
 def field(shape, seed):
@@ -47,9 +47,9 @@ def pair(*, place, r, seed=1):
     return maps, xr.DataArray(100 + 10 * image, coords={"y": y, "x": x}, dims=("y", "x"), attrs=attrs)
 
 
-def placed(rotation_deg, *, scale=1.0, mirrored=False, at=(740.0, 690.0)):
+def placed(rotation_deg, *, scale=1.0, mirrored=False, at=(1060.0, 980.0)):
     turn = Similarity(scale=scale, rotation_rad=np.deg2rad(rotation_deg), mirrored=mirrored)
-    return nearest_similarity(turn.matrix(), np.array([537.0, 417.0]), np.array(at))
+    return nearest_similarity(turn.matrix(), np.array([747.0, 597.0]), np.array(at))
 
 
 def apart(found, place, at=CORNERS):
@@ -70,7 +70,7 @@ def holes_at(xy, diameter_um):
     [
         (placed(137.0, scale=1.018), 0.6, NEAR_UM),
         (placed(-61.0, scale=0.985, mirrored=True), -0.6, NEAR_UM),
-        (placed(203.0, at=(640.0, 620.0)), 0.35, 6.0),
+        (placed(203.0, at=(820.0, 800.0)), 0.35, 6.0),
     ],
 )
 def test_the_place_is_found_at_any_rotation_hand_and_scale_and_with_either_sign(place, r, limit_um):
@@ -92,9 +92,9 @@ def test_an_image_of_something_else_or_of_a_pattern_that_repeats_is_refused():
     _, image = pair(place=placed(20.0), r=0.6, seed=52)
     words = "(?s)No place of the sheet in the image stands out.*standard deviations of chance"
     refused(CannotRegister, words, pl.register_texture, maps, image)
-    tile = maps["thickness"].values[:70, :70]
-    maps["thickness"] = (("v", "u"), np.tile(tile, (2, 3))[:, :180])
-    image = image.copy(data=np.tile(tile, (4, 4))[:230, :250])
+    tile = maps["thickness"].values[:100, :100]
+    maps["thickness"] = (("v", "u"), np.tile(tile, (2, 3))[:, :250])
+    image = image.copy(data=np.tile(tile, (4, 4))[:330, :360])
     refused(CannotRegister, r"nearly alike.*repeats", pl.register_texture, maps, image)
 
 
@@ -113,7 +113,7 @@ def test_layers_without_a_texture_in_common_and_a_radius_that_is_none_are_refuse
         blank = image.copy(data=np.full(image.shape, value))
         refused(CannotRegister, "texture", pl.register_texture, maps, blank)
     refused(InputError, "no thickness", pl.register_texture, maps.rename(thickness="gloss"), image)
-    refused(InputError, "radius", pl.register_texture, maps, image, params={"near": (740.0, 690.0, -3.0)})
+    refused(InputError, "radius", pl.register_texture, maps, image, params={"near": (1060.0, 980.0, -3.0)})
     refused(CannotRegister, "in common", pl.register_texture, maps, maps.rename(thickness="base_thickness"))
 
 
@@ -121,9 +121,9 @@ def test_layers_without_a_texture_in_common_and_a_radius_that_is_none_are_refuse
 def test_a_rough_place_or_one_hole_in_both_makes_the_search_small_and_a_wrong_place_is_refused():
     place = placed(137.0)
     maps, image = pair(place=place, r=0.6)
-    assert apart(pl.register_texture(maps, image, params={"near": (740.0, 690.0, 150.0)}), place) < NEAR_UM
-    refused(CannotRegister, "No place", pl.register_texture, maps, image, params={"near": (1180.0, 690.0, 150.0)})
-    hole = np.array([[300.0, 600.0]])
+    assert apart(pl.register_texture(maps, image, params={"near": (1060.0, 980.0, 150.0)}), place) < NEAR_UM
+    refused(CannotRegister, "No place", pl.register_texture, maps, image, params={"near": (1500.0, 980.0, 150.0)})
+    hole = np.array([[300.0, 900.0]])
     found = pl.register_texture(maps, image, holes=(holes_at(hole, 170.0), holes_at(place(hole), 170.0)))
     assert apart(found, place) < NEAR_UM
     pairs = len(found.fit.moving)
@@ -137,7 +137,7 @@ def test_a_size_that_is_hardly_known_is_found():
     refused(CannotRegister, "scale_tolerance", pl.register_texture, maps, image)
     found = pl.register_texture(maps, image, params={"scale_tolerance": 1.0})
     assert found.fit.transform.scale == pytest.approx(0.62, abs=0.004)
-    assert apart(found, place) < NEAR_UM
+    assert apart(found, place) < 5.0
 
 
 @pytest.mark.ci
@@ -158,8 +158,8 @@ def test_sheets_and_images_are_registered_there_and_back(kind):
 def test_holes_are_no_texture():
     """Burnt holes are far darker than the texture, and stand in the image alone: the maps know nothing there."""
     place = placed(75.0)
-    maps, image = pair(place=place, r=0.4)
-    holes_um = np.array([[x, y] for x in (250.0, 800.0) for y in (200.0, 640.0)])
+    maps, image = pair(place=place, r=0.3)
+    holes_um = np.array([[x, y] for x in (270.0, 720.0, 1220.0) for y in (220.0, 620.0, 1020.0)])
     x, y = np.meshgrid(image["x"], image["y"])
     distance = np.min([np.hypot(x - cx, y - cy) for cx, cy in place(holes_um)], axis=0)
     dark = image.where(distance > 90.0, 0.0)
@@ -178,7 +178,7 @@ def test_a_print_hides_no_texture():
     turn = np.deg2rad(22.0)
     along, across = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
     dots = np.cos(2 * np.pi * along / 167.0) + np.cos(2 * np.pi * across / 167.0) > 0.3
-    assert apart(pl.register_texture(maps, image - 3.0 * float(image.std()) * dots), place) < NEAR_UM
+    assert apart(pl.register_texture(maps, image - 3.0 * float(image.std()) * dots), place) < 4.0
 
 
 @pytest.mark.ci
@@ -191,7 +191,7 @@ def test_transmitted_light_is_found_by_the_thickness_and_said_so(mirrored):
     found = pl.register_texture(maps.assign(coating_top=coating, coating_bottom=coating), image, mirrored=None)
     assert found.fit.mirrored is mirrored
     assert "The thickness leads" in found.sentence
-    assert apart(found, place) < NEAR_UM
+    assert apart(found, place) < 4.0
 
 
 @pytest.mark.ci
@@ -199,7 +199,7 @@ def test_a_given_place_is_said_and_one_that_is_none_is_refused():
     place = placed(40.0)
     maps, image = pair(place=place, r=0.6)
     assert "The place was given" in pl.register_texture(maps, image, place=place).sentence
-    for right_um, said in ((1e6, "lies beside it"), (1050.0, "4 are needed")):
+    for right_um, said in ((1e6, "lies beside it"), (1500.0, "4 are needed")):
         wrong = replace(place, shift_um=(place.shift_um[0] + right_um, place.shift_um[1]))
         refused(CannotRegister, said, pl.register_texture, maps, image, place=wrong)
 
@@ -208,9 +208,9 @@ def test_a_given_place_is_said_and_one_that_is_none_is_refused():
 def test_a_part_of_a_sheet_is_enough_and_a_map_that_is_known_in_little_of_it_has_no_part():
     place = placed(310.0)
     maps, image = pair(place=place, r=0.7)
-    part = image.isel(y=slice(40, 190), x=slice(45, 195))
-    assert apart(pl.register_texture(maps, part), place) < 1.5 * NEAR_UM
-    little = np.where(np.arange(maps.sizes["v"])[:, None] < 42, maps["thickness"].values, np.nan)
+    part = image.isel(y=slice(60, 250), x=slice(70, 260))
+    assert apart(pl.register_texture(maps, part), place) < 5.0
+    little = np.where(np.arange(maps.sizes["v"])[:, None] < 60, maps["thickness"].values, np.nan)
     maps = maps.assign(coating_top=(("v", "u"), little), topography_top=(("v", "u"), little))
     assert apart(pl.register_texture(maps, image), place) < NEAR_UM
 
