@@ -60,7 +60,6 @@ def test_marks_are_tiles_and_a_run_by_them_is_that_of_the_search(found, kinds, f
     assert errors[1] == pytest.approx(errors[0], rel=0.02)
 
 
-@pytest.mark.nightly
 def test_holes_and_texture_are_fitted_in_one_and_compared(specimen, linked_run, specimen_files):
     run = pl.link(linked_run, specimen_files[1], registration={"by": "both"})
     facts = run.results.layers[0].registration

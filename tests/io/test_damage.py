@@ -134,6 +134,46 @@ def test_a_chain_of_pages_in_a_circle_is_found(tmp_path):
     refused(FileError, "page 7 of its chain is one of the pages before it", read_volume, path, voxel_um=1)
 
 
+def patched(data, code, entry_offset, value_bytes):
+    """A plain little-endian TIFF file with some bytes of one tag of its first page replaced."""
+    first_page = int.from_bytes(data[4:8], "little")
+    n_tags = int.from_bytes(data[first_page : first_page + 2], "little")
+    entries = [first_page + 2 + 12 * k for k in range(n_tags)]
+    entry = next(entry for entry in entries if data[entry : entry + 2] == code.to_bytes(2, "little"))
+    at = entry + entry_offset
+    return data[:at] + value_bytes + data[at + len(value_bytes) :]
+
+
+@pytest.mark.parametrize(
+    ("code", "entry_offset", "value_bytes", "words"),
+    [
+        (256, 2, b"\x02\x00", "cannot be decoded .* It is damaged or of a rare kind"),
+        (256, 2, b"\xff\x00", "tag 256 of page 1 has no value"),
+        (273, 8, b"\x00\x00\x00\x00", "page 1 has an empty strip or tile"),
+        (273, 8, b"\xff\xff\xff\x7f", "the image ends at byte .*, the file has 928"),
+        (279, 8, b"\x01\x00\x00\x00", "page 1 has 1 bytes of 720"),
+    ],
+)
+def test_a_damaged_tag_is_named(tmp_path, code, entry_offset, value_bytes, words):
+    path = tmp_path / "i.tif"
+    tifffile.imwrite(path, VALUES[0], photometric="minisblack", metadata=None)
+    path.write_bytes(patched(path.read_bytes(), code, entry_offset, value_bytes))
+    refused(FileError, words, read_image, path, pixel_um=1)
+
+
+def test_a_damaged_head_or_table_of_a_page_is_named(tmp_path):
+    path, data = tmp_path / "v.tif", tiff_bytes(metadata=None)
+    first_page = int.from_bytes(data[4:8], "little")
+    for damaged, words in (
+        (data[:6], "it ends within its header"),
+        (data[:4] + bytes(4), "it holds no page"),
+        (data[:first_page] + bytes(2) + data[first_page + 2 :], "page 1 claims 0 tags"),
+        (data[: first_page + 20], "the file ends within the table of page 1"),
+    ):
+        path.write_bytes(damaged)
+        refused(FileError, words, read_volume, path, voxel_um=1)
+
+
 def test_a_bomb_is_refused_before_it_is_decoded(tmp_path):
     path = tmp_path / "v.tif"
     tifffile.imwrite(path, np.zeros((2, 16, 16), np.uint8), photometric="minisblack", compression="zlib", metadata=None)

@@ -34,7 +34,7 @@ from formats_written import (
     write_raw,
     write_zarr,
 )
-from planish.core.errors import FileError, SizeError, VolumeError
+from planish.core.errors import FileError, InputError, SizeError, VolumeError
 from planish.io import describe, find_place, fingerprint, formats, read_volume
 
 
@@ -291,6 +291,28 @@ def test_sizes_of_headers_have_to_agree_and_to_state_their_unit(tmp_path):
     assert read_volume(path).attrs["voxel_um"] == list(VOXEL)
     nrrd.write(str(tmp_path / "v.nrrd"), VALUES, {"spacings": [2.0, 2.5, 3.0]}, index_order="C")
     refused(SizeError, "3 without a unit", read_volume, tmp_path / "v.nrrd")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("type: uint16", "type: block", "has values of the type 'block'"),
+        ("endian: little\n", "", r"does not state the byte order \(endian\)"),
+        ("encoding: raw", "encoding: raw\nline skip: 3", "skips lines or packed bytes"),
+        ("encoding: raw", "encoding: bzip3", "has the encoding 'bzip3'"),
+    ],
+)
+def test_what_a_header_of_nrrd_lacks_is_named(tmp_path, old, new, words):
+    CASES["NRRD detached"].write(tmp_path, VALUES, VOXEL)
+    header = next(tmp_path.glob("*.nhdr"))
+    edit(header, old, new)
+    refused(InputError, words, read_volume, header)
+
+
+def test_a_meta_image_names_its_data(tmp_path):
+    path = write_meta(tmp_path, VALUES, VOXEL, ".mhd", False)
+    edit(path, "ElementDataFile", "ElementData")
+    refused(FileError, "no MetaImage: the line ElementDataFile is missing", read_volume, path)
 
 
 @pytest.mark.parametrize("kind", [".nhdr", ".mhd", ".toml"])

@@ -85,6 +85,18 @@ def test_what_is_done_is_kept_wherever_it_is_moved(table, whole, tmp_path):
     assert files_of(whole) == files_of(home / "whole")
 
 
+def test_a_dry_run_says_what_would_be_done_and_writes_nothing(table, whole, tmp_path):
+    nothing_done = done(table, tmp_path / "new", "--dry-run")
+    assert (nothing_done.returncode, list(tmp_path.iterdir())) == (0, [])
+    assert "3 of 4 to do: about" in nothing_done.stdout
+    assert "refused: cut.tif is cut off" in nothing_done.stdout
+    before = files_of(whole)
+    all_done = done(table, whole, "--dry-run")
+    assert (all_done.returncode, all_done.stdout.count("kept")) == (0, 3)
+    assert "0 of 4 to do: about 0 s" in all_done.stdout
+    assert files_of(whole) == before
+
+
 def interrupted(table, out):
     """Interrupt the series while its last specimen is linked; where that was done first, try again."""
     for _ in range(4):
