@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -102,7 +103,9 @@ def interrupted(table, out):
     for _ in range(4):
         for name in ("b ö", "c ö"):
             shutil.rmtree(out / "runs" / name, ignore_errors=True)
-        process = subprocess.Popen(command(table, out), stderr=subprocess.PIPE, text=True)
+        # A shell has jobs in the background ignore the signal, and their children would inherit that.
+        listens = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+        process = subprocess.Popen(command(table, out), stderr=subprocess.PIPE, text=True, preexec_fn=listens)
         # Python itself loses a signal that comes while modules are loaded.
         next(line for line in process.stderr if "b ö" in line)
         process.send_signal(signal.SIGINT)
