@@ -94,6 +94,8 @@ def first_failure(mend: Mend, copy: Path) -> str | None:
     environment = os.environ | {"PYTHONPATH": str(copy / "src")}
     for tier, options in (("fast", []), ("ci", ["--ci"])):
         command = [sys.executable, "-m", "pytest", "-q", "-x", "-n", "2", "--no-header", "-p", "no:cacheprovider"]
+        # That a mutant no longer fits the older text is no sight of a fault.
+        command += ["--deselect", "tests/test_project.py::test_every_mutant_of_the_list_fits_the_code"]
         done = subprocess.run(
             [*command, *options, *tests_of(mend)],
             cwd=copy,
