@@ -332,6 +332,9 @@ def test_particles_are_a_look_counted_and_covered_and_filled_valleys_are_none():
     grains = np.zeros(valleys.shape)
     for k in range(9):
         grains[(rows - 50 - 50 * k) ** 2 + (cols - 60 - 55 * k) ** 2 < 36] += 40.0
+    # A thick place over which the face rises by less than half of it is a filled valley as well.
+    hardly_raised = sheets.find_particles(valleys + 1.5 * grains, face + 0.6 * grains, (3.0, 3.0))
+    assert hardly_raised.n_particles == 0
     grains[:, :5] = np.nan
     found = sheets.find_particles(valleys + grains, face + grains, (3.0, 3.0))
     assert (found.n_particles, found.per_mm2) == (9, pytest.approx(9 / 2.6775))
