@@ -34,9 +34,12 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("seed")
     parser.add_argument("count", type=int, nargs="?", default=12)
     parser.add_argument("--without", default="", metavar="HASH,HASH")
+    parser.add_argument("--only", default="", metavar="HASH,HASH", help="judge these, whatever is drawn")
     given = parser.parse_args(arguments)
     passed_over = tuple(filter(None, given.without.split(",")))
     mends = [mend for mend in all_mends() if not (passed_over and mend.sha.startswith(passed_over))]
+    if given.only:
+        mends = [mend for mend in mends if mend.sha.startswith(tuple(given.only.split(",")))]
     random.Random(given.seed).shuffle(mends)
     judged = unseen = 0
     with tempfile.TemporaryDirectory() as name:
@@ -105,7 +108,8 @@ def first_failure(mend: Mend, copy: Path) -> str | None:
             check=False,
         )
         failures = [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
-        if done.returncode and not failures:
+        # A fast test that was only too slow, as kernels of the copy are compiled anew, ends with 1.
+        if done.returncode > 1 and not failures:
             return f"{tier}: the tests do not start"
         if failures:
             return f"{tier}: {failures[0]}"
