@@ -105,3 +105,16 @@ def test_texture_far_away_hides_no_hole():
     plain, lit = (find_holes(image, pixel_um=sheet.pixel) for image in (sheet.image, sheet.image * light))
     assert lit.sizes["mark"] >= plain.sizes["mark"] - 1
     assert np.isin(np.round(lit.x.values / 30), np.round(plain.x.values / 30)).mean() > 0.9
+
+
+def test_dark_spots_are_spots_and_no_ground_that_is_dark_all_over():
+    """Beside a sheet the ground is as dark as the floors of its holes, and is no place of one."""
+    y, x = np.mgrid[:300, :400] * 5.0
+    image = np.where(x < 800.0, 200.0, 20.0)
+    image[np.hypot(x - 400.0, y - 700.0) < 80.0] = 20.0
+    raster = candidates.Raster(image, (5.0, 5.0), np.zeros(2))
+    spots = candidates.dark_spots(raster, 1.0, 60.0, 80.0)
+    inside = spots[spots[:, 0] < 700.0]
+    assert np.hypot(*(inside - (400.0, 700.0)).T).max() < 20.0
+    assert len(inside) >= 1
+    assert not (spots[:, 0] > 1000.0).any()
