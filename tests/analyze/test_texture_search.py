@@ -107,6 +107,7 @@ def test_the_other_hand_is_found_only_where_it_is_asked_for_or_no_side_is_given(
     assert pl.register_texture(maps, image, mirrored=None).fit.mirrored
 
 
+@pytest.mark.ci
 def test_layers_without_a_texture_in_common_and_a_radius_that_is_none_are_refused():
     maps, image = pair(place=placed(0.0), r=0.6)
     for value in (100.0, np.nan):
