@@ -56,6 +56,15 @@ def test_no_direction_is_named_that_is_not_certain(interval, says):
     assert "darker where" not in text
 
 
+def test_ways_of_linking_are_counted():
+    run = a_run()
+    rows = run["results"]["comparison"]
+    ways = len({row["registration"] for row in rows})
+    assert f"linked in {ways} ways" in text_of(run)
+    rows += [row | {"registration": "one more way"} for row in rows[:2]]
+    assert f"linked in {ways + 1} ways" in text_of(run)
+
+
 def test_every_figure_is_embedded_and_states_n_and_mask(link_page):
     page = Page(link_page)
     captions = captions_of(link_page)
