@@ -32,7 +32,11 @@ if not OLDEST <= sys.version_info[:2] <= NEWEST or sys.maxsize < 2**32:
         "planish needs a 64-bit Python 3.11, 3.12 or 3.13; this one is {} ({} bit). {}".format(
             ".".join(map(str, sys.version_info[:3])),
             64 if sys.maxsize > 2**32 else 32,
-            f"Try: {_found[0]} run.py" if _found else "Install one of them and start run.py with it.",
+            (
+                f"Try: {_found[0]} run.py"
+                if _found
+                else "Install one of them and start run.py with it."
+            ),
         )
     )
 
@@ -49,13 +53,24 @@ PYTEST = [
     "--no-loadscope-reorder",
 ]
 LOCKS = ROOT / "requirements"
-LOCK_NAMES = ("run.lock", "docs.lock", "dev.lock")  # each holds all of those before it, in the same versions
-STAMP = VENV / "planish-setup.json"  # what was installed; written last, so without it the folder is unfinished
+# Each holds all of those before it, in the same versions.
+LOCK_NAMES = ("run.lock", "docs.lock", "dev.lock")
+# What was installed; written last, so without it the folder is unfinished.
+STAMP = VENV / "planish-setup.json"
 
 # Settings of the user's pip that would send the packages elsewhere or choose others than the lock does.
 # Where to get them from (index, folder of wheels, proxy, certificate) stays the user's choice.
 UNWANTED_PIP = [
-    *("CONSTRAINT", "DRY_RUN", "EDITABLE", "IGNORE_INSTALLED", "NO_BINARY", "NO_DEPS", "ONLY_BINARY", "PREFIX"),
+    *(
+        "CONSTRAINT",
+        "DRY_RUN",
+        "EDITABLE",
+        "IGNORE_INSTALLED",
+        "NO_BINARY",
+        "NO_DEPS",
+        "ONLY_BINARY",
+        "PREFIX",
+    ),
     *("PYTHON", "REQUIRE_HASHES", "REQUIREMENT", "ROOT", "TARGET"),
 ]
 
@@ -101,7 +116,11 @@ def check(*, tests: bool) -> int:
         "format": [python, "-m", "ruff", "format", "--check", "."],
         "lint": [python, "-m", "ruff", "check", "."],
         "types": [python, "-m", "pyright"],
-        "imports": [python, "-c", "from importlinter.cli import lint_imports_command; lint_imports_command()"],
+        "imports": [
+            python,
+            "-c",
+            "from importlinter.cli import lint_imports_command; lint_imports_command()",
+        ],
     }
     if tests:
         steps["tests"] = PYTEST
@@ -118,9 +137,25 @@ def docs(options: list[str]) -> int:
     """Write the pages that the program makes itself, build the site, check its links; warnings are errors."""
     python, site = str(PYTHON), str(ROOT / "docs" / "_build" / "html")
     doctrees = str(ROOT / "docs" / "_build" / "doctrees")
-    build = [python, "-m", "sphinx", "-b", "html", "-E", "-a", "-W", "--keep-going", "-q", "-d", doctrees]
+    build = [
+        python,
+        "-m",
+        "sphinx",
+        "-b",
+        "html",
+        "-E",
+        "-a",
+        "-W",
+        "--keep-going",
+        "-q",
+        "-d",
+        doctrees,
+    ]
     build += [*options, "docs", site]
-    pages, check = [python, "docs/_ext/program_pages.py"], [python, "docs/_ext/check_site.py", "docs/_build/html"]
+    pages, check = (
+        [python, "docs/_ext/program_pages.py"],
+        [python, "docs/_ext/check_site.py", "docs/_build/html"],
+    )
     for command in (pages, build, check):
         if code := call(command):
             return code
@@ -133,8 +168,23 @@ def lock(options: list[str]) -> int:
     if uv is None:
         say("Renewing the locks needs uv, which is not on the path.")
         return 1
-    compile_ = [uv, "pip", "compile", "--quiet", "--universal", "--generate-hashes", "--python-version", "3.11"]
-    compile_ += ["--no-header", "--no-annotate", "--no-emit-index-url", "--no-emit-find-links", *options]
+    compile_ = [
+        uv,
+        "pip",
+        "compile",
+        "--quiet",
+        "--universal",
+        "--generate-hashes",
+        "--python-version",
+        "3.11",
+    ]
+    compile_ += [
+        "--no-header",
+        "--no-annotate",
+        "--no-emit-index-url",
+        "--no-emit-find-links",
+        *options,
+    ]
     compile_ += ["pyproject.toml", "--group", "build"]
     # Each lock constrains the next, so that all three have the same versions.
     for name, more in {
@@ -170,9 +220,17 @@ def set_up(lock_name: str) -> None:
     stamp = read_stamp()
     locks = {name: digest(LOCKS / name) for name in LOCK_NAMES}
     project = digest(ROOT / "pyproject.toml", ROOT / "src" / "planish" / "__init__.py")
-    moved = stamp.get("root", str(ROOT)) != str(ROOT)  # scripts in .venv carry the path they were made for
-    installed = {} if moved else {name: lock for name, lock in locks.items() if stamp.get(name) == lock}
-    if lock_name in installed and stamp.get("project") == project and PYTHON.exists() and PLANISH.exists():
+    # Scripts in .venv carry the path they were made for.
+    moved = stamp.get("root", str(ROOT)) != str(ROOT)
+    installed = (
+        {} if moved else {name: lock for name, lock in locks.items() if stamp.get(name) == lock}
+    )
+    if (
+        lock_name in installed
+        and stamp.get("project") == project
+        and PYTHON.exists()
+        and PLANISH.exists()
+    ):
         return
 
     STAMP.unlink(missing_ok=True)
@@ -188,7 +246,9 @@ def set_up(lock_name: str) -> None:
 
     part = STAMP.with_suffix(".part")
     part.write_text(
-        json.dumps({"root": str(ROOT), "project": project, **installed}, indent=1), encoding="utf-8", newline="\n"
+        json.dumps({"root": str(ROOT), "project": project, **installed}, indent=1),
+        encoding="utf-8",
+        newline="\n",
     )
     part.replace(STAMP)
 
@@ -209,24 +269,39 @@ def digest(*paths: Path) -> str:
 
 def usable() -> bool:
     """Tell whether .venv holds an interpreter that starts, is of a fitting version and is its own environment."""
-    question = "import sys; print(sys.version_info[0], sys.version_info[1], sys.prefix != sys.base_prefix)"
+    question = (
+        "import sys; print(sys.version_info[0], sys.version_info[1], sys.prefix != sys.base_prefix)"
+    )
     try:
         answer = subprocess.run(
-            [str(PYTHON), "-c", question], env=environment(), capture_output=True, text=True, check=True
+            [str(PYTHON), "-c", question],
+            env=environment(),
+            capture_output=True,
+            text=True,
+            check=True,
         ).stdout.split()
     except (OSError, subprocess.CalledProcessError):
         return False
-    return len(answer) == 3 and OLDEST <= (int(answer[0]), int(answer[1])) <= NEWEST and answer[2] == "True"
+    return (
+        len(answer) == 3
+        and OLDEST <= (int(answer[0]), int(answer[1])) <= NEWEST
+        and answer[2] == "True"
+    )
 
 
 def make_venv() -> None:
     """Make an empty .venv in place of whatever is there."""
     if Path(sys.prefix).resolve() == VENV.resolve():
-        sys.exit("The environment .venv has to be made anew and is in use: leave it (deactivate) and start again.")
+        sys.exit(
+            "The environment .venv has to be made anew and is in use: leave it (deactivate) and"
+            " start again."
+        )
     try:
         import venv
     except ImportError:
-        sys.exit("This Python lacks the module venv. On Debian and Ubuntu: apt install python3-venv")
+        sys.exit(
+            "This Python lacks the module venv. On Debian and Ubuntu: apt install python3-venv"
+        )
     say("Making .venv ...")
     # Without pip: where ensurepip is missing (Debian without python3-venv) making it with pip stops half way.
     venv.EnvBuilder(clear=True, symlinks=os.name != "nt", with_pip=False).create(VENV)
@@ -248,13 +323,20 @@ def find_pip() -> list[str]:
 
 def install(pip: list[str], *options: str) -> None:
     """Run one pip install; end with a sentence where it fails."""
-    quiet = ["--quiet", "--disable-pip-version-check", "--no-input", "--progress-bar=off", "--no-warn-script-location"]
+    quiet = [
+        "--quiet",
+        "--disable-pip-version-check",
+        "--no-input",
+        "--progress-bar=off",
+        "--no-warn-script-location",
+    ]
     # Not compiled to bytecode ahead: that takes as long as the rest, and most modules are never imported. The first
     # run compiles what it uses; environment() lets it keep that.
     if call([*pip, "install", *quiet, "--no-compile", *options]):
         sys.exit(
-            "\nThe installation into .venv failed; pip's reason stands above. Wheels of the locked versions have to\n"
-            "be within reach of pip (its configuration, PIP_INDEX_URL or PIP_FIND_LINKS). The next call tries again."
+            "\nThe installation into .venv failed; pip's reason stands above. Wheels of the locked"
+            " versions have to\nbe within reach of pip (its configuration, PIP_INDEX_URL or"
+            " PIP_FIND_LINKS). The next call tries again."
         )
 
 
@@ -279,7 +361,9 @@ def environment() -> dict[str, str]:
 
 def runs(command: list[str]) -> bool:
     """Tell whether a command ends well; its output is dropped."""
-    return subprocess.run(command, env=environment(), capture_output=True, check=False).returncode == 0
+    return (
+        subprocess.run(command, env=environment(), capture_output=True, check=False).returncode == 0
+    )
 
 
 def call(command: list[str]) -> int:

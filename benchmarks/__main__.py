@@ -43,11 +43,14 @@ _BY_NAME = ("installs", "pictures", "same")
 def main(arguments):
     """Run what is named; the exit code is 1 when a limit was missed or a library is not installed."""
     names = arguments[:1] or _ALL
-    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # else each program that is timed compiles its modules anew
+    # Else each program that is timed compiles its modules anew.
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     failed = 0
     for name in names:
         if name not in (*_ALL, *_BY_NAME):
-            sys.exit(f"There is no benchmark '{name}'. Choose one of {', '.join((*_ALL, *_BY_NAME))}.")
+            sys.exit(
+                f"There is no benchmark '{name}'. Choose one of {', '.join((*_ALL, *_BY_NAME))}."
+            )
         print(f"== {name}")
         try:
             benchmark = import_module(f"benchmarks.{name}").main

@@ -74,7 +74,9 @@ def make_run(run, shape, folder):
 def _maps(tile, grid, k, rng):
     """A tile of a layer: what both layers share, and noise of their own."""
     part = grid.part(tile.rows, tile.cols)
-    wave = np.sin(part.y_um[:, None] / 130) * np.cos(part.x_um / 90) + np.sin((part.y_um[:, None] + part.x_um) / 37)
+    wave = np.sin(part.y_um[:, None] / 130) * np.cos(part.x_um / 90) + np.sin(
+        (part.y_um[:, None] + part.x_um) / 37
+    )
     image = (120 + 20 * wave + rng.normal(0, 12, part.shape)).astype(np.float32)
     valid = np.hypot(part.y_um[:, None] % 4000 - 2000, part.x_um % 4000 - 2000) > 150
     found = {
@@ -113,16 +115,25 @@ def measure(run):
         say("first view of the maps", _times(page, _MAPS, 1, maps.click))
         page.get_by_text(re.compile("Scatter of [0-9]+ points")).wait_for(timeout=120_000)
         spots = iter(np.random.default_rng(1).uniform(3000, 9000, (_REPEATS, 2)).round().tolist())
-        say("jump to full zoom, both maps", _times(page, _MAPS, _REPEATS, lambda: _jump(page, *next(spots))))
+        say(
+            "jump to full zoom, both maps",
+            _times(page, _MAPS, _REPEATS, lambda: _jump(page, *next(spots))),
+        )
         ranges = iter([f"{100 + k}, {130 + k}" for k in range(_REPEATS)])
         brush = "Brush one/image"
-        say("brush to repaint, both maps", _times(page, _MAPS, _REPEATS, lambda: _set(page, brush, next(ranges))))
+        say(
+            "brush to repaint, both maps",
+            _times(page, _MAPS, _REPEATS, lambda: _set(page, brush, next(ranges))),
+        )
         page.get_by_role("button", name="Clear selection").click()
         begun = time.perf_counter()
         _set(page, "Region, um", "2000, 2000, 6000, 5000")
         page.get_by_text(re.compile(r"^n \d+; r ")).wait_for(timeout=120_000)
         print(f"r of a region of 4 x 3 mm at full resolution: {time.perf_counter() - begun:.2f} s")
-        print(f"peak memory of the server: {memory(server, peak=True) / 1e6:.0f} MB; load {os.getloadavg()[0]:.1f}")
+        print(
+            f"peak memory of the server: {memory(server, peak=True) / 1e6:.0f} MB; load"
+            f" {os.getloadavg()[0]:.1f}"
+        )
 
 
 def clicks(page):
@@ -132,7 +143,11 @@ def clicks(page):
     for view in ("one", "two"):
         _set(page, f"{view}, um per screen pixel", "5")
     rng = np.random.default_rng(2)
-    places = iter(rng.permutation([(x, y) for x in range(2500, 17500, 1900) for y in range(2300, 12500, 1700)]))
+    places = iter(
+        rng.permutation(
+            [(x, y) for x in range(2500, 17500, 1900) for y in range(2300, 12500, 1700)]
+        )
+    )
     model = page.get_by_label("Model", exact=True)
     for name, count in (("similarity", 20), ("auto", _REPEATS), ("tps", _REPEATS)):
         model.select_option(name)
@@ -220,7 +235,11 @@ def _times(page, names, count, act):
 
 
 def say(what, seconds, *, digits=2):
-    print(f"{what}: {', '.join(f'{one:.{digits}f}' for one in seconds)} s (load {os.getloadavg()[0]:.1f})", flush=True)
+    print(
+        f"{what}: {', '.join(f'{one:.{digits}f}' for one in seconds)} s (load"
+        f" {os.getloadavg()[0]:.1f})",
+        flush=True,
+    )
 
 
 def _set(page, label, text):

@@ -31,7 +31,8 @@ Surface = Callable[[Floats], Floats]
 def waves(rng, at):
     """One to three waves of 1.6 to 9 mm."""
     return sum(
-        rng.uniform(0.4, 1.0) * np.sin(2 * np.pi * at / rng.uniform(1600, 9000) + rng.uniform(0, 6.28))
+        rng.uniform(0.4, 1.0)
+        * np.sin(2 * np.pi * at / rng.uniform(1600, 9000) + rng.uniform(0, 6.28))
         for _ in range(int(rng.integers(1, 4)))
     )
 
@@ -52,7 +53,9 @@ class Cylinder:
         angle *= np.arctan(slope) / np.abs(angle[7500:-7500]).max()
         steps = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         # Simpson's rule with the middle of each step from a finer evaluation of the same smooth function.
-        curve = np.concatenate([np.zeros((1, 2)), np.cumsum(0.5 * (steps[1:] + steps[:-1]), axis=0)])
+        curve = np.concatenate(
+            [np.zeros((1, 2)), np.cumsum(0.5 * (steps[1:] + steps[:-1]), axis=0)]
+        )
         return cls(turn=rng.uniform(0, np.pi), at=at, curve=curve - curve[at.size // 2])
 
     def __call__(self, uv):
@@ -80,7 +83,9 @@ class Cone:
         steep = np.gradient(beta, theta)
         beta *= slope / np.abs(steep[np.abs(theta) * apex < 1500]).max()
         beta -= beta[theta.size // 2]
-        lines = np.stack([np.cos(beta) * np.cos(theta), np.cos(beta) * np.sin(theta), np.sin(beta)], axis=1)
+        lines = np.stack(
+            [np.cos(beta) * np.cos(theta), np.cos(beta) * np.sin(theta), np.sin(beta)], axis=1
+        )
         at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(lines, axis=0), axis=1))])
         return cls(apex=apex, turn=rng.uniform(0, 2 * np.pi), at=at - at[at.size // 2], lines=lines)
 
@@ -95,7 +100,10 @@ class Cone:
 
 def tangents(surface, uv, step=4.0):
     """Derivatives by u and v and the unit normal, each (..., 3)."""
-    by = [(surface(uv + d) - surface(uv - d)) / (2 * step) for d in (np.array([step, 0.0]), np.array([0.0, step]))]
+    by = [
+        (surface(uv + d) - surface(uv - d)) / (2 * step)
+        for d in (np.array([step, 0.0]), np.array([0.0, step]))
+    ]
     normal = np.cross(by[0], by[1])
     return by[0], by[1], normal / np.linalg.norm(normal, axis=-1, keepdims=True)
 
@@ -107,7 +115,9 @@ def material(surface, points):
         by_u, by_v, _ = tangents(surface, uv)
         uv += _solved(by_u, by_v, points - surface(uv))
     _, _, normal = tangents(surface, uv)
-    return np.concatenate([uv, np.sum((points - surface(uv)) * normal, axis=-1, keepdims=True)], axis=-1)
+    return np.concatenate(
+        [uv, np.sum((points - surface(uv)) * normal, axis=-1, keepdims=True)], axis=-1
+    )
 
 
 def _solved(by_u, by_v, off):
@@ -122,7 +132,8 @@ class Bent:
 
     surface: Surface
     surfaces: xr.Dataset
-    known: xr.Dataset  # the same, with the true neutral surface smoothed in place of the middle of the base
+    # The same, with the true neutral surface smoothed in place of the middle of the base.
+    known: xr.Dataset
     columns: Floats  # (n, 2): x and y of the columns over the holes' middles on the centre surface
     holes: Floats  # (n, 2)
 
@@ -131,15 +142,28 @@ class Bent:
         """Draw a sheet with a neutral surface anywhere between stiffness ratios of 0 and 3."""
         surface = (Cylinder if rng.random() < 0.6 else Cone).drawn(rng, slope)
         height = float(np.sqrt(max(3.2, 0.3 * holes) / 1.3)) * 1000
-        y, x = np.arange(-height / 2, height / 2, PITCH_UM), np.arange(-0.65 * height, 0.65 * height, PITCH_UM)
+        y, x = (
+            np.arange(-height / 2, height / 2, PITCH_UM),
+            np.arange(-0.65 * height, 0.65 * height, PITCH_UM),
+        )
         places = np.stack(np.meshgrid(x, y), axis=-1)
         base, top, bottom = rng.uniform(45, 65), rng.uniform(8, 20), rng.uniform(8, 20)
         ratio = rng.uniform(0, 3)
-        above = 0.5 * ratio * (top * (base + top) - bottom * (base + bottom)) / (base + ratio * (top + bottom))
+        above = (
+            0.5
+            * ratio
+            * (top * (base + top) - bottom * (base + bottom))
+            / (base + ratio * (top + bottom))
+        )
         fields = _Fields(rng, surface, height)
         half, own = 0.5 * fields(base, 4.0), fields(0.0, 2.0)
         layers = [half + own, -half + own]
-        layers = [layers[0] + fields(top, 4.0), layers[0], layers[1], layers[1] - fields(bottom, 4.0)]
+        layers = [
+            layers[0] + fields(top, 4.0),
+            layers[0],
+            layers[1],
+            layers[1] - fields(bottom, 4.0),
+        ]
         uv, heights = places.copy(), {}
         for name, layer in zip(_FACES, layers, strict=True):
             uv, heights[name] = fields.under(places, uv, layer - above)
@@ -149,7 +173,13 @@ class Bent:
         thickness = float(base + top + bottom)
         found = _found(heights, y, x, where, thickness)
         neutral = fields.under(places, uv, np.zeros(layers[0].shape))[1]
-        known = _found(heights | {"interface_top": neutral, "interface_bottom": neutral}, y, x, where, thickness)
+        known = _found(
+            heights | {"interface_top": neutral, "interface_bottom": neutral},
+            y,
+            x,
+            where,
+            thickness,
+        )
         at = np.concatenate([where, _height_at(found, where)[:, None]], axis=1)
         return cls(surface, found, known, where, material(surface, at)[:, :2])
 
@@ -162,7 +192,10 @@ class _Fields:
         self.n = int(2.4 * height / PITCH_UM)
 
     def __call__(self, mean, sd):
-        fine, wide = _noise(self.rng, self.n, self.n, 25 / PITCH_UM), _noise(self.rng, self.n, self.n, 300 / PITCH_UM)
+        fine, wide = (
+            _noise(self.rng, self.n, self.n, 25 / PITCH_UM),
+            _noise(self.rng, self.n, self.n, 300 / PITCH_UM),
+        )
         return mean + sd * (0.85 * fine + 0.5 * wide)
 
     def under(self, places, start, field):
@@ -171,9 +204,9 @@ class _Fields:
         for _ in range(8):
             by_u, by_v, normal = tangents(self.surface, uv)
             at = self.surface(uv) + self._at(field, uv)[..., None] * normal
-            uv += np.linalg.solve(np.stack([by_u[..., :2], by_v[..., :2]], axis=-1), (places - at[..., :2])[..., None])[
-                ..., 0
-            ]
+            uv += np.linalg.solve(
+                np.stack([by_u[..., :2], by_v[..., :2]], axis=-1), (places - at[..., :2])[..., None]
+            )[..., 0]
         return uv, at[..., 2]
 
     def _at(self, field, uv):
@@ -216,10 +249,14 @@ def _found(heights, y, x, holes, thickness):
     fields = {name: (("y", "x"), values) for name, values in data.items()}
     return xr.Dataset(
         {**fields, "status": (("y", "x"), status, status_flags())},
-        {"y": y, "x": x}, Frame().attrs() | {"thickness_um": thickness, "rim_um": _RIM_UM},
-    )  # fmt: skip
+        {"y": y, "x": x},
+        Frame().attrs() | {"thickness_um": thickness, "rim_um": _RIM_UM},
+    )
 
 
 def _height_at(surfaces, where):
-    index = [(where[:, 1] - surfaces["y"].values[0]) / PITCH_UM, (where[:, 0] - surfaces["x"].values[0]) / PITCH_UM]
+    index = [
+        (where[:, 1] - surfaces["y"].values[0]) / PITCH_UM,
+        (where[:, 0] - surfaces["x"].values[0]) / PITCH_UM,
+    ]
     return ndimage.map_coordinates(surfaces["centre"].values, index, order=1)

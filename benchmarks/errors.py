@@ -28,7 +28,8 @@ from planish.synthetic.pose import draw_pose
 SLOPES = {"flat": (0.02, 0.12), "bent": (0.15, 0.45), "steep": (0.5, 0.95)}
 MARKS = {"4-6": (4, 6), "7-14": (7, 14), "15-30": (15, 30)}
 _PIXEL_UM = 40.0
-_ALONE = {0.35: 0.06, 0.8: 0.3}  # um that the flattening may leave where the neutral surface is known
+# um that the flattening may leave where the neutral surface is known.
+_ALONE = {0.35: 0.06, 0.8: 0.3}
 
 
 def one(slope, marks, seed):
@@ -38,7 +39,9 @@ def one(slope, marks, seed):
     sheet = Bent.drawn(rng, rng.uniform(*SLOPES[slope]), int(rng.integers(low, high + 1)))
     flat, true = flatten_sheet(sheet.surfaces).flat, _true(sheet, sheet.surfaces)
     field = np.concatenate([true.min(axis=(0, 1)), true.max(axis=(0, 1))])
-    camera = CameraParams(pixel_um=_PIXEL_UM, turn_deg=rng.uniform(-180, 180), radial=rng.uniform(-1e-3, 1e-3))
+    camera = CameraParams(
+        pixel_um=_PIXEL_UM, turn_deg=rng.uniform(-180, 180), radial=rng.uniform(-1e-3, 1e-3)
+    )
     shape, pose = draw_pose(camera, field, rng)
     found = _registered(sheet, flat, pose, rng.uniform(0.05, 1.0, 2), rng)
     grid = Grid.regular(shape, _PIXEL_UM)
@@ -48,7 +51,14 @@ def one(slope, marks, seed):
     error = np.linalg.norm(got - asked, axis=-1)
     of_run = PositionErrors({"surfaces": sheet.surfaces, "flat": flat}, Chain(fits=(found,)), grid)
     shares = {name: rms(part.values) for name, part in of_run.on(grid, got[..., 0]).items()}
-    return {"slope": slope, "marks": marks, "seed": seed, "n": len(sheet.holes), "true": rms(error), **shares}
+    return {
+        "slope": slope,
+        "marks": marks,
+        "seed": seed,
+        "n": len(sheet.holes),
+        "true": rms(error),
+        **shares,
+    }
 
 
 def _true(sheet, surfaces):
@@ -97,12 +107,18 @@ def main(each=16, file="errors.jsonl"):
     for slope, limit in _ALONE.items():
         left = alone(slope)
         missed |= int(left > limit)
-        print(f"Flattening alone, slope {slope:g}, neutral surface known: {left:.3f} um rms (limit {limit:g})")
+        print(
+            f"Flattening alone, slope {slope:g}, neutral surface known: {left:.3f} um rms (limit"
+            f" {limit:g})"
+        )
     return missed
 
 
 def _table(lines):
-    head = "sheets | n | true um | stated um | marks | neutral | smoothing | true/stated | 1.73x | 2x | above 1.9 | 3"
+    head = (
+        "sheets | n | true um | stated um | marks | neutral | smoothing | true/stated | 1.73x | 2x"
+        " | above 1.9 | 3"
+    )
     print(f"| {head} |\n{'|---' * 12}|")
     missed = 0
     groups = {name: [k for k in lines if k["slope"] == name] for name in SLOPES}
@@ -114,10 +130,19 @@ def _table(lines):
         true, stated, *shares = (np.array([k[column] for k in part]) for column in columns)
         ratio, pooled = true / stated, rms(true) / rms(stated)
         many = ratio[[k["n"] >= 7 for k in part]]
-        within, above = [np.mean(ratio < k) for k in (1.73, 2.0)], [np.sum(many > k) for k in (1.9, 3.0)]
+        within, above = (
+            [np.mean(ratio < k) for k in (1.73, 2.0)],
+            [np.sum(many > k) for k in (1.9, 3.0)],
+        )
         above = [count / max(many.size, 1) for count in above]
         low, high = (0.75, 1.3) if name == "4-6 marks" else (0.8, 1.2)
-        good = low <= pooled <= high and within[0] >= 0.9 and within[1] >= 0.94 and above[0] <= 0.05 and above[1] == 0
+        good = (
+            low <= pooled <= high
+            and within[0] >= 0.9
+            and within[1] >= 0.94
+            and above[0] <= 0.05
+            and above[1] == 0
+        )
         missed += not good
         cells = [f"{rms(v):.2f}" for v in (true, stated, *shares)] + [f"{pooled:.2f}"]
         cells += [f"{100 * v:.0f} %" for v in (*within, *above)]

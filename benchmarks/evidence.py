@@ -35,7 +35,9 @@ def field(rng, shape, length, kind):
     size = [fft.next_fast_len(2 * n) for n in shape]
     lags = [np.abs(fft.fftfreq(n, 1 / n)) for n in size]
     h = np.hypot(lags[0][:, None] / down, lags[1] / across)
-    power = np.maximum(np.asarray(fft.fft2(np.exp(-h) if kind == "exp" else np.exp(-h * h))).real, 0.0)
+    power = np.maximum(
+        np.asarray(fft.fft2(np.exp(-h) if kind == "exp" else np.exp(-h * h))).real, 0.0
+    )
     noise = rng.normal(size=size) + 1j * rng.normal(size=size)
     both = np.asarray(fft.fft2(np.sqrt(power / power.size) * noise))[: shape[0], : shape[1]]
     return both.real.copy(), both.imag.copy()
@@ -83,10 +85,14 @@ def exact_n_eff(length, kind="exp"):
     h = np.hypot(at[0][:, None] / down, at[1] / across)
     c = np.exp(-h) if kind == "exp" else np.exp(-h * h)
     pairs = np.outer(*(n - np.abs(k) for n, k in zip(SHAPE, at, strict=True)))
-    rows = np.asarray(fft.ifft2(fft.fft2(c) * fft.fft2(known.astype(float), size))).real[: SHAPE[0], : SHAPE[1]]
+    rows = np.asarray(fft.ifft2(fft.fft2(c) * fft.fft2(known.astype(float), size))).real[
+        : SHAPE[0], : SHAPE[1]
+    ]
     n, whole = lags.n, float(np.sum(pairs * c))
     trace = n - whole / n
-    return 1 + trace**2 / (float(np.sum(pairs * c * c)) - 2 * float(np.sum(rows**2)) / n + whole**2 / n**2)
+    return 1 + trace**2 / (
+        float(np.sum(pairs * c * c)) - 2 * float(np.sum(rows**2)) / n + whole**2 / n**2
+    )
 
 
 def statements(make, r, seed, count):
@@ -108,7 +114,12 @@ def statements(make, r, seed, count):
 def coherences(length, seed, count):
     """p of each octave of unrelated maps."""
     rng = np.random.default_rng(seed)
-    return np.array([[k.p for k in coherence(*related(rng, 0, length), pixel_um=1.0).bands] for _ in range(count)])
+    return np.array(
+        [
+            [k.p for k in coherence(*related(rng, 0, length), pixel_um=1.0).bands]
+            for _ in range(count)
+        ]
+    )
 
 
 CURVE = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)
@@ -118,10 +129,18 @@ def curves(r, length, noise, seed, count):
     """Whether the band holds the whole true curve."""
     rng, out = np.random.default_rng(seed), []
     own, rest = ([_variance(k, s) for s in CURVE] for k in (length, noise))
-    true = [r * math.sqrt(a) / math.sqrt(r * r * a + (1 - r * r) * b) for a, b in zip(own, rest, strict=True)]
+    true = [
+        r * math.sqrt(a) / math.sqrt(r * r * a + (1 - r * r) * b)
+        for a, b in zip(own, rest, strict=True)
+    ]
     for _ in range(count):
-        band = [row.band for row in size_curve(*related(rng, r, length, noise), pixel_um=1.0, sizes_um=CURVE)]
-        out.append(all(low <= t <= high for (low, high), t in zip(band, true, strict=True) if low == low))
+        band = [
+            row.band
+            for row in size_curve(*related(rng, r, length, noise), pixel_um=1.0, sizes_um=CURVE)
+        ]
+        out.append(
+            all(low <= t <= high for (low, high), t in zip(band, true, strict=True) if low == low)
+        )
     return np.array(out, dtype=float)
 
 
@@ -147,14 +166,28 @@ def against(run, seed, count):
     """Of drawn images and a run's maps: whether a direction is named, and whether any p of the table is below .05."""
     linked = xr.open_zarr(run / "maps.zarr", group="linked", consolidated=False).load()
     pixel = float(linked["x"].values[1] - linked["x"].values[0])
-    sheet, shape, rng, out = linked.drop_vars("image"), linked["image"].shape, np.random.default_rng(seed), []
+    sheet, shape, rng, out = (
+        linked.drop_vars("image"),
+        linked["image"].shape,
+        np.random.default_rng(seed),
+        [],
+    )
     for _ in range(count):
-        length = float(np.exp(rng.uniform(math.log(30.0), math.log(0.2 * min(shape) * pixel)))) / pixel
-        drawn = field(rng, (shape[0], shape[1]), length, "exp" if rng.random() < 0.5 else "gauss")[0]
+        length = (
+            float(np.exp(rng.uniform(math.log(30.0), math.log(0.2 * min(shape) * pixel)))) / pixel
+        )
+        drawn = field(rng, (shape[0], shape[1]), length, "exp" if rng.random() < 0.5 else "gauss")[
+            0
+        ]
         image = linked[["image", "valid"]].assign(image=(("y", "x"), drawn))
         rows = [*correlate_layers("sheet", "image", {"sheet": sheet, "image": image}, 100.0)]
         lead = next(row for row in rows if row.a_map == "coating_top" and row.point_um == 100.0)
-        out.append((lead.direction != 0, any(row.p_of_table is not None and row.p_of_table < 0.05 for row in rows)))
+        out.append(
+            (
+                lead.direction != 0,
+                any(row.p_of_table is not None and row.p_of_table < 0.05 for row in rows),
+            )
+        )
     return np.array(out, dtype=float)
 
 
@@ -186,11 +219,15 @@ def prints(seed, count):
     rng, out, pixel = np.random.default_rng(seed), [], 12.0
     rows, cols = np.indices((500, 667)) * pixel
     along = 2 * math.pi * 60.0 / 1e4
-    screen = np.cos(along * (rows + cols) / math.sqrt(2)) + np.cos(along * (rows - cols) / math.sqrt(2))
+    screen = np.cos(along * (rows + cols) / math.sqrt(2)) + np.cos(
+        along * (rows - cols) / math.sqrt(2)
+    )
     for _ in range(count):
         thickness, print_ = related(rng, math.sqrt(0.232), 150.0 / pixel, shape=(500, 667))
-        found = [correlate(thickness, without_screen(m, pixel_um=pixel), pixel_um=pixel, point_um=100.0)
-                 for m in (print_ + 3 * screen, print_)]  # fmt: skip
+        found = [
+            correlate(thickness, without_screen(m, pixel_um=pixel), pixel_um=pixel, point_um=100.0)
+            for m in (print_ + 3 * screen, print_)
+        ]
         out.append((found[0].r2, found[1].r2, found[0].n_eff, found[0].n))
     return np.array(out, dtype=float)
 
@@ -199,11 +236,18 @@ def stored(folder, rows, cols):
     """Write two maps and a mask, band by band, as a run stores them."""
     rng = np.random.default_rng(0)
     group = zarr.open_group(folder, mode="w")
-    made = {k: group.create_array(k, shape=(rows, cols), chunks=(512, 512), dtype=t, dimension_names=("y", "x"))
-            for k, t in (("a", "f4"), ("b", "f4"), ("mask", "?"))}  # fmt: skip
+    made = {
+        k: group.create_array(
+            k, shape=(rows, cols), chunks=(512, 512), dtype=t, dimension_names=("y", "x")
+        )
+        for k, t in (("a", "f4"), ("b", "f4"), ("mask", "?"))
+    }
     for begin in range(0, rows, 512):
         many = min(512, rows - begin)
-        a, b = (ndimage.uniform_filter(rng.normal(size=(many, cols)).astype(np.float32), 15) for _ in range(2))
+        a, b = (
+            ndimage.uniform_filter(rng.normal(size=(many, cols)).astype(np.float32), 15)
+            for _ in range(2)
+        )
         made["a"][begin : begin + many], made["b"][begin : begin + many] = a, a + b
         made["mask"][begin : begin + many] = rng.random((many, cols)) > 0.1
 
@@ -229,11 +273,20 @@ def cost_of(folder, whole, what):
 def large():
     """Cost at 4000 x 3000 pixels with a mask, and of 160 million pixels from a store."""
     for rows, cols, whole, what in (
-        (3000, 4000, True, "correlate"), (3000, 4000, True, "scales"), (10_944, 14_592, False, "correlate"),
-    ):  # fmt: skip
-        with tempfile.TemporaryDirectory() as name, ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        (3000, 4000, True, "correlate"),
+        (3000, 4000, True, "scales"),
+        (10_944, 14_592, False, "correlate"),
+    ):
+        with (
+            tempfile.TemporaryDirectory() as name,
+            ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool,
+        ):
             stored(Path(name), rows, cols)
-            print(f"{rows} x {cols}, {what}: {pool.submit(cost_of, Path(name), whole, what).result()}", flush=True)
+            print(
+                f"{rows} x {cols}, {what}:"
+                f" {pool.submit(cost_of, Path(name), whole, what).result()}",
+                flush=True,
+            )
 
 
 def _sizes(exact):
@@ -245,8 +298,9 @@ def _sizes(exact):
 
 def _covers(found):
     return (
-        f"the interval holds r in {np.nanmean(found[:, 0]):.3f}, width {np.nanmedian(found[:, 4]):.3f}, withheld in "
-        f"{np.mean(np.isnan(found[:, 0])):.2f}; a direction is named in {found[:, 5].mean():.3f}"
+        f"the interval holds r in {np.nanmean(found[:, 0]):.3f}, width"
+        f" {np.nanmedian(found[:, 4]):.3f}, withheld in {np.mean(np.isnan(found[:, 0])):.2f}; a"
+        f" direction is named in {found[:, 5].mean():.3f}"
     )
 
 
@@ -254,14 +308,17 @@ def _covers_population(r2, found):
     r = math.sqrt(r2)
     held = np.mean((found[:, 1] <= r) & (r <= found[:, 2]))
     return (
-        f"mean r² {np.mean(found[:, 0] ** 2):.3f}, sd {np.std(found[:, 0] ** 2):.3f}; the interval holds r in "
-        f"{held:.3f}; n_eff {np.median(found[:, 3]):.0f} of {found[0, 4]:.0f}"
+        f"mean r² {np.mean(found[:, 0] ** 2):.3f}, sd {np.std(found[:, 0] ** 2):.3f}; the interval"
+        f" holds r in {held:.3f}; n_eff {np.median(found[:, 3]):.0f} of {found[0, 4]:.0f}"
     )
 
 
 def _screened(found):
     off = np.abs(found[:, 0] - found[:, 1]).max()
-    return f"r² {found[:, 0].mean():.3f}, without any screen {found[:, 1].mean():.3f}, largest difference {off:.4f}"
+    return (
+        f"r² {found[:, 0].mean():.3f}, without any screen {found[:, 1].mean():.3f}, largest"
+        f" difference {off:.4f}"
+    )
 
 
 def _octaves(found):
@@ -275,7 +332,10 @@ def _holds(found):
 
 
 def _named(found):
-    return f"a direction is named in {found[:, 0].mean():.3f}, some property starred in {found[:, 1].mean():.3f}"
+    return (
+        f"a direction is named in {found[:, 0].mean():.3f}, some property starred in"
+        f" {found[:, 1].mean():.3f}"
+    )
 
 
 def _jobs():
@@ -284,10 +344,15 @@ def _jobs():
     lengths |= {"gauss side/15": (10.0, "gauss"), "5 x 20 pixels": ((5.0, 20.0), "exp")}
     for name, (length, kind) in lengths.items():
         make = partial(related, r=0.0, length=length, kind=kind)
-        yield f"unrelated, {name}", partial(statements, make, 0.0), _sizes(exact_n_eff(length, kind))
+        yield (
+            f"unrelated, {name}",
+            partial(statements, make, 0.0),
+            _sizes(exact_n_eff(length, kind)),
+        )
     long = optimize.brentq(lambda k: exact_n_eff(k) - 60, 5.0, 60.0)
     cases = {
-        f"r {r}, side/{part}": (r, partial(related, r=r, length=SIDE / part)) for r in (0.0, 0.5, 0.9)
+        f"r {r}, side/{part}": (r, partial(related, r=r, length=SIDE / part))
+        for r in (0.0, 0.5, 0.9)
         for part in (30, 12)
     } | {
         "r 0.5, lognormal": (0.5, partial(lognormal, r=0.5, length=8.0)),
@@ -297,15 +362,23 @@ def _jobs():
         "r 0.5, side/60 under side/10": (0.5, partial(related, r=0.5, length=2.5, noise=15.0)),
         "r 0.5, side/5": (0.5, partial(related, r=0.5, length=30.0)),
         "r 0.5, n_eff 60": (0.5, partial(related, r=0.5, length=long)),
-    }  # fmt: skip
+    }
     for name, (r, make) in cases.items():
         yield name, partial(statements, make, r), _covers
     for length in (4.0, 12.0):
         yield f"octaves, side/{SIDE / length:.0f}", partial(coherences, length), _octaves
     for r, length, noise in ((0.5, 8.0, 8.0), (0.5, 4.0, 12.0), (0.6, 12.0, 4.0)):
-        yield f"curve of sizes, r {r}, {length:g} under {noise:g}", partial(curves, r, length, noise), _holds
+        yield (
+            f"curve of sizes, r {r}, {length:g} under {noise:g}",
+            partial(curves, r, length, noise),
+            _holds,
+        )
     for length in (100, 200, 300):
-        yield f"paired difference, {length} um on 3 x 2 mm", partial(differences, length / 12), _holds
+        yield (
+            f"paired difference, {length} um on 3 x 2 mm",
+            partial(differences, length / 12),
+            _holds,
+        )
     for r2 in _POPULATIONS:
         yield _FIELD_OF.format(r2), partial(brightness, r2), partial(_covers_population, r2)
     yield "print screen", prints, _screened
@@ -323,7 +396,9 @@ def main(pairs=1000, run=""):
     found = {}
     with ProcessPoolExecutor(2) as pool:
         for name, work, say in jobs:
-            found[name] = in_parts(pool, work, min(int(pairs), _FEW.get(name, int(pairs))), chunk=25)
+            found[name] = in_parts(
+                pool, work, min(int(pairs), _FEW.get(name, int(pairs))), chunk=25
+            )
             print(f"{name}: {say(found[name])}", flush=True)
     one, two = (np.arctanh(found[_FIELD_OF.format(r2)][:, :3]) for r2 in _POPULATIONS)
     widths = [(k[:, 2] - k[:, 1]) / 2 for k in (one, two)]

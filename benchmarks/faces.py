@@ -23,7 +23,18 @@ _FACES = ("top", "bottom")
 
 
 _SIDES = {"both": (15.0, 15.0), "top": (15.0, 0.0), "bottom": (0.0, 15.0), "none": (0.0, 0.0)}
-_TILTS = ((5, 0), (15, 0), (30, 0), (45, 0), (0, 15), (0, 30), (0, 45), (20, 20), (30, -30), (45, 45))
+_TILTS = (
+    (5, 0),
+    (15, 0),
+    (30, 0),
+    (45, 0),
+    (0, 15),
+    (0, 30),
+    (0, 45),
+    (20, 20),
+    (30, -30),
+    (45, 45),
+)
 
 
 def _families():
@@ -44,11 +55,19 @@ def _families():
         changes = {"coats": _SIDES[name], "tilt": (45.0, 0.0), "inverted": True, "dtype": "float32"}
         yield f"coated {name}, inverted float32, tilt 45", changes
     for voxel, thickness, angle in product((1.4, 3.0), (40.0, 100.0, 400.0), (0.0, 30.0, 45.0)):
-        changes = {"voxel": voxel, "thickness": thickness, "coats": (10.0, 10.0), "tilt": (0.0, angle)}
+        changes = {
+            "voxel": voxel,
+            "thickness": thickness,
+            "coats": (10.0, 10.0),
+            "tilt": (0.0, angle),
+        }
         yield f"{thickness:.0f} um at voxel {voxel}, tilt {angle:.0f}", changes
     for thickness in (40.0, 400.0):
         size = {"voxel": 3.0, "thickness": thickness}
-        yield f"{thickness:.0f} um at voxel 3.0, one side, tilt 45", size | {"coats": (0.0, 12.0), "tilt": (45.0, 0.0)}
+        yield (
+            f"{thickness:.0f} um at voxel 3.0, one side, tilt 45",
+            size | {"coats": (0.0, 12.0), "tilt": (45.0, 0.0)},
+        )
         yield f"{thickness:.0f} um at voxel 3.0, one material", size | {"coats": (0.0, 0.0)}
     for noise, fwhm in product((0.02, 0.05, 0.1), (2.0, 4.0, 6.0)):
         yield f"noise {100 * noise:.0f} %, blur {fwhm:.0f} um", {"noise": noise, "fwhm": fwhm}
@@ -62,8 +81,11 @@ def _families():
     yield "thin margin, tilt 45", {"margin": 12.0, "tilt": (45.0, 0.0)}
     for (kind, greys), name in product(
         (("dim", (40.0, 65.0, 210.0)), ("bright", (40.0, 150.0, 200.0))), ("both", "top")
-    ):  # fmt: skip
-        yield f"{kind} base, coated {name}, noise 10 %", {"greys": greys, "coats": _SIDES[name], "noise": 0.1}
+    ):
+        yield (
+            f"{kind} base, coated {name}, noise 10 %",
+            {"greys": greys, "coats": _SIDES[name], "noise": 0.1},
+        )
     yield "5 um of air beside it", {"margin": 5.0}
     yield "small", {"lateral": (40, 45)}
     wide = {"lateral": (200, 200), "thickness": 60.0}
@@ -94,9 +116,10 @@ class Figures:
         bias = [abs(layer[0]) for layer, coat in zip(self.layers, coats, strict=False) if coat >= 3]
         kept = {
             "face": all(rms <= _MOST_RMS * sheet.voxel for _, rms in self.faces),
-            "coating": all(off <= _MOST_BIAS_UM for off in bias), "share": self.share >= _LEAST_SHARE,
+            "coating": all(off <= _MOST_BIAS_UM for off in bias),
+            "share": self.share >= _LEAST_SHARE,
             "coated": self.coated,
-        }  # fmt: skip
+        }
         return [name for name, is_kept in kept.items() if not is_kept]
 
 
@@ -112,7 +135,11 @@ def judge(found, sheet):
         if lower:
             error = up * (error - (heights[lower] - truth[lower]))
         error = error[ok & np.isfinite(error)] * sheet.cosine
-        return (float(error.mean()), float(np.sqrt(np.mean(error**2)))) if error.size else (np.nan, np.nan)
+        return (
+            (float(error.mean()), float(np.sqrt(np.mean(error**2))))
+            if error.size
+            else (np.nan, np.nan)
+        )
 
     inner = {face: f"interface_{face}" for face in _FACES}
     is_bare = {face: bool(np.isnan(truth[inner[face]]).all()) for face in _FACES}
@@ -128,7 +155,9 @@ def judge(found, sheet):
 def main(*only):
     """Print the table; return the number of cases that missed a limit."""
     part = " ".join(str(word) for word in only)
-    print("bias and rms in um: faces along the normal, layers' thickness; share of columns measured")
+    print(
+        "bias and rms in um: faces along the normal, layers' thickness; share of columns measured"
+    )
     head = ("top", "bottom", "coating top", "coating bottom", "base")
     print(f"{'case':52s}" + "".join(f"{name:>15s}" for name in head) + f"{'share':>8s}{'s':>6s}")
     failed = 0
@@ -163,7 +192,14 @@ def wedge(most, voxel, seed=0):
     count = 160
     thickness = np.linspace(0.0, most, count)
     parts = [
-        Sheet(voxel=voxel, lateral=(60, 2), coats=(float(t), 15.0), thickness=60.0, margin=20.0, seed=seed + k).volume()
+        Sheet(
+            voxel=voxel,
+            lateral=(60, 2),
+            coats=(float(t), 15.0),
+            thickness=60.0,
+            margin=20.0,
+            seed=seed + k,
+        ).volume()
         for k, t in enumerate(thickness)
     ]
     shape = Sheet(voxel=voxel, lateral=(60, count), thickness=60.0, margin=20.0).volume()

@@ -37,10 +37,44 @@ _ENOUGH_S = 120
 _HEAD = 400  # bytes in which headers are damaged
 _HUGE = (2**31 - 1, 2**31, 2**32 - 1, 2**62, 2**63 - 1, 2**64 - 1, 10**9, 65535, 0, 1)
 _ODD = (
-    None, True, -1, 0, 1, 2**31, 2**70, 1e308, -1e-300, float("nan"), float("inf"), "", "x", "nan", "../../x",
-    "ä\x1b[31m", [], {}, [1], [[]], {"a": 1}, "9" * 5000,
-)  # fmt: skip
-_NUMBERS = ("1e999", "-1e308", "nan", "inf", "-0", "0", "99999999999999999999", "1e-320", "", "x", "0x10", "true", "[1")
+    None,
+    True,
+    -1,
+    0,
+    1,
+    2**31,
+    2**70,
+    1e308,
+    -1e-300,
+    float("nan"),
+    float("inf"),
+    "",
+    "x",
+    "nan",
+    "../../x",
+    "ä\x1b[31m",
+    [],
+    {},
+    [1],
+    [[]],
+    {"a": 1},
+    "9" * 5000,
+)
+_NUMBERS = (
+    "1e999",
+    "-1e308",
+    "nan",
+    "inf",
+    "-0",
+    "0",
+    "99999999999999999999",
+    "1e-320",
+    "",
+    "x",
+    "0x10",
+    "true",
+    "[1",
+)
 
 
 @dataclass(kw_only=True)
@@ -74,7 +108,8 @@ def fuzzed(part, cases, run, image, *, show):
     failed, slowest, largest = 0, 0.0, 0.0
     for k in cases:
         place = run.with_name(f"{part}-{k}")
-        shutil.copytree(run, place / "run", copy_function=os.link)  # a file that is changed is made anew
+        # a file that is changed is made anew.
+        shutil.copytree(run, place / "run", copy_function=os.link)
         what, commands = PARTS[part](random.Random(f"{SEED} {part} {k}"), place, image)
         for arguments in commands:
             before = entries(place)
@@ -86,12 +121,19 @@ def fuzzed(part, cases, run, image, *, show):
             ends[f"{arguments[0]} {end.code}"] += 1
             failed += bool(end.faults)
             if end.faults or show:
-                print(f"{part} {k}: {what}: planish {' '.join(arguments)}: {end.code}, {'; '.join(end.faults)}\n"
-                      f"    {end.said}\n    again: python -m benchmarks fuzz {part} 1 {k}", flush=True)  # fmt: skip
+                print(
+                    f"{part} {k}: {what}: planish {' '.join(arguments)}: {end.code},"
+                    f" {'; '.join(end.faults)}\n    {end.said}\n    again: python -m benchmarks"
+                    f" fuzz {part} 1 {k}",
+                    flush=True,
+                )
         shutil.rmtree(place)
     how = ", ".join(f"{count} x {name}" for name, count in sorted(ends.items()))
-    print(f"{part}: {len(cases)} cases, command and exit code: {how}; {failed} broke the rule; refused within "
-          f"{slowest:.1f} s of processor time and {largest:.0f} MiB", flush=True)  # fmt: skip
+    print(
+        f"{part}: {len(cases)} cases, command and exit code: {how}; {failed} broke the rule;"
+        f" refused within {slowest:.1f} s of processor time and {largest:.0f} MiB",
+        flush=True,
+    )
     return failed
 
 
@@ -118,7 +160,11 @@ def ended(arguments):
     signal.signal(signal.SIGALRM, stop)
     signal.alarm(_ENOUGH_S)
     try:
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), warnings.catch_warnings():
+        with (
+            contextlib.redirect_stdout(out),
+            contextlib.redirect_stderr(err),
+            warnings.catch_warnings(),
+        ):
             warnings.simplefilter("default")
             planish(list(arguments))
     except SystemExit as error:
@@ -180,7 +226,9 @@ def _place(data, rng, size=1):
 
 
 def cut(data, rng):
-    return data[: rng.choice((0, _place(data, rng), _place(data, rng), len(data) - rng.randint(1, 64)))]
+    return data[
+        : rng.choice((0, _place(data, rng), _place(data, rng), len(data) - rng.randint(1, 64)))
+    ]
 
 
 def flipped(data, rng):
@@ -201,20 +249,28 @@ def huge(data, rng):
 def moved(data, rng):
     """A piece is lost, or there twice, or foreign bytes are between."""
     at, size = _place(data, rng), rng.randint(1, 64)
-    return data[:at] + rng.choice((b"", data[at : at + size] * 2, rng.randbytes(size))) + data[at + size :]
+    return (
+        data[:at]
+        + rng.choice((b"", data[at : at + size] * 2, rng.randbytes(size)))
+        + data[at + size :]
+    )
 
 
 def number(data, rng):
     """A number of a text becomes an odd one."""
     found = [*re.finditer(rb"-?\d+(\.\d+)?([eE][-+]?\d+)?", data)]
-    for one in sorted(rng.sample(found, min(len(found), rng.choice((1, 1, 2)))), key=lambda m: -m.start()):
+    for one in sorted(
+        rng.sample(found, min(len(found), rng.choice((1, 1, 2)))), key=lambda m: -m.start()
+    ):
         data = data[: one.start()] + rng.choice(_NUMBERS).encode() + data[one.end() :]
     return data
 
 
 def nested(data, rng):
     at = _place(data, rng)
-    return data[:at] + rng.choice((b"[", b'{"a":', b"(")) * rng.choice((3, 5000, 200_000)) + data[at:]
+    return (
+        data[:at] + rng.choice((b"[", b'{"a":', b"(")) * rng.choice((3, 5000, 200_000)) + data[at:]
+    )
 
 
 def leaf(data, rng):
@@ -238,7 +294,13 @@ def leaf(data, rng):
 
 
 def _places(content):
-    keys = content.keys() if isinstance(content, dict) else range(len(content)) if isinstance(content, list) else ()
+    keys = (
+        content.keys()
+        if isinstance(content, dict)
+        else range(len(content))
+        if isinstance(content, list)
+        else ()
+    )
     for key in [*keys]:
         yield content, key
         yield from _places(content[key])
@@ -261,7 +323,9 @@ def of_chunks(rng, place, _):
     if rng.random() < 0.4:
         path = store / "zarr.json" if rng.random() < 0.7 else rng.choice(headers)
     else:
-        path = rng.choice(sorted(p for p in store.rglob("*") if p.is_file() and p.name != "zarr.json"))
+        path = rng.choice(
+            sorted(p for p in store.rglob("*") if p.is_file() and p.name != "zarr.json")
+        )
     if rng.random() < 0.15:
         path.unlink()
         what = f"{path} removed"

@@ -22,7 +22,8 @@ from planish.marks import find_holes
 
 ACROSS = (8, 12, 20, 35, 60, 80)  # pixels across a hole of the usual diameter
 DIAMETER_UM, DIAMETER_SD_UM = 175.0, 8.0
-PRINT = ("screen", "text")  # in reflected light ink lies over rims and char: listed, and not in the sums by diameter
+# In reflected light ink lies over rims and char: listed, and not in the sums by diameter.
+PRINT = ("screen", "text")
 FIELD_UM = (3200.0, 4000.0)
 HOLES = 12
 SHEET_UM, TAPER, TILT_DEG = 55.0, 0.15, 3.0
@@ -45,7 +46,9 @@ class Hole:
     def centroid(self):
         """Centre of the area that was really cut, at the top."""
         cube = self.outline**3 / (1.5 * np.sum(self.outline**2))
-        return np.array([self.x + np.sum(cube * np.cos(_ANGLES)), self.y + np.sum(cube * np.sin(_ANGLES))])
+        return np.array(
+            [self.x + np.sum(cube * np.cos(_ANGLES)), self.y + np.sum(cube * np.sin(_ANGLES))]
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,10 +79,19 @@ class Score:
         partner = away[hit].argmin(axis=1)
         found = np.unique(partner).size
         errors = {
-            "nominal": holes[hit] - true[partner], "centroid": holes[hit] - drawn[partner],
-            "rough": drawn[partner] - true[partner], "variance": variance[hit],
-        }  # fmt: skip
-        self.take(Score(found, len(true) - found, len(holes) - found, {name: [v] for name, v in errors.items()}))
+            "nominal": holes[hit] - true[partner],
+            "centroid": holes[hit] - drawn[partner],
+            "rough": drawn[partner] - true[partner],
+            "variance": variance[hit],
+        }
+        self.take(
+            Score(
+                found,
+                len(true) - found,
+                len(holes) - found,
+                {name: [v] for name, v in errors.items()},
+            )
+        )
 
     def take(self, part):
         """Add another score to this one."""
@@ -126,14 +138,23 @@ def make_hole(rng, x, y, rough_um=4.0):
     """A hole as the specification's specimen has it."""
     diameter = rng.normal(DIAMETER_UM, DIAMETER_SD_UM)
     ratio = rng.uniform(1.0, 1.12)
-    radius = diameter / 2 * (1 + (ratio - 1) / (ratio + 1) * np.cos(2 * (_ANGLES - rng.uniform(0, np.pi))))
-    lean, towards = SHEET_UM * np.tan(np.deg2rad(TILT_DEG * rng.random())), rng.uniform(0, 2 * np.pi)
+    radius = (
+        diameter
+        / 2
+        * (1 + (ratio - 1) / (ratio + 1) * np.cos(2 * (_ANGLES - rng.uniform(0, np.pi))))
+    )
+    lean, towards = (
+        SHEET_UM * np.tan(np.deg2rad(TILT_DEG * rng.random())),
+        rng.uniform(0, 2 * np.pi),
+    )
     width = max(rng.normal(40.0, 10.0), 10.0)
     return Hole(
-        x=x, y=y, outline=radius + around(rng, rough_um, 30.0, np.pi * diameter),
+        x=x,
+        y=y,
+        outline=radius + around(rng, rough_um, 30.0, np.pi * diameter),
         char=np.maximum(width + around(rng, 6.0, 40.0, np.pi * diameter), 4.0),
         lean=(float(lean * np.cos(towards)), float(lean * np.sin(towards))),
-    )  # fmt: skip
+    )
 
 
 # --- papers: grey (rows, columns), mean about 1 ---------------------------------------------------------------------
@@ -143,7 +164,9 @@ def gauss(rng, shape, length_um, pixel, sd):
     """Gaussian mottle; made on a coarse raster where it is smooth."""
     step = max(1, int(length_um / 6 / pixel))
     small = tuple(-(-n // step) + 4 for n in shape)
-    noise = ndimage.gaussian_filter(rng.normal(size=small), length_um / 2 / pixel / step, mode="wrap")
+    noise = ndimage.gaussian_filter(
+        rng.normal(size=small), length_um / 2 / pixel / step, mode="wrap"
+    )
     noise *= sd / noise.std()
     if step > 1:
         noise = ndimage.zoom(noise, step, order=1)
@@ -200,10 +223,14 @@ def _text(rng, shape, pixel, ink):
             elif letter == 2:
                 away = np.abs(np.hypot(u, v) - 150) + 1e3 * (u > 80)
             elif letter == 3:
-                away = np.minimum(np.abs(u) + 1e3 * (np.abs(v) > 240), np.abs(v) + 1e3 * (np.abs(u) > 160))
+                away = np.minimum(
+                    np.abs(u) + 1e3 * (np.abs(v) > 240), np.abs(v) + 1e3 * (np.abs(u) > 160)
+                )
             else:
                 away = np.hypot(u, v - 200) - 60  # a full stop, 190 um across
-            page[rows, cols] = np.maximum(page[rows, cols], np.clip((35 - away) / max(pixel, 4.0) + 0.5, 0, 1))
+            page[rows, cols] = np.maximum(
+                page[rows, cols], np.clip((35 - away) / max(pixel, 4.0) + 0.5, 0, 1)
+            )
     return (1 - (1 - ink) * page) * (1 + gauss(rng, shape, 80, pixel, 0.03))
 
 
@@ -242,7 +269,9 @@ PAPERS = {
     "plain": lambda _r, s, _p, _i: np.ones(s),
     "mottle": lambda r, s, p, _i: 1 + gauss(r, s, 120, p, 0.08) + gauss(r, s, 500, p, 0.05),
     "fibres": lambda r, s, p, _i: _fibres(r, s, p),
-    "gloss": lambda r, s, p, _i: 1 + gauss(r, s, 60, p, 0.02) + 0.3 * np.maximum(gauss(r, s, 25, p, 1.0) - 2.2, 0),
+    "gloss": lambda r, s, p, _i: (
+        1 + gauss(r, s, 60, p, 0.02) + 0.3 * np.maximum(gauss(r, s, 25, p, 1.0) - 2.2, 0)
+    ),
     "screen": lambda r, s, p, i: _screen(r, s, p, 4.0, max(i, 0.6)),
     "unresolved": lambda r, s, p, i: _screen(r, s, p, 45.0, i),
     "text": lambda r, s, p, i: _text(r, s, p, i),
@@ -260,7 +289,9 @@ def _spot(paper, pixel, x, y, radius, factor, soft, ring=0.0):
     """Multiply a spot (or a ring of half width ``ring``) by a factor; its rim ``soft`` um wide."""
     reach = float(np.max(radius)) * (2.5 if soft > 20 else 1.0) + ring + 3 * max(soft, pixel)
     box = _around(x, y, reach, pixel, paper.shape)
-    v, u = (np.arange(part.start, part.stop) * pixel - at for part, at in zip(box, (y, x), strict=True))
+    v, u = (
+        np.arange(part.start, part.stop) * pixel - at for part, at in zip(box, (y, x), strict=True)
+    )
     away, angle = polar(v[:, None], u[None])
     away = away - (np.asarray(radius)[angle] if np.ndim(radius) else radius)
     if ring:
@@ -278,7 +309,15 @@ def _look_alikes(rng, paper, pixel, places, bright):
             _spot(paper, pixel, x, y, rng.uniform(60, 120), rng.uniform(0.4, 0.6), 5.0)
         elif kind == "blot":
             radius = rng.uniform(40, 130)
-            _spot(paper, pixel, x, y, radius * (1 + around(rng, 0.2, 80, 6 * radius)), rng.uniform(0.2, 0.6), 12.0)
+            _spot(
+                paper,
+                pixel,
+                x,
+                y,
+                radius * (1 + around(rng, 0.2, 80, 6 * radius)),
+                rng.uniform(0.2, 0.6),
+                12.0,
+            )
         elif kind == "stain":
             _spot(paper, pixel, x, y, rng.uniform(80, 150), rng.uniform(0.6, 0.8), 60.0)
         elif kind == "pit":
@@ -332,7 +371,10 @@ def shrunk(values, sub):
 
 def polar(v, u):
     """Radius, and which of the 720 angles."""
-    return np.hypot(v, u), (np.arctan2(v, u) % (2 * np.pi) / np.pi * 360).astype(np.intp) % _ANGLES.size
+    return (
+        np.hypot(v, u),
+        (np.arctan2(v, u) % (2 * np.pi) / np.pi * 360).astype(np.intp) % _ANGLES.size,
+    )
 
 
 def make_scene(seed, paper, across, *, bright=False, rough_um=4.0):
@@ -344,8 +386,10 @@ def make_scene(seed, paper, across, *, bright=False, rough_um=4.0):
     image = np.array(PAPERS[paper](rng, shape, pixel, 0.6 if bright else 0.35))
     _look_alikes(rng, image, pixel, others, bright)
     holes = [make_hole(rng, float(p[0]), float(p[1]), rough_um) for p in at]
-    cut = [make_hole(rng, rng.uniform(-30, 30), rng.uniform(300, FIELD_UM[0] - 300)),
-           make_hole(rng, rng.uniform(300, FIELD_UM[1] - 300), FIELD_UM[0] + rng.uniform(-30, 30))]  # fmt: skip
+    cut = [
+        make_hole(rng, rng.uniform(-30, 30), rng.uniform(300, FIELD_UM[0] - 300)),
+        make_hole(rng, rng.uniform(300, FIELD_UM[1] - 300), FIELD_UM[0] + rng.uniform(-30, 30)),
+    ]
     floor = rng.uniform(2.0, 3.0) if bright else rng.uniform(0.05, 0.15)
     for hole in [*holes, *(h for h in cut if np.min(np.hypot(*(at - [h.x, h.y]).T)) > 400)]:
         box, v, u, sub = fine_window(hole, pixel, shape, hole.char.max() + 2 * pixel)
@@ -391,15 +435,17 @@ def look(scene, score, centres=None):
     """Find the holes of a scene and add them to a score."""
     found = find_holes(scene.image, pixel_um=scene.pixel)
     at = np.stack([found["x"].values, found["y"].values], axis=1)
-    score.add(scene, at, np.stack([found["cov_xx"].values, found["cov_yy"].values], axis=1), centres)
+    score.add(
+        scene, at, np.stack([found["cov_xx"].values, found["cov_yy"].values], axis=1), centres
+    )
 
 
 def _row(name, score, pixel):
     limit = f"{0.1 * pixel + 1:6.2f}" if pixel else "      "
     print(
-        f"{name:>12} {score.found:5d} {score.missed:5d} {score.false:5d} {score.rms('nominal'):8.2f} "
-        f"{score.rms('rough'):8.2f} {score.rms('centroid'):8.2f} {limit} {score.stated:8.2f} "
-        f"{score.stated / score.rms('nominal'):6.2f}"
+        f"{name:>12} {score.found:5d} {score.missed:5d} {score.false:5d}"
+        f" {score.rms('nominal'):8.2f} {score.rms('rough'):8.2f} {score.rms('centroid'):8.2f}"
+        f" {limit} {score.stated:8.2f} {score.stated / score.rms('nominal'):6.2f}"
     )
 
 
@@ -410,12 +456,20 @@ def _bad(score, pixel):
     ratio = score.stated / score.rms("nominal")
     low, high = _LIMITS["ratio"]
     is_off = score.rms("centroid") > 0.1 * pixel + 1
-    return bool(score.recall < _LIMITS["recall"] or score.false or is_off or not low <= ratio <= high)
+    return bool(
+        score.recall < _LIMITS["recall"] or score.false or is_off or not low <= ratio <= high
+    )
 
 
 def _synthetic(seeds):
-    print("Errors in um rms per axis: against the nominal centre, the rim's own part of it, against the centroid.")
-    print(f"The rim's own part cannot be separated from a displacement; theory: {least_error():.2f} um.")
+    print(
+        "Errors in um rms per axis: against the nominal centre, the rim's own part of it, against"
+        " the centroid."
+    )
+    print(
+        "The rim's own part cannot be separated from a displacement; theory:"
+        f" {least_error():.2f} um."
+    )
     failed = 0
     for bright in (False, True):
         sizes = {across: Score() for across in ACROSS}
@@ -427,7 +481,10 @@ def _synthetic(seeds):
             if bright or paper not in PRINT:
                 sizes[across].take(one)
             if one.false or one.missed > 1:
-                print(f"    {paper}, {across} pixels, seed {seed}: {one.missed} missed, {one.false} false")
+                print(
+                    f"    {paper}, {across} pixels, seed {seed}: {one.missed} missed, {one.false}"
+                    " false"
+                )
         print(f"{'bright' if bright else 'dark'} holes, pixels across\n{_HEAD}")
         for across, score in sizes.items():
             _row(str(across), score, DIAMETER_UM / across)

@@ -43,7 +43,14 @@ _FIELD = 1.2  # image over sheet: it reaches beyond it and is turned against it
 
 def main(*arguments):
     asked = options(
-        "large_image", arguments, rows="3416,10944", memory="4GB", folder=None, texture=False, hand=False, near=False
+        "large_image",
+        arguments,
+        rows="3416,10944",
+        memory="4GB",
+        folder=None,
+        texture=False,
+        hand=False,
+        near=False,
     )
     if asked.texture:
         return find_texture(mirrored=False if asked.hand else None, is_near=asked.near)
@@ -59,14 +66,20 @@ def measure(rows, cols, folder, limit):
     shutil.rmtree(out, ignore_errors=True)
     volume, image = specimen(rows, cols, folder / f"image-{rows}")
     ran = timed(planish("link", volume, image, "--out", out, "--memory", limit))
-    print(f"{pixels / 1e6:.0f} Mpixel: exit code {ran.code}, {ran.seconds:.0f} s, {ran.cpu:.0f} s of processor time, "
-          f"{1e6 * ran.cpu / pixels:.2f} us a pixel", flush=True)  # fmt: skip
+    print(
+        f"{pixels / 1e6:.0f} Mpixel: exit code {ran.code}, {ran.seconds:.0f} s, {ran.cpu:.0f} s of"
+        f" processor time, {1e6 * ran.cpu / pixels:.2f} us a pixel",
+        flush=True,
+    )
     print("  " + ", ".join(f"{name} {seconds:.0f} s" for name, seconds in ran.stages.items()))
     if ran.code not in (0, 4):
         print(ran.said)
         return
     print(f"  peak memory {ran.peak / 1e9:.2f} GB")
-    print(f"  page {size_of(out / 'report.html') / 1e6:.1f} MB, maps {size_of(out / 'maps.zarr') / 1e9:.1f} GB")
+    print(
+        f"  page {size_of(out / 'report.html') / 1e6:.1f} MB, maps"
+        f" {size_of(out / 'maps.zarr') / 1e9:.1f} GB"
+    )
     shutil.rmtree(out, ignore_errors=True)
 
 
@@ -79,10 +92,13 @@ def specimen(rows, cols, folder):
     while True:
         made = make_specimen(
             SpecimenParams(
-                size_um=(width, height), holes=BurnParams(count=21), camera=CameraParams(pixel_um=PIXEL_UM), seed=3,
+                size_um=(width, height),
+                holes=BurnParams(count=21),
+                camera=CameraParams(pixel_um=PIXEL_UM),
+                seed=3,
                 scanner=ScannerParams(voxel_um=VOXEL_UM, fwhm_um=8.0),
             )
-        )  # fmt: skip
+        )
         if made.image_shape[0] >= rows and made.image_shape[1] >= cols:
             break
         height, width = 1.01 * height, 1.01 * width
@@ -102,35 +118,50 @@ def find_texture(*, mirrored, is_near=False):
         smooth = ndimage.gaussian_filter(rng.standard_normal(shape, dtype=np.float32), 4)
         return smooth / smooth.std()
 
-    image = np.concatenate([field((2250, cols)) for _ in range(rows // 2250)])  # seams do not matter
+    # Seams do not matter.
+    image = np.concatenate([field((2250, cols)) for _ in range(rows // 2250)])
     sheet = field((ny, nx))
-    turn, middle = Similarity(scale=1.01, rotation_rad=np.deg2rad(133.0)), 0.5 * pixel * np.array([nx, ny])
+    turn, middle = (
+        Similarity(scale=1.01, rotation_rad=np.deg2rad(133.0)),
+        0.5 * pixel * np.array([nx, ny]),
+    )
     place = nearest_similarity(turn.matrix(), middle, np.array([41000.0, 22000.0]))
     part = np.s_[5000:6000, 9750:10750]
-    points = np.stack(np.meshgrid(*(np.arange(s.start, s.stop) * pixel for s in part[::-1])), axis=-1)
+    points = np.stack(
+        np.meshgrid(*(np.arange(s.start, s.stop) * pixel for s in part[::-1])), axis=-1
+    )
     at = np.moveaxis(place.inverse(points)[..., ::-1] / pixel, -1, 0)
     seen = ndimage.map_coordinates(sheet, at, order=3, cval=np.nan)
-    image[part] = np.where(np.isfinite(seen), 0.5 * np.nan_to_num(seen) + np.sqrt(0.75) * image[part], image[part])
+    image[part] = np.where(
+        np.isfinite(seen), 0.5 * np.nan_to_num(seen) + np.sqrt(0.75) * image[part], image[part]
+    )
     maps = {
         "coating_top": 15 + 3 * sheet,
         "base_thickness": 50 + 15 * field((ny, nx)),
         "topography_top": field((ny, nx)),
     }
-    maps |= {"thickness": maps["coating_top"] + maps["base_thickness"], "valid": np.ones((ny, nx), dtype=bool)}
+    maps |= {
+        "thickness": maps["coating_top"] + maps["base_thickness"],
+        "valid": np.ones((ny, nx), dtype=bool),
+    }
     moving = xr.Dataset(
         {name: (("v", "u"), values) for name, values in maps.items()},
         coords={"v": np.arange(ny) * pixel, "u": np.arange(nx) * pixel},
     )
     fixed = xr.DataArray(
-        image, dims=("y", "x"), coords={"y": np.arange(rows) * pixel, "x": np.arange(cols) * pixel},
+        image,
+        dims=("y", "x"),
+        coords={"y": np.arange(rows) * pixel, "x": np.arange(cols) * pixel},
         attrs={"pixel_um": [pixel, pixel]},
-    )  # fmt: skip
+    )
     begun, begun_cpu = time.perf_counter(), time.process_time()
     params = RegistrationParams(near=(41000.0, 22000.0, 150.0) if is_near else None)
     registration = register_texture(moving, fixed, mirrored=mirrored, params=params)
     seconds, cpu = time.perf_counter() - begun, time.process_time() - begun_cpu
     corners = np.array([[0.0, 0.0], [nx * pixel, ny * pixel]])
     off_um = float(np.linalg.norm(registration(corners) - place(corners), axis=1).max())
-    print(f"{rows * cols / 1e6:.0f} Mpixel by texture: {seconds:.0f} s, {cpu:.0f} s of processor time, peak memory "
-          f"{memory(peak=True) / 1e9:.2f} GB, {off_um:.2f} um off at the corners")  # fmt: skip
+    print(
+        f"{rows * cols / 1e6:.0f} Mpixel by texture: {seconds:.0f} s, {cpu:.0f} s of processor"
+        f" time, peak memory {memory(peak=True) / 1e9:.2f} GB, {off_um:.2f} um off at the corners"
+    )
     return int(off_um > 6.0)

@@ -45,7 +45,9 @@ def _sheet(number, holes=0):
     params = KINDS["calendered" if number % 4 == 3 else "coated"].draw(rng)
     width = rng.uniform(1500.0, 2400.0)
     size_um = (width, width * rng.uniform(0.65, 0.9))
-    return make_specimen(replace(params, size_um=size_um, holes=BurnParams(pattern="irregular", count=holes)))
+    return make_specimen(
+        replace(params, size_um=size_um, holes=BurnParams(pattern="irregular", count=holes))
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,17 +80,26 @@ def draw_pair(number, *, shown=None, holes=0, light=_LIGHT):
 def _photographed(sheet, specimen, rng, light):
     width, height = specimen.params.size_um
     camera = CameraParams(
-        pixel_um=float(rng.choice([2.6, 4.0, 6.0, 8.0])), turn_range_deg=180.0, scale_range=0.02, nuisance_sd=0.004,
-        shading=rng.uniform(0.0, light), shift_range_um=rng.uniform(0.0, 300.0),
-    )  # fmt: skip
+        pixel_um=float(rng.choice([2.6, 4.0, 6.0, 8.0])),
+        turn_range_deg=180.0,
+        scale_range=0.02,
+        nuisance_sd=0.004,
+        shading=rng.uniform(0.0, light),
+        shift_range_um=rng.uniform(0.0, 300.0),
+    )
     shape, pose = draw_pose(camera, 0.5 * np.array([-width, -height, width, height]), rng)
     shown = replace(
-        specimen, pose=pose, image_shape=shape,
+        specimen,
+        pose=pose,
+        image_shape=shape,
         params=replace(specimen.params, camera=camera, seed=int(rng.integers(1 << 30))),
-    )  # fmt: skip
+    )
     image = shown.image.copy(data=shown.image.values.astype(np.float64))
     weights, lengths = rng.dirichlet([1, 1, 1]), np.exp(rng.uniform(np.log(20.0), np.log(200.0), 3))
-    mottle = sum(w * gauss(rng, shape, s, camera.pixel_um, 1.0) for w, s in zip(weights, lengths, strict=True))
+    mottle = sum(
+        w * gauss(rng, shape, s, camera.pixel_um, 1.0)
+        for w, s in zip(weights, lengths, strict=True)
+    )
     image += rng.uniform(0.0, 2.5) * float(image.std()) * mottle
     maps = _maps(sheet, rng)
     r = math.nan if sheet is not specimen else _texture_r(maps, image, pose)
@@ -101,14 +112,21 @@ def _maps(specimen, rng):
     u, v = (np.arange(-0.5 * n + 60.0, 0.5 * n - 60.0, _MAP_UM) for n in (width, height))
     at = np.meshgrid(u, v)
     top, inner_top, inner_bottom, bottom = (
-        ndimage.gaussian_filter(specimen.sheet.at(face, *at), 2.0 / _MAP_UM) for face in specimen.sheet.faces
+        ndimage.gaussian_filter(specimen.sheet.at(face, *at), 2.0 / _MAP_UM)
+        for face in specimen.sheet.faces
     )
-    values = {"base_thickness": inner_top - inner_bottom, "thickness": top - bottom, "topography_top": top}
+    values = {
+        "base_thickness": inner_top - inner_bottom,
+        "thickness": top - bottom,
+        "topography_top": top,
+    }
     if specimen.params.paper.coating_top_um:
         values["coating_top"] = top - inner_top
     noise_um = rng.uniform(0.5, 1.2)
     noisy = {k: (("v", "u"), m + rng.normal(0, noise_um, m.shape)) for k, m in values.items()}
-    return xr.Dataset(noisy, coords={"v": v, "u": u}).assign(valid=(("v", "u"), np.ones(top.shape, bool)))
+    return xr.Dataset(noisy, coords={"v": v, "u": u}).assign(
+        valid=(("v", "u"), np.ones(top.shape, bool))
+    )
 
 
 def _texture_r(maps, image, pose):
@@ -119,9 +137,12 @@ def _texture_r(maps, image, pose):
     seen = ndimage.map_coordinates(image.values, at, order=3, cval=np.nan)
     names = [k for k in ("coating_top", "base_thickness", "thickness") if k in maps]
     known = np.isfinite(seen)
-    found = textures({k: maps[k].values for k in names} | {"image": seen}, known, (_MAP_UM,) * 2, band_um=BAND_UM)
+    found = textures(
+        {k: maps[k].values for k in names} | {"image": seen}, known, (_MAP_UM,) * 2, band_um=BAND_UM
+    )
     return max(
-        abs(float(np.corrcoef(found.maps[k][found.known], found.maps["image"][found.known])[0, 1])) for k in names
+        abs(float(np.corrcoef(found.maps[k][found.known], found.maps["image"][found.known])[0, 1]))
+        for k in names
     )
 
 
@@ -162,9 +183,15 @@ def main(right=60, wrong=120, first=0, holes=0, light=6):
         print("none was linked")
         return 1
     far = np.percentile(np.concatenate(off), 95)
-    print(f"place: median {np.median([np.median(e) for e in off]):.2f} um, 95 % of pixels within {far:.2f} um")
+    print(
+        f"place: median {np.median([np.median(e) for e in off]):.2f} um, 95 % of pixels within"
+        f" {far:.2f} um"
+    )
     within, within_2 = (np.mean(np.array(ratios) <= k) for k in (1.73, 2.0))
-    print(f"true over stated error {rms(ratios):.2f} pooled, within 1.73: {within:.0%}, within 2: {within_2:.0%}")
+    print(
+        f"true over stated error {rms(ratios):.2f} pooled, within 1.73: {within:.0%}, within 2:"
+        f" {within_2:.0%}"
+    )
     print(f"a link: {np.median(seconds):.1f} s CPU (median)")
     print(f"wrong pairs linked: {false} of {wrong}; {time.process_time() - started:.0f} s CPU")
     strong = is_linked[r >= 0.3]
@@ -179,4 +206,6 @@ def _linked(pair):
         return None, f"refused: {error.text[:150]}"
     points = np.stack(np.meshgrid(pair.maps.u[::10], pair.maps.v[::10]), axis=-1).reshape(-1, 2)
     errors = np.linalg.norm(found(points) - pair.pose(points), axis=1)
-    return (errors, np.asarray(found.fit.expected_error_um(points))), (found.sentence or "").split("(")[-1].rstrip(")")
+    return (errors, np.asarray(found.fit.expected_error_um(points))), (found.sentence or "").split(
+        "("
+    )[-1].rstrip(")")

@@ -34,9 +34,13 @@ def main(sheets=3):
 
 def _measured(seed, folder):
     params = replace(
-        DEMO, seed=seed, size_um=(1500.0, 1200.0), holes=replace(DEMO.holes, count=0),
-        camera=replace(DEMO.camera, turn_range_deg=180.0), sections=SectionsParams(pixel_um=3.0, section_um=6.0),
-    )  # fmt: skip
+        DEMO,
+        seed=seed,
+        size_um=(1500.0, 1200.0),
+        holes=replace(DEMO.holes, count=0),
+        camera=replace(DEMO.camera, turn_range_deg=180.0),
+        sections=SectionsParams(pixel_um=3.0, section_um=6.0),
+    )
     specimen = make_specimen(params)
     camera = replace(params.camera, pixel_um=6.0, turn_deg=-65.0, nuisance_sd=0.006)
     other = make_specimen(replace(params, camera=camera, seed=seed + 100), sheet=specimen.sheet)
@@ -48,8 +52,12 @@ def _measured(seed, folder):
 
     pair = link(*layers.values(), through="y")
     values = pair_errors([(specimen, of) for of in files.values()], pair)
-    print(f"sheet {seed}, two volumes: median {values['pair_median']:.2f}, 95 % {values['pair_p95']:.2f} um; "
-          f"rms {values['pair_rms']:.2f} for {values['pair_predicted_rms']:.2f} um stated", flush=True)  # fmt: skip
+    print(
+        f"sheet {seed}, two volumes: median {values['pair_median']:.2f}, 95 %"
+        f" {values['pair_p95']:.2f} um; rms {values['pair_rms']:.2f} for"
+        f" {values['pair_predicted_rms']:.2f} um stated",
+        flush=True,
+    )
 
     ordered = [layers[PAIR[1]], layers[PAIR[0]], f"photo={scan.image}"]
     chain = link(*ordered, chain=True, through="y")
@@ -61,8 +69,14 @@ def _measured(seed, folder):
     grid = images.groups["layers/small"]
     points = np.stack(np.meshgrid(grid["x"], grid["y"]), axis=-1)[grid["valid"].values]
     shown = images.registrations["small"].fit.inverse(points)
-    off_pixels = np.linalg.norm(specimen.pose.inverse(shown) - other.pose.inverse(points), axis=-1) / camera.pixel_um
-    print(f"sheet {seed}, two images: {_spread(off_pixels)} pixels of {camera.pixel_um:g} um", flush=True)
+    off_pixels = (
+        np.linalg.norm(specimen.pose.inverse(shown) - other.pose.inverse(points), axis=-1)
+        / camera.pixel_um
+    )
+    print(
+        f"sheet {seed}, two images: {_spread(off_pixels)} pixels of {camera.pixel_um:g} um",
+        flush=True,
+    )
     return bool((values["pair_median"] or 0.0) > _MOST_UM or np.median(off_pixels) > _MOST_PIXELS)
 
 

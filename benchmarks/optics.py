@@ -13,11 +13,19 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.evidence import field
-from planish.analyze import correlate, fit_kubelka_munk, independent_points, pile, reflectance, straight_or_curved
+from planish.analyze import (
+    correlate,
+    fit_kubelka_munk,
+    independent_points,
+    pile,
+    reflectance,
+    straight_or_curved,
+)
 
 _SHAPE, _POINT_UM = (60, 80), 100.0
 _WEIGHT, _SPREAD = 17.0, 4.5  # g/m2
-_S, _RATIO, _SLOPE, _NOISE = 0.15, 0.002, 0.00225, 0.0175  # S in m2/g, K/S, of a line per g/m2, of the rest
+# S in m2/g, K/S, of a line per g/m2, of the rest.
+_S, _RATIO, _SLOPE, _NOISE = 0.15, 0.002, 0.00225, 0.0175
 _COVERS = (0.90, 0.985)
 _LENGTHS_UM = ((150.0, 150.0), (200.0, 200.0), (300.0, 300.0), (150.0, 600.0), (300.0, 100.0))
 
@@ -39,15 +47,23 @@ def cover(fields, seed, lengths_um, *, of_rest=True):
             n_eff, squares, level = points.n_eff, points.n_eff_square, points.n_eff_level
         else:
             n_eff, squares, level = correlate(x, line, pixel_um=_POINT_UM).n_eff, None, None
-        fit = fit_kubelka_munk(x, bent, n_eff=n_eff, n_eff_level=level, absorption_over_scattering=_RATIO)
+        fit = fit_kubelka_munk(
+            x, bent, n_eff=n_eff, n_eff_level=level, absorption_over_scattering=_RATIO
+        )
         straight = straight_or_curved(x, line, n_eff=n_eff, n_eff_square=squares)
-        truths = {_S: fit.scattering_interval, BASE: fit.backing_interval, _SLOPE: straight.slope_interval}
+        truths = {
+            _S: fit.scattering_interval,
+            BASE: fit.backing_interval,
+            _SLOPE: straight.slope_interval,
+        }
         truths[0.0] = straight.interval
         held.append([low <= truth <= high for truth, (low, high) in truths.items()])
         n_effs.append(n_eff)
     shares = np.mean(held, axis=0).tolist()
     down, across = lengths_um
-    return shares, f"{down:5.0f} {across:5.0f}{np.median(n_effs):8.0f}" + "".join(f"{v:9.3f}" for v in shares)
+    return shares, f"{down:5.0f} {across:5.0f}{np.median(n_effs):8.0f}" + "".join(
+        f"{v:9.3f}" for v in shares
+    )
 
 
 def _field(rng, length_um):
@@ -58,8 +74,13 @@ def main(fields=200, seed=0):
     """Print the tables; the number of limits that were missed."""
     missed = 0
     for of_rest in (True, False):
-        print(f"{fields} fields, {'independent_points' if of_rest else 'n_eff of correlate for all'}")
-        print(f"{'':24s}-- holds the truth of --\n  map  rest   n_eff        S     base    slope straight")
+        print(
+            f"{fields} fields, {'independent_points' if of_rest else 'n_eff of correlate for all'}"
+        )
+        print(
+            f"{'':24s}-- holds the truth of --\n  map  rest   n_eff        S     base    slope"
+            " straight"
+        )
         for lengths in _LENGTHS_UM if of_rest else _LENGTHS_UM[1::2]:
             shares, row = cover(fields, seed, lengths, of_rest=of_rest)
             missed += of_rest and not all(_COVERS[0] <= v <= _COVERS[1] for v in shares)

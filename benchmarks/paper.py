@@ -105,11 +105,15 @@ class Sized:
         """Numbers of a row of the table."""
         rms, robust = self.ratios
         words = [
-            f"{self.name:14s} true {self.true.mean():6.2f}  off {self.mean:+6.2f} ({self.stated_off:4.1f} stated)"
-            f"  sd {self.error.std():5.2f} ({rms:4.2f} stated, {robust:4.2f} robust)  coverage {self.coverage:.3f}"
+            f"{self.name:14s} true {self.true.mean():6.2f}  off {self.mean:+6.2f}"
+            f" ({self.stated_off:4.1f} stated)  sd {self.error.std():5.2f} ({rms:4.2f} stated,"
+            f" {robust:4.2f} robust)  coverage {self.coverage:.3f}"
         ]
         if self.name.startswith("coating"):
-            words.append("by class " + " ".join(f"{c:+5.2f}" if np.isfinite(c) else "    -" for c in self.classes))
+            words.append(
+                "by class "
+                + " ".join(f"{c:+5.2f}" if np.isfinite(c) else "    -" for c in self.classes)
+            )
         if self.thin:
             words.append("thin found {:.2f}, right {:.2f}".format(*self.thin))
         if self.r:
@@ -126,31 +130,52 @@ class Kind(NamedTuple):
 
 def _specimen(rng, paper, *, slope=0.4, **scan):
     wall, coating = rng.uniform(95.0, 120.0), rng.uniform(170.0, 200.0)
-    scanner = ScannerParams(**{
-        "voxel_um": rng.uniform(2.5, 3.2), "fwhm_um": 4.0, "noise": rng.uniform(0.06, 0.1),
-        "noise_px": float(rng.choice([0.0, 2.0])), "fringe": float(rng.choice([0.0, rng.uniform(0.02, 0.12)])),
-        "cupping": rng.uniform(0.0, 0.04), "rings": int(rng.integers(0, 4)), "streak": rng.uniform(0.0, 0.03),
-        "grey": (40.0, wall, coating), **scan,
-    })  # fmt: skip
+    scanner = ScannerParams(
+        **{
+            "voxel_um": rng.uniform(2.5, 3.2),
+            "fwhm_um": 4.0,
+            "noise": rng.uniform(0.06, 0.1),
+            "noise_px": float(rng.choice([0.0, 2.0])),
+            "fringe": float(rng.choice([0.0, rng.uniform(0.02, 0.12)])),
+            "cupping": rng.uniform(0.0, 0.04),
+            "rings": int(rng.integers(0, 4)),
+            "streak": rng.uniform(0.0, 0.03),
+            "grey": (40.0, wall, coating),
+            **scan,
+        }
+    )
     warp = Warp(
-        slope=rng.uniform(0.0, slope), wavelength_um=rng.uniform(2000.0, 6000.0), tilt_deg=rng.uniform(-5.0, 5.0),
-        ruling_deg=rng.uniform(-90.0, 90.0), phase_rad=rng.uniform(0.0, 6.28),
-    )  # fmt: skip
+        slope=rng.uniform(0.0, slope),
+        wavelength_um=rng.uniform(2000.0, 6000.0),
+        tilt_deg=rng.uniform(-5.0, 5.0),
+        ruling_deg=rng.uniform(-90.0, 90.0),
+        phase_rad=rng.uniform(0.0, 6.28),
+    )
     return SpecimenParams(
-        size_um=_SIZE_UM, paper=paper, holes=BurnParams(pattern="irregular", count=3), warp=warp, scanner=scanner,
-        camera=CameraParams(shading=0.003, nuisance_sd=0.004),  # most of what the image shows is the coating
+        size_um=_SIZE_UM,
+        paper=paper,
+        holes=BurnParams(pattern="irregular", count=3),
+        warp=warp,
+        scanner=scanner,
+        # Most of what the image shows is the coating.
+        camera=CameraParams(shading=0.003, nuisance_sd=0.004),
         seed=int(rng.integers(1 << 30)),
-    )  # fmt: skip
+    )
 
 
 def _coated_paper(rng, low=8.0, high=17.0):
     base = rng.uniform(45.0, 60.0)
     return PaperParams(
-        base_um=base, coating_top_um=rng.uniform(low, high), coating_bottom_um=rng.uniform(low, high),
-        coating_sd_um=rng.uniform(3.0, 5.0), roughness_um=rng.uniform(2.5, 4.5), filler=rng.uniform(0.05, 0.15),
-        levelling_um=rng.uniform(150.0, 350.0), least_coating_um=rng.uniform(0.3, 1.0),
+        base_um=base,
+        coating_top_um=rng.uniform(low, high),
+        coating_bottom_um=rng.uniform(low, high),
+        coating_sd_um=rng.uniform(3.0, 5.0),
+        roughness_um=rng.uniform(2.5, 4.5),
+        filler=rng.uniform(0.05, 0.15),
+        levelling_um=rng.uniform(150.0, 350.0),
+        least_coating_um=rng.uniform(0.3, 1.0),
         fibres=FibreParams(g_per_m2=base * rng.uniform(0.62, 0.75), flexibility=(0.12, 0.2)),
-    )  # fmt: skip
+    )
 
 
 def _coated(rng):
@@ -163,9 +188,11 @@ def _coarse(rng):
 
 def _on_film(rng):
     film = FilmParams(
-        film_um=rng.uniform(15.0, 60.0), gap_um=rng.uniform(15.0, 60.0), grey=rng.uniform(0.5, 1.0),
+        film_um=rng.uniform(15.0, 60.0),
+        gap_um=rng.uniform(15.0, 60.0),
+        grey=rng.uniform(0.5, 1.0),
         share=float(rng.choice([1.0, rng.uniform(0.3, 0.8)])),
-    )  # fmt: skip
+    )
     return replace(_specimen(rng, _coated_paper(rng)), film=film)
 
 
@@ -175,21 +202,29 @@ def _on_tape(rng):
 
 
 def _uncoated(base, **more):
-    return PaperParams(base_um=base, coating_top_um=0.0, coating_bottom_um=0.0, coating_sd_um=0.0, **more)
+    return PaperParams(
+        base_um=base, coating_top_um=0.0, coating_bottom_um=0.0, coating_sd_um=0.0, **more
+    )
 
 
 def _calendered(rng):
     base = rng.uniform(40.0, 48.0)
     filler = rng.uniform(0.15, 0.3)
     fibres = FibreParams(g_per_m2=base * 0.85, fuzz_per_mm2=rng.uniform(2.0, 6.0))
-    return _specimen(rng, _uncoated(base, roughness_um=2.0, filler=filler, base_g_per_cm3=1.15, fibres=fibres))
+    return _specimen(
+        rng, _uncoated(base, roughness_um=2.0, filler=filler, base_g_per_cm3=1.15, fibres=fibres)
+    )
 
 
 def _bulky(rng, voxel_um):
     base = rng.uniform(100.0, 125.0)
     filler, roughness_um = rng.uniform(0.03, 0.1), rng.uniform(5.0, 8.0)
-    fibres = FibreParams(g_per_m2=base * 0.72, lumen_um=(0.0, 10.0), fuzz_per_mm2=rng.uniform(6.0, 10.0))
-    paper = _uncoated(base, filler=filler, roughness_um=roughness_um, base_g_per_cm3=0.7, fibres=fibres)
+    fibres = FibreParams(
+        g_per_m2=base * 0.72, lumen_um=(0.0, 10.0), fuzz_per_mm2=rng.uniform(6.0, 10.0)
+    )
+    paper = _uncoated(
+        base, filler=filler, roughness_um=roughness_um, base_g_per_cm3=0.7, fibres=fibres
+    )
     return _specimen(rng, paper, voxel_um=voxel_um)
 
 
@@ -232,7 +267,11 @@ def main(*arguments):
                 surfaces, sized = measured(specimen, KINDS[name].names)
                 rows = [s.line() for s in sized]
                 if film := specimen.params.film:
-                    rows += _named(specimen) if film.is_tape else _beside_none(specimen, surfaces, sized)
+                    rows += (
+                        _named(specimen)
+                        if film.is_tape
+                        else _beside_none(specimen, surfaces, sized)
+                    )
                 all_sized += sized
             except PlanishError as error:
                 rows = [f"{type(error).__name__}: {error}"]
@@ -259,11 +298,14 @@ def _beside_none(specimen, surfaces, sized):
         there = other[face].values - alone.warp.shift_um[2]
         apart = (here - there)[np.isfinite(here) & np.isfinite(there)]
         rows.append(
-            f"{face:14s} beside none: median {np.median(apart):+.2f}, of the size {np.median(np.abs(apart)):.2f} um"
+            f"{face:14s} beside none: median {np.median(apart):+.2f}, of the size"
+            f" {np.median(np.abs(apart)):.2f} um"
         )
     for one, two in zip(sized, others, strict=True):
         share = one.coverage / two.coverage
-        rows.append(f"{one.name:14s} beside none: mean {one.mean - two.mean:+.2f} um, coverage {share:.3f}")
+        rows.append(
+            f"{one.name:14s} beside none: mean {one.mean - two.mean:+.2f} um, coverage {share:.3f}"
+        )
     return rows
 
 
@@ -275,10 +317,10 @@ def _summed_up(all_sized):
         means, sds = np.array([s.mean for s in sized]), [float(s.error.std()) for s in sized]
         ratios, within = [s.ratios[0] for s in sized], np.mean([s.stated_off <= 2.0 for s in sized])
         words = (
-            f"{name:14s} {len(sized)} specimens: off {means.mean():+.2f} ({means.min():+.2f} to {means.max():+.2f}), "
-            f"within 2 stated errors {within:.0%}; sd {np.median(sds):.2f} (to {max(sds):.2f}); true over stated "
-            f"{np.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f}); coverage from "
-            f"{min(s.coverage for s in sized):.3f}"
+            f"{name:14s} {len(sized)} specimens: off {means.mean():+.2f} ({means.min():+.2f} to"
+            f" {means.max():+.2f}), within 2 stated errors {within:.0%}; sd {np.median(sds):.2f}"
+            f" (to {max(sds):.2f}); true over stated {np.median(ratios):.2f} ({min(ratios):.2f} to"
+            f" {max(ratios):.2f}); coverage from {min(s.coverage for s in sized):.3f}"
         )
         if name.startswith("coating"):
             classes = np.array([s.classes for s in sized])
@@ -286,7 +328,9 @@ def _summed_up(all_sized):
             words += "; by class " + " ".join(f"{c:+.2f}" for c in pooled)
         thin = np.array([s.thin for s in sized if s.thin])
         if len(thin):
-            words += f"; thin ({len(thin)}) found {thin[:, 0].mean():.2f}, right {thin[:, 1].mean():.2f}"
+            words += (
+                f"; thin ({len(thin)}) found {thin[:, 0].mean():.2f}, right {thin[:, 1].mean():.2f}"
+            )
         r = np.array([s.r for s in sized if s.r])
         if len(r):
             words += f"; r off by at most {np.abs(r[:, 0] - r[:, 1]).max():.3f}"
@@ -313,11 +357,17 @@ def measured(specimen, names):
         values = properties[name].values.astype(np.float64)
         has_value = is_clear & np.isfinite(values) & np.isfinite(true[name])
         stated = facts[name].mean_standard_error if name in facts else None
-        sized.append(Sized(
-            name=name, true=true[name][has_value], error=(values - true[name])[has_value],
-            stated=properties[f"{name}_se"].values[has_value], mean_stated=stated or math.nan,
-            coverage=float(has_value.sum() / is_clear.sum()), image=image[has_value] if name == "coating_top" else None,
-        ))  # fmt: skip
+        sized.append(
+            Sized(
+                name=name,
+                true=true[name][has_value],
+                error=(values - true[name])[has_value],
+                stated=properties[f"{name}_se"].values[has_value],
+                mean_stated=stated or math.nan,
+                coverage=float(has_value.sum() / is_clear.sum()),
+                image=image[has_value] if name == "coating_top" else None,
+            )
+        )
     return surfaces, sized
 
 
@@ -347,16 +397,30 @@ def truth(specimen, columns):
     u, v = _uv(specimen, columns)
     if specimen.params.paper.coating_top_um:
         scan = specimen.params.scanner
-        blur, box = scan.fwhm_um / math.sqrt(8.0 * math.log(2.0)) / PITCH_UM, max(round(voxel / PITCH_UM), 1)
+        blur, box = (
+            scan.fwhm_um / math.sqrt(8.0 * math.log(2.0)) / PITCH_UM,
+            max(round(voxel / PITCH_UM), 1),
+        )
         top, inner_top, inner_bottom, bottom = (
-            sheet.at(ndimage.uniform_filter(ndimage.gaussian_filter(face, blur), box), u, v) for face in sheet.faces
+            sheet.at(ndimage.uniform_filter(ndimage.gaussian_filter(face, blur), box), u, v)
+            for face in sheet.faces
         )
     else:
         paper = specimen.params.paper
-        bare = replace(specimen.params, paper=replace(paper, fibres=replace(paper.fibres, fuzz_per_mm2=0.0)), film=None)
+        bare = replace(
+            specimen.params,
+            paper=replace(paper, fibres=replace(paper.fibres, fuzz_per_mm2=0.0)),
+            film=None,
+        )
         structure = make_specimen(bare).sheet.structure
         blur = specimen.params.scanner.fwhm_um
-        top, bottom = (sheet.at(structure.face(blur, PITCH_UM, top=side), u, v) for side in (True, False))
+        top, bottom = (
+            sheet.at(structure.face(blur, PITCH_UM, top=side), u, v) for side in (True, False)
+        )
         inner_top, inner_bottom = top, bottom
-    true = {"coating_top": top - inner_top, "coating_bottom": inner_bottom - bottom, "thickness": top - bottom}
+    true = {
+        "coating_top": top - inner_top,
+        "coating_bottom": inner_bottom - bottom,
+        "thickness": top - bottom,
+    }
     return true, sheet.at(sheet.rim_um[0], u, v) > _CLEAR_UM

@@ -40,7 +40,9 @@ def planish(*arguments, folder):
 def stored(drawn, folder, colours=200):
     """Keep a drawn figure in few colours: a third of the bytes."""
     with Image.open(drawn) as picture:
-        picture.convert("RGB").quantize(colours, dither=Image.Dither.NONE).save(folder / drawn.name, optimize=True)
+        picture.convert("RGB").quantize(colours, dither=Image.Dither.NONE).save(
+            folder / drawn.name, optimize=True
+        )
 
 
 def linked(path, folder):
@@ -53,12 +55,18 @@ def linked(path, folder):
     window = (slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1))
     extent = (x[window[1]][0], x[window[1]][-1], y[window[0]][-1], y[window[0]][0])
     figure, axes = plt.subplots(1, 2, figsize=(10, 3.5), layout="constrained")
-    layers = (("image", "gray", "Image: grey value"), ("coating_top", "viridis", "Coating, top side / µm"))
+    layers = (
+        ("image", "gray", "Image: grey value"),
+        ("coating_top", "viridis", "Coating, top side / µm"),
+    )
     for ax, (name, colours, label) in zip(axes, layers, strict=True):
         seen = maps[name].to_numpy()[window]
         low, high = np.nanpercentile(np.where(valid[window], seen, np.nan), (1, 99))
-        values = seen if name == "image" else np.where(valid[window], seen, np.nan)  # the image with its holes
-        shown = ax.imshow(values, extent=extent, cmap=colours, vmin=low, vmax=high, interpolation="none")
+        # The image with its holes.
+        values = seen if name == "image" else np.where(valid[window], seen, np.nan)
+        shown = ax.imshow(
+            values, extent=extent, cmap=colours, vmin=low, vmax=high, interpolation="none"
+        )
         ax.set_facecolor(_MISSING)
         ax.set_xlabel("x / mm")
         figure.colorbar(shown, ax=ax, label=label, shrink=0.85, extend="both")
@@ -76,7 +84,10 @@ def tutorial(path, folder):
     shutil.copyfile(folder / "look.png", path.with_name("tutorial-look.png"))
     shot(folder / "run" / "report.html", path, 1100, 940)
     planish("report", "run", "-o", "page.html", "--figures", folder=folder)
-    parts = {"slices": "slices-with-the-surfaces-found", "marks": "marks-in-the-image-and-their-residuals"}
+    parts = {
+        "slices": "slices-with-the-surfaces-found",
+        "marks": "marks-in-the-image-and-their-residuals",
+    }
     for name, part in parts.items():
         (figure,) = (folder / "figures").glob(f"*-{part}.svg")
         shot(figure, path.with_name(f"tutorial-{name}.png"), *size_of(figure))
@@ -84,26 +95,46 @@ def tutorial(path, folder):
 
 def size_of(figure):
     """Width and height of an SVG figure in pixels, the width being 760."""
-    box = re.search(r'viewBox="[\d.-]+ [\d.-]+ ([\d.]+) ([\d.]+)"', figure.read_text(encoding="utf-8"))
+    box = re.search(
+        r'viewBox="[\d.-]+ [\d.-]+ ([\d.]+) ([\d.]+)"', figure.read_text(encoding="utf-8")
+    )
     width, height = float(box[1]), float(box[2])
     return 760, round(760 * height / width)
 
 
 def shot(page, path, width, height):
     """Take a picture of a page or figure as a browser shows it."""
-    browser = next((found for name in ("chromium", "google-chrome", "chrome") if (found := shutil.which(name))), None)
+    browser = next(
+        (
+            found
+            for name in ("chromium", "google-chrome", "chrome")
+            if (found := shutil.which(name))
+        ),
+        None,
+    )
     if browser is None:
         raise SystemExit("Pictures of pages need chromium on the path.")
     if page.suffix == ".svg":  # stretched to the window
         holder = page.with_suffix(".html")
-        holder.write_text(f'<body style="margin:0"><img src="{page.name}" style="width:100%">', encoding="utf-8")
+        holder.write_text(
+            f'<body style="margin:0"><img src="{page.name}" style="width:100%">', encoding="utf-8"
+        )
         page = holder
     with tempfile.TemporaryDirectory() as profile:
         command = [
-            browser, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--hide-scrollbars",
-            "--disable-background-networking", "--disable-sync", f"--user-data-dir={profile}",
-            f"--screenshot={path}", f"--window-size={width},{height}", page.resolve().as_uri(),
-        ]  # fmt: skip
+            browser,
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--no-first-run",
+            "--hide-scrollbars",
+            "--disable-background-networking",
+            "--disable-sync",
+            f"--user-data-dir={profile}",
+            f"--screenshot={path}",
+            f"--window-size={width},{height}",
+            page.resolve().as_uri(),
+        ]
         subprocess.run(command, check=True, capture_output=True)
     stored(path, path.parent, 128)
 
@@ -113,20 +144,39 @@ def first_pages(path, folder):
     planish("demo", "--out", "demo", folder=folder)
     specimen = ["ct", "sections", "image"]
     which = [word for name in specimen for word in ("--instrument", name)]
-    planish("specimen", "--preset", "wfc118", "--seed", "3", *which, "--out", "sheet", folder=folder)
+    planish(
+        "specimen", "--preset", "wfc118", "--seed", "3", *which, "--out", "sheet", folder=folder
+    )
     volume = "demo/specimen/volume.tif"
     with_noise_alone(folder / "demo" / "specimen" / "image.tif", folder / "unrelated.tif")
     overexposed(folder / "sheet" / "image.ome.tif", folder / "overexposed.tif")
     runs = {
         "demo": ["link", volume, "demo/specimen/image.tif"],
-        "sections": ["link", "sheet/sections", "sheet/image.ome.tif", "--through", "y", "--memory", "13GB"],
+        "sections": [
+            "link",
+            "sheet/sections",
+            "sheet/image.ome.tif",
+            "--through",
+            "y",
+            "--memory",
+            "13GB",
+        ],
         "two-volumes": ["link", "sheet/scan", "run-sections", "--through", "y"],
         "unrelated": ["link", volume, "unrelated.tif"],
         "overexposed": ["link", "sheet/scan", "overexposed.tif", "--through", "y"],
     }
     cell = IMAGES.parents[2] / "shared" / "data" / "battery_sector_right"
     if cell.exists():
-        runs["wall"] = ["map", str(cell), "--voxel-um", "1", "--through", "x", "--sheet-grey", "100,255"]
+        runs["wall"] = [
+            "map",
+            str(cell),
+            "--voxel-um",
+            "1",
+            "--through",
+            "x",
+            "--sheet-grey",
+            "100,255",
+        ]
     for name, command in runs.items():
         planish(*command, "--out", f"run-{name}", folder=folder)
         shot(folder / f"run-{name}" / "report.html", path.with_name(f"first-{name}.png"), 1280, 900)
@@ -140,7 +190,9 @@ def with_noise_alone(image, path):
     holes = ndimage.binary_dilation((grey < 0.6 * middle) | (grey > 1.6 * middle), iterations=8)
     holes = ndimage.binary_dilation(ndimage.binary_opening(holes, iterations=6), iterations=10)
     noise, _ = field(np.random.default_rng(5), grey.shape, 30.0, "exp")
-    sheet = np.where(holes, grey, np.clip(middle + np.std(grey[~holes]) * noise, 0, 65535)).astype(np.uint16)
+    sheet = np.where(holes, grey, np.clip(middle + np.std(grey[~holes]) * noise, 0, 65535)).astype(
+        np.uint16
+    )
     _written(path, sheet, read.attrs["pixel_um"])
 
 
@@ -163,7 +215,9 @@ def gallery(path, folder):
     examples = sorted((IMAGES.parents[1] / "examples").glob("*.py"))
     for example in examples:
         done = subprocess.run(
-            [sys.executable, str(example), str(folder)], check=False, env=os.environ | {"MPLBACKEND": "agg"}
+            [sys.executable, str(example), str(folder)],
+            check=False,
+            env=os.environ | {"MPLBACKEND": "agg"},
         )
         drawn = folder / f"{example.stem}.png"
         if done.returncode or not drawn.exists():
@@ -172,7 +226,12 @@ def gallery(path, folder):
         stored(drawn, path.parent / "examples")
 
 
-_FACES = {"top": "#ff9f1c", "interface_top": "#2ec4b6", "interface_bottom": "#2ec4b6", "bottom": "#ff9f1c"}
+_FACES = {
+    "top": "#ff9f1c",
+    "interface_top": "#2ec4b6",
+    "interface_bottom": "#2ec4b6",
+    "bottom": "#ff9f1c",
+}
 
 
 def real_paper(path, folder):
@@ -181,9 +240,13 @@ def real_paper(path, folder):
         volume = paper.drawn(name, 0).volume
         voxel_um = float(volume["x"][1])
         row = volume.sizes["y"] // 2
-        figure, axes = plt.subplots(2, 1, figsize=(8, 4.4), layout="constrained", sharex=True, sharey=True)
+        figure, axes = plt.subplots(
+            2, 1, figsize=(8, 4.4), layout="constrained", sharex=True, sharey=True
+        )
         for ax in axes:
-            extent = tuple(voxel_um * (edge - 0.5) for edge in (0, volume.sizes["x"], 0, volume.sizes["z"]))
+            extent = tuple(
+                voxel_um * (edge - 0.5) for edge in (0, volume.sizes["x"], 0, volume.sizes["z"])
+            )
             ax.imshow(volume[:, row], cmap="gray", vmin=0, vmax=255, origin="lower", extent=extent)
         try:
             surfaces = pl.find_surfaces(volume).isel(y=row)
@@ -216,9 +279,13 @@ def studies(path, folder):
 
 
 PICTURES = {
-    "linked": linked, "tutorial-page": tutorial, "first-pages": first_pages, "examples": gallery,
-    "studies": studies, "real-paper": real_paper,
-}  # fmt: skip
+    "linked": linked,
+    "tutorial-page": tutorial,
+    "first-pages": first_pages,
+    "examples": gallery,
+    "studies": studies,
+    "real-paper": real_paper,
+}
 
 
 def main(*names):

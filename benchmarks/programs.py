@@ -62,7 +62,10 @@ def main(*arguments):
                 print(f"skipped: {error}")
             except (AssertionError, subprocess.CalledProcessError) as error:
                 failed += 1
-                print(f"FAILED: {check.__name__}: {error} {(getattr(error, 'stderr', '') or '')[-2000:]}")
+                print(
+                    f"FAILED: {check.__name__}: {error}"
+                    f" {(getattr(error, 'stderr', '') or '')[-2000:]}"
+                )
     wide = [max(map(len, column)) for column in zip(*table, strict=True)]
     table.insert(1, Row(*("-" * n for n in wide)))
     for row in table:
@@ -89,8 +92,11 @@ def written(run, folder, pictures):
     folder.mkdir(parents=True)
     opened = open_run(run)
     files = {
-        "tiff": ".tif", "netcdf": ".nc", "gwy": ".gwy", "csv": ".csv",
-    }  # fmt: skip
+        "tiff": ".tif",
+        "netcdf": ".nc",
+        "gwy": ".gwy",
+        "csv": ".csv",
+    }
     for to, suffix in files.items():
         more = {"point_um": 0} if to == "csv" else {}
         export(run, folder / f"maps{suffix}", to=to, maps=_NAMES, **more)
@@ -157,15 +163,25 @@ def imagej(case):
     if jar is None or find_spec("jpype") is None:
         raise Missing("ImageJ: ij.jar or JPype (pip install jpype1) is not installed")
     place = case.folder / "imagej.npy"
-    said = json.loads(output([sys.executable, "-c", _IMAGEJ, jar, str(case.folder / "maps.tif"), str(place)]))
+    said = json.loads(
+        output([sys.executable, "-c", _IMAGEJ, jar, str(case.folder / "maps.tif"), str(place)])
+    )
     values = np.load(place)
     assert said["unit"] == "µm", said["unit"]
     assert "study_sha256" in said["info"]
     assert [label.split(" ")[0] for label in said["labels"]] == list(_NAMES), said["labels"]
     name = f"ImageJ {said['version']}"
     for k, one in enumerate(_NAMES):
-        yield Row(name, "IJ.openImage", "maps.tif", f"{one}, NaN", largest(values[k], case.maps[one]))
-    yield Row(name, "getCalibration", "maps.tif", "pixel, unit µm", difference(said["pixel"], case.pixel_um))
+        yield Row(
+            name, "IJ.openImage", "maps.tif", f"{one}, NaN", largest(values[k], case.maps[one])
+        )
+    yield Row(
+        name,
+        "getCalibration",
+        "maps.tif",
+        "pixel, unit µm",
+        difference(said["pixel"], case.pixel_um),
+    )
 
 
 def difference(found, expected, limit=0.0):
@@ -188,18 +204,40 @@ def octave(case):
     from scipy import io
 
     program("octave", "--version")
-    said = output(["octave", "--no-gui", "--quiet", "--norc", "--eval", _OCTAVE.format(folder=case.folder)])
+    said = output(
+        ["octave", "--no-gui", "--quiet", "--norc", "--eval", _OCTAVE.format(folder=case.folder)]
+    )
     name = f"GNU Octave {said.strip().splitlines()[-1]}"
     back = io.loadmat(case.folder / "octave.mat", simplify_cells=True)
     for one in _NAMES:
-        yield Row(name, "load", "maps.mat (5)", f"{one}, NaN", largest(back["s"][one], case.maps[one]))
+        yield Row(
+            name, "load", "maps.mat (5)", f"{one}, NaN", largest(back["s"][one], case.maps[one])
+        )
     yield Row(
-        name, "load", "maps.mat (7.3)", "coating_top, NaN", largest(back["t"]["coating_top"], case.maps["coating_top"])
+        name,
+        "load",
+        "maps.mat (7.3)",
+        "coating_top, NaN",
+        largest(back["t"]["coating_top"], case.maps["coating_top"]),
     )
-    yield Row(name, "load", "maps.mat (5)", "pixel_um", difference(np.ravel(back["s"]["pixel_um"]), case.pixel_um))
-    yield Row(name, "load", "coating_top.txt", "coating_top, NaN", largest(back["m"], case.maps["coating_top"]))
+    yield Row(
+        name,
+        "load",
+        "maps.mat (5)",
+        "pixel_um",
+        difference(np.ravel(back["s"]["pixel_um"]), case.pixel_um),
+    )
+    yield Row(
+        name,
+        "load",
+        "coating_top.txt",
+        "coating_top, NaN",
+        largest(back["m"], case.maps["coating_top"]),
+    )
     found = placed(back["c"], case)
-    yield Row(name, "dlmread", "maps.csv", "coating_top, NaN", largest(found, case.maps["coating_top"]))
+    yield Row(
+        name, "dlmread", "maps.csv", "coating_top, NaN", largest(found, case.maps["coating_top"])
+    )
 
 
 _GWYDDION = """
@@ -240,10 +278,14 @@ def gwyddion(case):
     assert not problems, problems
     yield Row(name, "gwyddion (check)", "maps.gwy", "problems found", "none")
     assert "Gwyddion native format" in output(["gwyddion", "--identify", str(path)])
-    size = json.loads(output([sys.executable, "-c", _GWYDDION, str(path), str(case.folder / "gwyddion.npy")]))
+    size = json.loads(
+        output([sys.executable, "-c", _GWYDDION, str(path), str(case.folder / "gwyddion.npy")])
+    )
     values = np.load(case.folder / "gwyddion.npy") * 1e6
     command = "gwy_serializable_deserialize"
-    yield Row(name, command, "maps.gwy", "coating_top, mask", largest(values, case.maps["coating_top"]))
+    yield Row(
+        name, command, "maps.gwy", "coating_top, mask", largest(values, case.maps["coating_top"])
+    )
     pixel = [1e6 * s / n for s, n in zip(size, values.shape, strict=True)]
     yield Row(name, command, "maps.gwy", "pixel", difference(pixel, case.pixel_um, limit=1e-9))
 
@@ -270,7 +312,9 @@ def statistics(case):
     output(["Rscript", "--vanilla", str(case.folder / "read.R"), str(case.folder)])
     shape, coating = case.maps["coating_top"].shape, case.maps["coating_top"]
     table = np.fromfile(case.folder / "r-csv.bin").reshape(3, -1).T
-    yield Row(name, "read.csv", "maps.csv", "coating_top, NaN", largest(placed(table, case), coating))
+    yield Row(
+        name, "read.csv", "maps.csv", "coating_top, NaN", largest(placed(table, case), coating)
+    )
     if (case.folder / "r-nc.bin").exists():
         values = np.fromfile(case.folder / "r-nc.bin").reshape(shape)  # R counts along x first
         yield Row(name, "ncdf4::nc_open", "maps.nc", "coating_top, NaN", largest(values, coating))
@@ -339,8 +383,10 @@ def paraview(case):
     names = ("top.ply", "top.vtu", "top.stl", "top.obj")
     (case.folder / "read.py").write_text(_PARAVIEW, encoding="utf-8")
     said = json.loads(
-        output(["pvpython", str(case.folder / "read.py"), str(case.folder), *names]).strip().splitlines()[-1]
-    )  # fmt: skip
+        output(["pvpython", str(case.folder / "read.py"), str(case.folder), *names])
+        .strip()
+        .splitlines()[-1]
+    )
     surfaces = case.run.groups["surfaces"]
     known = np.isfinite(surfaces.top.values)
     y, x = np.meshgrid(surfaces.y.values, surfaces.x.values, indexing="ij")
@@ -356,13 +402,27 @@ def paraview(case):
         else:
             yield Row(name, "OpenDataFile", file, "nodes", largest(points, expected))
     values = np.load(case.folder / "top.vtu.values.npy")
-    yield Row(name, "OpenDataFile", "top.vtu", "coating_top, NaN", largest(values, surfaces.coating_top.values[known]))
+    yield Row(
+        name,
+        "OpenDataFile",
+        "top.vtu",
+        "coating_top, NaN",
+        largest(values, surfaces.coating_top.values[known]),
+    )
     assert "RGB" in said["top.ply"][2]
     if case.pictures is not None and shutil.which("xvfb-run"):
         case.pictures.mkdir(parents=True, exist_ok=True)
         (case.folder / "draw.py").write_text(_PICTURE, encoding="utf-8")
-        output(["xvfb-run", "-a", "pvpython", str(case.folder / "draw.py"), str(case.folder / "top.ply"),
-                str(case.pictures / "surface.png")])  # fmt: skip
+        output(
+            [
+                "xvfb-run",
+                "-a",
+                "pvpython",
+                str(case.folder / "draw.py"),
+                str(case.folder / "top.ply"),
+                str(case.pictures / "surface.png"),
+            ]
+        )
 
 
 def transformix(case):
@@ -370,23 +430,49 @@ def transformix(case):
     name = f"transformix {program('transformix', '--version')}"
     maps, fit = case.run.maps, next(iter(case.run.registrations.values())).fit
     rng = np.random.default_rng(0)
-    sheet = np.stack([rng.uniform(float(at[0]), float(at[-1]), 500) for at in (maps.u.values, maps.v.values)], axis=1)
+    sheet = np.stack(
+        [rng.uniform(float(at[0]), float(at[-1]), 500) for at in (maps.u.values, maps.v.values)],
+        axis=1,
+    )
     image = fit(sheet)
     folder = case.folder / "elastix"
     limit = 0.01 * min(case.pixel_um)
-    for stem, given, expected in (("sheet_to_image", sheet, image), ("image_to_sheet", image, fit.inverse(image))):
+    for stem, given, expected in (
+        ("sheet_to_image", sheet, image),
+        ("image_to_sheet", image, fit.inverse(image)),
+    ):
         lines = "".join(f"{x!r} {y!r}\n" for x, y in given.tolist())
         (folder / "points.txt").write_text(f"point\n{len(given)}\n{lines}", encoding="utf-8")
         out = folder / "out"
         out.mkdir(exist_ok=True)
-        output(["transformix", "-def", "points.txt", "-tp", f"{stem}.txt", "-out", "out"], cwd=folder)
-        found = re.findall(r"OutputPoint = \[ (\S+) (\S+) \]", (out / "outputpoints.txt").read_text(encoding="utf-8"))
+        output(
+            ["transformix", "-def", "points.txt", "-tp", f"{stem}.txt", "-out", "out"], cwd=folder
+        )
+        found = re.findall(
+            r"OutputPoint = \[ (\S+) (\S+) \]",
+            (out / "outputpoints.txt").read_text(encoding="utf-8"),
+        )
         moved = np.array(found, dtype=float)
-        yield Row(name, "transformix -def", f"{stem}.txt", "500 points, um", difference(moved, expected, limit))
+        yield Row(
+            name,
+            "transformix -def",
+            f"{stem}.txt",
+            "500 points, um",
+            difference(moved, expected, limit),
+        )
     import SimpleITK as sitk
 
     output(
-        ["transformix", "-in", str(case.folder / "sheet.nrrd"), "-tp", "image_to_sheet.txt", "-out", "out"], cwd=folder
+        [
+            "transformix",
+            "-in",
+            str(case.folder / "sheet.nrrd"),
+            "-tp",
+            "image_to_sheet.txt",
+            "-out",
+            "out",
+        ],
+        cwd=folder,
     )
     brought = sitk.GetArrayFromImage(sitk.ReadImage(str(folder / "out" / "result.nrrd")))
     linked = case.maps["coating_top"]
@@ -396,4 +482,6 @@ def transformix(case):
     # planish interpolates once, from the columns; here the flat map is interpolated again.
     off = float(np.median(np.abs(brought - linked)[both]))
     assert off < 0.1 * float(np.nanstd(linked)), off
-    yield Row(name, "transformix -in", "sheet.nrrd", "coating_top on the image, median", f"{off:.2g}")
+    yield Row(
+        name, "transformix -in", "sheet.nrrd", "coating_top on the image, median", f"{off:.2g}"
+    )

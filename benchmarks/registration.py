@@ -82,10 +82,14 @@ def _deviation(kind, size_um, rng):
         # Six waves of about one length, which is .7 to 3 times the extent.
         length = max(EXTENT_UM) * np.exp(rng.uniform(np.log(0.7), np.log(3)))
         ways = rng.uniform(0, 2 * np.pi, 6)
-        waves = 2 * np.pi / (length * rng.uniform(0.7, 1.5, 6)) * np.array([np.cos(ways), np.sin(ways)])
+        waves = (
+            2 * np.pi / (length * rng.uniform(0.7, 1.5, 6)) * np.array([np.cos(ways), np.sin(ways)])
+        )
         phases, sizes = rng.uniform(0, 2 * np.pi, (6, 2)), rng.normal(0, 1, (6, 2))
         shape = lambda p: np.sum(np.sin((p @ waves)[..., None] + phases) * sizes, axis=-2)  # noqa: E731
-    probe = np.stack(np.meshgrid(*(np.linspace(0, e, 20) for e in EXTENT_UM)), axis=-1).reshape(-1, 2)
+    probe = np.stack(np.meshgrid(*(np.linspace(0, e, 20) for e in EXTENT_UM)), axis=-1).reshape(
+        -1, 2
+    )
     z, w = ((v - v.mean(axis=0)) @ np.array([1, 1j]) for v in (probe, shape(probe)))
     left = w - z * (np.sum(z.conj() * w) / np.sum(np.abs(z) ** 2))
     factor = size_um / np.sqrt(np.mean(np.abs(left) ** 2) / 2)
@@ -98,9 +102,10 @@ def drawn(rng, most=5.0):
     n = round(float(np.exp(rng.uniform(np.log(6), np.log(60)))))
     noise = float(np.exp(rng.uniform(np.log(0.5), np.log(5))))
     turn = Similarity(
-        scale=rng.uniform(0.97, 1.03), rotation_rad=rng.uniform(-np.pi, np.pi),
+        scale=rng.uniform(0.97, 1.03),
+        rotation_rad=rng.uniform(-np.pi, np.pi),
         shift_um=(rng.uniform(-5e3, 5e3), rng.uniform(-5e3, 5e3)),
-    )  # fmt: skip
+    )
     deviation = _deviation(kind, rng.uniform(0, most) * noise, rng)
     truth = lambda p: turn(p) + deviation(p)  # noqa: E731
     marks = spread_marks(n, rng)
@@ -110,7 +115,9 @@ def drawn(rng, most=5.0):
     # Wrong marks are 10 to 100 times the noise off, in any direction.
     off, way = noise * 10 ** rng.uniform(1, 2, n), rng.uniform(0, 2 * np.pi, n)
     error[wrong] += (off[:, None] * np.stack([np.cos(way), np.sin(way)], axis=1))[wrong]
-    return Drawn(kind=kind, truth=truth, marks=marks, seen=truth(marks) + error, wrong=wrong, noise_um=noise)
+    return Drawn(
+        kind=kind, truth=truth, marks=marks, seen=truth(marks) + error, wrong=wrong, noise_um=noise
+    )
 
 
 def judged(one, models=(*MODELS, "auto")):
@@ -130,9 +137,14 @@ def judged(one, models=(*MODELS, "auto")):
         stated[model] = rms(fit.expected_error_um(grid))
         warned[model] = any("leaves structure" in w for w in fit.warnings)
     return Row(
-        kind=one.kind, true_um=true, stated_um=stated, warned=warned, wrong=int(one.wrong.sum()),
-        missed=int(np.sum(one.wrong & (weights > 0))), accused=int(np.sum(~one.wrong & (weights == 0))),
-    )  # fmt: skip
+        kind=one.kind,
+        true_um=true,
+        stated_um=stated,
+        warned=warned,
+        wrong=int(one.wrong.sum()),
+        missed=int(np.sum(one.wrong & (weights > 0))),
+        accused=int(np.sum(~one.wrong & (weights == 0))),
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -148,15 +160,20 @@ class Summary:
 
 def summary(rows, model):
     """What a model does over many truths."""
-    true, stated = (np.array([v[model] for v in of]) for of in ([r.true_um for r in rows], [r.stated_um for r in rows]))
+    true, stated = (
+        np.array([v[model] for v in of])
+        for of in ([r.true_um for r in rows], [r.stated_um for r in rows])
+    )
     best = np.array([np.nanmin(list(r.true_um.values())) for r in rows])
     ok = np.isfinite(true)
     ratio = true[ok] / best[ok]
     return Summary(
-        mean=float(np.exp(np.mean(np.log(ratio)))), p90=float(np.quantile(ratio, 0.9)),
+        mean=float(np.exp(np.mean(np.log(ratio)))),
+        p90=float(np.quantile(ratio, 0.9)),
         pooled=rms(true[ok]) / rms(stated[ok]),
-        within=float(np.mean(true[ok] <= 1.73 * stated[ok])), warned=float(np.mean([r.warned[model] for r in rows])),
-    )  # fmt: skip
+        within=float(np.mean(true[ok] <= 1.73 * stated[ok])),
+        warned=float(np.mean([r.warned[model] for r in rows])),
+    )
 
 
 def main(truths=400):
@@ -164,23 +181,32 @@ def main(truths=400):
     start = time.process_time()
     rows = [judged(drawn(np.random.default_rng([0, k]))) for k in range(truths)]
     print(f"{truths} truths, {time.process_time() - start:.0f} s CPU")
-    print("held-out error over that of the best model: geometric mean, p90 | true over stated, within 1.73 | warned")
+    print(
+        "held-out error over that of the best model: geometric mean, p90 | true over stated, within"
+        " 1.73 | warned"
+    )
     for kind in ("all", *KINDS):
         of = [r for r in rows if kind in ("all", r.kind)]
         print(f"{kind}: {len(of)}")
         for model in (*MODELS, "auto"):
             s = summary(of, model)
-            print(f"  {model:10s} {s.mean:6.2f} {s.p90:6.2f} | {s.pooled:.2f} {s.within:.2f} | {s.warned:.2f}")
+            print(
+                f"  {model:10s} {s.mean:6.2f} {s.p90:6.2f} | {s.pooled:.2f} {s.within:.2f} |"
+                f" {s.warned:.2f}"
+            )
     print(
-        f"wrong marks left out: {sum(r.wrong - r.missed for r in rows)} of {sum(r.wrong for r in rows)}; right marks "
-        f"left out: {sum(r.accused for r in rows)}, in {np.mean([r.accused > 0 for r in rows]):.1%} of the truths"
+        f"wrong marks left out: {sum(r.wrong - r.missed for r in rows)} of"
+        f" {sum(r.wrong for r in rows)}; right marks left out: {sum(r.accused for r in rows)}, in"
+        f" {np.mean([r.accused > 0 for r in rows]):.1%} of the truths"
     )
     auto, warps = summary(rows, "auto"), summary([r for r in rows if r.kind == "warp"], "auto")
     limits = {
-        "auto over best, geometric mean": (0.0, auto.mean, 1.10), "auto over best, p90": (0.0, auto.p90, 1.5),
-        "true over stated": (0.8, auto.pooled, 1.15), "true over stated, warps": (0.8, warps.pooled, 1.25),
+        "auto over best, geometric mean": (0.0, auto.mean, 1.10),
+        "auto over best, p90": (0.0, auto.p90, 1.5),
+        "true over stated": (0.8, auto.pooled, 1.15),
+        "true over stated, warps": (0.8, warps.pooled, 1.25),
         "within 1.73 times the stated error": (0.93, auto.within, 1.0),
-    }  # fmt: skip
+    }
     missed = 0
     for what, (low, value, high) in limits.items():
         is_good = low <= value <= high

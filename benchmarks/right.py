@@ -27,19 +27,28 @@ from planish.core.errors import PlanishError
 from planish.run.build import map_sheet
 from planish.run.compute import Compute
 
-_DATA = Path(os.environ.get("PLANISH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+_DATA = Path(
+    os.environ.get("PLANISH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")
+)
 # Path, part (y, x) of it, and options.
 _REAL = {
     "letter": (
-        "letterpacket_ct/volume_zyx_uint8.tif", (slice(0, 30), slice(0, 30)),
-        {"volume": {"voxel_um": (1.0, 1.0, 1.0), "through": "y"},
-         "surface": {"seed_um": (8.0, 9.0, 3.0), "cutoff_um": 12.0, "rim_um": 2.0}},
+        "letterpacket_ct/volume_zyx_uint8.tif",
+        (slice(0, 30), slice(0, 30)),
+        {
+            "volume": {"voxel_um": (1.0, 1.0, 1.0), "through": "y"},
+            "surface": {"seed_um": (8.0, 9.0, 3.0), "cutoff_um": 12.0, "rim_um": 2.0},
+        },
     ),
     "battery": (
-        "battery_sector_right", None,
-        {"volume": {"voxel_um": (1.0, 1.0, 1.0), "through": "x"}, "surface": {"sheet_grey": (100.0, 255.0)}},
+        "battery_sector_right",
+        None,
+        {
+            "volume": {"voxel_um": (1.0, 1.0, 1.0), "through": "x"},
+            "surface": {"sheet_grey": (100.0, 255.0)},
+        },
     ),
-}  # fmt: skip
+}
 # Kinds of benchmarks.paper by the tens and the units of a specimen's number.
 _FIBRES = tuple(
     dict(zip((0, 2, 4, 6, 9), kinds, strict=True))
@@ -63,10 +72,15 @@ def order_of(k):
         slope = float(np.tan(np.deg2rad(rng.uniform(28, 45 if is_second else 60))))
     holes = round(np.exp(rng.uniform(np.log(4), np.log(22 if large else 9))))
     draw = Draw(
-        maker="second" if is_second else "planish", seed=100 + k, large=large, coated=k % 15 != 9, steep=steep,
-        fibres="" if is_second or steep else _FIBRES[k // 10 % 6][unit], holes=26 if k % 20 == 4 else holes,
+        maker="second" if is_second else "planish",
+        seed=100 + k,
+        large=large,
+        coated=k % 15 != 9,
+        steep=steep,
+        fibres="" if is_second or steep else _FIBRES[k // 10 % 6][unit],
+        holes=26 if k % 20 == 4 else holes,
         slope=slope,
-    )  # fmt: skip
+    )
     return draw, {2: "scanner", 6: "sections"}.get(unit, "stack")
 
 
@@ -98,8 +112,17 @@ def _judged(name, k):
 def _real(name):
     """A measured volume, as far as it is at hand: mapped, without an image."""
     place, part, options = _REAL[name]
-    row = {"kind": name, "seed": 0, "maker": "real", "specimen": 0, "note": place, "figures": {}, "wrong": [],
-                "lights": [], "made_s": 0.0}  # fmt: skip
+    row = {
+        "kind": name,
+        "seed": 0,
+        "maker": "real",
+        "specimen": 0,
+        "note": place,
+        "figures": {},
+        "wrong": [],
+        "lights": [],
+        "made_s": 0.0,
+    }
     started = time.process_time()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -110,7 +133,9 @@ def _real(name):
                 path = _DATA / place
                 if part is not None:
                     path = Path(folder, "part.tif")
-                    tifffile.imwrite(path, tifffile.imread(_DATA / place)[:, *part], metadata={"axes": "ZYX"})
+                    tifffile.imwrite(
+                        path, tifffile.imread(_DATA / place)[:, *part], metadata={"axes": "ZYX"}
+                    )
                 run = map_sheet(path, compute=Compute(threads=1), **options)
             row["lights"] = lights(run)
         except PlanishError as error:
@@ -123,22 +148,39 @@ def _shown(rows):
     spoken = Counter()
     for r in runs:
         spoken.update({(state, name) for state, name, *_ in r["lights"]})
-    print(f"\n{len(rows)} right inputs: {len(runs)} runs, {sum('refused' in r for r in rows)} refused, "
-          f"{sum('crash' in r for r in rows)} crashed")  # fmt: skip
+    print(
+        f"\n{len(rows)} right inputs: {len(runs)} runs, {sum('refused' in r for r in rows)}"
+        f" refused, {sum('crash' in r for r in rows)} crashed"
+    )
     for (state, name), n in sorted(spoken.items(), key=lambda k: (k[0][0], -k[1])):
         print(f"  {state:8s} {name:34s} {n:3d}  {100 * n / len(runs):.0f} %")
     quiet = sum(all(k[0] not in ("look", "fail") for k in r["lights"]) for r in runs)
     wrong = Counter(name for r in runs for name in r["wrong"])
     print(f"without look or fail: {quiet} of {len(runs)} ({100 * quiet / max(len(runs), 1):.0f} %)")
     print(f"figures wrong by the rule of 'wrong': {dict(wrong)}")
-    for name in ("position", "coating_top map", "base_thickness map", "coating_top", "base_thickness", "correlation"):
-        pairs = np.array([r["figures"][name] for r in runs if None not in r["figures"].get(name, [None])])
+    for name in (
+        "position",
+        "coating_top map",
+        "base_thickness map",
+        "coating_top",
+        "base_thickness",
+        "correlation",
+    ):
+        pairs = np.array(
+            [r["figures"][name] for r in runs if None not in r["figures"].get(name, [None])]
+        )
         if len(pairs):
-            print(f"  {name:20s} error: median {np.median(pairs[:, 0]):.2f}, largest {pairs[:, 0].max():.2f}; "
-                  f"stated: median {np.median(pairs[:, 1]):.2f}")  # fmt: skip
+            print(
+                f"  {name:20s} error: median {np.median(pairs[:, 0]):.2f}, largest"
+                f" {pairs[:, 0].max():.2f}; stated: median {np.median(pairs[:, 1]):.2f}"
+            )
     asked = [r for r in runs if r["kind"] == "right"]
     for name in sorted({k[1] for r in asked for k in r["lights"] if k[0] == "unknown"}):
         n = sum(any(k[:2] == ["unknown", name] for k in r["lights"]) for r in asked)
         print(f"  an answer of '{name}' in {100 * (1 - n / len(asked)):.0f} %")
-    bad = any(state == "fail" or n > 0.05 * len(runs) for (state, _), n in spoken.items() if state in ("look", "fail"))
+    bad = any(
+        state == "fail" or n > 0.05 * len(runs)
+        for (state, _), n in spoken.items()
+        if state in ("look", "fail")
+    )
     return int(bad or quiet < 0.8 * len(runs))

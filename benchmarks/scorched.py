@@ -19,10 +19,12 @@ LOOKS = (
     "one-sided",  # wide on one side, none on the other
     "patch",  # on a part of the rim only
     "soot",  # a ring darker than what the hole shows
-    "bright ring", "bright one-sided", "bright gradient",  # lit from behind
+    "bright ring",
+    "bright one-sided",
+    "bright gradient",  # lit from behind
     "printed",  # bars of ink over a part of the hole
     "flap",  # a tongue of paper over a part of the hole
-)  # fmt: skip
+)
 
 
 def _char(rng, look, width, towards, strength):
@@ -41,12 +43,28 @@ def make_scorched(seed, name):
     bright, look = name.startswith("bright"), name.removeprefix("bright ")
     pixel = float(rng.choice([2.5, 4.0, 6.0, 9.0]))
     shape = (int(2200 / pixel), int(2900 / pixel))
-    image = 1 + gauss(rng, shape, rng.uniform(40, 150), pixel, float(rng.choice([0.01, 0.03, 0.06])))
-    floor = rng.uniform(1.6, 3.0) if bright else rng.uniform(0.4, 0.65) if look == "soot" else rng.uniform(0.03, 0.2)
+    image = 1 + gauss(
+        rng, shape, rng.uniform(40, 150), pixel, float(rng.choice([0.01, 0.03, 0.06]))
+    )
+    floor = (
+        rng.uniform(1.6, 3.0)
+        if bright
+        else rng.uniform(0.4, 0.65)
+        if look == "soot"
+        else rng.uniform(0.03, 0.2)
+    )
     # Char that is hardly brighter than the hole shows no rim.
-    level = rng.uniform(0.08, 0.25) if look == "soot" else rng.uniform(0.15 if bright else floor + 0.2, 0.75)
+    level = (
+        rng.uniform(0.08, 0.25)
+        if look == "soot"
+        else rng.uniform(0.15 if bright else floor + 0.2, 0.75)
+    )
     width, taper, uneven = rng.uniform(10, 60), rng.uniform(0, 0.15), rng.uniform(0, 0.08)
-    towards, strength, rough = rng.uniform(0, 2 * np.pi), rng.uniform(0.5, 1.5), float(rng.choice([1.5, 3.0, 4.0]))
+    towards, strength, rough = (
+        rng.uniform(0, 2 * np.pi),
+        rng.uniform(0.5, 1.5),
+        float(rng.choice([1.5, 3.0, 4.0])),
+    )
     holes = []
     for row in range(3):
         for column in range(4):
@@ -62,14 +80,20 @@ def make_scorched(seed, name):
             fade = 1 - (1 - burnt[k]) * np.exp(-1.5 * part)
             values = under * (fade if look == "gradient" else np.where(part < 1, burnt[k], 1.0))
             if look == "printed":
-                values[np.abs(u * np.cos(towards) + v * np.sin(towards) - rng.uniform(60, 130)) < 30] *= 0.6
+                values[
+                    np.abs(u * np.cos(towards) + v * np.sin(towards) - rng.uniform(60, 130)) < 30
+                ] *= 0.6
             depth = np.clip(-past / (max(taper, 1e-6) * hole.outline[k]), 0, 1)
             wall = burnt[k] + (floor - burnt[k]) * (0.3 + 0.7 * depth)
-            values = np.where(past < 0, np.where(r < (1 - taper) * hole.outline[k], floor, wall), values)
+            values = np.where(
+                past < 0, np.where(r < (1 - taper) * hole.outline[k], floor, wall), values
+            )
             if look == "flap":
                 turn = rng.uniform(0, 2 * np.pi)
                 out, side = u * np.cos(turn) + v * np.sin(turn), v * np.cos(turn) - u * np.sin(turn)
-                values = np.where((out > rng.uniform(20, 60)) & (np.abs(side) < 25) & (past < 0), under, values)
+                values = np.where(
+                    (out > rng.uniform(20, 60)) & (np.abs(side) < 25) & (past < 0), under, values
+                )
             image[box] = shrunk(values, sub)
     down, across = np.linspace(-1, 1, shape[0])[:, None], np.linspace(-1, 1, shape[1])[None]
     image *= 1 + rng.uniform(0, 0.3) * across - rng.uniform(0, 0.2) * down
@@ -88,12 +112,19 @@ def beyond(scene):
     error = (at - centres[away.argmin(axis=1)])[hit]
     xx, yy, xy = (found[f"cov_{k}"].values[hit] for k in ("xx", "yy", "xy"))
     x, y = error.T
-    return error, np.sqrt((yy * x**2 - 2 * xy * x * y + xx * y**2) / (xx * yy - xy**2)), int(np.count_nonzero(~hit))
+    return (
+        error,
+        np.sqrt((yy * x**2 - 2 * xy * x * y + xx * y**2) / (xx * yy - xy**2)),
+        int(np.count_nonzero(~hit)),
+    )
 
 
 def main(seeds=3):
     """Print a table; 1 if a centre is beyond three times its stated error, or something false was found."""
-    print(f"scorched rims\n{'':>16} found missed false  rms um  max um  largest in stated errors, beyond 3")
+    print(
+        f"scorched rims\n{'':>16} found missed false  rms um  max um  largest in stated errors,"
+        " beyond 3"
+    )
     failed = total = far = 0
     for look in LOOKS:
         parts = [beyond(make_scorched(seed, look)) for seed in range(seeds)]
@@ -101,8 +132,9 @@ def main(seeds=3):
         false, count = sum(part[2] for part in parts), int(np.count_nonzero(stated > 3))
         total, far, failed = total + len(stated), far + count, failed + (count + false > 0)
         print(
-            f"{look:>16} {len(error):5d} {12 * seeds - len(error):6d} {false:5d} {np.sqrt(np.mean(error**2)):7.2f} "
-            f"{np.hypot(*error.T).max():7.2f} {stated.max():7.2f} {count:4d}"
+            f"{look:>16} {len(error):5d} {12 * seeds - len(error):6d} {false:5d}"
+            f" {np.sqrt(np.mean(error**2)):7.2f} {np.hypot(*error.T).max():7.2f}"
+            f" {stated.max():7.2f} {count:4d}"
         )
     print(f"{far} of {total} centres beyond three times their stated error")
     return int(failed > 0)

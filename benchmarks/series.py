@@ -44,7 +44,11 @@ def names_of(counts):
 
 def students(values):
     """Interval of the mean of values that are taken for independent."""
-    wide = float(stats.t.ppf(0.975, values.size - 1)) * float(values.std(ddof=1)) / math.sqrt(values.size)
+    wide = (
+        float(stats.t.ppf(0.975, values.size - 1))
+        * float(values.std(ddof=1))
+        / math.sqrt(values.size)
+    )
     return float(values.mean()) - wide, float(values.mean()) + wide
 
 
@@ -72,12 +76,21 @@ def pooled(sheets, between, uneven, seed, count):
         n_eff = np.full(sheet.size, N_EFF)
         if uneven:  # one sheet has much larger fields
             n_eff = np.where(sheet == 0, 1000.0, 40.0)
-        z = MEAN_Z + between * rng.normal(size=sheets)[sheet] + rng.normal(size=sheet.size) / np.sqrt(n_eff - 3)
+        z = (
+            MEAN_Z
+            + between * rng.normal(size=sheets)[sheet]
+            + rng.normal(size=sheet.size) / np.sqrt(n_eff - 3)
+        )
         found, by_fields, alone = ways(z, n_eff, [f"S{k}" for k in sheet])
-        out.append((
-            holds(found.interval, truth), holds(found.between_sheets.interval, MEAN_Z), holds(by_fields, MEAN_Z),
-            holds(alone, MEAN_Z), found.interval[1] - found.interval[0],
-        ))  # fmt: skip
+        out.append(
+            (
+                holds(found.interval, truth),
+                holds(found.between_sheets.interval, MEAN_Z),
+                holds(by_fields, MEAN_Z),
+                holds(alone, MEAN_Z),
+                found.interval[1] - found.interval[0],
+            )
+        )
     return np.array(out)
 
 
@@ -86,13 +99,18 @@ def properties(counts, between, seed, count):
     rng, out = np.random.default_rng((seed, len(counts))), []
     sheets, share = names_of(counts), between**2 / (between**2 + 1)
     for _ in range(count):
-        values = np.repeat(between * rng.normal(size=len(counts)), counts) + rng.normal(size=len(sheets))
+        values = np.repeat(between * rng.normal(size=len(counts)), counts) + rng.normal(
+            size=len(sheets)
+        )
         given = Fields(values.tolist(), sheets)
         fields = students(values)
-        out.append((
-            holds(over_sheets(given).interval, 0.0), holds(variances_of(given).share_interval, share),
-            holds(fields, 0.0),
-        ))  # fmt: skip
+        out.append(
+            (
+                holds(over_sheets(given).interval, 0.0),
+                holds(variances_of(given).share_interval, share),
+                holds(fields, 0.0),
+            )
+        )
     return np.array(out)
 
 
@@ -119,14 +137,26 @@ def differences(sheets, seed, count):
         other = drawn(0.3 * rng.normal(size=sheets), after)
         paired = paired_over_sheets(one, two)
         groups = two_groups(one, other)
-        out.append((
-            holds(paired.interval, 0.1),
-            holds(difference_of_pooled_r(in_r(one), in_r(two), paired=True).interval, r),
-            holds(difference_of_pooled_r(in_r(one), in_r(two), paired=True, squared=True).interval, r2),
-            holds(groups.interval, 0.1),
-            holds(difference_of_pooled_r(in_r(one), in_r(other), paired=False, squared=True).interval, r2),
-            equivalence(paired, margin=0.1).verdict == "equivalent",
-        ))  # fmt: skip
+        out.append(
+            (
+                holds(paired.interval, 0.1),
+                holds(difference_of_pooled_r(in_r(one), in_r(two), paired=True).interval, r),
+                holds(
+                    difference_of_pooled_r(
+                        in_r(one), in_r(two), paired=True, squared=True
+                    ).interval,
+                    r2,
+                ),
+                holds(groups.interval, 0.1),
+                holds(
+                    difference_of_pooled_r(
+                        in_r(one), in_r(other), paired=False, squared=True
+                    ).interval,
+                    r2,
+                ),
+                equivalence(paired, margin=0.1).verdict == "equivalent",
+            )
+        )
     return np.array(out, dtype=float)
 
 
@@ -139,7 +169,9 @@ def with_maps(sheets, between, seed, count):
     """The same with maps that correlate: r pooled, by fields, by n_eff alone; r and r² before and after."""
     rng, out, names = np.random.default_rng((seed, sheets, 1)), [], names_of([EACH] * sheets)
     nodes, weights = np.polynomial.hermite_e.hermegauss(60)
-    before = float(np.sum(weights * np.arctanh(0.8 * np.tanh(MEAN_Z + between * nodes))) / weights.sum())
+    before = float(
+        np.sum(weights * np.arctanh(0.8 * np.tanh(MEAN_Z + between * nodes))) / weights.sum()
+    )
     r = [math.tanh(MEAN_Z), math.tanh(before)]
     for _ in range(count):
         true = np.tanh(MEAN_Z + between * rng.normal(size=sheets))
@@ -151,23 +183,39 @@ def with_maps(sheets, between, seed, count):
         after, earlier = (Fields([row[k].r for row in found], names) for k in (0, 1))
         n_eff = np.array([row[0].n_eff_interval for row in found])
         pool, by_fields, alone = ways(np.arctanh(after.values), n_eff, names)
-        change = [difference_of_pooled_r(earlier, after, paired=True, squared=s).interval for s in (False, True)]
-        out.append((
-            holds(pool.interval, r[0]), holds(by_fields, MEAN_Z), holds(alone, MEAN_Z),
-            holds(change[0], r[0] - r[1]), holds(change[1], r[0] ** 2 - r[1] ** 2), float(np.median(n_eff)),
-        ))  # fmt: skip
+        change = [
+            difference_of_pooled_r(earlier, after, paired=True, squared=s).interval
+            for s in (False, True)
+        ]
+        out.append(
+            (
+                holds(pool.interval, r[0]),
+                holds(by_fields, MEAN_Z),
+                holds(alone, MEAN_Z),
+                holds(change[0], r[0] - r[1]),
+                holds(change[1], r[0] ** 2 - r[1] ** 2),
+                float(np.median(n_eff)),
+            )
+        )
     return np.array(out)
 
 
 # --- designs ---------------------------------------------------------------------------------------------------------
 
 DESIGNS = (
-    {"r2": (0.21, 0.26), "fields": 3, "n_eff": 498.0, "between_sheets": 0.15, "paired": True,
-     "change_between_sheets": 0.05, "shared": 0.5},
+    {
+        "r2": (0.21, 0.26),
+        "fields": 3,
+        "n_eff": 498.0,
+        "between_sheets": 0.15,
+        "paired": True,
+        "change_between_sheets": 0.05,
+        "shared": 0.5,
+    },
     {"r2": (0.21, 0.26), "fields": 3, "n_eff": 498.0, "between_sheets": 0.05, "paired": False},
     {"r2": (0.08, 0.19), "fields": 2, "n_eff": 100.0, "between_sheets": 0.15, "paired": True},
     {"r2": (0.08, 0.19), "fields": 2, "n_eff": 100.0, "between_sheets": 0.15, "paired": False},
-)  # fmt: skip
+)
 
 
 def designed(which, seed, count):
@@ -185,9 +233,13 @@ def designed(which, seed, count):
             noise[1] = shared * noise[0] + math.sqrt(1 - shared**2) * noise[1]
         row = []
         for apart in (mean, mean[[0, 0]]):
-            one, two = (Fields(np.tanh(m + s[:, None] + e).ravel().tolist(), names)
-                        for m, s, e in zip(apart, sheet, noise, strict=True))  # fmt: skip
-            row.append(bool(difference_of_pooled_r(one, two, paired=planned.paired).distinguishable))
+            one, two = (
+                Fields(np.tanh(m + s[:, None] + e).ravel().tolist(), names)
+                for m, s, e in zip(apart, sheet, noise, strict=True)
+            )
+            row.append(
+                bool(difference_of_pooled_r(one, two, paired=planned.paired).distinguishable)
+            )
         out.append(row)
     return np.array(out, dtype=float)
 
@@ -200,13 +252,20 @@ def designed_with_maps(paired, seed, count):
         sheet = MAPS_BETWEEN * rng.normal(size=(2, 5))
         if paired:
             sheet[1] = sheet[0]
-        found = [[correlate(*related(rng, math.tanh(m + s), LENGTH, shape=SHAPE), pixel_um=1.0)
-                  for s in np.repeat(row, 2)] for m, row in zip(mean, sheet, strict=True)]  # fmt: skip
+        found = [
+            [
+                correlate(*related(rng, math.tanh(m + s), LENGTH, shape=SHAPE), pixel_um=1.0)
+                for s in np.repeat(row, 2)
+            ]
+            for m, row in zip(mean, sheet, strict=True)
+        ]
         one, two = (Fields([f.r for f in row], names) for row in found)
-        out.append((
-            bool(difference_of_pooled_r(one, two, paired=paired).distinguishable),
-            float(np.median([f.n_eff for row in found for f in row])),
-        ))  # fmt: skip
+        out.append(
+            (
+                bool(difference_of_pooled_r(one, two, paired=paired).distinguishable),
+                float(np.median([f.n_eff for row in found for f in row])),
+            )
+        )
     return np.array(out, dtype=float)
 
 
@@ -239,7 +298,10 @@ def pierced():
 
 INSTRUMENTS = {
     "independent points": (lambda rng: rng.normal(size=FIELD), False),
-    **{f"side/{90 / k:.0f}": (partial(waves, k, "exp", FIELD), False) for k in (1.0, 3.0, 6.0, 8.0, 10.0)},
+    **{
+        f"side/{90 / k:.0f}": (partial(waves, k, "exp", FIELD), False)
+        for k in (1.0, 3.0, 6.0, 8.0, 10.0)
+    },
     "Gaussian, side/15": (partial(waves, 6.0, "gauss", FIELD), False),
     "Gaussian, side/8": (partial(waves, 12.0, "gauss", FIELD), False),
     "4:1, 3 x 12 pixels": (partial(waves, (3.0, 12.0), "exp", FIELD), False),
@@ -260,11 +322,16 @@ def instruments(name, seed, count):
         found = bland_altman(a, b, mask=mask, pixel_um=1.0)
         known = (b - a) if mask is None else (b - a)[mask]
         direct = known.mean() + 1.96 * known.std(ddof=1) * np.array([-1, 1])
-        out.append((
-            holds(found.bias_interval, 2.0), holds(found.sd_interval, 0.5),
-            holds(found.limit_intervals[0], 2 - 0.98), holds(found.limit_intervals[1], 2 + 0.98),
-            float(np.abs(direct - found.limits).max()), found.n_eff,
-        ))  # fmt: skip
+        out.append(
+            (
+                holds(found.bias_interval, 2.0),
+                holds(found.sd_interval, 0.5),
+                holds(found.limit_intervals[0], 2 - 0.98),
+                holds(found.limit_intervals[1], 2 + 0.98),
+                float(np.abs(direct - found.limits).max()),
+                found.n_eff,
+            )
+        )
     return np.array(out)
 
 
@@ -283,9 +350,12 @@ def main(studies=4000, maps=2000):
             return in_parts(pool, partial(work, *given), count)
 
         for line, shares, wrong in (
-            *_over_sheets(parts, count), *_differences(parts, count), *_with_maps(parts, count // 10),
-            *_designs(parts, count), *_instruments(parts, int(maps)),
-        ):  # fmt: skip
+            *_over_sheets(parts, count),
+            *_differences(parts, count),
+            *_with_maps(parts, count // 10),
+            *_designs(parts, count),
+            *_instruments(parts, int(maps)),
+        ):
             words = ", ".join(f"{name} {share:.3f}" for name, share in shares.items())
             print(f"{line}: {words}{' MISSED' if wrong else ''}", flush=True)
             missed += wrong
@@ -301,21 +371,26 @@ def _over_sheets(parts, count):
     for between, sheets, uneven in itertools.product((0.0, 0.15), (3, 5, 12), (False, True)):
         found = parts(pooled, sheets, between, uneven, count=count)
         share = found[:, :4].mean(axis=0)
-        line = f"r, {sheets} sheets, z varies by {between:g}{', one of large fields' if uneven else ''}"
+        line = (
+            f"r, {sheets} sheets, z varies by"
+            f" {between:g}{', one of large fields' if uneven else ''}"
+        )
         # With one sheet of large fields, means of sheets scatter unlike: then it may hold more often.
         most = 0.995 if uneven and between == 0 else 0.97
         shares = _named("by sheets, weighted (HK), fields as independent, n_eff alone", share)
         yield line, shares | {"width": float(np.median(found[:, 4]))}, _missed(0.93, most, share[0])
     for counts, between in itertools.product(
         ((3,) * 3, (3,) * 5, (3,) * 12, (1, 2, 3, 6, 2), (1, 1, 8)), (0.0, 1.0)
-    ):  # fmt: skip
+    ):
         share = parts(properties, counts, between, count=count).mean(axis=0)
         line = f"a property, fields {counts}, share between {between / (between + 1):g}"
         yield line, _named("mean, share, mean by fields", share), _missed(0.93, 0.985, *share[:2])
 
 
 def _differences(parts, count):
-    names = "before and after, of r, of r², two papers, of their r², called equivalent at the margin"
+    names = (
+        "before and after, of r, of r², two papers, of their r², called equivalent at the margin"
+    )
     for sheets in (3, 5, 12):
         share = parts(differences, sheets, count=count).mean(axis=0)
         wrong = _missed(0.92, 0.98, *share[:5]) + _missed(0.0, 0.06, share[5])
@@ -327,8 +402,12 @@ def _with_maps(parts, count):
     for between, sheets in itertools.product((0.0, 0.15), (3, 5, 12)):
         found = parts(with_maps, sheets, between, count=count)
         share = found[:, :5].mean(axis=0)
-        line = f"with maps, {sheets} sheets, z varies by {between:g}, n_eff {np.median(found[:, 5]):.0f}"
-        yield line, _named(names, share), _missed(0.92, 0.98, *share[[0, 3, 4]])  # 400 studies scatter by .011
+        line = (
+            f"with maps, {sheets} sheets, z varies by {between:g}, n_eff"
+            f" {np.median(found[:, 5]):.0f}"
+        )
+        # 400 studies scatter by .011.
+        yield line, _named(names, share), _missed(0.92, 0.98, *share[[0, 3, 4]])
 
 
 def _designs(parts, count):
@@ -337,17 +416,23 @@ def _designs(parts, count):
         planned = sheets_needed(**plan)
         seen, wrong = parts(designed, k, count=count).mean(axis=0)
         line = (
-            f"design r² {planned.r2}, {kinds[planned.paired]}, n_eff {planned.n_eff:g}, z varies by "
-            f"{plan['between_sheets']}: {planned.sheets} sheets of {planned.fields}"
+            f"design r² {planned.r2}, {kinds[planned.paired]}, n_eff {planned.n_eff:g}, z varies by"
+            f" {plan['between_sheets']}: {planned.sheets} sheets of {planned.fields}"
         )
         shares = {"planned": planned.power, "seen": seen, "without a difference": wrong}
         yield line, shares, _missed(-0.03, 0.03, seen - planned.power) + _missed(0.03, 0.07, wrong)
     for paired in (True, False):
         found = parts(designed_with_maps, paired, count=count // 10)
         seen, n_eff = float(found[:, 0].mean()), float(np.median(found[:, 1]))
-        planned = power_of_study(MAPS_R2, sheets=5, fields=2, n_eff=n_eff, between_sheets=MAPS_BETWEEN, paired=paired)
+        planned = power_of_study(
+            MAPS_R2, sheets=5, fields=2, n_eff=n_eff, between_sheets=MAPS_BETWEEN, paired=paired
+        )
         line = f"design with maps, r² {MAPS_R2}, {kinds[paired]}, 5 sheets of 2, n_eff {n_eff:.0f}"
-        yield line, {"planned": planned.power, "seen": seen}, _missed(-0.07, 0.07, seen - planned.power)
+        yield (
+            line,
+            {"planned": planned.power, "seen": seen},
+            _missed(-0.07, 0.07, seen - planned.power),
+        )
 
 
 def _instruments(parts, count):
@@ -355,7 +440,9 @@ def _instruments(parts, count):
         found = parts(instruments, name, count=count)
         share = np.nanmean(found[:, :4], axis=0)
         off = float(found[:, 4].max())
-        line = f"two instruments, {name}, n_eff {np.median(found[:, 5]):.0f}, limits off by {off:.0e}"
+        line = (
+            f"two instruments, {name}, n_eff {np.median(found[:, 5]):.0f}, limits off by {off:.0e}"
+        )
         shares = _named("bias, sd, lower limit, upper limit", share)
         shares |= {"nothing claimed": float(np.isnan(found[:, 0]).mean())}
         yield line, shares, _missed(0.92, 0.98, *share) + _missed(0.0, 1e-9, off)

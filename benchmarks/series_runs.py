@@ -27,7 +27,10 @@ def main(*arguments):
         series = planish("study", table, "--out", home / "series", "--jobs", asked.jobs)
         used, held, seconds = watched(series)
         quarters = " ".join(f"{max(part):.2f}" for part in np.array_split(held, 4))
-        print(f"{asked.count} as a series: {seconds:.0f} s, {used:.0f} s of processor time", flush=True)
+        print(
+            f"{asked.count} as a series: {seconds:.0f} s, {used:.0f} s of processor time",
+            flush=True,
+        )
         print(f"most GB in each quarter of it: {quarters}")
         alone, differ = 0.0, 0
         for name in table.read_text(encoding="utf-8").splitlines()[1:]:
@@ -81,6 +84,8 @@ def different(a, b):
     names = set()
     for root in (a, b):
         files = (path for path in root.rglob("*") if path.is_file())
-        names |= {path.relative_to(root).as_posix() for path in files if not path.name.startswith(".")}
+        names |= {
+            path.relative_to(root).as_posix() for path in files if not path.name.startswith(".")
+        }
     _, other, missing = filecmp.cmpfiles(a, b, names, shallow=False)
     return [*other, *missing]

@@ -24,7 +24,9 @@ def options(name, words, **defaults):
         if default is False:
             parser.add_argument(flag, action="store_true")
         else:
-            parser.add_argument(flag, type=Path if default is None else type(default), default=default)
+            parser.add_argument(
+                flag, type=Path if default is None else type(default), default=default
+            )
     return parser.parse_args([str(word) for word in words])
 
 
@@ -61,7 +63,9 @@ def timed(command, **more):
     """Run a command."""
     ran, used, name = Ran(), children_s(), "start"
     begun = last = time.perf_counter()
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, **more) as process:
+    with subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, **more
+    ) as process:
         threading.Thread(target=_follow, args=(process, ran), daemon=True).start()
         for line in process.stderr:
             now = time.perf_counter()
@@ -132,7 +136,11 @@ def small_specimen(folder, holes=5):
 
 def size_of(path):
     """Bytes of a file, or of all files of a folder."""
-    return sum(file.stat().st_size for file in (path.rglob("*") if path.is_dir() else [path]) if file.is_file())
+    return sum(
+        file.stat().st_size
+        for file in (path.rglob("*") if path.is_dir() else [path])
+        if file.is_file()
+    )
 
 
 def rms(values):

@@ -34,17 +34,27 @@ class _Fields:
 
     def __init__(self, rng, shape, pixel_um):
         self.rng, self.shape, self.pixel_um = rng, shape, pixel_um
-        self._f = [fft.fftfreq(n, pixel_um)[:, None] if k == 0 else fft.fftfreq(n, pixel_um)[None] for k, n in
-                   enumerate(shape)]  # fmt: skip
+        self._f = [
+            fft.fftfreq(n, pixel_um)[:, None] if k == 0 else fft.fftfreq(n, pixel_um)[None]
+            for k, n in enumerate(shape)
+        ]
 
     def draw(self):
         """A field of sd 1: Gaussian, exponential, power law or fibrous, of some length and direction."""
-        kind, length = self.rng.integers(4), float(np.exp(self.rng.uniform(np.log(8.0), np.log(60.0))))
+        kind, length = (
+            self.rng.integers(4),
+            float(np.exp(self.rng.uniform(np.log(8.0), np.log(60.0)))),
+        )
         angle, stretch = self.rng.uniform(0, np.pi), self.rng.uniform(1.0, 2.0)
         along = (self._f[1] * np.cos(angle) + self._f[0] * np.sin(angle)) * stretch
         across = (self._f[0] * np.cos(angle) - self._f[1] * np.sin(angle)) / stretch
         k2 = (2 * np.pi * length) ** 2 * (along**2 + across**2)
-        power = (np.exp(-k2 / 4), (1 + k2) ** -1.5, (0.05 + k2) ** -self.rng.uniform(0.7, 1.3), (1 + k2) ** -2.5)[kind]
+        power = (
+            np.exp(-k2 / 4),
+            (1 + k2) ** -1.5,
+            (0.05 + k2) ** -self.rng.uniform(0.7, 1.3),
+            (1 + k2) ** -2.5,
+        )[kind]
         return self.filtered(self.rng.standard_normal(self.shape), np.sqrt(power), unit=True)
 
     def filtered(self, values, gain, *, unit=False):
@@ -52,10 +62,14 @@ class _Fields:
         return (out - out.mean()) / out.std() if unit else out
 
     def blurred(self, values, sigma_um):
-        return self.filtered(values, np.exp(-2 * (np.pi * sigma_um) ** 2 * (self._f[0] ** 2 + self._f[1] ** 2)))
+        return self.filtered(
+            values, np.exp(-2 * (np.pi * sigma_um) ** 2 * (self._f[0] ** 2 + self._f[1] ** 2))
+        )
 
     def moved(self, values, shift_um):
-        return self.filtered(values, np.exp(-2j * np.pi * (self._f[1] * shift_um[0] + self._f[0] * shift_um[1])))
+        return self.filtered(
+            values, np.exp(-2j * np.pi * (self._f[1] * shift_um[0] + self._f[0] * shift_um[1]))
+        )
 
     def slopes(self, values):
         return [np.asarray(np.gradient(values, self.pixel_um, axis=axis)) for axis in (1, 0)]
@@ -63,12 +77,18 @@ class _Fields:
 
 def draw_sheet(seed, *, program=None):
     """Draw a sheet with its image; field, pixel and holes are drawn by ``program``, all else by the seed."""
-    frame, rng = np.random.default_rng([7, seed if program is None else program]), np.random.default_rng([8, seed])
+    frame, rng = (
+        np.random.default_rng([7, seed if program is None else program]),
+        np.random.default_rng([8, seed]),
+    )
     pixel = float(np.exp(frame.uniform(np.log(3.0), np.log(20.0))))
     least = 900.0 if pixel < 10 else 1500.0
     size = frame.uniform(least, 2000.0), frame.uniform(least, 2400.0)
     factor = max(1.0, np.sqrt(size[0] * size[1] / pixel**2 / 90_000))
-    shape = fft.next_fast_len(int(size[0] / factor / pixel)), fft.next_fast_len(int(size[1] / factor / pixel))
+    shape = (
+        fft.next_fast_len(int(size[0] / factor / pixel)),
+        fft.next_fast_len(int(size[1] / factor / pixel)),
+    )
     fields = _Fields(rng, shape, pixel)
     y, x = (np.arange(n) * pixel for n in shape)
     holes = frame.uniform((0, 0, 40), (x[-1], y[-1], 120), (int(frame.integers(4, 12)), 3))
@@ -81,26 +101,43 @@ def draw_sheet(seed, *, program=None):
     for face in base:
         made = np.sqrt(1 - coupled**2) * fields.draw() - coupled * face / face.std()
         mean = rng.uniform(8, 20)
-        made = mean * np.exp(0.3 * made) if rng.random() < 0.5 else np.maximum(mean + rng.uniform(1.5, 5) * made, 0.3)
+        made = (
+            mean * np.exp(0.3 * made)
+            if rng.random() < 0.5
+            else np.maximum(mean + rng.uniform(1.5, 5) * made, 0.3)
+        )
         coatings.append(made * (1 - 0.3 * burnt))
     heights = [b + c for b, c in zip(base, coatings, strict=True)]
     maps = {
-        "coating_top": coatings[0], "coating_bottom": coatings[1], "topography_top": heights[0],
-        "topography_bottom": heights[1], "thickness": heights[0] + heights[1] + 50,
-    }  # fmt: skip
+        "coating_top": coatings[0],
+        "coating_bottom": coatings[1],
+        "topography_top": heights[0],
+        "topography_bottom": heights[1],
+        "thickness": heights[0] + heights[1] + 50,
+    }
     blur, noise = rng.uniform(1.5, 5), rng.uniform(0.3, 1.5)
     valid = rim > frame.uniform(40, 100)
     measured = {
-        k: np.where(valid, fields.blurred(m, blur) + noise * fields.blurred(rng.standard_normal(shape), pixel), np.nan)
+        k: np.where(
+            valid,
+            fields.blurred(m, blur) + noise * fields.blurred(rng.standard_normal(shape), pixel),
+            np.nan,
+        )
         for k, m in maps.items()
     }
     shift = rng.normal(0, 2.0), rng.normal(0, 2.0)
     image = fields.moved(_photograph(fields, coatings[0], heights[0]), shift) * (1 - 0.5 * burnt)
-    image *= 1 + rng.uniform(0, 2) * (x[None] / x[-1]) + rng.uniform(-0.3, 0.3) * (y[:, None] / y[-1]) ** 2
+    image *= (
+        1
+        + rng.uniform(0, 2) * (x[None] / x[-1])
+        + rng.uniform(-0.3, 0.3) * (y[:, None] / y[-1]) ** 2
+    )
     coords = {"y": y, "x": x}
     both = {"valid": (("y", "x"), valid)}
     error = (("y", "x"), np.full(shape, 3.0))
-    sheet = xr.Dataset({k: (("y", "x"), m) for k, m in measured.items()} | both | {"expected_error": error}, coords)
+    sheet = xr.Dataset(
+        {k: (("y", "x"), m) for k, m in measured.items()} | both | {"expected_error": error}, coords
+    )
     shown = np.rint(255 * np.clip(image / np.quantile(image, 0.999), 0, 1.2))
     return Drawn(sheet, xr.Dataset({"image": (("y", "x"), shown)} | both, coords), shift)
 
@@ -112,7 +149,11 @@ def _photograph(fields, coating, height):
     unit = [(m - m.mean()) / m.std() for m in (tone, *fields.slopes(height), height, fields.draw())]
     angle, sign = rng.uniform(0, 2 * np.pi), rng.choice([-1.0, 1.0])
     light = rng.uniform(0, 1.2)
-    out = sign * unit[0] + light * (np.cos(angle) * unit[1] + np.sin(angle) * unit[2]) + rng.uniform(0, 0.3) * unit[3]
+    out = (
+        sign * unit[0]
+        + light * (np.cos(angle) * unit[1] + np.sin(angle) * unit[2])
+        + rng.uniform(0, 0.3) * unit[3]
+    )
     out += rng.uniform(0.3, 2.0) * unit[4]
     if rng.random() < 0.2:
         period, turn = rng.uniform(100, 200), rng.uniform(0, np.pi)
@@ -129,7 +170,9 @@ def _photograph(fields, coating, height):
 
 def _exchanged(sheet):
     names = {
-        f"{k}_{a}": f"{k}_{b}" for k in ("coating", "topography") for a, b in (("top", "bottom"), ("bottom", "top"))
+        f"{k}_{a}": f"{k}_{b}"
+        for k in ("coating", "topography")
+        for a, b in (("top", "bottom"), ("bottom", "top"))
     }
     return sheet.rename({a: b for a, b in names.items() if a in sheet and b in sheet})
 
@@ -171,10 +214,15 @@ def main(sheets=100):
     off, se = (np.array([e[k] for e in errors]).reshape(-1, 2) for k in (0, 1))
     ratio = np.abs(off / se)
     print(
-        f"lag: answered in {len(errors)} of {sheets} ({dict(positions)}), error {rms(off):.2f} um rms, over standard "
-        f"error {rms(ratio):.2f}, within 2 se {np.mean(ratio < 2):.2f}; unrelated images with a lag: {false_lags}; "
-        f"{seconds:.2f} s CPU a judgement"
+        f"lag: answered in {len(errors)} of {sheets} ({dict(positions)}), error {rms(off):.2f} um"
+        f" rms, over standard error {rms(ratio):.2f}, within 2 se {np.mean(ratio < 2):.2f};"
+        f" unrelated images with a lag: {false_lags}; {seconds:.2f} s CPU a judgement"
     )
-    wrong = told["stated"]["other"] + told["other"]["stated"] + told["none"]["stated"] + told["none"]["other"]
+    wrong = (
+        told["stated"]["other"]
+        + told["other"]["stated"]
+        + told["none"]["stated"]
+        + told["none"]["other"]
+    )
     print(f"{wrong} wrong answers")
     return int(wrong > 0 or min(told["stated"]["stated"], len(errors)) < 0.8 * sheets)

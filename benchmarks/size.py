@@ -63,22 +63,40 @@ def fill(out, z0, y0, x0, depth):
             x = (x0 + i) * VOXEL_UM
             a, b = 2 * np.pi * x / 3100.0, 2 * np.pi * y / 2300.0
             middle = depth * VOXEL_UM / 2 + 60.0 * np.sin(a) + 20.0 * np.sin(b)
-            slope = np.hypot(60.0 * 2 * np.pi / 3100.0 * np.cos(a), 20.0 * 2 * np.pi / 2300.0 * np.cos(b))
+            slope = np.hypot(
+                60.0 * 2 * np.pi / 3100.0 * np.cos(a), 20.0 * 2 * np.pi / 2300.0 * np.cos(b)
+            )
             tilt = 1.0 / np.sqrt(1.0 + slope * slope)
-            coat = COAT_UM + 3.0 * np.sin(2 * np.pi * (x + 0.3 * y) / 90.0) + 3.0 * np.sin(2 * np.pi * (y - x) / 400.0)
+            coat = (
+                COAT_UM
+                + 3.0 * np.sin(2 * np.pi * (x + 0.3 * y) / 90.0)
+                + 3.0 * np.sin(2 * np.pi * (y - x) / 400.0)
+            )
             rough = 1.0 * np.sin(2 * np.pi * x / 57.0) * np.sin(2 * np.pi * y / 61.0)
-            fx, fy = (x + 0.5 * HOLES_UM) % HOLES_UM - 0.5 * HOLES_UM, (y + 0.5 * HOLES_UM) % HOLES_UM - 0.5 * HOLES_UM
+            fx, fy = (
+                (x + 0.5 * HOLES_UM) % HOLES_UM - 0.5 * HOLES_UM,
+                (y + 0.5 * HOLES_UM) % HOLES_UM - 0.5 * HOLES_UM,
+            )
             there = smooth_step((np.hypot(fx, fy) - 0.5 * HOLE_UM) / BLUR_UM)
             column = np.uint64(((y0 + j) << 40) + ((x0 + i) << 20))
             for k in range(nz):
                 s = ((z0 + k) * VOXEL_UM - middle) * tilt
                 outer = smooth_step((0.5 * BASE_UM + coat + rough - s) / BLUR_UM)
                 outer *= smooth_step((s + 0.5 * BASE_UM + COAT_UM) / BLUR_UM)
-                inner = smooth_step((0.5 * BASE_UM + rough - s) / BLUR_UM) * smooth_step((s + 0.5 * BASE_UM) / BLUR_UM)
+                inner = smooth_step((0.5 * BASE_UM + rough - s) / BLUR_UM) * smooth_step(
+                    (s + 0.5 * BASE_UM) / BLUR_UM
+                )
                 bits, noise = mixed(column + np.uint64(z0 + k)), 0.0
                 for part in range(3):
-                    noise += np.float64((bits >> np.uint64(21 * part)) & np.uint64(0x1FFFFF)) / 2097152.0 - 0.5
-                grey = AIR + there * ((COATING - AIR) * outer + (PAPER - COATING) * inner) + 2.0 * NOISE * noise
+                    noise += (
+                        np.float64((bits >> np.uint64(21 * part)) & np.uint64(0x1FFFFF)) / 2097152.0
+                        - 0.5
+                    )
+                grey = (
+                    AIR
+                    + there * ((COATING - AIR) * outer + (PAPER - COATING) * inner)
+                    + 2.0 * NOISE * noise
+                )
                 out[k, j, i] = np.uint8(min(max(grey, 0.0), 255.0) + 0.5)
 
 
@@ -105,7 +123,14 @@ class Formula(BackendArray):
 
 def main(*arguments):
     asked = options(
-        "size", arguments, gvoxel="0.5,8", times=1, slices=False, folder=None, column_um="4.11", memory="2GB"
+        "size",
+        arguments,
+        gvoxel="0.5,8",
+        times=1,
+        slices=False,
+        folder=None,
+        column_um="4.11",
+        memory="2GB",
     )
     with folder_for(asked.folder) as folder:
         for gvoxel in map(float, asked.gvoxel.split(",")):
@@ -122,13 +147,17 @@ def measure(gvoxel, folder, asked):
     if not store.exists():
         write_store(volume(shape), store, memory_bytes=2**30)
     read = statistics.median(plain_pass(store) for _ in range(asked.times))
-    print(f"  plain pass of reading {read:.1f} s, {voxels / read / 1e6:.0f} Mvoxel/s, "
-          f"{size_of(store / '0') / 1e9:.2f} GB on disk")  # fmt: skip
+    print(
+        f"  plain pass of reading {read:.1f} s, {voxels / read / 1e6:.0f} Mvoxel/s, "
+        f"{size_of(store / '0') / 1e9:.2f} GB on disk"
+    )
     runs = [mapped(store, out, asked) for _ in range(asked.times)]
     took = statistics.median(run.seconds for run in runs)
     each = ", ".join(f"{run.seconds:.1f}" for run in runs)
-    print(f"  surfaces and six maps {took:.1f} s ({each}), {voxels / took / 1e6:.0f} Mvoxel/s, "
-          f"{took / read:.1f} plain passes")  # fmt: skip
+    print(
+        f"  surfaces and six maps {took:.1f} s ({each}), {voxels / took / 1e6:.0f} Mvoxel/s, "
+        f"{took / read:.1f} plain passes"
+    )
     last = runs[-1]
     print("  " + ", ".join(f"{name} {seconds:.1f} s" for name, seconds in last.stages.items()))
     print(f"  the checks take {100 * last.stages.get('check', 0.0) / last.seconds:.0f} % of it")
@@ -137,8 +166,10 @@ def measure(gvoxel, folder, asked):
     sheet = results["layers"][0]["sheet"]
     mean = sheet["properties"]["coating_top"]["mean"]
     found = "withheld" if mean is None else f"{mean:.3f} um"
-    print(f"  coating {found} (true {COAT_UM:g}), measured "
-          f"{sheet['surfaces']['shares']['measured']:.3f}")  # fmt: skip
+    print(
+        f"  coating {found} (true {COAT_UM:g}), measured "
+        f"{sheet['surfaces']['shares']['measured']:.3f}"
+    )
     for check in results["checks"]:
         if check["state"] in ("look", "fail"):
             print(f"  {check['state']}: {check['name']}: {check['sentence']}")
@@ -148,7 +179,17 @@ def mapped(volume, out, asked):
     """Map a volume by the command line."""
     shutil.rmtree(out, ignore_errors=True)
     voxel = () if volume.suffix == ".zarr" else ("--voxel-um", VOXEL_UM)
-    command = planish("map", volume, "--out", out, "--column-um", asked.column_um, "--memory", asked.memory, *voxel)
+    command = planish(
+        "map",
+        volume,
+        "--out",
+        out,
+        "--column-um",
+        asked.column_um,
+        "--memory",
+        asked.memory,
+        *voxel,
+    )
     return succeeded(command)
 
 
@@ -170,7 +211,11 @@ def write_slices(values, folder, compression):
 def decode_slices(folder):
     """Read and decode every slice, on two threads."""
     with ThreadPoolExecutor(2) as pool:
-        list(pool.map(lambda file: tifffile.imread(file, maxworkers=1).nbytes, sorted(folder.iterdir())))
+        list(
+            pool.map(
+                lambda file: tifffile.imread(file, maxworkers=1).nbytes, sorted(folder.iterdir())
+            )
+        )
 
 
 def compare_slices(gvoxel, folder, asked):
@@ -178,7 +223,9 @@ def compare_slices(gvoxel, folder, asked):
     values = sixteen_bits(edge)
     inputs = {"store": folder / "sheet-16.zarr", "plain": folder / "plain", "zlib": folder / "zlib"}
     if not inputs["store"].exists():
-        write_store(volume((DEPTH, edge, edge)).copy(data=values), inputs["store"], memory_bytes=2**30)
+        write_store(
+            volume((DEPTH, edge, edge)).copy(data=values), inputs["store"], memory_bytes=2**30
+        )
     write_slices(values, inputs["plain"], None)
     write_slices(values, inputs["zlib"], "zlib")
     took = {kind: [] for kind in inputs}
@@ -194,14 +241,18 @@ def compare_slices(gvoxel, folder, asked):
     print(f"{gvoxel:g} Gvoxel of 16 bits, from a store {store:.1f} s")
     for kind, seconds in decoding.items():
         alone, whole = statistics.median(seconds), statistics.median(took[kind])
-        print(f"  {kind} slices {whole:.1f} s, decoding alone {alone:.1f} s: {(whole - alone) / store:.2f} of the "
-              "store (1.3)")  # fmt: skip
+        print(
+            f"  {kind} slices {whole:.1f} s, decoding alone {alone:.1f} s:"
+            f" {(whole - alone) / store:.2f} of the store (1.3)"
+        )
 
 
 def volume(shape):
     coords = {k: np.arange(n) * VOXEL_UM for k, n in zip("zyx", shape, strict=True)}
     attrs = {"voxel_um": [VOXEL_UM] * 3, "file_name": "formula", "file_bytes": 0, "full_scale": 255}
-    return xr.DataArray(xr.Variable(("z", "y", "x"), LazilyIndexedArray(Formula(shape))), coords=coords, attrs=attrs)
+    return xr.DataArray(
+        xr.Variable(("z", "y", "x"), LazilyIndexedArray(Formula(shape))), coords=coords, attrs=attrs
+    )
 
 
 def plain_pass(store):
@@ -209,12 +260,16 @@ def plain_pass(store):
     array = zarr.open_group(store, mode="r")["0"]
     start = time.perf_counter()
     with ThreadPoolExecutor(2) as pool:
-        for _ in pool.map(lambda where: array[where][0, 0, 0], boxes(array.shape, array.shards or array.chunks)):
+        for _ in pool.map(
+            lambda where: array[where][0, 0, 0], boxes(array.shape, array.shards or array.chunks)
+        ):
             pass
     return time.perf_counter() - start
 
 
 def boxes(shape, edges):
     """Parts of an array, one after the other."""
-    for corner in itertools.product(*(range(0, n, edge) for n, edge in zip(shape, edges, strict=True))):
+    for corner in itertools.product(
+        *(range(0, n, edge) for n, edge in zip(shape, edges, strict=True))
+    ):
         yield tuple(slice(at, at + edge) for at, edge in zip(corner, edges, strict=True))

@@ -74,7 +74,12 @@ def draw(name, seed, path):
     coated = params.paper.coating_top_um > 0
     truth = specimen.truth["coating_top" if coated else "thickness"].values[crop]
     shown = axes["coating"].imshow(truth, cmap="viridis", extent=wide, vmin=0 if coated else None)
-    figure.colorbar(shown, ax=axes["coating"], label=("top coating" if coated else "thickness") + " / µm", shrink=0.8)
+    figure.colorbar(
+        shown,
+        ax=axes["coating"],
+        label=("top coating" if coated else "thickness") + " / µm",
+        shrink=0.8,
+    )
     titles = {
         "ct": "micro-CT, voxel 1.37 µm, with all of its artefacts",
         "lm": "section under the light microscope, 0.81 µm",
@@ -91,4 +96,6 @@ def draw(name, seed, path):
     figure.savefig(path, dpi=100)
     plt.close(figure)
     # Few colours are enough, and keep the file small.
-    Image.open(path).convert("RGB").quantize(256, method=Image.Quantize.MAXCOVERAGE).save(path, optimize=True)
+    Image.open(path).convert("RGB").quantize(256, method=Image.Quantize.MAXCOVERAGE).save(
+        path, optimize=True
+    )

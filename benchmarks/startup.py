@@ -39,7 +39,10 @@ def main(times=5, cold=0):
                 ran = succeeded(planish(*arguments))
                 taken.append(ran.cpu if what == "link" else ran.seconds)
             median = statistics.median(taken)
-            print(f"{what:7} {median:6.2f} s ({min(taken):.2f} to {max(taken):.2f}); limit {_LIMITS[what]}")
+            print(
+                f"{what:7} {median:6.2f} s ({min(taken):.2f} to {max(taken):.2f}); limit"
+                f" {_LIMITS[what]}"
+            )
             failed |= median > _LIMITS[what]
         if cold:
             for words in ("empty", "full"):

@@ -20,7 +20,9 @@ def developable(rows, cols, *, angle=0.0, slope=1.0, waves=1.5):
     speed = np.sqrt(1 + (slope * np.cos(k * fine)) ** 2)
     # Simpson's rule between the nodes: the truth is good to 1e-12.
     middle = np.sqrt(1 + (slope * np.cos(k * 0.5 * (fine[1:] + fine[:-1]))) ** 2)
-    arc = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1] + 4 * middle) * np.diff(fine) / 6)])
+    arc = np.concatenate(
+        [[0.0], np.cumsum((speed[1:] + speed[:-1] + 4 * middle) * np.diff(fine) / 6)]
+    )
     a = CubicSpline(fine, arc)(t)
     points = np.stack([x, y, slope / k * np.sin(k * t)], axis=-1)
     return points, np.stack([c * a - s * w, s * a + c * w], axis=-1)
@@ -36,7 +38,10 @@ def smooth(rows, cols, *, seed=0, stretch=0.015):
         length = size / rng.uniform(1.5, 5)
         turn, phase, k = rng.uniform(0, np.pi), rng.uniform(0, 2 * np.pi), 2 * np.pi / length
         # Products of a wave along each axis: no sum of cylinders.
-        z += length * (np.sin(k * np.cos(turn) * x[0] + phase) * np.cos(k * np.sin(turn) * y[:, :1] + 1.7 * phase))
+        z += length * (
+            np.sin(k * np.cos(turn) * x[0] + phase)
+            * np.cos(k * np.sin(turn) * y[:, :1] + 1.7 * phase)
+        )
     square = np.mean(np.diff(z[:: max(1, rows // 200)], axis=1) ** 2)
     square = 0.5 * (square + np.mean(np.diff(z[:, :: max(1, cols // 200)], axis=0) ** 2))
     z *= np.sqrt(2 * stretch / square)
@@ -51,7 +56,9 @@ def roughness(rows, cols, *, slope=0.2, seed=1, shortest=2.0, longest=10.0, tile
     n, m = min(rows, tile), min(cols, tile)
     rng = np.random.default_rng(seed)
     f = np.hypot(np.fft.fftfreq(n)[:, None], np.fft.rfftfreq(m)[None])
-    z = np.fft.irfft2(np.fft.rfft2(rng.normal(size=(n, m))) * ((f >= 1 / longest) & (f <= 1 / shortest)), s=(n, m))
+    z = np.fft.irfft2(
+        np.fft.rfft2(rng.normal(size=(n, m))) * ((f >= 1 / longest) & (f <= 1 / shortest)), s=(n, m)
+    )
     z *= slope / np.sqrt(np.mean(np.gradient(z, axis=0) ** 2 + np.gradient(z, axis=1) ** 2))
     return np.tile(z, (-(-rows // n), -(-cols // m)))[:rows, :cols]
 

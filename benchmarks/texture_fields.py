@@ -39,8 +39,13 @@ def searched(number):
     rng, pixel = np.random.default_rng([number, 7]), (_SEARCH_UM, _SEARCH_UM)
     shape = int(rng.integers(45, 80)), int(rng.integers(45, 80))
     wide = int(shape[0] * rng.uniform(1.0, 2.0)), int(shape[1] * rng.uniform(1.0, 2.0))
-    maps = {name: _field(rng, shape, _drawn_um(rng), _SEARCH_UM) for name in ("coating_top", "base_thickness")}
-    image = _field(rng, wide, _drawn_um(rng), _SEARCH_UM) + 0.5 * _field(rng, wide, 60.0, _SEARCH_UM)
+    maps = {
+        name: _field(rng, shape, _drawn_um(rng), _SEARCH_UM)
+        for name in ("coating_top", "base_thickness")
+    }
+    image = _field(rng, wide, _drawn_um(rng), _SEARCH_UM) + 0.5 * _field(
+        rng, wide, 60.0, _SEARCH_UM
+    )
     if number % 2:
         maps, image = {k: np.exp(m) for k, m in maps.items()}, np.exp(image)
     moving = textures(maps, np.ones(shape, bool), pixel, band_um=BAND_UM)
@@ -52,7 +57,10 @@ def searched(number):
 def held_out(number, r):
     """r of two fields whose correlation is known, its interval, and whether they are called related."""
     rng = np.random.default_rng([number, 8])
-    shape, length_um = (int(rng.integers(150, 200)), int(rng.integers(190, 240))), rng.uniform(10.0, 30.0)
+    shape, length_um = (
+        (int(rng.integers(150, 200)), int(rng.integers(190, 240))),
+        rng.uniform(10.0, 30.0),
+    )
     a, noise = (_field(rng, shape, length_um, _MAP_UM) for _ in range(2))
     b = r * a + np.sqrt(1.0 - r * r) * noise
     found = held_out_r(a, b, None, np.ones(shape, bool), (_MAP_UM, _MAP_UM))
@@ -67,14 +75,23 @@ def linked(number, r, area_mm2):
     rng, pixel = np.random.default_rng([number, 9]), (_SEARCH_UM, _SEARCH_UM)
     n = round(1000.0 * np.sqrt(area_mm2) / _SEARCH_UM)
     shape, wide = (n, n), (2 * n, 2 * n)
-    sheet, noise = _field(rng, shape, _PAPER_UM, _SEARCH_UM), _field(rng, wide, _PAPER_UM, _SEARCH_UM)
-    turn = Similarity(scale=1.0 + rng.uniform(-0.02, 0.02), rotation_rad=rng.uniform(0.0, 2.0 * np.pi))
+    sheet, noise = (
+        _field(rng, shape, _PAPER_UM, _SEARCH_UM),
+        _field(rng, wide, _PAPER_UM, _SEARCH_UM),
+    )
+    turn = Similarity(
+        scale=1.0 + rng.uniform(-0.02, 0.02), rotation_rad=rng.uniform(0.0, 2.0 * np.pi)
+    )
     middle = np.array([0.5 * n * _SEARCH_UM] * 2)
-    place = nearest_similarity(turn.matrix(), middle, 2.0 * middle + rng.uniform(-0.2, 0.2, 2) * middle)
+    place = nearest_similarity(
+        turn.matrix(), middle, 2.0 * middle + rng.uniform(-0.2, 0.2, 2) * middle
+    )
     rows, cols = np.indices(wide)
     at = place.inverse(np.stack([cols, rows], axis=-1) * _SEARCH_UM)[..., ::-1] / _SEARCH_UM
     seen = ndimage.map_coordinates(sheet, np.moveaxis(at, -1, 0), order=3, cval=np.nan)
-    image = np.where(np.isfinite(seen), r * np.nan_to_num(seen) + np.sqrt(1.0 - r * r) * noise, noise)
+    image = np.where(
+        np.isfinite(seen), r * np.nan_to_num(seen) + np.sqrt(1.0 - r * r) * noise, noise
+    )
     moving = textures({"thickness": sheet}, np.ones(shape, bool), pixel, band_um=BAND_UM)
     fixed = textures({"image": image}, np.ones(wide, bool), pixel, band_um=BAND_UM)
     found = search_place(moving, fixed, mirrored=False, scale_tolerance=0.03)
@@ -87,21 +104,34 @@ def main(searches=300, fields=40, power=10, first=0):
     started = time.process_time()
     pairs = [searched(k) for k in range(first, first + searches)]
     stated, sure = np.array([p for p, _ in pairs]), sum(is_sure for _, is_sure in pairs)
-    shares = ", ".join(f"{np.mean(stated <= p):.3f} below {p:g}" for p in (0.5, 0.1, 0.01, FALSE)) if pairs else ""
+    shares = (
+        ", ".join(f"{np.mean(stated <= p):.3f} below {p:g}" for p in (0.5, 0.1, 0.01, FALSE))
+        if pairs
+        else ""
+    )
     print(f"unrelated pairs linked: {sure} of {searches}; stated probability {shares}", flush=True)
     is_missed = sure > max(4 * searches / 3000, 1)
     if fields:
         called = np.mean([held_out(k, 0.0)[2] for k in range(first, first + fields)])
         print(f"unrelated fields called related: {called:.3f} of {fields}", flush=True)
-        rows = [(r, *held_out(k, r)) for k in range(first, first + fields) for r in (_RS[k % len(_RS)],)]
+        rows = [
+            (r, *held_out(k, r)) for k in range(first, first + fields) for r in (_RS[k % len(_RS)],)
+        ]
         bias = np.mean([found - r for r, found, _, _ in rows])
-        holds = np.mean([low <= r <= high for r, _, limits, _ in rows if limits for low, high in (limits,)])
-        print(f"known r: bias {bias:+.4f}, intervals hold {holds:.3f} of {sum(row[2] is not None for row in rows)}")
+        holds = np.mean(
+            [low <= r <= high for r, _, limits, _ in rows if limits for low, high in (limits,)]
+        )
+        print(
+            f"known r: bias {bias:+.4f}, intervals hold {holds:.3f} of"
+            f" {sum(row[2] is not None for row in rows)}"
+        )
         is_missed |= abs(bias) > 0.01
     for area_mm2 in _AREAS_MM2 if power else ():
         shares = {r: np.mean([linked(k, r, area_mm2) for k in range(power)]) for r in _POWER_RS}
         print(
-            f"linked, {area_mm2:g} mm2:", ", ".join(f"r {r:g} {share:.2f}" for r, share in shares.items()), flush=True
+            f"linked, {area_mm2:g} mm2:",
+            ", ".join(f"r {r:g} {share:.2f}" for r, share in shares.items()),
+            flush=True,
         )
     print(f"{time.process_time() - started:.0f} s CPU")
     return int(is_missed)

@@ -43,7 +43,12 @@ def profile(rng, lengths):
     span = float(np.ptp(lengths))
     waves = [
         a * np.cos(2 * np.pi * lengths / (span * w) + p)
-        for a, w, p in zip(rng.uniform(0.3, 1, 3), rng.uniform(0.4, 1.5, 3), rng.uniform(0, 2 * np.pi, 3), strict=True)
+        for a, w, p in zip(
+            rng.uniform(0.3, 1, 3),
+            rng.uniform(0.4, 1.5, 3),
+            rng.uniform(0, 2 * np.pi, 3),
+            strict=True,
+        )
     ]
     return np.sum(waves, axis=0)
 
@@ -64,9 +69,11 @@ def cylinder(rng, tilt, shape_um):
     def at(x, y):
         across, along = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
         u = np.interp(across, t, length)
-        return np.interp(across, t, height), u * np.cos(turn) - along * np.sin(turn), (
-            u * np.sin(turn) + along * np.cos(turn)
-        )  # fmt: skip
+        return (
+            np.interp(across, t, height),
+            u * np.cos(turn) - along * np.sin(turn),
+            (u * np.sin(turn) + along * np.cos(turn)),
+        )
 
     return at
 
@@ -88,7 +95,10 @@ def cone(rng, tilt, shape_um):
     def at(x, y):
         dx, dy = x - tip[0], y - tip[1]
         # The axis from the tip to the middle of the field has angle 0.
-        away, turned = np.hypot(dx, dy), np.arctan2(dx * tip[1] - dy * tip[0], -(dx * tip[0] + dy * tip[1]))
+        away, turned = (
+            np.hypot(dx, dy),
+            np.arctan2(dx * tip[1] - dy * tip[0], -(dx * tip[0] + dy * tip[1])),
+        )
         h, psi = np.interp(turned, angle, height), np.interp(turned, angle, flat)
         long = away * np.sqrt(1 + h**2)
         return away * h, long * np.cos(psi), long * np.sin(psi)
@@ -113,12 +123,17 @@ def examine(case, rng):
             "status": (("y", "x"), np.zeros(true.shape, dtype=np.uint8)),
         },
         coords={"y": y, "x": x},
-        attrs={**Frame().attrs(), "voxel_um": [case.stated * case.pitch_um, case.pitch_um, case.pitch_um]},
+        attrs={
+            **Frame().attrs(),
+            "voxel_um": [case.stated * case.pitch_um, case.pitch_um, case.pitch_um],
+        },
     )
     flat = flatten_sheet(seen).flat
     places = rng.uniform(-0.47, 0.47, (case.marks, 2)) * shape_um
     row, col = places[:, 1] / step + (rows - 1) / 2, places[:, 0] / step + (cols - 1) / 2
-    moving = np.stack([ndimage.map_coordinates(flat[k].values, [row, col], order=1) for k in "uv"], axis=1)
+    moving = np.stack(
+        [ndimage.map_coordinates(flat[k].values, [row, col], order=1) for k in "uv"], axis=1
+    )
     _, u, v = at(places[:, 0], places[:, 1])
     fixed = np.stack([u, v], axis=1) @ _stretch(rng)
     fixed += rng.normal(0, case.error_um / np.sqrt(2), fixed.shape)
@@ -142,33 +157,55 @@ def _stretch(rng):
     turn, along = rng.uniform(-np.pi, np.pi, 2)
     way = np.array([np.cos(along), np.sin(along)])
     rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    return rng.uniform(0.98, 1.02) * (np.eye(2) + rng.uniform(0, 0.002) * np.outer(way, way)) @ rotation
+    return (
+        rng.uniform(0.98, 1.02)
+        * (np.eye(2) + rng.uniform(0, 0.002) * np.outer(way, way))
+        @ rotation
+    )
 
 
 def draw(rng, *, tilts=(0.0, 60.0), marks=(4, 31), errors=(0.5, 5.0)):
     """A case of either instrument: a scanner's voxels of 1.5 to 5 um, photographs' of 4 to 10 um."""
     low, high = (1.5, 5.0) if rng.random() < 0.5 else (4.0, 10.0)
     return Case(
-        tilt_deg=rng.uniform(*tilts), marks=int(rng.integers(*marks)), cone=bool(rng.random() < 0.4),
-        error_um=float(np.exp(rng.uniform(*np.log(errors)))), pitch_um=rng.uniform(low, high),
-    )  # fmt: skip
+        tilt_deg=rng.uniform(*tilts),
+        marks=int(rng.integers(*marks)),
+        cone=bool(rng.random() < 0.4),
+        error_um=float(np.exp(rng.uniform(*np.log(errors)))),
+        pitch_um=rng.uniform(low, high),
+    )
 
 
-_LINES = (  # what is drawn, how, stated over true spacing, share of the cases, least share that is seen
+# What is drawn, how, stated over true spacing, share of the cases, least share that is seen.
+_LINES = (
     ("right", {}, (1.0,), 1, 0.0),
     ("50 % wrong, 17-60°, 7-30 marks", {"tilts": (17, 60), "marks": (7, 31)}, (1.5, 0.5), 2, 0.9),
     ("10 % wrong, 26-60°, 15-30 marks", {"tilts": (26, 60), "marks": (15, 31)}, (1.1, 0.9), 2, 0.9),
     ("50 % wrong, 17-18°, 7 marks", {"tilts": (17, 18), "marks": (7, 8)}, (1.5, 0.5), 4, 0.0),
-    ("the same, marks to 1 um", {"tilts": (17, 18), "marks": (7, 8), "errors": (0.5, 1)}, (1.5, 0.5), 4, 0.0),
+    (
+        "the same, marks to 1 um",
+        {"tilts": (17, 18), "marks": (7, 8), "errors": (0.5, 1)},
+        (1.5, 0.5),
+        4,
+        0.0,
+    ),
     ("10 % wrong, 26-27°, 15 marks", {"tilts": (26, 27), "marks": (15, 16)}, (1.1, 0.9), 4, 0.0),
-    ("the same, marks to 1 um", {"tilts": (26, 27), "marks": (15, 16), "errors": (0.5, 1)}, (1.1, 0.9), 4, 0.0),
+    (
+        "the same, marks to 1 um",
+        {"tilts": (26, 27), "marks": (15, 16), "errors": (0.5, 1)},
+        (1.1, 0.9),
+        4,
+        0.0,
+    ),
 )
 
 
 def main(cases=200, seed=1):
     """Print the table; 1 if a limit is missed."""
     rng = np.random.default_rng(seed)
-    print(f"{'':34}{'cases':>7}{'seen %':>8}{'fail %':>8}{'unknown %':>11}{'error of s':>12}{'z, rms':>8}{'s CPU':>8}")
+    print(
+        f"{'':34}{'cases':>7}{'seen %':>8}{'fail %':>8}{'unknown %':>11}{'error of s':>12}{'z, rms':>8}{'s CPU':>8}"
+    )
     missed = 0
     for words, drawn, stated, part, least in _LINES:
         began, count = time.process_time(), cases // part
@@ -182,7 +219,10 @@ def main(cases=200, seed=1):
             errors.append(found.error)
         share = {state: states.count(state) / count for state in ("look", "fail", "unknown")}
         seen, seconds = share["look"] + share["fail"], (time.process_time() - began) / count
-        print(f"{words:34}{count:>7}{100 * seen:>8.1f}{100 * share['fail']:>8.1f}{100 * share['unknown']:>11.1f}"
-              f"{np.median(errors):>12.3f}{rms(z):>8.2f}{seconds:>8.2f}", flush=True)  # fmt: skip
+        print(
+            f"{words:34}{count:>7}{100 * seen:>8.1f}{100 * share['fail']:>8.1f}{100 * share['unknown']:>11.1f}"
+            f"{np.median(errors):>12.3f}{rms(z):>8.2f}{seconds:>8.2f}",
+            flush=True,
+        )
         missed += seen < least or (stated == (1.0,) and seen > 0.01)
     return missed

@@ -19,9 +19,14 @@ from planish.analyze import correlate, second_opinion
 _SHAPE, _R = (100, 133), 0.5
 _LEAST = 0.89
 _CASES = (
-    ("even", 30.0, ""), ("even", 12.0, ""), ("even", 5.0, ""), ("rest uneven", 30.0, "rest"),
-    ("both uneven", 60.0, "both"), ("both uneven", 30.0, "both"), ("both uneven", 12.0, "both"),
-)  # fmt: skip
+    ("even", 30.0, ""),
+    ("even", 12.0, ""),
+    ("even", 5.0, ""),
+    ("rest uneven", 30.0, "rest"),
+    ("both uneven", 60.0, "both"),
+    ("both uneven", 30.0, "both"),
+    ("both uneven", 12.0, "both"),
+)
 
 
 def cover(fields, seed, share, what):
@@ -35,12 +40,17 @@ def cover(fields, seed, share, what):
         b = (_R * a * own + math.sqrt(1 - _R**2) * rest * level) * np.ones(_SHAPE)
         square = float(np.mean(level**2))
         true = _R if what != "rest" else _R / math.sqrt(_R**2 + (1 - _R**2) * square)
-        first, second = correlate(a * own, b, pixel_um=1.0), second_opinion(a * own, b, pixel_um=1.0)
+        first, second = (
+            correlate(a * own, b, pixel_um=1.0),
+            second_opinion(a * own, b, pixel_um=1.0),
+        )
         wide = [high - low for low, high in (first.interval, second.interval)]
         found += [
-            first.interval[0] <= true <= first.interval[1], second.interval[0] <= true <= second.interval[1],
-            second.ratio > 1.4, wide[1] / wide[0],
-        ]  # fmt: skip
+            first.interval[0] <= true <= first.interval[1],
+            second.interval[0] <= true <= second.interval[1],
+            second.ratio > 1.4,
+            wide[1] / wide[0],
+        ]
     return list(found / fields)
 
 

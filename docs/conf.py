@@ -43,7 +43,11 @@ html_copy_source = False
 html_show_sourcelink = False
 html_show_sphinx = False
 html_theme_options = {
-    "logo": {"text": "planish", "image_light": "_static/planish.svg", "image_dark": "_static/planish.svg"},
+    "logo": {
+        "text": "planish",
+        "image_light": "_static/planish.svg",
+        "image_dark": "_static/planish.svg",
+    },
     "navbar_align": "left",
     "navbar_end": ["theme-switcher"],
     "navbar_persistent": ["search-button"],

@@ -19,7 +19,9 @@ out.mkdir(parents=True, exist_ok=True)
 
 # A synthetic sheet of paper takes the place of your files.
 params = SpecimenParams(
-    size_um=(1300.0, 1000.0), holes=BurnParams(pattern="irregular", count=5), scanner=ScannerParams(voxel_um=4.0)
+    size_um=(1300.0, 1000.0),
+    holes=BurnParams(pattern="irregular", count=5),
+    scanner=ScannerParams(voxel_um=4.0),
 )
 with tempfile.TemporaryDirectory() as folder:
     files = pl.make_specimen(params, Path(folder) / "sheet").files
@@ -33,7 +35,8 @@ with tempfile.TemporaryDirectory() as folder:
     print(image.sizes, image.dtype, image.attrs["pixel_um"], image.attrs["pixel_um_source"])
 
     figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
-    volume.sel(y=500, method="nearest").plot(ax=left, cmap="gray")  # a cross-section: the sheet is warped
+    # a cross-section: the sheet is warped.
+    volume.sel(y=500, method="nearest").plot(ax=left, cmap="gray")
     left.set_title("Volume, section at y = 500 um")
     image.plot(ax=right, cmap="gray", yincrease=False)
     right.set_title("Image")

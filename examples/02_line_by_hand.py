@@ -17,16 +17,19 @@ from planish.synthetic import BurnParams, CameraParams, ScannerParams, SpecimenP
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "examples/out")
 out.mkdir(parents=True, exist_ok=True)
 params = SpecimenParams(
-    size_um=(1300.0, 1000.0), holes=BurnParams(pattern="irregular", count=5), scanner=ScannerParams(voxel_um=4.0),
+    size_um=(1300.0, 1000.0),
+    holes=BurnParams(pattern="irregular", count=5),
+    scanner=ScannerParams(voxel_um=4.0),
     camera=CameraParams(pixel_um=5.0, shading=0.003, nuisance_sd=0.004),
-)  # fmt: skip
+)
 with tempfile.TemporaryDirectory() as folder:
     files = pl.make_specimen(params, Path(folder) / "sheet").files
 
     # The whole line.
     volume, image = pl.read_volume(files.volume), pl.read_image(files.image)
     surfaces = pl.find_surfaces(volume)  # faces, interfaces and centre surface of every column
-    measured = pl.measure_properties(surfaces, volume=volume)  # thickness, coating ... along the normals
+    # Thickness, coating ... along the normals.
+    measured = pl.measure_properties(surfaces, volume=volume)
     flat = pl.flatten_sheet(surfaces).flat  # flat coordinates u, v of every column
     maps = pl.resample_maps(measured, flat)  # maps on a regular grid of the flat sheet
     sheet_holes, image_holes = pl.find_holes(maps), pl.find_holes(image)
@@ -42,7 +45,9 @@ print(f"leave-one-out error {fit.leave_one_out_rms_um:.2f} um")
 print(f"expected error, median over the image {float(linked.expected_error.median()):.2f} um")
 for row in rows:
     if row.a_map == "coating_top":
-        print(f"coating and image over points of {row.point_um:g} um: r = {row.r:.3f} (n = {row.n})")
+        print(
+            f"coating and image over points of {row.point_um:g} um: r = {row.r:.3f} (n = {row.n})"
+        )
 
 figure, axes = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
 linked.image.plot(ax=axes[0], cmap="gray", yincrease=False)

@@ -19,7 +19,9 @@ from planish.synthetic import BurnParams, ScannerParams, SpecimenParams, Warp
 
 # All that a new property needs. `rays.core` is the base without its blurred ends; `rays.mean` is the mean grey above
 # the air between two places on each ray, in um from the centre surface.
-@ray_property("skin", units="1", long_name="Brightness of the base near its faces over that of its core")
+@ray_property(
+    "skin", units="1", long_name="Brightness of the base near its faces over that of its core"
+)
 def skin(rays: Rays) -> np.ndarray:
     """Mean grey of the outer thirds over that of the middle one."""
     bottom, top = rays.core
@@ -31,17 +33,22 @@ def skin(rays: Rays) -> np.ndarray:
 def main(out: Path) -> xr.Dataset:
     """Measure it on a small synthetic sheet, beside a property that is built in."""
     params = SpecimenParams(
-        size_um=(700.0, 500.0), holes=BurnParams(pattern="irregular", count=1), warp=Warp(slope=0.3),
-        scanner=ScannerParams(voxel_um=4.0), seed=2,
-    )  # fmt: skip
+        size_um=(700.0, 500.0),
+        holes=BurnParams(pattern="irregular", count=1),
+        warp=Warp(slope=0.3),
+        scanner=ScannerParams(voxel_um=4.0),
+        seed=2,
+    )
     volume = pl.make_specimen(params).volume
     maps = measure_along_rays(volume, pl.find_surfaces(volume), names=["skin", "thickness"])
     out.mkdir(parents=True, exist_ok=True)
     figure, axes = plt.subplots(1, 2, figsize=(10, 3.5), layout="constrained")
     for ax, name in zip(axes, ("skin", "thickness"), strict=True):
         values = maps[name]
-        print(f"{values.attrs['long_name']}: {float(values.mean()):.3g} ± {float(values.std()):.2g} "
-              f"{values.attrs['units']}, {int(values.notnull().sum())} rays")  # fmt: skip
+        print(
+            f"{values.attrs['long_name']}: {float(values.mean()):.3g} ± {float(values.std()):.2g} "
+            f"{values.attrs['units']}, {int(values.notnull().sum())} rays"
+        )
         values.plot(ax=ax, robust=True, yincrease=False)
         ax.set_title(name)
     figure.savefig(out / "03_own_property.png", dpi=100)

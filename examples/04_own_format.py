@@ -28,14 +28,21 @@ def read_npz(path: Path) -> xr.DataArray:
 
 def volume_of(grey: np.ndarray, voxel_um: float) -> xr.DataArray:
     """Put coordinates in um on an array (z, y, x): all that planish needs to know of a volume."""
-    coords = {d: (d, np.arange(n) * voxel_um, {"units": "um"}) for d, n in zip("zyx", grey.shape, strict=True)}
-    return xr.DataArray(grey, coords=coords, dims=("z", "y", "x"), attrs={"voxel_um": (voxel_um,) * 3})
+    coords = {
+        d: (d, np.arange(n) * voxel_um, {"units": "um"})
+        for d, n in zip("zyx", grey.shape, strict=True)
+    }
+    return xr.DataArray(
+        grey, coords=coords, dims=("z", "y", "x"), attrs={"voxel_um": (voxel_um,) * 3}
+    )
 
 
 def main(out: Path) -> xr.Dataset:
     """Write such an archive, read it, and measure the sheet in it."""
     params = SpecimenParams(
-        size_um=(700.0, 500.0), holes=BurnParams(pattern="irregular", count=1), scanner=ScannerParams(voxel_um=4.0)
+        size_um=(700.0, 500.0),
+        holes=BurnParams(pattern="irregular", count=1),
+        scanner=ScannerParams(voxel_um=4.0),
     )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "sheet.npz"

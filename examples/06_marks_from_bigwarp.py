@@ -34,13 +34,16 @@ lines = [
 with tempfile.TemporaryDirectory() as folder:
     path = Path(folder) / "landmarks.csv"
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    marks = read_any(path)  # all marks, used or not; `planish marks convert` does this at the terminal
+    # All marks, used or not; `planish marks convert` does this at the terminal.
+    marks = read_any(path)
     # JSON keeps everything that planish knows of marks: covariance, diameter, source, and what was not used.
     write_any(marks, Path(folder) / "marks.json")
 
 pairs = used_pairs(marks)
 fit = fit_transform(
-    np.stack([pairs.moving_x, pairs.moving_y], axis=1), np.stack([pairs.fixed_x, pairs.fixed_y], axis=1), model="auto"
+    np.stack([pairs.moving_x, pairs.moving_y], axis=1),
+    np.stack([pairs.fixed_x, pairs.fixed_y], axis=1),
+    model="auto",
 )
 print(f"{marks.sizes['mark']} marks, {len(fit.moving)} in use")
 print(fit.sentence, *fit.warnings)
@@ -48,7 +51,15 @@ print(f"rms {fit.rms_um:.2f} um, leave-one-out error {fit.leave_one_out_rms_um:.
 
 figure, ax = plt.subplots(figsize=(6, 5), layout="constrained")
 ax.plot(*fit.fixed.T, "o", label="target")
-ax.quiver(*fit.fixed.T, *fit.residuals_um.T, angles="xy", scale_units="xy", scale=0.02, width=0.004, color="C1")
+ax.quiver(
+    *fit.fixed.T,
+    *fit.residuals_um.T,
+    angles="xy",
+    scale_units="xy",
+    scale=0.02,
+    width=0.004,
+    color="C1",
+)
 ax.set(title="Residuals, 50 times enlarged", xlabel="x / um", ylabel="y / um", aspect="equal")
 ax.invert_yaxis()
 ax.legend()

@@ -19,15 +19,20 @@ from planish.synthetic import BurnParams, CameraParams, ScannerParams, SpecimenP
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "examples/out")
 out.mkdir(parents=True, exist_ok=True)
 params = SpecimenParams(
-    size_um=(1300.0, 1000.0), holes=BurnParams(pattern="irregular", count=5), scanner=ScannerParams(voxel_um=4.0),
-    camera=CameraParams(pixel_um=5.0, radial=0.0, stretch=0.0, shading=0.0, nuisance_sd=0.004), seed=5,
-)  # fmt: skip
+    size_um=(1300.0, 1000.0),
+    holes=BurnParams(pattern="irregular", count=5),
+    scanner=ScannerParams(voxel_um=4.0),
+    camera=CameraParams(pixel_um=5.0, radial=0.0, stretch=0.0, shading=0.0, nuisance_sd=0.004),
+    seed=5,
+)
 specimen = pl.make_specimen(params)
 
 # The same specimen as another scanner would hold it: turned about x, so that the sheet's normal runs along y and its
 # top faces the low end. From below, the image of the sheet is mirrored.
 grey = np.ascontiguousarray(specimen.volume.values[::-1].transpose(1, 0, 2))
-coords = {d: (d, 4.0 * np.arange(n), {"units": "um"}) for d, n in zip("zyx", grey.shape, strict=True)}
+coords = {
+    d: (d, 4.0 * np.arange(n), {"units": "um"}) for d, n in zip("zyx", grey.shape, strict=True)
+}
 volume = xr.DataArray(grey, coords=coords, dims=("z", "y", "x"), attrs=specimen.volume.attrs)
 image = specimen.image.copy(data=specimen.image.values[:, ::-1])
 

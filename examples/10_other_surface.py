@@ -35,7 +35,10 @@ x, y = np.meshgrid(np.linspace(-1000, 1000, 81), np.linspace(-1000, 1000, 81))
 dome = np.stack([x, y, np.sqrt(2000.0**2 - x**2 - y**2)], axis=-1)
 uv = relax_grid(dome).uv
 strain = measure_distortion(dome, uv, rng=np.random.default_rng(0))
-print(f"dome: area strain {100 * strain.area.p95_abs:.1f} % (95 % of its cells below); {curvature_check(dome).verdict}")
+print(
+    f"dome: area strain {100 * strain.area.p95_abs:.1f} % (95 % of its cells below);"
+    f" {curvature_check(dome).verdict}"
+)
 
 figure = plt.figure(figsize=(11, 4), layout="constrained")
 ax = figure.add_subplot(1, 3, 1, projection="3d")
@@ -45,9 +48,13 @@ ax = figure.add_subplot(1, 3, 2)
 ax.scatter(*flat.uv[::3, ::3].reshape(-1, 2).T, c=angle[::3, ::3].ravel(), s=2)
 ax.set(title="Foil, flat", aspect="equal", xlabel="u / um", ylabel="v / um")
 ax = figure.add_subplot(1, 3, 3)
-area = np.linalg.norm(np.cross(dome[1:, :-1] - dome[:-1, :-1], dome[:-1, 1:] - dome[:-1, :-1]), axis=-1)
+area = np.linalg.norm(
+    np.cross(dome[1:, :-1] - dome[:-1, :-1], dome[:-1, 1:] - dome[:-1, :-1]), axis=-1
+)
 du, dv = uv[:-1, 1:] - uv[:-1, :-1], uv[1:, :-1] - uv[:-1, :-1]
-picture = ax.pcolormesh(*np.moveaxis(uv, -1, 0), np.abs(du[..., 0] * dv[..., 1] - du[..., 1] * dv[..., 0]) / area - 1)
+picture = ax.pcolormesh(
+    *np.moveaxis(uv, -1, 0), np.abs(du[..., 0] * dv[..., 1] - du[..., 1] * dv[..., 0]) / area - 1
+)
 figure.colorbar(picture, ax=ax, label="area strain")
 ax.set(title="Dome, flat", aspect="equal")
 figure.savefig(out / "10_other_surface.png", dpi=100)

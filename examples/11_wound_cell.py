@@ -20,7 +20,11 @@ out.mkdir(parents=True, exist_ok=True)
 data = Path(os.environ.get("PLANISH_DATA") or "../shared/data") / "battery_sector_right"
 
 # Layers of electrodes lie behind the wall and are darker: the grey range chooses the wall.
-run = pl.map_sheet(data, volume={"voxel_um": (1.0, 1.0, 1.0), "through": "x"}, surface={"sheet_grey": (100.0, 255.0)})
+run = pl.map_sheet(
+    data,
+    volume={"voxel_um": (1.0, 1.0, 1.0), "through": "x"},
+    surface={"sheet_grey": (100.0, 255.0)},
+)
 thickness = run.results.layers[0].sheet.properties["thickness"]
 print(f"wall: median {thickness.median:.2f} voxels; 6.6 voxels where another program measured it")
 
@@ -30,6 +34,8 @@ axes[0].imshow(volume.isel(z=30), cmap="gray")
 for face in ("top", "bottom"):
     axes[0].plot(surfaces[face].isel(y=30), surfaces.x, color="C1", linewidth=1)
 axes[0].set(title="Slice 30 with the faces found", xlabel="x / voxel", ylabel="y / voxel")
-run.maps.thickness.plot(ax=axes[1], robust=True, yincrease=False, cbar_kwargs={"label": "Thickness / voxel"})
+run.maps.thickness.plot(
+    ax=axes[1], robust=True, yincrease=False, cbar_kwargs={"label": "Thickness / voxel"}
+)
 axes[1].set(title="The flattened wall", xlabel="u / voxel", ylabel="v / voxel")
 figure.savefig(out / "11_wound_cell.png", dpi=100)

@@ -28,9 +28,13 @@ with np.load(data / "reference_midsurface.npz") as reference:
 # Several sheets lie behind each other: a point in the one that is meant, and a part of the volume where it lies once.
 flap = volume.isel(y=slice(30, 58), x=slice(0, 30))
 surfaces = pl.find_surfaces(
-    flap, frame=pl.Frame(through="y"), params=SurfaceParams(seed_um=(30.0, 46.0, 3.0), cutoff_um=12.0, rim_um=2.0)
+    flap,
+    frame=pl.Frame(through="y"),
+    params=SurfaceParams(seed_um=(30.0, 46.0, 3.0), cutoff_um=12.0, rim_um=2.0),
 )
-print(f"paper: {surfaces.attrs['thickness_um']:.2f} voxels thick at half height; by its authors 2.95")
+print(
+    f"paper: {surfaces.attrs['thickness_um']:.2f} voxels thick at half height; by its authors 2.95"
+)
 
 row = 30
 figure, ax = plt.subplots(figsize=(7, 5), layout="constrained")
@@ -40,6 +44,8 @@ for face, colour in (("top", "C1"), ("bottom", "C1"), ("centre", "C0")):
 here = points[np.abs(points[:, 2] - row) < 0.5]
 ax.plot(here[:, 0], here[:, 1], ".", color="C2", markersize=4)
 ax.set(
-    title="Faces (orange), centre surface (blue), points of the authors (green)", xlabel="x / voxel", ylabel="y / voxel"
+    title="Faces (orange), centre surface (blue), points of the authors (green)",
+    xlabel="x / voxel",
+    ylabel="y / voxel",
 )
 figure.savefig(out / "12_letter_packet.png", dpi=100)

@@ -22,7 +22,8 @@ out.mkdir(parents=True, exist_ok=True)
 data = Path(os.environ.get("PLANISH_DATA") or "../shared/data") / "dot_patterns"
 
 image = np.asarray(Image.open(data / "dot_pattern_02.jpg").convert("L"), dtype=np.float32)
-dots = find_holes(image, pixel_um=10.0)  # the size is assumed: dots of 16 pixels are then 160 um wide
+# The size is assumed: dots of 16 pixels are then 160 um wide.
+dots = find_holes(image, pixel_um=10.0)
 error = np.sqrt((dots.cov_xx + dots.cov_yy).values / 2) / 10.0
 print(f"{dots.sizes['mark']} dots, each centre to {np.median(error):.2f} pixels an axis")
 

@@ -22,11 +22,14 @@ out.mkdir(parents=True, exist_ok=True)
 data = Path(os.environ.get("PLANISH_DATA") or "../shared/data") / "tissue_sheet_mesh"
 
 # A grid (rows, cols) of points (x, y, z) in um: equal steps along it are the map of its authors.
-points = np.moveaxis(tifffile.imread(data / "basics_example_3d_coordinates.tif").astype(float), 0, -1)
+points = np.moveaxis(
+    tifffile.imread(data / "basics_example_3d_coordinates.tif").astype(float), 0, -1
+)
 steps = [np.linalg.norm(np.diff(points, axis=axis), axis=-1) for axis in (0, 1)]
 typical = float(np.nanmedian(steps[1]))
 doubted = np.zeros(points.shape[:2], dtype=bool)
-for axis, step in enumerate(steps):  # around one defect the steps are far off: these nodes carry no weight
+# Around one defect the steps are far off: these nodes carry no weight.
+for axis, step in enumerate(steps):
     low, high = (np.moveaxis(doubted, axis, 0)[part] for part in (slice(None, -1), slice(1, None)))
     off = np.moveaxis(np.abs(step / typical - 1) > 0.3, axis, 0)
     low |= off

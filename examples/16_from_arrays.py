@@ -21,7 +21,9 @@ out.mkdir(parents=True, exist_ok=True)
 
 # A synthetic sheet of paper takes the place of your arrays.
 params = SpecimenParams(
-    size_um=(1300.0, 1000.0), holes=BurnParams(pattern="irregular", count=5), scanner=ScannerParams(voxel_um=4.0)
+    size_um=(1300.0, 1000.0),
+    holes=BurnParams(pattern="irregular", count=5),
+    scanner=ScannerParams(voxel_um=4.0),
 )
 specimen = pl.make_specimen(params)
 stack, picture = specimen.volume.values, specimen.image.values
@@ -33,15 +35,22 @@ with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         "memory map": np.load(Path(folder) / "stack.npy", mmap_mode="r"),
         "zarr": zarr.array(stack, chunks=(64, 64, 64)),
     }
-    found = {name: pl.find_surfaces(pl.volume(array, voxel_um=4.0)) for name, array in arrays.items()}
+    found = {
+        name: pl.find_surfaces(pl.volume(array, voxel_um=4.0)) for name, array in arrays.items()
+    }
     for name, surfaces in found.items():
         same = surfaces.identical(found["NumPy"])
-        print(f"{name}: sheet of {surfaces.attrs['thickness_um']:.1f} um, the same as from NumPy: {same}")
+        print(
+            f"{name}: sheet of {surfaces.attrs['thickness_um']:.1f} um, the same as from NumPy:"
+            f" {same}"
+        )
 
     run = pl.link(
-        pl.volume(stack, voxel_um=4.0), pl.image(picture, pixel_um=specimen.image.attrs["pixel_um"], side="top"),
-        out=Path(folder) / "run", point_um=50,
-    )  # fmt: skip
+        pl.volume(stack, voxel_um=4.0),
+        pl.image(picture, pixel_um=specimen.image.attrs["pixel_um"], side="top"),
+        out=Path(folder) / "run",
+        point_um=50,
+    )
     print(run)
     linked = run.linked.load()
 

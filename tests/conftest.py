@@ -10,7 +10,8 @@ from typing import Any
 from cpu_time import SHARED
 from folders import chromium_path
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line has it; tests run side by side
+# As the command line has it; tests run side by side.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 from filelock import FileLock
@@ -45,7 +46,11 @@ def compile_once(locks: Path) -> None:
         if not name.startswith("planish."):
             return compile_here(self, sig)
         # The lock among threads comes first: a thread that held a file and waited for it would stop the others.
-        with global_compiler_lock, FileLock(locks / f"{name}.lock", is_singleton=True), SHARED.within():
+        with (
+            global_compiler_lock,
+            FileLock(locks / f"{name}.lock", is_singleton=True),
+            SHARED.within(),
+        ):
             return compile_here(self, sig)
 
     Dispatcher.compile = compile_locked
@@ -60,7 +65,9 @@ def shared_data() -> Callable[[str], Path]:
     def find(name: str) -> Path:
         path = folder / name
         if not path.exists():
-            pytest.skip(f"measured data '{name}' not found; set PLANISH_DATA to the folder that holds it")
+            pytest.skip(
+                f"measured data '{name}' not found; set PLANISH_DATA to the folder that holds it"
+            )
         return path
 
     return find
@@ -118,7 +125,9 @@ def run_copy(linked_run, tmp_path) -> Path:
 def unread(monkeypatch):
     """No volume may be mapped; the package hides its modules behind functions of the same names."""
     saving = import_module("planish.run.save")
-    monkeypatch.setattr(saving, "map_layer", lambda *_args, **_more: pytest.fail("the volume was mapped"))
+    monkeypatch.setattr(
+        saving, "map_layer", lambda *_args, **_more: pytest.fail("the volume was mapped")
+    )
 
 
 @pytest.fixture
@@ -150,12 +159,16 @@ def passes(planish):
 def refuses(planish, tmp_path):
     """Call a command, with a run to write, that is refused: its words, no traceback, nothing written; its message."""
 
-    def call(*command: object, words: str | tuple[str, ...], code: int = 3, out: bool = True) -> str:
+    def call(
+        *command: object, words: str | tuple[str, ...], code: int = 3, out: bool = True
+    ) -> str:
         before = sorted(tmp_path.rglob("*"))
         exit_code, _, err = planish(*command, *(("--out", tmp_path / "run") if out else ()))
         assert exit_code == code, err
         message = " ".join(err.split())
-        assert [word for word in ((words,) if isinstance(words, str) else words) if word not in message] == [], err
+        assert [
+            word for word in ((words,) if isinstance(words, str) else words) if word not in message
+        ] == [], err
         assert "Traceback" not in err
         assert sorted(tmp_path.rglob("*")) == before
         return message
@@ -166,10 +179,15 @@ def refuses(planish, tmp_path):
 @pytest.fixture(scope="session")
 def chromium() -> Iterator[Any]:
     """One Chromium for all tests; skipped where it or playwright is absent."""
-    api = pytest.importorskip("playwright.sync_api", reason="playwright is absent: pip install playwright")
+    api = pytest.importorskip(
+        "playwright.sync_api", reason="playwright is absent: pip install playwright"
+    )
     path = chromium_path()
     if path is None:
-        pytest.skip("Chromium is absent: install it (apt-get install chromium), or name it in PLANISH_CHROMIUM")
+        pytest.skip(
+            "Chromium is absent: install it (apt-get install chromium), or name it in"
+            " PLANISH_CHROMIUM"
+        )
     with api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
         yield browser

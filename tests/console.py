@@ -118,18 +118,26 @@ def _command(step, background):
     words = shlex.split(step.text)
     if words[0] == "planish":
         printed, code = _planish(words[1:])
-    elif (program := shutil.which(words[0], path=str(Path(sys.executable).parent)) or shutil.which(words[0])) is None:
+    elif (
+        program := shutil.which(words[0], path=str(Path(sys.executable).parent))
+        or shutil.which(words[0])
+    ) is None:
         return Outcome(step, "", passed_over=f"{words[0]} is not installed")
     elif words[-1] == "&":
         process = subprocess.Popen(
-            [program, *words[1:-1]], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=_environment()
+            [program, *words[1:-1]],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env=_environment(),
         )
         background.callback(process.wait)
         background.callback(process.terminate)
         time.sleep(2.0)  # a scheduler answers only when it listens
         return Outcome(step, "")
     else:
-        done = subprocess.run([program, *words[1:]], capture_output=True, text=True, check=False, env=_environment())
+        done = subprocess.run(
+            [program, *words[1:]], capture_output=True, text=True, check=False, env=_environment()
+        )
         printed, code = done.stdout + done.stderr, done.returncode
     faults = [] if fits(printed, step.expected) else ["it prints something else"]
     return Outcome(step, printed, code, faults)

@@ -13,10 +13,14 @@ from filelock import FileLock
 
 def bytes_of(folder: Path) -> dict[str, bytes]:
     """All files below a folder, by their path in it."""
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+    return {
+        p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()
+    }
 
 
-def make_once(make: Callable[[Path], object], name: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def make_once(
+    make: Callable[[Path], object], name: str, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
     """A folder that is made once for all workers, and that no test may change."""
     base = tmp_path_factory.getbasetemp()
     folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / name
@@ -27,10 +31,14 @@ def make_once(make: Callable[[Path], object], name: str, tmp_path_factory: pytes
     return folder
 
 
-def write_volume(path: Path, volume: np.ndarray, voxel_um: float = 4.0, across_um: float | None = None) -> Path:
+def write_volume(
+    path: Path, volume: np.ndarray, voxel_um: float = 4.0, across_um: float | None = None
+) -> Path:
     """Write a volume that states its voxels, as ImageJ does: cubes, or of another size along y and x."""
     meta = {"spacing": voxel_um, "unit": "um", "axes": "ZYX"}
-    tifffile.imwrite(path, volume, imagej=True, resolution=(1 / (across_um or voxel_um),) * 2, metadata=meta)
+    tifffile.imwrite(
+        path, volume, imagej=True, resolution=(1 / (across_um or voxel_um),) * 2, metadata=meta
+    )
     return path
 
 
@@ -58,4 +66,6 @@ def refused(error, words: str, call: Callable[..., object], /, *args, **options)
 def chromium_path() -> str | None:
     """The Chromium of ``PLANISH_CHROMIUM``, or the one on the path."""
     named = os.environ.get("PLANISH_CHROMIUM")
-    return named or next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    return named or next(
+        filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+    )

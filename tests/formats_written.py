@@ -47,7 +47,9 @@ class Case:
     voxel: tuple[float, float, float] = VOXEL
     lazy: bool = True
     states_size: bool = True
-    data: Callable[[Path], Path] = lambda folder: next(p for p in sorted(folder.rglob("*")) if p.is_file())
+    data: Callable[[Path], Path] = lambda folder: next(
+        p for p in sorted(folder.rglob("*")) if p.is_file()
+    )
     resize: Callable[[Path], None] | None = None
     dtype: str = "uint16"
 
@@ -68,7 +70,14 @@ def write_imagej(folder, values, size, **options):
         tifffile.imwrite(path, values, imagej=True, metadata=meta, **options)
     else:
         meta |= {"unit": "um", "spacing": size[0]}
-        tifffile.imwrite(path, values, imagej=True, metadata=meta, resolution=(1 / size[2], 1 / size[1]), **options)
+        tifffile.imwrite(
+            path,
+            values,
+            imagej=True,
+            metadata=meta,
+            resolution=(1 / size[2], 1 / size[1]),
+            **options,
+        )
     return path
 
 
@@ -102,12 +111,13 @@ def write_nrecon(folder, values, size):
     Image.fromarray(values[0] // 2).save(place / "Núria_rec_spr.png")  # NRecon's own preview
     pixel = "" if size is None else f"Pixel Size (um)={size[0]:.5f}\n"
     log = (
-        "[System]\nScanner=Skyscan1172\nCamera Pixel Size (um)=11.32\n[Acquisition]\nFilename Prefix=Núria\n"
-        "Image Pixel Size (um)=2.01\nSource Voltage (kV)=40\n[Reconstruction]\nFirst Section=20\n"
-        f"Last Section={19 + len(values)}\nSections Count={len(values)}\nSection to Section Step=1\n{pixel}"
-        f"Result Image Width (pixels)={values.shape[2]}\nResult Image Height (pixels)={values.shape[1]}\n"
-        "Minimum for CS to Image Conversion=-0.01\nMaximum for CS to Image Conversion=0.15\n"
-        "[File name convention]\nFilename Index Length=8\nFilename Prefix=Núria_rec\n"
+        "[System]\nScanner=Skyscan1172\nCamera Pixel Size (um)=11.32\n[Acquisition]\nFilename"
+        " Prefix=Núria\nImage Pixel Size (um)=2.01\nSource Voltage"
+        f" (kV)=40\n[Reconstruction]\nFirst Section=20\nLast Section={19 + len(values)}\nSections"
+        f" Count={len(values)}\nSection to Section Step=1\n{pixel}Result Image Width"
+        f" (pixels)={values.shape[2]}\nResult Image Height (pixels)={values.shape[1]}\nMinimum for"
+        " CS to Image Conversion=-0.01\nMaximum for CS to Image Conversion=0.15\n[File name"
+        " convention]\nFilename Index Length=8\nFilename Prefix=Núria_rec\n"
     )
     (place / "Núria_rec.log").write_bytes(log.encode("cp1252"))
     return place
@@ -120,7 +130,10 @@ def multiscales(size, *, lead=0):
     scale = [1.0] * lead + [1.0, 1.0, 1.0] if size is None else [1.0] * lead + list(size)
     transform = [{"type": "scale", "scale": scale}]
     half = [{"type": "scale", "scale": [1.0] * lead + [2 * v for v in scale[lead:]]}]
-    datasets = [{"path": "0", "coordinateTransformations": transform}, {"path": "1", "coordinateTransformations": half}]
+    datasets = [
+        {"path": "0", "coordinateTransformations": transform},
+        {"path": "1", "coordinateTransformations": half},
+    ]
     return [{"axes": axes, "datasets": datasets, "version": "0.4"}]
 
 
@@ -132,10 +145,14 @@ def write_zarr(folder, values, size, version):
         shape = (1,) * lead + level.shape
         chunks = (1,) * lead + (4, 8, 8)
         options = {"shards": (8, 16, 16)} if version == 3 else {}
-        array = group.create_array(name, shape=shape, chunks=chunks, dtype=level.dtype, fill_value=0, **options)
+        array = group.create_array(
+            name, shape=shape, chunks=chunks, dtype=level.dtype, fill_value=0, **options
+        )
         array[...] = level.reshape(shape)
     told = multiscales(size, lead=lead)
-    group.attrs.update({"multiscales": told} if version == 2 else {"ome": {"version": "0.5", "multiscales": told}})
+    group.attrs.update(
+        {"multiscales": told} if version == 2 else {"ome": {"version": "0.5", "multiscales": told}}
+    )
     return path
 
 
@@ -143,7 +160,11 @@ def write_nrrd(folder, values, size, kind, packing):
     path = folder / f"{NAME}{kind}"
     header = {"encoding": packing}
     if size is not None and kind == ".nhdr":
-        header |= {"space directions": np.diag(size[::-1]) / 1000, "space units": ["mm"] * 3, "space dimension": 3}
+        header |= {
+            "space directions": np.diag(size[::-1]) / 1000,
+            "space units": ["mm"] * 3,
+            "space dimension": 3,
+        }
     elif size is not None:
         header |= {"spacings": list(size[::-1]), "units": ["um"] * 3}
     if kind == ".nrrd":
@@ -164,14 +185,18 @@ def write_meta(folder, values, size, kind, packed):
     sitk.WriteImage(image, str(path), packed)
     if size is None:
         lines = path.read_bytes().split(b"\n")
-        path.write_bytes(b"\n".join(line for line in lines if not line.startswith(b"ElementSpacing")))
+        path.write_bytes(
+            b"\n".join(line for line in lines if not line.startswith(b"ElementSpacing"))
+        )
     return path
 
 
 def write_hdf5(folder, values, size):
     path = folder / f"{NAME}.h5"
     with h5py.File(path, "w") as file:
-        data = file.create_dataset("entry/Größe/volume", data=values, chunks=(4, 8, 8), compression="gzip")
+        data = file.create_dataset(
+            "entry/Größe/volume", data=values, chunks=(4, 8, 8), compression="gzip"
+        )
         file.create_dataset("entry/other", data=values[:, :4])
         if size is not None:
             data.attrs["voxel_size"] = [v / 1000 for v in size]
@@ -210,7 +235,9 @@ def write_mat73(folder, values, size):
     path = folder / f"{NAME}.mat"
     with h5py.File(path, "w", userblock_size=512) as file:
         # MATLAB writes its columns first, so that HDF5 sees the axes in reverse.
-        data = file.create_dataset("V", data=np.moveaxis(values, 0, -1).T, chunks=(4, 8, 8), compression="gzip")
+        data = file.create_dataset(
+            "V", data=np.moveaxis(values, 0, -1).T, chunks=(4, 8, 8), compression="gzip"
+        )
         data.attrs["MATLAB_class"] = np.bytes_("uint16")
         if size is not None:
             file["voxel_um"] = np.array([size]).T
@@ -285,7 +312,9 @@ def remove(pattern):
 def reshape_hdf5(folder):
     with h5py.File(next(p for p in folder.iterdir()), "r+") as file:
         names = []
-        file.visititems(lambda name, item: names.append(name) if getattr(item, "ndim", 0) == 3 else None)
+        file.visititems(
+            lambda name, item: names.append(name) if getattr(item, "ndim", 0) == 3 else None
+        )
         for name in names:
             old = file[name]
             attrs, shape = dict(old.attrs), (old.shape[0] * 3, *old.shape[1:])
@@ -302,7 +331,14 @@ def with_values(values):
 def slices(suffix, dtype="uint16", **options):
     """A folder of images, which says nothing of the size of its voxels."""
     write, data = partial(write_slices, suffix=suffix, **options), named(f"*{suffix}")
-    return Case(write=write, source="given", states_size=False, data=data, resize=remove(f"*{suffix}"), dtype=dtype)
+    return Case(
+        write=write,
+        source="given",
+        states_size=False,
+        data=data,
+        resize=remove(f"*{suffix}"),
+        dtype=dtype,
+    )
 
 
 def nrrd_case(kind, packing, sections, **more):
@@ -314,15 +350,25 @@ def nrrd_case(kind, packing, sections, **more):
 def meta_case(kind, *, packed=False, **more):
     """MetaImage, whose header can be made to state 21 sections in place of its 12."""
     resize = swap(f"*{kind}", b"DimSize = 19 17 12", b"DimSize = 19 17 21")
-    return Case(write=partial(write_meta, kind=kind, packed=packed), source="MetaImage", resize=resize, **more)
+    return Case(
+        write=partial(write_meta, kind=kind, packed=packed),
+        source="MetaImage",
+        resize=resize,
+        **more,
+    )
 
 
 MORE_OF_OME = swap("*.tif", b'SizeZ="12"', b'SizeZ="19"')
 CASES = {
     "OME-TIFF": Case(write=write_tiff, source="OME", lazy=False, resize=MORE_OF_OME),
-    "OME-TIFF deflate": Case(write=partial(write_tiff, compression="zlib"), source="OME", resize=MORE_OF_OME),
+    "OME-TIFF deflate": Case(
+        write=partial(write_tiff, compression="zlib"), source="OME", resize=MORE_OF_OME
+    ),
     "ImageJ TIFF": Case(
-        write=write_imagej, source="ImageJ", lazy=False, resize=swap("*.tif", b"images=12", b"images=19")
+        write=write_imagej,
+        source="ImageJ",
+        lazy=False,
+        resize=swap("*.tif", b"images=12", b"images=19"),
     ),
     "BigTIFF pages": Case(write=write_pages, source="given", states_size=False),
     "TIFF slices": slices(".tif"),
@@ -345,12 +391,16 @@ CASES = {
     "OME-Zarr 0.5": Case(
         write=partial(write_zarr, version=3),
         source="OME-Zarr",
-        data=lambda f: next(p for p in (f / f"{NAME}.ome.zarr" / "0" / "c").rglob("1") if p.is_file()),
+        data=lambda f: next(
+            p for p in (f / f"{NAME}.ome.zarr" / "0" / "c").rglob("1") if p.is_file()
+        ),
         resize=lambda f: swap("zarr.json", b"12,", b"52,")(f / f"{NAME}.ome.zarr" / "0"),
     ),
     "NRRD": nrrd_case(".nrrd", "raw", b"21", source="NRRD spacings", lazy=False),
     "NRRD gzip": nrrd_case(".nrrd", "gzip", b"11", source="NRRD spacings", lazy=False),
-    "NRRD detached": nrrd_case(".nhdr", "raw", b"21", source="NRRD space directions", lazy=False, data=named("*.raw")),
+    "NRRD detached": nrrd_case(
+        ".nhdr", "raw", b"21", source="NRRD space directions", lazy=False, data=named("*.raw")
+    ),
     "MetaImage": meta_case(".mha", lazy=False),
     "MetaImage packed": meta_case(".mha", packed=True),
     "MetaImage detached": meta_case(".mhd", lazy=False, data=named("*.raw")),
@@ -360,15 +410,31 @@ CASES = {
     "MATLAB 7": Case(write=partial(write_mat, packed=True), source="voxel_um", lazy=False),
     "MATLAB 7.3": Case(write=write_mat73, source="voxel_um", resize=reshape_hdf5),
     "NIfTI": Case(
-        write=partial(write_nifti, kind=".nii"), source="NIfTI pixdim", lazy=False, resize=resize_at("*.nii", 46)
+        write=partial(write_nifti, kind=".nii"),
+        source="NIfTI pixdim",
+        lazy=False,
+        resize=resize_at("*.nii", 46),
     ),
     "NIfTI gzip": Case(
-        write=partial(write_nifti, kind=".nii.gz"), source="NIfTI pixdim", lazy=False, resize=resize_at("*.nii.gz", 46)
+        write=partial(write_nifti, kind=".nii.gz"),
+        source="NIfTI pixdim",
+        lazy=False,
+        resize=resize_at("*.nii.gz", 46),
     ),
-    "MRC": Case(write=partial(write_mrc, kind=".mrc"), source="MRC cell", lazy=False, resize=resize_at("*.mrc", 8)),
+    "MRC": Case(
+        write=partial(write_mrc, kind=".mrc"),
+        source="MRC cell",
+        lazy=False,
+        resize=resize_at("*.mrc", 8),
+    ),
     "MRC gzip": Case(
-        write=partial(write_mrc, kind=".mrc.gz"), source="MRC cell", lazy=False, resize=resize_at("*.mrc.gz", 8)
+        write=partial(write_mrc, kind=".mrc.gz"),
+        source="MRC cell",
+        lazy=False,
+        resize=resize_at("*.mrc.gz", 8),
     ),
     "MRC bzip2": Case(write=partial(write_mrc, kind=".mrc.bz2"), source="MRC cell", lazy=False),
-    "raw": Case(write=write_raw, source="TOML", data=named("*.raw"), resize=swap("*.toml", b"12,", b"13,")),
+    "raw": Case(
+        write=write_raw, source="TOML", data=named("*.raw"), resize=swap("*.toml", b"12,", b"13,")
+    ),
 }

@@ -60,20 +60,26 @@ UNCOATED = replace(
     SMALL,
     size_um=(1000.0, 800.0),
     paper=PaperParams(
-        base_um=80.0, coating_top_um=0.0, coating_bottom_um=0.0, coating_sd_um=0.0,
+        base_um=80.0,
+        coating_top_um=0.0,
+        coating_bottom_um=0.0,
+        coating_sd_um=0.0,
         fibres=FibreParams(g_per_m2=60.0, fuzz_per_mm2=3.0),
     ),
     scanner=ScannerParams(voxel_um=3.0, grey=(40.0, 110.0, 190.0)),
-)  # fmt: skip
+)
 IN_RESIN = replace(
     SMALL,
     size_um=(1000.0, 800.0),
     paper=PaperParams(
-        base_um=50.0, coating_top_um=12.0, coating_bottom_um=12.0, coating_sd_um=4.0,
+        base_um=50.0,
+        coating_top_um=12.0,
+        coating_bottom_um=12.0,
+        coating_sd_um=4.0,
         fibres=FibreParams(g_per_m2=35.0, flexibility=(0.12, 0.2)),
     ),
     scanner=ScannerParams(voxel_um=3.0, grey=(115.0, 140.0, 210.0), section_gain=0.03),
-)  # fmt: skip
+)
 
 
 #: All of them by name.
@@ -81,7 +87,9 @@ SPECIMENS: dict[str, SpecimenParams] = {
     "small": SMALL,
     "other": OTHER,
     "sections": replace(
-        SMALL, size_um=(1000.0, 760.0), sections=SectionsParams(pixel_um=3.0, section_um=4.0, missing=0.03)
+        SMALL,
+        size_um=(1000.0, 760.0),
+        sections=SectionsParams(pixel_um=3.0, section_um=4.0, missing=0.03),
     ),
     "scan": replace(SMALL, size_um=(1000.0, 760.0)),
     "no-holes": replace(
@@ -131,7 +139,9 @@ class Kinds:
             specimen = make_specimen(SPECIMENS[name], sheet=sheet)
             files = write_instruments(specimen, folder, volume=INSTRUMENTS.get(name, "stack"))
             # The way from a place in the volume to the material is a function within a function.
-            (folder / "specimen.pickle").write_bytes(cloudpickle.dumps(replace(specimen, files=files)))
+            (folder / "specimen.pickle").write_bytes(
+                cloudpickle.dumps(replace(specimen, files=files))
+            )
 
         return make_once(make, f"specimen-{name}", self._factory)
 
@@ -153,7 +163,9 @@ class Kinds:
             return np.stack([x, last_um - z, y], axis=-1)
 
         laid = self.laid
-        return replace(files, volume=laid.volume, image=laid.image, through="y", to_physical=to_physical)
+        return replace(
+            files, volume=laid.volume, image=laid.image, through="y", to_physical=to_physical
+        )
 
     @property
     def small(self) -> InstrumentFiles:
@@ -179,7 +191,9 @@ class Kinds:
             volume = np.ascontiguousarray(specimen.volume.values[:, ::-1].transpose(1, 0, 2))
             meta = {"spacing": voxel_um, "unit": "um", "axes": "ZYX"}
             size = (1 / voxel_um, 1 / voxel_um)
-            tifffile.imwrite(folder / "volume.tif", volume, imagej=True, resolution=size, metadata=meta)
+            tifffile.imwrite(
+                folder / "volume.tif", volume, imagej=True, resolution=size, metadata=meta
+            )
             grey = np.rint(specimen.image.values * 60000).clip(0, 65535).astype(np.uint16)
             write_image(folder / "image.tif", grey, specimen.params.camera.pixel_um)
 

@@ -30,11 +30,15 @@ class Mend(NamedTuple):
 
 def main(arguments: list[str]) -> int:
     """Undo one mend after the other; the exit code is the number of those that no test saw."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("seed")
     parser.add_argument("count", type=int, nargs="?", default=12)
     parser.add_argument("--without", default="", metavar="HASH,HASH")
-    parser.add_argument("--only", default="", metavar="HASH,HASH", help="judge these, whatever is drawn")
+    parser.add_argument(
+        "--only", default="", metavar="HASH,HASH", help="judge these, whatever is drawn"
+    )
     given = parser.parse_args(arguments)
     passed_over = tuple(filter(None, given.without.split(",")))
     mends = [mend for mend in all_mends() if not (passed_over and mend.sha.startswith(passed_over))]
@@ -54,7 +58,9 @@ def main(arguments: list[str]) -> int:
             seen_by = first_failure(mend, copy)
             unseen += seen_by is None
             print(f"{mend.sha[:8]} {mend.subject}\n    seen by: {seen_by or 'NOTHING'}", flush=True)
-            subprocess.run(["git", "checkout", "--quiet", "--force", "HEAD", "--", "src"], cwd=copy, check=True)
+            subprocess.run(
+                ["git", "checkout", "--quiet", "--force", "HEAD", "--", "src"], cwd=copy, check=True
+            )
     print(f"{judged - unseen} of {judged} seen")
     return unseen
 
@@ -77,18 +83,29 @@ def all_mends() -> list[Mend]:
 def undo(mend: Mend, copy: Path) -> bool:
     """Take the commit's change of the program out of the copy, where that is possible without a conflict."""
     change = subprocess.run(
-        ["git", "diff", f"{mend.sha}^", mend.sha, "--", "src"], cwd=ROOT, capture_output=True, check=True
+        ["git", "diff", f"{mend.sha}^", mend.sha, "--", "src"],
+        cwd=ROOT,
+        capture_output=True,
+        check=True,
     ).stdout
-    done = subprocess.run(["git", "apply", "--reverse", "-"], cwd=copy, input=change, capture_output=True, check=False)
+    done = subprocess.run(
+        ["git", "apply", "--reverse", "-"], cwd=copy, input=change, capture_output=True, check=False
+    )
     return done.returncode == 0
 
 
 def tests_of(mend: Mend) -> list[str]:
     """Folders and files with the tests of the packages that a mend touched, those that it changed itself first."""
     packages = {Path(name).parts[2] for name in mend.files if name.startswith("src/planish/")}
-    own = [name for name in mend.files if name.startswith("tests/") and Path(name).name.startswith("test_")]
+    own = [
+        name
+        for name in mend.files
+        if name.startswith("tests/") and Path(name).name.startswith("test_")
+    ]
     folders = [f"tests/{package}" for package in sorted(packages)]
-    whole_line = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "tests").glob("test_*.py"))
+    whole_line = sorted(
+        path.relative_to(ROOT).as_posix() for path in (ROOT / "tests").glob("test_*.py")
+    )
     return [name for name in dict.fromkeys([*own, *folders, *whole_line]) if (ROOT / name).exists()]
 
 
@@ -96,9 +113,23 @@ def first_failure(mend: Mend, copy: Path) -> str | None:
     """Tier and name of the first test that fails."""
     environment = os.environ | {"PYTHONPATH": str(copy / "src")}
     for tier, options in (("fast", []), ("ci", ["--ci"])):
-        command = [sys.executable, "-m", "pytest", "-q", "-x", "-n", "2", "--no-header", "-p", "no:cacheprovider"]
+        command = [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-q",
+            "-x",
+            "-n",
+            "2",
+            "--no-header",
+            "-p",
+            "no:cacheprovider",
+        ]
         # That a mutant no longer fits the older text is no sight of a fault.
-        command += ["--deselect", "tests/test_project.py::test_every_mutant_of_the_list_fits_the_code"]
+        command += [
+            "--deselect",
+            "tests/test_project.py::test_every_mutant_of_the_list_fits_the_code",
+        ]
         done = subprocess.run(
             [*command, *options, *tests_of(mend)],
             cwd=copy,
@@ -107,7 +138,9 @@ def first_failure(mend: Mend, copy: Path) -> str | None:
             text=True,
             check=False,
         )
-        failures = [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
+        failures = [
+            line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))
+        ]
         # A fast test that was only too slow, as kernels of the copy are compiled anew, ends with 1.
         if done.returncode > 1 and not failures:
             return f"{tier}: the tests do not start"

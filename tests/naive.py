@@ -45,13 +45,18 @@ def fit_staircase(g, start, width, air, noise, prior, spread, coated=True):
         return np.concatenate([(g - model) / noise, ties])
 
     low = [-np.inf, 0.0, -np.inf, -np.inf]
-    return optimize.least_squares(residuals, start, bounds=(low, np.inf), xtol=1e-12, ftol=1e-12, gtol=1e-12).x
+    return optimize.least_squares(
+        residuals, start, bounds=(low, np.inf), xtol=1e-12, ftol=1e-12, gtol=1e-12
+    ).x
 
 
 def twice_smoothed(height, pitch, cutoff, nodes):
     """Gaussian regression applied twice, at a few nodes: fit, then fit what is left and add it."""
     first = np.array(
-        [[paraboloid_at(height, pitch, cutoff, i, j) for j in range(height.shape[1])] for i in range(height.shape[0])]
+        [
+            [paraboloid_at(height, pitch, cutoff, i, j) for j in range(height.shape[1])]
+            for i in range(height.shape[0])
+        ]
     )
     return [first[i, j] + paraboloid_at(height - first, pitch, cutoff, i, j) for i, j in nodes]
 
@@ -70,7 +75,9 @@ def paraboloid_at(height, pitch, cutoff, row, col, gamma=0.887):
 def distance_along_normal(surface, centre, normals, pitch, i, j):
     """Signed distance from one node to a surface along its normal, by root bracketing."""
     rows, cols = surface.shape
-    at = RegularGridInterpolator((np.arange(rows), np.arange(cols)), surface, bounds_error=False, fill_value=None)
+    at = RegularGridInterpolator(
+        (np.arange(rows), np.arange(cols)), surface, bounds_error=False, fill_value=None
+    )
     nr, nc, nh = (n[i, j] for n in normals)
 
     def gap(s):
@@ -123,7 +130,11 @@ def resample_quads(uv, field, points):
     """Triangle by triangle of the quad mesh, all points at once: value, nearest node, and number of quads on each."""
     flat = points.reshape(-1, 2)
     rows, cols = uv.shape[:2]
-    value, node, place = np.full(len(flat), np.nan), np.full(len(flat), -1), np.full((len(flat), 2), np.nan)
+    value, node, place = (
+        np.full(len(flat), np.nan),
+        np.full(len(flat), -1),
+        np.full((len(flat), 2), np.nan),
+    )
     quads = np.zeros(len(flat), dtype=int)
     for i in range(rows - 1):
         for j in range(cols - 1):
@@ -145,7 +156,10 @@ def resample_quads(uv, field, points):
                 first = inside & np.isnan(place[:, 0])
                 place[first] = here[first]
                 used = np.where(np.abs(weights) > 1e-9, weights, 0.0)
-                values = sum(np.where(w != 0, w * field[k, m], 0.0) for w, (k, m) in zip(used.T, index, strict=True))
+                values = sum(
+                    np.where(w != 0, w * field[k, m], 0.0)
+                    for w, (k, m) in zip(used.T, index, strict=True)
+                )
                 value[first] = values[first]
                 nearest = np.floor(here - (i, j) + 0.5).astype(int) + np.array([i, j])
                 node[first] = (nearest[:, 0] * cols + nearest[:, 1])[first]

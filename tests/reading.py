@@ -11,8 +11,12 @@ def sentences(text, *, template=False):
     paragraphs = _of_template(text) if template else _of_markdown(text)
     found = []
     for paragraph in paragraphs:
-        plain = _SHORT.sub(lambda short: short[1].replace(".", "") + "", " ".join(paragraph.split()))
-        found += [part.strip() for part in re.split(r"(?<=[.!?])[\"')]*\s+(?=[\"'(]?[A-Z0-9`])", plain)]
+        plain = _SHORT.sub(
+            lambda short: short[1].replace(".", "") + "", " ".join(paragraph.split())
+        )
+        found += [
+            part.strip() for part in re.split(r"(?<=[.!?])[\"')]*\s+(?=[\"'(]?[A-Z0-9`])", plain)
+        ]
     return [sentence for sentence in found if len(words(sentence)) > 2]
 
 
@@ -32,8 +36,10 @@ def prose(text):
 
 def _of_markdown(text):
     text = prose(text)
-    text = re.sub(r"^\s*(\||#|\(\w+-\w+\)=).*$", "\n", text, flags=re.MULTILINE)  # tables, headings, anchors
-    text = re.sub(r"^\s*([-*]|\d+\.)\s+", "\n\n", text, flags=re.MULTILINE)  # every point of a list begins anew
+    # Tables, headings, anchors.
+    text = re.sub(r"^\s*(\||#|\(\w+-\w+\)=).*$", "\n", text, flags=re.MULTILINE)
+    # Every point of a list begins anew.
+    text = re.sub(r"^\s*([-*]|\d+\.)\s+", "\n\n", text, flags=re.MULTILINE)
     return re.split(r"\n\s*\n", re.sub(r"[*_]{1,3}(?=\S)|(?<=\S)[*_]{1,3}", "", text))
 
 
@@ -41,7 +47,10 @@ def _of_template(text):
     text = re.sub(r"<(style|script).*?</\1>|\{#.*?#\}", " ", text, flags=re.DOTALL)
     text = re.sub(r"\{%.*?%\}", " ", text, flags=re.DOTALL)
     text = re.sub(r"\{\{.*?\}\}", "7", text, flags=re.DOTALL)
-    parts = re.split(r"</?(?:p|h\d|li|td|th|div|section|figcaption|dt|dd|summary|title|tr|table|br)\b[^>]*>", text)
+    parts = re.split(
+        r"</?(?:p|h\d|li|td|th|div|section|figcaption|dt|dd|summary|title|tr|table|br)\b[^>]*>",
+        text,
+    )
     return [re.sub(r"<[^>]*>", "", part) for part in parts]
 
 

@@ -40,7 +40,9 @@ def read_recorded(path):
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, tomllib.TOMLDecodeError) as error:
-        raise FileError(f"{path} cannot be read: {error}. Make it with 'python tests/record.py {path}'.") from error
+        raise FileError(
+            f"{path} cannot be read: {error}. Make it with 'python tests/record.py {path}'."
+        ) from error
 
 
 def worse(certificate, recorded):
@@ -64,7 +66,10 @@ def worse(certificate, recorded):
         by = abs(now) - abs(then) if figure.better == "small" else then - now
         if by > allowed:
             unit = "" if figure.unit == "1" else f" {figure.unit}"
-            faults.append(f"{name}: {now:.4g}{unit} now, {then:.4g}{unit} recorded, {allowed:.2g}{unit} allowed")
+            faults.append(
+                f"{name}: {now:.4g}{unit} now, {then:.4g}{unit} recorded, {allowed:.2g}{unit}"
+                " allowed"
+            )
     return faults
 
 
@@ -82,7 +87,9 @@ def main(arguments):
         "# Figures of the small scenario, mean and standard deviation over its seeds.\n"
         "# Made by: python tests/record.py tests/validate/recorded.toml\n\n"
     )
-    Path(arguments[0]).write_text(head + tomli_w.dumps(record(certificate)), encoding="utf-8", newline="\n")
+    Path(arguments[0]).write_text(
+        head + tomli_w.dumps(record(certificate)), encoding="utf-8", newline="\n"
+    )
     return 0 if certificate.passed else 4
 
 

@@ -28,7 +28,9 @@ CELL = (8.0, 8.0)
 
 
 def twice_of(maps, points, **options):
-    asked = compared(maps, lags_of(maps[0], CELL), params=CorrelateParams(**options), repeated_points=points)
+    asked = compared(
+        maps, lags_of(maps[0], CELL), params=CorrelateParams(**options), repeated_points=points
+    )
     return agreement.answer_twice(asked)["twice"]
 
 
@@ -36,7 +38,9 @@ def pair(seed=0, r=0.6, length=6.0, shape=(120, 150)):
     a, b = related_maps(np.random.default_rng(seed), shape, length, r)
     known = np.ones(shape, bool)
     known[30:60, 50:80] = False
-    return (np.where(known, a, np.nan), np.where(known, b, np.nan)), lags_of(np.where(known, a, np.nan), CELL)
+    return (np.where(known, a, np.nan), np.where(known, b, np.nan)), lags_of(
+        np.where(known, a, np.nan), CELL
+    )
 
 
 def test_variograms_are_those_of_the_function():
@@ -46,7 +50,12 @@ def test_variograms_are_those_of_the_function():
     for one, values, (layer, name, units) in zip(found, maps, names, strict=True):
         twin = variogram(values, pixel_um=CELL, md_deg=30.0)
         assert (one.layer, one.map, one.units, one.md_deg) == (layer, name, units, 30.0)
-        assert (one.nugget, one.sill, one.range_um, one.ratio) == (twin.nugget, twin.sill, twin.range_um, twin.ratio)
+        assert (one.nugget, one.sill, one.range_um, one.ratio) == (
+            twin.nugget,
+            twin.sill,
+            twin.range_um,
+            twin.ratio,
+        )
         assert len(one.distances_um) <= 60
         assert set(one.values) <= set(twin.values)
 
@@ -74,11 +83,17 @@ def test_two_measurements_are_compared_as_the_functions_say():
     rings, apart = ring_correlation(*maps, pixel_um=CELL), bland_altman(*points, pixel_um=40.0)
     assert [ring.correlation for ring in found.rings] == [ring.correlation for ring in rings.rings]
     assert found.resolution_um == rings.resolution_um
-    assert (found.bias, found.bias_interval, found.sd) == (apart.bias, apart.bias_interval, apart.sd)
+    assert (found.bias, found.bias_interval, found.sd) == (
+        apart.bias,
+        apart.bias_interval,
+        apart.sd,
+    )
     assert found.bias_interval[0] < 0.5 < found.bias_interval[1]
     assert found.error_slope == deming(*points, error_ratio=2.0, n_eff=50).slope
     assert found.error_interval[0] < 1 < found.error_interval[1]
-    facts = EvidenceFacts(a="ct", a_map="thickness", b="lm", b_map="thickness", declared=True, twice=found)
+    facts = EvidenceFacts(
+        a="ct", a_map="thickness", b="lm", b_map="thickness", declared=True, twice=found
+    )
     said = [*sentences(facts, "repeated")]
     assert said[0].startswith("Both show the same down to waves of")
     assert said[1].startswith("lm minus ct, over 720 points of 40\u202fµm: 0.5")
@@ -90,7 +105,9 @@ def test_two_measurements_are_compared_as_the_functions_say():
 
 def test_a_field_that_is_too_small_says_nothing_and_the_rest_stands():
     values = np.random.default_rng(0).normal(size=(5, 6))
-    assert answer_variograms(compared((values, values), lags_of(values, CELL))) == {"variograms": ()}
+    assert answer_variograms(compared((values, values), lags_of(values, CELL))) == {
+        "variograms": ()
+    }
     found = twice_of((values, values + 1), (values, values + 1), point_um=8.0)
     assert found.rings == ()
     assert "rings of frequency" in found.sentence
@@ -102,9 +119,14 @@ def facts(seed=0, *, md_deg=None, same=False, **how):
     b, units = ("b", "coating_top" if same else "image"), ("um", "um" if same else "1")
     asked = compared(maps, lags, a=("a", "coating_top"), b=b, units=units, md_deg=md_deg)
     return EvidenceFacts(
-        a="a", a_map="coating_top", b="b", b_map=b[1], declared=True, **answer_variograms(asked),
+        a="a",
+        a_map="coating_top",
+        b="b",
+        b_map=b[1],
+        declared=True,
+        **answer_variograms(asked),
         **correlograms.answer_correlogram(asked),
-    )  # fmt: skip
+    )
 
 
 def of_each(evidence, titles):
@@ -129,10 +151,18 @@ def test_the_page_names_ranges_directions_and_the_lag():
 
 def test_figures_hold_their_numbers():
     found = facts(md_deg=10.0)
-    variograms = diagnostics.draw_variograms(found, titles=("Coating thickness, top side", "Relative grey"))
+    variograms = diagnostics.draw_variograms(
+        found, titles=("Coating thickness, top side", "Relative grey")
+    )
     assert [*variograms.data] == ["coating-top", "image"]
-    assert [*variograms.data["coating-top"]] == ["distance / µm", "half mean square difference / µm²"]
-    assert [*variograms.data["image"]] == ["distance / µm", "half mean square difference / relative grey²"]
+    assert [*variograms.data["coating-top"]] == [
+        "distance / µm",
+        "half mean square difference / µm²",
+    ]
+    assert [*variograms.data["image"]] == [
+        "distance / µm",
+        "half mean square difference / relative grey²",
+    ]
     assert "µm²" in variograms.svg
     lags = diagnostics.draw_correlogram(found.correlogram, names=("coating", "grey"))
     assert lags.data["along-x"]["r"] == list(found.correlogram.along_x.r)
@@ -142,7 +172,10 @@ def test_figures_hold_their_numbers():
 
 def test_a_run_has_all_of_it(linked_run):
     (found,) = Results.read(linked_run / "results.json").evidence
-    assert [(one.layer, one.map) for one in found.variograms] == [("sheet", "coating_top"), ("image", "image")]
+    assert [(one.layer, one.map) for one in found.variograms] == [
+        ("sheet", "coating_top"),
+        ("image", "image"),
+    ]
     assert found.correlogram is not None
     assert found.second_opinion is not None
     (row,) = found.reliability

@@ -41,17 +41,26 @@ def test_a_look_marks_the_figures_that_it_concerns_and_leaves_their_numbers():
     before = Results.model_validate(a_run()["results"])
     found = run_with(check("look", "coating_top"))
     assert {name for name, trust in trusts(found).items() if trust != "ok"} == {"coating_top"}
-    assert found.layers[0].sheet.properties["coating_top"].mean == before.layers[0].sheet.properties["coating_top"].mean
+    assert (
+        found.layers[0].sheet.properties["coating_top"].mean
+        == before.layers[0].sheet.properties["coating_top"].mean
+    )
     assert found.passed
     for row, old in zip(found.correlations, before.correlations, strict=True):
-        assert (row.trust, row.r) == ("doubtful" if "coating_top" in (row.a_map, row.b_map) else "ok", old.r)
+        assert (row.trust, row.r) == (
+            "doubtful" if "coating_top" in (row.a_map, row.b_map) else "ok",
+            old.r,
+        )
 
 
 @pytest.mark.parametrize("figure", ["position", "correlation"])
 def test_what_fails_is_withheld_from_all_that_rests_on_it(figure):
     found = run_with(check("fail", figure))
     assert not found.passed
-    assert all(row.trust == "withheld" and math.isnan(row.r) and math.isnan(row.slope) for row in found.correlations)
+    assert all(
+        row.trust == "withheld" and math.isnan(row.r) and math.isnan(row.slope)
+        for row in found.correlations
+    )
     error = found.layers[0].registration.expected_error
     assert (error.median_um is None, set(trusts(found).values())) == (figure == "position", {"ok"})
     assert Results.model_validate_json(found.to_json()) == found
@@ -63,7 +72,9 @@ def test_a_failed_scan_withholds_its_properties_alone_and_other_states_change_no
     assert all(p.mean is None for p in found.layers[0].sheet.properties.values())
     assert found.layers[0].sheet.numbers is None
     assert set(trusts(run_with(check("fail", "properties", layers=("image",)))).values()) == {"ok"}
-    assert set(trusts(run_with(check("unknown", "properties"), check("pass", "position"))).values()) == {"ok"}
+    assert set(
+        trusts(run_with(check("unknown", "properties"), check("pass", "position"))).values()
+    ) == {"ok"}
     assert run_with(check("unknown", "properties")).state == "unknown"
 
 
@@ -71,8 +82,14 @@ def test_the_table_of_figures_says_what_is_doubtful_and_why():
     found = run_with(check("look", "coating_top"), check("fail", "position"))
     rows = list(csv.DictReader(io.StringIO(run_facts.figures_text(found))))
     at = {(row["figure"], row["statistic"]): row for row in rows}
-    assert (at["coating_top", "mean"]["trust"], at["coating_top", "mean"]["checks"]) == ("doubtful", "x")
-    assert float(at["coating_top", "mean"]["value"]) == found.layers[0].sheet.properties["coating_top"].mean
+    assert (at["coating_top", "mean"]["trust"], at["coating_top", "mean"]["checks"]) == (
+        "doubtful",
+        "x",
+    )
+    assert (
+        float(at["coating_top", "mean"]["value"])
+        == found.layers[0].sheet.properties["coating_top"].mean
+    )
     assert (at["thickness", "mean"]["trust"], at["thickness", "mean"]["checks"]) == ("ok", "")
     error = at["expected error of the position", "median"]
     assert (error["trust"], error["value"]) == ("withheld", "")
@@ -82,7 +99,8 @@ def test_the_table_of_figures_says_what_is_doubtful_and_why():
 def test_results_of_format_2_are_read_with_their_gates_as_checks(tmp_path):
     (tmp_path / "run.toml").write_text("")
     file = tmp_path / "results.json"
-    old = json.loads((Path(__file__).parent / "results_format_2.json").read_text())  # of the demo of planish 0.2.0
+    # Of the demo of planish 0.2.0.
+    old = json.loads((Path(__file__).parent / "results_format_2.json").read_text())
     old["gates"][0]["passed"] = False
     file.write_text(json.dumps(old))
     results = Results.read(file)
@@ -93,14 +111,19 @@ def test_results_of_format_2_are_read_with_their_gates_as_checks(tmp_path):
     assert Results.model_validate_json(results.to_json()) == results
     facts = show.run_facts(tmp_path)
     assert facts["fail"] == [old["gates"][0]["name"]]
-    assert "made by planish 0.2.0: its results have an older format" in " ".join(show.run_lines(facts))
+    assert "made by planish 0.2.0: its results have an older format" in " ".join(
+        show.run_lines(facts)
+    )
 
 
 @pytest.mark.parametrize(
-    ("value", "state"), [(0.5, "pass"), (1.0, "pass"), (1.1, "look"), (5.1, "fail"), (float("nan"), "look")]
+    ("value", "state"),
+    [(0.5, "pass"), (1.0, "pass"), (1.1, "look"), (5.1, "fail"), (float("nan"), "look")],
 )
 def test_limits_belong_to_what_passes_and_nan_never_does(value, state):
-    rule = CheckRule("x", object, ("position",), lambda rule, value: rule.at_most(value, look=1.0, sentence="x."))
+    rule = CheckRule(
+        "x", object, ("position",), lambda rule, value: rule.at_most(value, look=1.0, sentence="x.")
+    )
     found = rule.at_most(value, look=1.0, fail=5.0, sentence="x.", advice="Do it.")
     assert (found.state, found.limit) == (state, 5.0 if state == "fail" else 1.0)
     assert bool(found.advice) == (state != "pass")
@@ -131,14 +154,23 @@ def test_a_hole_of_the_image_lies_where_the_sheet_is_whole(at, state, origin):
     for u, v in ((200, 300), (600, 500)):
         thick[np.hypot(y[:, None] - v, x - u) < 90] = np.nan
     thick[:, x > 800] = np.nan
-    sheet = xr.Dataset({"thickness": (("y", "x"), thick)}, coords={"y": y + origin, "x": x - origin})
-    pairs = {"label": ["hole 1", "fixed 2"], "moving_x": [1.0, np.nan], "fixed_x": [600.0 - origin, at[0] - origin],
-             "fixed_y": [500.0 + origin, at[1] + origin], "fixed_diameter": [175.0, 175.0]}  # fmt: skip
+    sheet = xr.Dataset(
+        {"thickness": (("y", "x"), thick)}, coords={"y": y + origin, "x": x - origin}
+    )
+    pairs = {
+        "label": ["hole 1", "fixed 2"],
+        "moving_x": [1.0, np.nan],
+        "fixed_x": [600.0 - origin, at[0] - origin],
+        "fixed_y": [500.0 + origin, at[1] + origin],
+        "fixed_diameter": [175.0, 175.0],
+    }
     marks = xr.Dataset({k: ("mark", v) for k, v in pairs.items()})
     linked = HolesOnSheet(sheet=sheet, marks=marks, layer="sheet", reference="image")
     found = RULES["holes without partner"](linked)
     assert found.state == state
-    assert ("fixed 2 of the image lies where the sheet has no hole" in found.sentence) == (state == "look")
+    assert ("fixed 2 of the image lies where the sheet has no hole" in found.sentence) == (
+        state == "look"
+    )
 
 
 @pytest.mark.parametrize(
@@ -154,10 +186,21 @@ def test_holes_that_all_lean_to_one_side(degrees, error_um, count, state):
     """Tilts of holes: 50 um from layer to layer; the error of the tilt is that of the offset."""
     offset = 50.0 * np.tan(np.deg2rad(degrees))
     facts = HoleTiltFacts(
-        through=count, closed=0, unclear=0, other_side_only=0, offset_count=count, offset_um=tuple(offset),
-        offset_spread_um=(1.0, 1.0), offset_error_um=(error_um, error_um), tilt_deg=degrees, side="top", sentence="x.",
-    )  # fmt: skip
+        through=count,
+        closed=0,
+        unclear=0,
+        other_side_only=0,
+        offset_count=count,
+        offset_um=tuple(offset),
+        offset_spread_um=(1.0, 1.0),
+        offset_error_um=(error_um, error_um),
+        tilt_deg=degrees,
+        side="top",
+        sentence="x.",
+    )
     found = RULES["tilt of the holes"](SimpleNamespace(facts=SimpleNamespace(tilt=facts)))
     assert (found and found.state) == state
     assert state is None or found.value == pytest.approx(np.hypot(*degrees))
-    assert state != "look" or found.sentence.startswith("The holes run through the sheet at 5 ± 0.3° from its normal")
+    assert state != "look" or found.sentence.startswith(
+        "The holes run through the sheet at 5 ± 0.3° from its normal"
+    )

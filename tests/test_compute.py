@@ -19,7 +19,15 @@ from planish.core.errors import FileError, InputError, ResourceError
 from planish.core.frame import Frame
 from planish.core.memory import COLUMN_BYTES
 from planish.core.tiles import tiles_of
-from planish.io import VolumeParams, describe, new_folder, read_volume, run_folder, work_folder, write_store
+from planish.io import (
+    VolumeParams,
+    describe,
+    new_folder,
+    read_volume,
+    run_folder,
+    work_folder,
+    write_store,
+)
 from planish.io.run_folder import WORK_MARKER
 from planish.run import Compute, as_study, column_step, engine, map_sheet, read_whole, run_study
 from surface.sheets import slab, volume
@@ -27,7 +35,9 @@ from surface.sheets import slab, volume
 
 def map_of(kinds, out, **options):
     """Map the volume of the run `other-map`."""
-    run_study(as_study({"volume": {"path": str(kinds.other.volume)}}), out, compute=Compute(**options))
+    run_study(
+        as_study({"volume": {"path": str(kinds.other.volume)}}), out, compute=Compute(**options)
+    )
 
 
 def same_as_the_shared_run(kinds, out):
@@ -87,7 +97,10 @@ def test_what_a_run_left_that_was_killed_while_it_wrote_is_swept_up(tmp_path):
     half.mkdir(parents=True)
     (half / "maps.zarr").write_text("half")
     (half.parent / WORK_MARKER).write_bytes(marker)
-    with work_folder(tmp_path / "run", "this") as work, new_folder(tmp_path / "run", inside=work) as folder:
+    with (
+        work_folder(tmp_path / "run", "this") as work,
+        new_folder(tmp_path / "run", inside=work) as folder,
+    ):
         assert not half.exists()
         (folder / "whole").write_text("whole")
     assert [p.name for p in tmp_path.iterdir()] == ["run"]
@@ -99,7 +112,11 @@ def cluster():
     """A scheduler and two workers, processes of their own on this machine."""
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address="127.0.0.1:0"
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",
     ) as made:
         yield made
 
@@ -141,7 +158,10 @@ def test_import_takes_a_scheduler(cluster, kinds, tmp_path, planish):
 
 @pytest.mark.nightly
 def test_a_scheduler_that_is_lost_is_a_sentence(cluster):
-    with pytest.raises(ResourceError, match="was lost"), engine(Compute(scheduler=cluster.scheduler_address)) as on:
+    with (
+        pytest.raises(ResourceError, match="was lost"),
+        engine(Compute(scheduler=cluster.scheduler_address)) as on,
+    ):
         list(on.map("sums", dies, lambda _tile: None, tiles_of((4, 4), (2, 2))))
 
 
@@ -152,7 +172,10 @@ def dies(_job, _tile):
 @pytest.mark.ci
 def test_no_scheduler_is_a_sentence():
     pytest.importorskip("distributed")
-    with pytest.raises(InputError, match="No scheduler answers"), engine(Compute(scheduler="tcp://127.0.0.1:1")):
+    with (
+        pytest.raises(InputError, match="No scheduler answers"),
+        engine(Compute(scheduler="tcp://127.0.0.1:1")),
+    ):
         pass
 
 
@@ -161,7 +184,9 @@ def test_what_the_program_takes_comes_off_the_memory_and_columns_get_wider():
     # Of little memory the program is not given more than half, and the blocks of an import get most of the rest.
     assert Compute(memory_bytes=3 * 10**8).for_work == 15 * 10**7
     assert Compute(memory_bytes=3 * 10**8).block_bytes == 10**8
-    assert Compute(memory_bytes=9 * 10**9).block_bytes == Compute(memory_bytes=9 * 10**9).volume_bytes
+    assert (
+        Compute(memory_bytes=9 * 10**9).block_bytes == Compute(memory_bytes=9 * 10**9).volume_bytes
+    )
     grey, *_ = slab(shape=(40, 90, 120))
     data = volume(grey)
     data.attrs["voxel_um"] = [3.0] * 3
@@ -182,7 +207,9 @@ def test_the_memory_that_info_states_is_enough_for_single_voxels(shape, tmp_path
     with (tmp_path / "v.raw").open("wb") as file:
         file.truncate(int(np.prod(shape)))
     line = next(
-        one for one in show.fact_lines(describe(tmp_path / "v.raw", values=False)) if one.startswith("planish map")
+        one
+        for one in show.fact_lines(describe(tmp_path / "v.raw", values=False))
+        if one.startswith("planish map")
     )
     stated = Compute.model_validate({"memory_bytes": line.split()[2] + "GB"})
     frame = Frame(through="zyx"[int(np.argmin(shape))])
@@ -191,8 +218,11 @@ def test_the_memory_that_info_states_is_enough_for_single_voxels(shape, tmp_path
 
 
 def test_the_memory_that_info_states_holds_a_volume_that_is_decoded_as_a_whole(tmp_path):
-    values = np.random.default_rng(0).random((130, 60, 60))  # 1040 bytes a column, of which thrice the size is asked
-    (tmp_path / "v.nii.gz").write_bytes(gzip.compress(nibabel.Nifti1Image(values, np.eye(4)).to_bytes(), 1))
+    # 1040 bytes a column, of which thrice the size is asked.
+    values = np.random.default_rng(0).random((130, 60, 60))
+    (tmp_path / "v.nii.gz").write_bytes(
+        gzip.compress(nibabel.Nifti1Image(values, np.eye(4)).to_bytes(), 1)
+    )
     for limit in (None, 2**20):  # decoded already, or left in its file for its size
         stated = describe(tmp_path / "v.nii.gz", memory_bytes=limit)["run_bytes"]
         assert Compute(memory_bytes=stated).volume_bytes >= values.nbytes
@@ -213,7 +243,9 @@ def test_sections_that_do_not_fit_are_imported_in_parts(kinds, tmp_path):
 
 
 @pytest.mark.nightly
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak of the memory is not known")
+@pytest.mark.skipif(
+    not Path("/proc/self/status").exists(), reason="the peak of the memory is not known"
+)
 def test_a_mapped_volume_counts_as_memory_and_the_limit_is_kept(tmp_path):
     """600 million voxels in 1 GB, columns widened; with columns of that width the bytes do not depend on it."""
     shape = (300, 1414, 1414)
@@ -224,7 +256,12 @@ def test_a_mapped_volume_counts_as_memory_and_the_limit_is_kept(tmp_path):
         for z in range(shape[0]):
             away = abs(z - middle)
             grey = np.where(away < 40, np.where(away > 30, 200, 110), 50).astype(np.float32)
-            file.write((grey + rng.normal(0, 6, shape[1:]).astype(np.float32)).clip(0, 255).astype(np.uint8).tobytes())
+            file.write(
+                (grey + rng.normal(0, 6, shape[1:]).astype(np.float32))
+                .clip(0, 255)
+                .astype(np.uint8)
+                .tobytes()
+            )
     header = f'shape = [{", ".join(map(str, shape))}]\ndtype = "uint8"\nvoxel_um = 1.5\n'
     (tmp_path / "v.raw.toml").write_text(header)
     code = (
@@ -235,8 +272,19 @@ def test_a_mapped_volume_counts_as_memory_and_the_limit_is_kept(tmp_path):
     peaks = []
     for name, memory in (("low", "1GB"), ("high", "4GB")):
         # The width that 1 GB asks for.
-        command = ("map", str(tmp_path / "v.raw"), "-o", str(tmp_path / name), "--memory", memory, "--column-um", "3")
-        done = subprocess.run([sys.executable, "-c", code, *command], capture_output=True, text=True, check=True)
+        command = (
+            "map",
+            str(tmp_path / "v.raw"),
+            "-o",
+            str(tmp_path / name),
+            "--memory",
+            memory,
+            "--column-um",
+            "3",
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", code, *command], capture_output=True, text=True, check=True
+        )
         peaks.append(1024 * int(done.stdout.splitlines()[-1].split()[1]))
     assert peaks[0] < 1.0e9
     assert bytes_of(tmp_path / "low") == bytes_of(tmp_path / "high")
@@ -245,6 +293,8 @@ def test_a_mapped_volume_counts_as_memory_and_the_limit_is_kept(tmp_path):
 @pytest.mark.ci
 def test_memory_that_others_take_meanwhile_changes_no_column(specimen_files, monkeypatch):
     free = iter([10**10])  # then next to nothing
-    monkeypatch.setattr(Compute, "memory", property(lambda self: self.memory_bytes or next(free, 2 * 10**8)))
+    monkeypatch.setattr(
+        Compute, "memory", property(lambda self: self.memory_bytes or next(free, 2 * 10**8))
+    )
     run = map_sheet(specimen_files[0])
     assert run.study.layers[0].volume.column_um is None

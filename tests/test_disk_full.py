@@ -34,7 +34,9 @@ def failed_in(monkeypatch):
     write_failure = files.write_failure
 
     def noted(error, path, *, needed=None):
-        found.append([frame.name for frame in traceback.extract_tb(error.__traceback__)] + [path.name])
+        found.append(
+            [frame.name for frame in traceback.extract_tb(error.__traceback__)] + [path.name]
+        )
         return write_failure(error, path, needed=needed)
 
     monkeypatch.setattr(files, "write_failure", noted)
@@ -44,8 +46,11 @@ def failed_in(monkeypatch):
 @pytest.fixture
 def given(specimen, specimen_files, linked_run, tmp_path_factory, monkeypatch):
     """What the commands read, outside of the folder that is compared. The link has compiled what they need."""
-    monkeypatch.setitem(synthetic.SIZES_UM, "T0", (560.0, 420.0))  # the least that has room for three holes
-    corner = write_volume(tmp_path_factory.mktemp("corner") / "volume.tif", specimen.volume.values[:, :125, :200])
+    # The least that has room for three holes.
+    monkeypatch.setitem(synthetic.SIZES_UM, "T0", (560.0, 420.0))
+    corner = write_volume(
+        tmp_path_factory.mktemp("corner") / "volume.tif", specimen.volume.values[:, :125, :200]
+    )
     return SimpleNamespace(corner=corner, volume=specimen_files[0], run=linked_run)
 
 
@@ -56,17 +61,24 @@ def entries(folder):
 # Of each command the limits, and the function or file that fails under them.
 CASES = {
     "map": (lambda given: ("map", given.corner), (0, "claim_folder"), (2000, "take")),
-    "import": (lambda given: ("import", given.volume), (0, "claim_folder"), (50_000, "_write_shards")),
+    "import": (
+        lambda given: ("import", given.volume),
+        (0, "claim_folder"),
+        (50_000, "_write_shards"),
+    ),
     "specimen": (
         lambda _given: ("specimen", "--size", "T0", "--seed", "7", "--instrument", "image"),
-        (100, "write_image"), (50_000, "write_truth"),
+        (100, "write_image"),
+        (50_000, "write_truth"),
     ),
     "report": (lambda given: ("report", given.run), (0, "out"), (900_000, "out")),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("command", CASES)
-def test_a_full_disk_leaves_nothing_and_blocks_nothing(planish, passes, given, tmp_path, failed_in, command):
+def test_a_full_disk_leaves_nothing_and_blocks_nothing(
+    planish, passes, given, tmp_path, failed_in, command
+):
     arguments, *moments = CASES[command]
     (tmp_path / "thesis.txt").write_text("years")
     out = tmp_path / "out"

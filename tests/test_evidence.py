@@ -43,9 +43,12 @@ def test_a_row_is_what_the_function_says_of_the_maps(results, linked):
     valid = linked["valid"].values.astype(bool)
     pixel = tuple(float(np.diff(linked[k].values[:2])[0]) for k in "yx")
     found = correlate(
-        linked["coating_top"].values.astype(float), linked["image"].values.astype(float), mask=valid, pixel_um=pixel,
+        linked["coating_top"].values.astype(float),
+        linked["image"].values.astype(float),
+        mask=valid,
+        pixel_um=pixel,
         point_um=100.0,
-    )  # fmt: skip
+    )
     assert (row.n, row.r, row.n_eff) == pytest.approx((found.n, found.r, found.n_eff), nan_ok=True)
     assert row.warnings == found.warnings
 
@@ -74,8 +77,13 @@ def test_the_headline_has_its_scales_and_ceiling(results):
 
 def test_what_to_be_careful_about_stands_on_the_first_page():
     results = Results.model_validate(a_run()["results"])
-    rows = [row.model_copy(update={"warnings": ("Only 17 independent points.",)}) for row in results.correlations]
-    assert summary.cautions(results.model_copy(update={"correlations": tuple(rows)})) == ["Only 17 independent points."]
+    rows = [
+        row.model_copy(update={"warnings": ("Only 17 independent points.",)})
+        for row in results.correlations
+    ]
+    assert summary.cautions(results.model_copy(update={"correlations": tuple(rows)})) == [
+        "Only 17 independent points."
+    ]
     withheld = [row.model_copy(update={"trust": "withheld"}) for row in rows]
     assert summary.cautions(results.model_copy(update={"correlations": tuple(withheld)})) == []
 
@@ -104,7 +112,11 @@ def test_the_page_says_who_named_the_headline(linked_run):
         ("--beside", ["gloss"], "there will be no such map"),
         ("--beside", ["thickness", "thickness"], "stands there twice"),
         ("--beside", ["coating_top"], "leads already"),
-        ("--beside", ["thickness", "base_thickness", "coating_bottom"], "nothing is left to correlate"),
+        (
+            "--beside",
+            ["thickness", "base_thickness", "coating_bottom"],
+            "nothing is left to correlate",
+        ),
     ],
 )
 def test_maps_that_cannot_lead_or_stand_beside_are_refused_before_the_volume_is_read(
@@ -129,7 +141,9 @@ def test_a_map_that_its_numbers_make_may_lead_or_stand_beside(layers, properties
     """The rules ``when`` and ``together`` of the properties; without its number a map will not be."""
     for place in ({"headline": name}, {"beside": [name]}):
         parts = layers | {"correlate": place}
-        assert preflight.check_request(as_study(parts | {"properties": properties}), Compute()) is None
+        assert (
+            preflight.check_request(as_study(parts | {"properties": properties}), Compute()) is None
+        )
         if properties:
             with pytest.raises(InputError, match=f'{name}"?: there will be no such map'):
                 preflight.check_request(as_study(parts), Compute())
@@ -139,15 +153,34 @@ def test_two_of_three_parts_may_stand_beside_and_of_labels_maps_of_the_faces_may
     parts = layers | {"correlate": {"beside": ["base_thickness", "coating_bottom"]}}
     assert preflight.check_request(as_study(parts), Compute()) is None
     parts = layers | {"surface": {"labels": {}}, "properties": {"coating_g_cm3": 1.6}}
-    assert preflight.check_request(as_study(parts | {"correlate": {"headline": "thickness"}}), Compute()) is None
+    assert (
+        preflight.check_request(
+            as_study(parts | {"correlate": {"headline": "thickness"}}), Compute()
+        )
+        is None
+    )
     with pytest.raises(InputError, match=r'coat_weight_top"?: there will be no such map'):
-        preflight.check_request(as_study(parts | {"correlate": {"headline": "coat_weight_top"}}), Compute())
+        preflight.check_request(
+            as_study(parts | {"correlate": {"headline": "coat_weight_top"}}), Compute()
+        )
 
 
 @pytest.mark.ci
-def test_a_declared_headline_leads_and_what_stands_beside_it_is_stated(planish, specimen_files, linked_run, tmp_path):
-    given = ("--headline", "coating_bottom", "--beside", "base_thickness", "--beside", "topography_top")
-    assert planish("link", linked_run, specimen_files[1], "--out", tmp_path / "run", *given)[0] in (0, 4)
+def test_a_declared_headline_leads_and_what_stands_beside_it_is_stated(
+    planish, specimen_files, linked_run, tmp_path
+):
+    given = (
+        "--headline",
+        "coating_bottom",
+        "--beside",
+        "base_thickness",
+        "--beside",
+        "topography_top",
+    )
+    assert planish("link", linked_run, specimen_files[1], "--out", tmp_path / "run", *given)[0] in (
+        0,
+        4,
+    )
     (found,) = Results.read(tmp_path / "run" / "results.json").evidence
     assert (found.a_map, found.declared) == ("coating_bottom", True)
     assert found.partial.given == ("base_thickness", "topography_top")
@@ -170,7 +203,9 @@ def drawn(seed=0, shape=(120, 160)):
         },
         coords,
     )
-    image = xr.Dataset({"image": (("y", "x"), rng.normal(size=shape)), "valid": sheet["valid"]}, coords)
+    image = xr.Dataset(
+        {"image": (("y", "x"), rng.normal(size=shape)), "valid": sheet["valid"]}, coords
+    )
     return {"sheet": sheet, "image": image}
 
 
@@ -198,7 +233,9 @@ def test_a_partial_r_is_what_the_function_says_of_the_points():
     )
     twin = partial(top, image, [base, whole], pixel_um=20.0)
     assert found.partial.given == names
-    assert (found.partial.r, found.partial.n, found.partial.n_eff) == pytest.approx((twin.r, twin.n, twin.n_eff))
+    assert (found.partial.r, found.partial.n, found.partial.n_eff) == pytest.approx(
+        (twin.r, twin.n, twin.n_eff)
+    )
     assert found.partial.interval == pytest.approx(twin.interval)
     assert found.partial.r == pytest.approx(0.6, abs=0.08)
     assert correlate(top, image, pixel_um=20.0).r < -0.3
@@ -241,7 +278,9 @@ def test_where_nothing_is_left_the_run_stands_and_says_why(beside, point_um, wor
 
 def evidence_of(maps, *, declared=False, **options):
     params = CorrelateParams(headline="coating_top" if declared else None, **options)
-    return correlation_diagnostics(maps, ("sheet", "coating_top"), ("image", "image"), params=params)
+    return correlation_diagnostics(
+        maps, ("sheet", "coating_top"), ("image", "image"), params=params
+    )
 
 
 def sentences(evidence, point_um):
@@ -261,7 +300,9 @@ def test_unrelated_noise_says_nothing_at_any_scale():
 def test_thin_regions_have_a_difference_with_an_interval():
     maps = drawn()
     maps["sheet"]["coating_top"][:] = 6 + 3 * maps["sheet"]["coating_top"].values
-    maps["image"]["image"][:] = 100 + maps["image"]["image"].values - 4 * (maps["sheet"]["coating_top"].values < 5)
+    maps["image"]["image"][:] = (
+        100 + maps["image"]["image"].values - 4 * (maps["sheet"]["coating_top"].values < 5)
+    )
     found = evidence_of(maps, point_um=50)
     assert [k.thinner_than_um for k in found.thin] == [2, 5, 10]
     assert found.thin[1].interval[0] < -4 < found.thin[1].interval[1]

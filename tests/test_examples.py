@@ -12,9 +12,12 @@ ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 CHEAPEST = "05_"
 MEASURED = {
-    "11_wound_cell": "battery_sector_right", "12_letter_packet": "letterpacket_ct", "13_dot_pattern": "dot_patterns",
-    "14_tissue": "tissue_sheet_mesh", "15_height_map": "heightmaps",
-}  # fmt: skip
+    "11_wound_cell": "battery_sector_right",
+    "12_letter_packet": "letterpacket_ct",
+    "13_dot_pattern": "dot_patterns",
+    "14_tissue": "tissue_sheet_mesh",
+    "15_height_map": "heightmaps",
+}
 
 
 def run(example, folder, monkeypatch):
@@ -38,14 +41,18 @@ def test_the_page_shows_every_example_with_its_picture():
     text = (ROOT / "docs" / "examples.md").read_text(encoding="utf-8")
     assert re.findall(r"\(\.\./examples/(\w+)\.py\)", text) == [path.stem for path in EXAMPLES]
     assert re.findall(r"\(images/examples/(\w+)\.png\)", text) == [path.stem for path in EXAMPLES]
-    assert sorted(path.stem for path in (ROOT / "docs/images/examples").glob("*.png")) == [p.stem for p in EXAMPLES]
+    assert sorted(path.stem for path in (ROOT / "docs/images/examples").glob("*.png")) == [
+        p.stem for p in EXAMPLES
+    ]
 
 
 @pytest.mark.parametrize(
     "example",
     [
         pytest.param(
-            path, id=path.stem, marks=pytest.mark.ci if path.stem.startswith(CHEAPEST) else pytest.mark.nightly
+            path,
+            id=path.stem,
+            marks=pytest.mark.ci if path.stem.startswith(CHEAPEST) else pytest.mark.nightly,
         )
         for path in EXAMPLES
         if path.stem not in MEASURED
@@ -65,6 +72,8 @@ def test_an_example_on_measured_data_runs(name, shared_data, tmp_path, monkeypat
 def test_measured_data_are_shown_with_their_licence():
     text = (ROOT / "docs" / "examples.md").read_text(encoding="utf-8")
     for name in MEASURED:
-        (section,) = re.findall(rf"^### [^\n]*\n\n(?:(?!^###).)*?{name}\.py", text, re.MULTILINE | re.DOTALL)
+        (section,) = re.findall(
+            rf"^### [^\n]*\n\n(?:(?!^###).)*?{name}\.py", text, re.MULTILINE | re.DOTALL
+        )
         assert re.search(r"(MIT|Apache-2\.0) licence", section)
         assert "licence" in (ROOT / "examples" / f"{name}.py").read_text(encoding="utf-8")

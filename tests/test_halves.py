@@ -17,21 +17,33 @@ from planish.core.transform import Similarity
 UM, POINT_UM = 4.0, 100.0
 
 
-def columns(seed=0, *, noise=0.0, shape=(160, 200), length=20.0, similarity=None, slope=0.0, **attrs):
+def columns(
+    seed=0, *, noise=0.0, shape=(160, 200), length=20.0, similarity=None, slope=0.0, **attrs
+):
     """A coating of 10 um with texture, noise of single columns, and measured maps that mix neighbouring rows."""
     rng = np.random.default_rng(seed)
     texture = 10 + gaussian_maps(rng, shape, length, kind="gauss")[0]
     coating = texture + noise * rng.normal(size=shape)
     y, x = UM * np.arange(shape[0]), UM * np.arange(shape[1])
     top = 300 + slope * y[:, None] + 0 * x
-    faces = {"top": top, "interface_top": top - coating, "bottom": top - 90, "interface_bottom": top - 80,
-             "centre": top - 45}  # fmt: skip
+    faces = {
+        "top": top,
+        "interface_top": top - coating,
+        "bottom": top - 90,
+        "interface_bottom": top - 80,
+        "centre": top - 45,
+    }
     mixed = 0.5 * (coating + np.roll(coating, 1, axis=0))
     maps = faces | {"coating_top": coating / np.hypot(1, slope), "porosity": mixed}
     measured = xr.Dataset(
-        {k: (("y", "x"), v) for k, v in maps.items()}, {"y": y, "x": x}, {"through": "z", "top_side": "high"} | attrs
+        {k: (("y", "x"), v) for k, v in maps.items()},
+        {"y": y, "x": x},
+        {"through": "z", "top_side": "high"} | attrs,
     )
-    flat = xr.Dataset({"u": (("y", "x"), x + 0 * y[:, None]), "v": (("y", "x"), y[:, None] + 0 * x)}, {"y": y, "x": x})
+    flat = xr.Dataset(
+        {"u": (("y", "x"), x + 0 * y[:, None]), "v": (("y", "x"), y[:, None] + 0 * x)},
+        {"y": y, "x": x},
+    )
     found = SheetColumns(measured=measured, flat=flat, similarity=similarity or Similarity())
     return found, texture
 
@@ -46,9 +58,13 @@ def ceilings(found, name="coating_top", *, origin_um=(-2.0, -2.0), known, error_
     corner = origin_um[0] + UM, origin_um[1] + UM
     grid = Grid.regular(known.shape, 2 * UM, corner)
     asked = compared(
-        (values, values), lags_of(values, (2 * UM, 2 * UM)), a=("sheet", name), columns={"sheet": found}, grid=grid,
+        (values, values),
+        lags_of(values, (2 * UM, 2 * UM)),
+        a=("sheet", name),
+        columns={"sheet": found},
+        grid=grid,
         params=CorrelateParams(point_um=POINT_UM),
-    )  # fmt: skip
+    )
     if error_um is not None:
         asked.layers[0]["expected_error"] = (("y", "x"), np.full(known.shape, error_um))
     return answer_ceiling(asked)
@@ -69,7 +85,11 @@ def test_noise_of_single_columns_gives_the_share_that_it_takes():
 
 def test_texture_without_noise_is_wholly_reliable_however_rows_fall_into_points():
     """An even number of rows in a point shifts the mean place of its odd ones against the even ones by a row."""
-    for similarity in (Similarity(), Similarity(scale=25 / 26), Similarity(rotation_rad=0.3, shift_um=(200.0, -60.0))):
+    for similarity in (
+        Similarity(),
+        Similarity(scale=25 / 26),
+        Similarity(rotation_rad=0.3, shift_um=(200.0, -60.0)),
+    ):
         found, _ = columns(similarity=similarity)
         assert stated(found).halves_r > 0.9999
 
@@ -102,7 +122,8 @@ def test_many_rows_are_taken_in_bands_and_none_twice(monkeypatch):
     found, _ = columns(noise=5.0, slope=0.3)
     whole = halves(found, np.ones((80, 100), bool))
     monkeypatch.setattr(
-        "planish.analyze.split_half.bands", lambda n: [slice(k, min(k + 34, n)) for k in range(0, n, 34)]
+        "planish.analyze.split_half.bands",
+        lambda n: [slice(k, min(k + 34, n)) for k in range(0, n, 34)],
     )
     parts = halves(found, np.ones((80, 100), bool))
     for one, other in zip(whole[:2], parts[:2], strict=True):
@@ -117,7 +138,8 @@ def test_only_columns_in_cells_that_count_are_taken():
     assert odd.shape == (6, 8)
     np.testing.assert_array_equal(np.isfinite(odd).all(axis=0), [True] * 4 + [False] * 4)
     np.testing.assert_array_equal(np.isfinite(odd), np.isfinite(even))
-    middle = found.measured["coating_top"].values[1:149, :100]  # of the first and the last row one half is not known
+    # Of the first and the last row one half is not known.
+    middle = found.measured["coating_top"].values[1:149, :100]
     assert np.nanmean([odd, even]) == pytest.approx(middle.mean(), abs=0.02)
 
 

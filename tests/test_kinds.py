@@ -36,8 +36,20 @@ class Kind(NamedTuple):
 
 SHEETS = {
     "upright": Kind(0.7, 1.2, "top side assumed"),
-    "laid": Kind(0.7, 1.2, "image shows the bottom side of the sheet, as given", "coating_bottom", mirrored=True),
-    "bottom": Kind(0.7, 1.2, "image shows the bottom side of the sheet, as given", "coating_bottom", mirrored=True),
+    "laid": Kind(
+        0.7,
+        1.2,
+        "image shows the bottom side of the sheet, as given",
+        "coating_bottom",
+        mirrored=True,
+    ),
+    "bottom": Kind(
+        0.7,
+        1.2,
+        "image shows the bottom side of the sheet, as given",
+        "coating_bottom",
+        mirrored=True,
+    ),
     "scan": Kind(1.5, 3.0, "NRecon"),
     "sections": Kind(3.0, 5.0, "179 sections were aligned to their neighbours"),
     "no-holes": Kind(1.0, 2.0, "Found by texture: coating top and image go together at one place"),
@@ -47,7 +59,10 @@ SHEETS = {
 """Of the sheet in resin one hole of five is not seen; places by serial sections err as those do."""
 
 OTHERS = {
-    "volumes": "Coating thickness (top side) of second is larger where coating thickness (top side) of first is",
+    "volumes": (
+        "Coating thickness (top side) of second is larger where coating thickness (top side) of"
+        " first is"
+    ),
     "images": "The two images are compared at every valid pixel of uv",
     "chain": "ct, near on the pixels of far",
 }
@@ -56,7 +71,9 @@ OTHERS = {
 def material(specimen, files, maps, sections=None):
     """True material (y, x, 2) at the places in the volume of each pixel of maps; NaN where they are not valid."""
     ok = maps["valid"].values
-    places = np.stack([maps[f"volume_{axis}"].values[ok] for axis in "xyz"], axis=-1).astype(np.float64)
+    places = np.stack([maps[f"volume_{axis}"].values[ok] for axis in "xyz"], axis=-1).astype(
+        np.float64
+    )
     found = np.full((*ok.shape, 2), np.nan)
     found[ok] = specimen.warp.material(files.to_physical(places, sections))[:, :2]
     return found
@@ -112,7 +129,11 @@ def test_a_folder_is_whole_reads_back_and_says_what_it_is(kinds, passes, kind):
 
 
 @pytest.mark.parametrize(
-    "kind", [pytest.param(kind, marks=[] if kind == "laid" else pytest.mark.nightly) for kind in (*SHEETS, *OTHERS)]
+    "kind",
+    [
+        pytest.param(kind, marks=[] if kind == "laid" else pytest.mark.nightly)
+        for kind in (*SHEETS, *OTHERS)
+    ],
 )
 def test_the_study_of_a_run_repeats_its_bytes(kinds, passes, kind):
     again = kinds(kind).with_name("repeated")
@@ -140,7 +161,8 @@ def test_pixels_show_the_material_that_is_there_on_the_right_side(kinds, kind):
         # 100 um from the fitted circle; the true rim is rough by 4 um rms around an ellipse, 6 % longer than the circle
         assert specimen.truth["rim"].values[ok].min() > 84.0
     if expected.leads.startswith("coating"):
-        true = specimen.truth["coating_top"].values[ok]  # of all these specimens the image shows the same side
+        # Of all these specimens the image shows the same side.
+        true = specimen.truth["coating_top"].values[ok]
         ours = maps[expected.leads].values[ok]
         assert abs(np.mean(ours - true)) < 0.3
         r, r_true = (np.corrcoef(values, maps["image"].values[ok])[0, 1] for values in (ours, true))
@@ -158,11 +180,15 @@ def test_properties_against_the_truth(linked, specimen):
         assert np.sqrt(np.mean(error**2)) <= rmse
 
 
-def test_of_a_place_most_of_the_error_is_that_of_the_holes_and_little_of_the_flattening(linked, specimen, kinds):
+def test_of_a_place_most_of_the_error_is_that_of_the_holes_and_little_of_the_flattening(
+    linked, specimen, kinds
+):
     """It is the same everywhere or grows evenly, which the best similarity of all pixels takes off."""
     ok = linked["valid"].values
     found = material(specimen, kinds.small, linked)[ok][::50]
-    left = fit_transform(uv(specimen.truth)[ok][::50], found, model="similarity", mirrored=False, robust=False)
+    left = fit_transform(
+        uv(specimen.truth)[ok][::50], found, model="similarity", mirrored=False, robust=False
+    )
     assert np.median(np.linalg.norm(left.residuals_um, axis=1)) <= 0.12  # 0.22 um through the faces
 
 
@@ -178,13 +204,18 @@ def test_all_holes_are_matched_and_flattening_beats_both_projections(linked_run,
     # A gentle warp: 15 um of error against a coating that varies over 100 um.
     assert flat > along + 0.03
     assert flat > straight + 0.05
-    assert sorted(row.point_um for row in results.comparison) == pytest.approx([5.0] * 3 + [100.0] * 3)
+    assert sorted(row.point_um for row in results.comparison) == pytest.approx(
+        [5.0] * 3 + [100.0] * 3
+    )
 
 
 def test_sections_are_aligned_and_joined(kinds):
     run, specimen = open_run(kinds("sections")), kinds.specimen("sections")
     facts = run.results.layers[0].sheet.sections
-    assert (facts.count, facts.missing) == (specimen.poses.index.size, 191 - specimen.poses.index.size)
+    assert (facts.count, facts.missing) == (
+        specimen.poses.index.size,
+        191 - specimen.poses.index.size,
+    )
     assert facts.not_aligned == 0
     assert np.all(np.diff(run.groups["sections"]["position"]) > 0)
     # 1.5 um of jitter are taken off; what was put on is stated
@@ -242,9 +273,15 @@ def test_an_image_lies_on_another_image_and_they_are_compared_away_from_rims(kin
     x, y = np.meshgrid(grid.x_um, grid.y_um)
     shown = np.isfinite(layer["image"].values)
     marks = run.registrations["white"].pairs()
-    moving, fixed = (np.stack([marks[f"{s}_{a}"].values for a in "xy"], axis=1) for s in ("moving", "fixed"))
-    back = fit_transform(moving, fixed, model="similarity", mirrored=False).inverse(np.stack([x, y], axis=-1))
-    off_um = kinds.specimen("small").pose.inverse(back[shown]) - uv(kinds.specimen("other").truth)[shown]
+    moving, fixed = (
+        np.stack([marks[f"{s}_{a}"].values for a in "xy"], axis=1) for s in ("moving", "fixed")
+    )
+    back = fit_transform(moving, fixed, model="similarity", mirrored=False).inverse(
+        np.stack([x, y], axis=-1)
+    )
+    off_um = (
+        kinds.specimen("small").pose.inverse(back[shown]) - uv(kinds.specimen("other").truth)[shown]
+    )
     assert np.nanmedian(np.hypot(*off_um.T)) < 1.5
     assert np.nanmax(layer["expected_error"].values) < 10.0
     # Without the rims of the holes, which are alike on any paper. Either camera has an uneven reflectance of its own.

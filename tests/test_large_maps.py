@@ -17,7 +17,11 @@ def numbers(value, place=""):
     if not isinstance(value, dict | list):
         return {place: value}
     parts = value.items() if isinstance(value, dict) else enumerate(value)
-    return {name: number for key, part in parts for name, number in numbers(part, f"{place}/{key}").items()}
+    return {
+        name: number
+        for key, part in parts
+        for name, number in numbers(part, f"{place}/{key}").items()
+    }
 
 
 @pytest.mark.parametrize("kind", ["upright", "images"])
@@ -43,15 +47,25 @@ def test_tiles_and_a_store_change_nothing(passes, kinds, tmp_path, monkeypatch, 
     assert found.keys() == expected.keys()
     assert len(expected) > 100
     for key, value in expected.items():
-        assert found[key] == (pytest.approx(value, rel=1e-5, abs=1e-9) if isinstance(value, float) else value), key
+        assert found[key] == (
+            pytest.approx(value, rel=1e-5, abs=1e-9) if isinstance(value, float) else value
+        ), key
     # The page of the run as it is read again is the one that was written.
     passes("report", tmp_path / "tiles", "-o", tmp_path / "again.html")
-    assert (tmp_path / "again.html").read_bytes() == (tmp_path / "tiles" / "report.html").read_bytes()
+    assert (tmp_path / "again.html").read_bytes() == (
+        tmp_path / "tiles" / "report.html"
+    ).read_bytes()
     assert not list(tmp_path.glob(".*"))
 
 
 def test_an_image_beyond_the_memory_is_refused_by_its_header(refuses, linked_run, tmp_path):
     big = tmp_path / "big.tif"
-    tifffile.imwrite(big, shape=(30000, 30000), dtype=np.uint8, resolution=(7299, 7299), resolutionunit="CENTIMETER")
+    tifffile.imwrite(
+        big,
+        shape=(30000, 30000),
+        dtype=np.uint8,
+        resolution=(7299, 7299),
+        resolutionunit="CENTIMETER",
+    )
     words = ("900 million pixels takes 14.8 GB", "--memory 14.8GB")
     refuses("link", linked_run, big, "--memory", "2GB", words=words, code=5)

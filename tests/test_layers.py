@@ -26,7 +26,13 @@ def test_a_size_may_be_that_of_one_layer_alone(passes, refuses, kinds, tmp_path)
     run = open_run(tmp_path / "wide")
     assert run.study.layers[0].image.pixel_um[0] == 5.5
     assert run.results.moving[0].registration.scale == pytest.approx(5 / 5.5, abs=0.02)
-    refuses(*layers, "--set", "tiny.image.pixel_um=5.5,5.5", words="--set: 'tiny.image.pixel_um=5.5,5.5'", code=2)
+    refuses(
+        *layers,
+        "--set",
+        "tiny.image.pixel_um=5.5,5.5",
+        words="--set: 'tiny.image.pixel_um=5.5,5.5'",
+        code=2,
+    )
 
 
 def test_a_mirrored_image_is_refused_and_linked_when_it_is_declared_or_of_the_bottom(
@@ -52,9 +58,13 @@ def test_machine_directions_that_contradict_each_other_are_seen(
     planish, run_copy, specimen_files, tmp_path, given, code
 ):
     study = (run_copy / "run.toml").read_text()
-    rotation = json.loads((run_copy / "results.json").read_text())["layers"][0]["registration"]["rotation_deg"]
+    rotation = json.loads((run_copy / "results.json").read_text())["layers"][0]["registration"][
+        "rotation_deg"
+    ]
     # The map's machine direction lies along its x axis; in the image it is turned by the rotation of the marks.
-    (run_copy / "run.toml").write_text(study.replace("[layers.volume]", "[layers.volume]\nmd_deg = 0.0"))
+    (run_copy / "run.toml").write_text(
+        study.replace("[layers.volume]", "[layers.volume]\nmd_deg = 0.0")
+    )
     angle = f"{rotation + float(given) - (-7.0):.3f}" if code == 0 else given
     options = (f"--image-md-deg={angle}", "-o", tmp_path / "again", "--json", "--strict")
     got, out, err = planish("link", run_copy, specimen_files[1], *options)
@@ -76,7 +86,9 @@ def test_each_face_of_a_layer_is_searched_for_holes_once(monkeypatch):
 
     monkeypatch.setattr("planish.run.layers.find_holes", search)
     shows_bottom = LayerParams(name="image", image=ImageParams(path="i.tif", side="bottom"))
-    sheet = Layer(params=LayerParams(name="sheet", run="run"), source=None, groups={"maps": xr.Dataset()})
+    sheet = Layer(
+        params=LayerParams(name="sheet", run="run"), source=None, groups={"maps": xr.Dataset()}
+    )
     image = Layer(params=shows_bottom, source=None, image=xr.DataArray(np.zeros((2, 2))))
     for params in (HoleParams(), HoleParams(printed=True)):
         holes = LayerHoles(params)
@@ -88,11 +100,15 @@ def test_each_face_of_a_layer_is_searched_for_holes_once(monkeypatch):
 
 
 def test_a_hole_that_the_border_cuts_is_left_out():
-    image = pl.image(disc_image([(300.0, 300.0), (600.0, 700.0), (-20.0, 500.0)], (200, 200)), pixel_um=5.0)
+    image = pl.image(
+        disc_image([(300.0, 300.0), (600.0, 700.0), (-20.0, 500.0)], (200, 200)), pixel_um=5.0
+    )
     holes = find_holes(image.values, pixel_um=5.0)
     assert holes.sizes["mark"] == 2
     cut = cut_holes(image, holes)
-    ((cx, cy, radius),) = zip(cut["x"].values, cut["y"].values, cut["diameter"].values / 2, strict=True)
+    ((cx, cy, radius),) = zip(
+        cut["x"].values, cut["y"].values, cut["diameter"].values / 2, strict=True
+    )
     assert abs(cy - 500.0) < 5
     assert 0 <= cx < 60
     assert 60 < radius < 110
@@ -116,21 +132,29 @@ def test_the_design_names_the_holes(passes, specimen, linked_run, specimen_files
     # In the laser's coordinates y runs up.
     rows = "\n".join(f"{x:.3f},{-y:.3f}" for x, y in turned)
     table.write_text(f"x_um,y_um\n{rows}\n")
-    out, _ = passes("link", linked_run, specimen_files[1], "--design", table, "-o", tmp_path / "run", "--json")
+    out, _ = passes(
+        "link", linked_run, specimen_files[1], "--design", table, "-o", tmp_path / "run", "--json"
+    )
     registration = json.loads(out)["layers"][0]["registration"]
     assert f"of {len(specimen.sheet.holes)} holes" in registration["design"]
-    labels = [line.split(",")[0] for line in (tmp_path / "run" / "marks.csv").read_text().splitlines()[1:]]
+    labels = [
+        line.split(",")[0] for line in (tmp_path / "run" / "marks.csv").read_text().splitlines()[1:]
+    ]
     assert len(set(labels)) == registration["matched"] == 5
 
 
 def test_given_marks_replace_the_search(passes, linked_run, specimen_files, tmp_path):
     marks = linked_run / "marks.csv"
-    out, _ = passes("link", linked_run, specimen_files[1], "--marks", marks, "-o", tmp_path / "run", "--json")
+    out, _ = passes(
+        "link", linked_run, specimen_files[1], "--marks", marks, "-o", tmp_path / "run", "--json"
+    )
     found = json.loads(out)["layers"][0]["registration"]
     assert found["source"] == "csv"
     # Pairs from a file say nothing of their errors: all weigh the same.
     pairs = read_any(marks)
-    moving, fixed = (np.stack([pairs[f"{s}_{a}"].values for a in "xy"], axis=1) for s in ("moving", "fixed"))
+    moving, fixed = (
+        np.stack([pairs[f"{s}_{a}"].values for a in "xy"], axis=1) for s in ("moving", "fixed")
+    )
     plain = fit_transform(moving, fixed, model="auto", mirrored=False, lowest="similarity")
     assert found["scale"] == pytest.approx(plain.transform.scale, rel=1e-12)
     weighed = open_run(linked_run).results.layers[0].registration.scale
@@ -163,7 +187,10 @@ def test_a_refined_link_stands_beside_that_of_the_marks_and_is_nearer_to_the_tru
     given = clicked(read_any(linked_run / "marks.csv"), tmp_path / "clicked.csv")
     run = link(linked_run, specimen_files[1], registration=given, out=tmp_path / "run")
     assert 0 < run.results.refinement.moved_rms_um < 15
-    assert run.results.refinement.correlation.registration in ("refined (cross-fitted)", "refined (searched null)")
+    assert run.results.refinement.correlation.registration in (
+        "refined (cross-fitted)",
+        "refined (searched null)",
+    )
     refined = run.groups["refined"]
     ok = linked["valid"].values & run.linked["valid"].values & np.isfinite(refined["u"].values)
 
@@ -181,7 +208,11 @@ def test_two_images_are_refined_by_what_they_show(kinds, tmp_path):
     layers = (f"white={kinds.small.image}", f"uv={kinds.other.image}")
     run = link(*layers, registration=given, out=tmp_path / "run")
     right, refined = before.groups["layers/white"], run.groups["refined"]
-    ok = right["valid"].values & run.groups["layers/white"]["valid"].values & np.isfinite(refined["image"].values)
+    ok = (
+        right["valid"].values
+        & run.groups["layers/white"]["valid"].values
+        & np.isfinite(refined["image"].values)
+    )
 
     def unlike(image):
         return np.std(image.values[ok] - right["image"].values[ok])
@@ -191,7 +222,9 @@ def test_two_images_are_refined_by_what_they_show(kinds, tmp_path):
     assert "refined" in {picture.layer for picture in Pictures.of(tmp_path / "run")}
 
 
-def test_links_that_cannot_be_made_are_refused_with_the_reason(refuses, linked_run, specimen_files, kinds, tmp_path):
+def test_links_that_cannot_be_made_are_refused_with_the_reason(
+    refuses, linked_run, specimen_files, kinds, tmp_path
+):
     (volume, image), other_run = specimen_files, kinds("other-map")
     for arguments, code, words in (
         ((image,), 2, ("reference last",)),
@@ -207,9 +240,16 @@ def test_links_that_cannot_be_made_are_refused_with_the_reason(refuses, linked_r
 
 def test_fibre_directions_turn_with_the_sheet():
     angle = np.deg2rad(np.array([[10.0, 80.0], [-35.0, 60.0]]))
-    parts = {"cos2": 0.4 * np.cos(2 * angle), "sin2": 0.4 * np.sin(2 * angle), "angle": np.rad2deg(angle)}
+    parts = {
+        "cos2": 0.4 * np.cos(2 * angle),
+        "sin2": 0.4 * np.sin(2 * angle),
+        "angle": np.rad2deg(angle),
+    }
     maps = xr.Dataset({f"fibre_{name}": (("y", "x"), part) for name, part in parts.items()})
-    for way in (Similarity(rotation_rad=0.4), Similarity(rotation_rad=-1.1, mirrored=True, scale=1.02)):
+    for way in (
+        Similarity(rotation_rad=0.4),
+        Similarity(rotation_rad=-1.1, mirrored=True, scale=1.02),
+    ):
         ends = np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ way.matrix().T
         expected = np.rad2deg(np.arctan2(ends[..., 1], ends[..., 0]))
         found = _with_angles(maps, way)["fibre_angle"].values

@@ -49,8 +49,13 @@ def test_marks_are_tiles_and_a_run_by_them_is_that_of_the_search(found, kinds, f
     read = pl.Registration.read(tmp_path / "marks.json")
     assert set(read.marks["moving_source"].values) == {"tile"}
     np.testing.assert_allclose(read([[500.0, 400.0]]), registration([[500.0, 400.0]]), atol=1e-6)
-    assert (read.fit.shared_um, read.false_probability) == (registration.fit.shared_um, registration.false_probability)
-    again = pl.link(kinds("no-holes"), files.image, registration={"marks": str(tmp_path / "marks.json")})
+    assert (read.fit.shared_um, read.false_probability) == (
+        registration.fit.shared_um,
+        registration.false_probability,
+    )
+    again = pl.link(
+        kinds("no-holes"), files.image, registration={"marks": str(tmp_path / "marks.json")}
+    )
     facts = again.results.layers[0].registration
     assert (facts.source, facts.false_probability) == ("texture", registration.false_probability)
     assert facts.held_out is not None
@@ -70,7 +75,9 @@ def test_holes_and_texture_are_fitted_in_one_and_compared(specimen, linked_run, 
     assert check.state == "pass"
     assert check.value < check.limit
     maps, truth = run.linked, specimen.truth
-    off_um = np.hypot(maps["volume_x"] - truth["volume_x"], maps["volume_y"] - truth["volume_y"]).values
+    off_um = np.hypot(
+        maps["volume_x"] - truth["volume_x"], maps["volume_y"] - truth["volume_y"]
+    ).values
     assert np.median(off_um[maps["valid"].values]) < 1.0
 
 
@@ -114,7 +121,9 @@ def test_the_app_offers_the_best_places_where_none_is_sure(mapped, other_image):
         assert (chosen.status, "4 are needed" in chosen.json()["error"]) == (400, True)
 
 
-@pytest.mark.parametrize(("by", "words"), [("texture", "stands out by its texture"), ("holes", "No hole found")])
+@pytest.mark.parametrize(
+    ("by", "words"), [("texture", "stands out by its texture"), ("holes", "No hole found")]
+)
 def test_an_image_of_another_sheet_is_refused(kinds, other_image, by, words):
     with pytest.raises(CannotRegister, match=words):
         pl.link(kinds("no-holes"), other_image, registration={"by": by})

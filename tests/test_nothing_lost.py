@@ -45,19 +45,34 @@ def mapped(*_args, **_more):
     ],
 )
 @pytest.mark.usefixtures("unread")
-def test_a_property_without_its_input_is_refused_before_the_volume_is_read(refuses, specimen_files, options, words):
+def test_a_property_without_its_input_is_refused_before_the_volume_is_read(
+    refuses, specimen_files, options, words
+):
     refuses("link", *specimen_files, *options, words=words)
 
 
 @pytest.mark.usefixtures("unread")
-def test_too_few_holes_or_useless_marks_are_refused_before_the_volume_is_mapped(refuses, specimen_files, tmp_path):
+def test_too_few_holes_or_useless_marks_are_refused_before_the_volume_is_mapped(
+    refuses, specimen_files, tmp_path
+):
     places = [(300, 300), (900, 600)]
     for count, words in enumerate(("No hole", "Only 1 hole found", "Only 2 holes found")):
         image = image_with(tmp_path / f"{count}.tif", places[:count])
         maps = tmp_path / "run-map"
         then = (f"planish map {specimen_files[0]} --out {maps}", f"planish view {maps} {image}")
-        refuses("link", specimen_files[0], image, "--by", "holes", words=(words, "at least 3", "--marks", *then))
-    rows = ["label,volume_x_um,volume_y_um,volume_z_um,fixed_x_um,fixed_y_um", "a,1,1,1,1,1", "b,9,9,9,9,9"]
+        refuses(
+            "link",
+            specimen_files[0],
+            image,
+            "--by",
+            "holes",
+            words=(words, "at least 3", "--marks", *then),
+        )
+    rows = [
+        "label,volume_x_um,volume_y_um,volume_z_um,fixed_x_um,fixed_y_um",
+        "a,1,1,1,1,1",
+        "b,9,9,9,9,9",
+    ]
     (tmp_path / "m.csv").write_text("\n".join(rows))
     refuses("link", *specimen_files, "--marks", tmp_path / "m.csv", words="2 pairs of marks in use")
 
@@ -67,7 +82,9 @@ def test_maps_of_a_refused_link_are_kept_and_taken_up_but_with_other_parameters(
     planish, passes, refuses, specimen_files, linked_run, tmp_path, monkeypatch
 ):
     volume, image = specimen_files
-    wrong = image_with(tmp_path / "wrong.tif", [(200, 200), (1100, 250), (700, 850), (350, 700), (950, 600)])
+    wrong = image_with(
+        tmp_path / "wrong.tif", [(200, 200), (1100, 250), (700, 850), (350, 700), (950, 600)]
+    )
     out, maps, kept_in = tmp_path / "run", tmp_path / "run-map", tmp_path / "run-map-2"
     maps.mkdir()
     (maps / "thesis.txt").write_text("years")  # another's
@@ -88,7 +105,9 @@ def test_maps_of_a_refused_link_are_kept_and_taken_up_but_with_other_parameters(
 
     with monkeypatch.context() as patch:
         instead_of_mapping(patch, stopped)
-        refuses("link", volume, wrong, "-o", out, "--cutoff-um", "500", words="stop here", out=False)
+        refuses(
+            "link", volume, wrong, "-o", out, "--cutoff-um", "500", words="stop here", out=False
+        )
         assert cutoffs == [500.0]
         instead_of_mapping(patch, mapped)
         refuses("link", volume, wrong, "-o", out, words="sheet, mapped before", out=False)
@@ -116,7 +135,11 @@ def test_results_are_never_written_into_an_input(refuses, run_copy, tmp_path):
 
 def test_a_run_that_lost_a_part_is_no_run_with_missing_values(refuses, run_copy, tmp_path):
     page = ("report", run_copy, "-o", tmp_path / "page.html")
-    part = next(p for p in (run_copy / "maps.zarr" / "linked" / "coating_top" / "c").rglob("*") if p.is_file())
+    part = next(
+        p
+        for p in (run_copy / "maps.zarr" / "linked" / "coating_top" / "c").rglob("*")
+        if p.is_file()
+    )
     data = part.read_bytes()
     part.unlink()
     refuses(*page, words="damaged", out=False)
@@ -129,7 +152,9 @@ def test_a_run_that_lost_a_part_is_no_run_with_missing_values(refuses, run_copy,
         refuses(*arguments, words="results.json", out=False)
 
 
-@pytest.mark.parametrize("text", ["[]", "[" * 100_000, '{"planish"', ""], ids=["list", "deep", "cut", "empty"])
+@pytest.mark.parametrize(
+    "text", ["[]", "[" * 100_000, '{"planish"', ""], ids=["list", "deep", "cut", "empty"]
+)
 def test_what_is_no_file_of_results_is_named(text, tmp_path):
     (tmp_path / "results.json").write_text(text)
     refused(FileError, r"results\.json .*repeat the run", Results.read, tmp_path / "results.json")
@@ -148,8 +173,12 @@ def test_results_have_the_mode_that_the_user_asks_for(tmp_path):
     assert modes == [0o750, 0o640]
 
 
-@pytest.mark.skipif(os.name == "nt" or sys.platform == "darwin", reason="such names are not possible there")
-def test_names_that_are_no_text_do_not_reach_the_terminal(planish, refuses, specimen_files, tmp_path):
+@pytest.mark.skipif(
+    os.name == "nt" or sys.platform == "darwin", reason="such names are not possible there"
+)
+def test_names_that_are_no_text_do_not_reach_the_terminal(
+    planish, refuses, specimen_files, tmp_path
+):
     for name in (b"a\x1b[31mred.tif", b"b\xff.tif"):
         path = Path(os.fsdecode(os.fsencode(tmp_path) + b"/" + name))
         shutil.copy(specimen_files[1], path)
@@ -166,7 +195,9 @@ def test_names_that_are_no_text_do_not_reach_the_terminal(planish, refuses, spec
 
 
 @pytest.mark.ci
-def test_a_scale_beyond_the_calibration_has_a_way_through(passes, refuses, linked_run, specimen_files, tmp_path):
+def test_a_scale_beyond_the_calibration_has_a_way_through(
+    passes, refuses, linked_run, specimen_files, tmp_path
+):
     command = ("link", linked_run, specimen_files[1], "--pixel-um", "5.25", "--override-size")
     refuses(*command, words="--scale-tolerance")
     passes(*command, "--scale-tolerance", "0.08", "-o", tmp_path / "run", codes=(0, 4))
@@ -194,7 +225,11 @@ def test_a_piece_that_fills_a_third_of_its_box_is_covered(passes, specimen, tmp_
 
 NOT_REPEATED = {
     "all": [("save", "map_layer")],
-    "measurement": [("sheet", "read_sheet_volume"), ("sheet", "find_surfaces"), ("sheet", "measure_properties")],
+    "measurement": [
+        ("sheet", "read_sheet_volume"),
+        ("sheet", "find_surfaces"),
+        ("sheet", "measure_properties"),
+    ],
     "search": [("sheet", "find_surfaces")],
     "nothing": [],
 }
@@ -209,9 +244,14 @@ CHANGES = [
 
 @pytest.mark.parametrize(
     ("change", "kept"),
-    [pytest.param(*one, id=one[0], marks=pytest.mark.ci if one == IN_CI else pytest.mark.nightly) for one in CHANGES],
+    [
+        pytest.param(*one, id=one[0], marks=pytest.mark.ci if one == IN_CI else pytest.mark.nightly)
+        for one in CHANGES
+    ],
 )
-def test_a_changed_parameter_repeats_what_depends_on_it(passes, linked_run, tmp_path, monkeypatch, change, kept):
+def test_a_changed_parameter_repeats_what_depends_on_it(
+    passes, linked_run, tmp_path, monkeypatch, change, kept
+):
     """A run with a changed parameter has the bytes of a fresh one, whatever it takes from the old one."""
     edited = with_values(read_study(linked_run / "run.toml"), [change])
     study = tmp_path / "study"
@@ -221,7 +261,9 @@ def test_a_changed_parameter_repeats_what_depends_on_it(passes, linked_run, tmp_
     with monkeypatch.context() as patch:
         for module, name in NOT_REPEATED[kept]:
             patch.setattr(import_module(f"planish.run.{module}"), name, mapped)
-        passes("run", linked_run / "run.toml", "--set", change, "-o", tmp_path / "set", codes=(0, 4))
+        passes(
+            "run", linked_run / "run.toml", "--set", change, "-o", tmp_path / "set", codes=(0, 4)
+        )
     assert bytes_of(tmp_path / "set") == bytes_of(tmp_path / "fresh") != bytes_of(linked_run)
 
 
@@ -233,10 +275,17 @@ def test_changes_are_checked_and_named(refuses, specimen_files, tmp_path):
             ["surface.cutoff=600", "registration.tolerance_um=-1"],
             ["surface.cutoff: unknown; did you mean cutoff_um?", "tolerance_um"],
         ),
-        (["bla=3", "surface.cutoff_um"], ["'bla=3': write SECTION.NAME=VALUE", "'surface.cutoff_um'"]),
+        (
+            ["bla=3", "surface.cutoff_um"],
+            ["'bla=3': write SECTION.NAME=VALUE", "'surface.cutoff_um'"],
+        ),
         (["image.surface.cutoff_um=3"], ["no layer of this study has it"]),
     ):
         options = [word for change in changes for word in ("--set", change)]
         refuses("run", tmp_path / "run.toml", *options, words=tuple(words), code=2)
-    assert with_values(study, ["surface.seed_um=[1, 2, 3]"]).layers[0].surface.seed_um == (1.0, 2.0, 3.0)
+    assert with_values(study, ["surface.seed_um=[1, 2, 3]"]).layers[0].surface.seed_um == (
+        1.0,
+        2.0,
+        3.0,
+    )
     assert with_values(study, ["volume.voxel_um="]).layers[0].volume.voxel_um is None

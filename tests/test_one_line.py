@@ -22,7 +22,9 @@ def by_hand(files, side):
     measured = pl.measure_properties(surfaces, volume=volume)
     flat = pl.flatten_sheet(surfaces).flat
     maps = pl.resample_maps(measured, flat)
-    registration = pl.register_marks(pl.find_holes(maps, side=side), pl.find_holes(image, side=side))
+    registration = pl.register_marks(
+        pl.find_holes(maps, side=side), pl.find_holes(image, side=side)
+    )
     linked = pl.resample_maps(measured, flat, onto=image, registration=registration)
     rows = pl.correlate_maps(linked)
     return linked, registration, rows
@@ -32,7 +34,10 @@ def same_bytes(a, b):
     """Every array, dtype, coordinate and attribute."""
     xr.testing.assert_identical(a, b)
     for name in a.variables:
-        assert (a[name].dtype, a[name].values.tobytes()) == (b[name].dtype, b[name].values.tobytes())
+        assert (a[name].dtype, a[name].values.tobytes()) == (
+            b[name].dtype,
+            b[name].values.tobytes(),
+        )
 
 
 def group_of(path, group):
@@ -58,9 +63,18 @@ def test_link_the_stages_and_a_notebook_give_the_same_bytes(passes, kinds, tmp_p
         ("holes", tmp_path / "m.zarr", "-o", tmp_path / "h.json", *seen),
         ("holes", files.image, "-o", tmp_path / "i.json", *seen),
         ("register", tmp_path / "h.json", tmp_path / "i.json", "-o", tmp_path / "marks.json"),
-        ("resample", tmp_path / "p.zarr", tmp_path / "f.zarr", "-o", tmp_path / "linked.zarr", "--onto", files.image,
-         "--registration", tmp_path / "marks.json"),
-    )  # fmt: skip
+        (
+            "resample",
+            tmp_path / "p.zarr",
+            tmp_path / "f.zarr",
+            "-o",
+            tmp_path / "linked.zarr",
+            "--onto",
+            files.image,
+            "--registration",
+            tmp_path / "marks.json",
+        ),
+    )
     for step in steps:
         printed, _ = passes(*step)
         assert printed.strip()
@@ -68,7 +82,9 @@ def test_link_the_stages_and_a_notebook_give_the_same_bytes(passes, kinds, tmp_p
     for name in ("marks.json", "marks.csv"):
         assert (tmp_path / name).read_bytes() == (folder / name).read_bytes()
     out, _ = passes("correlate", tmp_path / "linked.zarr", "--json")
-    assert json.loads(out) == [json.loads(row.model_dump_json()) for row in run.results.correlations]
+    assert json.loads(out) == [
+        json.loads(row.model_dump_json()) for row in run.results.correlations
+    ]
 
 
 def test_the_stages_take_the_groups_of_a_run(passes, refuses, linked_run, specimen_files, tmp_path):
@@ -79,7 +95,13 @@ def test_the_stages_take_the_groups_of_a_run(passes, refuses, linked_run, specim
         ("resample", linked_run, tmp_path / "f.zarr", "-o", tmp_path / "m.zarr"),
         ("holes", linked_run, "-o", tmp_path / "sheet.json"),
         ("holes", specimen_files[1], "-o", tmp_path / "image.json"),
-        ("register", tmp_path / "sheet.json", tmp_path / "image.json", "-o", tmp_path / "marks.json"),
+        (
+            "register",
+            tmp_path / "sheet.json",
+            tmp_path / "image.json",
+            "-o",
+            tmp_path / "marks.json",
+        ),
         ("resample", maps, maps, *onto, "-o", tmp_path / "linked.zarr"),
     ):
         passes(*step)
@@ -95,7 +117,9 @@ def test_the_stages_take_the_groups_of_a_run(passes, refuses, linked_run, specim
     refuses("correlate", linked_run, "--property", "gloss", words="gloss", out=False)
 
 
-def test_the_page_of_a_run_is_made_again_and_its_figures_stand_beside_it(planish, passes, linked_run, tmp_path):
+def test_the_page_of_a_run_is_made_again_and_its_figures_stand_beside_it(
+    planish, passes, linked_run, tmp_path
+):
     page, figures = tmp_path / "page.html", tmp_path / "figures"
     passes("report", linked_run, "-o", page, "--figures")
     assert page.read_bytes() == (linked_run / "report.html").read_bytes()
@@ -117,7 +141,9 @@ def test_a_run_linked_to_an_image_is_the_volume_linked_to_it(passes, linked_run)
     assert bytes_of(again) == bytes_of(linked_run)
 
 
-def test_a_link_of_arrays_has_the_bytes_of_the_link_of_the_files(specimen_files, linked_run, tmp_path):
+def test_a_link_of_arrays_has_the_bytes_of_the_link_of_the_files(
+    specimen_files, linked_run, tmp_path
+):
     volume, image = (tifffile.imread(path) for path in specimen_files)
     arrays = pl.volume(volume, voxel_um=4.0), pl.image(image, pixel_um=5.0)
     run = pl.link(*arrays, out=tmp_path / "run")
@@ -126,12 +152,17 @@ def test_a_link_of_arrays_has_the_bytes_of_the_link_of_the_files(specimen_files,
     for name, data in before.groups.items():
         for key, variable in data.variables.items():
             other = found.groups[name].variables[key]
-            assert (variable.dtype, variable.values.tobytes()) == (other.dtype, other.values.tobytes()), f"{name}/{key}"
+            assert (variable.dtype, variable.values.tobytes()) == (
+                other.dtype,
+                other.values.tobytes(),
+            ), f"{name}/{key}"
     inputs = tmp_path / "run-inputs"
     assert sorted(path.name for path in inputs.iterdir()) == ["image.tif", "sheet.zarr"]
     assert tifffile.imread(inputs / "image.tif").dtype == image.dtype
     study = read_study(tmp_path / "run" / "run.toml")  # which repeats it
-    assert [layer.path for layer in study.layers] == [str(inputs / name) for name in ("sheet.zarr", "image.tif")]
+    assert [layer.path for layer in study.layers] == [
+        str(inputs / name) for name in ("sheet.zarr", "image.tif")
+    ]
     assert run.passed == before.passed
     with pytest.raises(FileError, match="run exists already"):
         pl.link(*arrays, out=tmp_path / "run")
@@ -145,7 +176,15 @@ def test_a_link_of_arrays_has_the_bytes_of_the_link_of_the_files(specimen_files,
 
 
 def test_the_marks_of_a_run_given_back_give_its_bytes(passes, linked_run, specimen_files, tmp_path):
-    passes("link", linked_run, specimen_files[1], "--marks", linked_run / "marks.json", "-o", tmp_path / "run")
+    passes(
+        "link",
+        linked_run,
+        specimen_files[1],
+        "--marks",
+        linked_run / "marks.json",
+        "-o",
+        tmp_path / "run",
+    )
     first, again = pl.open_run(linked_run), pl.open_run(tmp_path / "run")
     same_bytes(again.linked, first.linked)
     origin = {"source", "match_sentence", "second_best", "tilt", "design"}
@@ -158,7 +197,10 @@ def test_the_marks_of_a_run_given_back_give_its_bytes(passes, linked_run, specim
     # Given marks are not looked for: nothing is said of what was seen and not taken, nor of how the holes lean.
     of_holes = {"holes in sheet", "holes in image", "holes without partner", "tilt of the holes"}
     checks = [[c for c in run.checks if c.name not in of_holes] for run in (first, again)]
-    assert (checks[0], of_holes) == (checks[1], {c.name for c in first.checks} - {c.name for c in again.checks})
+    assert (checks[0], of_holes) == (
+        checks[1],
+        {c.name for c in first.checks} - {c.name for c in again.checks},
+    )
 
 
 def test_a_mark_that_is_not_used_is_still_masked(passes, linked_run, specimen_files, tmp_path):
@@ -166,16 +208,36 @@ def test_a_mark_that_is_not_used_is_still_masked(passes, linked_run, specimen_fi
     text["marks"][0]["used"] = False
     text.pop("registration")
     (tmp_path / "four.json").write_text(json.dumps(text))
-    passes("link", linked_run, specimen_files[1], "--marks", tmp_path / "four.json", "-o", tmp_path / "run")
+    passes(
+        "link",
+        linked_run,
+        specimen_files[1],
+        "--marks",
+        tmp_path / "four.json",
+        "-o",
+        tmp_path / "run",
+    )
     first, again = pl.open_run(linked_run), pl.open_run(tmp_path / "run")
-    assert again.results.layers[0].registration.matched == first.results.layers[0].registration.matched - 1
+    assert (
+        again.results.layers[0].registration.matched
+        == first.results.layers[0].registration.matched - 1
+    )
     at = text["marks"][0]["at"]["fixed"]
     near = np.hypot(first.linked.x - at["x"], first.linked.y - at["y"]) < 150
     assert not again.linked.valid.values[near.transpose("y", "x").values].any()
 
 
-def test_changed_marks_other_images_and_no_store_are_refused(refuses, linked_run, specimen_files, tmp_path):
-    refuses("measure", tmp_path / "none.zarr", "-o", tmp_path / "p.zarr", words="none.zarr does not exist", out=False)
+def test_changed_marks_other_images_and_no_store_are_refused(
+    refuses, linked_run, specimen_files, tmp_path
+):
+    refuses(
+        "measure",
+        tmp_path / "none.zarr",
+        "-o",
+        tmp_path / "p.zarr",
+        words="none.zarr does not exist",
+        out=False,
+    )
     text = json.loads((linked_run / "marks.json").read_text())
     text["marks"][0]["at"]["fixed"]["x"] += 3.0
     (tmp_path / "moved.json").write_text(json.dumps(text))
@@ -184,10 +246,22 @@ def test_changed_marks_other_images_and_no_store_are_refused(refuses, linked_run
     refuses("resample", *arguments, words="changed after the registration")
     small = tmp_path / "small.tif"
     tifffile.imwrite(small, tifffile.imread(specimen_files[1])[:60, :60])
-    arguments = (maps, maps, "--onto", small, "--pixel-um", "5", "--registration", linked_run / "marks.json")
+    arguments = (
+        maps,
+        maps,
+        "--onto",
+        small,
+        "--pixel-um",
+        "5",
+        "--registration",
+        linked_run / "marks.json",
+    )
     refuses("resample", *arguments, words="lie beside the image")
     rows = ["label,volume_x_um,volume_y_um,volume_z_um,fixed_x_um,fixed_y_um"]
-    rows += [f"h{k},{x},{y},100,{x},{y}" for k, (x, y) in enumerate([(300, 300), (800, 350), (500, 700), (900, 600)])]
+    rows += [
+        f"h{k},{x},{y},100,{x},{y}"
+        for k, (x, y) in enumerate([(300, 300), (800, 350), (500, 700), (900, 600)])
+    ]
     (tmp_path / "m.csv").write_text("\n".join(rows))
     files = (f"a={specimen_files[1]}", f"b={specimen_files[1]}")
     refuses("link", *files, "--marks", tmp_path / "m.csv", words="places in a volume")
@@ -216,7 +290,9 @@ def test_a_volume_says_how_its_sheet_lies_and_words_go_before_it(tmp_path):
 def test_a_mapped_array_needs_no_folder(tmp_path):
     """A sheet of 11 voxels through y, as a volume of a memory map."""
     z, y, x = np.ogrid[:60, :40, :60]
-    values = np.where(abs(y - 20 + 0 * z * x) < 6, 120.0, 20.0) + np.random.default_rng(3).normal(0, 6, (60, 40, 60))
+    values = np.where(abs(y - 20 + 0 * z * x) < 6, 120.0, 20.0) + np.random.default_rng(3).normal(
+        0, 6, (60, 40, 60)
+    )
     np.save(tmp_path / "v.npy", values.astype(np.float32))
     volume = pl.volume(np.load(tmp_path / "v.npy", mmap_mode="r"), voxel_um=5, through="y")
     run = pl.map_sheet(volume, rim_um=15, cutoff_um=100, threads=1)
@@ -226,24 +302,46 @@ def test_a_mapped_array_needs_no_folder(tmp_path):
 
 
 def test_words_are_those_of_the_command_line_each_given_once():
-    words = {"through": "y", "property": ["porosity"], "image_side": "bottom", "point_um": 50, "memory": "4GB",
-             "labels": None, "label_air": [0], "hole_um": (80, 200)}  # fmt: skip
+    words = {
+        "through": "y",
+        "property": ["porosity"],
+        "image_side": "bottom",
+        "point_um": 50,
+        "memory": "4GB",
+        "labels": None,
+        "label_air": [0],
+        "hole_um": (80, 200),
+    }
     sections, compute = build.sections_of(words, tuple(SECTIONS), None, call="pl.link")
     assert sections == {
-        "volume": {"through": "y"}, "properties": {"maps": ["porosity"]}, "image": {"side": "bottom"},
-        "correlate": {"point_um": 50}, "surface": {"labels": {"air": [0]}}, "holes": {"hole_um": (80, 200)},
-    }  # fmt: skip
+        "volume": {"through": "y"},
+        "properties": {"maps": ["porosity"]},
+        "image": {"side": "bottom"},
+        "correlate": {"point_um": 50},
+        "surface": {"labels": {"air": [0]}},
+        "holes": {"hole_um": (80, 200)},
+    }
     assert compute.memory_bytes == 4 * 10**9
     from planish.cli.runs import link as command
     from planish.run.build import words_of
 
     own = {"out", "chain", "set", "figures", "strict", "json", "help"}
-    flags = {flag[2:].replace("-", "_") for option in command.params for flag in option.opts if flag.startswith("--")}
+    flags = {
+        flag[2:].replace("-", "_")
+        for option in command.params
+        for flag in option.opts
+        if flag.startswith("--")
+    }
     assert flags - own == {*words_of([*SECTIONS, "compute"])}
-    for words, compute in (({"through": "y", "volume": {"through": "x"}}, None), ({"threads": 2}, Compute(threads=1))):
+    for words, compute in (
+        ({"through": "y", "volume": {"through": "x"}}, None),
+        ({"threads": 2}, Compute(threads=1)),
+    ):
         with pytest.raises(StudyError, match="is given twice, by itself and in"):
             build.sections_of(words, tuple(SECTIONS), compute, call="pl.link")
-    _, both = build.sections_of({"memory": "4GB"}, tuple(SECTIONS), Compute(threads=1), call="pl.link")
+    _, both = build.sections_of(
+        {"memory": "4GB"}, tuple(SECTIONS), Compute(threads=1), call="pl.link"
+    )
     assert both == Compute(threads=1, memory_bytes=4 * 10**9)
 
 
@@ -257,7 +355,10 @@ def test_files_that_differ_are_named_and_those_of_maps_counted(linked_run, run_c
             path.write_bytes(path.read_bytes() + b" ")
     count = 1 + sum(path.is_file() for path in chunks)
     runs._compare(linked_run, run_copy)
-    said = f"{run_copy}: {count} files of maps.zarr (linked, maps), figures.csv differ from {linked_run}"
+    said = (
+        f"{run_copy}: {count} files of maps.zarr (linked, maps), figures.csv differ from"
+        f" {linked_run}"
+    )
     assert said in capsys.readouterr().err
 
 
@@ -271,11 +372,16 @@ def test_a_run_of_other_code_is_said_to_be_one_and_its_maps_are_not_taken(
     assert open_sheet(run_copy).unchanged
     results = open_results(run_copy)
     assert len(results.code) == 16
-    (run_copy / "results.json").write_text(results.model_copy(update={"code": ""}).to_json(), encoding="utf-8")
+    (run_copy / "results.json").write_text(
+        results.model_copy(update={"code": ""}).to_json(), encoding="utf-8"
+    )
     assert cached_maps.sheets_of(run_copy, study, hashes) == ({}, {})
     assert not open_sheet(run_copy).unchanged
     runs._compare(run_copy, linked_run)
-    said = f"results.json differs from {run_copy}, which was made by other code (planish {results.planish})"
+    said = (
+        f"results.json differs from {run_copy}, which was made by other code (planish"
+        f" {results.planish})"
+    )
     assert said in capsys.readouterr().err
     again = pl.link(run_copy, specimen_files[1], out=tmp_path / "linked").results
     assert (again.is_of_this_code, open_results(linked_run).is_of_this_code) == (False, True)

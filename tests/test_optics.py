@@ -67,7 +67,8 @@ def test_a_screen_is_taken_off_over_what_may_count():
 
 
 @pytest.mark.parametrize(
-    "options", [{"dark_grey": 10}, {"white_grey": 10}, {"dark_grey": 50, "white_grey": 50}, {"screen_um": 0}]
+    "options",
+    [{"dark_grey": 10}, {"white_grey": 10}, {"dark_grey": 50, "white_grey": 50}, {"screen_um": 0}],
 )
 def test_references_that_mean_nothing_are_refused(options):
     with pytest.raises(ValueError, match=r"belong together|brighter than the dark|greater than 0"):
@@ -75,14 +76,20 @@ def test_references_that_mean_nothing_are_refused(options):
 
 
 def test_refining_and_regions_come_before_a_screen_is_taken_off(tmp_path):
-    (tmp_path / "r.json").write_text(json.dumps({"type": "Polygon", "coordinates": [[[0, 0], [40, 0], [40, 40]]]}))
+    (tmp_path / "r.json").write_text(
+        json.dumps({"type": "Polygon", "coordinates": [[[0, 0], [40, 0], [40, 40]]]})
+    )
     image = image_of(np.random.default_rng(0).normal(size=(30, 30)))
     linked = xr.Dataset({"image": image.assign_attrs(reach_um=210.0), "valid": image > -99})
     with pytest.raises(InputError, match="Give regions= to 'planish link'"):
         correlate_maps(linked, params=CorrelateParams(regions=str(tmp_path / "r.json")))
-    study = as_study({
-        "volume": {"path": "v.tif"}, "image": {"path": "i.tif", "screen_um": 167}, "registration": {"refine": "affine"}
-    })  # fmt: skip
+    study = as_study(
+        {
+            "volume": {"path": "v.tif"},
+            "image": {"path": "i.tif", "screen_um": 167},
+            "registration": {"refine": "affine"},
+        }
+    )
     with pytest.raises(InputError, match="refine= aligns the fine texture"):
         preflight.check_request(study, Compute())
 
@@ -92,7 +99,9 @@ def coated(seed=0, *, shape=(80, 100), spread_um=None):
     """Coating of 17 um at points of 20 um, and the reflectance that S = 0.24 per um over 0.79 gives it."""
     rng = np.random.default_rng(seed)
     coating = np.maximum(17 + 4.5 * gaussian_maps(rng, shape, 3.0)[0], 0.0)
-    seen = coating if spread_um is None else spread_light(coating, pixel_um=20.0, width_um=spread_um)
+    seen = (
+        coating if spread_um is None else spread_light(coating, pixel_um=20.0, width_um=spread_um)
+    )
     image = reflectance(seen, scattering=0.24, absorption=0.24 * 0.002, backing=0.79)
     return coating, image + 0.004 * gaussian_maps(rng, shape, 2.0)[0]
 
@@ -105,7 +114,11 @@ def test_the_curve_has_the_units_of_the_coating():
     assert per_um.scattering_interval[0] < 0.24 < per_um.scattering_interval[1]
     in_grams = kubelka_munk_of((coating, image), point_um=20.0, ratio=0.002, density=1.6)
     assert in_grams.scattering == pytest.approx(1000 * per_um.scattering / 1.6, rel=1e-4)
-    assert (per_um.weight, in_grams.weight, in_grams.backing) == (False, True, pytest.approx(0.79, abs=0.03))
+    assert (per_um.weight, in_grams.weight, in_grams.backing) == (
+        False,
+        True,
+        pytest.approx(0.79, abs=0.03),
+    )
 
 
 def test_a_grey_that_is_no_reflectance_has_no_curve():
@@ -124,18 +137,30 @@ def test_a_coating_blurred_like_the_light_follows_the_image_better():
     assert spread.r > 0.6
     assert spread.difference_interval[0] > 0.05
     assert answer_kubelka_munk(asked) == {}
-    facts = EvidenceFacts(a="sheet", a_map="coating_top", b="image", b_map="image", declared=True, **found)
+    facts = EvidenceFacts(
+        a="sheet", a_map="coating_top", b="image", b_map="image", declared=True, **found
+    )
     (said,) = sentences(facts, "light")
-    assert said.startswith("With the coating blurred by light that spreads over 80\u202fµm (declared), r = ")
+    assert said.startswith(
+        "With the coating blurred by light that spreads over 80\u202fµm (declared), r = "
+    )
     assert ": distinguishable from that of the coating as it is" in said
-    small = compared(maps, lags, params=CorrelateParams(light_spread_um=80.0, kubelka_munk=0.0, point_um=10.0))
-    for answer in (light_spread.answer_light_spread(small)["light_spread"], answer_kubelka_munk(small)["kubelka_munk"]):
+    small = compared(
+        maps, lags, params=CorrelateParams(light_spread_um=80.0, kubelka_munk=0.0, point_um=10.0)
+    )
+    for answer in (
+        light_spread.answer_light_spread(small)["light_spread"],
+        answer_kubelka_munk(small)["kubelka_munk"],
+    ):
         assert "smaller than the means" in answer.silence
 
 
 def test_the_density_is_that_which_was_named_or_follows_from_what_was_weighed():
     coating = np.array([[10.0, 20.0], [0.0, np.nan]])
-    maps = {"coating_top": (("y", "x"), coating), "coat_weight_top": (("y", "x"), (1.62 * coating).astype(np.float32))}
+    maps = {
+        "coating_top": (("y", "x"), coating),
+        "coat_weight_top": (("y", "x"), (1.62 * coating).astype(np.float32)),
+    }
     assert density_of(xr.Dataset(maps), "coating_top") == 1.62
     assert density_of(xr.Dataset(maps).drop_vars("coat_weight_top"), "coating_top") is None
     assert density_of(xr.Dataset(maps), "thickness") is None
@@ -162,13 +187,21 @@ def test_mottle_is_of_valid_pixels_and_says_why_there_is_none():
     ("layers", "correlate", "said"),
     [
         (["volume", "image"], {"kubelka_munk": 0.002}, "Give dark_grey= and white_grey="),
-        (["image", "image"], {"kubelka_munk": 0.002, "light_spread_um": 80}, "no image stands last"),
+        (
+            ["image", "image"],
+            {"kubelka_munk": 0.002, "light_spread_um": 80},
+            "no image stands last",
+        ),
         (["volume", "volume"], {"light_spread_um": 80}, "no image stands last"),
-        (["volume", "image"], {"light_spread_um": 80, "headline": "thickness"}, "which is no coating"),
+        (
+            ["volume", "image"],
+            {"light_spread_um": 80, "headline": "thickness"},
+            "which is no coating",
+        ),
         (["volume", "volume"], {"mottle": True}, "no layer is an image"),
         (["volume", "image"], {"error_ratio": 1.0}, "two measurements of one quantity"),
     ],
-)  # fmt: skip
+)
 def test_requests_that_lack_something_are_refused(layers, correlate, said):
     kinds = [{"name": f"n{k}", kind: {"path": f"{k}.tif"}} for k, kind in enumerate(layers)]
     study = as_study({"layers": kinds, "correlate": correlate})
@@ -184,8 +217,20 @@ def test_half_of_the_references_is_wrong_usage(refuses, specimen_files):
 # --- in a run --------------------------------------------------------------------------------------------------------
 @pytest.mark.ci
 def test_a_run_with_all_of_it(planish, specimen_files, tmp_path):
-    options = ("--dark-grey", "1000", "--white-grey", "65000", "--kubelka-munk", "0.002", "--light-spread-um", "60",
-               "--mottle", "--coating-density", "1.6", "--figures")  # fmt: skip
+    options = (
+        "--dark-grey",
+        "1000",
+        "--white-grey",
+        "65000",
+        "--kubelka-munk",
+        "0.002",
+        "--light-spread-um",
+        "60",
+        "--mottle",
+        "--coating-density",
+        "1.6",
+        "--figures",
+    )
     assert planish("link", *specimen_files, "--out", tmp_path / "run", *options)[0] in (0, 4)
     results = Results.read(tmp_path / "run" / "results.json")
     (found,), image = results.evidence, results.layers[-1].image
@@ -196,12 +241,18 @@ def test_a_run_with_all_of_it(planish, specimen_files, tmp_path):
     assert "at 1.6 g/cm³ / g/m²" in page
     assert "relative grey" not in page.lower()
     assert "Light in the coating" in page
-    assert any(p.name.endswith("curve.csv") for p in (tmp_path / "run" / "figures").iterdir()) or \
-        found.kubelka_munk.silence  # fmt: skip
+    assert (
+        any(p.name.endswith("curve.csv") for p in (tmp_path / "run" / "figures").iterdir())
+        or found.kubelka_munk.silence
+    )
 
 
-def test_a_screen_leaves_no_texture_to_align_and_more_room_around_holes(planish, specimen_files, linked_run, tmp_path):
-    assert planish("link", linked_run, specimen_files[1], "--out", tmp_path / "run", "--screen-um", "60")[0] in (0, 4)
+def test_a_screen_leaves_no_texture_to_align_and_more_room_around_holes(
+    planish, specimen_files, linked_run, tmp_path
+):
+    assert planish(
+        "link", linked_run, specimen_files[1], "--out", tmp_path / "run", "--screen-um", "60"
+    )[0] in (0, 4)
     run, before = (Results.read(p / "results.json") for p in (tmp_path / "run", linked_run))
     assert run.linked.share_valid < before.linked.share_valid
     (check,) = [c for c in run.checks if c.name == "position by texture"]

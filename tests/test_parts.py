@@ -15,7 +15,15 @@ import zarr
 from folders import refused
 from planish.core.errors import FileError, StudyError
 from planish.exports import run_contents
-from planish.io import VolumeParams, find_place, fingerprint, read_tree, refuse_inside, write_store, write_tree
+from planish.io import (
+    VolumeParams,
+    find_place,
+    fingerprint,
+    read_tree,
+    refuse_inside,
+    write_store,
+    write_tree,
+)
 from planish.measure import surfaces_of
 from planish.run import LayerParams, Study, open_run, read_study, silent, study_of, write_study
 from planish.series import read_plan
@@ -69,21 +77,34 @@ def test_an_export_finds_the_part_that_was_mapped(linked_run, volume, tmp_path):
     shutil.copytree(linked_run / "maps.zarr" / "surfaces", run / "maps.zarr" / "surfaces")
     shutil.copy(linked_run / "maps.zarr" / "zarr.json", run / "maps.zarr")
     study = read_study(linked_run / "run.toml")
-    for path, words in ((volume, ""), (f"{volume[:-1]}b", "is another file"), (f"{tmp_path}/a:b/v.h5:/a", "a:b/v.h5")):
+    for path, words in (
+        (volume, ""),
+        (f"{volume[:-1]}b", "is another file"),
+        (f"{tmp_path}/a:b/v.h5:/a", "a:b/v.h5"),
+    ):
         first = study.layers[0].model_copy(update={"volume": VolumeParams(path=path)})
-        write_study(study.model_copy(update={"layers": (first, *study.layers[1:])}), run, home=run, version="1")
+        write_study(
+            study.model_copy(update={"layers": (first, *study.layers[1:])}),
+            run,
+            home=run,
+            version="1",
+        )
         opened = open_run(run)
         if not words:
             assert run_contents.volume_params(opened, opened.results.layers[0], silent).path == path
             continue
-        refused(FileError, words, run_contents.volume_params, opened, opened.results.layers[0], silent)
+        refused(
+            FileError, words, run_contents.volume_params, opened, opened.results.layers[0], silent
+        )
 
 
 def test_a_study_keeps_the_part_beside_a_relative_path(volume, tmp_path):
     study = Study(layers=(LayerParams(name="sheet", volume=VolumeParams(path=volume)),))
     home = Path(volume.partition(":/entry")[0]).parents[1] / "run"
     write_study(study, tmp_path, home=home, version="1")
-    assert f'path = "../{FOLDER}/scan.h5:/entry/a"' in (tmp_path / "run.toml").read_text(encoding="utf-8")
+    assert f'path = "../{FOLDER}/scan.h5:/entry/a"' in (tmp_path / "run.toml").read_text(
+        encoding="utf-8"
+    )
     home.mkdir()
     shutil.copy(tmp_path / "run.toml", home)
     assert read_study(home / "run.toml") == study
@@ -103,12 +124,25 @@ def test_layers_are_named_after_file_and_part(tmp_path):
     assert names(part, f"{other}:{PART}") == ["scan-entry-a", "a-b-entry-a", "i"]
     assert names(part, f"{part[:-1]}b") == ["scan-entry-a", "scan-entry-b", "i"]
     assert names(f"ct={part}", f"{other}:{PART}")[0] == "ct"
-    refused(StudyError, "'häh' is no name of a layer", study_of, (f"häh={part}", str(tmp_path / "i.tif")), {})
+    refused(
+        StudyError,
+        "'häh' is no name of a layer",
+        study_of,
+        (f"häh={part}", str(tmp_path / "i.tif")),
+        {},
+    )
 
 
-def test_specimens_are_named_after_file_and_part_and_a_sign_of_equality_names_no_layer(tmp_path, monkeypatch):
-    (tmp_path / "t.csv").write_text("volume,sheet\none.h5:/entry/a,1\ntwo.h5:/entry/a,1\n", encoding="utf-8")
-    assert [one.name for one in read_plan(tmp_path / "t.csv").specimens] == ["one-entry-a", "two-entry-a"]
+def test_specimens_are_named_after_file_and_part_and_a_sign_of_equality_names_no_layer(
+    tmp_path, monkeypatch
+):
+    (tmp_path / "t.csv").write_text(
+        "volume,sheet\none.h5:/entry/a,1\ntwo.h5:/entry/a,1\n", encoding="utf-8"
+    )
+    assert [one.name for one in read_plan(tmp_path / "t.csv").specimens] == [
+        "one-entry-a",
+        "two-entry-a",
+    ]
     monkeypatch.chdir(tmp_path)
     with h5py.File("a=b.h5", "w") as file:
         file[PART] = np.zeros((9, 8, 7), np.uint8)
@@ -120,11 +154,22 @@ def test_specimens_are_named_after_file_and_part_and_a_sign_of_equality_names_no
 
 def test_parts_of_a_store_have_hashes_of_their_own_and_nothing_is_written_into_it(tmp_path):
     values = xr.DataArray(
-        np.arange(504, dtype=np.uint8).reshape(9, 8, 7), dims=("z", "y", "x"), attrs={"voxel_um": [1.0] * 3}
+        np.arange(504, dtype=np.uint8).reshape(9, 8, 7),
+        dims=("z", "y", "x"),
+        attrs={"voxel_um": [1.0] * 3},
     )
     write_store(values, tmp_path / "s.zarr")
-    hashes = {fingerprint(tmp_path / "s.zarr"), *(fingerprint(f"{tmp_path}/s.zarr:{part}") for part in ("/0", "/1"))}
+    hashes = {
+        fingerprint(tmp_path / "s.zarr"),
+        *(fingerprint(f"{tmp_path}/s.zarr:{part}") for part in ("/0", "/1")),
+    }
     assert len(hashes) == 3
     store = tmp_path / "scan.zarr"
     zarr.create_group(store)
-    refused(FileError, "which is read; nothing is written there", refuse_inside, store / "run", [f"{store}:/0"])
+    refused(
+        FileError,
+        "which is read; nothing is written there",
+        refuse_inside,
+        store / "run",
+        [f"{store}:/0"],
+    )

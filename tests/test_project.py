@@ -31,7 +31,9 @@ def read(name):
 def locked(name):
     """Versions of each package in a lock."""
     versions = {}
-    for package, version in re.findall(r"^([\w.-]+)==(\S+)", read(f"requirements/{name}"), flags=re.MULTILINE):
+    for package, version in re.findall(
+        r"^([\w.-]+)==(\S+)", read(f"requirements/{name}"), flags=re.MULTILINE
+    ):
         versions.setdefault(package, set()).add(version)
     return versions
 
@@ -58,7 +60,9 @@ def test_locks_hold_everything_that_pyproject_names_in_the_same_versions():
 def test_the_documents_are_built_without_the_tools_of_the_developers():
     """Few packages more than planish itself needs."""
     assert len(locked("docs.lock").keys() - locked("run.lock").keys()) <= 30
-    assert not {"pytest", "pyright", "playwright", "pyarrow", "simpleitk"} & locked("docs.lock").keys()
+    assert (
+        not {"pytest", "pyright", "playwright", "pyarrow", "simpleitk"} & locked("docs.lock").keys()
+    )
 
 
 def test_each_command_installs_its_lock_once(monkeypatch, tmp_path):
@@ -73,7 +77,9 @@ def test_each_command_installs_its_lock_once(monkeypatch, tmp_path):
     monkeypatch.setattr(run, "usable", lambda: True)
     monkeypatch.setattr(run, "make_venv", lambda: None)
     monkeypatch.setattr(run, "find_pip", list)
-    monkeypatch.setattr(run, "install", lambda _pip, *options: installed.append(Path(options[-1]).name))
+    monkeypatch.setattr(
+        run, "install", lambda _pip, *options: installed.append(Path(options[-1]).name)
+    )
 
     def of(lock_name):
         installed.clear()
@@ -85,7 +91,9 @@ def test_each_command_installs_its_lock_once(monkeypatch, tmp_path):
     assert of("dev.lock") == ["dev.lock"]
     assert (of("docs.lock"), of("dev.lock")) == ([], [])
     stamp = json.loads((tmp_path / "stamp.json").read_text(encoding="utf-8"))
-    (tmp_path / "stamp.json").write_text(json.dumps(stamp | {"root": "elsewhere"}), encoding="utf-8")
+    (tmp_path / "stamp.json").write_text(
+        json.dumps(stamp | {"root": "elsewhere"}), encoding="utf-8"
+    )
     assert of("run.lock") == ["run.lock"]
     assert of("dev.lock") == ["dev.lock"]  # the old folder's tools are not in the new one
 
@@ -96,25 +104,45 @@ def test_every_mutant_of_the_list_fits_the_code():
 
 @pytest.mark.parametrize("name", ["run.lock", "docs.lock", "dev.lock"])
 def test_locks_hold_names_versions_and_hashes_only(name):
-    line = re.compile(r"[\w.-]+==[\w.]+( ; [\w .<>='!()*]+)? \\|    --hash=sha256:[0-9a-f]{64}( \\)?")
-    assert [text for text in read(f"requirements/{name}").splitlines() if not line.fullmatch(text)] == []
+    line = re.compile(
+        r"[\w.-]+==[\w.]+( ; [\w .<>='!()*]+)? \\|    --hash=sha256:[0-9a-f]{64}( \\)?"
+    )
+    assert [
+        text for text in read(f"requirements/{name}").splitlines() if not line.fullmatch(text)
+    ] == []
 
 
 @pytest.mark.ci
 def test_a_benchmark_needs_the_libraries_of_no_other():
-    program = "import sys; sys.modules['playwright'] = None; import benchmarks.__main__ as b; b.main(['none'])"
-    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False)
+    program = (
+        "import sys; sys.modules['playwright'] = None; import benchmarks.__main__ as b;"
+        " b.main(['none'])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False
+    )
     assert "There is no benchmark 'none'. Choose one of " in done.stderr
     for name in done.stderr.rstrip(".\n").partition("Choose one of ")[2].split(", "):
         folder = ROOT / "benchmarks"
         module = folder / f"{name}.py"
-        text = (module if module.is_file() else folder / name / "__init__.py").read_text(encoding="utf-8")
+        text = (module if module.is_file() else folder / name / "__init__.py").read_text(
+            encoding="utf-8"
+        )
         assert re.search(r"^def main\(|import .*\bmain\b", text, re.MULTILINE), name
 
 
 def build(folder, target, to):
     """Build the wheel or the source archive of a folder as run.py does."""
-    command = [sys.executable, "-m", "hatchling", "build", "--target", target, "--directory", str(to)]
+    command = [
+        sys.executable,
+        "-m",
+        "hatchling",
+        "build",
+        "--target",
+        target,
+        "--directory",
+        str(to),
+    ]
     env = {k: v for k, v in os.environ.items() if k != "SOURCE_DATE_EPOCH"}
     subprocess.run(command, cwd=folder, env=env, check=True, capture_output=True)
     (made,) = to.glob("planish-*")
@@ -128,15 +156,23 @@ def test_the_source_archive_holds_what_the_tests_read_and_builds_the_same_wheel(
         tar.extractall(tmp_path / "unpacked", filter="data")
     unpacked = tmp_path / "unpacked" / archive.name.removesuffix(".tar.gz")
     if (ROOT / ".git").exists() and shutil.which("git"):
-        listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True, text=True).stdout
+        listed = subprocess.run(
+            ["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True, text=True
+        ).stdout
         tracked = {name for name in listed.split("\0") if name and (ROOT / name).exists()}
         of_the_checkout = {name for name in tracked if name.startswith(".")}
-        assert {name for name in tracked - of_the_checkout if not (unpacked / name).is_file()} == set()
+        assert {
+            name for name in tracked - of_the_checkout if not (unpacked / name).is_file()
+        } == set()
     wheels = [build(ROOT, "wheel", tmp_path / "one"), build(unpacked, "wheel", tmp_path / "two")]
     assert len({hashlib.sha256(path.read_bytes()).hexdigest() for path in wheels}) == 1
     packed = set(zipfile.ZipFile(wheels[0]).namelist())
     package = ROOT / "src"
-    data = {path.relative_to(package).as_posix() for path in (package / "planish").rglob("*") if path.is_file()}
+    data = {
+        path.relative_to(package).as_posix()
+        for path in (package / "planish").rglob("*")
+        if path.is_file()
+    }
     assert {name for name in data if "__pycache__" not in name} <= packed
 
 
@@ -154,14 +190,20 @@ def test_nothing_is_left_of_a_wheel_that_was_uninstalled(tmp_path):
 
     def run(program):
         return subprocess.run(
-            [python, "-c", program], cwd=tmp_path, env=env, capture_output=True, text=True, check=False
+            [python, "-c", program],
+            cwd=tmp_path,
+            env=env,
+            capture_output=True,
+            text=True,
+            check=False,
         )
 
     pip("install", "--no-deps", "--no-index", str(build(ROOT, "wheel", tmp_path / "wheel")))
     libraries = [p for p in sys.path if Path(p).name == "site-packages"]
     done = run(
-        f"import sys; sys.path += {libraries}; import numpy as np; import planish.core._overview_kernels as kernels; "
-        "kernels.halve_values(np.ones((4, 4)), np.ones((2, 2))); print(kernels.__file__)"
+        f"import sys; sys.path += {libraries}; import numpy as np; import"
+        " planish.core._overview_kernels as kernels; kernels.halve_values(np.ones((4, 4)),"
+        " np.ones((2, 2))); print(kernels.__file__)"
     )
     assert done.returncode == 0, done.stderr
     package = Path(done.stdout.strip()).parents[1]

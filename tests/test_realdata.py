@@ -19,7 +19,15 @@ def wall(shared_data, tmp_path_factory):
     from planish.cli import main
 
     out = tmp_path_factory.mktemp("wall") / "run"
-    arguments = ("map", shared_data("battery_sector_right"), *OPTIONS, "--sheet-grey", "100,255", "--out", out)
+    arguments = (
+        "map",
+        shared_data("battery_sector_right"),
+        *OPTIONS,
+        "--sheet-grey",
+        "100,255",
+        "--out",
+        out,
+    )
     with pytest.raises(SystemExit) as end:
         main([str(a) for a in arguments])
     assert end.value.code == 0
@@ -36,7 +44,10 @@ def test_the_wall_is_measured_in_every_slice_on_its_circle(wall):
     x = surfaces["top"].values + FIRST_X - CENTRE_X
     y = surfaces["x"].values[None, :] + FIRST_Y - CENTRE_Y
     radius = np.nanmedian(np.hypot(x, y), axis=1)
-    print(f"outer radius by slice: {radius.min():.2f} to {radius.max():.2f} px; measured independently {RADIUS} px")
+    print(
+        f"outer radius by slice: {radius.min():.2f} to {radius.max():.2f} px; measured"
+        f" independently {RADIUS} px"
+    )
     assert radius.size == 45
     assert np.abs(radius - RADIUS).max() < 1.0
     # Electrode layers lie behind the wall from the middle of the stack on; they change nothing.

@@ -101,9 +101,13 @@ def slow_mask(polygons, grid):
 
 
 GRID = Grid.regular((7, 9), (2.0, 1.5), (3.0, -4.0))
-places = st.tuples(st.integers(-4, 70).map(lambda k: k / 4), st.integers(-24, 48).map(lambda k: k / 4))
+places = st.tuples(
+    st.integers(-4, 70).map(lambda k: k / 4), st.integers(-24, 48).map(lambda k: k / 4)
+)
 rings = st.lists(places, min_size=3, max_size=7).map(np.array)
-regions_of_all_kinds = st.lists(st.lists(rings, min_size=1, max_size=3).map(tuple), min_size=1, max_size=2).map(tuple)
+regions_of_all_kinds = st.lists(
+    st.lists(rings, min_size=1, max_size=3).map(tuple), min_size=1, max_size=2
+).map(tuple)
 
 
 @pytest.mark.nightly
@@ -124,16 +128,25 @@ def test_regions_side_by_side_share_no_pixel_and_overlaps_count_once():
     middle = np.array([4.5, 3.0])  # a pixel's centre
     corners = np.array([[-1.0, -1.0], [10.0, -1.0], [10.0, 8.0], [-1.0, 8.0]])
     grid = Grid.regular((7, 10), 1.0)
-    parts = [Region(name=str(k), polygons=((np.array([middle + 0.5, corners[k - 1], corners[k]]),),)) for k in range(4)]
+    parts = [
+        Region(name=str(k), polygons=((np.array([middle + 0.5, corners[k - 1], corners[k]]),),))
+        for k in range(4)
+    ]
     counts = sum(Regions(declared=(one,)).inside(grid).astype(int) for one in parts)
     np.testing.assert_array_equal(counts, np.ones(grid.shape))
-    square = Region(name="b", polygons=((np.array([[2.0, 2.0], [5.0, 2.0], [5.0, 5.0], [2.0, 5.0]]),),))
-    inside = np.argwhere(Regions(declared=(square,)).inside(grid))  # of centres on its borders the first ones only
+    square = Region(
+        name="b", polygons=((np.array([[2.0, 2.0], [5.0, 2.0], [5.0, 5.0], [2.0, 5.0]]),),)
+    )
+    # Of centres on its borders the first ones only.
+    inside = np.argwhere(Regions(declared=(square,)).inside(grid))
     assert (inside.min(axis=0).tolist(), inside.max(axis=0).tolist()) == ([2, 2], [4, 4])
     grid = Grid.regular((1300, 10), 1.0)  # several bands
 
     def rows(name, first, last):
-        return Region(name=name, polygons=((np.array([[-1, first], [99, first], [99, last], [-1, last]], float),),))
+        return Region(
+            name=name,
+            polygons=((np.array([[-1, first], [99, first], [99, last], [-1, last]], float),),),
+        )
 
     facts = region_facts(Regions(declared=(rows("a", 500, 760), rows("b", 630, 1150))), grid)
     assert (facts.count, [one.share for one in facts.regions], facts.share) == (2, [0.2, 0.4], 0.5)
@@ -142,13 +155,19 @@ def test_regions_side_by_side_share_no_pixel_and_overlaps_count_once():
 # --- GeoJSON ---------------------------------------------------------------------------------------------------------
 def test_all_forms_of_geojson_are_read(tmp_path):
     texts = {"name": "stain", "reason": "coffee", "author": "A. Author"}
-    several = {"type": "MultiPolygon", "coordinates": [POLYGON["coordinates"], [[[0, 0, 7], [1, 0, 7], [1, 1, 7]]]]}
+    several = {
+        "type": "MultiPolygon",
+        "coordinates": [POLYGON["coordinates"], [[[0, 0, 7], [1, 0, 7], [1, 1, 7]]]],
+    }
     for content, names, borders in (
         (POLYGON, ["region 1"], [[4, 4]]),
         (feature(**texts), ["stain"], [[4, 4]]),
-        ({"type": "FeatureCollection", "features": [feature(), feature(several, **texts)]},
-         ["region 1", "stain"], [[4, 4], [4, 4, 3]]),
-    ):  # fmt: skip
+        (
+            {"type": "FeatureCollection", "features": [feature(), feature(several, **texts)]},
+            ["region 1", "stain"],
+            [[4, 4], [4, 4, 3]],
+        ),
+    ):
         found = read(tmp_path, content).declared
         assert [one.name for one in found] == names
         assert [[len(ring) for rings in one.polygons for ring in rings] for one in found] == borders
@@ -159,12 +178,17 @@ def test_all_forms_of_geojson_are_read(tmp_path):
 def test_what_is_written_reads_back_to_the_same_bytes(tmp_path):
     third = {"type": "Polygon", "coordinates": [[[1 / 3, -0.0], [1e-7, 2e8], [0.1 + 0.2, 4]]]}
     odd = "a\u001b[31m\n\tb\ud800 \u00fc" + "\u0007" * 60
-    content = {"type": "FeatureCollection", "features": [feature(third, name=odd, reason=odd), feature()]}
+    content = {
+        "type": "FeatureCollection",
+        "features": [feature(third, name=odd, reason=odd), feature()],
+    }
     found = read(tmp_path, content)
     assert found.declared[0].name == r"a\x1b[31m b\ud800 ü" + r"\x07" * 60
     text = geojson_text(found)
     again = read(tmp_path, text.encode())
-    np.testing.assert_array_equal(again.declared[0].polygons[0][0], [[1 / 3, 0], [1e-7, 2e8], [0.1 + 0.2, 4]])
+    np.testing.assert_array_equal(
+        again.declared[0].polygons[0][0], [[1 / 3, 0], [1e-7, 2e8], [0.1 + 0.2, 4]]
+    )
     assert geojson_text(again) == text
 
 
@@ -172,8 +196,11 @@ def test_what_is_written_reads_back_to_the_same_bytes(tmp_path):
 def test_a_rectangle_of_imagej_covers_its_own_pixels(tmp_path):
     """Left 2, top 1, 3 pixels wide, 2 high, on a grid whose first pixel has its middle at (100, 50) um."""
     grid = Grid.regular((5, 8), (2.5, 4.0), (100.0, 50.0))
-    for data in (roi(1, (1, 2, 3, 5)), roi(1, fine=(2.0, 1.0, 3.0, 2.0)),
-                 roi(8, (1, 2, 3, 5), [(0, 0), (3, 0), (3, 2), (0, 2)])):  # fmt: skip
+    for data in (
+        roi(1, (1, 2, 3, 5)),
+        roi(1, fine=(2.0, 1.0, 3.0, 2.0)),
+        roi(8, (1, 2, 3, 5), [(0, 0), (3, 0), (3, 2), (0, 2)]),
+    ):
         regions = read(tmp_path, data).on(grid)
         expected = np.zeros(grid.shape, dtype=bool)
         expected[1:3, 2:5] = True
@@ -184,7 +211,13 @@ def test_a_rectangle_of_imagej_covers_its_own_pixels(tmp_path):
 
 def test_places_names_and_properties_of_imagej(tmp_path):
     fine = [(0.5, 1.25), (8.0, 1.0), (8.0, 7.5)]
-    told = roi(7, (0, 0, 9, 9), [(0, 0)] * 3, fine=fine, properties="Author: A. Author\nreason: a crease\nother: x\n")
+    told = roi(
+        7,
+        (0, 0, 9, 9),
+        [(0, 0)] * 3,
+        fine=fine,
+        properties="Author: A. Author\nreason: a crease\nother: x\n",
+    )
     path = written(tmp_path / "set.zip", archive(first=TRIANGLE, second=told))
     first, second = read_regions(path).declared
     assert (first.name, first.reason, second.name) == ("crease", "", "second")
@@ -197,12 +230,17 @@ def test_places_names_and_properties_of_imagej(tmp_path):
     np.testing.assert_allclose(corners, [[2, 4e4], [11, 4e4], [11, 8e4]], rtol=1e-8)
 
 
-SELECTIONS = Path(__file__).parent / "imagej"  # of ImageJ 1.53t, with the pixels that it fills (Make.java)
+# Of ImageJ 1.53t, with the pixels that it fills (Make.java).
+SELECTIONS = Path(__file__).parent / "imagej"
 
 
 @pytest.mark.parametrize("path", sorted(SELECTIONS.glob("*.pbm")), ids=lambda path: path.stem)
 def test_a_selection_of_imagej_covers_the_pixels_that_imagej_fills(tmp_path, path):
-    filled = np.unpackbits(np.frombuffer(path.read_bytes()[-384:], np.uint8)).reshape(48, 64).astype(bool)
+    filled = (
+        np.unpackbits(np.frombuffer(path.read_bytes()[-384:], np.uint8))
+        .reshape(48, 64)
+        .astype(bool)
+    )
     grid = Grid.regular((48, 64), (3.7, 4.0), (-12.0, 1234.5))
     regions = read_regions(path.with_suffix(".roi")).on(grid)
     np.testing.assert_array_equal(regions.inside(grid), filled)
@@ -215,11 +253,15 @@ def test_a_selection_of_imagej_covers_the_pixels_that_imagej_fills(tmp_path, pat
 
 def test_a_manager_of_imagej_and_parts_of_a_composite_are_read():
     def borders(name):
-        return [len(rings) for rings in read_regions(SELECTIONS / f"{name}.roi").declared[0].polygons]
+        return [
+            len(rings) for rings in read_regions(SELECTIONS / f"{name}.roi").declared[0].polygons
+        ]
 
     assert (borders("composite-hole"), borders("composite-two")) == ([2], [1, 1])
     assert borders("composite-joined") == [1]
-    squares = [np.array([[k, k], [9 - k, k], [9 - k, 9 - k], [k, 9 - k]], float) for k in (2, 0, 3, 1)]
+    squares = [
+        np.array([[k, k], [9 - k, k], [9 - k, 9 - k], [k, 9 - k]], float) for k in (2, 0, 3, 1)
+    ]
     beside = squares[1] + 20
     parts = nested([*squares, beside])
     assert [[ring[0, 0] for ring in rings] for rings in parts] == [[2, 3], [0, 1], [20]]
@@ -227,7 +269,9 @@ def test_a_manager_of_imagej_and_parts_of_a_composite_are_read():
     assert [one.name for one in found] == ["polygon", "freehand", "composite-hole"]
 
 
-@pytest.mark.parametrize(("name", "words"), [("rounded", "rounded corners"), ("spline", "fitted with a spline")])
+@pytest.mark.parametrize(
+    ("name", "words"), [("rounded", "rounded corners"), ("spline", "fitted with a spline")]
+)
 def test_selections_of_imagej_that_are_not_read_are_named(name, words):
     refused(FileError, rf"'{name}.roi': it is .*{words}", read_regions, SELECTIONS / f"{name}.roi")
 
@@ -244,7 +288,10 @@ WRONG = {
     "deep": (b"[" * 100_000, "nested too deeply"),
     "many brackets": (b"[" * 2_000_001, "more than 1000000 points"),
     "too large": (b" " * 64_000_001, "larger than 64 MB"),
-    "features that are none": ({"type": "FeatureCollection", "features": 3}, "no GeoJSON of regions"),
+    "features that are none": (
+        {"type": "FeatureCollection", "features": 3},
+        "no GeoJSON of regions",
+    ),
     "no region": ({"type": "FeatureCollection", "features": []}, "holds no region"),
     "a point": (feature({"type": "Point", "coordinates": [1, 2]}), "'Point'; a Polygon"),
     "no geometry": (feature(None), "region 1: its geometry is none"),
@@ -258,11 +305,17 @@ WRONG = {
     "two points": (bent([0, 0], [4, 4], [0, 0], [4, 4]), "2 different points; 3 are needed"),
     "no coordinates": ({"type": "Polygon"}, "no list, or empty"),
     "several": (
-        {"type": "FeatureCollection", "features": [feature(bent([0, 0])), feature(), feature(author=1)]},
+        {
+            "type": "FeatureCollection",
+            "features": [feature(bent([0, 0])), feature(), feature(author=1)],
+        },
         r"region 1: .*1 different.*region 3: author is no text",
     ),
     "a long reason": (feature(reason="x" * 501), "501 letters"),
-    "properties": ({"type": "Feature", "geometry": POLYGON, "properties": [1]}, "properties are no object"),
+    "properties": (
+        {"type": "Feature", "geometry": POLYGON, "properties": [1]},
+        "properties are no object",
+    ),
     "many regions": ({"type": "FeatureCollection", "features": [feature()] * 1001}, "1001 regions"),
     "roi: cut": (roi(0, (0, 0, 9, 9), [(0, 0), (9, 0), (9, 9)])[:70], "ends early"),
     "roi: a line": (roi(3), "a line, which covers no area"),
@@ -274,7 +327,10 @@ WRONG = {
     "roi: composite of points": (composite(0, 1, 1, 4, 0, 5, 5, 1, 9, 9, 4), "0 borders"),
     "roi: nothing": (roi(1, (3, 3, 3, 9)), "6 x 0 pixels"),
     "roi: endless": (roi(2, fine=(0, 0, float("inf"), 1)), "inf x 1 pixels"),
-    "roi: not a number": (roi(0, points=[(0, 0)] * 3, fine=[(0, 0), (1, float("nan")), (1, 1)]), "no number"),
+    "roi: not a number": (
+        roi(0, points=[(0, 0)] * 3, fine=[(0, 0), (1, float("nan")), (1, 1)]),
+        "no number",
+    ),
     "roi: two points": (roi(0, points=[(0, 0), (1, 1)]), "it has 2 points"),
     "roi: unknown": (roi(77), "unknown type 77"),
     "zip: empty": (archive(), "empty archive"),
@@ -296,16 +352,28 @@ def test_a_wrong_file_is_refused_with_its_faults(tmp_path, content, words):
 @given(st.data())
 def test_damaged_bytes_are_read_or_refused(tmp_path_factory, data):
     folder = tmp_path_factory.getbasetemp()
-    files = [TRIANGLE, roi(2, (0, 0, 9, 9)), composite(0, 1, 1, 1, 5, 1, 1, 5, 5, 4), archive(a=TRIANGLE)]
+    files = [
+        TRIANGLE,
+        roi(2, (0, 0, 9, 9)),
+        composite(0, 1, 1, 1, 5, 1, 1, 5, 5, 4),
+        archive(a=TRIANGLE),
+    ]
     whole = data.draw(st.sampled_from(files))
     damaged = bytearray(whole)
-    for at, value in data.draw(st.lists(st.tuples(st.integers(0, len(whole) - 1), st.integers(0, 255)), max_size=4)):
+    for at, value in data.draw(
+        st.lists(st.tuples(st.integers(0, len(whole) - 1), st.integers(0, 255)), max_size=4)
+    ):
         damaged[at] = value
     try:
         found = read(folder, bytes(damaged[: data.draw(st.integers(0, len(whole)))]))
     except PlanishError:
         return
-    assert all(np.isfinite(ring).all() for one in found.declared for rings in one.polygons for ring in rings)
+    assert all(
+        np.isfinite(ring).all()
+        for one in found.declared
+        for rings in one.polygons
+        for ring in rings
+    )
 
 
 def test_regions_off_the_reference_or_all_over_it_are_refused(tmp_path):
@@ -313,24 +381,35 @@ def test_regions_off_the_reference_or_all_over_it_are_refused(tmp_path):
     beside, over = bent([-9, -9], [-1, -9], [-1, 70]), bent([-9, -9], [99, -9], [99, 99], [-9, 99])
     for content, word in ((beside, "no pixel"), (over, "every pixel")):
         path = written(tmp_path / f"{word}.json", content)
-        with pytest.raises(InputError, match=rf"{word} of the reference .* x from 0 to 58 um and y from 0 to 38 um"):
+        with pytest.raises(
+            InputError, match=rf"{word} of the reference .* x from 0 to 58 um and y from 0 to 38 um"
+        ):
             regions_on(read_regions(path), grid, str(path))
 
 
 # --- studies and runs ------------------------------------------------------------------------------------------------
 def test_a_study_names_them_by_a_relative_path(tmp_path):
-    volume, image = VolumeParams(path=str(tmp_path / "v.tif")), ImageParams(path=str(tmp_path / "i.tif"))
+    volume, image = (
+        VolumeParams(path=str(tmp_path / "v.tif")),
+        ImageParams(path=str(tmp_path / "i.tif")),
+    )
     layers = (LayerParams(name="sheet", volume=volume), LayerParams(name="image", image=image))
     study = Study(layers=layers, correlate=CorrelateParams(regions=str(tmp_path / "in" / "r.json")))
     write_study(study, tmp_path, home=tmp_path, version="")
     assert 'regions = "in/r.json"' in (tmp_path / "run.toml").read_text()
     assert read_study(tmp_path / "run.toml") == study
-    refused(ValueError, "a single layer has none", Study, layers=layers[:1], correlate=study.correlate)
+    refused(
+        ValueError, "a single layer has none", Study, layers=layers[:1], correlate=study.correlate
+    )
 
 
-@pytest.mark.parametrize(("content", "words"), [(b"{}", "no GeoJSON"), (bent([-9, 0], [-1, 0], [-1, 9]), "no pixel")])
+@pytest.mark.parametrize(
+    ("content", "words"), [(b"{}", "no GeoJSON"), (bent([-9, 0], [-1, 0], [-1, 9]), "no pixel")]
+)
 @pytest.mark.usefixtures("unread")
-def test_a_file_of_no_use_is_refused_before_the_volume_is_read(refuses, specimen_files, tmp_path, content, words):
+def test_a_file_of_no_use_is_refused_before_the_volume_is_read(
+    refuses, specimen_files, tmp_path, content, words
+):
     path = written(tmp_path / "r.json", content)
     refuses("link", *specimen_files, "--regions", path, words=(words, "r.json"))
 
@@ -339,7 +418,10 @@ def test_a_file_of_no_use_is_refused_before_the_volume_is_read(refuses, specimen
 def stain(tmp_path_factory):
     """A selection of ImageJ, 60 x 50 pixels of 5 um."""
     properties = "reason: coffee\nauthor: A. B.\n"
-    return written(tmp_path_factory.mktemp("roi") / "stain.roi", roi(1, (100, 120, 150, 180), properties=properties))
+    return written(
+        tmp_path_factory.mktemp("roi") / "stain.roi",
+        roi(1, (100, 120, 150, 180), properties=properties),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -358,11 +440,19 @@ def test_a_region_counts_in_no_figure_of_a_run_or_a_stage(stain, linked_run, sta
     assert run.linked["valid"].attrs["long_name"].endswith("outside of declared regions")
     facts, share = run.results.regions, 3000 / expected.size
     assert (facts.count, facts.share) == (1, share)
-    assert facts.regions[0].model_dump() == {"name": "stain", "reason": "coffee", "author": "A. B.", "share": share}
+    assert facts.regions[0].model_dump() == {
+        "name": "stain",
+        "reason": "coffee",
+        "author": "A. B.",
+        "share": share,
+    }
     a, b = (run.linked[name].values[expected].astype(np.float64) for name in ("thickness", "image"))
     known = np.isfinite(a) & np.isfinite(b)
     row = next(row for row in run.results.correlations if row.a_map == "thickness")
-    assert (row.n, row.r) == (known.sum(), pytest.approx(np.corrcoef(a[known], b[known])[0, 1], abs=1e-9))
+    assert (row.n, row.r) == (
+        known.sum(),
+        pytest.approx(np.corrcoef(a[known], b[known])[0, 1], abs=1e-9),
+    )
     assert max(row.n for row in run.results.comparison) <= expected.sum()
     for one, other in zip(run.results.comparison, before.results.comparison, strict=True):
         assert one.n < other.n
@@ -370,7 +460,12 @@ def test_a_region_counts_in_no_figure_of_a_run_or_a_stage(stain, linked_run, sta
     rows = correlate_maps(before.linked, params=CorrelateParams(regions=str(stain)))
     assert rows == run.results.correlations  # the stage takes them out as the run does
     html = (stained_run / "report.html").read_text(encoding="utf-8")
-    for words in ("1 region, 3.8", '<td class="name">coffee</td>', "A. B.", "without holes, rims and declared regions"):
+    for words in (
+        "1 region, 3.8",
+        '<td class="name">coffee</td>',
+        "A. B.",
+        "without holes, rims and declared regions",
+    ):
         assert words in html
     assert "declared regions" not in (linked_run / "report.html").read_text(encoding="utf-8")
 
@@ -391,7 +486,12 @@ def test_regions_count_in_no_pair_of_images(passes, kinds, tmp_path):
 
 def test_hostile_texts_stay_text_on_the_page():
     run = a_run()
-    one = {"name": "<b>x</b>", "reason": "</td><script>alert(1)</script>", "author": "", "share": 0.25}
+    one = {
+        "name": "<b>x</b>",
+        "reason": "</td><script>alert(1)</script>",
+        "author": "",
+        "share": 0.25,
+    }
     run["results"] |= {"regions": {"count": 1, "share": 0.25, "regions": [one]}}
     text = page_of(run)
     assert "<script" not in text

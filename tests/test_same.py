@@ -8,7 +8,10 @@ import tifffile
 import xarray as xr
 from benchmarks.same.difference import differences
 
-MAP = xr.Dataset({"coating": (("v", "u"), np.array([[1.0, np.nan], [3.0, 4.0]]), {"units": "um"})}, {"u": [0.0, 4.0]})
+MAP = xr.Dataset(
+    {"coating": (("v", "u"), np.array([[1.0, np.nan], [3.0, 4.0]]), {"units": "um"})},
+    {"u": [0.0, 4.0]},
+)
 RESULTS = {"layers": [{"mean": 1.5, "checks": ["pass", None]}], "planish": "9.9.9"}
 
 
@@ -36,13 +39,24 @@ def test_the_same_results_do_not_differ_and_renamed_numbers_are_named(sides):
     assert dict(differences(*sides, {}))["results.json:layers[0].mean"] == "only old: 1.5"
 
 
-@pytest.mark.parametrize(("changed", "place", "what"), [
-    (MAP.assign(coating=MAP.coating.copy(data=[[1.0, np.nan], [3.0, 4.5]])), "coating", "1 of 4 values, by up to 0.5"),
-    (MAP.assign(coating=MAP.coating.copy(data=[[1.0, 2.0], [3.0, 4.0]])), "coating", "1 missing"),
-    (MAP.astype("f4", keep_attrs=True), "coating", "float64 (2, 2) -> float32 (2, 2)"),
-    (MAP.assign(coating=MAP.coating.assign_attrs(units="mm")), "coating.units", "'um' -> 'mm'"),
-    (MAP.assign_coords(u=[0.0, 5.0]), "u", "1 of 2 values, by up to 1"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("changed", "place", "what"),
+    [
+        (
+            MAP.assign(coating=MAP.coating.copy(data=[[1.0, np.nan], [3.0, 4.5]])),
+            "coating",
+            "1 of 4 values, by up to 0.5",
+        ),
+        (
+            MAP.assign(coating=MAP.coating.copy(data=[[1.0, 2.0], [3.0, 4.0]])),
+            "coating",
+            "1 missing",
+        ),
+        (MAP.astype("f4", keep_attrs=True), "coating", "float64 (2, 2) -> float32 (2, 2)"),
+        (MAP.assign(coating=MAP.coating.assign_attrs(units="mm")), "coating.units", "'um' -> 'mm'"),
+        (MAP.assign_coords(u=[0.0, 5.0]), "u", "1 of 2 values, by up to 1"),
+    ],
+)
 def test_arrays_types_attributes_and_coordinates_are_named(sides, changed, place, what):
     changed.to_zarr(sides[1] / "maps.zarr", mode="w", consolidated=False)
     found = dict(differences(*sides, {}))
@@ -54,7 +68,9 @@ def test_cells_pictures_pages_and_missing_files_are_named(sides):
     (new / "marks.csv").write_text("label,x\nA,1.25\n")
     for side, grey in zip(sides, (7, 8), strict=True):
         tifffile.imwrite(side / "map.tif", np.full((4, 4), grey, np.uint8))
-        (side / "page.html").write_text(f"<p>{side.name} words: <b>{grey}</b> um</p><script>let a = 1</script>")
+        (side / "page.html").write_text(
+            f"<p>{side.name} words: <b>{grey}</b> um</p><script>let a = 1</script>"
+        )
     (old / "gone.bin").write_bytes(b"1")
     assert dict(differences(old, new, {})) == {
         "gone.bin": "only old",

@@ -9,7 +9,14 @@ from planish.analyze import texture_lag, textures
 from planish.core.grid import Grid
 from planish.report import reading_r, tables
 from planish.results import Results
-from planish.synthetic import PRESETS, CameraParams, SpecimenParams, Warp, image_material, make_specimen
+from planish.synthetic import (
+    PRESETS,
+    CameraParams,
+    SpecimenParams,
+    Warp,
+    image_material,
+    make_specimen,
+)
 from report.runs import a_run
 
 POINT_UM, PIXEL_UM, BORDER = 100.0, 6.0, 20
@@ -19,7 +26,11 @@ def seen(shading):
     """True coating and face on the pixels of an image, the image, and where they count; no marks, so no errors."""
     camera = CameraParams(shading=shading, oracle_r2=0.2, pixel_um=PIXEL_UM)
     params = SpecimenParams(
-        size_um=(3000.0, 2200.0), paper=PRESETS["wfc90"][1].as_slab(), warp=Warp(bump_um=0.0), camera=camera, seed=1
+        size_um=(3000.0, 2200.0),
+        paper=PRESETS["wfc90"][1].as_slab(),
+        warp=Warp(bump_um=0.0),
+        camera=camera,
+        seed=1,
     )
     made = make_specimen(params)
     sheet, (u, v) = made.sheet, image_material(made.pose, made.image.shape, PIXEL_UM)
@@ -64,7 +75,9 @@ def sentence_with(light):
     layers = (layer.model_copy(update={"registration": registration}), *results.layers[1:])
     apart = {"difference": 0.1, "difference_interval": (0.05, 0.15)}
     rows = tuple(row.model_copy(update=apart) for row in results.comparison)
-    return tables.comparison_sentence(results.model_copy(update={"layers": layers, "comparison": rows}))
+    return tables.comparison_sentence(
+        results.model_copy(update={"layers": layers, "comparison": rows})
+    )
 
 
 def test_the_page_cautions_where_the_image_shows_slopes():

@@ -65,16 +65,26 @@ def test_every_study_has_its_specimens_statement_and_figure(make):
     assert {path.stem for path in TOML} == set(make.specimens.STUDIES)
     assert (set(make.DEFAULT), (*make.DEFAULT, "large")) == (set(make.statements.STATEMENTS), NAMES)
     for path in TOML:
-        made = {f"specimens/{path.stem}/{one.name}" for one in make.specimens.STUDIES[path.stem]("full")}
+        made = {
+            f"specimens/{path.stem}/{one.name}" for one in make.specimens.STUDIES[path.stem]("full")
+        }
         text = path.read_text(encoding="utf-8")
-        assert {found.rsplit("/", 1)[0] for found in re.findall(r"specimens/[\w-]+/[\w-]+/\w+", text)} == made
+        assert {
+            found.rsplit("/", 1)[0] for found in re.findall(r"specimens/[\w-]+/[\w-]+/\w+", text)
+        } == made
     page = (ROOT / "docs" / "studies.md").read_text(encoding="utf-8")
-    assert re.findall(r"```\npython examples/studies/make\.py ([\w-]+)(?: --size full)?\n```", page) == list(NAMES)
+    assert re.findall(
+        r"```\npython examples/studies/make\.py ([\w-]+)(?: --size full)?\n```", page
+    ) == list(NAMES)
     assert re.findall(r"\(images/studies/([\w-]+)\.png\)", page) == list(NAMES)
-    assert {path.stem for path in (ROOT / "docs" / "images" / "studies").glob("*.png")} == set(NAMES)
+    assert {path.stem for path in (ROOT / "docs" / "images" / "studies").glob("*.png")} == set(
+        NAMES
+    )
 
 
-def test_a_study_keeps_its_specimens_and_files_of_ones_own_belong_to_one_study(make, tmp_path, capsys):
+def test_a_study_keeps_its_specimens_and_files_of_ones_own_belong_to_one_study(
+    make, tmp_path, capsys
+):
     text = (STUDIES / "flattening.toml").read_text(encoding="utf-8")
     assert "\n[[specimens]]\n" not in make.shortened(text, tmp_path)
     made = tmp_path / "specimens" / "flattening" / "sheet-2" / "volume.tif"
@@ -98,7 +108,9 @@ def test_sheets_without_holes_are_those_with_holes(make):
 @pytest.mark.usefixtures("make")
 def test_no_interval_is_written_as_none():
     common = importlib.import_module("statements.common")
-    assert {common.interval(one) for one in (None, (None, None), (np.nan, np.nan))} == {"no interval"}
+    assert {common.interval(one) for one in (None, (None, None), (np.nan, np.nan))} == {
+        "no interval"
+    }
     assert common.interval((0.125, 0.5), 1) == "0.1 to 0.5"
 
 
@@ -111,12 +123,16 @@ def test_fig_06_on_files_of_ones_own(make, tmp_path, capsys):
     (own / "volume.tif").rename(own / "scan of march.tif")
     text = (STUDIES / "fig-06.toml").read_text(encoding="utf-8")
     text = text.replace("specimens/fig-06/field/volume.tif", "scan of march.tif")
-    (own / "my.toml").write_text(text.replace("specimens/fig-06/field/image.tif", "image.tif"), encoding="utf-8")
+    (own / "my.toml").write_text(
+        text.replace("specimens/fig-06/field/image.tif", "image.tif"), encoding="utf-8"
+    )
     with pytest.raises(SystemExit) as ended:
         make.planish(["study", str(own / "my.toml"), "--out", str(tmp_path / "mine")])
     assert ended.value.code in (0, None)
     said = stated(make, capsys, "fig-06", tmp_path / "out", "--of", str(tmp_path / "mine"))
-    darker, low, high = numbers(rf"is {NUMBER} % darker \(95 % interval {NUMBER} to {NUMBER} %\)", said)
+    darker, low, high = numbers(
+        rf"is {NUMBER} % darker \(95 % interval {NUMBER} to {NUMBER} %\)", said
+    )
     assert 0 < low < darker < high  # little coating is darker by the model that made the image
     aside, at_most = numbers(rf"lie {NUMBER} um beside the outlines .* at most {NUMBER} um", said)
     assert aside < at_most < 20  # where the paper judges 10 to 20 um by eye
@@ -146,22 +162,32 @@ def test_a_study_states_a_number_with_its_interval(make, tmp_path, capsys, name)
         projected, flattened = numbers(GAINED[name], said)
         assert 0 <= projected < flattened
     if name == "fig-11":
-        (low,) = numbers(rf"r = [\d.]+ \(95 % interval {NUMBER} to [\d.]+\) over \d+ points of 14 um", said)
+        (low,) = numbers(
+            rf"r = [\d.]+ \(95 % interval {NUMBER} to [\d.]+\) over \d+ points of 14 um", said
+        )
         assert low > 0.3  # one coating, seen twice
         assert "1 declared region." in said
     if name == "fig-07":
         assert "over 3 sheets" in said
         assert ("not distinguishable" in said) == (low <= 0 <= high)
         said = stated(make, capsys, "design", tmp_path)  # which reads it
-        same, two = (numbers(rf"{k}, 1 field a sheet (\d+) or (\d+)", said) for k in ("same sheets", "two papers"))
+        same, two = (
+            numbers(rf"{k}, 1 field a sheet (\d+) or (\d+)", said)
+            for k in ("same sheets", "two papers")
+        )
         assert 3 <= same[0] < two[0] < two[1]
 
 
 @pytest.mark.nightly
 def test_no_holes_by_texture_and_by_holes(make, tmp_path, capsys):
     said = stated(make, capsys, "no-holes", tmp_path)
-    assert "Without holes, 2 of 2 sheets were linked, with a probability of a false link below 0.000001." in said
-    texture, holes = numbers(rf"expected error \(median\) is {NUMBER} um by texture and {NUMBER} um by holes", said)
+    assert (
+        "Without holes, 2 of 2 sheets were linked, with a probability of a false link below"
+        " 0.000001." in said
+    )
+    texture, holes = numbers(
+        rf"expected error \(median\) is {NUMBER} um by texture and {NUMBER} um by holes", said
+    )
     assert 0 < texture < 4
     assert 0 < holes < 4
     r, chance, r_by_holes = numbers(
@@ -169,6 +195,8 @@ def test_no_holes_by_texture_and_by_holes(make, tmp_path, capsys):
     )
     assert chance < r  # these sheets are too small for tiles that r was not tuned on
     assert 0 < r_by_holes < 1
-    (change,) = numbers(rf"Over the pixels that count in both, r by texture less r by holes is {NUMBER}", said)
+    (change,) = numbers(
+        rf"Over the pixels that count in both, r by texture less r by holes is {NUMBER}", said
+    )
     assert abs(change) < 0.05  # one sheet and one image, and places that are off by 1 to 2 um
     assert "2 of at least 3 sheets" in said

@@ -11,7 +11,12 @@ from planish.run import LayerParams, Study, as_study, read_study, study_of, with
 
 
 def test_round_trip_keeps_everything_and_paths_are_relative(tmp_path):
-    volume = VolumeParams(path=str(tmp_path / "in" / "v.tif"), voxel_um=(1.0, 0.1 + 0.2, 3.0), through="x", md_deg=12.0)
+    volume = VolumeParams(
+        path=str(tmp_path / "in" / "v.tif"),
+        voxel_um=(1.0, 0.1 + 0.2, 3.0),
+        through="x",
+        md_deg=12.0,
+    )
     image = ImageParams(path=str(tmp_path / "i.tif"), channel="red", side="bottom")
     layers = (
         LayerParams(name="sheet", volume=volume),
@@ -30,7 +35,9 @@ def test_round_trip_keeps_everything_and_paths_are_relative(tmp_path):
 
 def test_faults_of_a_study_are_named_at_once_and_other_files_refused(tmp_path):
     path = tmp_path / "s.toml"
-    path.write_text('[volume]\npath = "v.tif"\naxsi = 3\nvoxel_um = [1.0, -1.0, 1.0]\n[surface]\nrim_um = -4\n')
+    path.write_text(
+        '[volume]\npath = "v.tif"\naxsi = 3\nvoxel_um = [1.0, -1.0, 1.0]\n[surface]\nrim_um = -4\n'
+    )
     with pytest.raises(InputError) as error:
         read_study(path)
     for word in ("volume.axsi", "voxel_um.1", "surface.rim_um", "3 wrong parameters"):
@@ -44,18 +51,29 @@ def test_faults_of_a_study_are_named_at_once_and_other_files_refused(tmp_path):
 
 def test_the_files_of_planish_0_1_are_read():
     """As that version wrote them: one volume and an image without a list, layers with their volume in ``map``."""
-    one = as_study({
-        "volume": {"path": "v.tif", "voxel_um": [3.0, 3.0, 3.0]}, "image": {"path": "i.tif"},
-        "surface": {"cutoff_um": 300.0}, "registration": {"hole_um": [80.0, 200.0], "model": "affine"},
-    })  # fmt: skip
+    one = as_study(
+        {
+            "volume": {"path": "v.tif", "voxel_um": [3.0, 3.0, 3.0]},
+            "image": {"path": "i.tif"},
+            "surface": {"cutoff_um": 300.0},
+            "registration": {"hole_um": [80.0, 200.0], "model": "affine"},
+        }
+    )
     assert [layer.kind for layer in one.layers] == ["volume", "image"]
     assert one.layers[0].surface.cutoff_um == 300.0
     assert (one.holes.hole_um, one.registration.model) == ((80.0, 200.0), "affine")
     ct = {"volume": {"path": "v.tif"}, "flatten": {"rest": "chord"}}
-    several = as_study({
-        "layers": [{"name": "ct", "marks": "pairs.csv", "map": ct}, {"name": "lm", "run": "lm"}],
-        "chain": False, "rim_um": 100.0, "registration": {"hole_um": [100.0, 300.0]},
-    })  # fmt: skip
+    several = as_study(
+        {
+            "layers": [
+                {"name": "ct", "marks": "pairs.csv", "map": ct},
+                {"name": "lm", "run": "lm"},
+            ],
+            "chain": False,
+            "rim_um": 100.0,
+            "registration": {"hole_um": [100.0, 300.0]},
+        }
+    )
     assert [layer.kind for layer in several.layers] == ["volume", "run"]
     assert several.layers[0].flatten.rest == "chord"
 

@@ -45,7 +45,19 @@ def test_every_option_stands_in_it_with_its_default(draft):
     text, path = draft[0].text, draft[1]
     found = list(KEY.finditer(text))
     given = read_study(path)
-    examples = {"neutral", "refine", "side", "marks", "design", "headline", "regions", "air", "base", "coating", "void"}
+    examples = {
+        "neutral",
+        "refine",
+        "side",
+        "marks",
+        "design",
+        "headline",
+        "regions",
+        "air",
+        "base",
+        "coating",
+        "void",
+    }
     examples |= {"channel", "corrections"}  # of volumes
 
     def taken(match):
@@ -62,21 +74,33 @@ def test_every_option_stands_in_it_with_its_default(draft):
     def plain(study):
         return [
             {k: v for k, v in part.items() if k not in drop} if isinstance(part, dict) else part
-            for layer in study.model_dump()["layers"] for part in layer.values()
-        ] + [study.holes, study.registration, study.correlate]  # fmt: skip
+            for layer in study.model_dump()["layers"]
+            for part in layer.values()
+        ] + [study.holes, study.registration, study.correlate]
 
     assert plain(whole) == plain(given)
     names = {match[1] for match in found} | {"path", "through"}
-    for model in (type(given.layers[0].surface), type(given.layers[0].properties), type(given.layers[0].flatten),
-                  type(given.layers[0].volume), type(given.layers[1].image), type(given.holes),
-                  type(given.registration), type(given.correlate)):  # fmt: skip
+    for model in (
+        type(given.layers[0].surface),
+        type(given.layers[0].properties),
+        type(given.layers[0].flatten),
+        type(given.layers[0].volume),
+        type(given.layers[1].image),
+        type(given.holes),
+        type(given.registration),
+        type(given.correlate),
+    ):
         assert {name[-1] for name in fields(model)} <= names | {"labels"}, model
 
 
 def test_options_in_messages_become_keys_and_labels_a_table_at_the_end_of_theirs(draft):
     text = "Give --voxel-um SIZE or --image-side, and --out."
     assert in_study_words(text) == "Give volume.voxel_um SIZE or image.side, and --out."
-    text = draft[0].text.replace("#[surface.labels]", "[surface.labels]").replace("#base = [1]", "base = [1, 3]")
+    text = (
+        draft[0]
+        .text.replace("#[surface.labels]", "[surface.labels]")
+        .replace("#base = [1]", "base = [1, 3]")
+    )
     assert as_study(tomllib.loads(text)).layers[0].surface.labels.base == (1, 3)
 
 
@@ -114,7 +138,13 @@ def test_what_is_refused_writes_nothing(refuses, specimen_files, tmp_path, argum
     (run / "maps.zarr").mkdir(parents=True)
     (run / "run.toml").touch()
     known = {"volume": specimen_files[0], "image": specimen_files[1], "run": run}
-    refuses("new", *(known.get(word, tmp_path / word) for word in arguments), words=words, code=code, out=False)
+    refuses(
+        "new",
+        *(known.get(word, tmp_path / word) for word in arguments),
+        words=words,
+        code=code,
+        out=False,
+    )
 
 
 def test_mistakes_come_before_work(refuses, draft, tmp_path):
@@ -122,7 +152,9 @@ def test_mistakes_come_before_work(refuses, draft, tmp_path):
     text = draft[0].text.replace('through = "z"', 'thruogh = "z"')
     path.write_text(text, encoding="utf-8", newline="\n")
     line = text[: text.index("thruogh")].count("\n") + 1
-    refuses("run", path, words=f"line {line}, volume.thruogh: unknown; did you mean through?", out=False)
+    refuses(
+        "run", path, words=f"line {line}, volume.thruogh: unknown; did you mean through?", out=False
+    )
 
 
 def test_the_study_gives_what_link_gives(passes, draft, linked_run, monkeypatch):

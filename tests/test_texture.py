@@ -11,7 +11,9 @@ PIXEL_UM = 5.0
 
 
 def field(seed, shape=(180, 220), sigma=3.0):
-    made = ndimage.gaussian_filter(np.random.default_rng(seed).standard_normal(shape), sigma, mode="wrap")
+    made = ndimage.gaussian_filter(
+        np.random.default_rng(seed).standard_normal(shape), sigma, mode="wrap"
+    )
     return made / made.std()
 
 
@@ -21,24 +23,33 @@ def layer(expected_um=None, **maps):
     data = {k: (("y", "x"), m) for k, m in maps.items()}
     if expected_um is not None:
         data["expected_error"] = (("y", "x"), np.full(shape, expected_um))
-    return xr.Dataset(data | {"valid": (("y", "x"), np.ones(shape, dtype=bool))}, coords={"y": y, "x": x})
+    return xr.Dataset(
+        data | {"valid": (("y", "x"), np.ones(shape, dtype=bool))}, coords={"y": y, "x": x}
+    )
 
 
 def a_sheet(expected_um=2.0):
     top, bottom, base = field(0), field(1), field(2)
     return layer(
-        expected_um, coating_top=12 + 3 * top, coating_bottom=12 + 3 * bottom, thickness=80 + 3 * (top + bottom + base),
-        topography_top=40 + 3 * top + 2 * base, topography_bottom=40 + 3 * bottom + 2 * base,
-    )  # fmt: skip
+        expected_um,
+        coating_top=12 + 3 * top,
+        coating_bottom=12 + 3 * bottom,
+        thickness=80 + 3 * (top + bottom + base),
+        topography_top=40 + 3 * top + 2 * base,
+        topography_bottom=40 + 3 * bottom + 2 * base,
+    )
 
 
 def test_a_sheet_and_its_image_in_either_order():
     sheet = a_sheet()
-    image = layer(image=200 - 20 * np.roll(field(0), 3, axis=1) + 10 * field(9))  # 15 um to the right
+    # 15 um to the right.
+    image = layer(image=200 - 20 * np.roll(field(0), 3, axis=1) + 10 * field(9))
     for a, b, names in ((sheet, image, ("sheet", "photo")), (image, sheet, ("photo", "sheet"))):
         lag, (side, position) = texture_of(a, b, names)
         assert side.state == "pass"
-        assert side.sentence.startswith("Photo correlates with the coating of the top side (r = -0.6")
+        assert side.sentence.startswith(
+            "Photo correlates with the coating of the top side (r = -0.6"
+        )
         assert (position.state, position.figures) == ("look", ("position", "correlation"))
         assert (lag.lag_um, lag.property) == (pytest.approx((15.0, 0.0), abs=1.0), "coating_top")
     far = layer(image=200 - 20 * np.roll(field(0), 16, axis=1) + 10 * field(9))
@@ -46,7 +57,8 @@ def test_a_sheet_and_its_image_in_either_order():
     assert (lost.state, displaced.state) == ("look", "look")
     assert lost.sentence.endswith("Moved by 81 um they do go together (position by texture).")
     turned = texture_of(sheet, image, ("sheet", "photo"), side="bottom")
-    assert [check.state for check in turned.checks] == ["fail", "look"]  # the lag is that of the face that goes with it
+    # The lag is that of the face that goes with it.
+    assert [check.state for check in turned.checks] == ["fail", "look"]
 
 
 def test_coatings_within_their_error_and_pixels_too_large_for_texture_are_inconclusive():
@@ -65,6 +77,8 @@ def test_coatings_within_their_error_and_pixels_too_large_for_texture_are_inconc
 
 @pytest.mark.parametrize("other", [a_sheet(), layer(image=field(30))], ids=["sheet", "image"])
 def test_layers_without_a_valid_pixel_in_common_are_inconclusive(other):
-    checks = texture_of(a_sheet(), other.assign(valid=other["valid"] & False), ("sheet", "other")).checks
+    checks = texture_of(
+        a_sheet(), other.assign(valid=other["valid"] & False), ("sheet", "other")
+    ).checks
     assert [check.state for check in checks] == ["unknown"] * len(checks)
     assert "inconclusive" in checks[0].sentence

@@ -26,9 +26,15 @@ def sheet(stated=1.0, *, slope=SLOPE, through="z", top="high", grain=0.0):
     tilt = (slope * np.cos(k * t)) ** 2
     own = THICK_UM * (1 + grain * np.random.default_rng(3).normal(size=t.shape))
     seen = own * stated * np.sqrt((1 + tilt) / (1 + stated**2 * tilt))
-    data = {"centre": stated * slope / k * np.sin(k * t), "thickness": seen, "status": np.zeros(t.shape, np.uint8)}
+    data = {
+        "centre": stated * slope / k * np.sin(k * t),
+        "thickness": seen,
+        "status": np.zeros(t.shape, np.uint8),
+    }
     attrs = {**Frame(through=through, top=top).attrs(), "voxel_um": [3.0 * stated, 3.0, 3.0]}
-    return xr.Dataset({n: (("y", "x"), v) for n, v in data.items()}, coords={"y": y, "x": x}, attrs=attrs)
+    return xr.Dataset(
+        {n: (("y", "x"), v) for n, v in data.items()}, coords={"y": y, "x": x}, attrs=attrs
+    )
 
 
 def developed(points, slope=SLOPE):
@@ -38,7 +44,9 @@ def developed(points, slope=SLOPE):
     speed = np.sqrt(1 + (slope * np.cos(2 * np.pi / WAVE_UM * steps)) ** 2)
     arc = np.concatenate([[0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(steps))])
     u = np.interp(t, steps, arc)
-    return np.stack([u * np.cos(TURN) - along * np.sin(TURN), u * np.sin(TURN) + along * np.cos(TURN)], axis=1)
+    return np.stack(
+        [u * np.cos(TURN) - along * np.sin(TURN), u * np.sin(TURN) + along * np.cos(TURN)], axis=1
+    )
 
 
 def marks(seen, count, seed=1):
@@ -50,7 +58,9 @@ def marks(seen, count, seed=1):
     return flat, at, np.stack([seen["x"].values[j], seen["y"].values[i]], axis=1)
 
 
-def checked(seen, *, count=16, error_um=0.7, linear=None, wrong_um=0.0, seed=1, slope=SLOPE, model="auto"):
+def checked(
+    seen, *, count=16, error_um=0.7, linear=None, wrong_um=0.0, seed=1, slope=SLOPE, model="auto"
+):
     """Estimate and check of a sheet whose marks lie where its development has them, with errors."""
     flat, at, places = marks(seen, count, seed)
     fixed = developed(places, slope) @ (np.eye(2) if linear is None else np.asarray(linear))
@@ -61,14 +71,20 @@ def checked(seen, *, count=16, error_um=0.7, linear=None, wrong_um=0.0, seed=1, 
     fit = fit_transform(at, fixed, model=model, lowest="similarity")
     registered = RegisteredSheet(measured=seen, flat=flat, fit=fit)
     found = through_scale.estimate(registered)
-    return found, None if found is None else through_scale.judge_marks(
-        BY_MARKS, registered, found, through_scale.scale_from_thickness(seen)
+    return found, (
+        None
+        if found is None
+        else through_scale.judge_marks(
+            BY_MARKS, registered, found, through_scale.scale_from_thickness(seen)
+        )
     )
 
 
 def turned_onto(places, truth):
     """Rms distance of two sets of points after the best rotation and shift."""
-    a, b = (p[:, 0] + 1j * p[:, 1] for p in (places - places.mean(axis=0), truth - truth.mean(axis=0)))
+    a, b = (
+        p[:, 0] + 1j * p[:, 1] for p in (places - places.mean(axis=0), truth - truth.mean(axis=0))
+    )
     turn = np.vdot(a, b)
     return float(np.sqrt(np.mean(np.abs(b - turn / abs(turn) * a) ** 2)))
 
@@ -91,7 +107,9 @@ def test_a_mesh_of_half_the_pitch_moves_no_place_by_as_much_as_a_marks_own_error
     assert max(map(turned_onto, other, usual)) < 0.1
 
 
-@pytest.mark.parametrize(("stated", "top"), [(1.5, "high"), (1.1, "high"), (0.5, "high"), (1.5, "low")])
+@pytest.mark.parametrize(
+    ("stated", "top"), [(1.5, "high"), (1.1, "high"), (0.5, "high"), (1.5, "low")]
+)
 def test_marks_find_a_wrong_spacing(stated, top):
     found, check = checked(sheet(stated, top=top))
     assert found.scale == pytest.approx(1 / stated, abs=3 * found.error + 0.003)
@@ -103,7 +121,11 @@ def test_marks_find_a_wrong_spacing(stated, top):
 
 def test_a_right_spacing_passes():
     found, check = checked(sheet())
-    assert (check.state, check.advice, found.scale) == ("pass", "", pytest.approx(1, abs=3 * found.error))
+    assert (check.state, check.advice, found.scale) == (
+        "pass",
+        "",
+        pytest.approx(1, abs=3 * found.error),
+    )
     assert check.sentence.startswith("The marks imply a voxel spacing along z that is ")
 
 
@@ -134,13 +156,17 @@ def test_its_error_is_what_it_says():
     for k in range(30):
         some = np.random.default_rng(k).choice(60, 9, replace=False)
         fixed = developed(places[some]) + np.random.default_rng(k + 50).normal(0, 0.7, (9, 2))
-        found = find_through_scale(scales, moved[:, some], weigh_evenly(at[some], fixed), mirrored=False)
+        found = find_through_scale(
+            scales, moved[:, some], weigh_evenly(at[some], fixed), mirrored=False
+        )
         z.append((found.scale - 1 / 1.2) / found.error)
     assert 0.3 < np.sqrt(np.mean(np.square(z))) < 1.1
 
 
 def weigh_evenly(moving, fixed):
-    return Pairs(moving=moving, fixed=fixed, information=np.broadcast_to(np.eye(2), (len(moving), 2, 2)))
+    return Pairs(
+        moving=moving, fixed=fixed, information=np.broadcast_to(np.eye(2), (len(moving), 2, 2))
+    )
 
 
 def test_a_plane_sheet_cannot_tell_a_spacing_from_a_stretch():
@@ -151,9 +177,13 @@ def test_a_plane_sheet_cannot_tell_a_spacing_from_a_stretch():
     wrong = seen.assign(centre=0.5 * seen["centre"])
     flat, at, places = marks(wrong, 16)
     fixed = places * [np.sqrt(1 + 0.49), 1] + np.random.default_rng(0).normal(0, 0.5, at.shape)
-    registered = RegisteredSheet(measured=wrong, flat=flat, fit=fit_transform(at, fixed, model="affine"))
+    registered = RegisteredSheet(
+        measured=wrong, flat=flat, fit=fit_transform(at, fixed, model="affine")
+    )
     found = through_scale.estimate(registered)
-    check = through_scale.judge_marks(BY_MARKS, registered, found, through_scale.scale_from_thickness(wrong))
+    check = through_scale.judge_marks(
+        BY_MARKS, registered, found, through_scale.scale_from_thickness(wrong)
+    )
     assert (found.scale, check.state) == (pytest.approx(2, abs=0.05), "look")
     assert "explains it as well" in check.sentence
 
@@ -182,7 +212,10 @@ def test_three_marks_or_marks_on_a_line_tell_no_spacing():
 def test_marks_beside_the_sheet_do_not_count():
     seen = sheet(1.5)
     flat, at, places = marks(seen, 16)
-    at, fixed = np.append(at, [[9e4, 9e4]], axis=0), np.append(developed(places), [[8e4, 8e4]], axis=0)
+    at, fixed = (
+        np.append(at, [[9e4, 9e4]], axis=0),
+        np.append(developed(places), [[8e4, 8e4]], axis=0),
+    )
     scales, moved = places_when_scaled(seen, flat, at)
     assert find_through_scale(scales, moved, weigh_evenly(at, fixed), mirrored=False).marks == 16
 
@@ -201,6 +234,8 @@ def test_thickness_tells_a_spacing_from_a_stretch():
     found, _ = checked(seen, slope=0.8)
     slope = through_scale.scale_from_thickness(seen)
     doubtful = found.model_copy(update={"over_stretch": 0.0})
-    check = through_scale.judge_marks(BY_MARKS, RegisteredSheet(measured=seen, flat=None, fit=None), doubtful, slope)
+    check = through_scale.judge_marks(
+        BY_MARKS, RegisteredSheet(measured=seen, flat=None, fit=None), doubtful, slope
+    )
     assert check.state == "fail"
     assert "Thickness against slope implies the same" in check.sentence

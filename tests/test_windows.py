@@ -14,7 +14,14 @@ import planish as pl
 from formats_written import CASES, VALUES
 from marks import files_by_hand as by_hand
 from planish.core.errors import FileError
-from planish.core.files import DEEPEST_PATH_LENGTH, check_length, fault_of_name, move, refuse_name, write_whole
+from planish.core.files import (
+    DEEPEST_PATH_LENGTH,
+    check_length,
+    fault_of_name,
+    move,
+    refuse_name,
+    write_whole,
+)
 from planish.io import guard, new_folder, read_volume, refuse_existing
 from planish.marks import read_any
 from planish.run import as_study, read_study
@@ -24,7 +31,9 @@ SOURCES = sorted((ROOT / "src").rglob("*.py"))
 
 
 # --- names and lengths -----------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("name", ["aux", "Com1.tar.gz", "lpt9", "prn ", "COM¹", "run.", "CONIN$", "aux .zarr"])
+@pytest.mark.parametrize(
+    "name", ["aux", "Com1.tar.gz", "lpt9", "prn ", "COM¹", "run.", "CONIN$", "aux .zarr"]
+)
 def test_names_that_windows_cannot_keep_are_refused_everywhere(name, tmp_path):
     assert fault_of_name(name, windows=False)
     with pytest.raises(FileError, match="Windows"):
@@ -41,7 +50,9 @@ def test_other_names_are_taken_but_for_signs_that_only_windows_refuses(tmp_path,
     for sign in ("?", "*", ":", "|", '"', "<", "\n"):
         assert fault_of_name(f"run{sign}1", windows=False) is None
         assert fault_of_name(f"run{sign}1", windows=True)
-    refuses("import", tmp_path / "none.tif", "--out", tmp_path / "nul.txt", words="'nul.txt'", out=False)
+    refuses(
+        "import", tmp_path / "none.tif", "--out", tmp_path / "nul.txt", words="'nul.txt'", out=False
+    )
 
 
 def test_names_of_layers_and_drives():
@@ -58,10 +69,13 @@ def test_names_of_layers_and_drives():
 def test_folders_too_deep_for_windows_are_refused_and_runs_are_not(linked_run):
     check_length(PureWindowsPath(r"C:\Users\anna.berg\Documents\papers\run"), longest=259)
     deep = PureWindowsPath(
-        r"\\files.mill.example\research and development\coating\trial 17, both sides of the sheet\microtome"
+        r"\\files.mill.example\research and development\coating\trial 17, both sides of the"
+        r" sheet\microtome"
         r"\2 um\run number 1"
     )
-    with pytest.raises(FileError, match=r"259\. Write to a shorter path such as C:\\data\\run number 1"):
+    with pytest.raises(
+        FileError, match=r"259\. Write to a shorter path such as C:\\data\\run number 1"
+    ):
         check_length(deep, longest=259)
     check_length(deep, longest=None)  # where there is no such limit
     while_written = len(".0123456789abcdef0123456789abcdef.partial")  # what zarr appends
@@ -125,11 +139,12 @@ def crlf(path):
 @pytest.mark.parametrize(
     ("name", "text"),
     [
-        ("bigwarp.csv", by_hand.bigwarp_2d()), ("elastix.txt", by_hand.elastix(by_hand.MOVING)),
+        ("bigwarp.csv", by_hand.bigwarp_2d()),
+        ("elastix.txt", by_hand.elastix(by_hand.MOVING)),
         ("marks.csv", by_hand.native()),
         ("marks.mrk.json", by_hand.slicer(by_hand.slicer_list(by_hand.MOVING / 1000, "m"))),
     ],
-)  # fmt: skip
+)
 def test_marks_with_the_line_ends_of_windows_are_the_same(tmp_path, name, text):
     path = tmp_path / name
     path.write_bytes(text.encode())
@@ -149,7 +164,9 @@ def test_headers_with_the_line_ends_of_windows_are_the_same(tmp_path, name):
     assert tuple(volume.attrs["voxel_um"]) == CASES[name].voxel
 
 
-def test_studies_and_runs_with_the_line_ends_of_windows_are_the_same(linked_run, tmp_path, run_copy):
+def test_studies_and_runs_with_the_line_ends_of_windows_are_the_same(
+    linked_run, tmp_path, run_copy
+):
     text = (linked_run / "run.toml").read_bytes()
     path = tmp_path / "run.toml"
     path.write_bytes(text)
@@ -160,7 +177,10 @@ def test_studies_and_runs_with_the_line_ends_of_windows_are_the_same(linked_run,
         if path.suffix in (".toml", ".json", ".csv"):
             crlf(path)
     before, after = pl.open_run(linked_run), pl.open_run(run_copy)
-    assert (after.results, after.registrations.keys()) == (before.results, before.registrations.keys())
+    assert (after.results, after.registrations.keys()) == (
+        before.results,
+        before.registrations.keys(),
+    )
     assert json.loads((run_copy / "marks.json").read_text(encoding="utf-8"))
 
 
@@ -173,14 +193,18 @@ def test_the_memory_is_asked_of_windows():
         return 1
 
     assert guard._available_on_windows(SimpleNamespace(GlobalMemoryStatusEx=answer)) == 5 * 2**30
-    assert guard._available_on_windows(SimpleNamespace(GlobalMemoryStatusEx=lambda _: 0)) == guard.UNKNOWN_BYTES
+    assert (
+        guard._available_on_windows(SimpleNamespace(GlobalMemoryStatusEx=lambda _: 0))
+        == guard.UNKNOWN_BYTES
+    )
 
 
 # --- rules for the code ----------------------------------------------------------------------------------------------
 
 TEXT = re.compile(r"\b(read_text|write_text|open)\(")
 LACKING = re.compile(
-    r"^\s*(?:import|from) (?:fcntl|resource|pwd|grp|termios|curses|readline|pty|posix)\b", re.MULTILINE
+    r"^\s*(?:import|from) (?:fcntl|resource|pwd|grp|termios|curses|readline|pty|posix)\b",
+    re.MULTILINE,
 )
 FOREIGN = re.compile(r"\.(?:fork|symlink_to|symlink|hardlink_to|killpg)\(")
 
@@ -193,7 +217,11 @@ def test_text_files_have_one_encoding_and_one_line_end():
         for node in ast.walk(ast.parse(text)):
             if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
                 continue
-            where, name, given = f"{path}:{node.lineno}", node.func.attr, {k.arg for k in node.keywords}
+            where, name, given = (
+                f"{path}:{node.lineno}",
+                node.func.attr,
+                {k.arg for k in node.keywords},
+            )
             assert name != "read_text" or "encoding" in given, where
             assert name != "write_text" or {"encoding", "newline"} <= given, where
             mode = node.args[0] if name == "open" and node.args else None

@@ -20,7 +20,10 @@ def marks_file(path, specimen, count):
     rng = np.random.default_rng(2)
     low, high = specimen.sheet.holes.min(axis=0) - 60, specimen.sheet.holes.max(axis=0) + 60
     sheet = rng.uniform(low, high, (count, 2))
-    volume, image = specimen.warp.points(*sheet.T), specimen.pose(sheet) + rng.normal(0, 0.5, (count, 2))
+    volume, image = (
+        specimen.warp.points(*sheet.T),
+        specimen.pose(sheet) + rng.normal(0, 0.5, (count, 2)),
+    )
     rows = ["label,volume_x_um,volume_y_um,volume_z_um,fixed_x_um,fixed_y_um"]
     for k, place in enumerate(np.hstack([volume, image])):
         rows.append(",".join([chr(97 + k), *(f"{v:.3f}" for v in place)]))
@@ -76,19 +79,26 @@ def rows_exchanged(volume):
 @pytest.mark.ci
 @pytest.mark.parametrize(
     ("change", "name", "words"),
-    [(second_sheet, "one sheet", "sheets? lies? on"), (rows_exchanged, "slices along y", "not in order")],
+    [
+        (second_sheet, "one sheet", "sheets? lies? on"),
+        (rows_exchanged, "slices along y", "not in order"),
+    ],
 )
 def test_what_a_wrong_volume_gives_is_withheld(change, name, words, ended, specimen, tmp_path):
     """It is said, and the command ends with 4."""
     volume = write_volume(tmp_path / "v.tif", np.ascontiguousarray(change(specimen.volume.values)))
     code, results, checks, printed = ended("map", volume)
     check = checks[name]
-    assert (code, check["state"]) == (4, "fail"), [c for c in checks.values() if c["state"] != "pass"]
+    assert (code, check["state"]) == (4, "fail"), [
+        c for c in checks.values() if c["state"] != "pass"
+    ]
     assert re.search(words, check["sentence"])
     assert check["sentence"] in " ".join(printed.split())
     assert check["advice"]
     if name == "one sheet":
-        assert {p["trust"] for p in results["layers"][0]["sheet"]["properties"].values()} == {"withheld"}
+        assert {p["trust"] for p in results["layers"][0]["sheet"]["properties"].values()} == {
+            "withheld"
+        }
 
 
 def test_a_short_cut_off_is_the_one_that_is_stated(ended, specimen_files, linked_run):
@@ -97,7 +107,9 @@ def test_a_short_cut_off_is_the_one_that_is_stated(ended, specimen_files, linked
     assert checks["cut-off"]["state"] == "pass"
     assert "the stated cut-off of 250 um" in checks["cut-off"]["sentence"]
     usual = json.loads((linked_run / "results.json").read_text())
-    short, long = (k["layers"][0]["sheet"]["properties"]["topography_top"]["sd"] for k in (results, usual))
+    short, long = (
+        k["layers"][0]["sheet"]["properties"]["topography_top"]["sd"] for k in (results, usual)
+    )
     assert short < 0.95 * long  # waves of 250 to 400 um belong to the centre surface now
 
 
@@ -107,9 +119,13 @@ def foreign_image(specimen, specimen_files, tmp_path):
     """An image of another specimen with the same laser program: other paper around the same holes."""
     image = tifffile.imread(specimen_files[1])
     rows, cols = np.indices(image.shape)
-    far = np.min([np.hypot(rows - y, cols - x) for x, y in specimen.pose(specimen.sheet.holes) / 5.0], axis=0)
+    far = np.min(
+        [np.hypot(rows - y, cols - x) for x, y in specimen.pose(specimen.sheet.holes) / 5.0], axis=0
+    )
     sheet = image[far > 34]
-    other = np.where(far > 34, image, np.random.default_rng(1).choice(sheet, image.shape)).astype(image.dtype)
+    other = np.where(far > 34, image, np.random.default_rng(1).choice(sheet, image.shape)).astype(
+        image.dtype
+    )
     made = np.where(far > 34, other[::-1, ::-1], image)
     return write_image(tmp_path / "other.tif", made)
 
@@ -139,7 +155,11 @@ def test_a_left_handed_volume_is_marked(sign, tmp_path):
 # --- what is refused, or doubted --------------------------------------------------------------------------------------
 def test_a_volume_that_is_cut_or_holds_no_sheet(refuses, specimen_files, tmp_path):
     noise = np.random.default_rng(0).normal(60, 4, (40, 60, 70)).astype(np.uint8)
-    refuses("map", write_volume(tmp_path / "noise.tif", noise), words=("no sheet in the volume", "--through"))
+    refuses(
+        "map",
+        write_volume(tmp_path / "noise.tif", noise),
+        words=("no sheet in the volume", "--through"),
+    )
     empty = np.full((20, 40, 40), np.nan, np.float32)
     refuses("map", write_volume(tmp_path / "nan.tif", empty), words="NaN")
     broken = tmp_path / "cut.tif"
@@ -159,7 +179,9 @@ def test_missing_voxels_are_a_look_and_with_strict_exit_code_4(passes, specimen,
     assert (tmp_path / "run" / "report.html").is_file()
 
 
-def test_missing_sizes_are_asked_for_with_the_option_that_gives_them(refuses, specimen_files, tmp_path):
+def test_missing_sizes_are_asked_for_with_the_option_that_gives_them(
+    refuses, specimen_files, tmp_path
+):
     plain = tmp_path / "plain.png"
     Image.fromarray(np.zeros((20, 30), np.uint8)).save(plain)
     refuses("link", specimen_files[0], plain, words=("plain.png", "pixel size", "--pixel-um"))
@@ -177,4 +199,7 @@ def test_wrong_usage_and_an_output_folder_that_exists(refuses, specimen_files, t
     out.mkdir()
     (out / "mine.txt").write_text("keep")
     refuses("map", specimen_files[0], "-o", out, words=("exists already", "--out"), out=False)
-    assert ((out / "mine.txt").read_text(), [p.name for p in out.iterdir()]) == ("keep", ["mine.txt"])
+    assert ((out / "mine.txt").read_text(), [p.name for p in out.iterdir()]) == (
+        "keep",
+        ["mine.txt"],
+    )

@@ -36,7 +36,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--ci", action="store_true", help="run the tests of the tier ci")
     group.addoption("--all", action="store_true", help="run the tests of all tiers")
     group.addoption("--alone", action="store_true", help="nothing runs beside: the limit decides")
-    group.addoption("--record-seconds", action="store_true", help="write how long each file takes, for the schedule")
+    group.addoption(
+        "--record-seconds",
+        action="store_true",
+        help="write how long each file takes, for the schedule",
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -54,7 +58,9 @@ def pytest_configure(config: pytest.Config) -> None:
 def tier_of(item: pytest.Item) -> str:
     """Return the highest tier that a test or one of its fixtures names."""
     named = [tier for tier in TIERS if item.get_closest_marker(tier)]
-    needed = [NEEDED_TIER[name] for name in getattr(item, "fixturenames", ()) if name in NEEDED_TIER]
+    needed = [
+        NEEDED_TIER[name] for name in getattr(item, "fixturenames", ()) if name in NEEDED_TIER
+    ]
     return max(("fast", *named, *needed), key=TIERS.index)
 
 
@@ -105,7 +111,9 @@ class SecondsRecorder:
             table[file] = table.get(file, {}) | timed
         rows = [
             f"{json.dumps(file)}: {json.dumps({tier: s for tier, s in tiers.items() if s >= 1})}"
-            for file, tiers in sorted(table.items(), key=lambda row: (-sum(row[1].values()), row[0]))
+            for file, tiers in sorted(
+                table.items(), key=lambda row: (-sum(row[1].values()), row[0])
+            )
             if max(tiers.values()) >= 1 and (SECONDS_PATH.parent / file).exists()
         ]
         SECONDS_PATH.write_text("{\n" + ",\n".join(rows) + "\n}\n", encoding="utf-8", newline="\n")
@@ -176,8 +184,20 @@ class FastLimit:
         if self.alone:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
             return
-        print(f"\n{len(self.over)} fast tests used more than {self.limit_s:.2g} s CPU; once more, alone:")
-        command = [sys.executable, "-m", "pytest", "-q", "--no-header", "-p", "no:cacheprovider", "--alone"]
+        print(
+            f"\n{len(self.over)} fast tests used more than {self.limit_s:.2g} s CPU; once more,"
+            " alone:"
+        )
+        command = [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-q",
+            "--no-header",
+            "-p",
+            "no:cacheprovider",
+            "--alone",
+        ]
         done = subprocess.run([*command, *self.over], check=False, cwd=session.config.rootpath)
         if done.returncode:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED

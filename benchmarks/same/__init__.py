@@ -44,7 +44,10 @@ _CODE = "which code made a run is noted since 0.3.0"
 EXPECTED = (
     ("*.json:code", _CODE),
     ("exports/all-crate/ro-crate-metadata.json:*", f"size and hash of results.json: {_CODE}"),
-    ("design/specimen/truth/parameters.json:parameters.*", "a base of fibres, a film and section gains are parameters"),
+    (
+        "design/specimen/truth/parameters.json:parameters.*",
+        "a base of fibres, a film and section gains are parameters",
+    ),
     ("*.zarr:*._FillValue", "what is NaN is missing without being told"),
     ("*-info.json:run_bytes", "info counts the memory that a run reckons with"),
     ("former/*-info.json:warning", "runs of 0.2.0 are named by their format"),
@@ -61,9 +64,13 @@ def main(*arguments):
     parser = argparse.ArgumentParser(prog="same")
     parser.add_argument("old", nargs="?", help="commit to compare with")
     parser.add_argument("parts", nargs="*", metavar="PART", help="all where none is named")
-    parser.add_argument("--new", type=Path, default=_ROOT, help="checkout to compare; this one where not given")
+    parser.add_argument(
+        "--new", type=Path, default=_ROOT, help="checkout to compare; this one where not given"
+    )
     parser.add_argument("--folder", type=Path, default=None, help="where all is made, and kept")
-    parser.add_argument("--reuse", action="store_true", help="take results of OLD that --folder holds")
+    parser.add_argument(
+        "--reuse", action="store_true", help="take results of OLD that --folder holds"
+    )
     parser.add_argument("--list", action="store_true", dest="listed", help="name the parts and end")
     asked = parser.parse_args([str(a) for a in arguments])
     if asked.listed or asked.old is None:
@@ -88,14 +95,28 @@ def compare(folder, commit, new, names, *, reuse):
         Side(python=python, source=tree / "src", home=home / "old", core=cores[0]),
         Side(python=Path(sys.executable), source=new / "src", home=home / "new", core=cores[-1]),
     )
-    print(f"old: {commit}; new: {new.name} at {_git('-C', str(new), 'rev-parse', '--short=10', 'HEAD')}", flush=True)
-    with ThreadPoolExecutor(1) as old_pool, ThreadPoolExecutor(1) as new_pool:  # each side does one part at a time
+    print(
+        f"old: {commit}; new: {new.name} at"
+        f" {_git('-C', str(new), 'rev-parse', '--short=10', 'HEAD')}",
+        flush=True,
+    )
+    # Each side does one part at a time.
+    with ThreadPoolExecutor(1) as old_pool, ThreadPoolExecutor(1) as new_pool:
         pairs = [
-            (old_pool.submit(_done, sides[0], name, reuse), new_pool.submit(_done, sides[1], name, False))
+            (
+                old_pool.submit(_done, sides[0], name, reuse),
+                new_pool.submit(_done, sides[1], name, False),
+            )
             for name in names
         ]
-        failed = sum(_reported(name, home, [k.result() for k in pair]) for name, pair in zip(names, pairs, strict=True))
-    print(f"{len(names)} parts, {failed} with differences that are not meant; {time.monotonic() - begun:.0f} s")
+        failed = sum(
+            _reported(name, home, [k.result() for k in pair])
+            for name, pair in zip(names, pairs, strict=True)
+        )
+    print(
+        f"{len(names)} parts, {failed} with differences that are not meant;"
+        f" {time.monotonic() - begun:.0f} s"
+    )
     return int(failed > 0)
 
 
@@ -120,8 +141,13 @@ def _reported(name, home, seconds):
     """Print the differences of a part; whether some are not meant."""
     lines = {"differs": [], "meant": []}
     for place, what in differences(home / "old" / name, home / "new" / name, KEYS):
-        why = next((why for pattern, why in EXPECTED if fnmatch.fnmatchcase(f"{name}/{place}", pattern)), None)
-        lines["differs" if why is None else "meant"].append(f"{place}: {what}" + (f" ({why})" if why else ""))
+        why = next(
+            (why for pattern, why in EXPECTED if fnmatch.fnmatchcase(f"{name}/{place}", pattern)),
+            None,
+        )
+        lines["differs" if why is None else "meant"].append(
+            f"{place}: {what}" + (f" ({why})" if why else "")
+        )
     heads = ", ".join(f"{len(rows)} {word}" for word, rows in lines.items() if rows) or "same"
     print(f"{name}: {heads}; old {seconds[0]}, new {seconds[1]}")
     for word, rows in lines.items():
@@ -148,7 +174,9 @@ def worktree(folder, commit):
 def environment(tree):
     """The interpreter of a checkout's own environment, made as its run.py makes it."""
     code = "import run; run.set_up('dev.lock'); print(run.PYTHON)"
-    made = subprocess.run([sys.executable, "-c", code], cwd=tree, check=True, capture_output=True, text=True)
+    made = subprocess.run(
+        [sys.executable, "-c", code], cwd=tree, check=True, capture_output=True, text=True
+    )
     return Path(made.stdout.splitlines()[-1])
 
 
@@ -165,20 +193,29 @@ def make_inputs(home, tree, python):
     for version, commit in _FORMER.items():
         former = worktree(home.parent, commit)
         command = [str(python), "-m", "planish", "demo", "--out", str(partial / "former" / version)]
-        subprocess.run(command, check=True, capture_output=True, env=bare | {"PYTHONPATH": str(former / "src")})
+        subprocess.run(
+            command, check=True, capture_output=True, env=bare | {"PYTHONPATH": str(former / "src")}
+        )
     partial.rename(inputs)
 
 
 def _stamp(name):
     """What the results of the old side depend on beside its commit: the part, its inputs, and the processor."""
-    texts = "".join([repr(PARTS[name]), *((_HERE / k).read_text() for k in ("parts.py", "inputs.py", "driver.py"))])
+    texts = "".join(
+        [
+            repr(PARTS[name]),
+            *((_HERE / k).read_text() for k in ("parts.py", "inputs.py", "driver.py")),
+        ]
+    )
     model = re.search(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text(encoding="utf-8"))
     processor = model[1] if model else platform.processor()
     return f"{platform.node()} {processor} {hashlib.sha256(texts.encode()).hexdigest()}\n"
 
 
 def _git(*arguments):
-    done = subprocess.run(["git", "-C", str(_ROOT), *arguments], check=False, capture_output=True, text=True)
+    done = subprocess.run(
+        ["git", "-C", str(_ROOT), *arguments], check=False, capture_output=True, text=True
+    )
     if done.returncode:
         sys.exit(f"git {' '.join(arguments)}: {done.stderr.strip()}")
     return done.stdout.strip()

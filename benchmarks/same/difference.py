@@ -18,7 +18,8 @@ _STORE = {"zarr.json", ".zgroup", ".zarray"}
 _SCRIPT = re.compile(r"<(script|style)\b.*?</\1>", re.DOTALL)
 _WORDS = re.compile(r"<[^>]*>")
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-_SAID = re.compile(r"\d\d-[a-z]+\.(err|txt)")  # by a command: words may change, numbers stand in the other files
+# By a command: words may change, numbers stand in the other files.
+_SAID = re.compile(r"\d\d-[a-z]+\.(err|txt)")
 _UUID = re.compile(r"urn:uuid:[0-9a-f-]+")  # which OME asks to be another one for each file
 _SIDE = re.compile(r"(?<=/)(old|new)(?=/)")  # folder of a side, in whole paths
 _OF_THEIR_OWN = {".jsonl", ".lock", ".log"}  # journals know the time
@@ -32,7 +33,9 @@ def differences(old, new, keys):
         if not all(path.exists() for path in sides):
             yield place, f"only {'old' if sides[0].exists() else 'new'}"
         elif sides[0].is_dir() or sides[0].read_bytes() != sides[1].read_bytes():
-            compare = _stores if sides[0].is_dir() else _READERS.get(sides[0].suffix.lower(), _bytes)
+            compare = (
+                _stores if sides[0].is_dir() else _READERS.get(sides[0].suffix.lower(), _bytes)
+            )
             for where, what in compare(*sides, keys):
                 yield f"{place}{':' if where else ''}{where}", what
 
@@ -59,7 +62,9 @@ def arrays(old, new):
         return None
     if old.dtype.kind not in "fiucb":
         return f"{int(np.sum(old != new))} of {old.size} values"
-    different = (old != new) & ~(np.isnan(old) & np.isnan(new)) if old.dtype.kind in "fc" else old != new
+    different = (
+        (old != new) & ~(np.isnan(old) & np.isnan(new)) if old.dtype.kind in "fc" else old != new
+    )
     if not different.any():
         return None  # the sign of a zero or the bits of a NaN
     by = np.abs(old[different].astype(np.float64) - new[different].astype(np.float64))
@@ -77,7 +82,10 @@ def _named_arrays(old, new, values, keys):
             yield name, f"only {'old' if name in old else 'new'}"
             continue
         before, after = old[name], new[name]
-        yield from ((f"{name}.{key}", what) for key, what in _values(dict(before.attrs), dict(after.attrs), keys))
+        yield from (
+            (f"{name}.{key}", what)
+            for key, what in _values(dict(before.attrs), dict(after.attrs), keys)
+        )
         if hasattr(before, "shape") and (what := arrays(values(before), values(after))):
             yield name, what
 
@@ -92,7 +100,9 @@ def _stores(old, new, keys):
 def _members(root):
     import zarr
 
-    return {"/": root} | (dict(root.members(max_depth=None)) if isinstance(root, zarr.Group) else {})
+    return {"/": root} | (
+        dict(root.members(max_depth=None)) if isinstance(root, zarr.Group) else {}
+    )
 
 
 def _tiff(old, new, _keys):
@@ -102,7 +112,9 @@ def _tiff(old, new, _keys):
         if what := arrays(before.asarray(), after.asarray()):
             yield "", what
         for name in ("description", "resolution", "software"):
-            a, b = (_UUID.sub("", str(getattr(file.pages.first, name, ""))) for file in (before, after))
+            a, b = (
+                _UUID.sub("", str(getattr(file.pages.first, name, ""))) for file in (before, after)
+            )
             if a != b:
                 yield name, _shortly(a, b)
 
@@ -129,7 +141,10 @@ def _values(old, new, keys):
     before = {_renamed(place, keys): value for place, value in before.items()}
     for place in [*before, *(place for place in after if place not in before)]:
         if place not in before or place not in after:
-            yield place, f"only {'old' if place in before else 'new'}: {(before | after)[place]!r:.80}"
+            yield (
+                place,
+                f"only {'old' if place in before else 'new'}: {(before | after)[place]!r:.80}",
+            )
         elif isinstance(before[place], np.ndarray) or isinstance(after[place], np.ndarray):
             if what := arrays(np.asarray(before[place]), np.asarray(after[place])):
                 yield place, what
@@ -159,14 +174,18 @@ def _renamed(place, keys):
 
 
 def _same(old, new):
-    return type(old) is type(new) and (old == new or (isinstance(old, float) and old != old and new != new))
+    return type(old) is type(new) and (
+        old == new or (isinstance(old, float) and old != old and new != new)
+    )
 
 
 def _shortly(old, new):
     if isinstance(old, int | float) and isinstance(new, int | float) and not isinstance(old, bool):
         return f"{old!r} -> {new!r} (by {new - old:.3g})"
     a, b = str(old), str(new)
-    first = next((k for k, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
+    first = next(
+        (k for k, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b))
+    )
     begin = max(0, first - 20)
     return f"{a[begin : first + 60]!r} -> {b[begin : first + 60]!r}"
 
@@ -198,7 +217,10 @@ def _html(old, new, _keys):
     scripts = [[found[0] for found in _SCRIPT.finditer(text)] for text in texts]
     if scripts[0] != scripts[1]:
         sizes = [sum(map(len, side)) for side in scripts]
-        yield "scripts", f"{len(scripts[0])} of {sizes[0]} bytes -> {len(scripts[1])} of {sizes[1]} bytes"
+        yield (
+            "scripts",
+            f"{len(scripts[0])} of {sizes[0]} bytes -> {len(scripts[1])} of {sizes[1]} bytes",
+        )
     numbers = [_NUMBER.findall(_WORDS.sub(" ", _SCRIPT.sub(" ", text))) for text in texts]
     if numbers[0] != numbers[1]:
         yield "numbers", _shortly(" ".join(numbers[0]), " ".join(numbers[1]))
@@ -213,6 +235,12 @@ def _bytes(old, new, _keys):
 
 
 _READERS = {
-    ".json": _json, ".geojson": _json, ".toml": _toml, ".csv": _csv, ".html": _html, ".tif": _tiff, ".mat": _matlab,
+    ".json": _json,
+    ".geojson": _json,
+    ".toml": _toml,
+    ".csv": _csv,
+    ".html": _html,
+    ".tif": _tiff,
+    ".mat": _matlab,
     ".nc": _netcdf,
-}  # fmt: skip
+}

@@ -61,7 +61,9 @@ def main(folder):
     for seed in range(1, 5):
         write_instruments(make_specimen(replace(_SMALL, seed=10 + seed)), folder / f"s{seed}")
     rows = [f"s{k},s{k}/volume.tif,s{k}/image.tif,{'AB'[k % 2]},{k}" for k in range(1, 5)]
-    (folder / "specimens.csv").write_text("\n".join(["name,volume,image,paper,sheet", *rows]) + "\n", encoding="utf-8")
+    (folder / "specimens.csv").write_text(
+        "\n".join(["name,volume,image,paper,sheet", *rows]) + "\n", encoding="utf-8"
+    )
     printed = replace(_SMALL, camera=replace(_CAMERA, screen=PrintParams()))
     write_instruments(make_specimen(printed, sheet=small.sheet), folder / "printed")
     wide = replace(_SMALL, size_um=(3200.0, 2700.0))  # two octaves of mottle
@@ -70,7 +72,8 @@ def main(folder):
 
     grey = small.volume.values
     save(folder / "upside-down.tif", grey[::-1, ::-1])  # turned about x: the image shows its bottom
-    save(folder / "laid.tif", grey[:, ::-1].transpose(1, 0, 2))  # turned further: through y, the top at the low end
+    # Turned further: through y, the top at the low end.
+    save(folder / "laid.tif", grey[:, ::-1].transpose(1, 0, 2))
     save(folder / "cut-grey.tif", np.minimum(grey, np.percentile(grey, 93)).astype(grey.dtype))
     y, x = (np.arange(n) - (n - 1) / 2 for n in grey.shape[1:])
     radius = np.hypot(y[:, None], x)
@@ -93,15 +96,25 @@ def write_marks(folder):
         (folder / f"{name}.csv").write_text(
             "\n".join([" ,Area,Mean,Min,Max,X,Y,Slice", *rows]) + "\n", encoding="utf-8"
         )
-    inner = {"type": "BigWarpLandmarks", "numDimensions": 2, "movingPoints": moving, "fixedPoints": fixed}
+    inner = {
+        "type": "BigWarpLandmarks",
+        "numDimensions": 2,
+        "movingPoints": moving,
+        "fixedPoints": fixed,
+    }
     inner |= {"active": [True] * len(moving), "names": [f"Pt-{k}" for k in range(len(moving))]}
     (folder / "bigwarp.json").write_text(json.dumps({"landmarks": inner}), encoding="utf-8")
 
 
 def save(path, volume):
     """Write a volume as ImageJ does."""
-    size, metadata = (1 / VOXEL_UM, 1 / VOXEL_UM), {"spacing": VOXEL_UM, "unit": "um", "axes": "ZYX"}
-    tifffile.imwrite(path, np.ascontiguousarray(volume), imagej=True, resolution=size, metadata=metadata)
+    size, metadata = (
+        (1 / VOXEL_UM, 1 / VOXEL_UM),
+        {"spacing": VOXEL_UM, "unit": "um", "axes": "ZYX"},
+    )
+    tifffile.imwrite(
+        path, np.ascontiguousarray(volume), imagej=True, resolution=size, metadata=metadata
+    )
 
 
 if __name__ == "__main__":

@@ -53,17 +53,25 @@ class Side:
         self.folder.mkdir(parents=True)
         command = [str(self.python), str(_DRIVER), str(self.core)]
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-        with subprocess.Popen(command, cwd=self.folder, env=self.environment, **pipes) as self._driver:
+        with subprocess.Popen(
+            command, cwd=self.folder, env=self.environment, **pipes
+        ) as self._driver:
             for line in PARTS[part].lines:
                 self._done(line)
             self._driver.stdin.close()
-        (self.folder / "commands.json").write_text(json.dumps(self.commands, indent=1), encoding="utf-8")
+        (self.folder / "commands.json").write_text(
+            json.dumps(self.commands, indent=1), encoding="utf-8"
+        )
 
     def planish(self, *arguments):
         """Run a command; what it prints stands in ``NN-VERB.json`` or ``.txt``, what it says of errors in ``.err``."""
         words = [str(word) for word in arguments]
         output = f"{len(self.commands):02d}-{words[0]}"
-        asked = {"arguments": words, "output": output, "suffix": ".json" if "--json" in words else ".txt"}
+        asked = {
+            "arguments": words,
+            "output": output,
+            "suffix": ".json" if "--json" in words else ".txt",
+        }
         self._driver.stdin.write(json.dumps(asked) + "\n")
         self._driver.stdin.flush()
         code = int(self._driver.stdout.readline())
@@ -100,10 +108,14 @@ def read_parts(text):
 
 
 _FILES = {
-    "in": "../../inputs", "former": "../../inputs/former", "volume": "../../inputs/small/volume.tif",
-    "image": "../../inputs/small/image.tif", "other": "../../inputs/other/volume.tif",
-    "seen": "../../inputs/other/image.tif", "pixels": "--moving-pixel-um 4 --fixed-pixel-um 5",
-}  # fmt: skip
+    "in": "../../inputs",
+    "former": "../../inputs/former",
+    "volume": "../../inputs/small/volume.tif",
+    "image": "../../inputs/small/image.tif",
+    "other": "../../inputs/other/volume.tif",
+    "seen": "../../inputs/other/image.tif",
+    "pixels": "--moving-pixel-um 4 --fixed-pixel-um 5",
+}
 PARTS = read_parts(Path(__file__).with_suffix(".txt").read_text(encoding="utf-8"))
 
 
@@ -118,23 +130,34 @@ def clicked(side):
         if column.startswith("fixed_"):
             for n, row in enumerate(cells):
                 row[k] = str(float(row[k]) + 4.0 * math.sin(7.0 * n + k))
-    (side.folder / "clicked.csv").write_text("\n".join([head, *map(",".join, cells)]) + "\n", encoding="utf-8")
+    (side.folder / "clicked.csv").write_text(
+        "\n".join([head, *map(",".join, cells)]) + "\n", encoding="utf-8"
+    )
 
 
 def listed(side):
     """A table of the runs of a series."""
     rows = [f"series/runs/s{k},{'AB'[k % 2]},{k}" for k in range(1, 5)]
-    (side.folder / "runs.csv").write_text("\n".join(["run,paper,sheet", *rows]) + "\n", encoding="utf-8")
+    (side.folder / "runs.csv").write_text(
+        "\n".join(["run,paper,sheet", *rows]) + "\n", encoding="utf-8"
+    )
 
 
 def changed(side):
     """Changes in the app, and its Apply."""
     with _Session(side, "run") as session:
-        marks = json.loads((side.folder / "run" / "marks.json").read_text(encoding="utf-8"))["marks"]
+        marks = json.loads((side.folder / "run" / "marks.json").read_text(encoding="utf-8"))[
+            "marks"
+        ]
         x, y = (float(marks[0]["at"]["moving"][axis]) for axis in "xy")
-        session.change(do="add", label="by hand", moving=[x + 150.0, y + 150.0], fixed=[x + 160.0, y + 170.0])
+        session.change(
+            do="add", label="by hand", moving=[x + 150.0, y + 150.0], fixed=[x + 160.0, y + 170.0]
+        )
         session.change(do="model", model="affine")
-        points = [{"z": z, "y": 500.0, "x": x, "face": "top"} for x, z in _face(side.folder / "run", (500, 540, 580))]
+        points = [
+            {"z": z, "y": 500.0, "x": x, "face": "top"}
+            for x, z in _face(side.folder / "run", (500, 540, 580))
+        ]
         session.change(do="correct", points=points, reach_um=60.0, note="by hand")
         square = [[300.0, 300.0], [600.0, 300.0], [600.0, 500.0], [300.0, 500.0]]
         session.change(do="region", name="stain", reason="ink", author="A. Reader", polygon=square)
@@ -155,7 +178,9 @@ class _Session:
         self.server = subprocess.Popen(
             command, cwd=side.folder, env=side.environment, stdout=subprocess.PIPE, text=True
         )
-        self.address, _, self.token = json.loads(self.server.stdout.readline())["url"].partition("/#token=")
+        self.address, _, self.token = json.loads(self.server.stdout.readline())["url"].partition(
+            "/#token="
+        )
 
     def __enter__(self):
         return self
@@ -182,7 +207,11 @@ class _Session:
             raise RuntimeError(f"Apply: {progress}")
 
     def _asked(self, path, body=None):
-        head = {"Authorization": f"Bearer {self.token}", "Origin": self.address, "Content-Type": "application/json"}
+        head = {
+            "Authorization": f"Bearer {self.token}",
+            "Origin": self.address,
+            "Content-Type": "application/json",
+        }
         data = None if body is None else json.dumps(body).encode()
         request = urllib.request.Request(self.address + path, data, head)
         with urllib.request.urlopen(request, timeout=60) as answer:

@@ -49,9 +49,12 @@ class Case:
     def of(cls, right):
         """The right input itself."""
         return cls(
-            right=right, volume=right.volume, voxel_um=(right.voxel_um,) * 3, image=right.image,
+            right=right,
+            volume=right.volume,
+            voxel_um=(right.voxel_um,) * 3,
+            image=right.image,
             pixel_um=(right.pixel_um,) * 2,
-        )  # fmt: skip
+        )
 
     def option(self, group, **values):
         """Say something on the command line."""
@@ -78,7 +81,10 @@ class Case:
             if self.pairs is not None:
                 path = folder / "marks.csv"
                 head = "volume_x_um,volume_y_um,volume_z_um,fixed_x_um,fixed_y_um"
-                labels = [f"{k + 1},{','.join(f'{v:.3f}' for v in row)}" for k, row in enumerate(self.pairs)]
+                labels = [
+                    f"{k + 1},{','.join(f'{v:.3f}' for v in row)}"
+                    for k, row in enumerate(self.pairs)
+                ]
                 path.write_text("\n".join([f"label,{head}", *labels]) + "\n", encoding="utf-8")
                 sections["registration"] = sections.get("registration", {}) | {"marks": str(path)}
             return link(str(volume), str(image), compute=Compute(threads=1), **sections)
@@ -86,14 +92,19 @@ class Case:
     def _write(self, folder):
         if self.instrument != "stack":
             made = self.right.made["specimen"]
-            self.files = write_instruments(made, folder / "files", volume=self.instrument, image=False)
+            self.files = write_instruments(
+                made, folder / "files", volume=self.instrument, image=False
+            )
             return self.files.volume
         path = folder / "volume.tif"
         z, y, x = self.voxel_um
         tifffile.imwrite(
-            path, np.ascontiguousarray(self.volume), imagej=True, resolution=(1 / x, 1 / y),
+            path,
+            np.ascontiguousarray(self.volume),
+            imagej=True,
+            resolution=(1 / x, 1 / y),
             metadata={"spacing": z, "unit": "um", "axes": "ZYX"},
-        )  # fmt: skip
+        )
         return path
 
 

@@ -67,7 +67,9 @@ def bottom_image(case, rng):
     # What the top coating did is taken off by regression, and the same of the bottom one put on.
     known = case.image > 0.6 * np.median(case.image)
     gain = np.polyfit(top[known], case.image[known], 1)[0]
-    image = case.image + np.where(known, gain * ((bottom - bottom.mean()) - (top - top.mean())), 0.0)
+    image = case.image + np.where(
+        known, gain * ((bottom - bottom.mean()) - (top - top.mean())), 0.0
+    )
     case.image = np.clip(image, 0, 1)
     case.side = "bottom"
     mirror_image(case, rng)
@@ -76,21 +78,47 @@ def bottom_image(case, rng):
 def image_of_another(case, _, *, coated=True):
     """An image of another specimen that was burnt by the same program."""
     own = case.right
-    other = drawn(Draw(maker=own.maker, seed=own.seed + 1000, large=True, coated=coated, program=own.seed, slope=0.2))
+    other = drawn(
+        Draw(
+            maker=own.maker,
+            seed=own.seed + 1000,
+            large=True,
+            coated=coated,
+            program=own.seed,
+            slope=0.2,
+        )
+    )
     case.image, case.shown, case.pixel_um = other.image, other, (other.pixel_um,) * 2
     case.by_nature = ("position", "correlation")
     case.note = "image of another"
 
 
-enter("hand", "slices numbered against the usual sense: top and bottom exchanged", flipped(0), **_GRAVE)
-enter("top-low-mirror", "--top low and --mirror where neither is so", both(told("volume", top="low"), MIRROR), **_GRAVE)
+enter(
+    "hand",
+    "slices numbered against the usual sense: top and bottom exchanged",
+    flipped(0),
+    **_GRAVE,
+)
+enter(
+    "top-low-mirror",
+    "--top low and --mirror where neither is so",
+    both(told("volume", top="low"), MIRROR),
+    **_GRAVE,
+)
 enter("bottom-as-top", "an image of the bottom, given as the top", bottom_image)
 enter(
-    "bottom-flipped", "an image of the bottom, turned back by software, given as the top",
-    both(bottom_image, mirror_image), **_GRAVE,
-)  # fmt: skip
+    "bottom-flipped",
+    "an image of the bottom, turned back by software, given as the top",
+    both(bottom_image, mirror_image),
+    **_GRAVE,
+)
 enter("image-mirrored", "the image is mirrored", mirror_image)
-enter("other-specimen", "an image of another specimen with the same laser program", image_of_another, **_GRAVE)
+enter(
+    "other-specimen",
+    "an image of another specimen with the same laser program",
+    image_of_another,
+    **_GRAVE,
+)
 
 
 def moved_slices(case, shift, along, axis):
@@ -110,14 +138,20 @@ def moved_slices(case, shift, along, axis):
     case.back.append(back)
 
 
-@kind("drift-lateral", "lateral drift that grows over the slices along y, 2-8 voxels", size=(2, 8, "voxels"))
+@kind(
+    "drift-lateral",
+    "lateral drift that grows over the slices along y, 2-8 voxels",
+    size=(2, 8, "voxels"),
+)
 def _drift(case, _, size):
     moved_slices(case, size * np.linspace(0, 1, case.volume.shape[1]) ** 2, 2, 1)
 
 
 @kind(
-    "drift-height", "drift through the sheet over the slices along y, 3-12 voxels, curved", size=(3, 12, "voxels")
-)  # fmt: skip
+    "drift-height",
+    "drift through the sheet over the slices along y, 3-12 voxels, curved",
+    size=(3, 12, "voxels"),
+)
 def _drift_height(case, _, size):
     moved_slices(case, size * np.linspace(-1, 1, case.volume.shape[1]) ** 3, 0, 1)
 
@@ -140,9 +174,10 @@ enter("stitched-lateral", "two scans stitched with a step across the seam's dire
 
 
 @kind(
-    "sheared", "the stack is sheared: each slice along z shifted as the stage leans, 10-25 degrees",
+    "sheared",
+    "the stack is sheared: each slice along z shifted as the stage leans, 10-25 degrees",
     size=(10, 25, "deg"),
-)  # fmt: skip
+)
 def _sheared(case, _, angle):
     n = case.volume.shape[0]
     moved_slices(case, np.tan(np.deg2rad(angle)) * (np.arange(n) - 0.5 * n), 1, 0)
@@ -155,11 +190,27 @@ def in_plane(*factors):
 
 _TENTH, HALF = (0.9, 1.1), (0.5, 1.5)
 enter(
-    "spacing-z-10", "spacing along z wrong by 10 %, flat", spacing(_TENTH, 0), hidden="needs 26 degrees", answer=_SCALE
+    "spacing-z-10",
+    "spacing along z wrong by 10 %, flat",
+    spacing(_TENTH, 0),
+    hidden="needs 26 degrees",
+    answer=_SCALE,
 )
-enter("spacing-z-50", "spacing along z half or 50 % too large", spacing(HALF, 0), grave=True, answer=_SCALE)
+enter(
+    "spacing-z-50",
+    "spacing along z half or 50 % too large",
+    spacing(HALF, 0),
+    grave=True,
+    answer=_SCALE,
+)
 enter("spacing-xy-10", "spacing along y or x wrong by 10 %", in_plane(*_TENTH))
-enter("spacing-z-10-steep", "spacing along z wrong by 10 %, 30-45 deg", spacing(_TENTH, 0), steep=True, large=True)
+enter(
+    "spacing-z-10-steep",
+    "spacing along z wrong by 10 %, 30-45 deg",
+    spacing(_TENTH, 0),
+    steep=True,
+    large=True,
+)
 enter("pixel-2", "pixel size of the image wrong by 2 %", pixel(0.98, 1.02))
 enter("pixel-10", "pixel size of the image wrong by 10 % or 50 %", pixel(0.9, 1.1, 1.5))
 enter("in-mm", "sizes of the volume in mm, read as um", spacing((1e-3,), 0, 1, 2))

@@ -49,7 +49,9 @@ def _gamma(case, rng):
 
 def _rescale(case, _):
     v = case.volume.astype(np.float32)
-    low, high = (np.percentile(v.reshape(len(v), -1), share, axis=1)[:, None, None] for share in (0.3, 99.7))
+    low, high = (
+        np.percentile(v.reshape(len(v), -1), share, axis=1)[:, None, None] for share in (0.3, 99.7)
+    )
     case.store(255.0 * (v - low) / np.maximum(high - low, 1))
 
 
@@ -85,7 +87,11 @@ def _rings(case, rng):
     plane = np.zeros(r.shape)
     for _ in range(12):
         at = rng.uniform(3, 0.45 * x)
-        plane += rng.choice([-1, 1]) * rng.uniform(0.1, 0.25) * np.exp(-0.5 * ((r - at) / rng.uniform(0.7, 2)) ** 2)
+        plane += (
+            rng.choice([-1, 1])
+            * rng.uniform(0.1, 0.25)
+            * np.exp(-0.5 * ((r - at) / rng.uniform(0.7, 2)) ** 2)
+        )
     case.store(case.volume + _contrast(case) * plane[:, None, :])
 
 
@@ -98,18 +104,26 @@ def _from_middle(shape):
 @kind("cupping", "cupping of 15-35 %", size=(0.15, 0.35, "of the grey"))
 def _cupping(case, _, size):
     air = case.right.grey[0]
-    case.store(air + (case.volume - air) * (1 - size * (1 - _from_middle(case.volume.shape[1:])))[None])
+    case.store(
+        air + (case.volume - air) * (1 - size * (1 - _from_middle(case.volume.shape[1:])))[None]
+    )
 
 
-@kind("stitched-grey", "two scans of another brightness stitched, 10-30 %", size=(0.1, 0.3, "of the grey"))
+@kind(
+    "stitched-grey",
+    "two scans of another brightness stitched, 10-30 %",
+    size=(0.1, 0.3, "of the grey"),
+)
 def _step(case, _, size):
     n = case.volume.shape[1]
     case.store(case.volume * np.where(np.arange(n) < n // 2, 1.0, 1 - size)[None, :, None])
 
 
 @kind(
-    "streaks", "streaks along the plane of the sheet, 10-20 % of the contrast", size=(0.1, 0.2, "of the contrast")
-)  # fmt: skip
+    "streaks",
+    "streaks along the plane of the sheet, 10-20 % of the contrast",
+    size=(0.1, 0.2, "of the contrast"),
+)
 def _streaks(case, rng, size):
     lines = ndimage.gaussian_filter(rng.standard_normal(case.volume.shape[:2]), (0.7, 6))
     case.store(case.volume + size * _contrast(case) / lines.std() * lines[:, :, None])
@@ -141,7 +155,9 @@ def _barrel(case, rng):
         return middle + half * off * (1 + k * np.sum(off**2, axis=-1, keepdims=True))
 
     at = back(np.moveaxis(np.indices(case.image.shape).astype(float), 0, -1))
-    case.image = ndimage.map_coordinates(case.image, np.moveaxis(at, -1, 0), order=1, mode="nearest")
+    case.image = ndimage.map_coordinates(
+        case.image, np.moveaxis(at, -1, 0), order=1, mode="nearest"
+    )
     case.image_back.append(back)
     case.note = f"{100 * k:.0f} %"
 

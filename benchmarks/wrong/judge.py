@@ -79,19 +79,26 @@ def _thicknesses(case, run):
     frame = Frame.of(surfaces)
     rows, cols = _some(surfaces["status"].values == 0)
     along = {
-        frame.rows: surfaces["y"].values[rows], frame.cols: surfaces["x"].values[cols],
+        frame.rows: surfaces["y"].values[rows],
+        frame.cols: surfaces["x"].values[cols],
         frame.through: surfaces["centre"].values[rows, cols].astype(np.float64),
-    }  # fmt: skip
+    }
     material = _material(case, np.stack([along[a] for a in "xyz"], axis=-1), run)
     # In a hole there is no true thickness, whatever is left there.
     away = [np.hypot(material[:, 0] - u, material[:, 1] - v) for u, v in case.right.holes]
-    sheet = np.min(away, axis=0) > case.right.radius_um + _RIM_UM if away else np.ones(rows.size, dtype=bool)
+    sheet = (
+        np.min(away, axis=0) > case.right.radius_um + _RIM_UM
+        if away
+        else np.ones(rows.size, dtype=bool)
+    )
     rows, cols, material = rows[sheet], cols[sheet], material[sheet]
     found = []
     for name in NAMES:
         if name not in surfaces or facts is None or name not in facts.properties:
             continue
-        off = surfaces[name].values[rows, cols] - case.right.thickness(name, material[:, 0], material[:, 1])
+        off = surfaces[name].values[rows, cols] - case.right.thickness(
+            name, material[:, 0], material[:, 1]
+        )
         off = off[np.isfinite(off)]
         if not off.size:
             continue
@@ -103,7 +110,9 @@ def _thicknesses(case, run):
         mean = own.mean_standard_error or 0.0
         found.append(Figure(name=name, error=abs(float(off.mean())), stated=mean))
         most = np.quantile(np.abs(off), _KEPT)  # a few columns at an edge do not make a map wrong
-        found.append(Figure(name=f"{name} map", error=_rms(off[np.abs(off) <= most]), stated=single))
+        found.append(
+            Figure(name=f"{name} map", error=_rms(off[np.abs(off) <= most]), stated=single)
+        )
     return found
 
 
@@ -122,7 +131,9 @@ def _position(case, run):
     rows, cols, uv = _pixels(case, run)
     if not rows.size:
         return []
-    places = np.stack([linked[f"volume_{a}"].values[rows, cols] for a in "xyz"], axis=-1).astype(np.float64)
+    places = np.stack([linked[f"volume_{a}"].values[rows, cols] for a in "xyz"], axis=-1).astype(
+        np.float64
+    )
     away = np.linalg.norm(_material(case, places, run)[:, :2] - uv, axis=1)
     stated = linked["expected_error"].values[rows, cols].astype(np.float64)
     return [Figure(name="position", error=_rms(away), stated=_rms(stated))]
@@ -136,7 +147,11 @@ def _rms(values):
 def _correlation(case, run):
     """r of the headline, coating of the side that the image truly shows, against r of the true map."""
     headline = run.results.layers[0].headline
-    rows = [row for row in run.results.correlations if row.a_map == headline and row.n and is_known(row.r)]
+    rows = [
+        row
+        for row in run.results.correlations
+        if row.a_map == headline and row.n and is_known(row.r)
+    ]
     if not rows:
         return []
     row = max(rows, key=lambda k: k.point_um)

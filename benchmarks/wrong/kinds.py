@@ -32,7 +32,15 @@ KINDS = {}
 
 def enter(name, title, change, *, grave=False, hidden="", answer="", **order):
     """Enter a function into the table."""
-    KINDS[name] = Kind(name=name, title=title, change=change, grave=grave, hidden=hidden, answer=answer, order=order)
+    KINDS[name] = Kind(
+        name=name,
+        title=title,
+        change=change,
+        grave=grave,
+        hidden=hidden,
+        answer=answer,
+        order=order,
+    )
 
 
 def kind(name, title, *, size=None, **more):

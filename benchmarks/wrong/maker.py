@@ -16,7 +16,8 @@ from scipy import fft, ndimage
 Floats = NDArray[np.float64]
 _GRID_UM = 4.0  # of the fields of thickness
 _BEYOND_UM = 500.0
-_LEAST = 0.03  # share of the normal along an axis, below which the box counts as that wide: no division by 0
+# Share of the normal along an axis, below which the box counts as that wide: no division by 0.
+_LEAST = 0.03
 
 
 def turned(angle):
@@ -161,16 +162,35 @@ def make(order):
     uv = pose.inverse(np.stack([x, y], axis=-1))
     image = _photograph(fields, (holes, radius), uv, pixel, rng)
     return Right(
-        maker="second", seed=order.seed, volume=volume, voxel_um=voxel, grey=grey, noise=noise, image=image,
-        pixel_um=pixel, holes=holes, radius_um=radius, material=cone.material, points=cone.points,
-        thickness=fields.thickness, image_of=pose, pixels=lambda: uv, columns=columns,
+        maker="second",
+        seed=order.seed,
+        volume=volume,
+        voxel_um=voxel,
+        grey=grey,
+        noise=noise,
+        image=image,
+        pixel_um=pixel,
+        holes=holes,
+        radius_um=radius,
+        material=cone.material,
+        points=cone.points,
+        thickness=fields.thickness,
+        image_of=pose,
+        pixels=lambda: uv,
+        columns=columns,
         faces=heights(columns, voxel, fields.faces, fields.at),
         note=f"base {base:.0f}, coating {coats[0]:.0f}, voxel {voxel:.2f}",
-    )  # fmt: skip
+    )
 
 
 def _bend(order, rng, size, thick):
-    slope = order.slope if order.slope is not None else rng.uniform(0.6, 1.0) if order.steep else rng.uniform(0.08, 0.4)
+    slope = (
+        order.slope
+        if order.slope is not None
+        else rng.uniform(0.6, 1.0)
+        if order.steep
+        else rng.uniform(0.08, 0.4)
+    )
     radius = max(0.5 * float(np.hypot(*size)) * 0.85 / np.sin(np.arctan(slope)), 4 * thick)
     rho = rng.uniform(4.0, 9.0) * max(size)
     around, tilt = rng.uniform(0, 2 * np.pi), np.deg2rad(rng.uniform(-4, 4, 2))
@@ -180,9 +200,13 @@ def _bend(order, rng, size, thick):
         lean[np.ix_(axes, axes)] = turned(angle)
         turn = lean @ turn
     return Cone(
-        rho_um=rho, half_rad=float(np.arctan(radius / rho)), convex=bool(rng.random() < 0.5), along_rad=float(around),
-        turn=turn, middle=np.array([0.5 * size[0], 0.5 * size[1], 0.0]),
-    )  # fmt: skip
+        rho_um=rho,
+        half_rad=float(np.arctan(radius / rho)),
+        convex=bool(rng.random() < 0.5),
+        along_rad=float(around),
+        turn=turn,
+        middle=np.array([0.5 * size[0], 0.5 * size[1], 0.0]),
+    )
 
 
 def _fields(rng, size, base, coats):
@@ -193,12 +217,25 @@ def _fields(rng, size, base, coats):
     bend = 2.5 * loose[1]  # of both faces of the base
     upper, lower = bend + 0.5 * thickness, bend - 0.5 * thickness
     coating = [
-        np.maximum(mean + sd * k - 0.35 * (inner - inner.mean()) * sign, 0.0) if mean else np.zeros(shape)
+        (
+            np.maximum(mean + sd * k - 0.35 * (inner - inner.mean()) * sign, 0.0)
+            if mean
+            else np.zeros(shape)
+        )
         for mean, sd, k, inner, sign in zip(
-            coats, rng.uniform(2.2, 3.6, 2), (loose[2], loose[3]), (upper, lower), (1, -1), strict=True
+            coats,
+            rng.uniform(2.2, 3.6, 2),
+            (loose[2], loose[3]),
+            (upper, lower),
+            (1, -1),
+            strict=True,
         )
     ]
-    return Fields(low=-half, faces=np.stack([upper + coating[0], upper, lower, lower - coating[1]]), tint=loose[4])
+    return Fields(
+        low=-half,
+        faces=np.stack([upper + coating[0], upper, lower, lower - coating[1]]),
+        tint=loose[4],
+    )
 
 
 def _power(shape, rng, least, most, power):
@@ -251,12 +288,16 @@ def _scan(cone, fields, burnt, shape, voxel, columns, grey, noise, rng):
         rows, cols = np.nonzero(np.abs(k * voxel - columns[..., 2]) < reach)
         if not rows.size:
             continue
-        u, v, s = np.moveaxis(cone.material(np.stack([cols, rows, np.full(rows.size, k)], axis=-1) * voxel), -1, 0)
+        u, v, s = np.moveaxis(
+            cone.material(np.stack([cols, rows, np.full(rows.size, k)], axis=-1) * voxel), -1, 0
+        )
         own = normal[rows, cols]
         parts = [_below(fields.at(face, u, v) - s, own, voxel) for face in fields.faces]
         top, base, bottom = (parts[i] - parts[i + 1] for i in range(3))
         whole = _away(burnt, u, v, voxel)
-        shine = (grey[1] - grey[0]) * (1 + net[k, rows, cols]) * base + (grey[2] - grey[0]) * (top + bottom)
+        shine = (grey[1] - grey[0]) * (1 + net[k, rows, cols]) * base + (grey[2] - grey[0]) * (
+            top + bottom
+        )
         volume[k, rows, cols] = whole * shine
     volume = ndimage.gaussian_filter(volume, rng.uniform(0.45, 0.65))
     grain = ndimage.gaussian_filter(rng.standard_normal(shape).astype(np.float32), 0.5)
@@ -269,7 +310,9 @@ def _away(burnt, u, v, step):
     holes, radius = burnt
     share = np.ones(u.shape)
     for at in holes:
-        share = np.minimum(share, np.clip((np.hypot(u - at[0], v - at[1]) - radius) / step + 0.5, 0, 1))
+        share = np.minimum(
+            share, np.clip((np.hypot(u - at[0], v - at[1]) - radius) / step + 0.5, 0, 1)
+        )
     return share
 
 
@@ -288,7 +331,9 @@ def _photograph(fields, burnt, uv, pixel, rng):
     coating = fields.thickness("coating_top", u, v)
     light = 0.62 + 0.012 * (coating - coating.mean()) + 0.012 * fields.at(fields.tint, u, v)
     y, x = (np.linspace(-1, 1, n) for n in u.shape)
-    light = light * (1 + 0.03 * rng.uniform(-1, 1) * x[None, :] + 0.03 * rng.uniform(-1, 1) * y[:, None])
+    light = light * (
+        1 + 0.03 * rng.uniform(-1, 1) * x[None, :] + 0.03 * rng.uniform(-1, 1) * y[:, None]
+    )
     whole = _away(burnt, u, v, pixel)
     image = ndimage.gaussian_filter(0.12 + (light - 0.12) * whole, 0.7)
     return np.clip(image + 0.006 * rng.standard_normal(u.shape), 0, 1)

@@ -36,14 +36,21 @@ def _second(case, rng, gap_um, where=None):
 
 
 _GAP = "um apart"
-kind("second-sheet", "the same sheet a second time, touching", grave=True, size=(-3, 1, _GAP))(_second)
-kind("second-sheet-near", "the same sheet a second time, 5-15 um apart", size=(5, 15, _GAP))(_second)
+kind("second-sheet", "the same sheet a second time, touching", grave=True, size=(-3, 1, _GAP))(
+    _second
+)
+kind("second-sheet-near", "the same sheet a second time, 5-15 um apart", size=(5, 15, _GAP))(
+    _second
+)
 
 
 kind(
-    "second-uncoated", "two uncoated sheets pressed together", hidden="no face between them", coated=False,
+    "second-uncoated",
+    "two uncoated sheets pressed together",
+    hidden="no face between them",
+    coated=False,
     size=(-4, -1, _GAP),
-)(_second)  # fmt: skip
+)(_second)
 
 
 @kind("fold", "a strip at the edge folded over the sheet")
@@ -63,22 +70,31 @@ def _split(case, rng):
     y, x = _axes(case)
     at, radius = rng.uniform(350, 700, 2), rng.uniform(250, 500)
     open_um = rng.uniform(10, 30)
-    bump = open_um * np.clip(1.2 - np.hypot((y - at[0])[:, None], (x - at[1])[None, :]) / radius, 0, 1)
+    bump = open_um * np.clip(
+        1.2 - np.hypot((y - at[0])[:, None], (x - at[1])[None, :]) / radius, 0, 1
+    )
     bump = np.minimum(bump, 0.8 * open_um) / right.voxel_um
     _taller(case, int(open_um / right.voxel_um) + 2, rng)
     middle = right.columns[..., 2] / right.voxel_um
     z = np.arange(case.volume.shape[0])[:, None, None]
     # Each voxel is taken from another height of its column, and what opens is air.
-    source = np.clip(np.where(z > middle, z - bump, z).astype(float), 0, case.volume.shape[0] - 1.001)
+    source = np.clip(
+        np.where(z > middle, z - bump, z).astype(float), 0, case.volume.shape[0] - 1.001
+    )
     low = source.astype(np.intp)
-    lower, upper = (np.take_along_axis(case.volume, k, axis=0).astype(np.float32) for k in (low, low + 1))
+    lower, upper = (
+        np.take_along_axis(case.volume, k, axis=0).astype(np.float32) for k in (low, low + 1)
+    )
     empty = (z > middle) & (z < middle + bump)
-    case.store(np.where(empty, case.air(empty.shape, rng), lower + (source - low) * (upper - lower)))
+    case.store(
+        np.where(empty, case.air(empty.shape, rng), lower + (source - low) * (upper - lower))
+    )
 
     def back(places):
         moved = places.copy()
         own, base = (
-            ndimage.map_coordinates(field, places[:, 1:].T, order=1, mode="nearest") for field in (bump, middle)
+            ndimage.map_coordinates(field, places[:, 1:].T, order=1, mode="nearest")
+            for field in (bump, middle)
         )
         moved[:, 0] -= np.where(places[:, 0] > base, np.minimum(own, places[:, 0] - base), 0.0)
         return moved
@@ -117,15 +133,21 @@ def _closed(case, rng):
     grey = eight_bits(right.grey[1] + right.noise * rng.standard_normal(case.volume.shape))
     holes = [at for at in right.holes if rng.random() < 0.5]
     for u, v in holes:
-        near = np.hypot(right.columns[..., 0] - u, right.columns[..., 1] - v) < 1.05 * right.radius_um
+        near = (
+            np.hypot(right.columns[..., 0] - u, right.columns[..., 1] - v) < 1.05 * right.radius_um
+        )
         case.volume = np.where(inside & near, grey, case.volume)
     case.note = f"{len(holes)} of {len(right.holes)}"
 
 
 enter(
-    "uncoated-wrong-specimen", "uncoated, an image of another specimen of the same program",
-    partial(image_of_another, coated=False), coated=False, large=True, answer="side and specimen",
-)  # fmt: skip
+    "uncoated-wrong-specimen",
+    "uncoated, an image of another specimen of the same program",
+    partial(image_of_another, coated=False),
+    coated=False,
+    large=True,
+    answer="side and specimen",
+)
 
 
 @kind("few-voxels", "two to four voxels through the sheet")
@@ -150,7 +172,10 @@ def _by_hand(case, rng, sd_um=2.0):
     volume = right.points(right.holes)
     image = right.image_of(right.holes)
     rows, cols = right.volume.shape[1:]
-    inside = np.all((volume[:, :2] > 20) & (volume[:, :2] < right.voxel_um * np.array([cols, rows]) - 20), axis=1)
+    inside = np.all(
+        (volume[:, :2] > 20) & (volume[:, :2] < right.voxel_um * np.array([cols, rows]) - 20),
+        axis=1,
+    )
     pairs = np.concatenate([volume, image], axis=1)[inside]
     pairs[:, 3:] += rng.normal(0, sd_um, (len(pairs), 2))
     pairs[:, :2] += rng.normal(0, sd_um, (len(pairs), 2))
@@ -180,7 +205,9 @@ def _in_pixels(case, rng):
 
 
 @kind(
-    "marks-shifted", "marks by hand, all of the image 1.5-4 pixels off by another origin", hidden="no mark can see it"
+    "marks-shifted",
+    "marks by hand, all of the image 1.5-4 pixels off by another origin",
+    hidden="no mark can see it",
 )
 def _shifted(case, rng):
     pairs = _by_hand(case, rng, 0.5)
@@ -190,6 +217,7 @@ def _shifted(case, rng):
 
 
 enter(
-    "rigid-on-stretched", "--model rigid, pixel size of the image wrong by 1.5 %",
+    "rigid-on-stretched",
+    "--model rigid, pixel size of the image wrong by 1.5 %",
     both(pixel(0.985, 1.015), told("registration", model="rigid")),
-)  # fmt: skip
+)

@@ -37,7 +37,9 @@ def traced_order(order, axis):
         near = np.rint(at).astype(int)
         steps = order[low + 1] - order[low]
         moved = places.copy()
-        moved[:, axis] = np.where(np.abs(steps) == 1, order[low] + (at - low) * steps, order[near] + (at - near))
+        moved[:, axis] = np.where(
+            np.abs(steps) == 1, order[low] + (at - low) * steps, order[near] + (at - near)
+        )
         return moved
 
     return back
@@ -89,7 +91,9 @@ def filled(case, rng, axis):
 def foreign(case, rng, axis):
     """One to three files of another scan in the series."""
     run = _some(case, rng, axis, 1, 4)
-    there = np.moveaxis(drawn(Draw(maker=case.right.maker, seed=case.right.seed + 1)).volume, axis, 0)
+    there = np.moveaxis(
+        drawn(Draw(maker=case.right.maker, seed=case.right.seed + 1)).volume, axis, 0
+    )
     volume = np.moveaxis(case.volume.copy(), axis, 0)
     rows, cols = volume.shape[1:]
     for k in range(run.start, run.stop):

@@ -25,7 +25,12 @@ from planish.synthetic import (
 )
 from planish.validate.truth import field_at
 
-OF = {"coating_top": (0, 1), "base_thickness": (1, 2), "coating_bottom": (2, 3), "thickness": (0, 3)}
+OF = {
+    "coating_top": (0, 1),
+    "base_thickness": (1, 2),
+    "coating_bottom": (2, 3),
+    "thickness": (0, 3),
+}
 NAMES = tuple(OF)
 SIZE_UM, LARGE_UM = (1250.0, 1000.0), (1700.0, 1350.0)
 _SECTIONS = SectionsParams(pixel_um=2.5, section_um=4.0)
@@ -74,10 +79,12 @@ class Draw:
     large: bool = False
     coated: bool = True
     steep: bool = False
-    fibres: str = ""  # kind of benchmarks.paper whose sheet is laid fibre by fibre; a slab where empty
+    # Kind of benchmarks.paper whose sheet is laid fibre by fibre; a slab where empty.
+    fibres: str = ""
     holes: int | None = None
     slope: float | None = None
-    program: int | None = None  # seed of the hole pattern, where two specimens share the laser's program
+    # Seed of the hole pattern, where two specimens share the laser's program.
+    program: int | None = None
 
 
 def heights(columns, voxel_um, faces, at):
@@ -101,7 +108,8 @@ def drawn(order):
 
 def _ours(order):
     params = _of_fibres(order) if order.fibres else _slab(order)
-    if order.program is not None:  # the pattern of another specimen: the same seed for the holes, another for the paper
+    # The pattern of another specimen: the same seed for the holes, another for the paper.
+    if order.program is not None:
         return _reprogrammed(params, order)
     while True:
         try:
@@ -112,7 +120,8 @@ def _ours(order):
 
 def _slab(order):
     rng = np.random.default_rng([7, order.seed])
-    thin = {name: paper for name, (_, paper) in PRESETS.items() if paper.base_um < 80.0}  # for a quick run
+    # For a quick run.
+    thin = {name: paper for name, (_, paper) in PRESETS.items() if paper.base_um < 80.0}
     names = [name for name, paper in thin.items() if (paper.coating_top_um > 0) == order.coated]
     paper = thin[str(rng.choice(names))].as_slab()
     slope = order.slope
@@ -120,20 +129,32 @@ def _slab(order):
         slope = rng.uniform(0.5, 0.9) if order.steep else rng.uniform(0.02, 0.4)
     voxel = rng.uniform(4.4, 5.4) if paper.coating_top_um > 12 or not order.coated else 3.8
     scanner = replace(
-        MICRO_CT, voxel_um=voxel, fwhm_um=rng.uniform(1.0, 1.5) * voxel, noise=rng.uniform(0.03, 0.08),
-        fringe=float(rng.choice([0.0, 0.1])), cupping=rng.uniform(0, 0.03), rings=int(rng.integers(0, 3)),
+        MICRO_CT,
+        voxel_um=voxel,
+        fwhm_um=rng.uniform(1.0, 1.5) * voxel,
+        noise=rng.uniform(0.03, 0.08),
+        fringe=float(rng.choice([0.0, 0.1])),
+        cupping=rng.uniform(0, 0.03),
+        rings=int(rng.integers(0, 3)),
         streak=rng.uniform(0, 0.02),
-    )  # fmt: skip
+    )
     return SpecimenParams(
-        size_um=_size(order), paper=paper, seed=order.seed, scanner=scanner, sections=_SECTIONS,
+        size_um=_size(order),
+        paper=paper,
+        seed=order.seed,
+        scanner=scanner,
+        sections=_SECTIONS,
         holes=_holes(order, rng),
         warp=Warp(
-            slope=slope, wavelength_um=rng.uniform(1800, 4000), phase_rad=rng.uniform(0, 6.28),
-            ruling_deg=rng.uniform(-90, 90), tilt_deg=rng.uniform(-4, 4),
+            slope=slope,
+            wavelength_um=rng.uniform(1800, 4000),
+            phase_rad=rng.uniform(0, 6.28),
+            ruling_deg=rng.uniform(-90, 90),
+            tilt_deg=rng.uniform(-4, 4),
         ),
         camera=_camera(rng),
         stiffness=float(np.random.default_rng([9, order.seed]).uniform(0, 3)),
-    )  # fmt: skip
+    )
 
 
 def _of_fibres(order):
@@ -143,8 +164,13 @@ def _of_fibres(order):
     holes = _holes(order, rng)
     warp = params.warp if order.slope is None else replace(params.warp, slope=order.slope)
     return replace(
-        params, size_um=_size(order), holes=holes, warp=warp, camera=_camera(rng), sections=_SECTIONS
-    )  # fmt: skip
+        params,
+        size_um=_size(order),
+        holes=holes,
+        warp=warp,
+        camera=_camera(rng),
+        sections=_SECTIONS,
+    )
 
 
 def _size(order):
@@ -153,14 +179,20 @@ def _size(order):
 
 def _holes(order, rng):
     count = order.holes or int(rng.integers(8, 13) if order.large else rng.integers(6, 9))
-    return BurnParams(pattern="irregular", count=count, diameter_um=rng.uniform(115, 140), char_um=20.0)
+    return BurnParams(
+        pattern="irregular", count=count, diameter_um=rng.uniform(115, 140), char_um=20.0
+    )
 
 
 def _camera(rng):
     return CameraParams(
-        pixel_um=rng.uniform(4.0, 5.5), shading=0.004, nuisance_sd=0.005, radial=rng.uniform(0, 4e-4),
-        vignetting=rng.uniform(0, 0.04), scale_range=0.005,
-    )  # fmt: skip
+        pixel_um=rng.uniform(4.0, 5.5),
+        shading=0.004,
+        nuisance_sd=0.005,
+        radial=rng.uniform(0, 4e-4),
+        vignetting=rng.uniform(0, 0.04),
+        scale_range=0.005,
+    )
 
 
 def _reprogrammed(params, order):
@@ -170,11 +202,18 @@ def _reprogrammed(params, order):
     first = drawn(replace(order, seed=order.program or 0, program=None)).made["specimen"]
     low = np.array(first.sheet.origin) - 400.0
     high = np.array(first.sheet.origin) + 3.0 * np.array(first.sheet.faces.shape[:0:-1]) + 400.0
-    stage = np.random.default_rng([8, order.seed]).normal(0, params.holes.stage_um, first.sheet.holes.shape)
+    stage = np.random.default_rng([8, order.seed]).normal(
+        0, params.holes.stage_um, first.sheet.holes.shape
+    )
     sheet = make_sheet(
-        params.paper, first.params.holes, low=low, high=high, centres=first.sheet.holes + stage, seed=order.seed,
+        params.paper,
+        first.params.holes,
+        low=low,
+        high=high,
+        centres=first.sheet.holes + stage,
+        seed=order.seed,
         stiffness=params.stiffness,
-    )  # fmt: skip
+    )
     params = replace(params, holes=first.params.holes, size_um=first.params.size_um)
     return _right(make_specimen(params, sheet=sheet), order)
 
@@ -184,15 +223,26 @@ def _right(made, order):
     under = np.stack([made.columns[k].values for k in ("u", "v", "centre")], axis=-1)
     step = p.scanner.voxel_um
     return Right(
-        maker="planish", seed=order.seed, volume=made.volume.values, voxel_um=step, grey=p.scanner.grey,
+        maker="planish",
+        seed=order.seed,
+        volume=made.volume.values,
+        voxel_um=step,
+        grey=p.scanner.grey,
         noise=p.scanner.noise * (p.scanner.grey[2] - p.scanner.grey[0]),
-        image=np.asarray(made.image.values, np.float64), pixel_um=p.camera.pixel_um,
-        holes=sheet.holes, radius_um=0.5 * p.holes.diameter_um, material=warp.material,
+        image=np.asarray(made.image.values, np.float64),
+        pixel_um=p.camera.pixel_um,
+        holes=sheet.holes,
+        radius_um=0.5 * p.holes.diameter_um,
+        material=warp.material,
         points=lambda uv: warp.points(uv[..., 0], uv[..., 1]),
         thickness=lambda name, u, v: field_at(sheet, layer(sheet.faces, name), u, v),
         image_of=made.pose,
         pixels=lambda: np.stack([made.truth["u"].values, made.truth["v"].values], axis=-1),
-        columns=under, faces=heights(under, step, sheet.faces, sheet.at),
-        note=f"base {p.paper.base_um:g}, coating {p.paper.coating_top_um:g}, slope {p.warp.slope:.2f}",
+        columns=under,
+        faces=heights(under, step, sheet.faces, sheet.at),
+        note=(
+            f"base {p.paper.base_um:g}, coating {p.paper.coating_top_um:g}, slope"
+            f" {p.warp.slope:.2f}"
+        ),
         made={"specimen": made},
-    )  # fmt: skip
+    )

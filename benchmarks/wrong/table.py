@@ -30,7 +30,9 @@ def main(*words):
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--out", type=Path, default=Path("wrong"))
     given = parser.parse_args([str(w) for w in words])
-    jobs = {f"{name} {seed}": (KINDS[name], seed) for seed in range(given.seeds) for name in given.kinds}
+    jobs = {
+        f"{name} {seed}": (KINDS[name], seed) for seed in range(given.seeds) for name in given.kinds
+    }
     return shown(done(given.out / "wrong.jsonl", jobs, judged))
 
 
@@ -107,7 +109,11 @@ def silent_of(row):
     if any(state == "fail" or (answer and name == answer) for state, name, *_ in spoken):
         return []
     heard = [named for state, _, _, named in spoken if state == "look"]
-    return [figure for figure in row.get("wrong", ()) if not any(covers(named, figure) for named in heard)]
+    return [
+        figure
+        for figure in row.get("wrong", ())
+        if not any(covers(named, figure) for named in heard)
+    ]
 
 
 def _short(value):
@@ -116,7 +122,11 @@ def _short(value):
 
 def worst_of(row):
     """The figure that is wrong by the most, in um where there is one."""
-    found = [(v[0], name, v[1]) for name in row.get("wrong", ()) if (v := row["figures"][name])[0] is not None]
+    found = [
+        (v[0], name, v[1])
+        for name in row.get("wrong", ())
+        if (v := row["figures"][name])[0] is not None
+    ]
     if not found:
         return "of nature" if row.get("wrong") else ""
     error, name, stated = max(found, key=lambda k: (k[1] != "correlation", k[0]))
@@ -131,7 +141,13 @@ def line_of(row):
         said = "CRASH " + row["crash"][:90]
     else:
         silent = silent_of(row)
-        state = "SILENT " + ", ".join(silent) if silent else "wrong, said" if row["wrong"] else "not wrong"
+        state = (
+            "SILENT " + ", ".join(silent)
+            if silent
+            else "wrong, said"
+            if row["wrong"]
+            else "not wrong"
+        )
         said = f"{state}; {worst_of(row)}; " + "; ".join(f"{k[0]} {k[1]}" for k in row["lights"])
     name = f"{row['kind']} {row['seed']} ({row['maker'][0]}{row['specimen']})"
     return f"{name} {row['note']}: {said}  [{row['run_s']:.1f} s]"
@@ -149,11 +165,15 @@ def shown(rows):
         wrong = [row for row in own if row.get("wrong")]
         quiet = [row for row in own if silent_of(row)]
         said = Counter(end for end in ("refused", "crash") for row in own if end in row)
-        said.update(f"{state} `{check}`" for row in own for state, check, *_ in row.get("lights", ()))
+        said.update(
+            f"{state} `{check}`" for row in own for state, check, *_ in row.get("lights", ())
+        )
         worst = max((worst_of(row) for row in quiet or wrong), key=_size, default="")
         mark = " (cannot be seen)" if kind.hidden else " (grave)" if kind.grave else ""
         heard = ", ".join(f"{what} {n}" for what, n in said.most_common(3))
-        lines.append((f"{kind.title}{mark}", str(len(own)), str(len(wrong)), str(len(quiet)), worst, heard))
+        lines.append(
+            (f"{kind.title}{mark}", str(len(own)), str(len(wrong)), str(len(quiet)), worst, heard)
+        )
         if kind.hidden or name == "right":
             continue
         total, silent = total + len(own), silent + len(quiet)
@@ -163,7 +183,10 @@ def shown(rows):
         print(f"| {' | '.join(row)} |")
     if total:
         share = 100 - 100 * silent / total
-        print(f"\n{total} runs of {len(lines) - 2} kinds; silent {silent}, {share:.1f} % are not silent")
+        print(
+            f"\n{total} runs of {len(lines) - 2} kinds; silent {silent}, {share:.1f} % are not"
+            " silent"
+        )
         print(f"silent in more than one of five: {', '.join(missed) or 'none'}")
         grave = [r for r in rows if KINDS[r["kind"]].grave and r.get("wrong")]
         ends = [r for r in grave if any(k[0] == "fail" for k in r["lights"])]

@@ -34,7 +34,11 @@ def is_constant(found: Any) -> bool:
 
 def first_sentence(package: str, name: str, found: Any) -> str:
     """Return what a public name is, in a sentence."""
-    text = about_constant(sources(package)[name], name) if is_constant(found) else inspect.getdoc(found) or ""
+    text = (
+        about_constant(sources(package)[name], name)
+        if is_constant(found)
+        else inspect.getdoc(found) or ""
+    )
     return _first_paragraph(text).replace("|", "\\|")
 
 
@@ -42,8 +46,15 @@ def fields_table(model: type[BaseModel]) -> str:
     """Return the fields of a model as a table: name, type, default, meaning."""
     rows = ["| Field | Type | Default | Meaning |", "|---|---|---|---|"]
     for name, field in model.model_fields.items():
-        default = "required" if field.is_required() else code(field.get_default(call_default_factory=True))
-        rows.append(f"| `{name}` | {code(words_of_type(field.annotation))} | {default} | {field.description or ''} |")
+        default = (
+            "required"
+            if field.is_required()
+            else code(field.get_default(call_default_factory=True))
+        )
+        rows.append(
+            f"| `{name}` | {code(words_of_type(field.annotation))} | {default} |"
+            f" {field.description or ''} |"
+        )
     return "\n".join(rows)
 
 
@@ -52,7 +63,11 @@ def words_of_type(annotation: Any) -> str:
     text = inspect.formatannotation(annotation)
     for prefix in ("typing.", "collections.abc.", "pathlib."):
         text = text.replace(prefix, "")
-    text = re.sub(r"numpy\.ndarray\[tuple\[Any, \.\.\.\], numpy\.dtype\[numpy\.(\w+)\]\]", r"ndarray of \1", text)
+    text = re.sub(
+        r"numpy\.ndarray\[tuple\[Any, \.\.\.\], numpy\.dtype\[numpy\.(\w+)\]\]",
+        r"ndarray of \1",
+        text,
+    )
     return text.removesuffix(" | None")
 
 
@@ -64,10 +79,17 @@ def code(value: Any) -> str:
 
 def _shown_elsewhere(package: str) -> dict[int, str]:
     """Where to find what planish itself, or a package inside this one, shows already."""
-    inner = [other for other in ("planish.marks.exchange", "planish.marks.regions") if other.startswith(f"{package}.")]
+    inner = [
+        other
+        for other in ("planish.marks.exchange", "planish.marks.regions")
+        if other.startswith(f"{package}.")
+    ]
     others = ["planish", *inner, *(["planish.register"] if package == "planish.run" else [])]
     return {
-        id(found): f"{other}.{name}" for other in others for name, found in objects(other) if not is_constant(found)
+        id(found): f"{other}.{name}"
+        for other in others
+        for name, found in objects(other)
+        if not is_constant(found)
     }
 
 
@@ -81,7 +103,9 @@ def _entry(package: str, name: str, found: Any) -> str:
         own = {k: v for k, v in vars(found).items() if not k.startswith("_")}
         directive = f".. autoclass:: {full}"
         if issubclass(found, BaseModel):  # whose fields stand in the table
-            methods = [k for k, v in own.items() if isinstance(v, (FunctionType, property)) and v.__doc__]
+            methods = [
+                k for k, v in own.items() if isinstance(v, (FunctionType, property)) and v.__doc__
+            ]
             directive += f"\n   :members: {', '.join(methods)}" if methods else ""
         elif own and not issubclass(found, BaseException):
             directive += "\n   :members:"

@@ -20,7 +20,8 @@ _LOADED = {
     "audio": "src",
     "link": "href",
 }
-_NAMED_ONLY = {"canonical", "index", "search", "next", "prev", "author"}  # kinds of <link> that a browser does not load
+# Kinds of <link> that a browser does not load.
+_NAMED_ONLY = {"canonical", "index", "search", "next", "prev", "author"}
 
 
 class Page(HTMLParser):
@@ -46,7 +47,8 @@ class Page(HTMLParser):
 
 def faults(site: Path) -> list[str]:
     """Return a sentence for each broken link and each file that would come from a network."""
-    written = [path for path in sorted(site.rglob("*.html")) if "_static" not in path.parts]  # there: templates
+    # There: templates.
+    written = [path for path in sorted(site.rglob("*.html")) if "_static" not in path.parts]
     pages = {path: Page(path.read_text(encoding="utf-8")) for path in written}
     found: list[str] = []
     for path, page in pages.items():
@@ -62,14 +64,19 @@ def faults(site: Path) -> list[str]:
             elif not (path.parent / unquote(parts.path)).exists():
                 found.append(f"{name}: loads {link}, which is not there")
     for path in sorted(site.rglob("*.css")):
-        remote = re.findall(r"(?:url\(|@import)\s*[\"']?((?:https?:)?//[^)\"']+)", path.read_text(encoding="utf-8"))
-        found += [f"{path.relative_to(site).as_posix()}: loads {link} from a network" for link in remote]
+        remote = re.findall(
+            r"(?:url\(|@import)\s*[\"']?((?:https?:)?//[^)\"']+)", path.read_text(encoding="utf-8")
+        )
+        found += [
+            f"{path.relative_to(site).as_posix()}: loads {link} from a network" for link in remote
+        ]
     return found
 
 
 def _fault_of_link(link: str, path: Path, site: Path, pages: dict[Path, Page]) -> list[str]:
     parts = urlsplit(link)
-    if parts.scheme in {"http", "https"}:  # by form only: a check that asks the network fails when others do
+    # By form only: a check that asks the network fails when others do.
+    if parts.scheme in {"http", "https"}:
         return [] if re.fullmatch(r"[\w-]+(\.[\w-]+)+", parts.netloc) else [f"{link} names no host"]
     if parts.scheme:
         return [] if parts.scheme == "mailto" else [f"{link} has an unusual scheme"]

@@ -36,14 +36,19 @@ def study_page() -> str:
 
 def study_table(model: type[BaseModel]) -> str:
     """Return key, type, default, option of the command line and meaning of every value of a section."""
-    flags = {name: " ".join(f"`{flag}`" for flag in shown.flags) for name, _, shown in options_of(model)}
+    flags = {
+        name: " ".join(f"`{flag}`" for flag in shown.flags) for name, _, shown in options_of(model)
+    }
     rows = ["| Key | Type | Default | Command line | Meaning |", "|---|---|---|---|---|"]
     for name, field in model.model_fields.items():
         if any(True for _ in models_of(field.annotation)) and not field.description:
             continue  # a section with a heading of its own
         default = "needed" if field.is_required() else _toml(field.get_default())
         kind = type_words(field.annotation) + _limits(field)
-        rows.append(f"| `{name}` | {kind} | {default} | {flags.get(name, '')} | {_cell(field.description)} |")
+        rows.append(
+            f"| `{name}` | {kind} | {default} | {flags.get(name, '')} |"
+            f" {_cell(field.description)} |"
+        )
     return "\n".join(rows)
 
 
@@ -68,9 +73,11 @@ def _toml(value: Any) -> str:
 
 def _limits(field: FieldInfo) -> str:
     words = [
-        f"{sign} {value:g}" for rule in field.metadata for key, sign in _SIGNS.items()
+        f"{sign} {value:g}"
+        for rule in field.metadata
+        for key, sign in _SIGNS.items()
         if (value := getattr(rule, key, None)) is not None and math.isfinite(value)
-    ]  # fmt: skip
+    ]
     return f" {', '.join(words)}" if words else ""
 
 
@@ -85,7 +92,8 @@ def results_page() -> str:
     for model, found in places.items():
         where = "The whole file" if model is Results else ", ".join(f"`{place}`" for place in found)
         parts.append(
-            f"(results-{model.__name__.lower()})=\n## {where}\n\n{inspect.getdoc(model)}\n\n{results_table(model)}"
+            f"(results-{model.__name__.lower()})=\n##"
+            f" {where}\n\n{inspect.getdoc(model)}\n\n{results_table(model)}"
         )
     return "\n\n".join(parts)
 
@@ -94,7 +102,10 @@ def results_table(model: type[BaseModel]) -> str:
     """Return key, type and meaning of every value of a part of the results."""
     rows = ["| Key | Type | Meaning |", "|---|---|---|"]
     for name, field in model.model_fields.items():
-        rows.append(f"| `{name}` | {type_words(field.annotation, linked=True)} | {_cell(field.description)} |")
+        rows.append(
+            f"| `{name}` | {type_words(field.annotation, linked=True)} |"
+            f" {_cell(field.description)} |"
+        )
     return "\n".join(rows)
 
 

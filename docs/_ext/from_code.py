@@ -75,7 +75,10 @@ def _root(name: str, _content: str) -> str:
 def properties_table() -> str:
     """Return name, unit and meaning of every map that a sheet may have."""
     rows = ["| Name | Unit | Meaning |", "|---|---|---|"]
-    rows += [f"| `{name}` | {known.units} | {known.long_name} |" for name, known in sorted(registered().items())]
+    rows += [
+        f"| `{name}` | {known.units} | {known.long_name} |"
+        for name, known in sorted(registered().items())
+    ]
     return "\n".join(rows)
 
 

@@ -25,7 +25,9 @@ def of(patterns: str) -> list[Message]:
     for line in filter(None, map(str.strip, patterns.splitlines())):
         module, _, text = line.partition(": ")
         sought = re.compile(text)
-        found |= {m.text: m for m in messages() if m.module.startswith(module) and sought.search(m.text)}
+        found |= {
+            m.text: m for m in messages() if m.module.startswith(module) and sought.search(m.text)
+        }
     return list(found.values())
 
 

@@ -19,7 +19,8 @@ GAP = "…"
 _ERRORS = PACKAGE / "core" / "errors.py"
 # What makes an error of a reason: the position of the reason among the arguments.
 _MAKERS = {"damaged": 1, "Damaged": 0, "_damaged": 1, "error": 0, "error_type": 0}
-_STUDY = ("study.py", "params.py", "options.py", "presets.py", "draws.py")  # modules whose ValueErrors a user meets
+# Modules whose ValueErrors a user meets.
+_STUDY = ("study.py", "params.py", "options.py", "presets.py", "draws.py")
 _FAULTS = re.compile(r"fault|problem|wrong")  # reasons that are put into a message
 
 
@@ -39,7 +40,11 @@ def messages() -> tuple[Message, ...]:
     found: list[Message] = []
     for path, tree in _trees().items():
         module, constants = path.relative_to(PACKAGE).as_posix(), _constants(tree)
-        found += [Message(module, line, kind, text) for line, kind, text in _of(tree, path, constants) if _says(text)]
+        found += [
+            Message(module, line, kind, text)
+            for line, kind, text in _of(tree, path, constants)
+            if _says(text)
+        ]
     return tuple(sorted(found, key=lambda m: (m.module, m.line)))
 
 
@@ -57,7 +62,9 @@ def kinds() -> frozenset[str]:
 
 @cache
 def _trees() -> dict[Path, ast.Module]:
-    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted(PACKAGE.rglob("*.py"))}
+    return {
+        path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted(PACKAGE.rglob("*.py"))
+    }
 
 
 def _of(tree: ast.Module, path: Path, constants: dict[str, str]) -> Iterator[tuple[int, str, str]]:
@@ -67,12 +74,21 @@ def _of(tree: ast.Module, path: Path, constants: dict[str, str]) -> Iterator[tup
             if name in kinds() or (name == "ValueError" and path.name in _STUDY):
                 yield from ((node.lineno, name, text) for text in _texts(node.args[:1], constants))
             if name in _MAKERS and len(node.args) > _MAKERS[name]:
-                yield from ((node.lineno, name, text) for text in _texts([node.args[_MAKERS[name]]], constants))
-            listed = isinstance(node.func, ast.Attribute) and node.func.attr == "append" and node.args
+                yield from (
+                    (node.lineno, name, text)
+                    for text in _texts([node.args[_MAKERS[name]]], constants)
+                )
+            listed = (
+                isinstance(node.func, ast.Attribute) and node.func.attr == "append" and node.args
+            )
             if listed and _FAULTS.search(_name(node.func.value)):
-                yield from ((node.lineno, "one of several", text) for text in _texts(node.args, constants))
+                yield from (
+                    (node.lineno, "one of several", text) for text in _texts(node.args, constants)
+                )
         if isinstance(node, ast.Assign) and _FAULTS.search(_name(node.targets[0])):
-            yield from ((node.lineno, "one of several", text) for text in _texts([node.value], constants))
+            yield from (
+                (node.lineno, "one of several", text) for text in _texts([node.value], constants)
+            )
 
 
 def _texts(arguments: list[ast.expr], constants: dict[str, str]) -> list[str]:
@@ -110,7 +126,13 @@ def _constants(tree: ast.Module) -> dict[str, str]:
 
 
 def _name(node: ast.expr) -> str:
-    return node.id if isinstance(node, ast.Name) else node.attr if isinstance(node, ast.Attribute) else ""
+    return (
+        node.id
+        if isinstance(node, ast.Name)
+        else node.attr
+        if isinstance(node, ast.Attribute)
+        else ""
+    )
 
 
 def _says(text: str) -> bool:

@@ -20,7 +20,9 @@ from planish.series_results import SeriesResults
 
 def page() -> str:
     """Return the text of docs/cli.md."""
-    intro = "# Commands\n\nThis page is written by `python3 run.py docs` from the program's own help.\n"
+    intro = (
+        "# Commands\n\nThis page is written by `python3 run.py docs` from the program's own help.\n"
+    )
     sections = [intro, _section("planish", planish)]
     context = click.Context(planish)
     for name in planish.list_commands(context):
@@ -29,14 +31,17 @@ def page() -> str:
         sections.append(_section(f"planish {name}", command))
         if isinstance(command, click.Group):
             sections += [
-                _section(f"planish {name} {subverb}", subcommand) for subverb, subcommand in command.commands.items()
+                _section(f"planish {name} {subverb}", subcommand)
+                for subverb, subcommand in command.commands.items()
             ]
     return "\n".join(sections)
 
 
 def _section(name: str, command: click.Command) -> str:
     # As at the terminal, where every command takes these from the group; click keeps the option once it has made it.
-    context = click.Context(command, info_name=name, terminal_width=100, help_option_names=["-h", "--help"])
+    context = click.Context(
+        command, info_name=name, terminal_width=100, help_option_names=["-h", "--help"]
+    )
     return f"## {name}\n\n```\n{command.get_help(context)}\n```\n"
 
 
@@ -66,7 +71,9 @@ def main() -> None:
     """Write them all."""
     docs = Path(__file__).resolve().parents[1]
     package = docs.parent / "src" / "planish"
-    properties, formats = ((docs / name).read_text(encoding="utf-8") for name in ("properties.md", "export.md"))
+    properties, formats = (
+        (docs / name).read_text(encoding="utf-8") for name in ("properties.md", "export.md")
+    )
     for path, text in (
         (docs / "cli.md", page()),
         (docs / "properties.md", with_options(properties)),

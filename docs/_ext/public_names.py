@@ -23,7 +23,11 @@ def sources(package: str) -> dict[str, str]:
     stub = PACKAGE.parent.joinpath(*package.split("."), "__init__.pyi")
     tree = ast.parse(stub.read_text(encoding="utf-8"))
     imports = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
-    found = {alias.asname or alias.name: f"{package}.{node.module}" for node in imports for alias in node.names}
+    found = {
+        alias.asname or alias.name: f"{package}.{node.module}"
+        for node in imports
+        for alias in node.names
+    }
     return dict(sorted(found.items()))
 
 
@@ -41,11 +45,19 @@ def about_constant(module: str, name: str) -> str:
     body = ast.parse(path.read_text(encoding="utf-8")).body
     for node, after in zip(body, [*body[1:], None], strict=True):
         targets = (
-            node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+            node.targets
+            if isinstance(node, ast.Assign)
+            else [node.target]
+            if isinstance(node, ast.AnnAssign)
+            else []
         )
         if any(isinstance(target, ast.Name) and target.id == name for target in targets):
             value = after.value if isinstance(after, ast.Expr) else None
-            return value.value if isinstance(value, ast.Constant) and isinstance(value.value, str) else ""
+            return (
+                value.value
+                if isinstance(value, ast.Constant) and isinstance(value.value, str)
+                else ""
+            )
         if (
             isinstance(node, ast.ImportFrom)
             and node.module

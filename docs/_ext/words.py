@@ -15,7 +15,10 @@ from public_names import ROOT
 from sphinx import addnodes
 from sphinx.transforms import SphinxTransform
 
-ROW = re.compile(r"^\| (?P<words>[^|]+) \| [^|]+ \| \[[^\]]+\]\((?P<page>[\w/-]+)\.md(?:#(?P<section>[\w-]+))?\) \|$")
+ROW = re.compile(
+    r"^\| (?P<words>[^|]+) \| [^|]+ \|"
+    r" \[[^\]]+\]\((?P<page>[\w/-]+)\.md(?:#(?P<section>[\w-]+))?\) \|$"
+)
 _HEADING = re.compile(r"^#{1,4} (.+)$", re.MULTILINE)
 
 
@@ -37,12 +40,15 @@ def with_entries(page: str, text: str) -> str:
     def behind(heading: re.Match[str]) -> str:
         slug = re.sub(r"[^\w -]", "", heading[1].lower()).replace(" ", "-")
         words = sections.pop("", []) + sections.pop(slug, [])
-        marked = ", ".join(f"! {word}" for word in words)  # the mark makes it the main entry, which the search ranks
+        # The mark makes it the main entry, which the search ranks.
+        marked = ", ".join(f"! {word}" for word in words)
         return f"{heading[0]}\n\n```{{index}} {marked}\n```\n" if words else heading[0]
 
     text = _HEADING.sub(behind, text)
     if sections:
-        raise ValueError(f"docs/words.md names sections that {page}.md does not have: {', '.join(sections)}")
+        raise ValueError(
+            f"docs/words.md names sections that {page}.md does not have: {', '.join(sections)}"
+        )
     return text
 
 
@@ -55,4 +61,6 @@ class EntriesOfPages(SphinxTransform):
         """Take the target off the main entries behind the title of the page."""
         for node in self.document.findall(addnodes.index):
             if node.parent is not None and isinstance(node.parent.parent, nodes.document):
-                node["entries"] = [(*entry[:2], "", *entry[3:]) if entry[3] else entry for entry in node["entries"]]
+                node["entries"] = [
+                    (*entry[:2], "", *entry[3:]) if entry[3] else entry for entry in node["entries"]
+                ]

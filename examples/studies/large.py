@@ -71,16 +71,24 @@ def said(size: specimens.Size, picture: Path) -> str:
     use = ~hole_mask(grid, made.pose(holes), reach) & np.all(
         [np.isfinite(one.coating) for one in laid.values()], axis=0
     )
-    maps, image = ({k: np.where(use, one.coating, np.nan) for k, one in laid.items()},
-                   np.where(use, made.image.values, np.nan))  # fmt: skip
-    r2 = {k: pl.correlate(m, image, pixel_um=grid.pixel_um, point_um=POINT_UM).r2 for k, m in maps.items()}
+    maps, image = (
+        {k: np.where(use, one.coating, np.nan) for k, one in laid.items()},
+        np.where(use, made.image.values, np.nan),
+    )
+    r2 = {
+        k: pl.correlate(m, image, pixel_um=grid.pixel_um, point_um=POINT_UM).r2
+        for k, m in maps.items()
+    }
     draw(sheet, r2, picture)
-    rows = "; ".join(f"{k}: r² {r2[k]:.3f} (marks miss by {one.marks_rms_um:.0f} um)" for k, one in laid.items())
+    rows = "; ".join(
+        f"{k}: r² {r2[k]:.3f} (marks miss by {one.marks_rms_um:.0f} um)" for k, one in laid.items()
+    )
     width, height = (um / 1e3 for um in made.extent_um[:2])
     return (
-        f"{width:.0f} x {height:.0f} mm, {sheet.u.size} nodes, image made with r² {R2}. {rows}. Flattened less "
-        f"projected, and less scaled: {gains(maps, image, grid.pixel_um)}. Flattening {flattening_s:.0f} s, all "
-        f"{time.process_time() - began:.0f} s of CPU time, {peak_gb():.1f} GB."
+        f"{width:.0f} x {height:.0f} mm, {sheet.u.size} nodes, image made with r² {R2}. {rows}."
+        f" Flattened less projected, and less scaled: {gains(maps, image, grid.pixel_um)}."
+        f" Flattening {flattening_s:.0f} s, all {time.process_time() - began:.0f} s of CPU time,"
+        f" {peak_gb():.1f} GB."
     )
 
 
@@ -88,7 +96,9 @@ def specimen_of(field_um: tuple[float, float]) -> Specimen:
     """The sheet, its image and its holes; it bends and is not dented."""
     params = specimens.base("wfc118", SEED, "full", field_um)
     camera = replace(params.camera, oracle_r2=R2, pixel_um=PIXEL_UM)
-    return make_specimen(replace(params, holes=BurnParams(count=HOLES), warp=Warp(bump_um=0.0), camera=camera))
+    return make_specimen(
+        replace(params, holes=BurnParams(count=HOLES), warp=Warp(bump_um=0.0), camera=camera)
+    )
 
 
 def sheet_of(made: Specimen) -> Sheet:
@@ -107,8 +117,12 @@ def lay(made: Specimen, sheet: Sheet, uv: Array, model: str, noise: Array) -> La
     shown = ((place > AWAY_UM) & (place < np.array(made.extent_um[:2]) - AWAY_UM)).all(axis=1)
     at = (place[shown] / NODES_UM).T[::-1]
     moving = np.stack([ndimage.map_coordinates(uv[..., k], at, order=1) for k in (0, 1)], axis=1)
-    fit = fit_transform(moving + noise[: len(moving)], made.pose(holes[shown]), model=model, robust=False)
-    nodes, places = Mesh.of(fit(uv.reshape(-1, 2)).reshape(uv.shape), least_um=NODES_UM / 2).under(Grid.of(made.image))
+    fit = fit_transform(
+        moving + noise[: len(moving)], made.pose(holes[shown]), model=model, robust=False
+    )
+    nodes, places = Mesh.of(fit(uv.reshape(-1, 2)).reshape(uv.shape), least_um=NODES_UM / 2).under(
+        Grid.of(made.image)
+    )
     return Laid(resample(sheet.coating[nodes], places), fit.rms_um)
 
 
@@ -116,20 +130,29 @@ def gains(maps: dict[str, Array], image: Array, pixel_um: tuple[float, float]) -
     """By how much r of the flattened map is larger, with its interval."""
     factor = (POINT_UM / pixel_um[0], POINT_UM / pixel_um[1])
     *projections, flattened, grey = (area_mean(m, factor) for m in (*maps.values(), image))
-    found = [paired_difference((one, grey), (flattened, grey), pixel_um=POINT_UM) for one in projections]
+    found = [
+        paired_difference((one, grey), (flattened, grey), pixel_um=POINT_UM) for one in projections
+    ]
     return "; ".join(
-        f"r {d.difference:+.3f} (95 % interval {d.interval[0]:+.3f} to {d.interval[1]:+.3f})" for d in found
+        f"r {d.difference:+.3f} (95 % interval {d.interval[0]:+.3f} to {d.interval[1]:+.3f})"
+        for d in found
     )
 
 
 def draw(sheet: Sheet, r2: dict[str, float], picture: Path) -> None:
     """The height of the sheet, and r² by registration."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 4), layout="constrained", width_ratios=(1.4, 1))
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(9, 4), layout="constrained", width_ratios=(1.4, 1)
+    )
     height, width = (n * NODES_UM / 1e3 for n in sheet.u.shape)
-    shown = left.imshow(sheet.points[..., 2], extent=(0, width, height, 0), cmap="cividis", interpolation="none")
+    shown = left.imshow(
+        sheet.points[..., 2], extent=(0, width, height, 0), cmap="cividis", interpolation="none"
+    )
     figure.colorbar(shown, ax=left, label="height / µm", shrink=0.8)
     left.set(title="Centre surface", xlabel="x / mm", ylabel="y / mm")
-    bars = right.bar(range(len(r2)), list(r2.values()), tick_label=[k.replace(", ", ",\n") for k in r2])
+    bars = right.bar(
+        range(len(r2)), list(r2.values()), tick_label=[k.replace(", ", ",\n") for k in r2]
+    )
     right.bar_label(bars, fmt="%.3f")
     right.set(title="Coating and brightness", ylabel=f"r² at {POINT_UM:.0f} µm")
     figure.savefig(picture, dpi=100, metadata={"Software": None})

@@ -36,11 +36,24 @@ READS = {"design": "fig-07"}
 
 def main(given: list[str] | None = None) -> int:
     """Do the studies that are named, all where none is; 1 where one said nothing."""
-    asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    asked.add_argument("studies", nargs="*", choices=(*DEFAULT, "large", []), help="All but large where not given.")
-    asked.add_argument("--size", choices=("small", "full"), default="small", help="Of the specimens.")
-    asked.add_argument("--out", type=Path, default=Path("studies"), help="Folder for specimens, series and figures.")
-    asked.add_argument("--of", type=Path, help="Series of your own that 'planish study' made; of one study.")
+    asked = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    asked.add_argument(
+        "studies", nargs="*", choices=(*DEFAULT, "large", []), help="All but large where not given."
+    )
+    asked.add_argument(
+        "--size", choices=("small", "full"), default="small", help="Of the specimens."
+    )
+    asked.add_argument(
+        "--out",
+        type=Path,
+        default=Path("studies"),
+        help="Folder for specimens, series and figures.",
+    )
+    asked.add_argument(
+        "--of", type=Path, help="Series of your own that 'planish study' made; of one study."
+    )
     options = asked.parse_args(given)
     studies = options.studies or DEFAULT
     if options.of is not None and len(studies) != 1:
@@ -65,7 +78,9 @@ def series_of(study: str, size: specimens.Size, out: Path) -> Path:
     """Folder of the series of a study, after its specimens are made and linked; what is done is kept."""
     specimens.make(study, size, out / "specimens" / study)
     copy = out / f"{study}.toml"
-    copy.write_text(shortened((HERE / f"{study}.toml").read_text(encoding="utf-8"), out), encoding="utf-8")
+    copy.write_text(
+        shortened((HERE / f"{study}.toml").read_text(encoding="utf-8"), out), encoding="utf-8"
+    )
     with contextlib.suppress(SystemExit):  # what was refused is named; the rest is there
         planish(["study", str(copy), "--out", str(out / study)])
     return out / study
@@ -79,8 +94,12 @@ def cpu_s() -> float:
 def shortened(text: str, home: Path) -> str:
     """A study file without the specimens that were not made: at the small size there are fewer of some."""
     head, *blocks = text.split("\n[[specimens]]\n")
-    files = [line.split('"')[1].partition("=")[2] or line.split('"')[1] for b in blocks for line in b.splitlines()
-             if line.startswith(("volume", "layers"))]  # fmt: skip
+    files = [
+        line.split('"')[1].partition("=")[2] or line.split('"')[1]
+        for b in blocks
+        for line in b.splitlines()
+        if line.startswith(("volume", "layers"))
+    ]
     made = [block for block, file in zip(blocks, files, strict=True) if (home / file).exists()]
     return "\n[[specimens]]\n".join([head, *made])
 

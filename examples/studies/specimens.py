@@ -42,13 +42,18 @@ ARTEFACTS = {
     "features": [
         {
             "type": "Feature",
-            "properties": {"name": "web", "reason": "an example: nothing is wrong here", "author": "planish"},
+            "properties": {
+                "name": "web",
+                "reason": "an example: nothing is wrong here",
+                "author": "planish",
+            },
             "geometry": {
-                "type": "Polygon", "coordinates": [[[500, 400], [800, 400], [800, 600], [500, 600], [500, 400]]],
+                "type": "Polygon",
+                "coordinates": [[[500, 400], [800, 400], [800, 600], [500, 600], [500, 400]]],
             },
         }
     ],
-}  # fmt: skip
+}
 """A region that does not count, in um of the reference: GeoJSON."""
 
 
@@ -61,15 +66,30 @@ class Made:
     instruments: Instruments = "stack"
 
 
-def base(paper: str, seed: int, size: Size, full_um: tuple[float, float], voxel_um: float = 6.0) -> SpecimenParams:
+def base(
+    paper: str, seed: int, size: Size, full_um: tuple[float, float], voxel_um: float = 6.0
+) -> SpecimenParams:
     """A paper in diffuse light; small: 1.5 x 1.1 mm with seven holes, for a first look and for tests."""
     if size == "small":
-        camera, scanner = replace(DIFFUSE, pixel_um=6.0), replace(MICRO_CT, voxel_um=8.0, noise_px=0.7)
+        camera, scanner = (
+            replace(DIFFUSE, pixel_um=6.0),
+            replace(MICRO_CT, voxel_um=8.0, noise_px=0.7),
+        )
         field_um, holes = (1500.0, 1100.0), BurnParams(pattern="irregular", count=7)
     else:
-        camera, scanner, field_um, holes = DIFFUSE, replace(MICRO_CT, voxel_um=voxel_um), full_um, BurnParams()
+        camera, scanner, field_um, holes = (
+            DIFFUSE,
+            replace(MICRO_CT, voxel_um=voxel_um),
+            full_um,
+            BurnParams(),
+        )
     return SpecimenParams(
-        size_um=field_um, paper=PRESETS[paper][1].as_slab(), holes=holes, camera=camera, scanner=scanner, seed=seed
+        size_um=field_um,
+        paper=PRESETS[paper][1].as_slab(),
+        holes=holes,
+        camera=camera,
+        scanner=scanner,
+        seed=seed,
     )
 
 
@@ -82,7 +102,10 @@ def fig_07(size: Size) -> list[Made]:
     """Three sheets, each before and after calendering: the same fibres, holes and bend, another surface."""
     found: list[Made] = []
     for sheet, shift in (("1", -1.0), ("2", 0.0), ("3", 1.0)):
-        for state, paper, r2 in (("uncalendered", "wfc135", 0.26), ("calendered", "wfc135-calendered", 0.21)):
+        for state, paper, r2 in (
+            ("uncalendered", "wfc135", 0.26),
+            ("calendered", "wfc135-calendered", 0.21),
+        ):
             params = base(paper, 70 + int(sheet), size, SIZES_UM["T2"])
             # So much else in the image that the true maps have the r² of the paper, higher and lower by the sheet.
             target = (r2**0.5 + shift * LIGHT_VARIES * (1 - r2)) ** 2
@@ -95,7 +118,9 @@ def fig_09(size: Size) -> list[Made]:
     """One field of an offset print: 40 % black at 60 lines per cm, lighter where the coating is thicker."""
     params = base("wfc118", 9, size, (5000.0, 4000.0))
     if size == "small":  # around holes, 310 um are left out where a screen was taken off
-        params = replace(params, size_um=(2300.0, 1700.0), holes=BurnParams(pattern="irregular", count=5))
+        params = replace(
+            params, size_um=(2300.0, 1700.0), holes=BurnParams(pattern="irregular", count=5)
+        )
     camera = replace(DIFFUSE, screen=PrintParams(gain_sd=0.04))
     return [Made(name="print", params=replace(params, camera=camera), instruments="print")]
 
@@ -103,7 +128,11 @@ def fig_09(size: Size) -> list[Made]:
 def fig_11(size: Size) -> list[Made]:
     """One field, first scanned, then cut and photographed."""
     params = base("wfc90", 11, size, (1800.0, 1300.0), voxel_um=3.0)
-    sections = SectionsParams(pixel_um=4.0, section_um=8.0) if size == "small" else SectionsParams(pixel_um=1.62)
+    sections = (
+        SectionsParams(pixel_um=4.0, section_um=8.0)
+        if size == "small"
+        else SectionsParams(pixel_um=1.62)
+    )
     params = replace(params, sections=sections, holes=BurnParams(pattern="irregular", count=7))
     return [Made(name="field", params=params, instruments="two volumes")]
 
@@ -114,7 +143,10 @@ def flattening(size: Size) -> list[Made]:
     for sheet in ("1", "2", "3") if size == "full" else ("1",):
         params = base("wfc118", 190 + int(sheet), size, SIZES_UM["T1"])
         warp = Warp(
-            slope=0.7, wavelength_um=2600.0, phase_rad=0.6 + 2.0 * int(sheet), ruling_deg=20.0 + 40 * int(sheet)
+            slope=0.7,
+            wavelength_um=2600.0,
+            phase_rad=0.6 + 2.0 * int(sheet),
+            ruling_deg=20.0 + 40 * int(sheet),
         )
         found.append(Made(name=f"sheet-{sheet}", params=replace(params, warp=warp)))
     return found
@@ -130,18 +162,25 @@ def no_holes(size: Size) -> list[Made]:
             scanner, size_um = replace(scanner, voxel_um=5.0), (1800.0, 1400.0)
         # Both are turned by the same angle: another one would draw another sheet, and share no pixels with this one.
         camera = replace(params.camera, turn_range_deg=180.0)
-        params = replace(params, size_um=size_um, paper=PRESETS["wfc135"][1], scanner=scanner, camera=camera)
+        params = replace(
+            params, size_um=size_um, paper=PRESETS["wfc135"][1], scanner=scanner, camera=camera
+        )
         bare = replace(params, holes=replace(params.holes, pattern="irregular", count=0))
         found += [
-            Made(name=f"sheet-{sheet}-with-holes", params=params), Made(name=f"sheet-{sheet}-no-holes", params=bare)
-        ]  # fmt: skip
+            Made(name=f"sheet-{sheet}-with-holes", params=params),
+            Made(name=f"sheet-{sheet}-no-holes", params=bare),
+        ]
     return found
 
 
 STUDIES: dict[str, Callable[[Size], list[Made]]] = {
-    "fig-06": fig_06, "fig-07": fig_07, "fig-09": fig_09, "fig-11": fig_11, "flattening": flattening,
+    "fig-06": fig_06,
+    "fig-07": fig_07,
+    "fig-09": fig_09,
+    "fig-11": fig_11,
+    "flattening": flattening,
     "no-holes": no_holes,
-}  # fmt: skip
+}
 """Studies that have specimens of their own; the design reads those of Fig. 7."""
 
 
@@ -156,8 +195,12 @@ def make(study: str, size: Size, folder: Path) -> None:
             continue
         specimen = make_specimen(one.params)
         unready = place.with_name(f"{one.name}-unready")
-        write_instruments(specimen, unready, image=one.instruments == "stack", volume=(
-            "scanner" if one.instruments == "two volumes" else "stack"))  # fmt: skip
+        write_instruments(
+            specimen,
+            unready,
+            image=one.instruments == "stack",
+            volume=("scanner" if one.instruments == "two volumes" else "stack"),
+        )
         if one.instruments == "two volumes":
             write_instruments(specimen, unready, volume="sections", image=False)
         if one.instruments == "print":

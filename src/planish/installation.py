@@ -60,14 +60,21 @@ def check_installation() -> Iterator[Check]:
     version, bits = platform.python_version(), struct.calcsize("P") * 8
     is_supported = bits == 64 and (3, 11) <= sys.version_info[:2] <= (3, 13)
     advice = "" if is_supported else "Needed is a 64-bit Python from 3.11 to 3.13."
-    yield _check("Python", f"{version}, {bits} bit.", state="pass" if is_supported else "fail", advice=advice)
+    yield _check(
+        "Python", f"{version}, {bits} bit.", state="pass" if is_supported else "fail", advice=advice
+    )
     yield _command()
     yield _libraries()
     yield _compile_cache()
     free_gb = int(default_memory_limit() / FREE_SHARE) / 1e9
     sentence = f"{free_gb:.1f} GB are free; a run takes half of that where --memory is not given."
-    advice = f"Close other programs; volumes of more than {free_gb / 3:.1g} GB want 'planish import' first."
-    yield _check("memory", sentence, advice=advice if free_gb < 2 else "", value=free_gb, units="GB")
+    advice = (
+        f"Close other programs; volumes of more than {free_gb / 3:.1g} GB want 'planish import'"
+        " first."
+    )
+    yield _check(
+        "memory", sentence, advice=advice if free_gb < 2 else "", value=free_gb, units="GB"
+    )
     yield _check("processors", f"{available()} may be used; {os.cpu_count()} are there.")
     temporary_advice = "Set TMPDIR (on Windows TMP) to a folder that you may write."
     yield _disk("temporary folder", Path(tempfile.gettempdir()), temporary_advice)
@@ -77,39 +84,63 @@ def check_installation() -> Iterator[Check]:
         if longest_path() is None:
             yield _check("long paths", "Windows takes paths of more than 259 characters.")
         else:
-            short_text = "Windows takes paths of up to 259 characters; runs in deep folders are refused."
+            short_text = (
+                "Windows takes paths of up to 259 characters; runs in deep folders are refused."
+            )
             yield _check("long paths", short_text, state="unknown")
     for extra, purpose in EXTRAS.items():
         yield _extra(extra, purpose)
 
 
 def _check(name: str, sentence: str, *, advice: str = "", state: Any = None, **more: Any) -> Check:
-    return Check(name=name, state=state or ("look" if advice else "pass"), sentence=sentence, advice=advice, **more)
+    return Check(
+        name=name,
+        state=state or ("look" if advice else "pass"),
+        sentence=sentence,
+        advice=advice,
+        **more,
+    )
 
 
 def _command() -> Check:
     program = shutil.which("planish")
     if program is None:
         advice = "Activate its environment, or write the path of the program in front of its name."
-        return _check("command", "planish is not on the search path.", state="unknown", advice=advice)
+        return _check(
+            "command", "planish is not on the search path.", state="unknown", advice=advice
+        )
     # Tools that give a program an environment of its own put a link to it on the path.
-    if Path(sys.executable).absolute().parent in (Path(program).absolute().parent, Path(program).resolve().parent):
+    if Path(sys.executable).absolute().parent in (
+        Path(program).absolute().parent,
+        Path(program).resolve().parent,
+    ):
         return _check("command", "planish in a terminal is this installation.")
     advice = "Compare 'planish --version' with the first line."
-    return _check("command", "planish in a terminal may be another installation.", state="unknown", advice=advice)
+    return _check(
+        "command",
+        "planish in a terminal may be another installation.",
+        state="unknown",
+        advice=advice,
+    )
 
 
 def _libraries() -> Check:
     """Versions of all libraries against the lower bounds, and whether they can be imported."""
     requirements = _requirements(None)
     if requirements is None:
-        return _check("libraries", "planish runs from a folder and is not installed.", state="unknown")
-    versions = [(requirement.name, *_version_and_fault(requirement)) for requirement in requirements]
+        return _check(
+            "libraries", "planish runs from a folder and is not installed.", state="unknown"
+        )
+    versions = [
+        (requirement.name, *_version_and_fault(requirement)) for requirement in requirements
+    ]
     if faults := [fault for _, _, fault in versions if fault]:
         how = "pip install --upgrade, and the path of its wheel or folder."
         advice = f"Install planish again, best into an environment of its own: {how}"
         return _check("libraries", f"{'; '.join(faults)}.", state="fail", advice=advice)
-    return _check("libraries", f"{', '.join(f'{library} {version}' for library, version, _ in versions)}.")
+    return _check(
+        "libraries", f"{', '.join(f'{library} {version}' for library, version, _ in versions)}."
+    )
 
 
 def _version_and_fault(requirement: Requirement) -> tuple[str, str | None]:
@@ -123,15 +154,24 @@ def _version_and_fault(requirement: Requirement) -> tuple[str, str | None]:
         # Names by which the packages of a library are imported, which need not be its own.
         files = [str(file) for file in metadata.files(requirement.name) or ()]
         packages = [file.split("/")[0] for file in files if file.endswith("/__init__.py")]
-        module_files = [file.removesuffix(".py") for file in files if "/" not in file and file.endswith(".py")]
+        module_files = [
+            file.removesuffix(".py") for file in files if "/" not in file and file.endswith(".py")
+        ]
         modules = dict.fromkeys([*packages, *module_files])
-        plain = {name: re.sub("[-_.]", "", name.casefold()) for name in (*modules, requirement.name)}
+        plain = {
+            name: re.sub("[-_.]", "", name.casefold()) for name in (*modules, requirement.name)
+        }
         library = plain[requirement.name]
         matching = [name for name in modules if plain[name] in library or library in plain[name]]
-        for module in matching or [name for name in modules if name.isidentifier() and name[0] != "_"][:1]:
+        for module in (
+            matching or [name for name in modules if name.isidentifier() and name[0] != "_"][:1]
+        ):
             importlib.import_module(module)
     except Exception as error:  # noqa: BLE001  # a library that does not load may raise anything
-        return version, f"{requirement.name} {version} cannot be loaded ({' '.join(str(error).split())[:120]})"
+        return (
+            version,
+            f"{requirement.name} {version} cannot be loaded ({' '.join(str(error).split())[:120]})",
+        )
     return version, None
 
 
@@ -145,7 +185,9 @@ def _requirements(extra: str | None) -> list[Requirement] | None:
     for requirement in map(Requirement, texts):
         marker = requirement.marker
         is_extra = marker is not None and "extra" in str(marker)
-        if is_extra == (extra is not None) and (marker is None or marker.evaluate({"extra": extra or ""})):
+        if is_extra == (extra is not None) and (
+            marker is None or marker.evaluate({"extra": extra or ""})
+        ):
             requirements.append(requirement)
     return requirements
 
@@ -155,7 +197,9 @@ def _compile_cache() -> Check:
     try:
         kernels = list(_kernels())
     except (ImportError, OSError) as error:
-        return _check(name, f"The kernels cannot be loaded ({error}).", state="fail", advice="See libraries.")
+        return _check(
+            name, f"The kernels cannot be loaded ({error}).", state="fail", advice="See libraries."
+        )
     except RuntimeError as error:
         if not is_no_cache(error):
             raise
@@ -163,26 +207,43 @@ def _compile_cache() -> Check:
     folders, n_compiled = set[Path](), 0
     for kernel in kernels:
         folders.add(folder := Path(kernel.stats.cache_path))
-        index_pattern = f"{kernel.py_func.__module__.rpartition('.')[2]}.{kernel.py_func.__qualname__}-*.nbi"
+        index_pattern = (
+            f"{kernel.py_func.__module__.rpartition('.')[2]}.{kernel.py_func.__qualname__}-*.nbi"
+        )
         n_compiled += any(folder.glob(index_pattern))
     for folder in sorted(folders):
         if not _is_writable(folder):
-            return _check(name, f"{_without_user(folder)} cannot be written.", state="fail", advice=ANOTHER_CACHE)
+            return _check(
+                name,
+                f"{_without_user(folder)} cannot be written.",
+                state="fail",
+                advice=ANOTHER_CACHE,
+            )
     is_beside = all(folder.name == "__pycache__" for folder in folders)
     place_text = "beside the program" if is_beside else "in the user's folder for caches"
     cache_dir = os.environ.get("NUMBA_CACHE_DIR")
     if cache_dir and all(folder.is_relative_to(cache_dir) for folder in folders):
         place_text = "in NUMBA_CACHE_DIR"
-    first_run_text = "" if n_compiled else " The first run takes about a minute longer, to compile them."
-    return _check(name, f"{n_compiled} of {len(kernels)} kernels are compiled and kept {place_text}.{first_run_text}")
+    first_run_text = (
+        "" if n_compiled else " The first run takes about a minute longer, to compile them."
+    )
+    return _check(
+        name,
+        f"{n_compiled} of {len(kernels)} kernels are compiled and kept"
+        f" {place_text}.{first_run_text}",
+    )
 
 
 def _kernels() -> Iterator[Any]:
     for info in pkgutil.walk_packages(planish.__path__, "planish."):
         if info.name.rpartition(".")[2].startswith("_") and info.name.endswith("kernels"):
             module = importlib.import_module(info.name)
-            kernels = [function for function in vars(module).values() if hasattr(function, "py_func")]
-            yield from (k for k in kernels if k.py_func.__module__ == info.name and k.stats.cache_path)
+            kernels = [
+                function for function in vars(module).values() if hasattr(function, "py_func")
+            ]
+            yield from (
+                k for k in kernels if k.py_func.__module__ == info.name and k.stats.cache_path
+            )
 
 
 def _without_user(folder: Path) -> str:
@@ -205,13 +266,28 @@ def _is_writable(folder: Path) -> bool:
 def _disk(name: str, folder: Path, other_folder_advice: str) -> Check:
     free_gb = shutil.disk_usage(folder).free / 1e9
     if not _is_writable(folder):
-        return _check(name, f"{_without_user(folder)} cannot be written.", state="fail", advice=other_folder_advice)
+        return _check(
+            name,
+            f"{_without_user(folder)} cannot be written.",
+            state="fail",
+            advice=other_folder_advice,
+        )
     advice = "Free some space: maps, working stores and tiles need it." if free_gb < 2 else ""
-    return _check(name, f"{free_gb:.1f} GB are free, and it can be written.", advice=advice, value=free_gb, units="GB")
+    return _check(
+        name,
+        f"{free_gb:.1f} GB are free, and it can be written.",
+        advice=advice,
+        value=free_gb,
+        units="GB",
+    )
 
 
 def _console() -> Check:
-    terminal = f"a terminal of {shutil.get_terminal_size().columns} columns" if sys.stdout.isatty() else "no terminal"
+    terminal = (
+        f"a terminal of {shutil.get_terminal_size().columns} columns"
+        if sys.stdout.isatty()
+        else "no terminal"
+    )
     streams = f"output {sys.stdout.encoding}, messages {sys.stderr.encoding}"
     files = f"names of files {sys.getfilesystemencoding()}"
     texts = f"texts of other programs {locale.getpreferredencoding(do_setlocale=False)}"
@@ -225,10 +301,20 @@ def _extra(extra: str, purpose: str) -> Check:
     if requirements is None:
         return _check(name, f"{purpose}.", state="unknown")
     faults = [(requirement.name, *_version_and_fault(requirement)) for requirement in requirements]
-    wrong_versions = {library: fault for library, version, fault in faults if fault and version != "missing"}
+    wrong_versions = {
+        library: fault for library, version, fault in faults if fault and version != "missing"
+    }
     if wrong_versions:
-        packages = " ".join(f'"{r.name}{r.specifier}"' for r in requirements if r.name in wrong_versions)
-        return _check(name, f"{'; '.join(wrong_versions.values())}.", advice=f"Run: pip install --upgrade {packages}")
+        packages = " ".join(
+            f'"{r.name}{r.specifier}"' for r in requirements if r.name in wrong_versions
+        )
+        return _check(
+            name,
+            f"{'; '.join(wrong_versions.values())}.",
+            advice=f"Run: pip install --upgrade {packages}",
+        )
     if any(version == "missing" for _, version, _ in faults):
         return _check(name, f'not installed; pip install "planish[{extra}]" gives it: {purpose}.')
-    return _check(name, f"installed ({', '.join(f'{library} {v}' for library, v, _ in faults)}): {purpose}.")
+    return _check(
+        name, f"installed ({', '.join(f'{library} {v}' for library, v, _ in faults)}): {purpose}."
+    )

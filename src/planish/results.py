@@ -17,7 +17,17 @@ from planish.analyze.mottle import Mottle
 from planish.analyze.refinement import RefinementFacts, RefinementR
 from planish.core.checks import Check, State
 from planish.core.errors import FileError
-from planish.core.facts import HoleTiltFacts, InputFile, Number, Pair, ResultModel, SheetNumbers, Side, Trust, optional
+from planish.core.facts import (
+    HoleTiltFacts,
+    InputFile,
+    Number,
+    Pair,
+    ResultModel,
+    SheetNumbers,
+    Side,
+    Trust,
+    optional,
+)
 from planish.core.source_hash import is_this_code
 from planish.core.tables import naming_faults
 from planish.flatten import FlatteningQuality
@@ -30,28 +40,44 @@ class SurfaceFacts(ResultModel):
     """What the surface search learnt, and how much of the sheet it measured."""
 
     through: Literal["z", "y", "x"] = Field(description="Axis through the sheet.")
-    top_side: Literal["high", "low"] = Field(description="End of that axis at which the top side lies.")
+    top_side: Literal["high", "low"] = Field(
+        description="End of that axis at which the top side lies."
+    )
     row_axis: str = Field(description="Axis of the volume that runs down the rows of the surfaces.")
     col_axis: str = Field(description="Axis of the volume that runs along their columns.")
-    thickness_um: Number = Field(description="Median thickness of the sheet, as the first look found it.")
+    thickness_um: Number = Field(
+        description="Median thickness of the sheet, as the first look found it."
+    )
     blur_um: Number = Field(description="Standard deviation of the blur of the scan.")
-    fringe: Number = Field(description="Phase-contrast fringe as a share of an edge's step; 0 where there is none.")
+    fringe: Number = Field(
+        description="Phase-contrast fringe as a share of an edge's step; 0 where there is none."
+    )
     fringe_um: Number = Field(description="Distance of the fringe from the edge.")
-    cutoff_um: Number = Field(description="Wavelength of the centre surface that the smoothing halves.")
+    cutoff_um: Number = Field(
+        description="Wavelength of the centre surface that the smoothing halves."
+    )
     bridged_share: Number = optional("Share of the columns where gaps needed a wider cut-off.")
     bridged_off_rims_share: Number = optional("The same away from holes and their rims.")
     rim_um: Number = Field(description="Zone around holes and gaps that is left out.")
     missing_share: Number = Field(description="Share of the voxels that are NaN or infinite.")
     empty_share: Number = optional("Share of the columns that hold nothing but air.")
-    polarity: Number = Field(description="1 where the sheet is brighter than air, -1 where it is darker.")
+    polarity: Number = Field(
+        description="1 where the sheet is brighter than air, -1 where it is darker."
+    )
     grey_air: Number = Field(description="Grey of the air.")
     grey_base: Number = Field(description="Grey of the base.")
-    grey_coating_top: Number = Field(description="Grey of the top coating; None where there is none.")
-    grey_coating_bottom: Number = Field(description="Grey of the bottom coating; None where there is none.")
+    grey_coating_top: Number = Field(
+        description="Grey of the top coating; None where there is none."
+    )
+    grey_coating_bottom: Number = Field(
+        description="Grey of the bottom coating; None where there is none."
+    )
     grey_noise: Number = Field(description="Standard deviation of the grey from voxel to voxel.")
     columns: int = Field(description="Number of columns.")
     particles_removed: int = Field(
-        description="Particles that were left out: those that float, and those that stick to a face."
+        description=(
+            "Particles that were left out: those that float, and those that stick to a face."
+        )
     )
     half_closed_holes: int = Field(description="Holes of which less than 70 % is open.")
     shares: dict[str, float] = Field(description="Share of the columns with each status.")
@@ -71,8 +97,12 @@ class PropertyFacts(ResultModel):
     p95: Number = Field(description="95th percentile.")
     trust: Trust = Field(default="ok", description="What the checks leave of the figures.")
     standard_error: Number = optional("Median of the standard errors of single columns.")
-    n_independent: int | None = optional("How many independent values the columns have: neighbours share their errors.")
-    mean_standard_error: Number = optional("Standard error of the mean over the columns, from the measurement alone.")
+    n_independent: int | None = optional(
+        "How many independent values the columns have: neighbours share their errors."
+    )
+    mean_standard_error: Number = optional(
+        "Standard error of the mean over the columns, from the measurement alone."
+    )
     support_um: Number = optional("Size of the region that one value stands for.")
 
 
@@ -90,7 +120,9 @@ class SectionFacts(ResultModel):
     pairs_used: int = Field(description="Pairs of sections that were compared.")
     pairs_refused: int = Field(description="Pairs that did not agree with the others.")
     gain_sd: Number = Field(description="Standard deviation of the gain from section to section.")
-    shift_row_rms_um: Number = Field(description="Shifts along the rows' axis that were removed, rms.")
+    shift_row_rms_um: Number = Field(
+        description="Shifts along the rows' axis that were removed, rms."
+    )
     shift_col_rms_um: Number = Field(description="The same along the columns' axis.")
     jitter_left_row_um: Number = Field(
         description="What is left of the quick errors along the rows' axis, standard deviation."
@@ -102,7 +134,9 @@ class SheetFacts(ResultModel):
     """A sheet that was measured and flattened."""
 
     surfaces: SurfaceFacts = Field(description="The surface search.")
-    properties: dict[str, PropertyFacts] = Field(description="Distribution of each property, by name.")
+    properties: dict[str, PropertyFacts] = Field(
+        description="Distribution of each property, by name."
+    )
     numbers: SheetNumbers | None = Field(description="None where they are withheld.")
     flatten: FlatteningQuality = Field(description="The flattening.")
     sections: SectionFacts | None = optional("Where the volume was joined of serial sections.")
@@ -116,7 +150,9 @@ class ErrorShares(ResultModel):
     smoothing_um: Number = optional("Smoothing of the centre surface, and its bridges over holes.")
     sections_um: Number = optional("What is left of the poses of serial sections.")
     rms_um: float = Field(description="Root mean square of the whole.")
-    largest: Literal["marks", "neutral", "smoothing", "sections"] = Field(description="The share that is largest.")
+    largest: Literal["marks", "neutral", "smoothing", "sections"] = Field(
+        description="The share that is largest."
+    )
     sentence: str = Field(description="The same in words, with what would lower it.")
 
 
@@ -141,7 +177,9 @@ class OrientationFacts(ResultModel):
     )
     md_deg_moving: Number = Field(description="Machine direction in the moving layer, as given.")
     md_deg_fixed: Number = Field(description="The same in the fixed layer, as given.")
-    md_deg_fixed_from_moving: Number = Field(description="The first carried over by the registration; 0 to 180.")
+    md_deg_fixed_from_moving: Number = Field(
+        description="The first carried over by the registration; 0 to 180."
+    )
     sentence: str = Field(description="The same in words.")
 
 
@@ -150,7 +188,9 @@ class RegistrationFacts(ResultModel):
 
     to: str = Field(description="Layer that it was registered to.")
     path: tuple[str, ...] = Field(description="Layers from this one to the reference.")
-    source: str = Field(description="'found', 'texture', or the kind of file that the marks came from.")
+    source: str = Field(
+        description="'found', 'texture', or the kind of file that the marks came from."
+    )
     found_moving: int = Field(description="Marks found in the moving layer.")
     found_fixed: int = Field(description="Marks found in the fixed layer.")
     matched: int = Field(description="Pairs in use.")
@@ -162,7 +202,9 @@ class RegistrationFacts(ResultModel):
     model_sentence: str = Field(description="The model and its errors in words.")
     warnings: tuple[str, ...] = Field(description="What to be careful about.")
     rms_um: float = Field(description="Root mean square of the residuals.")
-    leave_one_out_rms_um: Number = Field(description="Root mean square of the leave-one-out errors.")
+    leave_one_out_rms_um: Number = Field(
+        description="Root mean square of the leave-one-out errors."
+    )
     expected_error: ExpectedError | None = Field(description="How far a pixel may be off.")
     scale: float = Field(description="Scale of the closest similarity.")
     rotation_deg: float = Field(description="Rotation of the closest similarity.")
@@ -170,7 +212,9 @@ class RegistrationFacts(ResultModel):
     mirrored: bool = Field(description="Whether the transform mirrors.")
     orientation: OrientationFacts = Field(description="Side, hand and machine direction.")
     lag: LagNumbers | None = optional("The image-based check; of a sheet on an image only.")
-    false_probability: Number = optional("Of a place found by texture: that unrelated layers would have been linked.")
+    false_probability: Number = optional(
+        "Of a place found by texture: that unrelated layers would have been linked."
+    )
     held_out: RefinementR | None = optional("r that a place found by texture was not tuned on.")
 
 
@@ -194,7 +238,9 @@ class LinkedArea(ResultModel):
     share_on_sheet: float = Field(description="Share of them that shows the sheet.")
     share_valid: float = Field(description="Share of them that is valid.")
     share_valid_of_sheet: float = Field(description="Share of the sheet's pixels that is valid.")
-    share_valid_away_from_holes: float = Field(description="The same away from holes and their rims.")
+    share_valid_away_from_holes: float = Field(
+        description="The same away from holes and their rims."
+    )
 
 
 class RegionFacts(ResultModel):
@@ -219,23 +265,37 @@ class Results(ResultModel):
 
     format: Literal[3] = Field(default=FORMAT, description="Version of this schema.")
     planish: str = Field(description="Version of the program.")
-    code: str = Field(default="", description="Hash of the program's sources; empty where not all is of one code.")
-    versions: dict[str, str] = Field(description="Versions of the libraries that numbers depend on.")
-    layers: tuple[LayerFacts, ...] = Field(description="In the order given; the last one is the reference of a link.")
-    chain: bool = Field(default=False, description="Whether each layer was registered to the next one.")
+    code: str = Field(
+        default="", description="Hash of the program's sources; empty where not all is of one code."
+    )
+    versions: dict[str, str] = Field(
+        description="Versions of the libraries that numbers depend on."
+    )
+    layers: tuple[LayerFacts, ...] = Field(
+        description="In the order given; the last one is the reference of a link."
+    )
+    chain: bool = Field(
+        default=False, description="Whether each layer was registered to the next one."
+    )
     correlations: tuple[CorrelationRow, ...] = Field(
         default=(), description="Every pair of layers at each size of points."
     )
     comparison: tuple[ComparisonRow, ...] = Field(
         default=(), description="The headline correlation by projection and flattening."
     )
-    evidence: tuple[EvidenceFacts, ...] = Field(default=(), description="What stands beside the headline correlation.")
+    evidence: tuple[EvidenceFacts, ...] = Field(
+        default=(), description="What stands beside the headline correlation."
+    )
     linked: LinkedArea | None = optional("How much of the reference is valid; of a link only.")
     regions: RegionsFacts | None = optional("Declared artefacts, where there are any.")
-    mottle: tuple[Mottle, ...] = Field(default=(), description="Unevenness of the image by octaves of wavelength.")
+    mottle: tuple[Mottle, ...] = Field(
+        default=(), description="Unevenness of the image by octaves of wavelength."
+    )
     refinement: RefinementFacts | None = optional("Where the registration was refined by the maps.")
     checks: tuple[Check, ...] = Field(description="Every check with its state.")
-    parameters: dict[str, Any] = Field(description="Every parameter of the study; paths are left out.")
+    parameters: dict[str, Any] = Field(
+        description="Every parameter of the study; paths are left out."
+    )
 
     @property
     def is_of_this_code(self) -> bool:
@@ -296,12 +356,14 @@ class Results(ResultModel):
         try:
             data: Any = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError, RecursionError) as error:
-            raise FileError(f"{path} cannot be read: {error}. Give a whole run folder, or repeat the run.") from error
+            raise FileError(
+                f"{path} cannot be read: {error}. Give a whole run folder, or repeat the run."
+            ) from error
         if isinstance(data, dict) and str(data.get("planish", "")).startswith("0.1."):  # type: ignore[reportUnknownArgumentType]
             raise FileError(
-                f"{path.parent} was made by planish 0.1.0. Its maps and its report.html stay readable, but the errors "
-                "stated there are about 1.5 times too small. Repeat it with this version: planish run "
-                f"{path.parent}/run.toml"
+                f"{path.parent} was made by planish 0.1.0. Its maps and its report.html stay"
+                " readable, but the errors stated there are about 1.5 times too small. Repeat it"
+                f" with this version: planish run {path.parent}/run.toml"
             )
         if isinstance(data, dict) and data.get("format") == 2:  # type: ignore[reportUnknownMemberType]
             data = _from_format_2(data)
@@ -310,7 +372,8 @@ class Results(ResultModel):
             return cls.model_validate(data)
 
 
-_LEFT_OUT_OF_2 = ("saturated_share", "null_95", "null_99", "split_um", "lags_of_bands_um")  # by later formats
+# By later formats.
+_LEFT_OUT_OF_2 = ("saturated_share", "null_95", "null_99", "split_um", "lags_of_bands_um")
 
 
 def _from_format_2(stored_json: Any) -> Any:
@@ -320,18 +383,32 @@ def _from_format_2(stored_json: Any) -> Any:
     if not isinstance(stored_json, dict):
         return stored_json
     converted: dict[str, Any] = {
-        name: _from_format_2(part) for name, part in stored_json.items() if name not in (*_LEFT_OUT_OF_2, "gates")
+        name: _from_format_2(part)
+        for name, part in stored_json.items()
+        if name not in (*_LEFT_OUT_OF_2, "gates")
     }
     if "gates" in stored_json:
         converted["format"] = FORMAT
         converted["checks"] = [
-            {"name": gate["name"], "state": "pass" if gate["passed"] else "fail", "sentence": gate["sentence"],
-             "value": gate["value"], "limit": gate["limit"]}
+            {
+                "name": gate["name"],
+                "state": "pass" if gate["passed"] else "fail",
+                "sentence": gate["sentence"],
+                "value": gate["value"],
+                "limit": gate["limit"],
+            }
             for gate in stored_json["gates"]
-        ]  # fmt: skip
-        converted["checks"].append({
-            "name": "version", "state": "unknown", "figures": ("correlation", "position"),
-            "sentence": f"Made by planish {stored_json['planish']}, which made fewer checks and stated no intervals.",
-            "advice": "Repeat it with this version: planish run with the run.toml of this run.",
-        })  # fmt: skip
+        ]
+        converted["checks"].append(
+            {
+                "name": "version",
+                "state": "unknown",
+                "figures": ("correlation", "position"),
+                "sentence": (
+                    f"Made by planish {stored_json['planish']}, which made fewer checks and stated"
+                    " no intervals."
+                ),
+                "advice": "Repeat it with this version: planish run with the run.toml of this run.",
+            }
+        )
     return converted

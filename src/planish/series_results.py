@@ -38,9 +38,15 @@ class Member(ResultModel):
     """One specimen of a series."""
 
     name: str = Field(description="Name of the specimen; its run has this name, too.")
-    factors: dict[str, str] = Field(default_factory=dict, description="Factors, such as paper, sheet and treatment.")
-    state: MemberState = Field(default="open", description="whole, withheld, refused, damaged or open.")
-    message: str = Field(default="", description="Why there is no run, or what a check refuted, and what to do.")
+    factors: dict[str, str] = Field(
+        default_factory=dict, description="Factors, such as paper, sheet and treatment."
+    )
+    state: MemberState = Field(
+        default="open", description="whole, withheld, refused, damaged or open."
+    )
+    message: str = Field(
+        default="", description="Why there is no run, or what a check refuted, and what to do."
+    )
     seconds: float | None = optional("Time that the link took.")
     run: str | None = optional("Folder of its run, relative to that of the series.")
 
@@ -59,10 +65,14 @@ RunKind = Literal["map", "sheet on image", "two volumes", "layers"]
 class Quantity(ResultModel):
     """One figure that every specimen has: a statistic of a map, or r of two maps."""
 
-    layer: str = Field(default="", description="Layer of the map; empty where each specimen has one sheet.")
+    layer: str = Field(
+        default="", description="Layer of the map; empty where each specimen has one sheet."
+    )
     map: str = Field(description="Name of the map.")
     what: What = Field(description="mean, sd, thin_share, or r with the other map.")
-    other_layer: str = Field(default="", description="Layer of the other map of r; empty as for layer.")
+    other_layer: str = Field(
+        default="", description="Layer of the other map of r; empty as for layer."
+    )
     other_map: str = Field(default="", description="The other map of r.")
     at_um: Number = optional("Limit of a thin share, or edge of the points of r.")
     unit: str = Field(description="Of its values; 1 for a share and for r.")
@@ -79,7 +89,9 @@ class Cell(ResultModel):
     n_eff: Number = optional("Independent points, of r only.")
     n_eff_interval: Number = optional("Independent points that would give the interval of r.")
     trust: Trust = Field(default="ok", description="What the checks leave of it.")
-    counts: bool = Field(default=False, description="Whether it takes part in means and comparisons.")
+    counts: bool = Field(
+        default=False, description="Whether it takes part in means and comparisons."
+    )
     why_not: str = Field(default="", description="Why it does not; empty where it does.")
 
 
@@ -88,14 +100,21 @@ class SeriesSpecimen(ResultModel):
 
     member: Member = Field(description="Name, factors, state and run.")
     kind: RunKind | None = optional("None where there is no run.")
-    sheet: str = Field(default="", description="Sheet that it counts as a field of, among those of its paper.")
+    sheet: str = Field(
+        default="", description="Sheet that it counts as a field of, among those of its paper."
+    )
     light: State | None = optional("Worst state of its checks.")
     spoken: dict[State, tuple[str, ...]] = Field(
-        default_factory=dict, description="Names of the checks that fail, ask for a look, or could not be answered."
+        default_factory=dict,
+        description="Names of the checks that fail, ask for a look, or could not be answered.",
     )
     marks_used: int | None = optional("Pairs of marks in use; the fewest of its layers.")
-    leave_one_out_um: Number = optional("Root mean square of the leave-one-out errors; the largest of its layers.")
-    expected_error_um: Number = optional("Median of the expected error of a pixel; the largest of its layers.")
+    leave_one_out_um: Number = optional(
+        "Root mean square of the leave-one-out errors; the largest of its layers."
+    )
+    expected_error_um: Number = optional(
+        "Median of the expected error of a pixel; the largest of its layers."
+    )
     cells: tuple[Cell, ...] = Field(default=(), description="One for each quantity of the series.")
 
     @property
@@ -110,7 +129,9 @@ class SeriesSpecimen(ResultModel):
 
 class _OfGroup(ResultModel):
     quantity: int = Field(description="Number of the quantity, from 0.")
-    group: dict[str, str] = Field(description="Levels of the factors; empty where all specimens are one group.")
+    group: dict[str, str] = Field(
+        description="Levels of the factors; empty where all specimens are one group."
+    )
 
 
 class GroupFacts(SheetMean, _OfGroup):
@@ -128,8 +149,12 @@ class DifferenceFacts(SetDifference, _OfLevels):
     """One quantity of two levels of a factor, the second minus the first."""
 
     smallest_seen: Value = optional("Difference that such a study sees in 80 % of cases.")
-    unpaired: tuple[str, ...] = Field(default=(), description="Sheets without a partner, where sheets pair.")
-    left_out: tuple[str, ...] = Field(default=(), description="Specimens of both levels that do not count.")
+    unpaired: tuple[str, ...] = Field(
+        default=(), description="Sheets without a partner, where sheets pair."
+    )
+    left_out: tuple[str, ...] = Field(
+        default=(), description="Specimens of both levels that do not count."
+    )
     reason: str = Field(default="", description="Why there is no interval.")
     equivalence: Equivalence | None = optional("Where a margin was declared.")
 
@@ -168,17 +193,25 @@ class SeriesResults(ResultModel):
 
     format: Literal[1] = Field(default=FORMAT, description="Version of this schema.")
     planish: str = Field(description="Version of the program.")
-    declared: dict[str, object] = Field(description="What was declared: factor, margins, maps, doubtful figures.")
+    declared: dict[str, object] = Field(
+        description="What was declared: factor, margins, maps, doubtful figures."
+    )
     quantities: tuple[Quantity, ...] = Field(description="What is compared, the leading map first.")
-    headline_declared: bool = Field(description="Whether the maps were declared; else they are those of the runs.")
+    headline_declared: bool = Field(
+        description="Whether the maps were declared; else they are those of the runs."
+    )
     factors: tuple[str, ...] = Field(default=(), description="All factors of the table.")
     grouped_by: tuple[str, ...] = Field(default=(), description="Factors that make the groups.")
     compared_by: str | None = optional("Factor that is compared; None where there is none.")
     sheets_given: bool = Field(description="Whether the table names the sheet of every specimen.")
     specimens: tuple[SeriesSpecimen, ...] = Field(description="In the order of the table.")
     groups: tuple[GroupFacts, ...] = Field(default=(), description="By group and quantity.")
-    differences: tuple[DifferenceFacts, ...] = Field(default=(), description="By quantity and pair of levels.")
-    instruments: tuple[InstrumentFacts, ...] = Field(default=(), description="Specimens measured by two instruments.")
+    differences: tuple[DifferenceFacts, ...] = Field(
+        default=(), description="By quantity and pair of levels."
+    )
+    instruments: tuple[InstrumentFacts, ...] = Field(
+        default=(), description="Specimens measured by two instruments."
+    )
     cautions: tuple[str, ...] = Field(default=(), description="What to be careful about.")
 
     @property

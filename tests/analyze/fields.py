@@ -47,16 +47,24 @@ def exact_n_eff(shape, length, *, known=None, kind="exp"):
 
 def texture(shape, sigma, rng):
     """A periodic field of standard deviation 1, smoothed by a Gaussian; ``rng`` may be a seed."""
-    field = ndimage.gaussian_filter(np.random.default_rng(rng).standard_normal(shape), sigma, mode="wrap")
+    field = ndimage.gaussian_filter(
+        np.random.default_rng(rng).standard_normal(shape), sigma, mode="wrap"
+    )
     return field / field.std()
 
 
-def compared(maps, lags, *, a=("sheet", "coating_top"), b=("image", "image"), units=("um", "1"), **more):
+def compared(
+    maps, lags, *, a=("sheet", "coating_top"), b=("image", "image"), units=("um", "1"), **more
+):
     """Two maps as ``correlation_diagnostics`` hands them to its questions."""
     grid = Grid.regular(lags.is_valid.shape, lags.pixel_um)
-    layers = tuple(xr.Dataset({name: (("y", "x"), m)}) for (_, name), m in zip((a, b), maps, strict=True))
+    layers = tuple(
+        xr.Dataset({name: (("y", "x"), m)}) for (_, name), m in zip((a, b), maps, strict=True)
+    )
     options = {"params": CorrelateParams(), "layers": layers, "grid": grid} | more
-    return correlation_evidence.ComparedMaps(a=a, b=b, units=units, x=maps[0], y=maps[1], lags=lags, **options)
+    return correlation_evidence.ComparedMaps(
+        a=a, b=b, units=units, x=maps[0], y=maps[1], lags=lags, **options
+    )
 
 
 def lags_of(values, cell_um):

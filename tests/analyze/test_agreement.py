@@ -20,15 +20,21 @@ def test_white_differences_have_the_textbook_numbers():
     n = d.size
     assert (found.n, found.bias) == (n, pytest.approx(d.mean(), abs=1e-12))
     assert found.sd == pytest.approx(d.std(ddof=1), abs=1e-12)
-    assert found.limits == pytest.approx([d.mean() + k * 1.96 * d.std(ddof=1) for k in (-1, 1)], abs=1e-9)
+    assert found.limits == pytest.approx(
+        [d.mean() + k * 1.96 * d.std(ddof=1) for k in (-1, 1)], abs=1e-9
+    )
     assert found.n_eff == pytest.approx(n, rel=0.25)
     width = np.diff(found.bias_interval)[0] / 2
     t = 2.262  # of 9 degrees of freedom
     assert width == pytest.approx(t * found.sd / math.sqrt(found.n_eff), rel=0.01)
-    assert found.sd_interval[1] / found.sd == pytest.approx(1 + t / math.sqrt(2 * found.n_eff_sd), rel=0.01)
+    assert found.sd_interval[1] / found.sd == pytest.approx(
+        1 + t / math.sqrt(2 * found.n_eff_sd), rel=0.01
+    )
     # Bland and Altman (1986): the standard error of a limit is about sqrt(3 / n) of the standard deviation.
     wide = np.diff(found.limit_intervals[1])[0] / 2
-    assert wide == pytest.approx(t * found.sd * math.sqrt(1 / found.n_eff + 1.96**2 / 2 / found.n_eff_sd), rel=0.01)
+    assert wide == pytest.approx(
+        t * found.sd * math.sqrt(1 / found.n_eff + 1.96**2 / 2 / found.n_eff_sd), rel=0.01
+    )
 
 
 def test_lines_of_both_directions_stand_beside_and_a_swap_turns_the_sign():
@@ -38,14 +44,22 @@ def test_lines_of_both_directions_stand_beside_and_a_swap_turns_the_sign():
     assert found.slope_x_on_y == pytest.approx(np.polyfit(b.ravel(), a.ravel(), 1)[0])
     a, b = measured(3, (60, 80))
     one, two = bland_altman(a, b, pixel_um=1.0), bland_altman(b, a, pixel_um=1.0)
-    assert (two.bias, two.limits) == (pytest.approx(-one.bias), pytest.approx((-one.limits[1], -one.limits[0])))
-    assert two.limit_intervals[0] == pytest.approx((-one.limit_intervals[1][1], -one.limit_intervals[1][0]))
+    assert (two.bias, two.limits) == (
+        pytest.approx(-one.bias),
+        pytest.approx((-one.limits[1], -one.limits[0])),
+    )
+    assert two.limit_intervals[0] == pytest.approx(
+        (-one.limit_intervals[1][1], -one.limit_intervals[1][0])
+    )
     assert (two.slope, two.slope_x_on_y) == pytest.approx((one.slope_x_on_y, one.slope))
 
 
 def test_texture_widens_the_intervals_until_nothing_is_claimed():
     rng = np.random.default_rng(2)
-    rough, smooth = (bland_altman(*measured(rng, (90, 120), length=length), pixel_um=1.0) for length in (1.0, 6.0))
+    rough, smooth = (
+        bland_altman(*measured(rng, (90, 120), length=length), pixel_um=1.0)
+        for length in (1.0, 6.0)
+    )
     assert smooth.n_eff < rough.n_eff / 10
     assert np.diff(smooth.bias_interval) > 3 * np.diff(rough.bias_interval)
     # Squares vary faster than the map itself.
@@ -61,7 +75,11 @@ def test_texture_widens_the_intervals_until_nothing_is_claimed():
 def test_an_offset_alone_has_no_spread():
     a = gaussian_maps(5, (30, 40), 3.0)[0]
     found = bland_altman(a, a + 2, pixel_um=1.0)
-    assert (found.sd, found.limits, found.bias_interval) == (0, pytest.approx((2, 2)), pytest.approx((2, 2)))
+    assert (found.sd, found.limits, found.bias_interval) == (
+        0,
+        pytest.approx((2, 2)),
+        pytest.approx((2, 2)),
+    )
 
 
 @pytest.mark.nightly

@@ -10,7 +10,9 @@ from planish.core.errors import CannotMeasure, InputError, SizeError
 
 def displaced(rng, values, error):
     """The map, each pixel from a place that a slow random field moves by this error (rms of the length)."""
-    moves = [ndimage.gaussian_filter(rng.normal(size=values.shape), 12, mode="wrap") for _ in range(2)]
+    moves = [
+        ndimage.gaussian_filter(rng.normal(size=values.shape), 12, mode="wrap") for _ in range(2)
+    ]
     moves = [m / m.std() * error / np.sqrt(2) for m in moves]
     at = [k + m for k, m in zip(np.indices(values.shape), moves, strict=True)]
     return ndimage.map_coordinates(values, at, order=1, mode="reflect")
@@ -40,7 +42,11 @@ def test_a_ceiling_needs_a_map_and_an_error_and_lies_between_those_of_its_errors
     low, high = (ceiling(a, error_um=e, pixel_um=1.0).r for e in (5.0, 1.0))
     assert low < ceiling(a, error_um=errors, pixel_um=1.0).r < high
     a = gaussian_maps(2, (20, 30), 6.0)[0]
-    for given in ({"error_um": -1.0}, {"error_um": np.full(a.shape, np.nan)}, {"error_um": 1.0, "reliability": 0.0}):
+    for given in (
+        {"error_um": -1.0},
+        {"error_um": np.full(a.shape, np.nan)},
+        {"error_um": 1.0, "reliability": 0.0},
+    ):
         with pytest.raises(InputError):
             ceiling(a, pixel_um=1.0, **given)
     refused(CannotMeasure, "constant", ceiling, np.ones((9, 9)), error_um=1.0, pixel_um=1.0)
@@ -102,7 +108,9 @@ def test_commonality_adds_up_and_knows_two_predictors():
 
     two = commonality(b, {k: maps[k] for k in ("x", "both")})
     assert two["x"] == pytest.approx(explained("x", "both") - explained("both"))
-    assert two["x and both"] == pytest.approx(explained("x") + explained("both") - explained("x", "both"))
+    assert two["x and both"] == pytest.approx(
+        explained("x") + explained("both") - explained("x", "both")
+    )
     three = commonality(b, maps)
     assert (len(three), sum(three.values())) == (7, pytest.approx(explained(*maps)))
     refused(InputError, "sum of others", commonality, b, {"x": x, "y": y, "sum": x + y})

@@ -18,7 +18,10 @@ def pair(r, shape=(200, 300), seed=0):
 def test_a_known_correlation_of_independent_points_is_found(r):
     found = correlate(*pair(r), pixel_um=4.0)
     standard_error = (1 - r * r) / np.sqrt(60_000)
-    assert (found.r, found.r2) == (pytest.approx(r, abs=4 * standard_error + 1e-12), pytest.approx(found.r**2))
+    assert (found.r, found.r2) == (
+        pytest.approx(r, abs=4 * standard_error + 1e-12),
+        pytest.approx(found.r**2),
+    )
     assert (found.n, found.point_um, found.n_eff) == (60_000, 4.0, pytest.approx(60_000, rel=0.05))
     assert found.n_eff_interval == pytest.approx(60_000, rel=0.12)
     low, high = found.interval
@@ -30,8 +33,14 @@ def test_a_known_correlation_of_independent_points_is_found(r):
 def test_slopes_are_those_of_the_lines():
     x = np.random.default_rng(2).normal(size=(30, 40))
     found = correlate(x, 3 * x - 2, pixel_um=1)
-    assert (found.slope, found.intercept, found.r, found.slope_x_on_y) == pytest.approx((3, -2, 1, 1 / 3))
-    assert (found.interval, found.p, correlate(x, -x, pixel_um=1).interval) == ((found.r, found.r), 0, (-1, -1))
+    assert (found.slope, found.intercept, found.r, found.slope_x_on_y) == pytest.approx(
+        (3, -2, 1, 1 / 3)
+    )
+    assert (found.interval, found.p, correlate(x, -x, pixel_um=1).interval) == (
+        (found.r, found.r),
+        0,
+        (-1, -1),
+    )
     assert pearson(np.arange(5.0), -np.arange(5.0)) == pytest.approx(-1)
 
 
@@ -87,7 +96,10 @@ def test_sums_of_parts_are_those_of_the_whole():
         sums.add(a[part], b[part])
     known = np.isfinite(b)
     off = (b - a)[known]
-    assert (sums.n, sums.r) == (known.sum(), pytest.approx(np.corrcoef(a[known], b[known])[0, 1], abs=1e-12))
+    assert (sums.n, sums.r) == (
+        known.sum(),
+        pytest.approx(np.corrcoef(a[known], b[known])[0, 1], abs=1e-12),
+    )
     assert sums.lines[:2] == pytest.approx(np.polyfit(a[known], b[known], 1), rel=1e-6)
     assert sums.lines[2] == pytest.approx(np.polyfit(b[known], a[known], 1)[0], rel=1e-6)
     assert sums.difference == pytest.approx((off.mean(), off.std(ddof=1)))
@@ -138,7 +150,9 @@ def test_n_eff_is_that_of_the_covariance_also_around_a_hole(length, kind, hole):
     known[10:40, 10:30] = not hole
     maps = [gaussian_maps(rng, known.shape, length, kind=kind) for _ in range(60)]
     found = [correlate(*pair, mask=known, pixel_um=1).n_eff for pair in maps]
-    assert np.median(found) == pytest.approx(exact_n_eff(known.shape, length, known=known, kind=kind), rel=0.12)
+    assert np.median(found) == pytest.approx(
+        exact_n_eff(known.shape, length, known=known, kind=kind), rel=0.12
+    )
 
 
 def test_large_maps_by_cells_say_the_same():
@@ -166,7 +180,9 @@ def test_masks_scale_places_exchange_and_transposition_change_no_number():
         two = correlate(np.where(known, a, junk), np.where(known, b, -junk), mask=known, pixel_um=1)
         np.testing.assert_allclose(numbers(two), numbers(one), rtol=1e-12)
     scaled = correlate(3.7 * a, b / 11, mask=known, pixel_um=1)
-    np.testing.assert_allclose(numbers(scaled)[[0, 1, 4, 5, 6, 7]], numbers(one)[[0, 1, 4, 5, 6, 7]], rtol=1e-12)
+    np.testing.assert_allclose(
+        numbers(scaled)[[0, 1, 4, 5, 6, 7]], numbers(one)[[0, 1, 4, 5, 6, 7]], rtol=1e-12
+    )
     moved = correlate(a + 1e4, b - 1e4, mask=known, pixel_um=1)
     np.testing.assert_allclose(numbers(moved), numbers(one), rtol=1e-9)
     assert moved.p == pytest.approx(one.p, rel=1e-8)
@@ -192,7 +208,10 @@ def test_two_planes_say_nothing():
 
 
 def test_few_points_trends_and_constant_maps_are_named():
-    found = [correlate(*gaussian_maps(np.random.default_rng(k), (60, 80), 13.0), pixel_um=1) for k in range(20)]
+    found = [
+        correlate(*gaussian_maps(np.random.default_rng(k), (60, 80), 13.0), pixel_um=1)
+        for k in range(20)
+    ]
     assert any("independent points" in w for c in found for w in c.warnings)
     a, b = gaussian_maps(1, (60, 80), 2.0)
     slope = np.linspace(0, 4, 80)
@@ -204,7 +223,9 @@ def test_few_points_trends_and_constant_maps_are_named():
     assert not correlate(a + slope, b, pixel_um=1).warnings
     a, b = pair(0.5, (30, 40))
     a[np.random.default_rng(0).random(a.shape) < 0.95] = 0.0
-    assert any("of the first map have the same value" in w for w in correlate(a, b, pixel_um=1).warnings)
+    assert any(
+        "of the first map have the same value" in w for w in correlate(a, b, pixel_um=1).warnings
+    )
 
 
 @pytest.mark.parametrize(
@@ -229,6 +250,8 @@ def test_wrong_input_is_a_sentence(change, error, word):
 
 
 def test_maps_at_other_places_are_refused():
-    a = xr.DataArray(np.ones((4, 5)), dims=("y", "x"), coords={"y": np.arange(4.0), "x": np.arange(5.0)})
+    a = xr.DataArray(
+        np.ones((4, 5)), dims=("y", "x"), coords={"y": np.arange(4.0), "x": np.arange(5.0)}
+    )
     for b in (a.assign_coords(x=np.arange(5.0) + 1), a.rename(x="u")):
         refused(InputError, "other places", correlate, a, b, pixel_um=1)

@@ -33,10 +33,15 @@ def with_noise(x, sd=0.017, seed=1):
 def test_with_independent_points_it_is_the_textbook(x):
     y = with_noise(x)
     found = straight_or_curved(x, y, n_eff=x.size)
-    for degree, value, (low, high) in [(1, found.slope, found.slope_interval), (2, found.curvature, found.interval)]:
+    for degree, value, (low, high) in [
+        (1, found.slope, found.slope_interval),
+        (2, found.curvature, found.interval),
+    ]:
         about, covariance = np.polyfit(x - x.mean(), y, degree, cov=True)
         width = stats.t.ppf(0.975, x.size - degree - 1) * np.sqrt(covariance[0, 0])
-        assert (value, low, high) == pytest.approx((about[0], about[0] - width, about[0] + width), rel=1e-9)
+        assert (value, low, high) == pytest.approx(
+            (about[0], about[0] - width, about[0] + width), rel=1e-9
+        )
     assert found.r2_line == pytest.approx(np.corrcoef(x, y)[0, 1] ** 2)
 
 
@@ -44,14 +49,20 @@ def test_fewer_independent_points_widen_and_missing_points_do_not_count(x):
     y = with_noise(x)
     wide, narrow = (straight_or_curved(x, y, n_eff=n) for n in (100, 1000))
     ratio = np.ptp(wide.interval) / np.ptp(narrow.interval)
-    assert ratio == pytest.approx(np.sqrt(997 / 97) * stats.t.ppf(0.975, 97) / stats.t.ppf(0.975, 997), rel=1e-9)
+    assert ratio == pytest.approx(
+        np.sqrt(997 / 97) * stats.t.ppf(0.975, 97) / stats.t.ppf(0.975, 997), rel=1e-9
+    )
     assert wide.curvature == narrow.curvature
     both = straight_or_curved(x, y, n_eff=100, n_eff_square=1000)
     assert (both.slope_interval, both.interval) == (wide.slope_interval, narrow.interval)
     holed_x, holed_y = x.copy(), y.copy()
     holed_x[:100], holed_y[100:150] = np.nan, np.inf
-    assert straight_or_curved(holed_x, holed_y, n_eff=50) == straight_or_curved(x[150:], y[150:], n_eff=50)
-    assert fit_kubelka_munk(holed_x, holed_y, n_eff=50) == fit_kubelka_munk(x[150:], y[150:], n_eff=50)
+    assert straight_or_curved(holed_x, holed_y, n_eff=50) == straight_or_curved(
+        x[150:], y[150:], n_eff=50
+    )
+    assert fit_kubelka_munk(holed_x, holed_y, n_eff=50) == fit_kubelka_munk(
+        x[150:], y[150:], n_eff=50
+    )
 
 
 @pytest.mark.parametrize(
@@ -70,21 +81,32 @@ def test_words(x, curve, words):
 
 def test_shift_and_scale_carry_over_and_a_valley_has_no_slope(x):
     y = with_noise(x)
-    one, other = straight_or_curved(x, y, n_eff=100), straight_or_curved(10 * x + 5, 3 - 2 * y, n_eff=100)
-    assert (other.slope, other.curvature) == (pytest.approx(-one.slope / 5), pytest.approx(-one.curvature / 50))
+    one, other = (
+        straight_or_curved(x, y, n_eff=100),
+        straight_or_curved(10 * x + 5, 3 - 2 * y, n_eff=100),
+    )
+    assert (other.slope, other.curvature) == (
+        pytest.approx(-one.slope / 5),
+        pytest.approx(-one.curvature / 50),
+    )
     assert other.interval == pytest.approx(tuple(-v / 50 for v in one.interval[::-1]))
     assert other.words == one.words
-    y = (x - x.mean()) ** 2 - np.mean((x - x.mean()) ** 3) / x.var() * x  # its straight line is level
+    # Its straight line is level.
+    y = (x - x.mean()) ** 2 - np.mean((x - x.mean()) ** 3) / x.var() * x
     assert straight_or_curved(x, y, n_eff=200).words == "curved, without a slope"
 
 
 @pytest.mark.parametrize(
-    ("s", "ratio", "backing"), [(0.15, 0.002, 0.794), (0.05, 0.01, 0.0), (0.24, 0.0, 0.3), (0.1, 0.5, 0.9)]
+    ("s", "ratio", "backing"),
+    [(0.15, 0.002, 0.794), (0.05, 0.01, 0.0), (0.24, 0.0, 0.3), (0.1, 0.5, 0.9)],
 )
 def test_a_layer_without_noise_is_found(x, s, ratio, backing):
     y = bright(x, s, ratio, backing)
     found = fit_kubelka_munk(x, y, n_eff=100, absorption_over_scattering=ratio)
-    assert (found.scattering, found.backing) == (pytest.approx(s, rel=0.02), pytest.approx(backing, abs=0.02))
+    assert (found.scattering, found.backing) == (
+        pytest.approx(s, rel=0.02),
+        pytest.approx(backing, abs=0.02),
+    )
     assert found(x) == pytest.approx(y, abs=1e-6)
     assert found.rms < 1e-6
 
@@ -93,7 +115,9 @@ def test_the_backing_beside_an_end_of_the_interval_leaves_least_there(x):
     y = with_noise(x)
     found = fit_kubelka_munk(x, y, n_eff=100, absorption_over_scattering=0.002)
     for s, backing in zip(found.scattering_interval, found.backing_at_ends, strict=True):
-        left = [np.sum((bright(x, s, 0.002, backing + step) - y) ** 2) for step in (-0.003, 0.0, 0.003)]
+        left = [
+            np.sum((bright(x, s, 0.002, backing + step) - y) ** 2) for step in (-0.003, 0.0, 0.003)
+        ]
         assert left[1] == min(left)
 
 
@@ -101,7 +125,9 @@ def test_a_unit_of_x_is_a_unit_of_scattering_which_absorption_left_out_lowers(x)
     y = with_noise(x)
     one, other = fit_kubelka_munk(x, y, n_eff=100), fit_kubelka_munk(x / 1000, y, n_eff=100)
     assert other.scattering == pytest.approx(1000 * one.scattering, rel=1e-6)
-    assert other.scattering_interval == pytest.approx(tuple(1000 * v for v in one.scattering_interval), rel=1e-4)
+    assert other.scattering_interval == pytest.approx(
+        tuple(1000 * v for v in one.scattering_interval), rel=1e-4
+    )
     assert other.backing_interval == pytest.approx(one.backing_interval, rel=1e-4)
     # As the docstring says. The slope of the layer is S [(1 - R)^2 - 2 R K/S].
     found = fit_kubelka_munk(x, bright(x), n_eff=100)
@@ -111,7 +137,9 @@ def test_a_unit_of_x_is_a_unit_of_scattering_which_absorption_left_out_lowers(x)
 def test_little_noise_gives_the_intervals_of_a_linearised_fit(x):
     y = with_noise(x, sd=1e-4)
     found = fit_kubelka_munk(x, y, n_eff=x.size, absorption_over_scattering=0.002)
-    about, covariance = optimize.curve_fit(lambda x, s, g: bright(x, s, 0.002, g), x, y, p0=(0.1, 0.7))
+    about, covariance = optimize.curve_fit(
+        lambda x, s, g: bright(x, s, 0.002, g), x, y, p0=(0.1, 0.7)
+    )
     width = stats.t.ppf(0.975, x.size - 2) * np.sqrt(np.diag(covariance))
     assert (found.scattering, found.backing) == pytest.approx(tuple(about), rel=1e-4)
     for k, (low, high) in enumerate((found.scattering_interval, found.backing_interval)):
@@ -150,7 +178,9 @@ def test_independent_points_are_those_of_the_rest_with_x_with_its_square_and_alo
     rest = e - np.polyval(np.polyfit(x[known], e[known], 1), x)
     for n, m in ((found.n_eff, x), (found.n_eff_square, (x - x[known].mean()) ** 2)):
         assert n == pytest.approx(correlate(m, rest, pixel_um=10).n_eff, rel=1e-6)
-    assert found.n_eff_level == pytest.approx(bland_altman(x, x + rest, pixel_um=10).n_eff, rel=1e-6)
+    assert found.n_eff_level == pytest.approx(
+        bland_altman(x, x + rest, pixel_um=10).n_eff, rel=1e-6
+    )
 
 
 def test_intervals_end_at_what_is_possible(x):
@@ -178,7 +208,13 @@ RISE = np.linspace(1.0, 20.0, 50)
         (RISE, RISE[:-1] / 30, 20, InputError, r"x has \(50,\) points, y has \(49,\)"),
         (RISE, RISE.astype(str), 20, InputError, "y holds <U"),
         (RISE, RISE / 30, 51, InputError, "n_eff is 51 of 50 points"),
-        (RISE, RISE / 30, 9.4, CannotMeasure, "50 points are known .* 9 of them independent; .* 10 .* larger field"),
+        (
+            RISE,
+            RISE / 30,
+            9.4,
+            CannotMeasure,
+            "50 points are known .* 9 of them independent; .* 10 .* larger field",
+        ),
         (RISE, RISE / 30, np.nan, CannotMeasure, "an unknown number of them"),
         (RISE, NAN, 20, CannotMeasure, "0 points are known"),
         (np.full(50, 7.0), RISE / 30, 20, CannotMeasure, "x has 1 different value;"),
@@ -192,10 +228,28 @@ def test_points_that_show_no_curve_are_refused(call, x, y, n_eff, error, message
 @pytest.mark.parametrize(
     ("x", "y", "options", "error", "message"),
     [
-        (RISE, 131 + RISE, {}, InputError, r"50 of 50 greys .* \(132 to 151\).* dark and a white reference"),
+        (
+            RISE,
+            131 + RISE,
+            {},
+            InputError,
+            r"50 of 50 greys .* \(132 to 151\).* dark and a white reference",
+        ),
         (RISE, RISE / 19.5, {}, InputError, "2 of 50 greys"),
-        (RISE - 2, RISE / 30, {}, InputError, "3 of 50 thicknesses or weights are below 0, down to -1"),
-        (RISE, RISE / 30, {"absorption_over_scattering": -0.1}, InputError, "absorption_over_scattering is -0.1"),
+        (
+            RISE - 2,
+            RISE / 30,
+            {},
+            InputError,
+            "3 of 50 thicknesses or weights are below 0, down to -1",
+        ),
+        (
+            RISE,
+            RISE / 30,
+            {"absorption_over_scattering": -0.1},
+            InputError,
+            "absorption_over_scattering is -0.1",
+        ),
         (RISE, RISE / 30, {"n_eff_level": 0}, InputError, "n_eff_level is 0"),
         (RISE, 0.8 - RISE / 100, {}, CannotMeasure, "the grey does not rise .* darkens"),
         (RISE, 0 * RISE + 0.5, {}, CannotMeasure, "No scattering layer"),
@@ -215,11 +269,21 @@ def test_intervals_hold_the_truth():
         curve, line = bright(x) + 0.0175 * e, 0.8 + 0.0023 * x + 0.0175 * e
         points = independent_points(x, line, pixel_um=1)
         fit = fit_kubelka_munk(
-            x, curve, n_eff=points.n_eff, n_eff_level=points.n_eff_level, absorption_over_scattering=0.002
+            x,
+            curve,
+            n_eff=points.n_eff,
+            n_eff_level=points.n_eff_level,
+            absorption_over_scattering=0.002,
         )
         (s, t), (g, h) = fit.scattering_interval, fit.backing_interval
         bend = straight_or_curved(x, line, n_eff=points.n_eff, n_eff_square=points.n_eff_square)
-        inside.append((s <= 0.15 <= t, g <= 0.794 <= h, bend.slope_interval[0] <= 0.0023 <= bend.slope_interval[1]))
+        inside.append(
+            (
+                s <= 0.15 <= t,
+                g <= 0.794 <= h,
+                bend.slope_interval[0] <= 0.0023 <= bend.slope_interval[1],
+            )
+        )
         straight_is_straight.append(bend.words.startswith("not"))
     print(np.mean(inside, axis=0), np.mean(straight_is_straight))
     shares = [*np.mean(inside, axis=0), np.mean(straight_is_straight)]

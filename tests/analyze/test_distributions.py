@@ -12,7 +12,9 @@ from planish.analyze import distributions
 def test_tails_are_those_of_the_distributions(share, free):
     value = stats.norm.ppf(share)
     assert distributions.normal_tail(value) == pytest.approx(stats.norm.sf(value), rel=1e-12)
-    assert distributions.student_tail(value, free) == pytest.approx(stats.t.sf(value, free), rel=1e-9)
+    assert distributions.student_tail(value, free) == pytest.approx(
+        stats.t.sf(value, free), rel=1e-9
+    )
 
 
 @pytest.mark.parametrize("free", [2.5, 8, 57.3, 1e5])

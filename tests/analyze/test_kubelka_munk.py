@@ -21,12 +21,16 @@ def by_cotangent(weight, s, k, below):
 
 def test_a_coating_over_a_pile_of_its_base_in_any_units():
     base = pile(scattering=45.0, absorption=1.2)
-    found = reflectance(np.array([0, 5, 10, 20, 30]) * 1e-3, scattering=150.0, absorption=0.3, backing=base)
+    found = reflectance(
+        np.array([0, 5, 10, 20, 30]) * 1e-3, scattering=150.0, absorption=0.3, backing=base
+    )
     assert found == pytest.approx([0.794, 0.820, 0.839, 0.866, 0.884], abs=6e-4)
     # 1 um of 1.6 g/cm3 is 1.6e-3 kg/m2, so 150 m2/kg are 0.24 per um.
     um = np.array([3.0, 12.0])
     by_weight = reflectance(1.6e-3 * um, scattering=150.0, absorption=0.3, backing=0.8)
-    assert reflectance(um, scattering=0.24, absorption=0.48e-3, backing=0.8) == pytest.approx(by_weight, abs=1e-14)
+    assert reflectance(um, scattering=0.24, absorption=0.48e-3, backing=0.8) == pytest.approx(
+        by_weight, abs=1e-14
+    )
 
 
 @pytest.mark.parametrize(("s", "k"), [(150.0, 0.3), (45.0, 1.2), (30.0, 60.0), (120.0, 1e-4)])
@@ -34,7 +38,12 @@ def test_a_coating_over_a_pile_of_its_base_in_any_units():
 def test_the_printed_formula_and_the_differential_equation(s, k, below):
     weight = np.array([1e-3, 0.02, 0.2])
     grown = solve_ivp(
-        lambda _, r: s - 2 * (s + k) * r + s * r * r, (0, 0.2), [below], t_eval=weight, rtol=1e-10, atol=1e-12
+        lambda _, r: s - 2 * (s + k) * r + s * r * r,
+        (0, 0.2),
+        [below],
+        t_eval=weight,
+        rtol=1e-10,
+        atol=1e-12,
     )
     found = reflectance(weight, scattering=s, absorption=k, backing=below)
     assert found == pytest.approx(by_cotangent(weight, s, k, below), abs=1e-9)
@@ -69,10 +78,12 @@ def test_layers_are_put_on_from_the_bottom_up_to_a_pile():
     known = pile(scattering=45.0, absorption=1.2)
     q = 1.2 / 45
     assert known == pytest.approx(1 + q - np.sqrt(q * q + 2 * q), abs=1e-14)
-    assert reflectance(0.02, scattering=45.0, absorption=1.2, backing=known) == pytest.approx(known, abs=1e-14)
-    assert stack([ScatteringLayer(weight=0.1, scattering=45.0, absorption=1.2)] * 40, 0.0) == pytest.approx(
-        known, abs=1e-12
+    assert reflectance(0.02, scattering=45.0, absorption=1.2, backing=known) == pytest.approx(
+        known, abs=1e-14
     )
+    assert stack(
+        [ScatteringLayer(weight=0.1, scattering=45.0, absorption=1.2)] * 40, 0.0
+    ) == pytest.approx(known, abs=1e-12)
     assert (pile(scattering=45.0, absorption=0.0), pile(scattering=0.0, absorption=1.0)) == (1, 0)
 
 
@@ -100,9 +111,18 @@ def test_maps_broadcast_and_what_is_missing_stays_so():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: reflectance(-0.01, scattering=150.0, backing=0.8), "weight has 1 of 1 values that are negative"),
-        (lambda: reflectance([1.0, np.inf], scattering=-1.0, backing=0.8), r"weight has 1 of 2 values; scattering has"),
-        (lambda: reflectance(0.01, scattering=150.0, backing=[0.2, 131.0]), "backing is 131; .* white reference"),
+        (
+            lambda: reflectance(-0.01, scattering=150.0, backing=0.8),
+            "weight has 1 of 1 values that are negative",
+        ),
+        (
+            lambda: reflectance([1.0, np.inf], scattering=-1.0, backing=0.8),
+            r"weight has 1 of 2 values; scattering has",
+        ),
+        (
+            lambda: reflectance(0.01, scattering=150.0, backing=[0.2, 131.0]),
+            "backing is 131; .* white reference",
+        ),
         (lambda: stack([ScatteringLayer(weight=0.01, scattering=1.0)], -0.1), "backing is -0.1"),
         (lambda: pile(scattering=0.0, absorption=0.0), "Give a scattering above 0"),
     ],

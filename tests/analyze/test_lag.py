@@ -6,7 +6,15 @@ from scipy import fft, ndimage
 
 from analyze.fields import by_shift, texture
 from folders import refused
-from planish.analyze import RegistrationBasis, cross_fitted, in_band, ncc, searched_null, texture_lag, textures
+from planish.analyze import (
+    RegistrationBasis,
+    cross_fitted,
+    in_band,
+    ncc,
+    searched_null,
+    texture_lag,
+    textures,
+)
 from planish.core.errors import CannotMeasure, SizeError
 
 PAD = 16
@@ -46,7 +54,12 @@ def test_the_transforms_give_what_direct_sums_give():
             x, y = [], []
             for row in range(19):
                 for col in range(23):
-                    if 0 <= row + dy < 19 and 0 <= col + dx < 23 and known_a[row, col] and known_b[row + dy, col + dx]:
+                    if (
+                        0 <= row + dy < 19
+                        and 0 <= col + dx < 23
+                        and known_a[row, col]
+                        and known_b[row + dy, col + dx]
+                    ):
                         x.append(a[row, col])
                         y.append(b[row + dy, col + dx])
             assert r[5 + dy, 6 + dx] == pytest.approx(np.corrcoef(x, y)[0, 1], abs=1e-9)
@@ -54,7 +67,13 @@ def test_the_transforms_give_what_direct_sums_give():
 
 def lag_of(a, b, valid=None, pixel_um=(4.0, 4.0), *, reach_um=40.0, tiles_um=None):
     valid = np.ones(a.shape, dtype=bool) if valid is None else valid
-    return texture_lag(textures({"a": a, "b": b}, valid, pixel_um), ["a"], "b", reach_um=reach_um, tiles_um=tiles_um)
+    return texture_lag(
+        textures({"a": a, "b": b}, valid, pixel_um),
+        ["a"],
+        "b",
+        reach_um=reach_um,
+        tiles_um=tiles_um,
+    )
 
 
 @pytest.mark.parametrize("lag", [(0.0, 0.0), (2.3, -1.6), (-5.5, 4.25)])
@@ -113,7 +132,9 @@ def test_what_is_said_and_with_which_light():
     assert off.figures == ("position", "correlation")
     nothing = lag_of(a, pair(0.8, (0, 0), 41)[1], valid).check(3.0)
     assert nothing.state == "unknown"
-    assert nothing.sentence.startswith("Image-based check: inconclusive, because the maps have no texture in common")
+    assert nothing.sentence.startswith(
+        "Image-based check: inconclusive, because the maps have no texture in common"
+    )
     assert lag_of(a, np.where(np.arange(b.shape[1]) < 4, b, np.nan)).silence == "few"
     # More than the marks allow, but within 3 standard errors of the lag: no answer.
     vague = replace(found, lag_um=(2.0, 0.0), covariance_um2=np.eye(2))
@@ -130,11 +151,15 @@ def test_light_from_one_side_moves_no_lag(shift):
     slope = np.gradient(surface, axis=1)
     image = moved(coating + 0.8 * slope / slope.std() + 0.3 * own, shift)
     maps = {"coating": cut(coating), "surface": cut(surface), "image": cut(image)}
-    found = textures(maps, np.ones(maps["image"].shape, dtype=bool), (4.0, 4.0)).with_slopes("surface")
+    found = textures(maps, np.ones(maps["image"].shape, dtype=bool), (4.0, 4.0)).with_slopes(
+        "surface"
+    )
     true = 4.0 * np.array(shift)
     alone = texture_lag(found, ["coating"], "image", reach_um=40.0)
     assert abs(alone.lag_um[0] - true[0]) > 3 * alone.se_um[0]  # what this test is about
-    both = texture_lag(found, ["coating", "surface_x", "surface_y"], "image", reach_um=40.0, slopes=2)
+    both = texture_lag(
+        found, ["coating", "surface_x", "surface_y"], "image", reach_um=40.0, slopes=2
+    )
     assert np.abs(np.array(both.lag_um) - true).max() < 3 * max(both.se_um) < 3.0
     assert both.light > 0.2
 
@@ -150,7 +175,9 @@ def test_tiles_show_a_stretch():
     field = lag_of(cut(big), b, reach_um=24.0, tiles_um=240.0).field
     assert field is not None
     assert field.distinct.all()
-    true = np.stack([stretch * (field.at_um[:, 0] - (125 - PAD) * 4.0), 0 * field.at_um[:, 0]], axis=-1)
+    true = np.stack(
+        [stretch * (field.at_um[:, 0] - (125 - PAD) * 4.0), 0 * field.at_um[:, 0]], axis=-1
+    )
     assert np.sqrt(np.mean((field.lag_um - true) ** 2)) < 1.0  # a quarter of a pixel
     _, change, spread = field.linear()
     assert change == pytest.approx(np.array([[stretch, 0], [0, 0]]), abs=0.002)
@@ -182,7 +209,16 @@ def test_what_does_not_fit_is_refused():
     refused(SizeError, "Tiles of 60 um", lag_of, a, b, valid, tiles_um=60.0)
     with pytest.raises(CannotMeasure, match="too small for its texture"):
         cross_fitted(a, b, by_shift(b, 5), pixel_um=(1.0, 1.0), tile_um=80.0)
-    refused(CannotMeasure, "not be independent", cross_fitted, a, b, by_shift(b, 5), pixel_um=(1.0, 1.0), guard_um=1.0)
+    refused(
+        CannotMeasure,
+        "not be independent",
+        cross_fitted,
+        a,
+        b,
+        by_shift(b, 5),
+        pixel_um=(1.0, 1.0),
+        guard_um=1.0,
+    )
 
 
 @pytest.mark.nightly
@@ -201,7 +237,8 @@ def test_a_searched_correlation_of_independent_maps_is_inflated_and_a_cross_fitt
         false += searched_null(a, tune, surrogates=19).p <= 0.05
     error = np.std(fitted) / np.sqrt(40)
     print(
-        f"searched {np.mean(naive):.3f}, cross-fitted {np.mean(fitted):.4f} ± {error:.4f}, false alarms {false} of 40"
+        f"searched {np.mean(naive):.3f}, cross-fitted {np.mean(fitted):.4f} ± {error:.4f}, false"
+        f" alarms {false} of 40"
     )
     assert np.mean(naive) > 10 * np.std(naive) / np.sqrt(40)
     assert abs(np.mean(fitted)) < 2 * error

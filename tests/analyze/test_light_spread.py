@@ -27,7 +27,9 @@ def test_it_is_the_mean_with_an_exponential_kernel_over_the_known_pixels():
 def test_a_constant_stays_and_a_single_pixel_becomes_an_exponential():
     flat = np.full((30, 40), 3.25)
     flat[:5, :9] = np.nan
-    np.testing.assert_allclose(spread_light(flat, pixel_um=(8.0, 12.0), width_um=50.0)[6:], 3.25, rtol=1e-12)
+    np.testing.assert_allclose(
+        spread_light(flat, pixel_um=(8.0, 12.0), width_um=50.0)[6:], 3.25, rtol=1e-12
+    )
     dot = np.zeros((201, 201))
     dot[100, 100] = 1.0
     found = spread_light(dot, pixel_um=5.0, width_um=40.0)[100, 103:150]
@@ -38,7 +40,9 @@ def test_a_constant_stays_and_a_single_pixel_becomes_an_exponential():
 def test_refusals():
     values = np.random.default_rng(3).normal(size=(20, 30))
     for width_um in (0.0, -1.0, np.nan, np.inf, 200.0):
-        refused(SizeError, "Light would spread", spread_light, values, pixel_um=10.0, width_um=width_um)
+        refused(
+            SizeError, "Light would spread", spread_light, values, pixel_um=10.0, width_um=width_um
+        )
     with pytest.raises(CannotMeasure, match="No pixel"):
         spread_light(values, pixel_um=10.0, width_um=30.0, mask=np.zeros(values.shape, bool))
     with pytest.raises(InputError):

@@ -8,7 +8,8 @@ from planish.analyze import print_mottle
 from planish.core.errors import CannotMeasure, InputError, SizeError
 
 PIXEL_UM = 40.0
-KEPT = np.sqrt(np.log2(25 / 16) / 2)  # ∫ (2^-q - 2^-4q)² dlog2(λ) with q = (shortest / λ)², by Frullani's integral
+# ∫ (2^-q - 2^-4q)² dlog2(λ) with q = (shortest / λ)², by Frullani's integral.
+KEPT = np.sqrt(np.log2(25 / 16) / 2)
 
 
 def gain(wave_um, shortest_um):
@@ -18,12 +19,16 @@ def gain(wave_um, shortest_um):
 
 
 def variations(image, **options):
-    return [b.coefficient_of_variation for b in print_mottle(image, pixel_um=PIXEL_UM, **options).bands]
+    return [
+        b.coefficient_of_variation for b in print_mottle(image, pixel_um=PIXEL_UM, **options).bands
+    ]
 
 
 def test_the_constant_is_the_integral_over_wavelengths():
     octaves = np.linspace(-12, 12, 20001)
-    assert np.trapezoid((KEPT * gain(2.0**octaves, 1.0)) ** 2, octaves) == pytest.approx(KEPT**2, rel=1e-6)
+    assert np.trapezoid((KEPT * gain(2.0**octaves, 1.0)) ** 2, octaves) == pytest.approx(
+        KEPT**2, rel=1e-6
+    )
 
 
 @pytest.mark.parametrize("wave_um", [250.0, 400.0, 800.0, 1600.0])
@@ -41,7 +46,8 @@ def test_white_noise_has_the_variation_of_its_filters():
     half = np.sqrt(np.log(2) / 2) / np.pi
     for k, value in enumerate(found):
         a, b = (half * 250.0 * 2 ** (k + j) / PIXEL_UM for j in (0, 1))
-        variance = (1 / a**2 + 1 / b**2 - 4 / (a * a + b * b)) / (4 * np.pi)  # sum of the squared kernel
+        # Sum of the squared kernel.
+        variance = (1 / a**2 + 1 / b**2 - 4 / (a * a + b * b)) / (4 * np.pi)
         # A band has about as many clouds as squares of its wave: 1920 of the first, 30 of the last.
         assert value == pytest.approx(np.sqrt(variance) / KEPT * 0.1, rel=0.06 * 2**k)
     assert len(found) == 4
@@ -79,7 +85,11 @@ def test_holes_do_not_count_and_the_mean_is_the_unit():
 
 def test_bands_are_octaves_up_to_a_fifth_of_the_field_also_of_oblong_pixels():
     found = print_mottle(np.full((300, 400), 0.5), pixel_um=PIXEL_UM)  # shorter side 12 mm
-    assert [(b.shortest_um, b.longest_um) for b in found.bands] == [(250, 500), (500, 1000), (1000, 2000)]
+    assert [(b.shortest_um, b.longest_um) for b in found.bands] == [
+        (250, 500),
+        (500, 1000),
+        (1000, 2000),
+    ]
     assert "250 to 2000 um" in found.measured
     assert "120000 pixels" in found.measured
     assert "conforming to neither" in found.measured
@@ -98,7 +108,12 @@ def test_bands_are_octaves_up_to_a_fifth_of_the_field_also_of_oblong_pixels():
         (np.ones(5), {}, InputError, "no array of two dimensions"),
         (np.ones((300, 300)), {"pixel_um": -1.0}, SizeError, "The pixel is -1.0 um"),
         (np.ones((300, 300)), {"shortest_um": 100.0}, SizeError, r"160 um \(4 pixels\) to 2400 um"),
-        (np.ones((300, 300)), {"longest_um": 400.0}, SizeError, "No octave lies between waves of 250 and 400 um"),
+        (
+            np.ones((300, 300)),
+            {"longest_um": 400.0},
+            SizeError,
+            "No octave lies between waves of 250 and 400 um",
+        ),
         (np.ones((300, 300)), {"longest_um": 5000.0}, SizeError, "a fifth of its shorter side"),
         (np.ones((30, 300)), {}, SizeError, "a larger field"),
         (np.full((300, 300), np.nan), {}, CannotMeasure, "No pixel"),

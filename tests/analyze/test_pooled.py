@@ -21,7 +21,12 @@ from planish.core.errors import InputError
 def drawn(rng):
     k = int(rng.integers(2, 30))
     v = np.exp(rng.normal(-4, 1, k))
-    return 0.5 + rng.choice([0, 0.05, 0.15, 0.5]) * rng.normal(size=k) + np.sqrt(v) * rng.normal(size=k), v
+    return (
+        0.5
+        + rng.choice([0, 0.05, 0.15, 0.5]) * rng.normal(size=k)
+        + np.sqrt(v) * rng.normal(size=k),
+        v,
+    )
 
 
 def twin(y, v):
@@ -33,7 +38,9 @@ def twin(y, v):
 
     between = 0.0
     if generalised(0.0) > len(y) - 1:
-        between = optimize.brentq(lambda t: generalised(t) - (len(y) - 1), 0.0, 1e3, xtol=1e-15, rtol=1e-14)
+        between = optimize.brentq(
+            lambda t: generalised(t) - (len(y) - 1), 0.0, 1e3, xtol=1e-15, rtol=1e-14
+        )
     w = 1 / (v + between)
     return np.sum(w * y) / w.sum(), between, generalised(0.0)
 
@@ -52,7 +59,9 @@ def test_equally_known_effects_have_students_interval():
     y = rng.normal(size=8)
     found = random_effects(y, np.full(8, 0.01))
     assert found.between == pytest.approx(y.var(ddof=1) - 0.01, abs=1e-12)
-    assert found.interval == pytest.approx(stats.t.interval(0.95, 7, y.mean(), stats.sem(y)), abs=1e-12)
+    assert found.interval == pytest.approx(
+        stats.t.interval(0.95, 7, y.mean(), stats.sem(y)), abs=1e-12
+    )
 
 
 @pytest.mark.nightly
@@ -90,14 +99,28 @@ def test_r_is_pooled_by_sheets_of_fields_with_a_value():
     z = np.arctanh(r)
     means = np.array([z[:2].mean(), z[2:4].mean(), z[4:].mean()])
     assert math.atanh(found.mean) == pytest.approx(means.mean())
-    assert np.arctanh(found.interval) == pytest.approx(stats.t.interval(0.95, 2, means.mean(), stats.sem(means)))
+    assert np.arctanh(found.interval) == pytest.approx(
+        stats.t.interval(0.95, 2, means.mean(), stats.sem(means))
+    )
     own = np.array([(1 / 50 + 1 / 100) / 4, (1 / 50 + 1 / 50) / 4, (1 / 80 + 1 / 80 + 1 / 10) / 9])
     of_fields = random_effects(z, 1 / (np.array([53, 103, 53, 53, 83, 83, 13]) - 3))
-    for one, two in ((found.between_sheets, random_effects(means, own)), (found.between_fields, of_fields)):
-        assert (one.mean, one.standard_error, one.between) == pytest.approx((two.mean, two.standard_error, two.between))
+    for one, two in (
+        (found.between_sheets, random_effects(means, own)),
+        (found.between_fields, of_fields),
+    ):
+        assert (one.mean, one.standard_error, one.between) == pytest.approx(
+            (two.mean, two.standard_error, two.between)
+        )
         assert (one.effects, one.q) == (two.effects, pytest.approx(two.q))
-    found = pooled_r(Fields([0.5, math.nan, 0.4, 1.0, 0.6, 0.2], [*"ABBCCD"]), [50, 50, math.nan, 50, 50, 4.0])
-    assert (found.sheets, found.fields, found.missing, found.reason) == (2, 2, 4, "2 of at least 3 sheets")
+    found = pooled_r(
+        Fields([0.5, math.nan, 0.4, 1.0, 0.6, 0.2], [*"ABBCCD"]), [50, 50, math.nan, 50, 50, 4.0]
+    )
+    assert (found.sheets, found.fields, found.missing, found.reason) == (
+        2,
+        2,
+        4,
+        "2 of at least 3 sheets",
+    )
     assert found.between_fields is not None
     none = pooled_r(Fields([math.nan], ["A"]), [50])
     assert none.between_sheets is None
@@ -106,13 +129,18 @@ def test_r_is_pooled_by_sheets_of_fields_with_a_value():
 
 def test_a_difference_of_r_is_linear_in_z():
     rng = np.random.default_rng(3)
-    one, two = (Fields(np.tanh(rng.normal(m, 0.02, 12)).tolist(), [*"AAABBBCCCDDD"]) for m in (0.4, 0.6))
+    one, two = (
+        Fields(np.tanh(rng.normal(m, 0.02, 12)).tolist(), [*"AAABBBCCCDDD"]) for m in (0.4, 0.6)
+    )
     for paired, compare in ((True, paired_over_sheets), (False, two_groups)):
         for squared in (False, True):
             found = difference_of_pooled_r(one, two, paired=paired, squared=squared)
             power = 2 if squared else 1
-            expected = [math.tanh(over_sheets(Fields(np.arctanh(m.values).tolist(), m.sheets)).mean) ** power
-                        for m in (one, two)]  # fmt: skip
+            expected = [
+                math.tanh(over_sheets(Fields(np.arctanh(m.values).tolist(), m.sheets)).mean)
+                ** power
+                for m in (one, two)
+            ]
             assert found.means == pytest.approx(expected, abs=1e-12)
             assert found.difference == pytest.approx(expected[1] - expected[0], abs=1e-12)
             direct = compare(*(Fields([v**power for v in m.values], m.sheets) for m in (one, two)))

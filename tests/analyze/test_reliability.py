@@ -18,7 +18,9 @@ def halves(rng, noise, *, length=4.0, shape=(90, 120)):
 
 def test_the_reliability_is_that_of_the_mean_of_both():
     rng = np.random.default_rng(0)
-    found = [split_reliability(*halves(rng, 1.0), pixel_um=2.0, shared_errors=False) for _ in range(12)]
+    found = [
+        split_reliability(*halves(rng, 1.0), pixel_um=2.0, shared_errors=False) for _ in range(12)
+    ]
     # The mean of both has the signal's variance 1 and noise of 1/2.
     assert np.mean([m.value for m in found]) == pytest.approx(2 / 3, abs=0.02)
     assert np.mean([m.halves_r for m in found]) == pytest.approx(1 / 2, abs=0.02)
@@ -58,7 +60,10 @@ def cloud(rng, n, *, slope=2.0, errors=(0.5, 1.5)):
 def test_the_slope_between_two_noisy_quantities_is_the_true_one():
     x, y = cloud(7, 40_000)
     found = deming(x, y, error_ratio=9.0, n_eff=40_000)
-    assert (found.slope, found.intercept) == (pytest.approx(2, abs=0.04), pytest.approx(3, abs=0.04))
+    assert (found.slope, found.intercept) == (
+        pytest.approx(2, abs=0.04),
+        pytest.approx(3, abs=0.04),
+    )
     assert found.interval[0] < 2 < found.interval[1]
     assert np.polyfit(x, y, 1)[0] == pytest.approx(1.6, abs=0.04)  # what least squares leave of it
 
@@ -71,25 +76,39 @@ def test_the_line_is_that_of_least_weighted_distance(ratio, slope):
     def off(p):
         return float(np.sum((y - p[0] * x - p[1]) ** 2 / (ratio + p[0] ** 2)))
 
-    twin = optimize.minimize(off, [slope, 3.0], method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-12})
+    twin = optimize.minimize(
+        off, [slope, 3.0], method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-12}
+    )
     found = deming(x, y, error_ratio=ratio, n_eff=60)
     assert (found.slope, found.intercept) == pytest.approx(tuple(twin.x), abs=1e-5)
 
 
 def test_extreme_ratios_and_fewer_points_change_lines_and_intervals_and_missing_values_nothing():
     x, y = cloud(9, 200)
-    assert deming(x, y, error_ratio=1e9, n_eff=200).slope == pytest.approx(np.polyfit(x, y, 1)[0], rel=1e-5)
-    assert deming(x, y, error_ratio=1e-9, n_eff=200).slope == pytest.approx(1 / np.polyfit(y, x, 1)[0], rel=1e-5)
-    there, back = deming(x, y, error_ratio=4.0, n_eff=200), deming(y, x, error_ratio=0.25, n_eff=200)
+    assert deming(x, y, error_ratio=1e9, n_eff=200).slope == pytest.approx(
+        np.polyfit(x, y, 1)[0], rel=1e-5
+    )
+    assert deming(x, y, error_ratio=1e-9, n_eff=200).slope == pytest.approx(
+        1 / np.polyfit(y, x, 1)[0], rel=1e-5
+    )
+    there, back = (
+        deming(x, y, error_ratio=4.0, n_eff=200),
+        deming(y, x, error_ratio=0.25, n_eff=200),
+    )
     assert back.slope == pytest.approx(1 / there.slope)
     assert back.interval == pytest.approx((1 / there.interval[1], 1 / there.interval[0]))
     x, y = cloud(10, 2000)
     wide = [np.diff(deming(x, y, error_ratio=9.0, n_eff=n).interval)[0] for n in (2000, 500)]
     assert wide[1] / wide[0] == pytest.approx(2, rel=0.03)
     assert math.isnan(deming(x, y, error_ratio=9.0, n_eff=9).interval[0])
-    assert deming(x, y, error_ratio=9.0, n_eff=1e9).interval == deming(x, y, error_ratio=9.0, n_eff=2000).interval
+    assert (
+        deming(x, y, error_ratio=9.0, n_eff=1e9).interval
+        == deming(x, y, error_ratio=9.0, n_eff=2000).interval
+    )
     x, y = cloud(11, 100)
-    found = deming(np.append(x, [np.nan, 5.0]), np.append(y, [1.0, np.nan]), error_ratio=1.0, n_eff=50)
+    found = deming(
+        np.append(x, [np.nan, 5.0]), np.append(y, [1.0, np.nan]), error_ratio=1.0, n_eff=50
+    )
     assert found == deming(x, y, error_ratio=1.0, n_eff=50)
 
 

@@ -39,7 +39,9 @@ def test_the_resolution_is_the_first_crossing():
     rng = np.random.default_rng(1)
     found = [ring_correlation(*twice(rng), pixel_um=3.0) for _ in range(12)]
     ring = found[0].rings
-    below = next(k for k, v in enumerate(ring) if true_correlation(3.0 / v.wavelength_um) < v.threshold)
+    below = next(
+        k for k, v in enumerate(ring) if true_correlation(3.0 / v.wavelength_um) < v.threshold
+    )
     seen = [c.resolution_um for c in found]
     # Ripple of a curve crosses a little early, so a little longer waves are named.
     assert np.median(seen) == pytest.approx(ring[below].wavelength_um, rel=0.12)
@@ -74,13 +76,18 @@ def test_rings_are_sums_over_single_waves():
         cross, xx, yy, count = sums[k]
         # The columns of the Nyquist frequency, which have no partner, lie in no ring that is kept.
         assert ring.correlation == pytest.approx(cross / math.sqrt(xx * yy), abs=1e-9)
-        assert (ring.modes, ring.threshold) == (pytest.approx(count / 2 / joined), half_bit(ring.modes))
+        assert (ring.modes, ring.threshold) == (
+            pytest.approx(count / 2 / joined),
+            half_bit(ring.modes),
+        )
 
 
 def test_the_half_bit_curve_has_the_numbers_of_the_paper():
     for n in (4.0, 50.0, 1e4):
         root = math.sqrt(n)
-        assert half_bit(n) == pytest.approx((0.2071 + 1.9102 / root) / (1.2071 + 0.9102 / root), abs=1e-4)
+        assert half_bit(n) == pytest.approx(
+            (0.2071 + 1.9102 / root) / (1.2071 + 0.9102 / root), abs=1e-4
+        )
     assert (half_bit(1.0), half_bit(1e12)) == (pytest.approx(1.0), pytest.approx(0.1716, abs=1e-4))
 
 

@@ -14,12 +14,17 @@ def test_coherence_of_unrelated_maps_is_none():
     p = np.array([[band.p for band in c.bands] for c in found])
     assert p.shape[1] == 3
     assert (np.mean(p < 0.05, axis=0) < 0.15).all()
-    assert np.mean([[band.coherence for band in c.bands] for c in found]) == pytest.approx(0, abs=0.01)
+    assert np.mean([[band.coherence for band in c.bands] for c in found]) == pytest.approx(
+        0, abs=0.01
+    )
 
 
 def test_coherence_is_that_of_the_spectra():
     rng, r, own, other = np.random.default_rng(1), 0.7, 8.0, 2.0
-    found = [coherence(*related_maps(rng, (150, 200), own, r, noise=other), pixel_um=1.0) for _ in range(20)]
+    found = [
+        coherence(*related_maps(rng, (150, 200), own, r, noise=other), pixel_um=1.0)
+        for _ in range(20)
+    ]
 
     def power(f, length):
         return length**2 / (1 + (2 * np.pi * f * length) ** 2) ** 1.5

@@ -58,7 +58,9 @@ def test_masked_pixels_count_nowhere():
     away = interior(image.shape)
     away[120 - 22 : 160 + 22, 140 - 22 : 190 + 22] = False
     phase = waves(image.shape)[0]
-    assert amplitude(after, phase, away) / amplitude(image, phase, away) == pytest.approx(0.031, abs=0.004)
+    assert amplitude(after, phase, away) / amplitude(image, phase, away) == pytest.approx(
+        0.031, abs=0.004
+    )
     by_nan = without_screen(np.where(mask, image, np.nan), pixel_um=PIXEL_UM)
     assert np.array_equal(after, by_nan, equal_nan=True)
 
@@ -99,7 +101,9 @@ def test_pictures_stay_in_single_precision():
     eight_bits = np.random.default_rng(1).integers(0, 256, (50, 60)).astype(np.uint8)
     after = without_screen(eight_bits, pixel_um=PIXEL_UM)
     assert after.dtype == np.float32
-    assert after == pytest.approx(without_screen(eight_bits.astype(float), pixel_um=PIXEL_UM), rel=1e-5)
+    assert after == pytest.approx(
+        without_screen(eight_bits.astype(float), pixel_um=PIXEL_UM), rel=1e-5
+    )
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,9 @@ def test_the_critical_value_is_that_of_drawn_values():
     assert critical_value(known, (1.0, 1.0)) == pytest.approx(drawn_critical(known), abs=0.09)
     large = np.ones((90, 120), bool)
     large[15:45, 25:70] = False
-    assert critical_value(large, (1.0, 1.0)) == pytest.approx(critical_value(known, (1.0, 1.0)), abs=0.02)
+    assert critical_value(large, (1.0, 1.0)) == pytest.approx(
+        critical_value(known, (1.0, 1.0)), abs=0.02
+    )
 
 
 def test_both_opinions_agree_on_even_maps_and_the_second_is_wider_on_uneven_ones():

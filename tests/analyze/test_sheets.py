@@ -13,18 +13,24 @@ def drawn(rng, counts, *, between=1.0, within=0.5):
     """Fields of sheets, so many of each."""
     rng = np.random.default_rng(rng)
     sheet = np.repeat(np.arange(len(counts)), counts)
-    values = 10 + between * rng.normal(size=len(counts))[sheet] + within * rng.normal(size=sheet.size)
+    values = (
+        10 + between * rng.normal(size=len(counts))[sheet] + within * rng.normal(size=sheet.size)
+    )
     return Fields(values.tolist(), [f"S{k}" for k in sheet])
 
 
 def test_the_mean_over_sheets_has_the_interval_of_scipy_whatever_the_number_of_fields():
     fields = drawn(0, (3, 1, 2, 5))
-    means = [np.mean([v for v, s in zip(fields.values, fields.sheets, strict=True) if s == name])
-             for name in ("S0", "S1", "S2", "S3")]  # fmt: skip
+    means = [
+        np.mean([v for v, s in zip(fields.values, fields.sheets, strict=True) if s == name])
+        for name in ("S0", "S1", "S2", "S3")
+    ]
     found = over_sheets(fields)
     assert found.mean == pytest.approx(np.mean(means), abs=1e-12)
     assert found.sd == pytest.approx(np.std(means, ddof=1), abs=1e-12)
-    assert found.interval == pytest.approx(stats.t.interval(0.95, 3, np.mean(means), stats.sem(means)), abs=1e-12)
+    assert found.interval == pytest.approx(
+        stats.t.interval(0.95, 3, np.mean(means), stats.sem(means)), abs=1e-12
+    )
     assert (found.sheets, found.fields, found.missing, found.reason) == (4, 11, 0, "")
     fields = drawn(1, (1, 1, 1))
     ten = Fields(list(fields.values) * 10, list(fields.sheets) * 10)
@@ -37,7 +43,12 @@ def test_few_equal_or_missing_fields_give_no_interval():
     assert math.isnan(found.interval[0])
     assert found.reason == "2 of at least 3 sheets"
     found = over_sheets(Fields([1.0, math.nan, 3.0, 4.0, math.nan], ["A", "A", "B", "C", "D"]))
-    assert (found.sheets, found.fields, found.missing, found.mean) == (3, 3, 2, pytest.approx(8 / 3))
+    assert (found.sheets, found.fields, found.missing, found.mean) == (
+        3,
+        3,
+        2,
+        pytest.approx(8 / 3),
+    )
     none = over_sheets(Fields([math.nan], ["A"]))
     assert (none.sheets, none.missing) == (0, 1)
     assert math.isnan(none.mean)
@@ -55,12 +66,16 @@ def test_variances_are_those_of_the_analysis_of_variance():
     found = variances_of(fields)
     assert found.sd_within**2 == pytest.approx(inside, abs=1e-12)
     assert found.sd_between**2 == pytest.approx((outside - inside) / 4, abs=1e-12)
-    assert found.share == pytest.approx(found.sd_between**2 / (found.sd_between**2 + found.sd_within**2))
+    assert found.share == pytest.approx(
+        found.sd_between**2 / (found.sd_between**2 + found.sd_within**2)
+    )
     assert found.p == pytest.approx(stats.f_oneway(*table).pvalue, rel=1e-9)
     # Searle, Casella and McCulloch (1992), section 3.6d: limits of the share of balanced data.
     ratio = outside / inside
     low, high = (ratio / stats.f.ppf(k, 5, 18) for k in (0.975, 0.025))
-    assert found.share_interval == pytest.approx(((low - 1) / (low + 3), (high - 1) / (high + 3)), abs=1e-12)
+    assert found.share_interval == pytest.approx(
+        ((low - 1) / (low + 3), (high - 1) / (high + 3)), abs=1e-12
+    )
 
 
 def test_the_error_of_a_mean_falls_with_sheets_and_fields():
@@ -79,11 +94,14 @@ def test_unequal_sheets_have_the_true_variances_on_average():
     assert np.mean(found, axis=0) == pytest.approx((4.0, 1.0), abs=0.4)
 
 
-@pytest.mark.parametrize(("values", "sheets", "why"), [
-    ([1.0, 2.0], ["A", "A"], "1 of at least 2 sheets"),
-    ([1.0, 2.0, 3.0], ["A", "B", "C"], "no sheet has two fields"),
-    ([1.0, 1.0, 2.0, 2.0], ["A", "A", "B", "B"], "all fields of a sheet have the same value"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("values", "sheets", "why"),
+    [
+        ([1.0, 2.0], ["A", "A"], "1 of at least 2 sheets"),
+        ([1.0, 2.0, 3.0], ["A", "B", "C"], "no sheet has two fields"),
+        ([1.0, 1.0, 2.0, 2.0], ["A", "A", "B", "B"], "all fields of a sheet have the same value"),
+    ],
+)
 def test_what_cannot_be_split_says_why(values, sheets, why):
     found = variances_of(Fields(values, sheets))
     assert found.reason == why

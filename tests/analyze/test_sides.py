@@ -26,7 +26,9 @@ def sheet(*, sign=1.0, shown="top", base=0):
     top, bottom = field(base), field(base + 1)
     bottom = 0.9 * bottom - 0.4 * top
     light = 1 + 0.7 * np.arange(SHAPE[1]) / SHAPE[1]
-    image = light * (200 + sign * 10 * (top if shown == "top" else bottom) + 8 * field(base + 2, 2.0))
+    image = light * (
+        200 + sign * 10 * (top if shown == "top" else bottom) + 8 * field(base + 2, 2.0)
+    )
     return {"coating_top": top, "coating_bottom": bottom, "image": image}
 
 
@@ -41,10 +43,18 @@ def test_the_side_that_the_image_shows_is_told_whatever_the_sign(shown, state, s
     check = found.check
     assert (check.state, found.side) == (state, shown)
     assert check.value * sign > check.limit
-    assert f"correlates with the coating of the {shown} side (r = {sign * 0.7:.1f}" in check.sentence
+    assert (
+        f"correlates with the coating of the {shown} side (r = {sign * 0.7:.1f}" in check.sentence
+    )
     assert check.sentence.endswith("The top side was given.")
     if state == "fail":
-        assert check.figures == ("coating_top", "coating_bottom", "topography_top", "topography_bottom", "correlation")
+        assert check.figures == (
+            "coating_top",
+            "coating_bottom",
+            "topography_top",
+            "topography_bottom",
+            "correlation",
+        )
         assert "give --image-side bottom" in check.advice
 
 
@@ -55,20 +65,28 @@ def test_what_cannot_be_told_is_said():
     assert foreign.sentence.endswith("nothing beside the marks says that both show one specimen.")
     bare = judged(maps, coated=()).check
     assert (bare.state, bare.figures) == ("unknown", ())
-    assert bare.sentence.startswith("Side: inconclusive, because no coating is seen on the top side; nothing beside")
+    assert bare.sentence.startswith(
+        "Side: inconclusive, because no coating is seen on the top side; nothing beside"
+    )
     thick = maps | {"thickness": maps["coating_top"] + field(9)}
     assert "so both show one specimen" in judged(thick, coated=()).check.sentence
     both = judged(maps | {"image": maps["coating_top"] + maps["coating_bottom"]}).check
     assert both.state == "unknown"
     assert "correlates with both coatings" in both.sentence
     assert "was assumed (--image-side not given)" in judged(maps, given=False).check.sentence
-    assert judged(maps | {"image": maps["coating_bottom"]}, coated=("bottom",)).check.state == "look"
+    assert (
+        judged(maps | {"image": maps["coating_bottom"]}, coated=("bottom",)).check.state == "look"
+    )
 
 
 def test_light_from_one_side_tells_the_side_where_the_coating_does_not():
     maps = sheet()
     top, bottom = field(30, 4.0), field(31, 4.0)
-    lit = {"topography_top": top, "topography_bottom": 0.5 * bottom - 0.3 * top, "image": np.gradient(top, axis=1)}
+    lit = {
+        "topography_top": top,
+        "topography_bottom": 0.5 * bottom - 0.3 * top,
+        "image": np.gradient(top, axis=1),
+    }
     found = judged(maps | lit).check
     assert found.state == "pass"
     assert "slopes of the top face" in found.sentence

@@ -25,9 +25,9 @@ NEAR_UM = 3.5
 def field(shape, seed):
     """A field whose correlation falls to half within some 15 um."""
     rng = np.random.default_rng(seed)
-    smooth = ndimage.gaussian_filter(rng.standard_normal(shape), 2.2) + 0.3 * ndimage.gaussian_filter(
-        rng.standard_normal(shape), 8.0
-    )
+    smooth = ndimage.gaussian_filter(
+        rng.standard_normal(shape), 2.2
+    ) + 0.3 * ndimage.gaussian_filter(rng.standard_normal(shape), 8.0)
     return (smooth - smooth.mean()) / smooth.std()
 
 
@@ -44,7 +44,9 @@ def pair(*, place, r, seed=1):
     maps = xr.Dataset({"thickness": (("v", "u"), 80 + 5 * sheet)}, coords={"v": v, "u": u})
     maps["valid"] = (("v", "u"), np.ones(SHAPE, bool))
     attrs = {"pixel_um": [PIXEL_UM] * 2}
-    return maps, xr.DataArray(100 + 10 * image, coords={"y": y, "x": x}, dims=("y", "x"), attrs=attrs)
+    return maps, xr.DataArray(
+        100 + 10 * image, coords={"y": y, "x": x}, dims=("y", "x"), attrs=attrs
+    )
 
 
 def placed(rotation_deg, *, scale=1.0, mirrored=False, at=(1060.0, 980.0)):
@@ -114,18 +116,43 @@ def test_layers_without_a_texture_in_common_and_a_radius_that_is_none_are_refuse
         blank = image.copy(data=np.full(image.shape, value))
         refused(CannotRegister, "texture", pl.register_texture, maps, blank)
     refused(InputError, "no thickness", pl.register_texture, maps.rename(thickness="gloss"), image)
-    refused(InputError, "radius", pl.register_texture, maps, image, params={"near": (1060.0, 980.0, -3.0)})
-    refused(CannotRegister, "in common", pl.register_texture, maps, maps.rename(thickness="base_thickness"))
+    refused(
+        InputError,
+        "radius",
+        pl.register_texture,
+        maps,
+        image,
+        params={"near": (1060.0, 980.0, -3.0)},
+    )
+    refused(
+        CannotRegister,
+        "in common",
+        pl.register_texture,
+        maps,
+        maps.rename(thickness="base_thickness"),
+    )
 
 
 @pytest.mark.ci
 def test_a_rough_place_or_one_hole_in_both_makes_the_search_small_and_a_wrong_place_is_refused():
     place = placed(137.0)
     maps, image = pair(place=place, r=0.6)
-    assert apart(pl.register_texture(maps, image, params={"near": (1060.0, 980.0, 150.0)}), place) < NEAR_UM
-    refused(CannotRegister, "No place", pl.register_texture, maps, image, params={"near": (1500.0, 980.0, 150.0)})
+    assert (
+        apart(pl.register_texture(maps, image, params={"near": (1060.0, 980.0, 150.0)}), place)
+        < NEAR_UM
+    )
+    refused(
+        CannotRegister,
+        "No place",
+        pl.register_texture,
+        maps,
+        image,
+        params={"near": (1500.0, 980.0, 150.0)},
+    )
     hole = np.array([[300.0, 900.0]])
-    found = pl.register_texture(maps, image, holes=(holes_at(hole, 170.0), holes_at(place(hole), 170.0)))
+    found = pl.register_texture(
+        maps, image, holes=(holes_at(hole, 170.0), holes_at(place(hole), 170.0))
+    )
     assert apart(found, place) < NEAR_UM
     pairs = len(found.fit.moving)
     assert (found.count("moving"), found.count("fixed")) == (pairs + 1, pairs + 1)
@@ -166,7 +193,9 @@ def test_holes_are_no_texture():
     dark = image.where(distance > 90.0, 0.0)
     with pytest.raises(CannotRegister):
         pl.register_texture(maps, dark)
-    found = pl.register_texture(maps, dark, holes=(holes_at(holes_um, 180.0), holes_at(place(holes_um), 180.0)))
+    found = pl.register_texture(
+        maps, dark, holes=(holes_at(holes_um, 180.0), holes_at(place(holes_um), 180.0))
+    )
     assert apart(found, place) < 8.0
 
 
@@ -189,7 +218,9 @@ def test_transmitted_light_is_found_by_the_thickness_and_said_so(mirrored):
     place = placed(20.0, mirrored=mirrored)
     maps, image = pair(place=place, r=-0.5)
     coating = (("v", "u"), 10.0 + field(SHAPE, 77))
-    found = pl.register_texture(maps.assign(coating_top=coating, coating_bottom=coating), image, mirrored=None)
+    found = pl.register_texture(
+        maps.assign(coating_top=coating, coating_bottom=coating), image, mirrored=None
+    )
     assert found.fit.mirrored is mirrored
     assert "The thickness leads" in found.sentence
     assert apart(found, place) < 4.0

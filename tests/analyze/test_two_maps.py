@@ -27,7 +27,8 @@ def test_missing_pixels_do_not_count(measure):
 
 
 @pytest.mark.parametrize(
-    "measure", [bland_altman, compare_instruments, cross_correlogram, independent_points, ring_correlation]
+    "measure",
+    [bland_altman, compare_instruments, cross_correlogram, independent_points, ring_correlation],
 )
 def test_maps_that_cannot_be_compared_are_refused(measure):
     a, b = related_maps(6, (30, 40), 3.0, 0.7)

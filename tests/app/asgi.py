@@ -43,12 +43,19 @@ class Client:
         return self.ask("GET", path, **how)
 
     def post(self, path, body=None, **how):
-        return self.ask("POST", path, body={} if body is None and "data" not in how else body, **how)
+        return self.ask(
+            "POST", path, body={} if body is None and "data" not in how else body, **how
+        )
 
     def ask(
-        self, method, path, *, body = None, data = None,
-        headers = None,
-    ):  # fmt: skip
+        self,
+        method,
+        path,
+        *,
+        body=None,
+        data=None,
+        headers=None,
+    ):
         """Send one request; a header of None is left out, ``data`` are raw parts of a body."""
         parts = [data] if isinstance(data, bytes) else list(data or [])
         if body is not None:
@@ -60,10 +67,18 @@ class Client:
         sent = {k: v for k, v in (usual | dict(headers or {})).items() if v is not None}
         where, _, query = path.partition("?")
         scope = {
-            "type": "http", "http_version": "1.1", "method": method, "scheme": "http", "path": where,
-            "raw_path": where.encode(), "query_string": query.encode(), "root_path": "", "client": ("127.0.0.1", 1),
-            "headers": [(k.encode(), v.encode()) for k, v in sent.items()], "server": ("127.0.0.1", 8000),
-        }  # fmt: skip
+            "type": "http",
+            "http_version": "1.1",
+            "method": method,
+            "scheme": "http",
+            "path": where,
+            "raw_path": where.encode(),
+            "query_string": query.encode(),
+            "root_path": "",
+            "client": ("127.0.0.1", 1),
+            "headers": [(k.encode(), v.encode()) for k, v in sent.items()],
+            "server": ("127.0.0.1", 8000),
+        }
         return run_apart(self._exchange(scope, parts))
 
     async def _exchange(self, scope, parts):
@@ -82,4 +97,6 @@ class Client:
                 body.extend(message.get("body", b""))
 
         await self.app(scope, receive, send)
-        return Answer(head["status"], {k.decode(): v.decode() for k, v in head["headers"]}, bytes(body))
+        return Answer(
+            head["status"], {k.decode(): v.decode() for k, v in head["headers"]}, bytes(body)
+        )

@@ -48,7 +48,11 @@ class Served:
 
     def ask(self, path: str, *, body: dict[str, Any] | None = None) -> Any:
         """Answer of the server; a body makes it a request that changes something."""
-        headers = {"Authorization": f"Bearer {self.token}", "Origin": self.base, "Content-Type": "application/json"}
+        headers = {
+            "Authorization": f"Bearer {self.token}",
+            "Origin": self.base,
+            "Content-Type": "application/json",
+        }
         data = None if body is None else json.dumps(body).encode()
         request = urllib.request.Request(f"{self.base}/api/{path}", data, headers)
         with urllib.request.urlopen(request, timeout=START_S) as answer:
@@ -75,7 +79,16 @@ class Served:
 
 def start(run: Path, *arguments: str, stderr: IO[str] | int = subprocess.DEVNULL) -> Served:
     """Start ``planish view`` and read its address."""
-    command = [sys.executable, "-m", "planish", "view", str(run), *arguments, "--json", "--no-browser"]
+    command = [
+        sys.executable,
+        "-m",
+        "planish",
+        "view",
+        str(run),
+        *arguments,
+        "--json",
+        "--no-browser",
+    ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True)
     assert process.stdout is not None
     line = process.stdout.readline()
@@ -136,12 +149,15 @@ def made_run(tmp_path_factory) -> Path:
     known = {"diameter": 180.0, "cov_xx": 1.2, "cov_yy": 1.1, "cov_xy": 0.1}
     planes = {
         plane: MarkPlaces(
-            um=um, source=["detected"] * 5, extras={k: v + draw.uniform(0, 0.1, 5) for k, v in known.items()}
+            um=um,
+            source=["detected"] * 5,
+            extras={k: v + draw.uniform(0, 0.1, 5) for k, v in known.items()},
         )
         for plane, um in (("moving", moving), ("fixed", fixed))
     }
     folder = put(
-        tmp_path_factory.mktemp("made") / "run", run | {"groups": {k: run["groups"][k] for k in ("maps", "linked")}}
+        tmp_path_factory.mktemp("made") / "run",
+        run | {"groups": {k: run["groups"][k] for k in ("maps", "linked")}},
     )
     with (folder / "run.toml").open("a", encoding="utf-8") as study:
         study.write('[[layers]]\nname = "image"\n\n[layers.image]\npath = "image.png"\n')
@@ -203,7 +219,10 @@ class Window(Browsed):
     def rows(self) -> list[list[str]]:
         """Texts of the table's rows; the box `Used` as its state."""
         return [
-            [*row.get_by_role("cell").all_inner_texts(), str(row.get_by_role("checkbox").is_checked())]
+            [
+                *row.get_by_role("cell").all_inner_texts(),
+                str(row.get_by_role("checkbox").is_checked()),
+            ]
             for row in self.role("table", "Marks").get_by_role("row").all()[1:]
         ]
 
@@ -216,8 +235,12 @@ def window(chromium) -> Generator[Callable[..., Window]]:
     """
     opened: list[Window] = []
 
-    def begin(server: Served, *, width: int = 1366, height: int = 768, context: Any = None, **options: Any) -> Window:
-        context = context or chromium.new_context(viewport={"width": width, "height": height}, **options)
+    def begin(
+        server: Served, *, width: int = 1366, height: int = 768, context: Any = None, **options: Any
+    ) -> Window:
+        context = context or chromium.new_context(
+            viewport={"width": width, "height": height}, **options
+        )
         shown = Window(context.new_page(), server)
         shown.page.goto(server.url)
         opened.append(shown)
@@ -230,4 +253,6 @@ def window(chromium) -> Generator[Callable[..., Window]]:
     assert [fault for shown in opened for fault in shown.faults] == []
     here = ("http://127.0.0.1:", "data:", "blob:")
     for shown in opened:
-        assert [url for url in shown.asked if not url.startswith(here) or shown.server.token in url] == []
+        assert [
+            url for url in shown.asked if not url.startswith(here) or shown.server.token in url
+        ] == []

@@ -14,7 +14,9 @@ class Browsed:
         self.page = page
         self.faults: list[str] = []
         self.asked: list[str] = []
-        page.on("console", lambda line: self.faults.append(line.text) if line.type == "error" else None)
+        page.on(
+            "console", lambda line: self.faults.append(line.text) if line.type == "error" else None
+        )
         page.on("pageerror", lambda error: self.faults.append(str(error)))
         page.on("request", lambda request: self.asked.append(request.url))
 
@@ -37,7 +39,10 @@ def expect(what):
 
 def api(shown, path):
     """The answer of the server to a question of the page."""
-    ask = "([path, token]) => fetch(path, {headers: {Authorization: 'Bearer ' + token}}).then(r => r.json())"
+    ask = (
+        "([path, token]) => fetch(path, {headers: {Authorization: 'Bearer ' + token}}).then(r =>"
+        " r.json())"
+    )
     return shown.page.evaluate(ask, [f"/api/{path}", shown.server.token])
 
 

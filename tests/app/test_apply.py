@@ -104,14 +104,23 @@ def test_marks_keep_what_is_known_of_them(made_copy):
     moved = marks[first.label]["at"]
     assert moved["moving"] == old[first.label]["at"]["moving"]
     assert moved["fixed"] == {
-        "x": x + 3.0, "y": y, "source": "clicked", "diameter_um": old[first.label]["at"]["fixed"]["diameter_um"],
-    }  # fmt: skip
+        "x": x + 3.0,
+        "y": y,
+        "source": "clicked",
+        "diameter_um": old[first.label]["at"]["fixed"]["diameter_um"],
+    }
     assert marks[second.label]["used"] is False
     assert marks[second.label]["at"] == old[second.label]["at"]
-    assert marks["mine"]["at"] == {"moving": {"x": 333.0, "y": 222.0, "source": "clicked", "diameter_um": 200.0}}
+    assert marks["mine"]["at"] == {
+        "moving": {"x": 333.0, "y": 222.0, "source": "clicked", "diameter_um": 200.0}
+    }
     assert third.label not in marks
     for side in ("moving", "fixed"):  # what was burnt is still there
-        alone = [one["at"] for one in marks.values() if one["at"].keys() == {side} and one["label"] != "mine"]
+        alone = [
+            one["at"]
+            for one in marks.values()
+            if one["at"].keys() == {side} and one["label"] != "mine"
+        ]
         assert alone == [{side: old[third.label]["at"][side]}]
     assert order.study.registration.marks == str(made_copy / orders.STAGING / "marks.json")
 
@@ -131,10 +140,14 @@ def test_regions_stand_in_the_order_as_they_were_drawn(made_copy):
 @pytest.mark.parametrize(
     ("name", "linked", "there", "wanted"),
     [
-        ("run", False, [], "run-2"), ("run", False, ["run-2"], "run-3"), ("run-map", True, [], "run"),
-        ("run-map-2", True, ["run"], "run-2"), ("sheet", True, [], "sheet-2"), ("-map", True, [], "-map-2"),
+        ("run", False, [], "run-2"),
+        ("run", False, ["run-2"], "run-3"),
+        ("run-map", True, [], "run"),
+        ("run-map-2", True, ["run"], "run-2"),
+        ("sheet", True, [], "sheet-2"),
+        ("-map", True, [], "-map-2"),
     ],
-)  # fmt: skip
+)
 def test_the_new_run_stands_beside_the_old_one(tmp_path, name, linked, there, wanted):
     for folder in (name, *there):
         (tmp_path / folder).mkdir()
@@ -159,7 +172,12 @@ def test_a_run_with_marks_regions_and_a_model_keeps_its_sheet_and_repeats_itself
     with opened(run) as session:
         do(session, do="use", id=session.state.of(None)[0].id, used=False)
         do(session, do="model", model="similarity")
-        do(session, do="region", name="spot", polygon=[[300.0, 300.0], [600.0, 300.0], [600.0, 550.0]])
+        do(
+            session,
+            do="region",
+            name="spot",
+            polygon=[[300.0, 300.0], [600.0, 300.0], [600.0, 550.0]],
+        )
         out = made(session)
     for group in UNCHANGED:
         assert held(out, group) == held(run, group), group
@@ -234,10 +252,15 @@ def test_pairs_by_hand_link_what_was_refused_for_want_of_holes_within_the_error_
     run = open_run(out)
     assert set(run.marks["fixed_source"].values[: len(moving)]) == {"clicked"}
     found, true = run.linked, specimen.truth
-    off = np.hypot(found.volume_x.values - true.volume_x.values, found.volume_y.values - true.volume_y.values)
+    off = np.hypot(
+        found.volume_x.values - true.volume_x.values, found.volume_y.values - true.volume_y.values
+    )
     measured = found.valid.values & np.isfinite(off)
     assert measured.mean() > 0.3
-    said, real = float(np.median(found.expected_error.values[measured])), float(np.sqrt(np.mean(off[measured] ** 2)))
+    said, real = (
+        float(np.median(found.expected_error.values[measured])),
+        float(np.sqrt(np.mean(off[measured] ** 2))),
+    )
     assert real < OFF_PX * pixel_um
     assert real < 2 * said
 
@@ -250,9 +273,15 @@ def test_marks_of_one_of_several_layers(kinds, tmp_path):
         order = ordered(session)
         out = made(session)
     assert [Path(layer.marks).name if layer.marks else None for layer in order.study.layers] == [
-        "marks-ct.json", None, None,
-    ]  # fmt: skip
-    assert [layer.marks for layer in read_study(out / "run.toml").layers] == [str(out / "marks-ct.json"), None, None]
+        "marks-ct.json",
+        None,
+        None,
+    ]
+    assert [layer.marks for layer in read_study(out / "run.toml").layers] == [
+        str(out / "marks-ct.json"),
+        None,
+        None,
+    ]
     old, new = (open_run(folder).results for folder in (run, out))
     assert new.layer("ct").registration.matched == old.layer("ct").registration.matched - 1
     assert new.layer("near").registration == old.layer("near").registration
@@ -261,7 +290,9 @@ def test_marks_of_one_of_several_layers(kinds, tmp_path):
 # --- the process -----------------------------------------------------------------------------------------------------
 def nothing_left(run):
     """Whether nothing but the run stands where it stands, and nothing of an order in it."""
-    return [path.name for path in run.parent.iterdir()] == [run.name] and not (run / orders.STAGING).exists()
+    return [path.name for path in run.parent.iterdir()] == [run.name] and not (
+        run / orders.STAGING
+    ).exists()
 
 
 def ended(applied):
@@ -270,17 +301,27 @@ def ended(applied):
     return applied.progress
 
 
-def test_a_process_makes_the_run_says_how_far_it_is_or_why_it_is_not_made_and_serves_the_report(run_copy):
+def test_a_process_makes_the_run_says_how_far_it_is_or_why_it_is_not_made_and_serves_the_report(
+    run_copy,
+):
     """By the routes: 202, then how far it is, 409 for a second one, and a report under a secret of its own."""
     new = run_copy.with_name("run-2")
     with opened(run_copy) as session:
         app = create_app(session, token=TOKEN, hosts=[HOST])
         client, stranger, applied = Client(app), Client(app, token=""), app.state.applying
         try:
-            assert client.get("/api/apply").json() == {"state": "idle", "stage": "", "share": 0.0, "message": ""}
+            assert client.get("/api/apply").json() == {
+                "state": "idle",
+                "stage": "",
+                "share": 0.0,
+                "message": "",
+            }
             for mark in session.state.of(None)[2:]:
                 do(session, do="use", id=mark.id, used=False)
-            assert (stranger.post("/api/apply").status, client.post("/api/apply").status) == (401, 202)
+            assert (stranger.post("/api/apply").status, client.post("/api/apply").status) == (
+                401,
+                202,
+            )
             failed = ended(applied)
             assert (failed.state, failed.run) == ("failed", None)
             assert "2 pairs of marks in use" in failed.message
@@ -307,7 +348,12 @@ def test_a_process_makes_the_run_says_how_far_it_is_or_why_it_is_not_made_and_se
         assert "script-src" not in page.headers["content-security-policy"]
         assert "default-src 'none'" in page.headers["content-security-policy"]
         assert TOKEN not in end["report"]
-        for wrong in ("x", end["report"].rpartition("/")[2][:-1], "..%2f..%2fresults.json", "../results.json"):
+        for wrong in (
+            "x",
+            end["report"].rpartition("/")[2][:-1],
+            "..%2f..%2fresults.json",
+            "../results.json",
+        ):
             assert stranger.get(f"/report/{wrong}").status == 404
     assert open_run(new).results.layers[0].registration.model == "similarity"
     shutil.rmtree(new)

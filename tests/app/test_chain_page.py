@@ -25,7 +25,10 @@ def test_a_hole_is_searched_on_the_plane_of_the_next_layer(kinds, monkeypatch):
 def test_the_image_side_shows_the_next_layer(kinds, serve, window):
     shown = window(serve(kinds("chain"), "--read-only"))
     settled(shown)
-    places = {picture["id"]: (picture["plane"], picture["layer"]) for picture in api(shown, "session")["pictures"]}
+    places = {
+        picture["id"]: (picture["plane"], picture["layer"])
+        for picture in api(shown, "session")["pictures"]
+    }
     box = shown.field("Image side shows")
     assert places[box.input_value()] == ("moving", "near")
     shown.field("Layer").select_option("near")

@@ -8,7 +8,10 @@ from planish.app import changes
 
 
 def state():
-    made = [{"id": f"m0-{k}", "label": f"hole {k}", "moving": (k, 2.0), "fixed": (3.0, k)} for k in (1, 2, 3)]
+    made = [
+        {"id": f"m0-{k}", "label": f"hole {k}", "moving": (k, 2.0), "fixed": (3.0, k)}
+        for k in (1, 2, 3)
+    ]
     marks = tuple(map(changes.Mark.model_validate, made))
     return changes.State(marks={"sheet": marks, "other": ()}, first_layer="sheet")
 
@@ -27,7 +30,9 @@ def test_added_and_imported_marks_get_the_id_of_their_line():
 
 
 def test_a_moved_end_is_clicked_and_a_change_leaves_the_state_before():
-    one = after(state(), 1, do="move", id="m0-1", moving={"x": 1, "y": 2, "cov_xx": 4, "source": "detected"})
+    one = after(
+        state(), 1, do="move", id="m0-1", moving={"x": 1, "y": 2, "cov_xx": 4, "source": "detected"}
+    )
     two = after(one, 2, do="move", id="m0-1", fixed=[5, 6]).mark(None, "m0-1")
     assert (two.moving.cov_xx, two.moving.source) == (4.0, "detected")
     assert (two.fixed.xy, two.fixed.source) == ((5, 6), "clicked")
@@ -60,14 +65,27 @@ def test_what_cannot_be_done_is_refused(change):
 @pytest.mark.parametrize(
     "text",
     [
-        "", "[[[", "[" * 100_000, "null", "{}", '{"do":"drop"}', '{"do":"add","moving":[1,NaN]}',
-        '{"do":"add","moving":[1e400,0]}', '{"do":"add","moving":[1e10,0]}', '{"do":"add","moving":["1",2]}',
-        '{"do":"add","moving":[true,2]}', '{"do":"add","moving":[1,2,3]}', '{"do":"add","moving":[1,2],"path":"/etc"}',
-        '{"do":"use","id":"../x","used":true}', '{"do":"use","id":"m1","used":1}', '{"do":"model","model":"best"}',
-        '{"do":"label","id":"m1","label":"' + "a" * 300 + '"}', '{"do":"add","label":"\\ud800","moving":[1,2]}',
+        "",
+        "[[[",
+        "[" * 100_000,
+        "null",
+        "{}",
+        '{"do":"drop"}',
+        '{"do":"add","moving":[1,NaN]}',
+        '{"do":"add","moving":[1e400,0]}',
+        '{"do":"add","moving":[1e10,0]}',
+        '{"do":"add","moving":["1",2]}',
+        '{"do":"add","moving":[true,2]}',
+        '{"do":"add","moving":[1,2,3]}',
+        '{"do":"add","moving":[1,2],"path":"/etc"}',
+        '{"do":"use","id":"../x","used":true}',
+        '{"do":"use","id":"m1","used":1}',
+        '{"do":"model","model":"best"}',
+        '{"do":"label","id":"m1","label":"' + "a" * 300 + '"}',
+        '{"do":"add","label":"\\ud800","moving":[1,2]}',
         '{"do":"region","name":"a","polygon":[[0,0],[1,1]]}',
     ],
-)  # fmt: skip
+)
 def test_what_is_no_change_is_refused(text):
     with pytest.raises(changes.ChangeError, match="This is no change"):
         changes.change_of(text)
@@ -77,7 +95,9 @@ def test_what_is_no_change_is_refused(text):
 def random_change(draw, now):
     ids = [m.id for m in now.of(None)]
     point = [draw.uniform(0, 100), draw.uniform(0, 100)]
-    kinds = ["add", "model", "region", "correct"] + (["move", "use", "delete", "label"] * 2 if ids else [])
+    kinds = ["add", "model", "region", "correct"] + (
+        ["move", "use", "delete", "label"] * 2 if ids else []
+    )
     match draw.choice(kinds):
         case "add":
             return {"do": "add", draw.choice(["moving", "fixed"]): point}

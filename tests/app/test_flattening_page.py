@@ -49,7 +49,9 @@ def drawn(canvas):
     return found["covered"] > 0.1 and found["colours"] > 20
 
 
-def test_the_sheet_is_drawn_whole_in_the_colours_of_the_bar_and_again_after_it_was_turned(served, window):
+def test_the_sheet_is_drawn_whole_in_the_colours_of_the_bar_and_again_after_it_was_turned(
+    served, window
+):
     shown = window(served)
     settled(shown)
     shown.role("tab", "Flattening").click()
@@ -85,7 +87,9 @@ def test_without_webgl_the_sheet_is_shown_from_above(served, window, without_web
     settled(shown)
     assert shown.page.evaluate("document.createElement('canvas').getContext('webgl2')") is None
     shown.role("tab", "Flattening").click()
-    expect(shown.page.get_by_text(re.compile("no WebGL: the sheet is shown from above"))).to_be_visible()
+    expect(
+        shown.page.get_by_text(re.compile("no WebGL: the sheet is shown from above"))
+    ).to_be_visible()
     canvas = shown.role("img", "Sheet in space")
     expect(canvas).to_be_visible()
     for _ in range(100):

@@ -104,7 +104,10 @@ def test_a_line_that_did_not_reach_the_disk_is_taken_back(path, monkeypatch):
     [
         (b'{"format": "another 1"}\n', "is no journal"),
         (b'{"format": "planish journal 1", "of": "b"}\n', "something else"),
-        (b'{"format": "planish journal 1", "of": "a"}\nnonsense\n{"do": 2}\n', "damaged in line 2 of 3"),
+        (
+            b'{"format": "planish journal 1", "of": "a"}\nnonsense\n{"do": 2}\n',
+            "damaged in line 2 of 3",
+        ),
         (b"[[[\n", "is no journal"),
     ],
 )
@@ -192,7 +195,9 @@ def test_a_run_that_cannot_be_written_opens_read_only_and_says_so(made_copy):
     assert session.state.of(None)[0].used
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.nightly) for k in range(1, 25))])
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(k, marks=pytest.mark.nightly) for k in range(1, 25))]
+)
 def test_forty_sequences_of_changes_undo_and_redo(made_copy, seed, monkeypatch):
     """1000 in all, with new starts between; the slow model keeps every state that there was."""
     monkeypatch.setattr(module.os, "fsync", lambda _at: None)  # of which other tests speak
@@ -213,7 +218,9 @@ def test_forty_sequences_of_changes_undo_and_redo(made_copy, seed, monkeypatch):
                 case "start":
                     session = restarted(session)
                 case _:
-                    session.change(changes.change_of(json.dumps(random_change(draw, session.state))))
+                    session.change(
+                        changes.change_of(json.dumps(random_change(draw, session.state)))
+                    )
                     done.append(standing(session))
                     undone.clear()
             assert standing(session) == done[-1]
@@ -229,9 +236,14 @@ def restarted(session):
     session.close()
     journal = Journal(session.journal.path, subject=session.journal.subject, write=True)
     again = Session(
-        folder=session.folder, study=session.study, results=session.results, registrations=session.registrations,
-        image_params=None, journal=journal, reason="",
-    )  # fmt: skip
+        folder=session.folder,
+        study=session.study,
+        results=session.results,
+        registrations=session.registrations,
+        image_params=None,
+        journal=journal,
+        reason="",
+    )
     again._replay()
     return again
 
@@ -251,7 +263,9 @@ with closing(Journal(Path(sys.argv[1]), subject="a", write=True)) as made:
 @pytest.mark.ci
 def test_a_killed_writer_loses_at_most_the_line_in_flight(path):
     path.parent.mkdir(exist_ok=True)
-    writer = subprocess.Popen([sys.executable, "-c", _WRITER, str(path)], stdout=subprocess.PIPE, text=True)
+    writer = subprocess.Popen(
+        [sys.executable, "-c", _WRITER, str(path)], stdout=subprocess.PIPE, text=True
+    )
     writer.stdout.readline()
     time.sleep(0.1)
     writer.kill()

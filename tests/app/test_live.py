@@ -13,7 +13,9 @@ from planish.register import RegistrationParams, fit_transform
 
 PARAMS = RegistrationParams()
 # Places of the demo's six holes, um.
-SIX = np.array([[597, 394], [1475, 609], [1045, 652], [408, 690], [746, 891], [1362, 902]], dtype=float)
+SIX = np.array(
+    [[597, 394], [1475, 609], [1045, 652], [408, 690], [746, 891], [1362, 902]], dtype=float
+)
 TURN = np.array([[0.99, 0.12], [-0.12, 0.99]])
 
 
@@ -21,10 +23,16 @@ def marks_of(moving, fixed, used=None):
     used = [True] * len(moving) if used is None else used
     return tuple(
         changes.Mark.model_validate(
-            {"id": f"m0-{k}", "label": f"hole {k}", "used": u, "moving": tuple(a), "fixed": tuple(b)}
+            {
+                "id": f"m0-{k}",
+                "label": f"hole {k}",
+                "used": u,
+                "moving": tuple(a),
+                "fixed": tuple(b),
+            }
         )
         for k, (a, b, u) in enumerate(zip(moving.tolist(), fixed.tolist(), used, strict=True), 1)
-    )  # fmt: skip
+    )
 
 
 def pairs(n, seed, error_um=2.0):
@@ -73,7 +81,8 @@ def test_two_errors_of_60_um_stand_first_and_are_named(model, n, seed):
 
 
 @pytest.mark.parametrize(
-    ("n", "sets", "most"), [(6, 20, 1), *(pytest.param(n, 200, 7, marks=pytest.mark.nightly) for n in (5, 6, 12, 30))]
+    ("n", "sets", "most"),
+    [(6, 20, 1), *(pytest.param(n, 200, 7, marks=pytest.mark.nightly) for n in (5, 6, 12, 30))],
 )
 def test_right_marks_are_seldom_named(n, sets, most):
     """One in a hundred sets by its own measure: fewer than 4 % of 200 by chance in all but one of 10 000 cases."""
@@ -103,7 +112,9 @@ def test_errors_of_marks_on_a_line_or_at_one_place_are_named():
     moving, fixed, _ = pairs(6, 4)
     moving[5] = moving[1]
     found = shown(moving, fixed)
-    assert [(w.id, "hole 2 on the volume side" in w.text) for w in found.warnings if w.id] == [("m0-6", True)]
+    assert [(w.id, "hole 2 on the volume side" in w.text) for w in found.warnings if w.id] == [
+        ("m0-6", True)
+    ]
     assert "hole 6" in found.error
     assert "(counted from 1)" not in found.error
 
@@ -163,7 +174,9 @@ def test_what_is_shown_at_first_is_what_the_run_says(linked_session):
     fit = linked_session.registrations[layer].fit
     assert found["fit"]["rms_um"] == pytest.approx(fit.rms_um, rel=1e-12)
     assert found["fit"]["loo_rms_um"] == pytest.approx(fit.leave_one_out_rms_um, rel=1e-12)
-    assert [m["residual_um"] for m in found["marks"]] == pytest.approx(np.hypot(*fit.residuals_um.T).tolist(), rel=1e-9)
+    assert [m["residual_um"] for m in found["marks"]] == pytest.approx(
+        np.hypot(*fit.residuals_um.T).tolist(), rel=1e-9
+    )
 
 
 def test_a_fit_that_follows_is_a_new_version(session):
@@ -185,7 +198,9 @@ def test_rough_clicks_snap_to_the_holes_they_were_meant_for(session):
     layer, draw = session.layers[0], np.random.default_rng(1)
     before = session.state.of(layer)
     for mark in before:
-        rough = {p: [v + draw.normal(0, 4) for v in getattr(mark, p).xy] for p in ("moving", "fixed")}
+        rough = {
+            p: [v + draw.normal(0, 4) for v in getattr(mark, p).xy] for p in ("moving", "fixed")
+        }
         session.change(changes.change_of(json.dumps({"do": "move", "id": mark.id} | rough)))
     for mark in session.state.of(layer):
         session.change(snap.snapped(session, layer, mark))
@@ -209,17 +224,25 @@ def test_a_hole_that_is_searched_around_its_mark_is_precise_and_is_moved_to_the_
             assert np.hypot(end.x - old.x, end.y - old.y) < 2.0  # um: less than a pixel of either
             assert None not in (end.cov_xx, end.diameter)
     facts = session.results.layer(layer).registration
-    oblique = facts.model_copy(update={"tilt": facts.tilt.model_copy(update={"to_face_um": (3.0, -2.0)})})
-    monkeypatch.setattr(type(session.results), "layer", lambda _self, _name: SimpleNamespace(registration=oblique))
+    oblique = facts.model_copy(
+        update={"tilt": facts.tilt.model_copy(update={"to_face_um": (3.0, -2.0)})}
+    )
+    monkeypatch.setattr(
+        type(session.results), "layer", lambda _self, _name: SimpleNamespace(registration=oblique)
+    )
     moved = snap.snapped(session, layer, marks[0])
-    assert moved.moving.xy == pytest.approx((straight[0].moving.x + 3.0, straight[0].moving.y - 2.0))
+    assert moved.moving.xy == pytest.approx(
+        (straight[0].moving.x + 3.0, straight[0].moving.y - 2.0)
+    )
     assert moved.fixed == straight[0].fixed
 
 
 def test_a_search_before_the_first_snap_changes_nothing(linked_session, monkeypatch):
     searched = []
     find = snap.find_holes
-    monkeypatch.setattr(snap, "find_holes", lambda *given, **how: searched.append(1) or find(*given, **how))
+    monkeypatch.setattr(
+        snap, "find_holes", lambda *given, **how: searched.append(1) or find(*given, **how)
+    )
     version = linked_session.version
     snap.warm(linked_session)
     assert len(searched) == 2

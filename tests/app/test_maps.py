@@ -11,7 +11,17 @@ import xarray as xr
 
 from folders import refused
 from planish.app import pictures, selection
-from planish.app.selection import Brush, Rectangle, Stopped, cursor, density, histogram, nearest, profile, select
+from planish.app.selection import (
+    Brush,
+    Rectangle,
+    Stopped,
+    cursor,
+    density,
+    histogram,
+    nearest,
+    profile,
+    select,
+)
 from planish.core.area import halved, overviews
 from planish.core.errors import InputError
 from planish.io import write_tree
@@ -29,11 +39,21 @@ def maps():
     b = (100 + 9 * shared + rng.normal(0, 9, SHAPE)).astype(np.float32)
     a[100:140, 300:420] = np.nan
     valid = np.isfinite(a) & (rng.random(SHAPE) > 0.02)
-    grid = {"y": ORIGIN[1] + PIXEL[0] * np.arange(SHAPE[0]), "x": ORIGIN[0] + PIXEL[1] * np.arange(SHAPE[1])}
+    grid = {
+        "y": ORIGIN[1] + PIXEL[0] * np.arange(SHAPE[0]),
+        "x": ORIGIN[0] + PIXEL[1] * np.arange(SHAPE[1]),
+    }
     um = {"units": "um", "role": "property", "long_name": "Coating"}
     y, x = np.meshgrid(grid["y"], grid["x"], indexing="ij")
-    places = {f"volume_{n}": (("y", "x"), v, {"units": "um"}) for n, v in (("x", x + 5), ("y", y * 2), ("z", y - x))}
-    found = {"coating": (("y", "x"), a, um), "image": (("y", "x"), b, {"units": "1"}), "valid": (("y", "x"), valid)}
+    places = {
+        f"volume_{n}": (("y", "x"), v, {"units": "um"})
+        for n, v in (("x", x + 5), ("y", y * 2), ("z", y - x))
+    }
+    found = {
+        "coating": (("y", "x"), a, um),
+        "image": (("y", "x"), b, {"units": "1"}),
+        "valid": (("y", "x"), valid),
+    }
     return xr.Dataset(found | places, coords=grid)
 
 
@@ -42,7 +62,9 @@ def tiles(maps, tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     smaller = {f"overviews/linked/{k}": one for k, one in enumerate(overviews(maps), 1)}
     write_tree(folder / "maps.zarr", {"linked": maps} | smaller)
-    return pictures.Tiles(pictures.Pictures(pictures.group_pictures(folder, "linked", plane="fixed", layer="image")))
+    return pictures.Tiles(
+        pictures.Pictures(pictures.group_pictures(folder, "linked", plane="fixed", layer="image"))
+    )
 
 
 @pytest.fixture(scope="module")
@@ -75,10 +97,19 @@ def test_the_cursor_has_the_values_of_the_pixel_around_it(maps, tiles, pair, row
     ]
 
 
-def test_the_cursor_beside_the_picture_has_no_values_and_corners_may_stand_in_any_order(tiles, pair):
+def test_the_cursor_beside_the_picture_has_no_values_and_corners_may_stand_in_any_order(
+    tiles, pair
+):
     found = cursor(tiles, pair[0], ORIGIN[0] - PIXEL[1], ORIGIN[1])
-    assert (found["row"], found["volume"], {one["value"] for one in found["values"]}) == (None, None, {None})
-    one, other = (select(tiles, *pair, region=Rectangle(*at)) for at in ((200, 100, 900, 400), (900, 400, 200, 100)))
+    assert (found["row"], found["volume"], {one["value"] for one in found["values"]}) == (
+        None,
+        None,
+        {None},
+    )
+    one, other = (
+        select(tiles, *pair, region=Rectangle(*at))
+        for at in ((200, 100, 900, 400), (900, 400, 200, 100))
+    )
     assert one == other
 
 
@@ -89,7 +120,9 @@ def test_a_profile_has_the_pixels_that_a_line_crosses(maps, tiles, pair):
     assert (found["pixel_um"], found["at_um"][-1]) == (2.0, pytest.approx(200 * PIXEL[1]))
     cols = np.floor(250 + np.array(found["at_um"]) / PIXEL[1] + 0.5).astype(int)
     for line in found["lines"]:
-        expected = np.where(maps.valid.values[row, cols], maps[line["name"]].values[row, cols], np.nan)
+        expected = np.where(
+            maps.valid.values[row, cols], maps[line["name"]].values[row, cols], np.nan
+        )
         np.testing.assert_array_equal(np.array(line["values"], float), expected)
     assert None in found["lines"][0]["values"]
 
@@ -120,7 +153,9 @@ def test_both_ends_of_a_mark_show_one_place_of_the_volume(kinds, kind):
 
 
 # --- what is selected ----------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("region", [(200.0, 100.0, 1500.0, 900.0), (ORIGIN[0], ORIGIN[1], 1000.0, 500.0)])
+@pytest.mark.parametrize(
+    "region", [(200.0, 100.0, 1500.0, 900.0), (ORIGIN[0], ORIGIN[1], 1000.0, 500.0)]
+)
 def test_n_and_r_of_a_region_are_those_of_its_pixels(maps, tiles, pair, region):
     a, b = known(maps, *region)
     found = select(tiles, *pair, region=Rectangle(*region))
@@ -137,9 +172,9 @@ def test_brushed_pixels_are_counted_and_nothing_is_said_of_r(maps, tiles, pair):
     assert found["n"] == np.count_nonzero((a >= 78) & (a <= 82.5) & (b >= 95) & (b <= 120))
     assert (found["r"], found["interval"]) == (None, None)
     a, _ = known(maps, 200, 100, 900, 400)
-    assert select(tiles, *pair, brushes=brushes[:1], region=Rectangle(200, 100, 900, 400))["n"] == np.count_nonzero(
-        (a >= 78) & (a <= 82.5)
-    )
+    assert select(tiles, *pair, brushes=brushes[:1], region=Rectangle(200, 100, 900, 400))[
+        "n"
+    ] == np.count_nonzero((a >= 78) & (a <= 82.5))
 
 
 def test_a_region_beside_the_map_and_a_line_without_length_are_refused(tiles, pair):
@@ -157,16 +192,24 @@ def test_a_selection_that_is_not_wanted_any_more_ends(tiles, pair):
 
 # --- densities -----------------------------------------------------------------------------------------------------
 def counts_of(found):
-    return np.frombuffer(base64.b64decode(found["counts"]), "<u4").reshape(found["bins"], found["bins"])
+    return np.frombuffer(base64.b64decode(found["counts"]), "<u4").reshape(
+        found["bins"], found["bins"]
+    )
 
 
 def test_the_density_counts_every_point(maps, tiles, pair):
     a, b = known(maps, -1e9, -1e9, 1e9, 1e9)
     found = density(tiles, *pair)
     counts = counts_of(found)
-    assert (found["n"], found["pixel_um"], counts.sum()) == (a.size, PIXEL, a.size - found["beyond"])
+    assert (found["n"], found["pixel_um"], counts.sum()) == (
+        a.size,
+        PIXEL,
+        a.size - found["beyond"],
+    )
     assert found["beyond"] < 0.01 * a.size
-    edges = [np.linspace(found[f"{which}_low"], found[f"{which}_high"], 129) for which in ("b", "a")]
+    edges = [
+        np.linspace(found[f"{which}_low"], found[f"{which}_high"], 129) for which in ("b", "a")
+    ]
     expected, _, _ = np.histogram2d(b, a, bins=edges)
     # A value on the border of two bins may be rounded into either.
     assert np.abs(counts - expected).sum() < 1e-4 * a.size
@@ -176,7 +219,11 @@ def test_a_large_map_is_drawn_from_an_overview_which_is_said(maps, tiles, pair, 
     monkeypatch.setattr(selection, "BASE_PIXELS", 200_000)
     found = density(tiles, *pair)
     smaller = halved(maps)
-    both = smaller.valid.values & np.isfinite(smaller.coating.values) & np.isfinite(smaller.image.values)
+    both = (
+        smaller.valid.values
+        & np.isfinite(smaller.coating.values)
+        & np.isfinite(smaller.image.values)
+    )
     assert (found["n"], found["pixel_um"]) == (np.count_nonzero(both), (4.0, 5.0))
 
 
@@ -191,7 +238,9 @@ def test_points_of_a_region_and_histograms_count_valid_values(maps, tiles, pair)
     a = maps.coating.values[maps.valid.values].astype(float)
     found = histogram(tiles, pair[0])
     assert (found["n"], sum(found["counts"])) == (a.size, a.size - found["beyond"])
-    np.testing.assert_allclose([found["mean"], found["sd"], found["median"]], [a.mean(), a.std(ddof=1), np.median(a)])
+    np.testing.assert_allclose(
+        [found["mean"], found["sd"], found["median"]], [a.mean(), a.std(ddof=1), np.median(a)]
+    )
     np.testing.assert_allclose(found["range"], np.percentile(a, [2, 98]))
 
 
@@ -200,7 +249,9 @@ def test_a_picture_without_a_mask_is_counted_without_its_holes(maps, tmp_path):
     away = np.hypot(maps.y - y, maps.x - x)
     image = maps[["image"]].where(away > 250, -1e4)
     write_tree(tmp_path / "maps.zarr", {"linked": image, "overviews/linked/1": halved(image)})
-    tiles = pictures.Tiles(pictures.Pictures(pictures.group_pictures(tmp_path, "linked", plane="fixed", layer="image")))
+    tiles = pictures.Tiles(
+        pictures.Pictures(pictures.group_pictures(tmp_path, "linked", plane="fixed", layer="image"))
+    )
     [picture] = tiles.pictures
     holes = xr.Dataset({"x": ("mark", [x]), "y": ("mark", [y]), "diameter": ("mark", [500.0])})
     assert histogram(tiles, picture)["range"][0] < -9e3

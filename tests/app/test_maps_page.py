@@ -9,10 +9,14 @@ from app.marks_page import api, drag, expect
 
 LEFT, RIGHT = "coating_top", "image"
 TAKES = {
-    "Region, um": "A region is", "Line, um": "A line is", "Left colour range": "A colour range is",
-    "Right map centre, um": "Right map centre is", "Right map, um per screen pixel": "Right map",
-    f"Brush {LEFT}": "A brush is", "Polygon, um": "A polygon is",
-}  # fmt: skip
+    "Region, um": "A region is",
+    "Line, um": "A line is",
+    "Left colour range": "A colour range is",
+    "Right map centre, um": "Right map centre is",
+    "Right map, um per screen pixel": "Right map",
+    f"Brush {LEFT}": "A brush is",
+    "Polygon, um": "A polygon is",
+}
 """Fields, and the beginning of what each says of words that it does not take."""
 
 
@@ -116,7 +120,9 @@ def test_cursor_brush_and_region_are_those_of_the_maps_and_a_pixel_leads_to_its_
     said = selection(maps, r"^n \d+; r")
     a, b = known(linked, region)
     assert count(said) == a.size
-    assert float(re.search(r"r (-?[0-9.]+);", said)[1]) == pytest.approx(np.corrcoef(a, b)[0, 1], abs=1e-3)
+    assert float(re.search(r"r (-?[0-9.]+);", said)[1]) == pytest.approx(
+        np.corrcoef(a, b)[0, 1], abs=1e-3
+    )
     assert re.search(r"95 % interval -?0\.\d+ to -?0\.\d+; n_eff \d", said)
     # The slice beside the maps goes to the pixel that is clicked, and the cursor to the place clicked in it.
     pixel = valid_pixel(linked)
@@ -137,13 +143,19 @@ def test_a_rectangle_in_the_scatter_fills_the_brushes_and_no_tile_is_asked_for_t
     scatter = maps.role("application", "Scatter")
     scatter.scroll_into_view_if_needed()
     box = scatter.bounding_box()
-    at = [(box["x"] + box["width"] * u, box["y"] + box["height"] * v) for u, v in ((0.4, 0.3), (0.7, 0.6))]
+    at = [
+        (box["x"] + box["width"] * u, box["y"] + box["height"] * v)
+        for u, v in ((0.4, 0.3), (0.7, 0.6))
+    ]
     drag(maps.page, *at)  # moves the points
     expect(maps.role("status", "Selection")).to_have_text("n 0: nothing is selected.")
     scatter.press("0")
     expect(maps.page.get_by_role("img", name=re.compile("^Histogram of image"))).to_be_visible()
     asked = []
-    maps.page.on("request", lambda request: asked.append(request.url) if "/api/tiles/" in request.url else None)
+    maps.page.on(
+        "request",
+        lambda request: asked.append(request.url) if "/api/tiles/" in request.url else None,
+    )
     drag(maps.page, *at, key="Shift")
     said = selection(maps, r"^n \d+;")
     (a0, a1), (b0, b1) = (values_in(maps, f"Brush {n}") for n in (LEFT, RIGHT))
@@ -155,14 +167,20 @@ def test_a_rectangle_in_the_scatter_fills_the_brushes_and_no_tile_is_asked_for_t
     selection(maps, r"^n \d+;")
     shown = [url.rpartition("/api/")[2] for url in asked]
     assert len(shown) == len(set(shown))
-    (mask,) = (p["id"] for p in api(maps, "session")["pictures"] if (p["plane"], p["name"]) == ("fixed", "valid"))
+    (mask,) = (
+        p["id"]
+        for p in api(maps, "session")["pictures"]
+        if (p["plane"], p["name"]) == ("fixed", "valid")
+    )
     assert {path.split("/")[1] for path in shown} <= {mask}  # which no map has shown before
     scatter.focus()
     maps.page.keyboard.press("Escape")
     expect(maps.role("status", "Selection")).to_have_text("n 0: nothing is selected.")
 
 
-def test_regions_lines_and_artefacts_are_drawn_typed_shown_and_undone_and_a_field_says_what_it_takes(maps):
+def test_regions_lines_and_artefacts_are_drawn_typed_shown_and_undone_and_a_field_says_what_it_takes(
+    maps,
+):
     for name, field in (("Draw region", "Region, um"), ("Draw line", "Line, um")):
         maps.role("button", name).click()
         clicked(maps, (-60, -30), (50, 40))
@@ -203,10 +221,14 @@ def test_regions_lines_and_artefacts_are_drawn_typed_shown_and_undone_and_a_fiel
         expect(box).to_have_attribute("aria-invalid", "true")
 
     maps.field("Left layer").select_option("thickness")
-    expect(maps.page.get_by_role("img", name=re.compile("^Histogram of thickness: n [0-9]+"))).to_be_visible()
+    expect(
+        maps.page.get_by_role("img", name=re.compile("^Histogram of thickness: n [0-9]+"))
+    ).to_be_visible()
     expect(maps.field("Brush thickness")).to_be_visible()
     maps.fill("Line, um", "100, 100, 700, 500")
-    expect(maps.page.get_by_role("img", name="Profile over 721.11 um of thickness and image")).to_be_visible()
+    expect(
+        maps.page.get_by_role("img", name="Profile over 721.11 um of thickness and image")
+    ).to_be_visible()
     for kind, first_bytes in (("PNG", b"\x89PNG"), ("SVG", b"<svg")):
         with maps.page.expect_download() as download:
             maps.role("button", f"Profile: save as {kind}").click()

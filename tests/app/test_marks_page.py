@@ -7,7 +7,18 @@ import signal
 import numpy as np
 import pytest
 
-from app.marks_page import IMAGE, VOLUME, api, drag, ends, expect, forget_lost, message, pair, settled
+from app.marks_page import (
+    IMAGE,
+    VOLUME,
+    api,
+    drag,
+    ends,
+    expect,
+    forget_lost,
+    message,
+    pair,
+    settled,
+)
 from planish.register import fit_transform
 
 
@@ -74,7 +85,8 @@ def test_the_chosen_mark_is_moved_by_arrows_and_dragged_and_snapped_to_its_hole(
     expect(message(shown)).to_contain_text("Mark moved. Saved.")
     expect(shown.role("table", "Marks")).not_to_contain_text(f"{before[1, 0]:.2f}")
     dragged = ends(shown.rows()) - before
-    assert np.hypot(*dragged[1, :2]) == pytest.approx(np.hypot(40, 20), abs=0.03)  # the view may be turned
+    # The view may be turned.
+    assert np.hypot(*dragged[1, :2]) == pytest.approx(np.hypot(40, 20), abs=0.03)
     assert (dragged[1, 2:] == moved[1, 2:]).all()
     assert (np.delete(dragged, 1, axis=0) == 0).all()
 
@@ -83,7 +95,9 @@ def test_the_chosen_mark_is_moved_by_arrows_and_dragged_and_snapped_to_its_hole(
     assert ends(settled(shown)) == pytest.approx(before, abs=0.011)
 
 
-def test_the_table_shows_the_fit_is_walked_through_and_has_a_wrong_mark_first_after_one_click(shown):
+def test_the_table_shows_the_fit_is_walked_through_and_has_a_wrong_mark_first_after_one_click(
+    shown,
+):
     names = [row[0] for row in settled(shown)]
     shown.role("button", "Next").click()
     shown.role("application", VOLUME).press("n")
@@ -91,13 +105,17 @@ def test_the_table_shows_the_fit_is_walked_through_and_has_a_wrong_mark_first_af
     shown.role("button", "Previous").click()
     shown.role("button", "Previous").click()
     assert value(shown, "Label") == names[-1]
-    assert numbers(shown, f"{VOLUME} centre, um") == pytest.approx(ends(shown.rows())[-1, :2], abs=0.011)
+    assert numbers(shown, f"{VOLUME} centre, um") == pytest.approx(
+        ends(shown.rows())[-1, :2], abs=0.011
+    )
     shown.field("Model").select_option("similarity")
     expect(shown.page.get_by_text(re.compile("^5 pairs in use, residual .*rms"))).to_be_visible()
     rows = settled(shown)
     moving, fixed = ends(rows)[:, :2], ends(rows)[:, 2:]
     fit = fit_transform(moving, fixed, model="similarity", robust=False)
-    assert [float(row[6]) for row in rows] == pytest.approx(np.hypot(*fit.residuals_um.T), abs=0.011)
+    assert [float(row[6]) for row in rows] == pytest.approx(
+        np.hypot(*fit.residuals_um.T), abs=0.011
+    )
     assert all(re.fullmatch(r"\d+\.\d\d", cell) for row in rows for cell in row[2:8])
     # Errors are coloured by the limit of the check.
     assert shown.page.locator("td.error.usual").count() >= len(rows)
@@ -116,7 +134,9 @@ def test_the_table_shows_the_fit_is_walked_through_and_has_a_wrong_mark_first_af
     assert [row[0] for row in shown.rows()] == sorted(row[0] for row in rows)
 
 
-def test_changes_are_undone_and_redone_survive_a_reload_and_are_followed_by_another_window(shown, window):
+def test_changes_are_undone_and_redone_survive_a_reload_and_are_followed_by_another_window(
+    shown, window
+):
     first, second, *_ = settled(shown)
     twin = window(shown.server, context=shown.page.context)
     use_in_twin = twin.field(f"Use {first[0]}")
@@ -145,7 +165,9 @@ def test_changes_are_undone_and_redone_survive_a_reload_and_are_followed_by_anot
     expect(shown.role("button", "Redo")).to_be_disabled()
 
 
-@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="needs a system on which a process can be halted")
+@pytest.mark.skipif(
+    not hasattr(signal, "SIGSTOP"), reason="needs a system on which a process can be halted"
+)
 def test_a_server_that_answers_again_is_found_and_marks_are_exported_and_imported_and_another_file_is_refused(
     shown, tmp_path
 ):
@@ -153,7 +175,8 @@ def test_a_server_that_answers_again_is_found_and_marks_are_exported_and_importe
     shown.server.process.send_signal(signal.SIGSTOP)
     alert = shown.page.get_by_role("alert")
     expect(alert).to_contain_text("No connection", timeout=2000)
-    shown.page.route("**/api/events", lambda route: route.fulfill(status=401))  # as one that was started anew answers
+    # As one that was started anew answers.
+    shown.page.route("**/api/events", lambda route: route.fulfill(status=401))
     expect(alert).to_contain_text("Open the address")
     shown.page.unroute("**/api/events")
     shown.server.process.send_signal(signal.SIGCONT)
@@ -255,7 +278,9 @@ def limits_leave_holes_out_and_are_moved_by_mouse_keys_and_numbers(shown, linked
     label = f"{IMAGE} colour range"
     values = linked.image.values[linked.valid.values]
     wanted = np.percentile(values, [2, 98])
-    expect(shown.page.get_by_role("img", name=re.compile(r"^Histogram of image: n \d+"))).to_be_visible()
+    expect(
+        shown.page.get_by_role("img", name=re.compile(r"^Histogram of image: n \d+"))
+    ).to_be_visible()
     found = numbers(shown, label)
     np.testing.assert_allclose(found, wanted, atol=0.05 * np.ptp(values))
     low = shown.role("slider", f"{label}, low")

@@ -61,8 +61,10 @@ BROKEN = """() => {
 
 
 TABS = {  # what a tab shows when it is ready
-    "Surfaces": ("img", "Slice"), "Maps": ("application", "Scatter"), "Flattening": ("img", "Sheet in space"),
-}  # fmt: skip
+    "Surfaces": ("img", "Slice"),
+    "Maps": ("application", "Scatter"),
+    "Flattening": ("img", "Sheet in space"),
+}
 
 
 def accessible(shown, *, controls):
@@ -109,11 +111,15 @@ def test_names_roles_contrast_and_focus(served, window, scheme):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(("width", "height"), [(390, 844), (683, 384), (1366, 768)], ids=["390", "200 %", "1366"])
+@pytest.mark.parametrize(
+    ("width", "height"), [(390, 844), (683, 384), (1366, 768)], ids=["390", "200 %", "1366"]
+)
 def test_every_tab_fits_small_windows_which_scroll_one_way_only(served, window, width, height):
     shown = window(served, width=width, height=height)
     settled(shown)
-    wide, high = shown.page.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
+    wide, high = shown.page.evaluate(
+        "[document.documentElement.scrollWidth, document.documentElement.scrollHeight]"
+    )
     assert wide <= width
     assert width < 1366 or high <= height, "a laptop shows all at once"
     shown.role("application", VOLUME).scroll_into_view_if_needed()

@@ -36,7 +36,11 @@ def maps():
     coords = {"y": 10 + 2.0 * np.arange(SHAPE[0]), "x": -30 + 2.5 * np.arange(SHAPE[1])}
     return xr.Dataset(
         {
-            "thickness": (("y", "x"), thickness, {"units": "um", "long_name": "Sheet thickness", "role": "property"}),
+            "thickness": (
+                ("y", "x"),
+                thickness,
+                {"units": "um", "long_name": "Sheet thickness", "role": "property"},
+            ),
             "valid": (("y", "x"), np.isfinite(thickness)),
         },
         coords=coords,
@@ -55,7 +59,9 @@ def written(folder, maps, *, smaller=True):
 
 def decoded(codes, numbers):
     """The values that codes stand for; NaN where they are missing."""
-    return np.where(numbers == 0, np.nan, codes.offset + codes.scale * (numbers.astype(np.float64) - 1))
+    return np.where(
+        numbers == 0, np.nan, codes.offset + codes.scale * (numbers.astype(np.float64) - 1)
+    )
 
 
 def mosaic(tiles, picture, level):
@@ -88,11 +94,18 @@ def test_tiles_of_all_levels_are_the_maps_and_their_overviews(stored, maps):
     thickness, valid = stored
     assert [len(p.levels) for p in stored] == [4, 4]
     for level, data in enumerate([maps, *overviews(maps)]):
-        assert_quantised(mosaic(tiles, thickness, level), data["thickness"].values.astype(float), thickness)
+        assert_quantised(
+            mosaic(tiles, thickness, level), data["thickness"].values.astype(float), thickness
+        )
         np.testing.assert_array_equal(mosaic(tiles, valid, level), data["valid"].values)
     assert thickness.codes.scale < 0.01  # um: far below the noise of a pixel
     facts = SimpleNamespace(**thickness.described())
-    assert (facts.name, facts.units, facts.plane, facts.shape) == ("thickness", "um", "fixed", SHAPE)
+    assert (facts.name, facts.units, facts.plane, facts.shape) == (
+        "thickness",
+        "um",
+        "fixed",
+        SHAPE,
+    )
     assert (facts.pixel_um, facts.origin_um) == ((2.0, 2.5), (-30.0, 10.0))
     low, high = facts.range  # of means over 8 x 8 pixels, whose spread is an eighth of 6 um
     assert 78 < low < 79
@@ -104,7 +117,9 @@ def test_a_tile_reads_its_chunk_and_no_more(stored, monkeypatch):
     read = []
     whole = map_store.PartCache.part
     monkeypatch.setattr(
-        map_store.PartCache, "part", lambda self, *where: read.append(part := whole(self, *where)) or part
+        map_store.PartCache,
+        "part",
+        lambda self, *where: read.append(part := whole(self, *where)) or part,
     )
     tiles = Tiles(stored)
     for tile in ((0, 0), (0, 1), (1, 0), (1, 1)):
@@ -126,7 +141,15 @@ def test_blocks_are_dropped_when_there_are_many(stored):
 
 
 @pytest.mark.parametrize(
-    "bad", [("p9", 0, 0, 0), ("p0", 4, 0, 0), ("p0", -1, 0, 0), ("p0", 0, 6, 0), ("p0", 3, 0, 2), ("p0", 0, -1, 0)]
+    "bad",
+    [
+        ("p9", 0, 0, 0),
+        ("p0", 4, 0, 0),
+        ("p0", -1, 0, 0),
+        ("p0", 0, 6, 0),
+        ("p0", 3, 0, 2),
+        ("p0", 0, -1, 0),
+    ],
 )
 def test_a_tile_beyond_the_picture_is_refused(stored, bad):
     with pytest.raises(InputError):
@@ -137,14 +160,17 @@ def test_codes_stand_for_values_beyond_them_at_both_ends():
     codes = Codes.between(-1.0, 2.0)
     values = np.array([-50.0, -1.0, 0.5, 2.0, 99.0, np.nan, np.inf])
     np.testing.assert_array_equal(codes.of(values)[[0, 1, 3, 4, 5, 6]], [1, 1, 65535, 65535, 0, 0])
-    np.testing.assert_allclose(decoded(codes, codes.of(values))[[1, 2, 3]], values[1:4], atol=codes.scale / 2)
+    np.testing.assert_allclose(
+        decoded(codes, codes.of(values))[[1, 2, 3]], values[1:4], atol=codes.scale / 2
+    )
     assert codes.scale == pytest.approx(3 / 65534)
 
 
 # --- copies that a store does not have -----------------------------------------------------------------------------
 def test_an_older_run_without_overviews_looks_the_same(tmp_path, maps, monkeypatch):
     stored, made = written(tmp_path / "run", maps), written(tmp_path / "older", maps, smaller=False)
-    monkeypatch.setattr(computed_levels, "_LAST_ON_DEMAND", 1)  # so that a small map has both kinds of levels
+    # So that a small map has both kinds of levels.
+    monkeypatch.setattr(computed_levels, "_LAST_ON_DEMAND", 1)
     made = Pictures(group_pictures(tmp_path / "older", "linked", plane="fixed", layer="image"))
     for one, other in zip(stored, made, strict=True):
         assert len(other.levels) == 4
@@ -153,7 +179,9 @@ def test_an_older_run_without_overviews_looks_the_same(tmp_path, maps, monkeypat
             np.testing.assert_allclose(a["x"], b["x"])
             np.testing.assert_allclose(a["y"], b["y"])
         # Windows that begin within the level as well.
-        np.testing.assert_array_equal(one.levels[1][256:512, 512:768].values, other.levels[1][256:512, 512:768].values)
+        np.testing.assert_array_equal(
+            one.levels[1][256:512, 512:768].values, other.levels[1][256:512, 512:768].values
+        )
 
 
 class Counted:
@@ -179,7 +207,9 @@ def test_copies_are_made_in_one_pass_and_kept_for_the_next_session(maps, cache, 
     np.testing.assert_array_equal(levels[2][:, :], expected[1])
     assert values.read == 512 * 512 + values.values.size
     again = Counted(maps["thickness"].values)
-    np.testing.assert_array_equal(ComputedLevels(again, cache / "levels" / "one").levels()[3][:, :], expected[2])
+    np.testing.assert_array_equal(
+        ComputedLevels(again, cache / "levels" / "one").levels()[3][:, :], expected[2]
+    )
     assert again.read == 0
     assert [one.name for one in (cache / "levels").iterdir()] == ["one"]  # nothing half made stays
 
@@ -232,7 +262,9 @@ def test_of_an_image_that_lies_open_in_its_file_windows_are_read(tmp_path, monke
     sizes = []
     taken = pictures.channel_of
     monkeypatch.setattr(
-        pictures, "channel_of", lambda part, *a, **k: sizes.append(part.values.shape) or taken(part, *a, **k)
+        pictures,
+        "channel_of",
+        lambda part, *a, **k: sizes.append(part.values.shape) or taken(part, *a, **k),
     )
     assert (picture.full[512:768, 0:256].values.shape, sizes) == ((256, 256), [(256, 256)])
     assert not computed_levels.user_cache().exists()
@@ -244,12 +276,19 @@ def test_pictures_of_a_linked_run(linked_run):
     assert {("fixed", "coating_top"), ("fixed", "image")} <= set(found)
     with xr.open_datatree(linked_run / "maps.zarr", engine="zarr") as tree:
         for plane, group in (("moving", "maps"), ("fixed", "linked")):
-            drawn = {str(n) for n, data in tree[group].data_vars.items() if data.ndim == 2 and data.dtype.kind in "fb"}
+            drawn = {
+                str(n)
+                for n, data in tree[group].data_vars.items()
+                if data.ndim == 2 and data.dtype.kind in "fb"
+            }
             assert {name for of, name in found if of == plane} - set(strain.STRAINS) == drawn
             data = tree[group]["coating_top"]
             rows, cols = data.dims
             facts = SimpleNamespace(**found[plane, "coating_top"].described())
-            assert (facts.origin_um, facts.shape) == ((float(data[cols][0]), float(data[rows][0])), data.shape)
+            assert (facts.origin_um, facts.shape) == (
+                (float(data[cols][0]), float(data[rows][0])),
+                data.shape,
+            )
 
 
 def test_pictures_of_a_link_of_two_images(kinds):
@@ -257,4 +296,6 @@ def test_pictures_of_a_link_of_two_images(kinds):
     assert {("fixed", "white/image"), ("fixed", "uv/image"), ("fixed", "uv/valid")} <= set(found)
     linked = open_run(kinds("images")).groups["layers/white"]
     np.testing.assert_array_equal(found["fixed", "white/image"].full, linked["image"])
-    np.testing.assert_array_equal(found["moving", "white/image"].full, read_image(kinds.small.image).values)
+    np.testing.assert_array_equal(
+        found["moving", "white/image"].full, read_image(kinds.small.image).values
+    )

@@ -32,7 +32,10 @@ def test_a_session_says_what_there_is(client, session):
     holes = open_run(session.folder).registrations[session.layers[0]]
     assert found["models"][-1] == "auto"
     assert {"similarity", "affine", "tps"} <= set(found["models"])
-    assert [len(found["holes"][side]) for side in ("moving", "fixed")] == [holes.count("moving"), holes.count("fixed")]
+    assert [len(found["holes"][side]) for side in ("moving", "fixed")] == [
+        holes.count("moving"),
+        holes.count("fixed"),
+    ]
     assert {p["plane"] for p in found["pictures"]} == {"moving", "fixed"}
     assert found["layers"][0]["headline"] == session.results.layers[0].headline == "coating_top"
     assert (found["read_only"], found["linked"]) == (False, True)
@@ -48,18 +51,26 @@ def test_one_change_after_the_other(client, session):
     assert (mark["fixed"], mark["residual_um"], list(mark["predicted"])) == (None, None, ["fixed"])
     layer = session.layers[0]
     wanted = session.registrations[layer]([500.0, 400.0])
-    assert np.hypot(*(mark["predicted"]["fixed"] - wanted)) < 0.5  # um: the shown fit is that of the run or near it
-    two = client.post("/api/change", {"change": {"do": "move", "id": mark["id"], "fixed": wanted.tolist()}}).json()
+    # um: the shown fit is that of the run or near it.
+    assert np.hypot(*(mark["predicted"]["fixed"] - wanted)) < 0.5
+    two = client.post(
+        "/api/change", {"change": {"do": "move", "id": mark["id"], "fixed": wanted.tolist()}}
+    ).json()
     assert two["marks"][-1]["residual_um"] is not None
     assert client.post("/api/undo").json()["marks"][-1]["fixed"] is None
-    assert (len(client.post("/api/undo").json()["marks"]), client.post("/api/undo").status) == (count, 400)
+    assert (len(client.post("/api/undo").json()["marks"]), client.post("/api/undo").status) == (
+        count,
+        400,
+    )
     assert client.post("/api/redo").json()["can_redo"] is True
 
 
 def test_stale_changes_and_files_without_marks_are_refused(client):
     seen = client.get("/api/state").json()["version"]
     client.post("/api/change", {"change": {"do": "model", "model": "affine"}})
-    answer = client.post("/api/change", {"change": {"do": "use", "id": "m0-1", "used": False}, "version": seen})
+    answer = client.post(
+        "/api/change", {"change": {"do": "use", "id": "m0-1", "used": False}, "version": seen}
+    )
     assert (answer.status, answer.json()["model"]) == (409, "affine")
     assert answer.json()["marks"][0]["used"] is True
     answer = client.post("/api/marks/import", {"name": "notes.csv", "text": "a,b\n1,2\n"})
@@ -77,7 +88,9 @@ def test_marks_come_back_from_every_format(client, session, form):
     if name.endswith(".zip"):
         with zipfile.ZipFile(io.BytesIO(answer.body)) as packed:
             files = {one: packed.read(one) for one in sorted(packed.namelist(), reverse=True)}
-    given = [{"name": one, "base64": base64.b64encode(data).decode()} for one, data in files.items()]
+    given = [
+        {"name": one, "base64": base64.b64encode(data).decode()} for one, data in files.items()
+    ]
     body = given[0] | ({"second": given[1]} if len(given) > 1 else {})
     answer = client.post("/api/marks/import", body)
     assert answer.status == 200, answer.body

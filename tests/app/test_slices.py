@@ -41,7 +41,9 @@ def test_a_slice_shows_the_voxels_of_the_file_with_the_top_up(folder):
         assert cut.pixels.shape == (facts.down.count, facts.across.count)
         rng = np.random.default_rng(2)
         for row, col in zip(
-            rng.integers(0, facts.down.count, 20), rng.integers(0, facts.across.count, 20), strict=True
+            rng.integers(0, facts.down.count, 20),
+            rng.integers(0, facts.across.count, 20),
+            strict=True,
         ):
             place = {facts.normal: facts.at_um}
             place[facts.across.name] = facts.across.first_um + col * facts.across.step_um
@@ -63,7 +65,9 @@ def test_the_lines_of_a_slice_are_the_surfaces_of_the_run(folder):
         row = index // sheet.step
         lines = dict(zip(cut.facts.lines, cut.lines, strict=True))
         for name in (*slices.HEIGHTS, "status", "thickness_se"):
-            np.testing.assert_array_equal(lines[name], np.take(surfaces[name].values, row, axis).astype(np.float32))
+            np.testing.assert_array_equal(
+                lines[name], np.take(surfaces[name].values, row, axis).astype(np.float32)
+            )
         normal = np.stack([lines[f"normal_{part}"] for part in ("rows", "cols", "through")])
         known = np.isfinite(normal).all(axis=0)
         assert known.mean() > 0.8
@@ -81,12 +85,17 @@ def test_a_straightened_slice_is_the_volume_along_the_normals(folder):
     known = np.flatnonzero(np.isfinite(lines["top"] + lines["bottom"]) & (lines["status"] == 0))
     assert known.size > 50
     # The faces along the normals are the topography that was measured.
-    np.testing.assert_allclose(lines["top"][known], surfaces["topography_top"].values[row, known], atol=1e-3)
+    np.testing.assert_allclose(
+        lines["top"][known], surfaces["topography_top"].values[row, known], atol=1e-3
+    )
     for col in known[:: max(1, known.size // 10)]:
         for k in (facts.down.count // 3, facts.down.count // 2):
             s = facts.down.first_um + k * facts.down.step_um
-            place = {frame.rows: facts.at_um, frame.cols: facts.across.first_um + col * facts.across.step_um,
-                     frame.through: float(surfaces["centre"].values[row, col])}  # fmt: skip
+            place = {
+                frame.rows: facts.at_um,
+                frame.cols: facts.across.first_um + col * facts.across.step_um,
+                frame.through: float(surfaces["centre"].values[row, col]),
+            }
             for part in ("rows", "cols", "through"):
                 place[getattr(frame, part)] += s * float(lines[f"normal_{part}"][col])
             at = [[place[axis] / sheet.voxels_um(axis)[1]] for axis in "zyx"]
@@ -109,7 +118,9 @@ def test_a_slice_along_the_sheet_has_the_contours_of_its_surfaces(folder):
     # At the ends of a segment the face lies at the slice's height.
     col = (of["top"][:, 0] - surfaces["x"].values[0]) / np.diff(surfaces["x"].values[:2])
     row = (of["top"][:, 1] - surfaces["y"].values[0]) / np.diff(surfaces["y"].values[:2])
-    at = ndimage.map_coordinates(np.nan_to_num(surfaces["top"].values, nan=1e6), [row, col], order=1)
+    at = ndimage.map_coordinates(
+        np.nan_to_num(surfaces["top"].values, nan=1e6), [row, col], order=1
+    )
     assert np.percentile(np.abs(at - cut.facts.at_um), 95) < 1e-2
 
 
@@ -140,9 +151,14 @@ def stretch_in(surfaces, *, off_um=12.0):
     row, col = rows[rows.size // 2], cols[rows.size // 2]
     points = []
     for k in range(-10, 11, 4):
-        place = {frame.through: surfaces["top"].values[row, col + k] + frame.sign * off_um,
-                 frame.rows: surfaces["y"].values[row], frame.cols: surfaces["x"].values[col + k]}  # fmt: skip
-        points.append(changes.CorrectedPoint(**{axis: float(place[axis]) for axis in "zyx"}, face="top"))
+        place = {
+            frame.through: surfaces["top"].values[row, col + k] + frame.sign * off_um,
+            frame.rows: surfaces["y"].values[row],
+            frame.cols: surfaces["x"].values[col + k],
+        }
+        points.append(
+            changes.CorrectedPoint(**{axis: float(place[axis]) for axis in "zyx"}, face="top")
+        )
     return int(row), changes.Correct(id="c1", points=tuple(points), reach_um=40.0)
 
 
@@ -154,7 +170,9 @@ def test_what_is_tried_shows_what_apply_makes(folder):
     lines = dict(zip(cut.facts.lines, cut.lines, strict=True))
     corrected = correct_surfaces(surfaces, sheet.volume, asked)
     assert (corrected["correction_top"].values[row] > 0).any()
-    np.testing.assert_array_equal(lines["preview_top"], corrected["top"].values[row].astype(np.float32))
+    np.testing.assert_array_equal(
+        lines["preview_top"], corrected["top"].values[row].astype(np.float32)
+    )
     np.testing.assert_array_equal(lines["top"], surfaces["top"].values[row].astype(np.float32))
 
 
@@ -166,13 +184,19 @@ def test_corrections_become_a_file_of_the_new_run_and_come_back(linked_run, tmp_
     file = tmp_path / "made.json"
     file.write_text(made.to_json(), encoding="utf-8")
     layers = tuple(
-        changed(one, surface=changed(one.surface, corrections=str(file))) if one.name == name else one
+        (
+            changed(one, surface=changed(one.surface, corrections=str(file)))
+            if one.name == name
+            else one
+        )
         for one in study.layers
     )
     run_study(changed(study, layers=layers), tmp_path / "new", old=linked_run)
     file.unlink()
     new = read_study(tmp_path / "new" / "run.toml")
-    assert Path(str(new.layers[0].surface.corrections)) == tmp_path / "new" / "edits" / "surface.json"
+    assert (
+        Path(str(new.layers[0].surface.corrections)) == tmp_path / "new" / "edits" / "surface.json"
+    )
     corrected = open_run(tmp_path / "new").groups["surfaces"]
     drawn = corrected["correction_top"].values > 0
     assert drawn[row].any()
@@ -187,5 +211,7 @@ def test_corrections_become_a_file_of_the_new_run_and_come_back(linked_run, tmp_
     bare = tuple(changed(one, surface=changed(one.surface, corrections=None)) for one in new.layers)
     run_study(changed(new, layers=bare), tmp_path / "back", old=tmp_path / "new")
     assert open_run(tmp_path / "back").groups["surfaces"].identical(surfaces)
-    assert (tmp_path / "back" / "results.json").read_bytes() == (linked_run / "results.json").read_bytes()
+    assert (tmp_path / "back" / "results.json").read_bytes() == (
+        linked_run / "results.json"
+    ).read_bytes()
     assert not (tmp_path / "back" / "edits").exists()

@@ -58,7 +58,11 @@ class Shown:
 
     def top(self, um):
         known = np.isfinite(self.surfaces["top"].values[self.row])
-        return float(np.interp(um, self.surfaces["x"].values[known], self.surfaces["top"].values[self.row][known]))
+        return float(
+            np.interp(
+                um, self.surfaces["x"].values[known], self.surfaces["top"].values[self.row][known]
+            )
+        )
 
     def clear_columns(self):
         """Columns of the screen over columns that were measured, away from holes."""
@@ -66,7 +70,10 @@ class Shown:
         measured = self.surfaces["x"].values[self.places]
         for x in np.linspace(30, width - 30, 60):
             um = self.along(x)
-            if np.abs(measured - um).min() < 5 and np.count_nonzero(np.abs(measured - um) < 60) > 20:
+            if (
+                np.abs(measured - um).min() < 5
+                and np.count_nonzero(np.abs(measured - um) < 60) > 20
+            ):
                 yield float(x)
 
 
@@ -134,7 +141,9 @@ def test_slices_show_the_face_and_points_by_clicks_or_keys_are_seen_before_they_
     shown.page.keyboard.press("PageDown")
     assert shown.window.field("Slice at, um").input_value() != before
     shown.window.fill("Point, um", "300, 300, 150")
-    expect(shown.page.get_by_text("3 points, the last at x, y, z = 300.00, 300.00, 150.00 µm")).to_be_visible()
+    expect(
+        shown.page.get_by_text("3 points, the last at x, y, z = 300.00, 300.00, 150.00 µm")
+    ).to_be_visible()
     shown.window.role("button", "Correct").press("Enter")
     expect(listed).to_contain_text("3 points")
 

@@ -39,14 +39,18 @@ def test_a_circle_is_drawn_around_holes_alone_and_no_tile_is_snapped(session):
         assert 100.0 < circles[0][2] < 300.0
     refused = client.post("/api/snap", {"id": tiles[0]["id"]})
     assert (refused.status, refused.json()["error"].partition(":")[0]) == (
-        400, f"{tiles[0]['label']} is a tile of texture and no hole",
-    )  # fmt: skip
+        400,
+        f"{tiles[0]['label']} is a tile of texture and no hole",
+    )
     assert client.post("/api/snap", {"id": hole["id"]}).status == 200
     client.app.state.applying.close()
 
 
 def test_apply_writes_tiles_without_a_diameter_and_forgets_those_that_were_deleted(session):
-    before = {mark["label"]: mark["at"] for mark in json.loads((session.folder / "marks.json").read_text())["marks"]}
+    before = {
+        mark["label"]: mark["at"]
+        for mark in json.loads((session.folder / "marks.json").read_text())["marks"]
+    }
     first, second, third, *_, hole = session.state.of(None)
     x, y = second.fixed.xy
     for change in (
@@ -57,7 +61,9 @@ def test_apply_writes_tiles_without_a_diameter_and_forgets_those_that_were_delet
         session.change(changes.change_of(json.dumps(change)))
     _, files = orders.order_of(session, session.folder / orders.STAGING)
     after = {mark["label"]: mark["at"] for mark in json.loads(files["marks.json"])["marks"]}
-    moved = {second.label: before[second.label] | {"fixed": {"x": x + 3.0, "y": y, "source": "clicked"}}}
+    moved = {
+        second.label: before[second.label] | {"fixed": {"x": x + 3.0, "y": y, "source": "clicked"}}
+    }
     assert after == {label: at for label, at in before.items() if label != third.label} | moved
     assert {end["diameter_um"] > 100.0 for end in after[hole.label].values()} == {True}
 

@@ -20,9 +20,13 @@ def test_every_library_is_listed_and_every_import_is_a_file():
         for file in folder.iterdir():
             if file.name.endswith(".js") and file.name != "ol.js":
                 text = file.read_text(encoding="utf-8")
-                for name in re.findall(r"""^(?:import|export)\b[^;'"]*?from\s*["']([^"']+)["']""", text, re.MULTILINE):
+                for name in re.findall(
+                    r"""^(?:import|export)\b[^;'"]*?from\s*["']([^"']+)["']""", text, re.MULTILINE
+                ):
                     assert name.startswith("./"), f"{file.name} imports {name}"
-                    assert folder.joinpath(*name[2:].split("/")).is_file(), f"{file.name} imports {name}"
+                    assert folder.joinpath(*name[2:].split("/")).is_file(), (
+                        f"{file.name} imports {name}"
+                    )
 
 
 @pytest.mark.parametrize("name", LISTED)

@@ -20,7 +20,13 @@ VOXEL = 3.0
 
 def levels(air, base, coating, noise):
     sign = 1.0 if base >= air else -1.0
-    of_all = {"air": air, "base": base, "coating_top": coating, "coating_bottom": np.nan, "noise": noise}
+    of_all = {
+        "air": air,
+        "base": base,
+        "coating_top": coating,
+        "coating_bottom": np.nan,
+        "noise": noise,
+    }
     return Greys(**of_all, polarity=sign, blur_um=2.4, padding=np.nan)
 
 
@@ -38,7 +44,9 @@ def layered(*, extra=None, depth=40, seed=0, noise=5.0, shape=(190, 200)):
     ``extra`` maps the share of the base's depth (0 at the top interface), rows and columns to a grey, or NaN.
     """
     rng = np.random.default_rng(seed)
-    rise = np.cumsum(np.full(shape[1], 0.1))[None, :] + 4 * np.sin(np.arange(shape[0]) / 20)[:, None]
+    rise = (
+        np.cumsum(np.full(shape[1], 0.1))[None, :] + 4 * np.sin(np.arange(shape[0]) / 20)[:, None]
+    )
     low, high = 20 + rise, 20 + depth + rise
     z = np.arange(int(high.max()) + 30)[:, None, None]
     grey = np.where((z >= low - 5) & (z <= high + 5), 200.0, 40.0)
@@ -51,14 +59,28 @@ def layered(*, extra=None, depth=40, seed=0, noise=5.0, shape=(190, 200)):
     grey += np.where(inside, 12 * texture / texture.std(), 0)
     grey = ndimage.gaussian_filter(grey, 0.8) + rng.normal(0, noise, grey.shape)
     volume = voxels(np.clip(grey, 0, 255).astype(np.uint8))
-    heights = {"top": high + 5, "bottom": low - 5, "interface_top": high, "interface_bottom": low,
-               "centre": (high + low) / 2}  # fmt: skip
+    heights = {
+        "top": high + 5,
+        "bottom": low - 5,
+        "interface_top": high,
+        "interface_bottom": low,
+        "centre": (high + low) / 2,
+    }
     measured = xr.Dataset(
         {k: (("y", "x"), (v + np.zeros(shape)) * VOXEL) for k, v in heights.items()},
         coords={k: volume[k] for k in "yx"},
-        attrs={"through": "z", "top_side": "high", "grey_air": 40.0, "grey_base": 90.0, "grey_coating_top": 200.0,
-               "grey_coating_bottom": 200.0, "grey_noise": 5.0, "polarity": 1.0, "blur_um": 2.4},
-    )  # fmt: skip
+        attrs={
+            "through": "z",
+            "top_side": "high",
+            "grey_air": 40.0,
+            "grey_base": 90.0,
+            "grey_coating_top": 200.0,
+            "grey_coating_bottom": 200.0,
+            "grey_noise": 5.0,
+            "polarity": 1.0,
+            "blur_um": 2.4,
+        },
+    )
     coating = ndimage.gaussian_filter(rng.normal(size=shape), 5)
     for side in ("top", "bottom"):
         measured[f"coating_{side}"] = (("y", "x"), 15 + 3 * coating / coating.std())
@@ -100,7 +122,8 @@ def test_right_sheet_passes_every_check_and_threads_change_nothing():
 def test_second_sheet_fails(through):
     """A coating of 10 voxels in the middle of the base in a third of the sheet, through any axis."""
     volume, measured = layered(
-        extra=lambda t, _r, c: np.where((abs(t - 0.5) < 0.12) & (c < 42), 200.0, np.nan), shape=SMALL
+        extra=lambda t, _r, c: np.where((abs(t - 0.5) < 0.12) & (c < 42), 200.0, np.nan),
+        shape=SMALL,
     )
     found = of_scan("one sheet", turned(volume, through), measured.assign_attrs(through=through))
     assert (found.state, found.value) == ("fail", pytest.approx(0.35, abs=0.06))
@@ -112,7 +135,9 @@ def test_second_sheet_fails(through):
 def test_a_delamination_fails_from_300_um_on(edge_um, state):
     edge = edge_um / VOXEL
     volume, measured = layered(
-        extra=lambda t, r, c: np.where((abs(t - 0.5) < 0.08) & (abs(r - 55) < edge / 2) & (c < edge), 40.0, np.nan),
+        extra=lambda t, r, c: np.where(
+            (abs(t - 0.5) < 0.08) & (abs(r - 55) < edge / 2) & (c < edge), 40.0, np.nan
+        ),
         shape=SMALL,
     )
     found = of_scan("one sheet", volume, measured)
@@ -122,8 +147,12 @@ def test_a_delamination_fails_from_300_um_on(edge_um, state):
 
 
 def test_a_second_sheet_learnt_as_base_is_seen():
-    volume, measured = layered(extra=lambda t, _r, _c: np.where(abs(t - 0.5) < 0.12, 200.0, np.nan), shape=SMALL)
-    measured = measured.assign_attrs(grey_base=150.0, grey_coating_top=np.nan, grey_coating_bottom=np.nan)
+    volume, measured = layered(
+        extra=lambda t, _r, _c: np.where(abs(t - 0.5) < 0.12, 200.0, np.nan), shape=SMALL
+    )
+    measured = measured.assign_attrs(
+        grey_base=150.0, grey_coating_top=np.nan, grey_coating_bottom=np.nan
+    )
     assert of_scan("one sheet", volume, measured).state == "fail"
 
 
@@ -142,7 +171,11 @@ def test_a_fading_beam_is_a_look(right, through, fades_by, state):
     fade = xr.DataArray(np.linspace(1, 1 - fades_by, volume.sizes["y"]), dims="y")
     volume = (volume * fade).transpose("z", "y", "x").assign_attrs(volume.attrs)
     greys = {f"grey_{k}": v * (1 - fades_by / 2) for k, v in (("air", 40.0), ("base", 90.0))}
-    found = of_scan("grey across the sheet", turned(volume, through), measured.assign_attrs(greys, through=through))
+    found = of_scan(
+        "grey across the sheet",
+        turned(volume, through),
+        measured.assign_attrs(greys, through=through),
+    )
     assert found.state == state
     # From the first tile's middle to the last one's, which is less than the whole.
     whole = fades_by * 90 / (50 * (1 - fades_by / 2))
@@ -171,7 +204,9 @@ def test_wide_blurs_are_reported(right, blur, state):
 def test_what_the_sheet_does_not_show_is_left_out_or_unknown(right):
     volume, measured = right
     assert of_scan("filler", volume, measured) is None
-    bare = measured.drop_vars(["coating_top", "coating_bottom"]).assign_attrs(grey_coating_top=np.nan)
+    bare = measured.drop_vars(["coating_top", "coating_bottom"]).assign_attrs(
+        grey_coating_top=np.nan
+    )
     assert of_scan("blur of the scan", volume, bare) is None
     measured = measured.copy(deep=True)
     measured["status"].values[20:] = 3
@@ -198,7 +233,8 @@ def test_a_filter_is_seen_in_the_noise_of_the_air(sigma, state):
     moved = measured.assign(heights)
     for scan in (tall, film):
         assert noise_width(scan, moved) == pytest.approx(2.3548 * sigma * VOXEL, rel=0.12)
-    found = judged("blur of the scan", volume=tall, measured=moved, greys=GREYS)  # the coating has 15 um
+    # The coating has 15 um.
+    found = judged("blur of the scan", volume=tall, measured=moved, greys=GREYS)
     assert found.state == state
     assert found.sentence.startswith("The noise is smoothed over ")
 
@@ -207,14 +243,23 @@ def test_tiles_of_a_large_sheet_are_whole_squares():
     """120 x 120 tiles of five columns of 12 um: a sixth of them, in squares, each tile where its numbers say."""
     um = np.arange(600) * 12.0
     volume = xr.DataArray(
-        np.broadcast_to(np.uint8(0), (40, 600, 600)), dims=("z", "y", "x"),
-        coords={"z": np.arange(40) * 12.0, "y": um, "x": um}, attrs={"voxel_um": [12.0] * 3},
-    )  # fmt: skip
-    heights = {"top": 300.0, "bottom": 150.0, "interface_top": np.nan, "interface_bottom": np.nan, "status": 0.0}
+        np.broadcast_to(np.uint8(0), (40, 600, 600)),
+        dims=("z", "y", "x"),
+        coords={"z": np.arange(40) * 12.0, "y": um, "x": um},
+        attrs={"voxel_um": [12.0] * 3},
+    )
+    heights = {
+        "top": 300.0,
+        "bottom": 150.0,
+        "interface_top": np.nan,
+        "interface_bottom": np.nan,
+        "status": 0.0,
+    }
     measured = xr.Dataset(
         {name: (("y", "x"), np.full((600, 600), value)) for name, value in heights.items()},
-        coords={"y": um, "x": um}, attrs={"through": "z", "top_side": "high", "blur_um": 10.0},
-    )  # fmt: skip
+        coords={"y": um, "x": um},
+        attrs={"through": "z", "top_side": "high", "blur_um": 10.0},
+    )
     core = core_places(volume, measured)
     row, col = core.tiles
     points = core.points.reshape(*core.shape, 3)
@@ -288,7 +333,9 @@ def test_clipping_at_any_level_in_any_type(dtype, scale, sign):
     for at in (np.inf, 150.0, 195.0, 203.0):
         air, base, coating = (v * scale for v in turned)
         greys = levels(air, base, min(coating, at * scale) if sign > 0 else coating, 8 * scale)
-        check = judged("clipped grey", sample=histogram(dtype, scale, at=at, sign=sign), greys=greys)
+        check = judged(
+            "clipped grey", sample=histogram(dtype, scale, at=at, sign=sign), greys=greys
+        )
         assert check.state == ("pass" if np.isinf(at) else "look"), (at, check.sentence)
         assert ("where the scale was cut off" in check.sentence) == (check.state == "look")
     assert set(check.figures) == {"coating_top", "coating_bottom", "base_thickness", "thickness"}
@@ -348,4 +395,6 @@ def dust(coating, face):
     """What the check says of a coating on a face above a level centre surface."""
     maps = {"coating_top": coating, "top": face, "centre": 0 * face}
     places = {"y": 3.0 * np.arange(500), "x": 3.0 * np.arange(600)}
-    return judged("dust, top", measured=xr.Dataset({k: (("y", "x"), v) for k, v in maps.items()}, places))
+    return judged(
+        "dust, top", measured=xr.Dataset({k: (("y", "x"), v) for k, v in maps.items()}, places)
+    )

@@ -11,8 +11,12 @@ from surface.sheets import volume as volume_of
 
 
 @pytest.mark.parametrize(("gap_um", "state"), [(30.0, "pass"), (4.0, "look"), (None, None)])
-def test_a_film_that_was_left_out_is_named_and_doubted_where_the_blur_reaches_the_sheet(gap_um, state):
-    attrs = {"blur_um": 2.0} | ({} if gap_um is None else {"beside": "40 um", "beside_gap_um": gap_um})
+def test_a_film_that_was_left_out_is_named_and_doubted_where_the_blur_reaches_the_sheet(
+    gap_um, state
+):
+    attrs = {"blur_um": 2.0} | (
+        {} if gap_um is None else {"beside": "40 um", "beside_gap_um": gap_um}
+    )
     rule = next(rule for rule in CHECKS if rule.name == "film")
     check = rule(rule.stage(facts=None, measured=xr.Dataset(attrs=attrs)))
     assert (check and check.state) == state
@@ -28,7 +32,9 @@ def test_tape_that_touches_a_coated_sheet_is_learnt_and_fails():
     taped[4:12] = 80.0  # 24 um of tape below the coating
     rule, states = next(rule for rule in CHECKS if rule.name == "film"), []
     for grey in (plain, taped):
-        grey = ndimage.gaussian_filter(grey, 0.6) + np.random.default_rng(0).normal(0.0, 6.0, grey.shape)
+        grey = ndimage.gaussian_filter(grey, 0.6) + np.random.default_rng(0).normal(
+            0.0, 6.0, grey.shape
+        )
         surfaces = find_surfaces(volume_of(grey.astype(np.float32)))
         check = rule(rule.stage(facts=None, measured=surfaces))
         states.append(check and (check.state, "bottom side some 24 um" in check.sentence))

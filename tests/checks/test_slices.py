@@ -76,7 +76,11 @@ CASES = {
     "blocks": ([*N[:20], *at(35, 15), *at(20, 15), *N[50:]], "fail", "slice 20 does not follow 19"),
     "turned block": ([*N[:20], *at(20, 15)[::-1], *N[35:]], "fail", "not in order"),
     "names without zeros": (sorted(N, key=str), "fail", "not in order"),
-    "five twice": ([*N[:43], *at(38, 5), *N[43:]], "look", "Slices 43-47 along z are copies of 38-42."),
+    "five twice": (
+        [*N[:43], *at(38, 5), *N[43:]],
+        "look",
+        "Slices 43-47 along z are copies of 38-42.",
+    ),
     "three missing": ([*N[:40], *N[43:]], "look", "Between slices 39 and 40 along z"),
 }
 
@@ -105,7 +109,9 @@ def test_filled_slices(run):
         values[40 + k] = (values[39] * (run - k) + values[40 + run] * (k + 1)) / (run + 1)
     check = judged(values)
     assert (check.state, check.value) == ("look", run)
-    assert check.sentence.startswith("Slice 40 along z is" if run == 1 else "Slices 40-42 along z are")
+    assert check.sentence.startswith(
+        "Slice 40 along z is" if run == 1 else "Slices 40-42 along z are"
+    )
 
 
 def test_foreign_empty_and_faulty_slices_are_named_with_what_they_concern():
@@ -160,8 +166,14 @@ def test_windows_are_the_same_however_a_volume_is_read():
 
 def test_measured_volumes_pass(shared_data):
     volumes = [tifffile.imread(shared_data("letterpacket_ct") / "volume_zyx_uint8.tif")]
-    volumes.append(np.stack([tifffile.imread(p) for p in sorted(shared_data("battery_sector_right").glob("z*.tif"))]))
-    cells = tifffile.imread(shared_data("tissue_sheet_mesh") / "Neural_tube_organoid_DAPI_betaCat-small.tif")
+    volumes.append(
+        np.stack(
+            [tifffile.imread(p) for p in sorted(shared_data("battery_sector_right").glob("z*.tif"))]
+        )
+    )
+    cells = tifffile.imread(
+        shared_data("tissue_sheet_mesh") / "Neural_tube_organoid_DAPI_betaCat-small.tif"
+    )
     for values in [*volumes, cells[:, 1]]:
         for axis in range(3):
             check = judged_window(window_of(np.moveaxis(values, axis, 0)))

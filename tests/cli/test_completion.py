@@ -55,7 +55,10 @@ def test_it_is_installed_once_and_says_where(home, monkeypatch, planish, shell, 
         return
     once = (home / start).read_bytes()
     first, line, *rest = once.decode().split("\n")
-    assert (first, rest) == ("alias ll='ls -l'", [""]), "what was there stays, and one line comes behind it"
+    assert (first, rest) == (
+        "alias ll='ls -l'",
+        [""],
+    ), "what was there stays, and one line comes behind it"
     assert Path(place).name in line
     planish("completion", shell, "--install")
     assert (home / start).read_bytes() == once
@@ -70,8 +73,9 @@ def test_a_missing_powershell_is_reported_and_an_older_profile_stays_readable(mo
     monkeypatch.setattr(setup, "_profile", lambda: profile)
     setup.install_script("powershell")
     assert profile.read_bytes().decode("utf-16").splitlines() == [
-        "Set-Location C:\\", '. "$PSScriptRoot/planish.completion.ps1"'
-    ]  # fmt: skip
+        "Set-Location C:\\",
+        '. "$PSScriptRoot/planish.completion.ps1"',
+    ]
 
 
 @pytest.mark.parametrize(
@@ -103,11 +107,14 @@ def test_bash_completes(home):
     folder = home / "bin"
     folder.mkdir()
     command = folder / "planish"
-    command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m planish "$@"\n', encoding="utf-8", newline="\n")
+    command.write_text(
+        f'#!/bin/sh\nexec "{sys.executable}" -m planish "$@"\n', encoding="utf-8", newline="\n"
+    )
     command.chmod(0o755)
     env = os.environ | {"PATH": f"{folder}{os.pathsep}{os.environ['PATH']}", "HOME": str(home)}
     asked = (
-        'source ~/.bashrc; COMP_WORDS=(planish ma); COMP_CWORD=1; _planish_completion planish; echo "${COMPREPLY[@]}"'
+        "source ~/.bashrc; COMP_WORDS=(planish ma); COMP_CWORD=1; _planish_completion planish; echo"
+        ' "${COMPREPLY[@]}"'
     )
     command = ["bash", "--norc", "-c", asked]
     done = subprocess.run(command, env=env, capture_output=True, text=True, check=True, timeout=60)

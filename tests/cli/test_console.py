@@ -29,9 +29,18 @@ def in_terminal(code, **environment):
     """What a terminal gets from a program, as it is."""
     pty = pytest.importorskip("pty")
     above, below = pty.openpty()
-    kept = {k: v for k, v in os.environ.items() if k not in ("NO_COLOR", "FORCE_COLOR", "COLORTERM", "TERM", "COLUMNS")}
+    kept = {
+        k: v
+        for k, v in os.environ.items()
+        if k not in ("NO_COLOR", "FORCE_COLOR", "COLORTERM", "TERM", "COLUMNS")
+    }
     with subprocess.Popen(
-        [sys.executable, "-c", code], stdin=below, stdout=below, stderr=below, env=kept | environment, close_fds=True
+        [sys.executable, "-c", code],
+        stdin=below,
+        stdout=below,
+        stderr=below,
+        env=kept | environment,
+        close_fds=True,
     ) as process:
         os.close(below)
         found = b""
@@ -58,18 +67,30 @@ def test_a_terminal_gets_colours():
 
 def test_in_a_narrow_terminal_rows_stand_below_each_other():
     text = stacked(
-        "Properties of the sheet", ("", "unit", "mean", "n"),
-        [("porosity", "1", "0.41", "70"), ("tilt", "deg", "2.1", "9")], 24,
-    )  # fmt: skip
+        "Properties of the sheet",
+        ("", "unit", "mean", "n"),
+        [("porosity", "1", "0.41", "70"), ("tilt", "deg", "2.1", "9")],
+        24,
+    )
     assert text.split("\n") == [
-        "Properties of the sheet", "porosity", "  mean  0.41", "  n  70", "tilt", "  mean  2.1 deg", "  n  9"
-    ]  # fmt: skip
-    text = stacked("", ("name", "unit", ""), [("coat_weight_top", "g/m2", "Coat weight, top side")], 30)
+        "Properties of the sheet",
+        "porosity",
+        "  mean  0.41",
+        "  n  70",
+        "tilt",
+        "  mean  2.1 deg",
+        "  n  9",
+    ]
+    text = stacked(
+        "", ("name", "unit", ""), [("coat_weight_top", "g/m2", "Coat weight, top side")], 30
+    )
     assert text.split("\n") == ["coat_weight_top", "  unit  g/m2", "    Coat weight, top side"]
 
 
 @pytest.mark.ci
-@pytest.mark.parametrize("environment", [{"NO_COLOR": "1", "TERM": "xterm-256color"}, {"TERM": "dumb"}])
+@pytest.mark.parametrize(
+    "environment", [{"NO_COLOR": "1", "TERM": "xterm-256color"}, {"TERM": "dumb"}]
+)
 def test_colours_that_are_off_are_off(environment):
     text = in_terminal(SHOWN, **environment, COLUMNS="80")
     assert "17.60" in text
@@ -111,7 +132,10 @@ def test_narrow_terminals_keep_units_beside_their_numbers(linked_run, monkeypatc
 
 
 def test_no_line_ends_between_a_number_and_its_unit():
-    text = "Expected error 1.3 um rms; 87 % of its square is marks, 12 voxels of 3 x 3 x 3 um, 0.21 deg and 4 GB."
+    text = (
+        "Expected error 1.3 um rms; 87 % of its square is marks, 12 voxels of 3 x 3 x 3 um, 0.21"
+        " deg and 4 GB."
+    )
     for width in range(20, 60):
         for line in wrapped(text, width).split("\n"):
             assert len(line) <= width
@@ -122,16 +146,21 @@ def test_no_line_ends_between_a_number_and_its_unit():
 # --- letters ---------------------------------------------------------------------------------------------------------
 def run(*arguments, cwd, **environment):
     found = subprocess.run(
-        [sys.executable, "-m", "planish", *arguments], cwd=cwd, capture_output=True, check=False,
+        [sys.executable, "-m", "planish", *arguments],
+        cwd=cwd,
+        capture_output=True,
+        check=False,
         env=os.environ | environment,
-    )  # fmt: skip
+    )
     return found.returncode, found.stdout, found.stderr
 
 
 @pytest.mark.ci
 def test_a_name_that_the_console_cannot_show_ends_nothing(tmp_path):
     Image.new("L", (40, 30)).save(tmp_path / "Núria 中文.png")
-    code, out, err = run("info", "Núria 中文.png", cwd=tmp_path, PYTHONIOENCODING="cp1252", PYTHONUTF8="0")
+    code, out, err = run(
+        "info", "Núria 中文.png", cwd=tmp_path, PYTHONIOENCODING="cp1252", PYTHONUTF8="0"
+    )
     assert (code, err) == (0, b"")
     assert out.startswith(b"N\xfaria \\u4e2d\\u6587.png: image, 30 x 40 (y, x)")
     code, _, err = run("info", "没有.png", cwd=tmp_path, PYTHONIOENCODING="cp1252", PYTHONUTF8="0")

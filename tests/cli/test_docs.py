@@ -12,7 +12,9 @@ from planish.series_results import SeriesResults
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-PAGES = sorted((*ROOT.glob("*.md"), *(path for path in DOCS.rglob("*.md") if "_build" not in path.parts)))
+PAGES = sorted(
+    (*ROOT.glob("*.md"), *(path for path in DOCS.rglob("*.md") if "_build" not in path.parts))
+)
 # Of run.py, of other programs, and of the change that CONTRIBUTING.md shows.
 OTHER = {
     "--all",
@@ -50,10 +52,14 @@ def test_pages_link_to_files_that_exist_and_name_commands_and_options_that_exist
     faults = []
     for path in PAGES:
         text = path.read_text(encoding="utf-8")
-        links = {link for link in re.findall(r"\]\(([^)#\s]+)", text) if not link.startswith("http")}
+        links = {
+            link for link in re.findall(r"\]\(([^)#\s]+)", text) if not link.startswith("http")
+        }
         wrong = {link for link in links if not (path.parent / link).exists()}
         said = re.findall(r"`(planish [a-z]+ [^`\n\"]+)`", text)
-        wrong |= console.unknown_verbs(text + "".join(f"\n```console\n$ {command}\n```\n" for command in said))
+        wrong |= console.unknown_verbs(
+            text + "".join(f"\n```console\n$ {command}\n```\n" for command in said)
+        )
         # Words of messages are no options.
         wrong |= set(OPTION.findall(MESSAGES.sub("", text))) - known
         faults += [f"{path.relative_to(ROOT)}: {one}" for one in wrong]
@@ -61,10 +67,14 @@ def test_pages_link_to_files_that_exist_and_name_commands_and_options_that_exist
 
 
 def test_the_changes_that_contributing_shows_still_fit():
-    blocks = re.findall(r"```diff\n(.*?)```", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"), re.DOTALL)
+    blocks = re.findall(
+        r"```diff\n(.*?)```", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"), re.DOTALL
+    )
     assert len(blocks) == 9
     for block in blocks:
-        parts = re.findall(r"^--- (\S+)\n\+\+\+ b/(\S+)\n(.*?)(?=^--- |\Z)", block, re.DOTALL | re.MULTILINE)
+        parts = re.findall(
+            r"^--- (\S+)\n\+\+\+ b/(\S+)\n(.*?)(?=^--- |\Z)", block, re.DOTALL | re.MULTILINE
+        )
         assert 1 <= len(parts) <= 2, "two files at most"
         for old, name, hunks in parts:
             if old == "/dev/null":

@@ -39,7 +39,9 @@ def test_planish_alone_names_three_things_to_do(planish):
 
 
 def test_a_sound_installation_is_well(planish, monkeypatch):
-    monkeypatch.setattr(metadata, "requires", lambda _name: ["numpy>=2.1", 'distributed>=2; extra == "cluster"'])
+    monkeypatch.setattr(
+        metadata, "requires", lambda _name: ["numpy>=2.1", 'distributed>=2; extra == "cluster"']
+    )
     code, out, err = planish("doctor")
     assert (code, err) == (0, "")
     assert out.endswith("All is well.\n")
@@ -82,7 +84,9 @@ def test_libraries_are_held_against_their_bounds(monkeypatch, requirement, words
 def test_a_library_that_does_not_load_is_named(monkeypatch):
     def broken(name):
         if name == "imagecodecs":
-            raise ImportError("DLL load failed while importing _shared: The specified module could not be found.")
+            raise ImportError(
+                "DLL load failed while importing _shared: The specified module could not be found."
+            )
         return real(name)
 
     real = installation.importlib.import_module
@@ -95,7 +99,10 @@ def test_a_library_that_does_not_load_is_named(monkeypatch):
 def test_extras_that_are_missing_or_too_old_are_named(monkeypatch):
     found = states(monkeypatch, ['no-such-library>=1; extra == "cluster"'])["extra cluster"]
     assert found.state == "pass"
-    assert found.sentence == f'not installed; pip install "planish[cluster]" gives it: {EXTRAS["cluster"]}.'
+    assert (
+        found.sentence
+        == f'not installed; pip install "planish[cluster]" gives it: {EXTRAS["cluster"]}.'
+    )
     found = states(monkeypatch, ['numpy>=99; extra == "cluster"'])["extra cluster"]
     assert (found.state, found.advice) == ("look", 'Run: pip install --upgrade "numpy>=99"')
 
@@ -108,7 +115,9 @@ def test_every_extra_is_explained():
 
 
 def test_what_is_short_is_said_and_the_exit_code_is_4(planish, monkeypatch):
-    monkeypatch.setattr(installation.shutil, "disk_usage", lambda _path: Disk(10**10, 9 * 10**9, 10**9))
+    monkeypatch.setattr(
+        installation.shutil, "disk_usage", lambda _path: Disk(10**10, 9 * 10**9, 10**9)
+    )
     monkeypatch.setattr(installation, "default_memory_limit", lambda: 9 * 10**8)
     code, out, _ = planish("doctor")
     assert (code, out.splitlines()[-1]) == (4, "Not well: memory, temporary folder, this folder.")

@@ -16,7 +16,8 @@ def made(tmp_path_factory):
 
     out = tmp_path_factory.mktemp("made") / "specimen"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(synthetic.SIZES_UM, "T0", (560.0, 420.0))  # the least that has room for three holes
+        # The least that has room for three holes.
+        patch.setitem(synthetic.SIZES_UM, "T0", (560.0, 420.0))
         with pytest.raises(SystemExit) as end:
             main(["specimen", "--size", "T0", "--seed", "7", "--out", str(out)])
     assert not end.value.code
@@ -25,7 +26,8 @@ def made(tmp_path_factory):
 
 def test_the_files_of_the_instruments_and_of_the_truth(made):
     scan = read_volume(made / "scan")
-    assert scan.attrs["voxel_um"] == [3.0, 3.0, 3.0]  # of the reconstruction, not of the acquisition
+    # Of the reconstruction, not of the acquisition.
+    assert scan.attrs["voxel_um"] == [3.0, 3.0, 3.0]
     assert "NRecon" in scan.attrs["voxel_um_source"]
     for name in ("image", "printed"):
         image = read_image(made / f"{name}.ome.tif")

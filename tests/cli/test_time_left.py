@@ -9,7 +9,14 @@ from planish.cli.runs import study_from
 from planish.cli.time_left import TimeLeft, expected_stages
 from planish.core.tiles import Engine, tiles_of, tiles_told
 
-STAGES = [("read", 1.0), ("surface", 0.2), ("faces", 10.0), ("layers", 2.0), ("measure", 3.0), ("write", 4.0)]
+STAGES = [
+    ("read", 1.0),
+    ("surface", 0.2),
+    ("faces", 10.0),
+    ("layers", 2.0),
+    ("measure", 3.0),
+    ("write", 4.0),
+]
 
 
 class Clock:
@@ -28,7 +35,10 @@ def test_after_a_quarter_the_time_left_is_right_within_a_factor_of_one_and_a_hal
     """On a machine that is slower or faster, and with late stages that take longer than expected."""
     clock, ratios = Clock(), []
     left = TimeLeft(STAGES, clock, 1.0)
-    times = [seconds * speed * (tilt if name in ("measure", "write") else 1.0) for name, seconds in STAGES]
+    times = [
+        seconds * speed * (tilt if name in ("measure", "write") else 1.0)
+        for name, seconds in STAGES
+    ]
     total = sum(times)
     for (name, _), seconds in zip(STAGES, times, strict=True):
         start = clock.now
@@ -63,7 +73,9 @@ def test_tiles_tell_how_far_a_step_is():
     told = []
     tiles = tiles_of((4, 4), (2, 2))
     with tiles_told(lambda step, share: told.append((step, share))):
-        results = [*Engine(threads=1).map("faces", lambda job, _: job, lambda _: np.zeros(1), tiles)]
+        results = [
+            *Engine(threads=1).map("faces", lambda job, _: job, lambda _: np.zeros(1), tiles)
+        ]
     assert len(results) == 4
     assert told == [("faces", 0.25), ("faces", 0.5), ("faces", 0.75), ("faces", 1.0)]
 
@@ -73,7 +85,9 @@ def test_expected_stages_are_those_of_the_run(linked_run, specimen_files):
     names = [name for name, _ in expected_stages(study_from((volume, image), {}))]
     assert names[:3] == ["read", "read", "surface"]
     assert names[-4:] == ["register", "link", "correlate", "write"]
-    assert "surface" not in [name for name, _ in expected_stages(study_from((linked_run, image), {}))]
+    assert "surface" not in [
+        name for name, _ in expected_stages(study_from((linked_run, image), {}))
+    ]
 
 
 def test_the_bar_of_a_terminal_says_what_is_left(monkeypatch, capsys):

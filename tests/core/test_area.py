@@ -8,8 +8,12 @@ from planish.core.area import area_mean
 
 
 @given(
-    rows=st.integers(1, 9), cols=st.integers(1, 9), fr=st.floats(1, 4), fc=st.floats(1, 4), seed=st.integers(0, 99),
-)  # fmt: skip
+    rows=st.integers(1, 9),
+    cols=st.integers(1, 9),
+    fr=st.floats(1, 4),
+    fc=st.floats(1, 4),
+    seed=st.integers(0, 99),
+)
 def test_equals_the_slow_twin(rows, cols, fr, fc, seed):
     rng = np.random.default_rng(seed)
     values = np.where(rng.random((rows, cols)) < 0.3, np.nan, rng.normal(size=(rows, cols)))

@@ -18,7 +18,9 @@ def data():
 
 def test_bands_cover_all_rows_once():
     for rows in (1, 511, 512, 513, 1300):
-        assert np.concatenate([np.arange(rows)[at] for at in bands.bands(rows)]).tolist() == list(range(rows))
+        assert np.concatenate([np.arange(rows)[at] for at in bands.bands(rows)]).tolist() == list(
+            range(rows)
+        )
 
 
 def test_root_mean_square_and_whether_there_is_a_value(data):
@@ -52,6 +54,8 @@ def test_area_means_of_several_maps_do_not_depend_on_the_bands(data):
         rows = slice(begin, begin + 91)
         found.add(begin, known[rows], values[rows], 2 * values[rows])
     first, second = found.means()
-    np.testing.assert_allclose(first, area_mean(np.where(known, values, np.nan), (7.3, 5.0), least_share=0.2))
+    np.testing.assert_allclose(
+        first, area_mean(np.where(known, values, np.nan), (7.3, 5.0), least_share=0.2)
+    )
     np.testing.assert_allclose(second, 2 * first)
     assert np.isfinite(first).mean() > 0.5

@@ -31,7 +31,9 @@ def test_missing_numbers_are_nan_in_memory_and_null_in_json_and_schema():
     row = Slope()
     assert math.isnan(row.slope)
     assert all(map(math.isnan, row.interval))
-    assert json.loads(row.model_dump_json()) == {"slope": None, "interval": None} == row.model_dump()
+    assert (
+        json.loads(row.model_dump_json()) == {"slope": None, "interval": None} == row.model_dump()
+    )
     schema = Slope.model_json_schema()["properties"]
     assert list(schema) == ["slope", "interval"]
     assert schema["slope"]["anyOf"] == [{"type": "number"}, {"type": "null"}]
@@ -50,7 +52,8 @@ def test_a_whole_holds_its_parts_and_equals_what_was_saved():
     row = MapSlope.holding(Slope(slope=2.0), point_um=100.0, silence="x")
     assert list(row.model_dump()) == ["point_um", "slope", "interval", "silence"]
     with pytest.raises(ValidationError):
-        MapSlope.holding(Slope(slope=2.0), point_um=100.0, reason="x")  # no such field: nothing is lost in silence
+        # No such field: nothing is lost in silence.
+        MapSlope.holding(Slope(slope=2.0), point_um=100.0, reason="x")
     with pytest.raises(ValidationError):
         MapSlope.holding(Slope(slope=2.0))  # no point_um
     row = MapSlope.holding(Slope(slope=float("nan"), interval=(1.0, 2.0), mean=5.0), point_um=100.0)

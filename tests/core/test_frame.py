@@ -28,12 +28,18 @@ def test_columns_is_a_view_and_a_call_takes_the_frame_in_words_in_one_piece_or_f
     columns = Frame(through="x").columns(volume)
     assert (columns.dims, Frame(through="z").columns(volume).shape) == (("z", "y", "x"), (5, 6, 4))
     assert np.shares_memory(columns.values, volume.values)
-    volume = xr.DataArray(np.zeros((2, 2, 2)), dims=("z", "y", "x"), attrs={"through": "y", "top_side": "low"})
+    volume = xr.DataArray(
+        np.zeros((2, 2, 2)), dims=("z", "y", "x"), attrs={"through": "y", "top_side": "low"}
+    )
     assert Frame.asked(volume, None, None, None) == Frame(through="y", top="low")
     assert Frame.asked(volume, None, "x", None) == Frame(through="x", top="low")
     assert Frame.asked(volume, Frame(), None, None) == Frame()
     refused(InputError, "frame= and through= say the same", Frame.asked, volume, Frame(), "x", None)
-    with pytest.raises(InputError, match=r"frame='y' is no frame. Write through=\"y\", or frame=pl.Frame"):
+    with pytest.raises(
+        InputError, match=r"frame='y' is no frame. Write through=\"y\", or frame=pl.Frame"
+    ):
         Frame.asked(volume, "y", None, None)
-    refused(InputError, "through='w' is not possible; needed is 'z', 'y' or 'x'", Frame, through="w")
+    refused(
+        InputError, "through='w' is not possible; needed is 'z', 'y' or 'x'", Frame, through="w"
+    )
     refused(InputError, "top='up' is not possible; needed is 'high' or 'low'", Frame, top="up")

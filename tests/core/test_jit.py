@@ -19,7 +19,9 @@ folder_of = jit.cache_folder.__wrapped__
 def user(tmp_path, monkeypatch):
     """The user's folder for caches."""
     folder = tmp_path / "user"
-    monkeypatch.setattr(jit, "AppDirs", lambda *_names, **_more: SimpleNamespace(user_cache_dir=str(folder)))
+    monkeypatch.setattr(
+        jit, "AppDirs", lambda *_names, **_more: SimpleNamespace(user_cache_dir=str(folder))
+    )
     return folder
 
 
@@ -42,7 +44,9 @@ def test_another_installation_of_the_same_sources_finds_what_one_compiled(tmp_pa
     for name in ("one", "two"):
         file = tmp_path / name / "core" / "_some_kernels.py"
         file.parent.mkdir(parents=True)
-        file.write_text("from numba import njit\n\n@njit(cache=True)\ndef twice(x):\n    return 2 * x\n")
+        file.write_text(
+            "from numba import njit\n\n@njit(cache=True)\ndef twice(x):\n    return 2 * x\n"
+        )
         monkeypatch.setattr(jit, "PACKAGE", tmp_path / name)
         spec = spec_from_file_location("_some_kernels", file)
         kernels = module_from_spec(spec)
@@ -56,12 +60,16 @@ def test_another_installation_of_the_same_sources_finds_what_one_compiled(tmp_pa
 @pytest.mark.skipif(os.name == "nt", reason="links need a privilege")
 def test_an_installation_behind_a_link_has_the_same_folder(tmp_path):
     (tmp_path / "link").symlink_to(jit.PACKAGE)
-    found = jit.Locator.from_function(halve_values.py_func, str(tmp_path / "link" / "core" / "_overview_kernels.py"))
+    found = jit.Locator.from_function(
+        halve_values.py_func, str(tmp_path / "link" / "core" / "_overview_kernels.py")
+    )
     assert found is not None
     assert found.get_cache_path() == halve_values.stats.cache_path
 
 
-def test_the_cache_lies_in_the_given_folder_that_of_the_user_or_where_numba_can_write(user, tmp_path):
+def test_the_cache_lies_in_the_given_folder_that_of_the_user_or_where_numba_can_write(
+    user, tmp_path
+):
     assert Path(folder_of("")).parent == user
     assert Path(folder_of(str(tmp_path / "given"))).parent == tmp_path / "given"
     given = tmp_path / "file"
@@ -74,7 +82,9 @@ def test_the_cache_lies_in_the_given_folder_that_of_the_user_or_where_numba_can_
 
 def test_a_user_without_a_home_gets_no_folder_here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(jit, "AppDirs", lambda *_names, **_more: SimpleNamespace(user_cache_dir="~/.cache/numba"))
+    monkeypatch.setattr(
+        jit, "AppDirs", lambda *_names, **_more: SimpleNamespace(user_cache_dir="~/.cache/numba")
+    )
     assert (folder_of(""), list(tmp_path.iterdir())) == ("", [])
 
 

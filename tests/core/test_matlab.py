@@ -54,7 +54,7 @@ def test_version_4(order):
         head[0] += 1000
         values = np.frombuffer(data[start : start + 48], "<f8").astype(">f8").tobytes()
         file = io.BytesIO(head.astype(">i4").tobytes() + data[20:start] + values)
-    (first, *others) = matlab.variables(file)
+    first, *others = matlab.variables(file)
     np.testing.assert_array_equal(matlab.values(file, first), HELD["wide"])
     assert [v.kind for v in others] == (["char"] if order == "<" else [])
 
@@ -63,10 +63,17 @@ def test_what_is_no_real_array_is_named_and_damaged_compression_noticed():
     held = {"c": np.ones((2, 2)) + 1j, "l": np.array([[True, False]]), "s": {"a": 1}, "t": "text"}
     file = file_of("7", held)
     found = {v.name: v for v in matlab.variables(file)}
-    assert {name: v.kind for name, v in found.items()} == {"c": "complex", "l": "logical", "s": "struct", "t": "char"}
+    assert {name: v.kind for name, v in found.items()} == {
+        "c": "complex",
+        "l": "logical",
+        "s": "struct",
+        "t": "char",
+    }
     assert not any(v.real for v in found.values())
     refused(ValueError, "no full real array", matlab.values, file, found["c"])
-    file = file_of("7", {"V": np.random.default_rng(0).integers(0, 255, (40, 50, 60)).astype(np.uint8)})
+    file = file_of(
+        "7", {"V": np.random.default_rng(0).integers(0, 255, (40, 50, 60)).astype(np.uint8)}
+    )
     (variable,) = matlab.variables(file)
     data = bytearray(file.getvalue())
     data[70_000:70_100] = bytes(100)

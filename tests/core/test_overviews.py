@@ -13,8 +13,11 @@ def maps(rows, cols):
     value = rng.normal(10, 2, (rows, cols)).astype(np.float32)
     value[rng.random(value.shape) < 0.3] = np.nan
     value[:4, :4] = np.nan
-    data = {"thickness": (("y", "x"), value, {"units": "um"}), "valid": (("y", "x"), rng.random(value.shape) < 0.5),
-            "status": (("y", "x"), np.ones(value.shape, np.uint8))}  # fmt: skip
+    data = {
+        "thickness": (("y", "x"), value, {"units": "um"}),
+        "valid": (("y", "x"), rng.random(value.shape) < 0.5),
+        "status": (("y", "x"), np.ones(value.shape, np.uint8)),
+    }
     return xr.Dataset(data, coords={"y": 3.0 + 2.0 * np.arange(rows), "x": 5.0 * np.arange(cols)})
 
 

@@ -35,10 +35,22 @@ rim_um = 100.0
     [
         ('thruogh = "y"', "volume.thruogh: unknown; did you mean through?"),
         ("point_um = 50", "volume.point_um: unknown here; point_um belongs to [correlate]"),
-        ('through = "Y "', "volume.through: 'Y ' is not possible; needed is 'z', 'y' or 'x'; did you mean 'y'?"),
+        (
+            'through = "Y "',
+            "volume.through: 'Y ' is not possible; needed is 'z', 'y' or 'x'; did you mean 'y'?",
+        ),
         ("md_deg = 400", "volume.md_deg: Input should be less than or equal to 180 (found 400)"),
-        ("fixed_rows = 3", "volume.fixed_rows: 3 is not possible; needed are values in brackets, such as [1.5, 1.5]"),
-        ("voxel_um = [\n 3.0, # z\n -1.0,\n 3.0]", "volume.voxel_um.1: Input should be greater than 0 (found -1.0)"),
+        (
+            "fixed_rows = 3",
+            (
+                "volume.fixed_rows: 3 is not possible; needed are values in brackets, such as [1.5,"
+                " 1.5]"
+            ),
+        ),
+        (
+            "voxel_um = [\n 3.0, # z\n -1.0,\n 3.0]",
+            "volume.voxel_um.1: Input should be greater than 0 (found -1.0)",
+        ),
         ("xyz = 1", "volume.xyz: unknown; there are channel, column_um"),
     ],
 )
@@ -53,7 +65,9 @@ def test_tables_are_named_by_line_and_another_encoding_is_no_traceback(tmp_path)
     text = said(tmp_path, '[volume]\npath = "v"\n[image]\npixel_um = [2, 2]\n')
     assert "line 3, image.path: missing" in text
     text = said(
-        tmp_path, '[[layers]]\nname = "a"\n[layers.volume]\npath = "v"\n[[layers]]\n\n[layers.image]\npaht = "i"'
+        tmp_path,
+        '[[layers]]\nname = "a"\n[layers.volume]\npath = "v"\n[[layers]]\n\n[layers.image]\npaht'
+        ' = "i"',
     )
     assert "line 8, layers.1.image.paht: unknown; did you mean path?" in text
     path = tmp_path / "s.toml"
@@ -85,20 +99,37 @@ def test_what_is_no_toml_is_shown_with_what_to_write(tmp_path, line, words):
 
 NAMES = st.sampled_from(["a", "b-1", '"c d"', "'e.f'", "x.y", " g . h "])
 VALUES = st.sampled_from(
-    ["1", '"text # [no] {comment}"', "'C:\\dir'", "[1,\n 2, # ]\n 3]", '"""\nlong [\n= " \n"""', "'''\n[x]\n'''",
-     "{ p = 1, q = [2] }", '"a \\" b"', "[\n]", "1979-05-27T07:32:00Z"]
-)  # fmt: skip
+    [
+        "1",
+        '"text # [no] {comment}"',
+        "'C:\\dir'",
+        "[1,\n 2, # ]\n 3]",
+        '"""\nlong [\n= " \n"""',
+        "'''\n[x]\n'''",
+        "{ p = 1, q = [2] }",
+        '"a \\" b"',
+        "[\n]",
+        "1979-05-27T07:32:00Z",
+    ]
+)
 
 
 def keys_of(data, place=()):
     """Places of all values, down to what a line may hold."""
     for key, value in data.items() if isinstance(data, dict) else enumerate(data):
         yield (*place, key)
-        if isinstance(value, dict) or (isinstance(value, list) and all(isinstance(v, dict) for v in value)):
+        if isinstance(value, dict) or (
+            isinstance(value, list) and all(isinstance(v, dict) for v in value)
+        ):
             yield from keys_of(value, (*place, key))
 
 
-@given(st.lists(st.tuples(st.sampled_from(["", "[t]", "[[u]]", "[u.v]", "[[u.w]]"]), NAMES, VALUES), max_size=12))
+@given(
+    st.lists(
+        st.tuples(st.sampled_from(["", "[t]", "[[u]]", "[u.v]", "[[u.w]]"]), NAMES, VALUES),
+        max_size=12,
+    )
+)
 def test_every_key_has_the_line_on_which_it_stands(parts):
     text, starts = "# head\n", {}
     for table, name, value in parts:
@@ -127,8 +158,19 @@ def test_every_line_of_a_key_is_known():
     )
     found = key_lines(text).lines
     assert found == {
-        ("a",): 1, ("b",): 2, ("b", "c"): 2, ("t",): 3, ("t", "d e"): 4, ("t", "f"): 6, ("t", "h"): 9, ("u",): 10,
+        ("a",): 1,
+        ("b",): 2,
+        ("b", "c"): 2,
+        ("t",): 3,
+        ("t", "d e"): 4,
+        ("t", "f"): 6,
+        ("t", "h"): 9,
+        ("u",): 10,
         ("u", 0): 10,
-        ("u", 0, "j"): 11, ("u", 0, "v"): 12, ("u", 0, "v", "k"): 13, ("u", 1): 14, ("u", 1, "j"): 15,
-    }  # fmt: skip
+        ("u", 0, "j"): 11,
+        ("u", 0, "v"): 12,
+        ("u", 0, "v", "k"): 13,
+        ("u", 1): 14,
+        ("u", 1, "j"): 15,
+    }
     assert (key_lines(text).of(("t", "h", "i")), key_lines(text).of(("nowhere",))) == (9, None)

@@ -22,7 +22,9 @@ def read(folder, text, *, encoding="utf-8", needed=("x_um", "y_um")):
 def test_any_spreadsheet_gives_the_same(tmp_path, encoding, end, delimiter):
     rows = [["y_um ", "note", "X_um"], ["2", "\u00b5", "-1.5e3"], ["4", '"a b"', "0"]]
     text = end.join(["# from a spreadsheet", *(delimiter.join(row) for row in rows), "", ""])
-    np.testing.assert_array_equal(read(tmp_path, text, encoding=encoding), [[-1500.0, 2.0], [0.0, 4.0]])
+    np.testing.assert_array_equal(
+        read(tmp_path, text, encoding=encoding), [[-1500.0, 2.0], [0.0, 4.0]]
+    )
 
 
 @pytest.mark.parametrize("delimiter", [";", "\t"])
@@ -37,12 +39,23 @@ def test_all_faults_are_named_up_to_a_number(tmp_path):
         read(tmp_path, text)
     message = str(caught.value)
     for words in (
-        "columns missing: y_um (found x_um, x_um, z)", "columns given twice: x_um", "row 2 has 2 columns, the header 3",
-        "row 4 has 4 columns", "decimal commas need semicolons", "row 5: x_um 'a' is not a finite number", "row 6:",
-    ):  # fmt: skip
+        "columns missing: y_um (found x_um, x_um, z)",
+        "columns given twice: x_um",
+        "row 2 has 2 columns, the header 3",
+        "row 4 has 4 columns",
+        "decimal commas need semicolons",
+        "row 5: x_um 'a' is not a finite number",
+        "row 6:",
+    ):
         assert words in message
     assert message.count("y_um '") == 0
-    refused(MarkError, r"; and 12 more\. Correct these rows\.", read, tmp_path, "x_um,y_um\n" + "1,one\n" * 20)
+    refused(
+        MarkError,
+        r"; and 12 more\. Correct these rows\.",
+        read,
+        tmp_path,
+        "x_um,y_um\n" + "1,one\n" * 20,
+    )
 
 
 @pytest.mark.parametrize("text", ["", "\n", "# nothing\n"])
@@ -56,15 +69,33 @@ def test_what_is_no_text_is_refused(tmp_path):
         place.write_bytes(data)
         refused(FileError, r"no text in UTF-8|binary data", read_text, place)
     place.write_bytes(b"1" * (LARGEST_FILE + 1))
-    refused(FileError, "larger than 10 MB and no table of marks", read_text, place, what="table of marks")
+    refused(
+        FileError,
+        "larger than 10 MB and no table of marks",
+        read_text,
+        place,
+        what="table of marks",
+    )
     refused(FileError, "does not exist", read_text, tmp_path / "none.csv")
     refused(FileError, "is no file", read_text, tmp_path)
 
 
 def test_numbers_rows_and_written_tables_are_read():
-    assert [finite(v) for v in (1, 2.5, "3", " 4e1 ", True, None, "1,5", "nan", "inf", 10**400, [1])] == [
-        1.0, 2.5, 3.0, 40.0, None, None, None, None, None, None, None,
-    ]  # fmt: skip
+    assert [
+        finite(v) for v in (1, 2.5, "3", " 4e1 ", True, None, "1,5", "nan", "inf", 10**400, [1])
+    ] == [
+        1.0,
+        2.5,
+        3.0,
+        40.0,
+        None,
+        None,
+        None,
+        None,
+        None,
+        None,
+        None,
+    ]
     assert (finite("1,5", decimal_comma=True), finite("1,000.5", decimal_comma=True)) == (1.5, None)
     found = split_rows('"a, b";true; 1\n# comment \n c;false;2\n')
     assert found.rows == [(1, ["a, b", "true", "1"]), (3, ["c", "false", "2"])]
@@ -73,4 +104,7 @@ def test_numbers_rows_and_written_tables_are_read():
     text = table_text(["label", "x_um"], [[f"a {k}, b", v] for k, v in enumerate(values)])
     table = parse_table(text, "t", needed=("x_um",), error=MarkError)
     assert list(table.numbers(["x_um"])[:, 0]) == [float(v) for v in values]
-    assert (table.text(table.rows[1], "label"), table.text(table.rows[0], "unit", "um")) == ("a 1, b", "um")
+    assert (table.text(table.rows[1], "label"), table.text(table.rows[0], "unit", "um")) == (
+        "a 1, b",
+        "um",
+    )

@@ -9,7 +9,14 @@ import threading
 import pytest
 
 from planish.core import threads as module
-from planish.core.threads import available, count_threads, limit_threads, map_threads, read_ahead, thread_pool
+from planish.core.threads import (
+    available,
+    count_threads,
+    limit_threads,
+    map_threads,
+    read_ahead,
+    thread_pool,
+)
 
 # What a run starts is noted where threads start; zarr's event loop and its one worker are its own.
 CHILD = """
@@ -43,7 +50,18 @@ finally:
 @pytest.mark.parametrize(("how", "asked"), [("64", ["--threads", "1"]), ("one", [])])
 def test_a_run_on_one_thread_starts_no_second(specimen_files, tmp_path, how, asked):
     out = tmp_path / "threads.json"
-    command = [sys.executable, "-c", CHILD, how, out, "link", *specimen_files, "--out", tmp_path / "run", *asked]
+    command = [
+        sys.executable,
+        "-c",
+        CHILD,
+        how,
+        out,
+        "link",
+        *specimen_files,
+        "--out",
+        tmp_path / "run",
+        *asked,
+    ]
     done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False)
     assert done.returncode in (0, 4), done.stderr
     found = json.loads(out.read_text())
@@ -88,11 +106,19 @@ def test_threads_are_eight_at_most_unless_given_or_limited_by_python(monkeypatch
     [
         ("0::/a/b\n", {"a/b/cpu.max": "max 100000", "a/cpu.max": "150000 100000"}, 2),
         ("0::/outside\n", {"cpu.max": "50000 100000"}, 1),
-        ("5:cpu,cpuacct:/a\n", {"cpu/a/cpu.cfs_quota_us": "400000", "cpu/a/cpu.cfs_period_us": "100000"}, 4),
-        ("5:cpu,cpuacct:/a\n", {"cpu/cpu.cfs_quota_us": "-1", "cpu/cpu.cfs_period_us": "100000"}, 64),
+        (
+            "5:cpu,cpuacct:/a\n",
+            {"cpu/a/cpu.cfs_quota_us": "400000", "cpu/a/cpu.cfs_period_us": "100000"},
+            4,
+        ),
+        (
+            "5:cpu,cpuacct:/a\n",
+            {"cpu/cpu.cfs_quota_us": "-1", "cpu/cpu.cfs_period_us": "100000"},
+            64,
+        ),
         ("0::/a\n", {}, 64),
     ],
-)  # fmt: skip
+)
 def test_limits_of_containers(tmp_path, monkeypatch, groups, files, expected):
     own = tmp_path / "cgroup"
     own.write_text(groups)

@@ -12,7 +12,9 @@ def fails(_job, _tile):
     raise RuntimeError("asked again for what was kept")
 
 
-@pytest.mark.parametrize(("shape", "size"), [((7, 9), (3, 4)), ((6, 8), (3, 4)), ((2, 2), (5, 5)), ((1, 10), (1, 3))])
+@pytest.mark.parametrize(
+    ("shape", "size"), [((7, 9), (3, 4)), ((6, 8), (3, 4)), ((2, 2), (5, 5)), ((1, 10), (1, 3))]
+)
 def test_tiles_cover_every_place_once(shape, size):
     count = np.zeros(shape, int)
     for tile in tiles_of(shape, size):

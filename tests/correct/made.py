@@ -53,7 +53,9 @@ def volume(above_air, *, noise=0.08, seed=0, dtype=np.uint16, rings=0.0):
 
 
 def as_volume(values):
-    return sheets.volume(values, VOXEL).assign_attrs(voxel_um=[VOXEL] * 3, file_name="made", file_bytes=values.nbytes)
+    return sheets.volume(values, VOXEL).assign_attrs(
+        voxel_um=[VOXEL] * 3, file_name="made", file_bytes=values.nbytes
+    )
 
 
 def correct(given, *, rings=True, cupping=True, axis="y", centre_um=None, **more):

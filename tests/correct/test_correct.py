@@ -7,7 +7,18 @@ import pytest
 import tifffile
 import zarr
 
-from correct.made import AIR, COATING, CONTRAST, VOXEL, as_volume, correct, radius_um, ring, sheet, volume
+from correct.made import (
+    AIR,
+    COATING,
+    CONTRAST,
+    VOXEL,
+    as_volume,
+    correct,
+    radius_um,
+    ring,
+    sheet,
+    volume,
+)
 from planish.core.errors import InputError, PlanishError, SizeError, VolumeError
 from planish.correct import write_picture
 from planish.io import read_volume, store, write_store
@@ -37,7 +48,9 @@ def test_known_rings_are_found_at_their_radius_and_with_their_height():
     clean = sheet(tilt_deg=5.0)
     given = volume(clean, rings=both_rings())
     found = correct(given, cupping=False, axis="y")
-    assert [r.radius_um for r in found.record.rings] == pytest.approx([at for at, _ in RINGS], abs=VOXEL / 2 + 0.01)
+    assert [r.radius_um for r in found.record.rings] == pytest.approx(
+        [at for at, _ in RINGS], abs=VOXEL / 2 + 0.01
+    )
     # Bins of half a voxel and the line between their middles take 3 % off a crest of one voxel; the rest is noise.
     for got, (_, share) in zip(found.record.rings, RINGS, strict=True):
         assert got.height == pytest.approx(share * CONTRAST, rel=0.12)
@@ -64,10 +77,14 @@ def test_known_cupping_is_taken_off_and_the_mean_grey_stays(noise):
         assert trend.before == pytest.approx(6.0, abs=1.0)
         assert abs(trend.after) < (0.5 if noise else 1.3)
     inside = clean > 0.9 * CONTRAST
-    assert found.volume.values[inside].mean() == pytest.approx(given.values[inside].mean(), rel=0.01)
+    assert found.volume.values[inside].mean() == pytest.approx(
+        given.values[inside].mean(), rel=0.01
+    )
     ratio = (found.volume.values[inside] - AIR).astype(float)
     r = radius_um(SHAPE)[:, 0][:, None] * np.ones((1, SHAPE[1], 1))
-    middle, edge = (ratio[(r[inside] > a) & (r[inside] < b)].mean() for a, b in ((50, 120), (230, 290)))
+    middle, edge = (
+        ratio[(r[inside] > a) & (r[inside] < b)].mean() for a, b in ((50, 120), (230, 290))
+    )
     assert middle / edge == pytest.approx(1.0, abs=0.006 if noise else 0.012)
 
 
@@ -110,14 +127,20 @@ def test_a_denser_edge_of_the_coating_is_its_own_and_a_sheet_across_the_axis_is_
     """The base does not share the trend, so it is no cupping."""
     coating = AIR + CONTRAST * cup(0.10)
     found = correct(volume(sheet(coating=coating)), axis="y")
-    assert {t.material: t.before for t in found.record.trends}["coating"] == pytest.approx(10, abs=2)
+    assert {t.material: t.before for t in found.record.trends}["coating"] == pytest.approx(
+        10, abs=2
+    )
     assert found.record.cupping is None or found.record.cupping.percent < 1.0
     # Each slice then shows one material, or the sheet's face.
     shape = (70, 150, 150)
     given = volume(sheet(shape), rings=both_rings(shape, axis="z"))
     found = correct(given, axis="z", cupping=False)
-    assert [r.radius_um for r in found.record.rings] == pytest.approx([at for at, _ in RINGS], abs=VOXEL / 2 + 0.01)
-    assert [r.height / CONTRAST for r in found.record.rings] == pytest.approx([s for _, s in RINGS], rel=0.12)
+    assert [r.radius_um for r in found.record.rings] == pytest.approx(
+        [at for at, _ in RINGS], abs=VOXEL / 2 + 0.01
+    )
+    assert [r.height / CONTRAST for r in found.record.rings] == pytest.approx(
+        [s for _, s in RINGS], rel=0.12
+    )
 
 
 @pytest.mark.ci
@@ -163,8 +186,15 @@ def test_neither_memory_nor_threads_nor_blocks_change_a_byte():
     assert a.record == b.record
     whole = a.volume.values
     assert whole.dtype == given.dtype
-    for where in ({"z": slice(7, 31)}, {"y": slice(3, 50), "x": slice(90, 140)}, {"x": 17}, {"z": 2, "y": slice(1, 9)}):
-        np.testing.assert_array_equal(b.volume.isel(where).values, a.volume.copy(data=whole).isel(where).values)
+    for where in (
+        {"z": slice(7, 31)},
+        {"y": slice(3, 50), "x": slice(90, 140)},
+        {"x": 17},
+        {"z": 2, "y": slice(1, 9)},
+    ):
+        np.testing.assert_array_equal(
+            b.volume.isel(where).values, a.volume.copy(data=whole).isel(where).values
+        )
     np.testing.assert_array_equal(b.volume.isel(y=slice(None, None, -7)).values, whole[:, ::-7])
 
 
@@ -174,7 +204,9 @@ def test_only_the_part_that_is_asked_for_is_read(ringed, monkeypatch):
     seen = []
     apply = type(found.change).apply
     monkeypatch.setattr(
-        type(found.change), "apply", lambda self, v, *places: seen.append(v.size) or apply(self, v, *places)
+        type(found.change),
+        "apply",
+        lambda self, v, *places: seen.append(v.size) or apply(self, v, *places),
     )
     _ = found.volume.isel(z=slice(0, 8), y=slice(0, 16)).values
     assert seen == [8 * 16 * SHAPE[2]]
@@ -225,10 +257,30 @@ def test_missing_voxels_stay_missing_and_without_a_sheet_nothing_is_done():
     ("made", "options", "kind", "words"),
     [
         (lambda: volume(sheet()).isel(y=slice(0, 1)), {}, VolumeError, r"1 voxel\(s\) along y"),
-        (lambda: volume(sheet()).isel(x=slice(0, 10)), {}, VolumeError, "60 x 10 voxels along z and x"),
-        (lambda: volume(sheet()), {"centre_um": (80.0, -2000.0)}, InputError, "x = -2000 um; the field runs from 0"),
-        (lambda: volume(sheet()), {"rings": False, "cupping": False}, InputError, "Neither rings nor cupping"),
-        (lambda: volume(sheet()).assign_attrs(sections={}), {}, InputError, "photographs of sections"),
+        (
+            lambda: volume(sheet()).isel(x=slice(0, 10)),
+            {},
+            VolumeError,
+            "60 x 10 voxels along z and x",
+        ),
+        (
+            lambda: volume(sheet()),
+            {"centre_um": (80.0, -2000.0)},
+            InputError,
+            "x = -2000 um; the field runs from 0",
+        ),
+        (
+            lambda: volume(sheet()),
+            {"rings": False, "cupping": False},
+            InputError,
+            "Neither rings nor cupping",
+        ),
+        (
+            lambda: volume(sheet()).assign_attrs(sections={}),
+            {},
+            InputError,
+            "photographs of sections",
+        ),
         (lambda: volume(sheet()).drop_attrs(), {}, SizeError, "no voxel size"),
     ],
 )
@@ -266,7 +318,16 @@ def tiff(tmp_path):
 def test_import_corrects_on_the_way(passes, tmp_path, tiff):
     out = tmp_path / "sheet.zarr"
     told, _ = passes(
-        "import", tiff, "-o", out, "--voxel-um", VOXEL, "--correct-rings", "--correct-cupping", "--rotation-axis", "y"
+        "import",
+        tiff,
+        "-o",
+        out,
+        "--voxel-um",
+        VOXEL,
+        "--correct-rings",
+        "--correct-cupping",
+        "--rotation-axis",
+        "y",
     )
     assert "Rings: 2 corrected" in told
     assert "Cupping: " in told
@@ -276,14 +337,23 @@ def test_import_corrects_on_the_way(passes, tmp_path, tiff):
     straight = correct(scan, axis="y")
     assert straight.record.cupping.percent == pytest.approx(6.0, abs=0.5)
     write_picture(straight, scan, tmp_path / "again.png")
-    assert (tmp_path / "sheet.corrections.png").read_bytes() == (tmp_path / "again.png").read_bytes()
+    assert (tmp_path / "sheet.corrections.png").read_bytes() == (
+        tmp_path / "again.png"
+    ).read_bytes()
     np.testing.assert_array_equal(read_volume(out).values, straight.volume.values)
 
 
 def test_import_refuses_what_it_cannot_do(refuses, tmp_path, tiff):
     common = ("import", tiff, "-o", tmp_path / "sheet.zarr", "--voxel-um", VOXEL)
     refuses(*common, "--rotation-axis", "y", words="belong to --correct-rings", code=2, out=False)
-    refuses(*common, "--correct-rings", "--rotation-centre-um", "1e5,3", words="the field runs from 0 to", out=False)
+    refuses(
+        *common,
+        "--correct-rings",
+        "--rotation-centre-um",
+        "1e5,3",
+        words="the field runs from 0 to",
+        out=False,
+    )
     assert not list(tmp_path.glob("*.zarr"))
     (tmp_path / "sheet.corrections.png").touch()
     refuses(*common, "--correct-rings", words="exists already", out=False)

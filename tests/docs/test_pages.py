@@ -13,7 +13,11 @@ import console
 ROOT = Path(__file__).resolve().parents[2]
 DOCS, README = ROOT / "docs", ROOT / "README.md"
 # Pages without such blocks speak of what a test cannot do here: another system, an installation.
-PAGES = sorted(path for path in (DOCS / "how-to").glob("*.md") if console.steps(path.read_text(encoding="utf-8")))
+PAGES = sorted(
+    path
+    for path in (DOCS / "how-to").glob("*.md")
+    if console.steps(path.read_text(encoding="utf-8"))
+)
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +51,9 @@ def test_a_page_prints_what_it_shows(path, after_tutorial, tmp_path):
 @pytest.mark.ci
 def test_the_readme_reads_a_run_as_it_shows(kinds, tmp_path, monkeypatch):
     """Its commands and options are checked with those of all pages; here its Python runs in the folder of a run."""
-    (block,) = re.findall(r"^```python\n(.*?)^```$", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    (block,) = re.findall(
+        r"^```python\n(.*?)^```$", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
+    )
     shutil.copytree(kinds("upright"), tmp_path / "run")
     monkeypatch.chdir(tmp_path)
     plt.switch_backend("agg")
@@ -60,7 +66,9 @@ def test_the_readme_reads_a_run_as_it_shows(kinds, tmp_path, monkeypatch):
 def test_pages_are_short():
     assert len(PAGES) >= 12
     lines = {path.name: len(path.read_text(encoding="utf-8").splitlines()) for path in PAGES}
-    assert [name for name, count in lines.items() if count > 75] == [], "longer than a screen or two"
+    assert [name for name, count in lines.items() if count > 75] == [], (
+        "longer than a screen or two"
+    )
 
 
 def test_the_first_lines_of_windows_stand_where_a_newcomer_begins():
@@ -79,8 +87,11 @@ def test_a_page_is_read_as_commands_python_and_files():
     )
     found = console.steps(page)
     assert [(step.kind, step.verb, step.name) for step in found] == [
-        ("console", "info", ""), ("console", "", ""), ("file", "", "a.csv"), ("pycon", "", ""),
-    ]  # fmt: skip
+        ("console", "info", ""),
+        ("console", "", ""),
+        ("file", "", "a.csv"),
+        ("pycon", "", ""),
+    ]
     assert found[0].expected == "one\n...\n"
     assert console.unknown_verbs("```console\n$ planish fly x\n$ planish info y\n```\n") == {"fly"}
 
@@ -105,8 +116,9 @@ def test_output_is_compared_with_gaps(printed, expected, same):
 
 def test_commands_that_go_wrong_are_named(tmp_path):
     page = (
-        "```console\n$ planish --version\nplanish, version 7\n$ no-such-program x\n```\n```pycon\n>>> 1 + 1\n3\n```\n"
-        "```console\n$ planish info nothing.tif\n...\nplanish: ... does not exist. ...\n```\n"
+        "```console\n$ planish --version\nplanish, version 7\n$ no-such-program"
+        " x\n```\n```pycon\n>>> 1 + 1\n3\n```\n```console\n$ planish info"
+        " nothing.tif\n...\nplanish: ... does not exist. ...\n```\n"
     )
     outcomes = console.run(page, tmp_path)
     assert [bool(outcome.faults) for outcome in outcomes] == [True, False, True, False]

@@ -40,7 +40,9 @@ TERMS = {
     r"\b(run|output|results?) director(y|ies)\b|\b(output|results?) folders?\b": "run folder",
     r"\b(config(uration)?|settings|parameter) files?\b": "study",
     r"\b(cross-validation|jack-?knife|LOO|LOOCV) errors?\b|\bLOO\b": "leave-one-out error",
-    r"\b(target|moving|source) images?\b|\breference images?\b": "moving layer, fixed layer, reference",
+    r"\b(target|moving|source) images?\b|\breference images?\b": (
+        "moving layer, fixed layer, reference"
+    ),
     r"\b(front|back|upper|lower|wire|felt) sides?\b": "top side, bottom side",
     r"\b(upper|lower) (face|surface)s?\b|\b(top|bottom) surfaces?\b": "face",
     r"\b(mesh|grid) (points?|vertex|vertices)\b|\bvertex\b|\bvertices\b": "node",
@@ -68,7 +70,9 @@ def with_words(unwanted, pages):
         for word, instead in unwanted.items():
             for match in re.finditer(word, text, re.IGNORECASE):
                 start, end = text.rfind(". ", 0, match.start()) + 1, text.find(". ", match.end())
-                found.append(f"{path.relative_to(ROOT)}: {text[start:end].strip()!r}: write {instead}")
+                found.append(
+                    f"{path.relative_to(ROOT)}: {text[start:end].strip()!r}: write {instead}"
+                )
     return found
 
 
@@ -80,7 +84,9 @@ def test_sentences_are_short():
         if len(lengths) < 5:
             continue
         if (median := statistics.median(lengths)) > MOST_WORDS:
-            found.append(f"{path.relative_to(ROOT)}: half of the sentences have {median} words and more")
+            found.append(
+                f"{path.relative_to(ROOT)}: half of the sentences have {median} words and more"
+            )
         longest = [one for one, length in zip(sentences, lengths, strict=True) if length > LONGEST]
         found += [f"{path.relative_to(ROOT)}: {one}" for one in longest]
     assert found == []
@@ -96,16 +102,20 @@ def test_each_term_of_the_glossary_is_used_one_way():
 
 def test_sentences_are_counted_and_terms_are_those_of_the_glossary():
     page = (
-        "# A heading\n\nTwo words here. `code` begins this one, see e.g. [a page](x.md#y) for it.\n\n"
-        "| a | table |\n|---|---|\n| that does not | count |\n\n"
-        "- One point of a list\n- Another one, with **bold** words\n\n"
-        "```\nnot counted at all\n```\n"
+        "# A heading\n\nTwo words here. `code` begins this one, see e.g. [a page](x.md#y) for"
+        " it.\n\n| a | table |\n|---|---|\n| that does not | count |\n\n- One point of a list\n-"
+        " Another one, with **bold** words\n\n```\nnot counted at all\n```\n"
     )
     found = reading.sentences(page)
     assert [len(reading.words(one)) for one in found] == [3, 10, 5, 5]
-    assert reading.sentences("<p>One short sentence here.</p><p>{{ value }} um are stated.</p>", template=True) == [
-        "One short sentence here.", "7 um are stated.",
-    ]  # fmt: skip
+    assert reading.sentences(
+        "<p>One short sentence here.</p><p>{{ value }} um are stated.</p>", template=True
+    ) == [
+        "One short sentence here.",
+        "7 um are stated.",
+    ]
     glossary = set(re.findall(r"\*\*([\w -]+)\*\*", read(ROOT / "docs" / "glossary.md")))
     wanted = {term for terms in TERMS.values() for term in terms.split(", ")}
-    assert wanted - {"grey", "flatten", "moving layer", "fixed layer"} <= glossary | {"independent points"}
+    assert wanted - {"grey", "flatten", "moving layer", "fixed layer"} <= glossary | {
+        "independent points"
+    }

@@ -39,7 +39,11 @@ def commands(command=group, name="planish"):
 
 # --- the command line and the study file ---------------------------------------------------------------------
 def test_every_command_stands_with_its_options_and_examples():
-    sections = dict(re.findall(r"^## (planish[\w -]*)\n\n```\n(.*?)^```$", page("cli.md"), re.MULTILINE | re.DOTALL))
+    sections = dict(
+        re.findall(
+            r"^## (planish[\w -]*)\n\n```\n(.*?)^```$", page("cli.md"), re.MULTILINE | re.DOTALL
+        )
+    )
     missing = []
     for name, command in commands():
         shown = [p for p in command.params if isinstance(p, click.Option) and not p.hidden]
@@ -55,7 +59,9 @@ def test_every_key_of_a_study_has_type_and_meaning():
     for _title, model in [("", Study), ("", LayerParams), *nested(LayerParams), *nested(Study)]:
         for name, field in model.model_fields.items():
             if not any(True for _ in fields.models_of(field.annotation)):
-                [row] = set(re.findall(rf"^\| `{name}` \|.*$", fields.study_table(model), re.MULTILINE))
+                [row] = set(
+                    re.findall(rf"^\| `{name}` \|.*$", fields.study_table(model), re.MULTILINE)
+                )
                 assert row in text
                 assert all(row.split("|")[k].strip() for k in (2, 5)), f"{model.__name__}.{name}"
         for name, _, shown in options_of(model):
@@ -87,9 +93,13 @@ def test_every_key_of_the_results_has_its_meaning():
 def variables(text):
     """Groups of maps.zarr with their variables and units, from the tables of the page."""
     tables = {}
-    for title, body in re.findall(r"^## ([^\n]*`)\n(.*?)(?=^## |\Z)", text, re.MULTILINE | re.DOTALL):
+    for title, body in re.findall(
+        r"^## ([^\n]*`)\n(.*?)(?=^## |\Z)", text, re.MULTILINE | re.DOTALL
+    ):
         rows = re.findall(r"^\| (`[^|]*`) \|([^|]*)\|", body, re.MULTILINE)
-        found = {name: unit.strip() for names, unit in rows for name in re.findall(r"`([^`]+)`", names)}
+        found = {
+            name: unit.strip() for names, unit in rows for name in re.findall(r"`([^`]+)`", names)
+        }
         for group_name in re.findall(r"`([^`]+)`", title):
             tables[group_name] = found
     return tables
@@ -110,7 +120,9 @@ def check_variables(path):
                     assert "`NAME_se`" in text
                     assert "`NAME_status`" in text
                     continue
-                unit = tables[name].get(key, more[key].units if key in more and "further maps" in text else None)
+                unit = tables[name].get(
+                    key, more[key].units if key in more and "further maps" in text else None
+                )
                 if unit is None or ("units" in data.attrs and data.attrs["units"] != unit):
                     missing.append(f"{name}/{key} in {data.attrs.get('units')}, documented: {unit}")
     assert missing == []
@@ -132,11 +144,23 @@ def test_every_file_check_and_variable_of_a_run_is_explained(linked_run):
 
 @pytest.mark.nightly
 def test_every_variable_of_other_runs_stands_with_its_unit(passes, tmp_path):
-    passes("specimen", "--size", "T0", "--seed", "8", "--instrument", "sections", "--out", tmp_path / "sheet")
+    passes(
+        "specimen",
+        "--size",
+        "T0",
+        "--seed",
+        "8",
+        "--instrument",
+        "sections",
+        "--out",
+        tmp_path / "sheet",
+    )
     further = ("porosity", "fibre_angle", "mean_curvature", "coating_difference")
     options = ["--through", "y", "--column-um", "9", "--envelope-um", "250"]
     options += [part for name in further for part in ("--property", name)]
-    passes("map", tmp_path / "sheet" / "sections", *options, "--out", tmp_path / "run", codes=(0, 4))
+    passes(
+        "map", tmp_path / "sheet" / "sections", *options, "--out", tmp_path / "run", codes=(0, 4)
+    )
     check_variables(tmp_path / "run" / "maps.zarr")
 
 
@@ -145,10 +169,15 @@ def test_every_map_package_exit_code_and_message_is_collected():
     text = page("reference/maps.md")
     for name, known in registered().items():
         assert f"| `{name}` | {known.units} |" in text
-    assert {path.stem for path in (DOCS / "reference" / "api").glob("planish*.md")} == set(public_names.packages())
+    assert {path.stem for path in (DOCS / "reference" / "api").glob("planish*.md")} == set(
+        public_names.packages()
+    )
     kinds = [found for _, found in inspect.getmembers(errors, inspect.isclass)]
     used = {found.exit_code for found in kinds} | {0, 2, 4, 130}
-    assert {int(code) for code in re.findall(r"^\| (\d+) \|", page("reference/exit-codes.md"), re.MULTILINE)} == used
+    assert {
+        int(code)
+        for code in re.findall(r"^\| (\d+) \|", page("reference/exit-codes.md"), re.MULTILINE)
+    } == used
     texts = {message.text for message in messages.messages()}
     assert "Labels are integers; this volume holds …. Give the label volume, not the grey." in texts
     assert any("The disk is full while writing …" in text for text in texts)
@@ -161,7 +190,9 @@ def test_every_public_name_stands_with_a_sentence():
     for package in public_names.packages():
         text = page(f"reference/api/{package}.md")
         for name, found in public_names.objects(package):
-            has_row = re.search(rf"^\| {{py:obj}}`{name} <planish[\w.]*{name}>` \|", text, re.MULTILINE)
+            has_row = re.search(
+                rf"^\| {{py:obj}}`{name} <planish[\w.]*{name}>` \|", text, re.MULTILINE
+            )
             if not (has_row and len(api_pages.first_sentence(package, name, found)) > 10):
                 missing.append(f"{package}.{name}")
     assert missing == [], "without a row, or without a docstring"
@@ -170,7 +201,11 @@ def test_every_public_name_stands_with_a_sentence():
 # --- exit codes and messages ---------------------------------------------------------------------------------
 @pytest.mark.ci
 def test_every_message_has_its_entry():
-    covered = {message.text for _, patterns in message_pages.families() for message in message_pages.of(patterns)}
+    covered = {
+        message.text
+        for _, patterns in message_pages.families()
+        for message in message_pages.of(patterns)
+    }
     every = messages.messages()
     assert len(every) > 600
     missing = [f"{m.module}:{m.line}: {m.text}" for m in every if m.text not in covered]
@@ -182,9 +217,13 @@ def test_every_entry_has_messages_a_cause_and_a_cure():
     for path in sorted(message_pages.FOLDER.glob("*.md")):
         text = path.read_text(encoding="utf-8")
         for entry in re.split(r"^### ", text, flags=re.MULTILINE)[1:]:
-            lacking = [part for part in ("**Cause.**", "**Cure.**", "```{messages}") if part not in entry]
+            lacking = [
+                part for part in ("**Cause.**", "**Cure.**", "```{messages}") if part not in entry
+            ]
             assert lacking == [], f"{path.name}: {entry.splitlines()[0]}"
         for patterns in (block for page_, block in message_pages.families() if page_ == path):
             for line in filter(None, map(str.strip, patterns.splitlines())):
-                there = any(m.module.startswith(line.partition(": ")[0]) for m in messages.messages())
+                there = any(
+                    m.module.startswith(line.partition(": ")[0]) for m in messages.messages()
+                )
                 assert message_pages.of(line) or not there, f"{path.name}: no message fits {line!r}"

@@ -16,46 +16,105 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 # What people type, and the page that answers it.
 SOUGHT = {
     "how-to/my-scanner-writes": (
-        "SkyScan", "Bruker", "Zeiss Xradia", "Xradia", "Nikon XTH", "Nikon", "Yxlon", "GE phoenix", "phoenix",
-        "RX Solutions", "Thermo HeliScan", "HeliScan", "Tescan", "DICOM", "TIFF stack",
-        "pixel size", "voxel size", "Voxelgröße",
+        "SkyScan",
+        "Bruker",
+        "Zeiss Xradia",
+        "Xradia",
+        "Nikon XTH",
+        "Nikon",
+        "Yxlon",
+        "GE phoenix",
+        "phoenix",
+        "RX Solutions",
+        "Thermo HeliScan",
+        "HeliScan",
+        "Tescan",
+        "DICOM",
+        "TIFF stack",
+        "pixel size",
+        "voxel size",
+        "Voxelgröße",
     ),
     "how-to/grams-per-square-metre": (
-        "g/m²", "g/m2", "gsm", "basis weight", "grammage", "coat weight", "Flächengewicht", "Strichgewicht",
+        "g/m²",
+        "g/m2",
+        "gsm",
+        "basis weight",
+        "grammage",
+        "coat weight",
+        "Flächengewicht",
+        "Strichgewicht",
     ),
     "how-to/image-of-the-back": (
-        "back side", "backside", "wire side", "my image shows the back", "Rückseite", "mirrored image",
+        "back side",
+        "backside",
+        "wire side",
+        "my image shows the back",
+        "Rückseite",
+        "mirrored image",
     ),
     "how-to/red-run": ("red", "my run is red", "withheld"),
     "how-to/exclude-a-stain": ("exclude", "stain", "exclude a stain", "mask", "ROI", "Fleck"),
     "how-to/two-holes": ("two holes", "only two holes", "only 2 holes"),
     "how-to/no-holes": ("no laser", "no holes", "ohne Laser"),
-    "how-to/marks-from-imagej": ("marks from ImageJ", "landmarks", "Passpunkte", "multi-point tool"),
+    "how-to/marks-from-imagej": (
+        "marks from ImageJ",
+        "landmarks",
+        "Passpunkte",
+        "multi-point tool",
+    ),
     "how-to/open-in-fiji": ("ImageJ", "Fiji"),
     "how-to/open-in-matlab": ("MATLAB", "Octave"),
     "how-to/windows": ("Windows", "PowerShell", "execution policy"),
     "how-to/install": ("install", "offline", "uninstall"),
     "how-to/volumes-larger-than-memory": ("out of memory", "RAM"),
-    "properties": ("Strichdicke", "Dicke", "caliper", "coating thickness", "Rauheit", "porosity", "fiber orientation"),
+    "properties": (
+        "Strichdicke",
+        "Dicke",
+        "caliper",
+        "coating thickness",
+        "Rauheit",
+        "porosity",
+        "fiber orientation",
+    ),
     "explanation/limits": ("resolution", "Auflösung"),
     "linking": ("Glanz", "gloss", "machine direction"),
     "evidence": ("Helligkeit", "brightness", "relative grey", "p value", "mottle"),
     "explanation/a-report-in-hand": ("side light", "how to cite", "cite", "how strong"),
     "registration": ("image registration", "Registrierung"),
-}  # fmt: skip
+}
 # Questions that the documents once left open: each answer is at most two links away from the front page.
 ANSWERS = (
-    "how-to/grams-per-square-metre", "how-to/exclude-a-stain", "how-to/two-holes", "how-to/marks-from-imagej",
-    "how-to/red-run", "how-to/image-of-the-back", "how-to/my-scanner-writes", "explanation/a-report-in-hand",
-    "how-to/windows", "how-to/install", "project/index",
-)  # fmt: skip
+    "how-to/grams-per-square-metre",
+    "how-to/exclude-a-stain",
+    "how-to/two-holes",
+    "how-to/marks-from-imagej",
+    "how-to/red-run",
+    "how-to/image-of-the-back",
+    "how-to/my-scanner-writes",
+    "explanation/a-report-in-hand",
+    "how-to/windows",
+    "how-to/install",
+    "project/index",
+)
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     """The built site."""
     folder = tmp_path_factory.mktemp("site") / "html"
-    command = [sys.executable, "-m", "sphinx", "-b", "html", "-W", "--keep-going", "-q", str(DOCS), str(folder)]
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-b",
+        "html",
+        "-W",
+        "--keep-going",
+        "-q",
+        str(DOCS),
+        str(folder),
+    ]
     built = subprocess.run(command, capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stderr
     return folder
@@ -89,7 +148,8 @@ def test_the_search_finds_the_words_of_users(site, chromium):
         for query in queries:
             page.goto(f"{(site / 'search.html').as_uri()}?q={quote(query)}")
             page.wait_for_function(
-                "/finished|did not match/.test(document.querySelector('.search-summary')?.innerText)"
+                "/finished|did not"
+                " match/.test(document.querySelector('.search-summary')?.innerText)"
             )
             links = page.locator("#search-results ul.search > li > a:first-of-type")
             hits = [link.get_attribute("href") for link in links.all()[:3]]
@@ -107,7 +167,11 @@ def test_every_question_is_answered_within_two_links_of_the_front_page():
         path = DOCS / f"{page}.md"
         links = re.findall(r"\]\(([\w./-]+\.md)", path.read_text(encoding="utf-8"))
         leads = {(path.parent / link).resolve() for link in links}
-        return {lead.relative_to(DOCS).with_suffix("").as_posix() for lead in leads if lead.is_relative_to(DOCS)}
+        return {
+            lead.relative_to(DOCS).with_suffix("").as_posix()
+            for lead in leads
+            if lead.is_relative_to(DOCS)
+        }
 
     near = linked("index") | {"project/index"}  # which the bar at the top has on every page
     assert set(ANSWERS) <= near.union(*(linked(page) for page in near))
@@ -115,11 +179,17 @@ def test_every_question_is_answered_within_two_links_of_the_front_page():
 
 
 def test_words_of_users_lead_to_pages_that_exist():
-    rows = [line for line in (DOCS / "words.md").read_text(encoding="utf-8").splitlines() if line.startswith("| ")]
+    rows = [
+        line
+        for line in (DOCS / "words.md").read_text(encoding="utf-8").splitlines()
+        if line.startswith("| ")
+    ]
     rows = [row for row in rows if "](" in row]
     entries = words.entries()
     assert (
-        sum(len(sections) for sections in entries.values()) <= len(rows) == len([r for r in rows if words.ROW.match(r)])
+        sum(len(sections) for sections in entries.values())
+        <= len(rows)
+        == len([r for r in rows if words.ROW.match(r)])
     )
     spread = {}
     for page, sections in entries.items():
@@ -132,10 +202,14 @@ def test_words_of_users_lead_to_pages_that_exist():
 
 
 def test_an_entry_stands_behind_its_heading(monkeypatch):
-    monkeypatch.setattr(words, "entries", lambda: {"page": {"": ["a word"], "the-part": ["b", "c"]}})
+    monkeypatch.setattr(
+        words, "entries", lambda: {"page": {"": ["a word"], "the-part": ["b", "c"]}}
+    )
     written = words.with_entries("page", "# Page\n\nText.\n\n## The part\n\nMore.\n")
-    assert written == (
-        "# Page\n\n```{index} ! a word\n```\n\n\nText.\n\n## The part\n\n```{index} ! b, ! c\n```\n\n\nMore.\n"
+    assert (
+        written
+        == "# Page\n\n```{index} ! a word\n```\n\n\nText.\n\n## The part\n\n```{index} ! b, !"
+        " c\n```\n\n\nMore.\n"
     )
     assert words.with_entries("other", "# Page\n") == "# Page\n"
     with pytest.raises(ValueError, match="the-part"):
@@ -146,7 +220,10 @@ def test_an_entry_stands_behind_its_heading(monkeypatch):
 def test_every_public_name_has_its_entry(site):
     import public_names
 
-    texts = {path.stem: path.read_text(encoding="utf-8") for path in (site / "reference" / "api").glob("*.html")}
+    texts = {
+        path.stem: path.read_text(encoding="utf-8")
+        for path in (site / "reference" / "api").glob("*.html")
+    }
     pages = [check_site.Page(text) for text in texts.values()]
     entries = {place for page in pages for place in page.places}
     linked = {link.partition("#")[2] for page in pages for link in page.links}
@@ -162,23 +239,36 @@ def test_blocks_and_links_are_replaced_by_what_they_name():
     assert "write_report" in text
     assert "autofunction:: planish.report.map_html" in text
     assert from_code.expand("```{note} x\ny\n```\n") == "```{note} x\ny\n```\n"
-    assert from_code.with_links("[CONTRIBUTING.md](../CONTRIBUTING.md#code)") == "[](/project/contributing.md#code)"
+    assert (
+        from_code.with_links("[CONTRIBUTING.md](../CONTRIBUTING.md#code)")
+        == "[](/project/contributing.md#code)"
+    )
     assert from_code.with_links("[linking.md](linking.md)") == "[](linking.md)"
-    assert from_code.with_links("[an example](../examples/01_read.py)") == "[an example](../examples/01_read.py)"
+    assert (
+        from_code.with_links("[an example](../examples/01_read.py)")
+        == "[an example](../examples/01_read.py)"
+    )
 
 
 def test_faults_of_a_site_are_named(tmp_path):
     (tmp_path / "index.html").write_text(
-        '<a href="other.html#there">a</a><a href="none.html">b</a><script src="https://cdn.example.org/x.js"></script>'
-        '<img src="none.png"><a href="https://nohost/">c</a><a href="https://example.org/page">d</a>',
+        '<a href="other.html#there">a</a><a href="none.html">b</a><script'
+        ' src="https://cdn.example.org/x.js"></script><img src="none.png"><a'
+        ' href="https://nohost/">c</a><a href="https://example.org/page">d</a>',
         encoding="utf-8",
     )
     (tmp_path / "other.html").write_text('<p id="here">', encoding="utf-8")
-    (tmp_path / "site.css").write_text("@import url('//fonts.example.org/a.css');", encoding="utf-8")
+    (tmp_path / "site.css").write_text(
+        "@import url('//fonts.example.org/a.css');", encoding="utf-8"
+    )
     found = "\n".join(check_site.faults(tmp_path))
     for part in (
-        "other.html#there leads to no place", "none.html leads to nothing", "loads https://cdn", "none.png, which",
-        "https://nohost/ names no host", "site.css: loads //fonts",
-    ):  # fmt: skip
+        "other.html#there leads to no place",
+        "none.html leads to nothing",
+        "loads https://cdn",
+        "none.png, which",
+        "https://nohost/ names no host",
+        "site.css: loads //fonts",
+    ):
         assert part in found
     assert "page" not in found.replace("that page", "")

@@ -7,15 +7,25 @@ from folders import bytes_of
 from planish.core.frame import Frame
 from planish.core.grid import Grid
 from planish.core.transform import Affine
-from planish.exports import DirectedTransform, ExportHistory, ExportParams, Maps, Surface, TransformPair, writer_of
+from planish.exports import (
+    DirectedTransform,
+    ExportHistory,
+    ExportParams,
+    Maps,
+    Surface,
+    TransformPair,
+    writer_of,
+)
 from planish.report import Scale
 
 PIXEL_UM = (2.6, 1.37)
 FIRST_UM = (-18.2, -66.0)
 HISTORY = ExportHistory(
-    planish="0.2.0", exported_by="0.2.0", study_sha256="ab" * 32,
+    planish="0.2.0",
+    exported_by="0.2.0",
+    study_sha256="ab" * 32,
     inputs=({"layer": "sheet", "name": "Volumen µ.tif", "sha256": "cd" * 32},),
-)  # fmt: skip
+)
 
 
 def maps(shape=(600, 1100), dims=("y", "x")):
@@ -29,10 +39,18 @@ def maps(shape=(600, 1100), dims=("y", "x")):
     at = [first + p * np.arange(n) for first, p, n in zip(FIRST_UM, PIXEL_UM, shape, strict=True)]
     data = xr.Dataset(
         {
-            "coating_top": (dims, coating, {"units": "um", "long_name": "Coating thickness, top side"}),
+            "coating_top": (
+                dims,
+                coating,
+                {"units": "um", "long_name": "Coating thickness, top side"},
+            ),
             "tilt": (dims, tilt, {"units": "deg", "long_name": "Tilt of the sheet"}),
             "valid": (dims, np.isfinite(coating), {"long_name": "Measured"}),
-            "status": (dims, status, {"long_name": "Status", "flag_values": [0, 1, 2], "flag_meanings": "a b c"}),
+            "status": (
+                dims,
+                status,
+                {"long_name": "Status", "flag_values": [0, 1, 2], "flag_meanings": "a b c"},
+            ),
         },
         coords={dim: (dim, values, {"units": "um"}) for dim, values in zip(dims, at, strict=True)},
     )
@@ -59,16 +77,22 @@ def surface(through="z", top="high", name="top"):
     number = np.arange(heights.size, dtype=np.float32).reshape(heights.shape)
     number[0, 0] = np.nan
     data = xr.Dataset(
-        {name: (("y", "x"), heights, {"units": "um"}), "coating_top": (("y", "x"), number, {"units": "um"})},
-        coords={"y": rows, "x": cols}, attrs=frame.attrs(),
-    )  # fmt: skip
+        {
+            name: (("y", "x"), heights, {"units": "um"}),
+            "coating_top": (("y", "x"), number, {"units": "um"}),
+        },
+        coords={"y": rows, "x": cols},
+        attrs=frame.attrs(),
+    )
     scales = {"coating_top": Scale(low=0.0, high=float(heights.size))}
     return Surface(data=data, name=name, maps=("coating_top",), scales=scales)
 
 
 def transform_pair(*, bent):
     """An affine map, with a wave of 3 um on it where ``bent``."""
-    affine = Affine(linear=((0.99, 0.12), (-0.13, 1.01)), source=(900.0, 700.0), target=(1200.0, 800.0))
+    affine = Affine(
+        linear=((0.99, 0.12), (-0.13, 1.01)), source=(900.0, 700.0), target=(1200.0, 800.0)
+    )
 
     def forward(points):
         at = np.asarray(points, dtype=np.float64)
@@ -85,10 +109,20 @@ def transform_pair(*, bent):
     grids = Grid.regular((500, 640), 3.0, (-66.0, -18.0)), Grid.regular((435, 534), 4.0)
     return TransformPair(
         forward=DirectedTransform(
-            source="sheet", target="image", function=forward, grid=grids[0], affine=affine, exact=not bent
+            source="sheet",
+            target="image",
+            function=forward,
+            grid=grids[0],
+            affine=affine,
+            exact=not bent,
         ),
         back=DirectedTransform(
-            source="image", target="sheet", function=back, grid=grids[1], affine=affine.inverse, exact=not bent
+            source="image",
+            target="sheet",
+            function=back,
+            grid=grids[1],
+            affine=affine.inverse,
+            exact=not bent,
         ),
         model="averaged",
-    )  # fmt: skip
+    )

@@ -27,7 +27,9 @@ def values(content, name):
 
 def same(found, content, name):
     """Equal to float32, and NaN at the same pixels."""
-    np.testing.assert_array_equal(np.asarray(found, np.float32), values(content, name).astype(np.float32))
+    np.testing.assert_array_equal(
+        np.asarray(found, np.float32), values(content, name).astype(np.float32)
+    )
 
 
 def test_a_tiff_has_named_channels_a_size_in_um_and_bytes_for_truth_alone(tmp_path):
@@ -60,11 +62,17 @@ def test_an_ome_tiff_says_size_place_and_channels(tmp_path):
     assert (float(pixels.get("PhysicalSizeY")), float(pixels.get("PhysicalSizeX"))) == PIXEL_UM
     assert pixels.get("PhysicalSizeXUnit") == "µm"
     assert [c.get("Name") for c in pixels.findall(f"{OME}Channel")] == [
-        "coating_top (um)", "tilt (deg)", "valid", "status",
-    ]  # fmt: skip
+        "coating_top (um)",
+        "tilt (deg)",
+        "valid",
+        "status",
+    ]
     plane = pixels.find(f"{OME}Plane")
     assert (float(plane.get("PositionY")), float(plane.get("PositionX"))) == FIRST_UM
-    assert json.loads(root.find(f"{OME}Image/{OME}Description").text)["study_sha256"] == HISTORY.study_sha256
+    assert (
+        json.loads(root.find(f"{OME}Image/{OME}Description").text)["study_sha256"]
+        == HISTORY.study_sha256
+    )
 
 
 @pytest.mark.parametrize("several", [pytest.param(True, marks=pytest.mark.ci), False])
@@ -82,15 +90,21 @@ def test_an_ome_zarr_is_read_by_another_library(tmp_path, several):
     image = about["ome"]["multiscales"][0]
     assert [axis.get("unit") for axis in image["axes"]][-2:] == ["micrometer", "micrometer"]
     finest = image["datasets"][0]["coordinateTransformations"]
-    assert (tuple(finest[0]["scale"][-2:]), tuple(finest[1]["translation"][-2:])) == (PIXEL_UM, FIRST_UM)
+    assert (tuple(finest[0]["scale"][-2:]), tuple(finest[1]["translation"][-2:])) == (
+        PIXEL_UM,
+        FIRST_UM,
+    )
     assert json.loads(about["planish"]["history"])["study_sha256"] == HISTORY.study_sha256
     for k, name in enumerate(content.names):
         same(level(0)[k] if several else level(0), content, name)
     assert len(image["datasets"]) == 3  # the last one has at most 512 pixels a side
     coarse = level(2)[0] if several else level(2)
     part = values(content, "coating_top")[4:8, 8:12]
-    np.testing.assert_allclose(coarse[1, 2], np.nanmean([[np.nanmean(part[a : a + 2, b : b + 2]) for b in (0, 2)]
-                                                        for a in (0, 2)]), rtol=1e-6)  # fmt: skip
+    np.testing.assert_allclose(
+        coarse[1, 2],
+        np.nanmean([[np.nanmean(part[a : a + 2, b : b + 2]) for b in (0, 2)] for a in (0, 2)]),
+        rtol=1e-6,
+    )
     second = image["datasets"][1]["coordinateTransformations"]
     assert second[1]["translation"][-1] == pytest.approx(FIRST_UM[1] + PIXEL_UM[1] / 2)
 
@@ -117,14 +131,20 @@ def test_a_matlab_file_is_read_without_scipy(tmp_path, version, read):
     content = maps((60, 110))
     path = written(content, tmp_path / "maps.mat", "mat", mat_version=version)
     if version == "7.3":
-        assert (path.read_bytes()[:20], path.read_bytes()[124:128]) == (b"MATLAB 7.3 MAT-file,", b"\x00\x02IM")
+        assert (path.read_bytes()[:20], path.read_bytes()[124:128]) == (
+            b"MATLAB 7.3 MAT-file,",
+            b"\x00\x02IM",
+        )
     found = read(str(path))
     for name in content.names:
         same(found[name], content, name)
     assert tuple(found["pixel_um"]) == PIXEL_UM
     for axis in "xy":
         np.testing.assert_array_equal(found[f"{axis}_um"], content.data[axis].values)
-    assert (found["units"]["tilt"], found["titles"]["coating_top"]) == ("deg", "Coating thickness, top side")
+    assert (found["units"]["tilt"], found["titles"]["coating_top"]) == (
+        "deg",
+        "Coating thickness, top side",
+    )
     assert json.loads(found["history"])["study_sha256"] == HISTORY.study_sha256
 
 
@@ -163,9 +183,10 @@ def test_a_matrix_of_text(tmp_path):
     head = [line for line in path.read_text(encoding="utf-8").split("\n") if line.startswith("#")]
     assert head[0] == "# coating_top: Coating thickness, top side"
     assert head[1:4] == [
-        "# unit: um", "# pixel: 1.37 um along x, 2.6 um along y",
+        "# unit: um",
+        "# pixel: 1.37 um along x, 2.6 um along y",
         "# middle of the first pixel: x = -66.0 um, y = -18.2 um",
-    ]  # fmt: skip
+    ]
     assert json.loads(head[-1][2:])["study_sha256"] == HISTORY.study_sha256
 
 
@@ -210,7 +231,9 @@ def test_a_table_of_points_holds_means_over_valid_pixels_and_no_less(tmp_path):
 @pytest.mark.ci
 def test_pictures_show_the_pixels_in_their_colours(tmp_path):
     content = Maps(
-        data=maps((60, 110)).data[["coating_top"]], group="linked", scales={"coating_top": Scale(low=0.0, high=40.0)}
+        data=maps((60, 110)).data[["coating_top"]],
+        group="linked",
+        scales={"coating_top": Scale(low=0.0, high=40.0)},
     )
     with Image.open(written(content, tmp_path / "map.png", "png")) as image:
         pixels = np.asarray(image.convert("RGB"))
@@ -221,7 +244,8 @@ def test_pictures_show_the_pixels_in_their_colours(tmp_path):
 
     root = ET.fromstring(written(content, tmp_path / "map.svg", "svg").read_text(encoding="utf-8"))
     drawn = next(root.iter("{http://www.w3.org/2000/svg}image"))
-    assert drawn.get("transform").startswith("scale(1 -1)")  # its last row is the first one that is seen
+    # Its last row is the first one that is seen.
+    assert drawn.get("transform").startswith("scale(1 -1)")
     coded = drawn.get("{http://www.w3.org/1999/xlink}href").partition(",")[2]
     inside = np.asarray(Image.open(io.BytesIO(base64.b64decode(coded))).convert("RGB"))[::-1]
     assert inside.shape[:2] == (1025, 9 * 110)
@@ -252,7 +276,9 @@ def test_large_pictures_and_stacks_are_averaged_or_refused(tmp_path, monkeypatch
     monkeypatch.setattr(tiff, "MOST", 100_000)
     written(maps((60, 110)).only("tilt"), tmp_path / "one.tif", "tiff")
     written(maps((60, 110)), tmp_path / "all.ome.tif", "ome-tiff")
-    with pytest.raises(ResourceError, match=r"holds 4 GB. Give to=.ome-tiff., or a folder for a file each"):
+    with pytest.raises(
+        ResourceError, match=r"holds 4 GB. Give to=.ome-tiff., or a folder for a file each"
+    ):
         written(maps((60, 110)), tmp_path / "all.tif", "tiff")
 
 

@@ -25,15 +25,22 @@ def folder(tmp_path, to, *, bent, unit="um"):
     endings = form.endings_of(affine=not bent)
     for content in (pair.forward, pair.back) if form.apart else (pair,):
         name = content.name if form.apart else pair.forward.name
-        writer_of(to)(content, tmp_path / f"{name}{endings[0]}", HISTORY, ExportParams(to=to, unit=unit))
+        writer_of(to)(
+            content, tmp_path / f"{name}{endings[0]}", HISTORY, ExportParams(to=to, unit=unit)
+        )
     names = ("sheet_to_image", "image_to_sheet") if form.apart else ("sheet_to_image",)
-    assert {f"{name}{ending}" for name in names for ending in endings} == {path.name for path in tmp_path.iterdir()}
+    assert {f"{name}{ending}" for name in names for ending in endings} == {
+        path.name for path in tmp_path.iterdir()
+    }
     return tmp_path
 
 
 def pairs(bent):
     both = transform_pair(bent=bent)
-    return (("sheet_to_image", SHEET, both.forward.function), ("image_to_sheet", IMAGE, both.back.function))
+    return (
+        ("sheet_to_image", SHEET, both.forward.function),
+        ("image_to_sheet", IMAGE, both.back.function),
+    )
 
 
 @pytest.mark.parametrize(("bent", "unit"), [(False, "um"), (True, "mm")])
@@ -44,11 +51,17 @@ def test_itk_reads_the_transform(tmp_path, bent, unit):
         text = (place / f"{name}.tfm").read_text(encoding="utf-8")
         assert HISTORY.study_sha256 in text
         transform = sitk.ReadTransform(str(place / f"{name}.tfm"))
-        found = np.array([transform.TransformPoint(point) for point in (points * scale).tolist()]) / scale
+        found = (
+            np.array([transform.TransformPoint(point) for point in (points * scale).tolist()])
+            / scale
+        )
         assert np.abs(found - function(points)).max() < (LIMIT_UM if bent else 1e-6)
         # Far beside the layer the affine map holds, not the identity.
         far = [30000.0 * scale, -20000.0 * scale]
-        off = np.array(transform.TransformPoint(far)) / scale - function(np.array([[30000.0, -20000.0]]))[0]
+        off = (
+            np.array(transform.TransformPoint(far)) / scale
+            - function(np.array([[30000.0, -20000.0]]))[0]
+        )
         assert np.abs(off).max() < 10.0
 
 
@@ -73,10 +86,15 @@ def test_the_store_of_fields_is_read_by_another_library(tmp_path):
     for name, points, function in pairs(bent=True):
         spec = {"driver": "zarr3", "kvstore": {"driver": "file", "path": ""}}
         x, y, dx, dy = (
-            ts.open(spec | {"kvstore": {"driver": "file", "path": str(place / name / key)}}).result().read().result()
+            ts.open(spec | {"kvstore": {"driver": "file", "path": str(place / name / key)}})
+            .result()
+            .read()
+            .result()
             for key in ("x", "y", "displacement_x", "displacement_y")
         )
-        moved = points + RegularGridInterpolator((y, x), np.stack([dx, dy], axis=-1))(points[:, ::-1])
+        moved = points + RegularGridInterpolator((y, x), np.stack([dx, dy], axis=-1))(
+            points[:, ::-1]
+        )
         assert np.abs(moved - function(points)).max() < LIMIT_UM
 
 
@@ -99,12 +117,17 @@ def test_elastix_parameters_are_the_map(tmp_path, bent):
         if bent:
             assert last["InitialTransformParametersFileName"] == f'"{name}_local.txt"'
             local = parameters(place / f"{name}_local.txt")
-            assert (local["Transform"], local["BSplineTransformSplineOrder"]) == ('"BSplineTransform"', "1")
+            assert (local["Transform"], local["BSplineTransformSplineOrder"]) == (
+                '"BSplineTransform"',
+                "1",
+            )
             cols, rows = numbers(local["GridSize"]).astype(int)
             values = numbers(local["TransformParameters"]).reshape(2, rows, cols)
             origin, pitch = numbers(local["GridOrigin"]), numbers(local["GridSpacing"])
             index = ((points - origin) / pitch).T[::-1]
-            at = points + np.stack([map_coordinates(part, index, order=1) for part in values], axis=1)
+            at = points + np.stack(
+                [map_coordinates(part, index, order=1) for part in values], axis=1
+            )
         linear = numbers(last["TransformParameters"])
         middle = numbers(last["CenterOfRotationPoint"])
         moved = (at - middle) @ linear[:4].reshape(2, 2).T + middle + linear[4:]
@@ -124,9 +147,14 @@ def test_a_field_is_as_fine_as_needed_and_missing_values_take_the_affine_map():
     assert 10.0 < bent.pitch_um < 100.0
     assert bent.error_um <= 3.0 / 400
     # 3 um x (2 pi / 900 um)^2 / 8 x pitch^2 is what a wave leaves between nodes, in each direction.
-    assert bent.error_um == pytest.approx(np.sqrt(2) * 3.0 * (2 * np.pi / 900) ** 2 / 8 * bent.pitch_um**2, rel=0.3)
+    assert bent.error_um == pytest.approx(
+        np.sqrt(2) * 3.0 * (2 * np.pi / 900) ** 2 / 8 * bent.pitch_um**2, rel=0.3
+    )
     both = transform_pair(bent=True).forward
-    cut = replace(both, function=lambda points: np.where(points[..., :1] > 500.0, np.nan, both.function(points)))
+    cut = replace(
+        both,
+        function=lambda points: np.where(points[..., :1] > 500.0, np.nan, both.function(points)),
+    )
     field = transforms.before_affine(cut)
     assert field.n_filled > 0
     assert np.isfinite(field.vectors).all()

@@ -27,18 +27,23 @@ def test_nodes_and_all_maps(tmp_path, to, name):
     np.testing.assert_array_equal(found.points, points)
     np.testing.assert_array_equal(found.point_data["coating_top_um"], values)
     (cells,) = found.cells
-    assert (cells.type, len(cells)) == ("quad", 29 * 39 - 5 * 6)  # a hole of 4 x 5 nodes takes 5 x 6 cells
+    # a hole of 4 x 5 nodes takes 5 x 6 cells.
+    assert (cells.type, len(cells)) == ("quad", 29 * 39 - 5 * 6)
     assert HISTORY.study_sha256.encode() in path.read_bytes()
     assert b"x, y, z of the volume" in path.read_bytes()
 
 
 def test_ply_obj_and_stl_have_colours(tmp_path):
     found = meshio.read(written(surface(), tmp_path / "top.ply", "ply"))
-    colours = np.stack([found.point_data[c] for c in ("red", "green", "blue")], axis=1).astype(np.uint8)
+    colours = np.stack([found.point_data[c] for c in ("red", "green", "blue")], axis=1).astype(
+        np.uint8
+    )
     assert colours[0].tolist() == [212, 214, 216]  # the first one has no value
     from matplotlib import colormaps
 
-    assert colours[100].tolist() == [int(v) for v in colormaps["viridis"](100 / 1200, bytes=True)[:3]]
+    assert colours[100].tolist() == [
+        int(v) for v in colormaps["viridis"](100 / 1200, bytes=True)[:3]
+    ]
     path = written(surface(), tmp_path / "top.obj", "obj")
     found = meshio.read(path)
     points, _ = expected()
@@ -78,13 +83,20 @@ def test_a_mesh_takes_every_kth_column_and_turns_y_as_displayed():
         meshes.mesh_of(surface(), PARAMS.model_copy(update={"mesh_um": 6.0})),
     )
     assert len(coarse.points) == 15 * 14 - 2 * 2  # without those in the hole
-    assert {tuple(row) for row in coarse.points.tolist()} <= {tuple(row) for row in fine.points.tolist()}
-    plain, seen = (meshes.mesh_of(surface(), PARAMS.model_copy(update={"as_seen": flag})) for flag in (False, True))
+    assert {tuple(row) for row in coarse.points.tolist()} <= {
+        tuple(row) for row in fine.points.tolist()
+    }
+    plain, seen = (
+        meshes.mesh_of(surface(), PARAMS.model_copy(update={"as_seen": flag}))
+        for flag in (False, True)
+    )
     np.testing.assert_array_equal(seen.points, plain.points * [1, -1, 1])
     assert "sign turned" in seen.description
 
 
-@pytest.mark.parametrize(("mesh_um", "words"), [(1.0, "less than a column of 3 um"), (500.0, "no cell at these nodes")])
+@pytest.mark.parametrize(
+    ("mesh_um", "words"), [(1.0, "less than a column of 3 um"), (500.0, "no cell at these nodes")]
+)
 def test_a_mesh_that_cannot_be_is_refused(mesh_um, words):
     with pytest.raises(StudyError, match=words):
         meshes.mesh_of(surface(), PARAMS.model_copy(update={"mesh_um": mesh_um}))

@@ -23,7 +23,9 @@ def on_cylinder(uv, radius, angle=0.0):
     c, s = np.cos(angle), np.sin(angle)
     along, across = c * uv[..., 0] + s * uv[..., 1], c * uv[..., 1] - s * uv[..., 0]
     x = radius * np.sin(along / radius)
-    return np.stack([c * x - s * across, s * x + c * across, radius * np.cos(along / radius)], axis=-1)
+    return np.stack(
+        [c * x - s * across, s * x + c * across, radius * np.cos(along / radius)], axis=-1
+    )
 
 
 def on_sphere(uv, radius):

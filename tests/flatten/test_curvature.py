@@ -40,9 +40,11 @@ def test_angles_and_patches_equal_their_slow_twins():
     points = rng.normal(0, 0.2, (7, 9, 3)) + sphere(7, 9, 1.0, 20.0)
     points[3, 4] = np.nan
     lacking, area = curvature._deficit_and_area(points)
-    np.testing.assert_allclose(lacking, slow_turn(points), atol=1e-7)  # acos loses half the digits near 0
+    # Acos loses half the digits near 0.
+    np.testing.assert_allclose(lacking, slow_turn(points), atol=1e-7)
     assert np.array_equal(np.isnan(area), np.isnan(lacking))
-    assert np.count_nonzero(np.isnan(lacking[1:-1, 1:-1])) == 7  # the node and the six whose triangles it has
+    # The node and the six whose triangles it has.
+    assert np.count_nonzero(np.isnan(lacking[1:-1, 1:-1])) == 7
     # In the middle of a sheet of eight half-sizes no outline is felt; the window ends at 3 sigma: 1 % is left.
     x, y = plan(161, 161, 50.0)
     points = np.stack([x, y, 20 * np.sin(x / 700) * np.cos(y / 900)], axis=-1)
@@ -68,12 +70,15 @@ def test_a_sphere_in_any_unit_of_length():
 def test_the_grid_may_lie_on_the_surface_as_it_likes():
     """Longitudes and latitudes of a sphere, and the same points turned: no height field, cells of all shapes."""
     lat, lon = np.meshgrid(np.linspace(-1.2, 1.2, 150), np.linspace(0.0, 3.0, 170), indexing="ij")
-    points = 300 * np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
+    points = 300 * np.stack(
+        [np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1
+    )
     for one in (points, points[::-1]):
         found = curvature_check(one, patch_um=40.0).curvature
         known = np.isfinite(found)
         assert known.mean() > 0.8
-        np.testing.assert_allclose(found[known] * 300**2, 1.0, rtol=2e-3)  # (3 / 170)^2 = 3e-4 and its like
+        # (3 / 170)^2 = 3e-4 and its like.
+        np.testing.assert_allclose(found[known] * 300**2, 1.0, rtol=2e-3)
 
 
 @pytest.mark.parametrize("degrees", [0, 17, 135])

@@ -23,7 +23,10 @@ def area(p, q, r):
 def slow_strain(points, uv):
     """Cell by cell, the Jacobian in an orthonormal frame and its singular values by numpy."""
     cells = points.shape[0] - 1, points.shape[1] - 1
-    out = {name: np.full(cells, np.nan) for name in ("stretch_max", "stretch_min", "shear", "signed_area")}
+    out = {
+        name: np.full(cells, np.nan)
+        for name in ("stretch_max", "stretch_min", "shear", "signed_area")
+    }
     for i, j in np.ndindex(cells):
         edges = []
         for nodes in (points, uv):
@@ -47,7 +50,9 @@ def test_cell_strain_equals_the_slow_twin(noise):
     # far below any strain of interest; stretches of these cells are of the order of 1
     for name, values in slow.items():
         np.testing.assert_allclose(found[name], values, atol=1e-7, err_msg=name)
-    np.testing.assert_allclose(found["area_ratio"], slow["stretch_max"] * slow["stretch_min"], atol=1e-7)
+    np.testing.assert_allclose(
+        found["area_ratio"], slow["stretch_max"] * slow["stretch_min"], atol=1e-7
+    )
 
 
 def test_blocks_of_rows_make_no_difference():
@@ -67,9 +72,15 @@ def test_uniform_stretch_and_pure_shear_are_measured_exactly():
     points = in_space(grid(6, 8, 5.0), 0.3)
     strain = cell_strain(points, grid(6, 8, 5.0) * [1.02, 0.98])
     expected = {
-        "stretch_max": 1.02, "stretch_min": 0.98, "area_ratio": 1.02 * 0.98, "anisotropy": 1.02 / 0.98,
-        "axial_u": 0.02, "axial_v": -0.02, "shear": 0.0, "signed_area": 0.5 * 25 * 1.02 * 0.98,
-    }  # fmt: skip
+        "stretch_max": 1.02,
+        "stretch_min": 0.98,
+        "area_ratio": 1.02 * 0.98,
+        "anisotropy": 1.02 / 0.98,
+        "axial_u": 0.02,
+        "axial_v": -0.02,
+        "shear": 0.0,
+        "signed_area": 0.5 * 25 * 1.02 * 0.98,
+    }
     assert set(strain) == set(expected)
     for name, value in expected.items():
         np.testing.assert_allclose(strain[name], value, atol=1e-12, err_msg=name)
@@ -153,8 +164,11 @@ def test_boundaries_and_displacements_are_measured():
 
 
 @given(
-    grown=st.floats(0.9, 1.2), uneven=st.floats(1.001, 1.1), axis=st.floats(1.0, 179.0), turn=st.floats(-3.0, 3.0)
-)  # fmt: skip
+    grown=st.floats(0.9, 1.2),
+    uneven=st.floats(1.001, 1.1),
+    axis=st.floats(1.0, 179.0),
+    turn=st.floats(-3.0, 3.0),
+)
 @settings(max_examples=15)
 def test_growth_against_the_projection(grown, uneven, axis, turn):
     """An affine map made of its parts; the square's similarity scale is the mean of the two singular values."""
@@ -177,14 +191,27 @@ def test_spread_of_a_known_distribution_of_a_row_and_of_no_cell():
     points = in_space(grid(4, 102))
     strain = cell_strain(points, uv)
     found = measured(points, uv, strain=strain).axial_u
-    assert (found.median, found.p5, found.p95, found.max_abs) == pytest.approx((0.01, 0.001, 0.019, 0.02))
+    assert (found.median, found.p5, found.p95, found.max_abs) == pytest.approx(
+        (0.01, 0.001, 0.019, 0.02)
+    )
     assert found.p95_abs == pytest.approx(0.019)
     uv = grid(2, 9)
     found = measured(in_space(uv), 1.01 * uv)
-    assert (found.cells, found.geodesics.used, found.axial_v.median) == (8, 1000, pytest.approx(0.01))
+    assert (found.cells, found.geodesics.used, found.axial_v.median) == (
+        8,
+        1000,
+        pytest.approx(0.01),
+    )
     points = np.full((3, 3, 3), np.nan)
     nothing = measured(points, points[..., :2])
-    assert (nothing.cells, nothing.inverted_cells, nothing.boundary_flat_um, nothing.geodesics.used) == (0, 0, 0.0, 0)
-    assert np.isnan([nothing.area.median, nothing.growth_percent, nothing.displacement_max_um]).all()
+    assert (
+        nothing.cells,
+        nothing.inverted_cells,
+        nothing.boundary_flat_um,
+        nothing.geodesics.used,
+    ) == (0, 0, 0.0, 0)
+    assert np.isnan(
+        [nothing.area.median, nothing.growth_percent, nothing.displacement_max_um]
+    ).all()
     on_edge = np.stack([uv[..., 0], np.zeros((2, 9)), uv[..., 1]], axis=-1)
     assert np.isnan(measured(on_edge, uv).growth_anisotropy_percent)

@@ -60,7 +60,10 @@ def test_traced_lengths_equal_the_slow_twin(seed):
     start, end = distortion.random_places(whole, 12, rng), distortion.random_places(whole, 12, rng)
     flat, space = distortion.trace_lines(points, uv, start, end)
     p, q = start.on(uv), end.on(uv)
-    slow = [slow_length(points, uv, *ends) for ends in zip(p, q, start.on(points), end.on(points), strict=True)]
+    slow = [
+        slow_length(points, uv, *ends)
+        for ends in zip(p, q, start.on(points), end.on(points), strict=True)
+    ]
     np.testing.assert_allclose(flat, np.linalg.norm(q - p, axis=1))
     np.testing.assert_allclose(space, slow, rtol=1e-9)
 
@@ -74,14 +77,19 @@ def test_lines_through_nodes_do_no_harm(direction):
     """A quarter of the way from one node of a regular mesh to one in line with it, to as far before a third."""
     uv = grid(12, 12, 7.0)
     points = in_space(uv)
-    node, d = np.array([8 if direction[0] < 0 else 2, 8 if direction[1] < 0 else 2]), np.array(direction)
+    node, d = (
+        np.array([8 if direction[0] < 0 else 2, 8 if direction[1] < 0 else 2]),
+        np.array(direction),
+    )
     ends = []
     for at in (node + d / 4, node + 3 * d - d / 4):
         cell = np.floor(at).astype(int)
         x, y = at - cell
         half, weights = (0, [1 - x, x - y, y]) if x > y else (1, [1 - y, x, y - x])
         shares = np.array([weights], dtype=float)
-        ends.append(distortion.MeshPoints(row=cell[1:], col=cell[:1], half=np.array([half]), weights=shares))
+        ends.append(
+            distortion.MeshPoints(row=cell[1:], col=cell[:1], half=np.array([half]), weights=shares)
+        )
     flat, space = distortion.trace_lines(points, uv, *ends)
     assert (flat, space) == (pytest.approx([7 * 2.5 * np.hypot(*direction)]), pytest.approx(flat))
 
@@ -109,7 +117,10 @@ def test_great_circles_of_a_cap():
     end = distortion.random_places(whole, 300, np.random.default_rng(0))
     ones = np.ones(300, dtype=np.intp)
     middle = distortion.MeshPoints(
-        row=40 * ones, col=40 * ones, half=0 * ones, weights=np.tile([0.998, 0.001, 0.001], (300, 1))
+        row=40 * ones,
+        col=40 * ones,
+        half=0 * ones,
+        weights=np.tile([0.998, 0.001, 0.001], (300, 1)),
     )
     flat, space = distortion.trace_lines(points, uv, middle, end)
     # chords of 20 um, 28 um along the diagonal

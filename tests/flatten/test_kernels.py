@@ -80,12 +80,27 @@ def test_smoothing(mesh, cuts, kind):
     f = at_nodes(level, network, force)
     first = {0: 0.6 * ease[:, None] * f, 2: at_nodes(level, network, move)}
     first[1] = first[2] + fine_from(coarse, level)[network.mask]
-    expected = first[kind] + 0.8 * ease[:, None] * (f - (matrix @ first[kind].ravel()).reshape(-1, 2))
+    expected = first[kind] + 0.8 * ease[:, None] * (
+        f - (matrix @ first[kind].ravel()).reshape(-1, 2)
+    )
     parts = list(itertools.pairwise(cuts))
     edges = [np.ascontiguousarray(move[:, [a - 1, b]]) for a, b in parts]
     for edge, (a, b) in zip(edges, parts, strict=True):
-        smooth(kind, level.near, level.stiff, level.ease, force, coarse, move, edge, np.float32(0.6),
-               np.float32(0.8), 14, a, b)  # fmt: skip
+        smooth(
+            kind,
+            level.near,
+            level.stiff,
+            level.ease,
+            force,
+            coarse,
+            move,
+            edge,
+            np.float32(0.6),
+            np.float32(0.8),
+            14,
+            a,
+            b,
+        )
     np.testing.assert_allclose(at_nodes(level, network, move), expected, atol=5e-6)
 
 
@@ -131,7 +146,9 @@ def test_coarse_springs_and_interpolation_are_exact():
                 energy = fine.energy(np.argwhere(fine.mask)[:, ::-1] @ np.array(strain))
                 coarse = levels.halve(level, team)
                 net = direct.Network.of(coarse)
-                assert net.energy(2.0 * np.argwhere(net.mask)[:, ::-1] @ np.array(strain)) == pytest.approx(energy)
+                assert net.energy(
+                    2.0 * np.argwhere(net.mask)[:, ::-1] @ np.array(strain)
+                ) == pytest.approx(energy)
     i, j = np.mgrid[0:9, 0:12].astype(float)
     coarse = levels.bordered(9, 12, np.float64)
     coarse[:, 1:10, 1:13] = np.stack([i**3 - j * i, 0.5 * j**3 + i])
@@ -149,7 +166,9 @@ def test_newton_s_method_finds_rest():
     rest = levels.padded(4, 5, 6, np.float64)
     rest[0, 1:6, 1:6] = rest[1, 1:5, 1:7] = 1.0
     rest[2:, 1:5, 1:6] = np.sqrt(2)
-    network = direct.Network.of(levels.Level(5, 6, [(1, 6)], rest, np.ones((4, 1, rest.shape[2]), np.float32)))
+    network = direct.Network.of(
+        levels.Level(5, 6, [(1, 6)], rest, np.ones((4, 1, rest.shape[2]), np.float32))
+    )
     rng = np.random.default_rng(0)
     uv = np.argwhere(network.mask)[:, ::-1] + rng.normal(0, 0.15, (30, 2))
     assert network.energy(direct.relax_exactly(network, uv)) < 1e-20

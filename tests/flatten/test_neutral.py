@@ -26,12 +26,18 @@ def rolled(offset=OFFSET, frame=None):
     y, x = np.arange(0, 800, 8.0), np.arange(-900, 901, 8.0)
     angle = np.broadcast_to(np.arcsin(x / RADIUS), (y.size, x.size))
     centre = RADIUS * np.cos(angle)
-    data = {"centre": centre, "base_middle": offset / np.cos(angle), "centre_shorter": np.zeros(centre.shape)}
+    data = {
+        "centre": centre,
+        "base_middle": offset / np.cos(angle),
+        "centre_shorter": np.zeros(centre.shape),
+    }
     attrs = (frame or Frame()).attrs() | {"thickness_um": 80.0}
     return xr.Dataset({k: (("y", "x"), v) for k, v in data.items()}, {"y": y, "x": x}, attrs), angle
 
 
-@pytest.mark.parametrize(("neutral", "radius"), [(None, RADIUS + OFFSET), ("base", RADIUS + OFFSET), ("faces", RADIUS)])
+@pytest.mark.parametrize(
+    ("neutral", "radius"), [(None, RADIUS + OFFSET), ("base", RADIUS + OFFSET), ("faces", RADIUS)]
+)
 def test_a_rolled_sheet_has_the_length_of_its_neutral_surface(neutral, radius):
     surfaces, angle = rolled()
     found = flatten_sheet(surfaces, params=FlattenParams(neutral=neutral, mesh_um=24.0))
@@ -61,7 +67,9 @@ def test_what_another_surface_moves(frame, monkeypatch):
         hand = -1.0 if frame.mirrored else 1.0
         at = hand * -OFFSET * np.arcsin(moves["x"].values / RADIUS)
         along = moves["faces_u"].values
-        np.testing.assert_allclose(along - along.mean(), np.broadcast_to(at, along.shape), atol=0.02)
+        np.testing.assert_allclose(
+            along - along.mean(), np.broadcast_to(at, along.shape), atol=0.02
+        )
         found.append(moves["faces_v"].values)
         assert np.ptp(found[-1]) < 0.02
 
@@ -77,7 +85,10 @@ def test_shares_of_the_error_of_a_place():
     known[:3] = np.nan
     found = errors_of({"surfaces": surfaces, "flat": flat}, fit, grid, known)
     assert set(found) == {"expected_error", "error_marks", "error_neutral", "error_smoothing"}
-    squares = sum(found[f"error_{name}"].values.astype(float) ** 2 for name in ("marks", "neutral", "smoothing"))
+    squares = sum(
+        found[f"error_{name}"].values.astype(float) ** 2
+        for name in ("marks", "neutral", "smoothing")
+    )
     np.testing.assert_allclose(found["expected_error"].values ** 2, squares, rtol=1e-5)
     assert np.isnan(found["expected_error"].values[:3]).all()
     # a place in the flat map is a length: its angle is the length over the radius
@@ -100,7 +111,9 @@ def test_no_coating_seen_leaves_a_hundredth_of_the_thickness_and_sections_their_
     marks = np.array([[-700, 100.0], [600, 80], [-500, 700], [750, 650], [0, 300]])
     fit = fit_transform(marks, marks + np.array([[0.5, 0], [0, 0.5], [-0.5, 0], [0, -0.5], [0, 0]]))
     grid = Grid(y_um=np.arange(100, 700, 50.0), x_um=np.arange(-800, 800, 50.0))
-    shifts = {f"shift_{k}": ("section", np.resize([-s, s], 600)) for k, s in (("row", 1.0), ("col", 2.0))}
+    shifts = {
+        f"shift_{k}": ("section", np.resize([-s, s], 600)) for k, s in (("row", 1.0), ("col", 2.0))
+    }
     # What the alignment left, more than it sees of it; and a wander of a tenth of the shifts a section, held at sqrt(5)
     # places by 5 marks, unless the stage showed it.
     for fixed, wander in (([], np.hypot(0.1, 0.2)), (["col"], 0.1), (["row", "col"], 0.0)):
@@ -111,4 +124,6 @@ def test_no_coating_seen_leaves_a_hundredth_of_the_thickness_and_sections_their_
     stated = errors_of({"surfaces": surfaces, "flat": flat}, fit, grid)
     # an offset of 0.8 um against one of 4 um, of which faces state NEUTRAL["faces"]
     ratio = found["error_neutral"].values / stated["error_neutral"].values
-    np.testing.assert_allclose(np.median(ratio), 0.8 / (OFFSET * position_error.NEUTRAL["faces"]), rtol=0.05)
+    np.testing.assert_allclose(
+        np.median(ratio), 0.8 / (OFFSET * position_error.NEUTRAL["faces"]), rtol=0.05
+    )

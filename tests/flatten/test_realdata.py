@@ -34,10 +34,16 @@ def test_a_tissue_is_flattened_with_less_distortion_than_by_its_author(shared_da
     author = np.stack([cols, rows], axis=-1) * typical
     figures = []
     for uv in (found.uv, author):
-        strain = np.concatenate([e[np.isfinite(e)] for e in edge_strain(sure, np.where(known[..., None], uv, np.nan))])
+        strain = np.concatenate(
+            [e[np.isfinite(e)] for e in edge_strain(sure, np.where(known[..., None], uv, np.nan))]
+        )
         strain = (1 + strain) / np.median(1 + strain) - 1
-        lines = geodesic_error(sure, np.where(np.isfinite(sure[..., :2]), uv, np.nan), rng=np.random.default_rng(0))
-        figures.append([np.sqrt(np.mean(strain**2)), *np.percentile(np.abs(strain), [50, 95, 99]), lines.p95])
+        lines = geodesic_error(
+            sure, np.where(np.isfinite(sure[..., :2]), uv, np.nan), rng=np.random.default_rng(0)
+        )
+        figures.append(
+            [np.sqrt(np.mean(strain**2)), *np.percentile(np.abs(strain), [50, 95, 99]), lines.p95]
+        )
     assert all(ours < theirs for ours, theirs in zip(*figures, strict=True))
 
 
@@ -46,7 +52,9 @@ def test_topographies(shared_data, name):
     data = np.load(shared_data("heightmaps") / f"{name}.npz")
     height, size = 1e6 * data["heights_m"], 1e6 * data["size_xy_m"]
     pitch = size / height.shape
-    x, y = np.meshgrid(*(np.arange(n) * p for n, p in zip(height.shape, pitch, strict=True)), indexing="ij")
+    x, y = np.meshgrid(
+        *(np.arange(n) * p for n, p in zip(height.shape, pitch, strict=True)), indexing="ij"
+    )
     points = np.stack([x, y, height], axis=-1)
     labels, count = ndimage.label(np.isfinite(height), structure=np.ones((3, 3)))
     if count > 1:
@@ -60,7 +68,9 @@ def test_topographies(shared_data, name):
     if name == "matrix-2_txt":
         # Steps of up to 80 degrees between neighbours; every marked cell lies on one of more than 60.
         assert found.outcome is Outcome.HELD_OPEN
-        down, right = (np.abs(np.diff(height, axis=k)) / pitch[k] > np.tan(np.deg2rad(60)) for k in (0, 1))
+        down, right = (
+            np.abs(np.diff(height, axis=k)) / pitch[k] > np.tan(np.deg2rad(60)) for k in (0, 1)
+        )
         steep = down[:, :-1] | right[:-1]
         assert found.folded.sum() < 1e-4 * found.folded.size
         assert ndimage.binary_dilation(steep, iterations=3)[found.folded].all()

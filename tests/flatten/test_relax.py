@@ -32,7 +32,9 @@ def rolled(rows, cols, pitch, *, angle):
 def bumpy(rows, cols, *, seed=2, noise=0.0):
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[0:rows, 0:cols].astype(float)
-    z = 0.15 * cols * np.sin(2.1 * x / cols + 1) * np.cos(3.0 * y / rows) + noise * rng.normal(size=x.shape)
+    z = 0.15 * cols * np.sin(2.1 * x / cols + 1) * np.cos(3.0 * y / rows) + noise * rng.normal(
+        size=x.shape
+    )
     return np.stack([x, y, z], axis=-1)
 
 
@@ -63,7 +65,9 @@ def test_arcs_are_right_to_the_fourth_power_of_the_pitch(angle):
     """On a cylinder of radius 40 the chord of a spring is short by up to 1 / (24 40^2) = 2.6e-5 of it."""
     points = on_cylinder(grid(30, 30), 40.0, angle)
     with levels.Team(1) as team:
-        arc, chord = (levels.make_springs(points, 1.0, rest, team)[0].rest for rest in ("arc", "chord"))
+        arc, chord = (
+            levels.make_springs(points, 1.0, rest, team)[0].rest for rest in ("arc", "chord")
+        )
     # Along the rows, where the flat sheet has a pitch of 1, away from the border.
     worst = [np.abs(rest[0, 2:30, 2:29] - 1.0).max() for rest in (arc, chord)]
     assert worst[0] < 2e-6
@@ -125,7 +129,9 @@ def test_flat_stays_flat_and_pitches_may_differ():
 def test_the_result_has_the_handedness_and_place_of_the_start(flip):
     points = 3.0 * bumpy(30, 40) * flip + [500.0, -70.0, 9.0]
     found = laid(points)
-    np.testing.assert_allclose(found.uv.mean(axis=(0, 1)), points[..., :2].mean(axis=(0, 1)), atol=1e-6)
+    np.testing.assert_allclose(
+        found.uv.mean(axis=(0, 1)), points[..., :2].mean(axis=(0, 1)), atol=1e-6
+    )
     assert np.linalg.norm(found.uv - points[..., :2], axis=-1).max() < 0.2 * np.ptp(points[..., 0])
     start = np.stack([points[..., 1], points[..., 0]], axis=-1)
     turned = relax_grid(points, start=start).uv
@@ -235,7 +241,9 @@ def test_specks_are_dropped_and_counted():
     np.testing.assert_array_equal(found.uv, alone.uv)
     assert (found.energy, found.springs) == (alone.energy, alone.springs)
     assert not alone.dropped.any()
-    with pytest.raises(CannotFlatten, match=r"3 unconnected pieces: 960 nodes .*, 8 nodes in rows 3-4 and col"):
+    with pytest.raises(
+        CannotFlatten, match=r"3 unconnected pieces: 960 nodes .*, 8 nodes in rows 3-4 and col"
+    ):
         relax_grid(points, weights=weights, least_share=0.0)
     refused(CannotFlatten, "least share", relax_grid, points, least_share=1.0)
 

@@ -7,7 +7,8 @@ from planish.core.status import Outcome
 from planish.flatten import RelaxationParams, relax_dynamically, relax_grid
 from planish.validate.mesh import rest_lengths, size_errors
 
-TIES = ((0, 0, 0, 1), (0, 0, 1, 0), (0, 0, 1, 1), (0, 1, 1, 0))  # ends of the four springs of a cell: row, column twice
+# Ends of the four springs of a cell: row, column twice.
+TIES = ((0, 0, 0, 1), (0, 0, 1, 0), (0, 0, 1, 1), (0, 1, 1, 0))
 
 
 def deformed(seed, single=0.15):
@@ -59,7 +60,10 @@ def steepest(v, known):
             square = 0.0
             for di, dj in ((1, 0), (0, 1)):
                 after, before = (i + di, j + dj), (i - di, j - dj)
-                ends = [n if 0 <= n[0] < rows and 0 <= n[1] < cols and known[n] else (i, j) for n in (after, before)]
+                ends = [
+                    n if 0 <= n[0] < rows and 0 <= n[1] < cols and known[n] else (i, j)
+                    for n in (after, before)
+                ]
                 apart = sum(abs(p - q) for p, q in zip(*ends, strict=True))
                 if known[i, j] and apart:
                     square += np.sum(((v[ends[0]] - v[ends[1]]) / apart) ** 2)
@@ -96,13 +100,18 @@ def slow_relaxation(start, rest, stiff, p, steps):
             k2 = rate(x + dt / 2 * k1[0], v + dt / 2 * k1[1])
             k3 = rate(x + dt / 2 * k2[0], v + dt / 2 * k2[1])
             k4 = rate(x + dt * k3[0], v + dt * k3[1])
-            x, v = (y + dt / 6 * (a + 2 * b + 2 * d + e) for y, a, b, d, e in zip((x, v), k1, k2, k3, k4, strict=True))
+            x, v = (
+                y + dt / 6 * (a + 2 * b + 2 * d + e)
+                for y, a, b, d, e in zip((x, v), k1, k2, k3, k4, strict=True)
+            )
         else:
             new = predicted(dt)[0]
             x = x + dt * (v if p.integrator == "euler" else new)
             v = new
         f, energy = slow_force(x, springs)
-        history.append((dt, c, steepest(v, known), np.linalg.norm(v[known], axis=-1).mean(), energy))
+        history.append(
+            (dt, c, steepest(v, known), np.linalg.norm(v[known], axis=-1).mean(), energy)
+        )
     return x, np.array(history)
 
 
@@ -178,7 +187,8 @@ def test_the_minimum_is_newton_s():
     newton = relax_grid(points, tolerance=1e-9, rest="chord")
     found = rested(points[..., :2], rest_lengths(points), stop="residual")
     assert np.array_equal(np.isnan(found.uv), np.isnan(points[..., :2]))
-    assert distances(found.uv, newton.uv).max() < 0.005  # 1e-5 over the softest mode's stiffness, (pi / 26)^2
+    # 1e-5 over the softest mode's stiffness, (pi / 26)^2.
+    assert distances(found.uv, newton.uv).max() < 0.005
     assert found.energy == pytest.approx(newton.energy, rel=1e-4)
     assert newton.energy > 0.01
 
@@ -217,7 +227,9 @@ def test_stiffness_sets_the_unit_of_time_and_large_steps_leave_the_finite_number
     flat, start = deformed(3)
     rest = rest_lengths(flat)
     one = relax_dynamically(start, rest, params=RelaxationParams(most_steps=60))
-    four = relax_dynamically(start, rest, stiffness=np.full_like(rest, 4.0), params=RelaxationParams(most_steps=60))
+    four = relax_dynamically(
+        start, rest, stiffness=np.full_like(rest, 4.0), params=RelaxationParams(most_steps=60)
+    )
     assert np.array_equal(one.uv, four.uv)
     assert four.energy == 4 * one.energy
     # The symplectic method is stable below 2 / sqrt(8) = 0.71.
@@ -234,7 +246,8 @@ def test_the_log_keeps_to_the_limits():
     log = found.history
     assert log.step.tolist() == list(range(1, found.steps + 1))
     assert log.dt.max() <= p.dt_max
-    assert (log.dt * log.gradient).max() <= p.a * (1 + 1e-9)  # strain of a step, by the velocity after it
+    # Strain of a step, by the velocity after it.
+    assert (log.dt * log.gradient).max() <= p.a * (1 + 1e-9)
     assert log.c.min() >= p.c_min
     assert (p.b * log.c[1:] - log.gradient[:-1]).min() > -1e-12
     assert log.dt[0] < 0.1 < 1 < log.c[0]  # small steps and high damping at the start

@@ -30,7 +30,10 @@ def test_volumes_and_images_are_what_their_files_give(tmp_path):
     expected = pl.read_volume(tmp_path / "v.tif", voxel_um=(3, 1.5, 1.5), through="y", top="low")
     made = pl.volume(GREYS, voxel_um=(3, 1.5, 1.5), through="y", top="low")
     assert made.drop_attrs().identical(expected.drop_attrs())
-    assert (without_file(made), Frame.of(made)) == (without_file(expected), Frame(through="y", top="low"))
+    assert (without_file(made), Frame.of(made)) == (
+        without_file(expected),
+        Frame(through="y", top="low"),
+    )
     assert made.x.attrs["units"] == "um"
     colour = np.stack([IMAGE, IMAGE // 2, IMAGE // 4], axis=-1)
     for values in (IMAGE, colour):
@@ -42,7 +45,8 @@ def test_volumes_and_images_are_what_their_files_give(tmp_path):
         (tmp_path / "i.tif").unlink()
 
 
-KINDS = [pytest.param(kind, marks=pytest.mark.ci) for kind in ("dask", "xarray of dask")]  # which dask is slow to start
+# Which dask is slow to start.
+KINDS = [pytest.param(kind, marks=pytest.mark.ci) for kind in ("dask", "xarray of dask")]
 KINDS += ["zarr", "xarray", "big-endian", "half"]
 
 
@@ -91,7 +95,8 @@ def test_nothing_is_read_that_is_not_needed(tmp_path):
 @pytest.mark.ci
 def test_zarr_is_imported_only_for_arrays_of_zarr():
     code = (
-        "import sys, numpy, planish; planish.volume(numpy.zeros((9, 9, 9)), voxel_um=1); print('zarr' in sys.modules)"
+        "import sys, numpy, planish; planish.volume(numpy.zeros((9, 9, 9)), voxel_um=1);"
+        " print('zarr' in sys.modules)"
     )
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert shown.stdout.strip() == "False"
@@ -99,7 +104,9 @@ def test_zarr_is_imported_only_for_arrays_of_zarr():
 
 def placed(step=2.0, unit="um", count=12):
     coords = {"z": ("z", np.arange(count) * step, {"units": unit} if unit else {})}
-    coords |= {axis: (axis, np.arange(n) * 2.0, {"units": "um"}) for axis, n in (("y", 30), ("x", 40))}
+    coords |= {
+        axis: (axis, np.arange(n) * 2.0, {"units": "um"}) for axis, n in (("y", 30), ("x", 40))
+    }
     return xr.DataArray(GREYS, dims=("z", "y", "x"), coords=coords)
 
 
@@ -109,7 +116,9 @@ def test_coordinates_in_um_are_the_size():
     assert pl.volume(placed().isel(x=slice(5, None))).x[0] == 10.0  # a part stays where it lies
     assert pl.volume(placed(step=3.0), voxel_um=2, override_size=True).z[1] == 2.0
     coarse = pl.volume(GREYS, voxel_um=2)[::2, ::2, ::2]
-    with pytest.raises(SizeError, match=r"steps of 4, 4, 4 um .* voxel_um says 2, 2, 2\. .*voxel_um=\(4, 4, 4\)"):
+    with pytest.raises(
+        SizeError, match=r"steps of 4, 4, 4 um .* voxel_um says 2, 2, 2\. .*voxel_um=\(4, 4, 4\)"
+    ):
         pl.find_surfaces(coarse)
     assert pl.volume(coarse, voxel_um=(4.0, 4.0, 4.0)).attrs["voxel_um"] == [4.0, 4.0, 4.0]
 
@@ -117,11 +126,19 @@ def test_coordinates_in_um_are_the_size():
 @pytest.mark.parametrize(
     ("array", "size", "words"),
     [
-        (placed(step=3.0), 2, "voxel_um= gives z 2, y 2, x 2 um, but its coordinate grid states z 3, y 2, x 2 um"),
+        (
+            placed(step=3.0),
+            2,
+            "voxel_um= gives z 2, y 2, x 2 um, but its coordinate grid states z 3, y 2, x 2 um",
+        ),
         (placed(unit=None), None, "no voxel size along z.*coordinates without a unit"),
         (placed(unit="mm"), None, "The coordinates along z are in mm; needed are lengths in um"),
         (placed()[::-1], None, "The coordinates along z descend; needed are ascending ones"),
-        (placed()[[0, 1, 2, 5, 6, 9]], None, "The coordinates along z are not regular: their steps are 2 to 6 um"),
+        (
+            placed()[[0, 1, 2, 5, 6, 9]],
+            None,
+            "The coordinates along z are not regular: their steps are 2 to 6 um",
+        ),
         (GREYS, None, r"The volume states no voxel size. Give it with voxel_um=SIZE"),
         (GREYS, "1.5", "voxel_um: '1.5' is not a size"),
     ],
@@ -133,31 +150,51 @@ def test_sizes_that_are_refused(array, size, words):
 @pytest.mark.parametrize(
     ("array", "words"),
     [
-        (GREYS[0], r"has the axes \(z, y, x\), and an array of 30 x 40 with .* was given. Write pl.image"),
+        (
+            GREYS[0],
+            r"has the axes \(z, y, x\), and an array of 30 x 40 with .* was given. Write pl.image",
+        ),
         (GREYS[:1], "The volume is cut off"),
         (GREYS[:, :0], "The volume is cut off"),
         (GREYS.astype(complex), r"has complex128 values.*abs\(array\)"),
         (GREYS > 90, "has bool values.*grey values"),
         (GREYS.astype(object), "has object values"),
-        (xr.DataArray(GREYS, dims=("plane", "row", "col")), r"\(plane, row, col\).*rename\(plane='z'"),
-        (xr.Dataset({"grey": (("z", "y", "x"), GREYS)}), r'a Dataset with grey was given. .*dataset\["NAME"\]'),
+        (
+            xr.DataArray(GREYS, dims=("plane", "row", "col")),
+            r"\(plane, row, col\).*rename\(plane='z'",
+        ),
+        (
+            xr.Dataset({"grey": (("z", "y", "x"), GREYS)}),
+            r'a Dataset with grey was given. .*dataset\["NAME"\]',
+        ),
         (np.ma.masked_less(GREYS, 5), "with NaN for what is masked"),
         ("v.tif", r"a path \('v.tif'\) was given. Write pl.read_volume\('v.tif'\)"),
         (GREYS.tolist(), "a list was given"),
         (None, "None was given"),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_volume_is_refused(array, words):
     refused((InputError, VolumeError), words, pl.volume, array, voxel_um=2)
 
 
 def test_what_is_no_image_is_refused():
-    with pytest.raises(VolumeError, match=r"An image has the axes \(y, x\), and an array of 4 x 5 x 7"):
+    with pytest.raises(
+        VolumeError, match=r"An image has the axes \(y, x\), and an array of 4 x 5 x 7"
+    ):
         pl.image(np.zeros((4, 5, 7)), pixel_um=2)
-    with pytest.raises(InputError, match="side='front' is not possible; needed is 'top' or 'bottom'"):
+    with pytest.raises(
+        InputError, match="side='front' is not possible; needed is 'top' or 'bottom'"
+    ):
         pl.image(IMAGE, pixel_um=2, side="front")
-    refused(SizeError, r"The image states no pixel size. Give it with pixel_um=SIZE \(or Y,X\)", pl.image, IMAGE)
-    refused(InputError, "Choose luminance with channel=", pl.image, IMAGE, pixel_um=2, channel="red")
+    refused(
+        SizeError,
+        r"The image states no pixel size. Give it with pixel_um=SIZE \(or Y,X\)",
+        pl.image,
+        IMAGE,
+    )
+    refused(
+        InputError, "Choose luminance with channel=", pl.image, IMAGE, pixel_um=2, channel="red"
+    )
 
 
 def test_holes_follow_the_side_of_the_image():

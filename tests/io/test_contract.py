@@ -15,7 +15,9 @@ from planish.io import describe, fingerprint, read_volume
 LITTLE = 2500
 """Memory that lets a slice or a chunk be decoded, but not the volume."""
 
-REMEDY = re.compile(r"\b(copy|export|give|add|save|check|correct|remove|move|leave|choose|put|run)\b", re.IGNORECASE)
+REMEDY = re.compile(
+    r"\b(copy|export|give|add|save|check|correct|remove|move|leave|choose|put|run)\b", re.IGNORECASE
+)
 
 every_format = pytest.mark.parametrize("kind", CASES)
 lazy_formats = pytest.mark.parametrize("kind", [kind for kind, case in CASES.items() if case.lazy])
@@ -82,9 +84,15 @@ def test_parts_equal_the_whole_in_threads_and_in_another_process(tmp_path, kind)
     volume = read_volume(path, memory_bytes=LITTLE, **given)
     assert isinstance(volume.variable._data, LazilyIndexedArray)
     for key in (
-        {"z": slice(2, 7)}, {"y": slice(3, 11), "x": slice(1, 2)}, {"z": 5}, {"z": -1, "y": slice(None, None, -3)},
-        {"y": slice(16, 2, -2), "z": slice(1, None, 4)}, {"x": [4, 1, 1]}, {"z": slice(4, 4)}, {"z": [0, 11], "y": 3},
-    ):  # fmt: skip
+        {"z": slice(2, 7)},
+        {"y": slice(3, 11), "x": slice(1, 2)},
+        {"z": 5},
+        {"z": -1, "y": slice(None, None, -3)},
+        {"y": slice(16, 2, -2), "z": slice(1, None, 4)},
+        {"x": [4, 1, 1]},
+        {"z": slice(4, 4)},
+        {"z": [0, 11], "y": 3},
+    ):
         index = tuple(key.get(axis, slice(None)) for axis in "zyx")
         truth = whole
         for axis, k in reversed(list(enumerate(index))):  # one axis after the other, as isel does
@@ -92,12 +100,16 @@ def test_parts_equal_the_whole_in_threads_and_in_another_process(tmp_path, kind)
         part = volume.isel(key)
         assert part.shape == truth.shape
         np.testing.assert_array_equal(part.values, truth, err_msg=str(key))
-    np.testing.assert_array_equal(volume.isel(z=slice(2, 9)).isel(y=slice(4, 9)).values, whole[2:9, 4:9])
+    np.testing.assert_array_equal(
+        volume.isel(z=slice(2, 9)).isel(y=slice(4, 9)).values, whole[2:9, 4:9]
+    )
     assert isinstance(volume.variable._data, LazilyIndexedArray)  # what was read is not kept
     np.testing.assert_array_equal(volume.values, whole)
     sent = pickle.loads(pickle.dumps(volume))
     rng = np.random.default_rng(5)
-    parts = [tuple(slice(*sorted(rng.integers(0, n + 1, 2))) for n in whole.shape) for _ in range(24)]
+    parts = [
+        tuple(slice(*sorted(rng.integers(0, n + 1, 2))) for n in whole.shape) for _ in range(24)
+    ]
     with ThreadPoolExecutor(4) as pool:
         for source in (volume, sent):
             read = pool.map(lambda part, source=source: source[part].values, parts)
@@ -125,7 +137,9 @@ def test_a_cut_or_foreign_file_is_an_error_that_names_it(tmp_path, kind):
         read_volume(path, **given)
     data.unlink()
     if "Zarr" in kind:  # a chunk that is not there may be an empty one
-        assert any("chunks are not stored" in warning for warning in describe(path, **given)["warnings"])
+        assert any(
+            "chunks are not stored" in warning for warning in describe(path, **given)["warnings"]
+        )
         return
     with pytest.raises(InputError):
         read_volume(path, **given)
@@ -169,7 +183,9 @@ def test_not_even_a_slice_fits(tmp_path):
         place.mkdir()
         _, path, _, given = written(kind, place)
         if kind in ("BigTIFF pages", "NeXus", "raw"):  # rows are read where they lie
-            assert read_volume(path, memory_bytes=100, **given).isel(z=3, y=4).size == VALUES.shape[2]
+            assert (
+                read_volume(path, memory_bytes=100, **given).isel(z=3, y=4).size == VALUES.shape[2]
+            )
         else:
             with pytest.raises(ResourceError, match="GiB of memory"):
                 read_volume(path, memory_bytes=100, **given)

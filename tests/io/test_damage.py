@@ -87,7 +87,9 @@ def sources():
     page = (VALUES[0] % 250).astype(np.uint8)
     return {
         "deflate.tif": tiff_bytes(compression="zlib", metadata=None),
-        "imagej.tif": tiff_bytes(imagej=True, metadata={"axes": "ZYX", "unit": "um", "spacing": 2.0}),
+        "imagej.tif": tiff_bytes(
+            imagej=True, metadata={"axes": "ZYX", "unit": "um", "spacing": 2.0}
+        ),
         "ome.tif": tiff_bytes(ome=True, metadata={"axes": "ZYX", "PhysicalSizeX": 1.0}),
         "tiles.tif": tiff_bytes(tile=(16, 16), compression="lzw"),
         "grey.png": imagecodecs.png_encode(page),
@@ -108,7 +110,9 @@ SOURCES = sources()
 @pytest.mark.ci
 @given(
     name=st.sampled_from(sorted(SOURCES)),
-    flips=st.lists(st.tuples(st.floats(0, 1), st.booleans(), st.integers(0, 255)), min_size=1, max_size=6),
+    flips=st.lists(
+        st.tuples(st.floats(0, 1), st.booleans(), st.integers(0, 255)), min_size=1, max_size=6
+    ),
 )
 def test_whatever_bytes_are_changed_nothing_but_our_errors_comes_out(tmp_path_factory, name, flips):
     data = bytearray(SOURCES[name])
@@ -116,7 +120,11 @@ def test_whatever_bytes_are_changed_nothing_but_our_errors_comes_out(tmp_path_fa
         data[int(place * (min(400, len(data)) - 1 if near_head else len(data) - 1))] = value
     path = tmp_path_factory.mktemp("flipped") / name
     path.write_bytes(data)
-    for read in (lambda: read_volume(path, voxel_um=1), lambda: read_image(path, pixel_um=1), lambda: describe(path)):
+    for read in (
+        lambda: read_volume(path, voxel_um=1),
+        lambda: read_image(path, pixel_um=1),
+        lambda: describe(path),
+    ):
         with contextlib.suppress(InputError, ResourceError):
             read()
 
@@ -131,7 +139,13 @@ def test_a_chain_of_pages_in_a_circle_is_found(tmp_path):
     assert data[at : at + 4] == bytes(4)
     data[at : at + 4] = first.to_bytes(4, "little")
     path.write_bytes(data)
-    refused(FileError, "page 7 of its chain is one of the pages before it", read_volume, path, voxel_um=1)
+    refused(
+        FileError,
+        "page 7 of its chain is one of the pages before it",
+        read_volume,
+        path,
+        voxel_um=1,
+    )
 
 
 def patched(data, code, entry_offset, value_bytes):
@@ -139,7 +153,9 @@ def patched(data, code, entry_offset, value_bytes):
     first_page = int.from_bytes(data[4:8], "little")
     n_tags = int.from_bytes(data[first_page : first_page + 2], "little")
     entries = [first_page + 2 + 12 * k for k in range(n_tags)]
-    entry = next(entry for entry in entries if data[entry : entry + 2] == code.to_bytes(2, "little"))
+    entry = next(
+        entry for entry in entries if data[entry : entry + 2] == code.to_bytes(2, "little")
+    )
     at = entry + entry_offset
     return data[:at] + value_bytes + data[at + len(value_bytes) :]
 
@@ -176,7 +192,13 @@ def test_a_damaged_head_or_table_of_a_page_is_named(tmp_path):
 
 def test_a_bomb_is_refused_before_it_is_decoded(tmp_path):
     path = tmp_path / "v.tif"
-    tifffile.imwrite(path, np.zeros((2, 16, 16), np.uint8), photometric="minisblack", compression="zlib", metadata=None)
+    tifffile.imwrite(
+        path,
+        np.zeros((2, 16, 16), np.uint8),
+        photometric="minisblack",
+        compression="zlib",
+        metadata=None,
+    )
     data = bytearray(path.read_bytes())
     with tifffile.TiffFile(path) as tif:
         for page in tif.pages:
@@ -185,14 +207,18 @@ def test_a_bomb_is_refused_before_it_is_decoded(tmp_path):
                 data[tag.valueoffset : tag.valueoffset + 2] = (60000).to_bytes(2, "little")
     path.write_bytes(data)
     started = time.perf_counter()
-    with pytest.raises(FileError, match=r"claims 7200000000 bytes of image in .* stored bytes, more than 2000 to 1"):
+    with pytest.raises(
+        FileError, match=r"claims 7200000000 bytes of image in .* stored bytes, more than 2000 to 1"
+    ):
         read_volume(path, voxel_um=1)
     assert time.perf_counter() - started < 1
     data = bytearray(imagecodecs.png_encode(np.zeros((8, 8), np.uint8)))
     data[16:24] = struct.pack(">II", 100_000, 100_000)
     data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
     (tmp_path / "i.png").write_bytes(data)
-    refused(FileError, "claims 10000000000 bytes of image", read_image, tmp_path / "i.png", pixel_um=1)
+    refused(
+        FileError, "claims 10000000000 bytes of image", read_image, tmp_path / "i.png", pixel_um=1
+    )
 
 
 CORPUS = """
@@ -224,10 +250,15 @@ print(json.dumps([told, (memory_kib("VmHWM:") - before) / 1024]))
 @pytest.mark.skipif(sys.platform != "linux", reason="the peak memory is read from /proc")
 def test_every_file_of_a_fuzzing_corpus_is_an_input_error_at_once_and_without_memory(shared_data):
     folder = shared_data("tiff_corpus/fuzz")
-    done = subprocess.run([sys.executable, "-c", CORPUS, folder], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", CORPUS, folder], capture_output=True, text=True, check=True
+    )
     told, peak_mib = json.loads(done.stdout)
     slowest = max(seconds for _, _, seconds in told)
-    print(f"{len(told)} broken TIFF files, slowest {slowest * 1000:.1f} ms, {peak_mib:.1f} MiB over that before")
+    print(
+        f"{len(told)} broken TIFF files, slowest {slowest * 1000:.1f} ms, {peak_mib:.1f} MiB over"
+        " that before"
+    )
     assert len(told) == len(list(folder.iterdir())) > 100
     assert all(message.startswith(name) for name, message, _ in told)
     assert slowest < 1
@@ -236,9 +267,9 @@ def test_every_file_of_a_fuzzing_corpus_is_an_input_error_at_once_and_without_me
 
 
 OME = (
-    '<OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Image ID="Image:0"><Pixels ID="Pixels:0" '
-    'DimensionOrder="XYZCT" Type="uint8" SizeX="{}" SizeY="50" SizeC="{}" SizeZ="{}" SizeT="1"><TiffData/></Pixels>'
-    "</Image></OME>"
+    '<OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Image ID="Image:0"><Pixels'
+    ' ID="Pixels:0" DimensionOrder="XYZCT" Type="uint8" SizeX="{}" SizeY="50" SizeC="{}" SizeZ="{}"'
+    ' SizeT="1"><TiffData/></Pixels></Image></OME>'
 )
 
 
@@ -252,7 +283,9 @@ DECLARED = [
 
 
 @pytest.mark.ci
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak of the memory is not known")
+@pytest.mark.skipif(
+    not Path("/proc/self/status").exists(), reason="the peak of the memory is not known"
+)
 def test_declared_sizes_are_compared_with_the_file_before_anything_is_made(tmp_path):
     """A list of 2e9 planes would fill the memory; another process shows that nothing of the kind is made."""
     data = np.zeros((4, 50, 50), np.uint8)
@@ -260,14 +293,14 @@ def test_declared_sizes_are_compared_with_the_file_before_anything_is_made(tmp_p
         path = tmp_path / f"{number}.tif"
         tifffile.imwrite(path, data, photometric="minisblack", description=text, metadata=None)
     code = (
-        "import re, resource, sys; from planish.io import describe; from planish.core.errors import FileError\n"
-        "resource.setrlimit(resource.RLIMIT_AS, (4 * 2**30,) * 2)\n"
-        "for k in range(5):\n"
-        "    try: describe(f'{sys.argv[1]}/{k}.tif')\n"
-        "    except FileError as error: print(error)\n"
-        "print(re.search(r'VmHWM:\\s*(\\d+)', open('/proc/self/status').read())[1])"
+        "import re, resource, sys; from planish.io import describe; from planish.core.errors import"
+        " FileError\nresource.setrlimit(resource.RLIMIT_AS, (4 * 2**30,) * 2)\nfor k in range(5):\n"
+        "    try: describe(f'{sys.argv[1]}/{k}.tif')\n    except FileError as error:"
+        " print(error)\nprint(re.search(r'VmHWM:\\s*(\\d+)', open('/proc/self/status').read())[1])"
     )
-    done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=False
+    )
     *said, peak = done.stdout.splitlines()
     assert len(said) == len(DECLARED)
     assert all("is cut off or damaged" in line for line in said)

@@ -88,7 +88,11 @@ def damaged(folder, kind, case, values):
     for file in dict.fromkeys([data, main]):
         content = file.read_bytes()
         for length in LENGTHS if file == data else LENGTHS[2:8:2]:
-            at = int(length * len(content)) if isinstance(length, float) else length % (len(content) + (length < 0))
+            at = (
+                int(length * len(content))
+                if isinstance(length, float)
+                else length % (len(content) + (length < 0))
+            )
             other, given = copy(f"cut-{file.suffix}-{length}")
             (other / file.relative_to(good)).write_bytes(content[: min(at, len(content) - 1)])
             yield f"{kind}: {file.suffix} cut at {length}", given, ""
@@ -100,7 +104,11 @@ def damaged(folder, kind, case, values):
             changed[place] ^= int(rng.integers(1, 256))
         (other / main.relative_to(good)).write_bytes(changed)
         yield f"{kind}: bytes flipped {k}", given, "values"
-    for name, junk in (("text", b"not an image\n" * 9), ("zeros", bytes(4000)), ("ones", b"\xff" * 4000)):
+    for name, junk in (
+        ("text", b"not an image\n" * 9),
+        ("zeros", bytes(4000)),
+        ("ones", b"\xff" * 4000),
+    ):
         other, given = copy(f"junk-{name}")
         (other / main.relative_to(good)).write_bytes(junk)
         yield f"{kind}: {name} in its place", given, ""
@@ -129,17 +137,26 @@ def absurd(folder):
 
     for packed in (True, False):
         path = folder / f"huge{packed}.mha"
-        head = f"NDims = 3\nDimSize = 60000 60000 60000\nElementType = MET_UCHAR\nCompressedData = {packed}\n"
+        head = (
+            "NDims = 3\nDimSize = 60000 60000 60000\nElementType = MET_UCHAR\nCompressedData ="
+            f" {packed}\n"
+        )
         path.write_bytes(head.encode() + b"ElementDataFile = LOCAL\n" + b"x\x9c" + bytes(50))
         yield f"absurd: MetaImage packed {packed}", str(path), ""
     for packing in ("raw", "gzip", "bzip2"):
         path = folder / f"huge-{packing}.nrrd"
-        head = f"NRRD0004\ntype: uint8\ndimension: 3\nsizes: 60000 60000 60000\nencoding: {packing}\n\n"
+        head = (
+            "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 60000 60000 60000\nencoding:"
+            f" {packing}\n\n"
+        )
         path.write_bytes(head.encode() + bytes(50))
         yield f"absurd: NRRD {packing}", str(path), ""
     for n in ("-3", "99999999999999999999999", "1e9", "0"):
         path = folder / f"sizes{n}.nrrd"
-        path.write_bytes(f"NRRD0004\ntype: uint8\ndimension: 3\nsizes: {n} 4 4\nencoding: raw\n\n".encode() + bytes(16))
+        path.write_bytes(
+            f"NRRD0004\ntype: uint8\ndimension: 3\nsizes: {n} 4 4\nencoding: raw\n\n".encode()
+            + bytes(16)
+        )
         yield f"absurd: NRRD of {n}", str(path), ""
         path = folder / f"sizes{n}.mha"
         head = f"NDims = 3\nDimSize = {n} 4 4\nElementType = MET_UCHAR\nElementDataFile = LOCAL\n"
@@ -173,17 +190,29 @@ def absurd(folder):
         place.mkdir()
         if version == 2:
             meta = {
-                "zarr_format": 2, "shape": huge, "chunks": [chunk] * 3, "dtype": "|u1", "compressor": None,
-                "fill_value": 0, "order": "C", "filters": None,
-            }  # fmt: skip
+                "zarr_format": 2,
+                "shape": huge,
+                "chunks": [chunk] * 3,
+                "dtype": "|u1",
+                "compressor": None,
+                "fill_value": 0,
+                "order": "C",
+                "filters": None,
+            }
             (place / ".zarray").write_text(json.dumps(meta))
             (place / "0.0.0").write_bytes(bytes(100))
         else:
             meta = {
-                "zarr_format": 3, "node_type": "array", "shape": huge, "data_type": "uint8", "fill_value": 0,
+                "zarr_format": 3,
+                "node_type": "array",
+                "shape": huge,
+                "data_type": "uint8",
+                "fill_value": 0,
                 "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [chunk] * 3}},
-                "chunk_key_encoding": {"name": "default"}, "codecs": [{"name": "bytes"}], "attributes": {},
-            }  # fmt: skip
+                "chunk_key_encoding": {"name": "default"},
+                "codecs": [{"name": "bytes"}],
+                "attributes": {},
+            }
             (place / "zarr.json").write_text(json.dumps(meta))
             (place / "c").mkdir()
             (place / "c" / "0").write_bytes(bytes(100))
@@ -198,9 +227,13 @@ def absurd(folder):
     yield "absurd: MATLAB", str(path), ""
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="the memory is limited and read as Linux does it")
+@pytest.mark.skipif(
+    sys.platform != "linux", reason="the memory is limited and read as Linux does it"
+)
 @pytest.mark.parametrize(
-    "every", [pytest.param(1, marks=pytest.mark.nightly), pytest.param(12, marks=pytest.mark.ci)], ids=["all", "sample"]
+    "every",
+    [pytest.param(1, marks=pytest.mark.nightly), pytest.param(12, marks=pytest.mark.ci)],
+    ids=["all", "sample"],
 )
 def test_no_damage_gives_a_traceback_wrong_values_or_a_long_wait(tmp_path, every):
     items: list[dict[str, str]] = []
@@ -218,8 +251,11 @@ def test_no_damage_gives_a_traceback_wrong_values_or_a_long_wait(tmp_path, every
     listed.write_text("\n".join(json.dumps(item) for item in items), encoding="utf-8")
     done = subprocess.run(
         [sys.executable, "-X", "faulthandler", "-c", CHILD, listed, json.dumps(goods)],
-        capture_output=True, text=True, check=False, timeout=120,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
     told = [json.loads(line) for line in done.stdout.splitlines()]
     assert done.returncode == 0, f"after {told[-1]}: {done.stderr[-2000:]}"
     seen = [one for one in told if "outcome" in one]
@@ -227,13 +263,17 @@ def test_no_damage_gives_a_traceback_wrong_values_or_a_long_wait(tmp_path, every
     refused = sum("Error" in one["outcome"] for one in seen)
     slowest = max(seen, key=lambda one: one["seconds"])
     print(
-        f"{len(seen)} damaged inputs, {refused} refused; slowest call {slowest['seconds']:.2f} s ({slowest['name']}); "
-        f"peak memory {told[-1]['peak_mib']:.0f} MiB"
+        f"{len(seen)} damaged inputs, {refused} refused; slowest call {slowest['seconds']:.2f} s"
+        f" ({slowest['name']}); peak memory {told[-1]['peak_mib']:.0f} MiB"
     )
     assert not [one for one in seen if "TRACEBACK" in one["outcome"]]
-    wrong = [one for one in seen if "OTHER VALUES" in one["outcome"] and one["expected"] != "values"]
+    wrong = [
+        one for one in seen if "OTHER VALUES" in one["outcome"] and one["expected"] != "values"
+    ]
     assert not [(one["name"], one["outcome"]) for one in wrong]
-    assert not [one["name"] for one in seen if "absurd" in one["name"] and "right" in one["outcome"]]
+    assert not [
+        one["name"] for one in seen if "absurd" in one["name"] and "right" in one["outcome"]
+    ]
     assert slowest["seconds"] < 10
     assert told[-1]["peak_mib"] < 1024
     assert refused > 0.8 * len(seen)

@@ -32,10 +32,20 @@ def test_a_volume_is_described(tmp_path):
     path = write_volume(tmp_path / "v.tif", ramp((5, 20, 30)), 3.0, 2.0)
     told = describe(path)
     assert told == told | {
-        "kind": "volume", "shape": [5, 20, 30], "dims": ["z", "y", "x"], "dtype": "uint16", "size_um": [3, 2, 2],
-        "size_source": "ImageJ metadata", "extent_um": [15, 40, 60], "min": 0, "max": 199, "nan_share": 0,
-        "saturated_share": 0, "bytes": path.stat().st_size, "warnings": [],
-    }  # fmt: skip
+        "kind": "volume",
+        "shape": [5, 20, 30],
+        "dims": ["z", "y", "x"],
+        "dtype": "uint16",
+        "size_um": [3, 2, 2],
+        "size_source": "ImageJ metadata",
+        "extent_um": [15, 40, 60],
+        "min": 0,
+        "max": 199,
+        "nan_share": 0,
+        "saturated_share": 0,
+        "bytes": path.stat().st_size,
+        "warnings": [],
+    }
     assert told["percentiles"]["50"] == np.percentile(ramp((5, 20, 30)), 50)
     assert describe(write_volume(tmp_path / "w.tif", noise((9, 40, 50))))["warnings"] == []
 
@@ -45,10 +55,18 @@ ODD = [
     (np.full(SHAPE, 7, np.uint8), {}, "All values are 7"),
     (np.full(SHAPE, np.nan, np.float32), {}, "all values are missing"),
     (ramp(SHAPE, "uint8") % 3, {}, "3 grey levels only"),
-    (with_part(noise(SHAPE, "float32"), np.s_[:, :4], np.nan), {}, "10 % of the values are missing"),
+    (
+        with_part(noise(SHAPE, "float32"), np.s_[:, :4], np.nan),
+        {},
+        "10 % of the values are missing",
+    ),
     (with_part(noise(SHAPE, "uint8"), np.s_[:, :, :5], 255), {}, "10 % of the values are at 255"),
     (with_part(noise(SHAPE), 3, 0), {}, "1 slices have one grey value only (black or empty), z 3:"),
-    (with_part(noise(SHAPE), 8, noise(SHAPE)[1]), {}, "1 slices hold the same values as a slice before them, z 8:"),
+    (
+        with_part(noise(SHAPE), 8, noise(SHAPE)[1]),
+        {},
+        "1 slices hold the same values as a slice before them, z 8:",
+    ),
     (noise(SHAPE), {"voxel_um": 0.1}, "unusual for paper"),
     (noise(SHAPE), {"voxel_um": 40.0, "across_um": 4.0}, "differ by a factor of 10"),
 ]
@@ -66,7 +84,12 @@ def test_an_image_is_described(tmp_path):
     exif[274] = 3
     Image.fromarray(ramp((20, 30), "uint8")).save(tmp_path / "i.jpg", exif=exif, dpi=(2540, 2540))
     told = describe(tmp_path / "i.jpg")
-    assert told == told | {"kind": "image", "shape": [20, 30], "colour": "grey", "size_um": pytest.approx([10, 10])}
+    assert told == told | {
+        "kind": "image",
+        "shape": [20, 30],
+        "colour": "grey",
+        "size_um": pytest.approx([10, 10]),
+    }
     assert any("JPEG loses detail" in w for w in told["warnings"])
     assert any("orientation tag (3)" in w for w in told["warnings"])
 
@@ -78,7 +101,9 @@ def test_missing_sizes_are_reported_and_not_raised(tmp_path):
     assert told["size_problem"].startswith("v.tif states no voxel size")
     assert told["size_problem"] in told["warnings"]
     assert describe(tmp_path / "v.tif", voxel_um=2)["extent_um"] == [10, 40, 60]
-    tifffile.imwrite(tmp_path / "v.tif", noise((9, 40, 50)), resolution=(5000, 5000), resolutionunit="CENTIMETER")
+    tifffile.imwrite(
+        tmp_path / "v.tif", noise((9, 40, 50)), resolution=(5000, 5000), resolutionunit="CENTIMETER"
+    )
     assert "no voxel size along z" in describe(tmp_path / "v.tif")["size_problem"]
 
 
@@ -90,7 +115,9 @@ def test_slices_in_steps_are_mentioned(tmp_path):
 
 def test_broken_data_are_an_error(tmp_path):
     path = tmp_path / "v.tif"
-    tifffile.imwrite(path, ramp((5, 20, 30)), photometric="minisblack", compression="zlib", metadata=None)
+    tifffile.imwrite(
+        path, ramp((5, 20, 30)), photometric="minisblack", compression="zlib", metadata=None
+    )
     with tifffile.TiffFile(path) as tif:
         at = tif.pages[3].dataoffsets[0]
     data = bytearray(path.read_bytes())
@@ -127,7 +154,11 @@ def test_a_folder_of_sections(tmp_path):
         lines.append(f"s{k}.tif,{3 * k}")
     (tmp_path / "sections.csv").write_text("\n".join(lines))
     told = describe(tmp_path, voxel_um=2.0)
-    assert (told["kind"], told["shape"], told["size_um"]) == ("sections", [5, 20, 30], [3.0, 2.0, 2.0])
+    assert (told["kind"], told["shape"], told["size_um"]) == (
+        "sections",
+        [5, 20, 30],
+        [3.0, 2.0, 2.0],
+    )
     assert told["extent_um"] == [21.0, 40.0, 60.0]
     assert "2 sections are missing" in told["warnings"][0]
     unsized = describe(tmp_path)
@@ -146,7 +177,8 @@ def test_of_a_large_volume_some_slices_are_seen_and_that_is_said(tmp_path, monke
 def test_what_a_run_needs_grows_with_the_columns(tmp_path):
     small = describe(write_volume(tmp_path / "v.tif", noise((9, 40, 50))))
     large = describe(write_volume(tmp_path / "w.tif", noise((9, 80, 100))))
-    assert large["run_seconds"] - small["run_seconds"] == pytest.approx(36.5e-6 * 6000, rel=0.05)  # as measured
+    # As measured.
+    assert large["run_seconds"] - small["run_seconds"] == pytest.approx(36.5e-6 * 6000, rel=0.05)
     assert large["run_bytes"] > small["run_bytes"] > 1e8
 
 
@@ -170,7 +202,9 @@ def test_every_byte_is_read_once_for_its_hash(tmp_path, monkeypatch):
     assert sum(read) == 1000 + 1001 + 1002 + 1000
 
 
-def test_what_can_only_be_decoded_whole_and_is_large_is_described_by_its_header(tmp_path, monkeypatch):
+def test_what_can_only_be_decoded_whole_and_is_large_is_described_by_its_header(
+    tmp_path, monkeypatch
+):
     Image.fromarray(ramp((20, 30), "uint8")).save(tmp_path / "i.png")
     tifffile.imwrite(tmp_path / "i.tif", ramp((20, 30)), compression="zlib")
     volume = write_nrrd(tmp_path, VALUES, CUBE, ".nrrd", "gzip")
@@ -180,7 +214,9 @@ def test_what_can_only_be_decoded_whole_and_is_large_is_described_by_its_header(
     for path, shape in cases:
         told = describe(path)
         assert (told["shape"], told["min"]) == (shape, None)
-        assert any("can only be decoded whole, so no grey was looked at" in w for w in told["warnings"])
+        assert any(
+            "can only be decoded whole, so no grey was looked at" in w for w in told["warnings"]
+        )
 
 
 def test_the_middle_of_a_volume_is_drawn(tmp_path):
@@ -189,8 +225,10 @@ def test_the_middle_of_a_volume_is_drawn(tmp_path):
     values[:, 30, 150] = 255
     found = middle_sections(values)
     assert [(s.down, s.across, s.grey.shape) for s in found] == [
-        ("z", "x", (40, 300)), ("z", "y", (40, 60)), ("y", "x", (60, 300))
-    ]  # fmt: skip
+        ("z", "x", (40, 300)),
+        ("z", "y", (40, 60)),
+        ("y", "x", (60, 300)),
+    ]
     assert found[0].grey[20].min() > 200 > found[0].grey[10, 0]
     assert best_section(found, "z") is found[0]
     assert best_section(found, "x") is found[0]

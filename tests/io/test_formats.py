@@ -81,7 +81,9 @@ def test_a_missing_library_names_the_command(tmp_path, monkeypatch):
     path = write_meta(tmp_path, VALUES, CUBE, ".mha", True)
     monkeypatch.setitem(sys.modules, "SimpleITK", None)
     np.testing.assert_array_equal(read_volume(path).values, VALUES)  # not needed for what fits
-    with pytest.raises(FileError, match=r'needs the library SimpleITK, which .* pip install "planish\[formats\]"'):
+    with pytest.raises(
+        FileError, match=r'needs the library SimpleITK, which .* pip install "planish\[formats\]"'
+    ):
         read_volume(path, memory_bytes=2500)
     refused(FileError, "no_such_library", formats.extra, "no_such_library", path)
 
@@ -89,12 +91,19 @@ def test_a_missing_library_names_the_command(tmp_path, monkeypatch):
 # HDF5 and NeXus
 def test_several_volumes_are_listed_with_their_shapes(tmp_path):
     path = write_hdf5(tmp_path, VALUES, VOXEL).partition(":/")[0]
-    words = r"holds 2 volumes\. .*/entry/Größe/volume \(12 x 17 x 19 uint16\), /entry/other \(12 x 4 x 19 uint16\)"
+    words = (
+        r"holds 2 volumes\. .*/entry/Größe/volume \(12 x 17 x 19 uint16\), /entry/other \(12 x 4 x"
+        r" 19 uint16\)"
+    )
     refused(VolumeError, words, read_volume, path)
-    with pytest.raises(VolumeError, match=r"has no 'entry/nothing': 'nothing' is not there\. Its volumes are"):
+    with pytest.raises(
+        VolumeError, match=r"has no 'entry/nothing': 'nothing' is not there\. Its volumes are"
+    ):
         read_volume(f"{path}:entry/nothing")
     refused(VolumeError, r"'entry' is a group", read_volume, f"{path}:entry")
-    np.testing.assert_array_equal(read_volume(f"{path}:entry/other", voxel_um=1).values, VALUES[:, :4])
+    np.testing.assert_array_equal(
+        read_volume(f"{path}:entry/other", voxel_um=1).values, VALUES[:, :4]
+    )
     assert fingerprint(f"{path}:entry/other") != fingerprint(f"{path}:/entry/Größe/volume")
 
 
@@ -137,7 +146,13 @@ def test_no_link_leads_out_of_the_folder(secret, target):
         raw = (str(secret.parent / "secret.raw"), 0, VALUES.nbytes)
         file.create_dataset("stored", VALUES.shape, "u2", external=[raw])
     for part in ("link", "soft", "virtual", "stored"):
-        refused(FileError, r"^scan\.h5.*planish does not open", read_volume, f"{path}:{part}", voxel_um=1)
+        refused(
+            FileError,
+            r"^scan\.h5.*planish does not open",
+            read_volume,
+            f"{path}:{part}",
+            voxel_um=1,
+        )
     refused(VolumeError, "holds 2 volumes", read_volume, path, voxel_um=1)
 
 
@@ -159,9 +174,21 @@ def test_links_inside_the_folder_are_followed(tmp_path):
     np.testing.assert_array_equal(read_volume(path, voxel_um=1).values, VALUES)
     np.testing.assert_array_equal(read_volume(f"{path}:again", voxel_um=1).values, VALUES[:6])
     refused(FileError, "more than 32 links", read_volume, f"{path}:a", voxel_um=1)
-    refused(FileError, r"takes data from 'parts/9\.h5', which does not exist", read_volume, f"{path}:gone", voxel_um=1)
+    refused(
+        FileError,
+        r"takes data from 'parts/9\.h5', which does not exist",
+        read_volume,
+        f"{path}:gone",
+        voxel_um=1,
+    )
     (tmp_path / "parts" / "1.h5").unlink()  # HDF5 would read zeros
-    refused(FileError, r"takes data from 'parts/1\.h5', which does not exist", read_volume, f"{path}:all", voxel_um=1)
+    refused(
+        FileError,
+        r"takes data from 'parts/1\.h5', which does not exist",
+        read_volume,
+        f"{path}:all",
+        voxel_um=1,
+    )
 
 
 # OME-Zarr
@@ -209,11 +236,16 @@ def test_chunks_of_blosc_with_a_checksum_behind_it_are_read(tmp_path):
 def test_plain_arrays_and_empty_chunks(tmp_path):
     values = VALUES.copy()
     values[:4, :8, :8] = 0  # left out when it is written
-    array = zarr.create_array(str(tmp_path / "v.zarr"), shape=values.shape, chunks=(4, 8, 8), dtype="u2", fill_value=0)
+    array = zarr.create_array(
+        str(tmp_path / "v.zarr"), shape=values.shape, chunks=(4, 8, 8), dtype="u2", fill_value=0
+    )
     array[...] = values
     volume = read_volume(tmp_path / "v.zarr", voxel_um=2)
     np.testing.assert_array_equal(volume.values, values)
-    assert any("1 of its 27 chunks are not stored" in w for w in describe(tmp_path / "v.zarr", voxel_um=2)["warnings"])
+    assert any(
+        "1 of its 27 chunks are not stored" in w
+        for w in describe(tmp_path / "v.zarr", voxel_um=2)["warnings"]
+    )
 
 
 # NRecon
@@ -223,7 +255,12 @@ def test_the_one_log_is_read_by_section_also_with_decimal_commas_and_kept(tmp_pa
     assert volume.attrs["attenuation_window"] == [-0.01, 0.15]
     told = describe(tmp_path / NAME)
     assert (told["metadata"]["nrecon"]["Source Voltage (kV)"], told["warnings"]) == ("40", [])
-    edit(tmp_path / NAME / "Núria_rec.log", "\nPixel Size (um)=2.00000", "\npixel size (UM)=1,5", "cp1252")
+    edit(
+        tmp_path / NAME / "Núria_rec.log",
+        "\nPixel Size (um)=2.00000",
+        "\npixel size (UM)=1,5",
+        "cp1252",
+    )
     assert read_volume(tmp_path / NAME).attrs["voxel_um"] == [1.5] * 3
     (tmp_path / NAME / "other_rec.log").write_text("[Reconstruction]\n")
     refused(VolumeError, "2 NRecon logs", read_volume, tmp_path / NAME)
@@ -233,8 +270,16 @@ def test_the_one_log_is_read_by_section_also_with_decimal_commas_and_kept(tmp_pa
     ("old", "new", "words"),
     [
         ("\nPixel Size", "\nOther Size", r"no number for 'Pixel Size \(um\)'"),
-        ("First Section=20\nLast Section=31\nSections Count=12", "Sections Count=13", r"states 13 sections.*holds 12"),
-        ("Sections Count=12", "Sections Count=13", r"contradicts itself: 13 sections, but from 20 to 31 in steps of 1"),
+        (
+            "First Section=20\nLast Section=31\nSections Count=12",
+            "Sections Count=13",
+            r"states 13 sections.*holds 12",
+        ),
+        (
+            "Sections Count=12",
+            "Sections Count=13",
+            r"contradicts itself: 13 sections, but from 20 to 31 in steps of 1",
+        ),
         ("First Section=20", "First Section=19", r"contradicts itself"),
         ("(pixels)=19", "(pixels)=38", r"is 17 x 19 pixels, Núria_rec\.log states 17 x 38"),
         ("Prefix=Núria_rec", "Prefix=Juan_rec", r"holds no slice named Juan_rec and a number"),
@@ -261,7 +306,11 @@ def test_sections_in_steps_are_as_far_apart(tmp_path):
     for k in range(1, 12, 2):
         (folder / f"Núria_rec{k + 20:08d}.png").unlink()
     edit(folder / "Núria_rec.log", "Step=1", "Step=2", "cp1252")
-    edit(folder / "Núria_rec.log", "Last Section=31\nSections Count=12", "Last Section=30\nSections Count=6")
+    edit(
+        folder / "Núria_rec.log",
+        "Last Section=31\nSections Count=12",
+        "Last Section=30\nSections Count=6",
+    )
     volume = read_volume(folder)
     assert volume.attrs["voxel_um"] == [4.0, 2.0, 2.0]
     np.testing.assert_array_equal(volume.values, VALUES[::2])
@@ -277,13 +326,21 @@ def test_sizes_of_headers_have_to_agree_and_to_state_their_unit(tmp_path):
     header: dict[str, Any] = {"spacings": [2.0, 2.5, 3.0], "units": ["um"] * 3}
     nrrd.write(str(tmp_path / "v.nrrd"), VALUES, header, index_order="C")
     text = (tmp_path / "v.nrrd").read_bytes()
-    more = b"space dimension: 3\nspace directions: (0.004,0,0) (0,0.0025,0) (0,0,0.003)\nspace units:" + b' "mm"' * 3
+    more = (
+        b"space dimension: 3\nspace directions: (0.004,0,0) (0,0.0025,0) (0,0,0.003)\nspace units:"
+        + b' "mm"' * 3
+    )
     (tmp_path / "v.nrrd").write_bytes(text.replace(b"\n\n", b"\n" + more + b"\n\n", 1))
     words = r"contradicts itself: the NRRD space directions .* x 4 um and the NRRD spacings"
     refused(SizeError, words, read_volume, tmp_path / "v.nrrd")
     path = write_meta(tmp_path, VALUES, VOXEL, ".mhd", False)
     edit(path, "ElementSpacing", "ElementSize = 0.002 0.0025 0.004\nElementSpacing")
-    refused(SizeError, r"contradicts itself: .*ElementSpacing.* z 3.* ElementSize.* z 4", read_volume, path)
+    refused(
+        SizeError,
+        r"contradicts itself: .*ElementSpacing.* z 3.* ElementSize.* z 4",
+        read_volume,
+        path,
+    )
     path = write_meta(tmp_path, VALUES, VOXEL, ".mhd", False)
     text = path.read_text(encoding="utf-8")
     spacing = next(line for line in text.splitlines() if line.startswith("ElementSpacing"))
@@ -333,11 +390,21 @@ def test_every_fault_of_a_raw_header_is_named(tmp_path):
     path = write_raw(tmp_path, VALUES, VOXEL)
     header = tmp_path / f"{NAME}.raw.toml"
     np.testing.assert_array_equal(read_volume(header).values, read_volume(path).values)
-    header.write_text('shape = [12, 17]\ndtype = "grey"\nvoxel_um = -1\nsize = 3\n', encoding="utf-8")
-    words = r"unknown key 'size'; shape is \[12, 17\].*; dtype is 'grey'.*; voxel_um is -1.*Correct the header"
+    header.write_text(
+        'shape = [12, 17]\ndtype = "grey"\nvoxel_um = -1\nsize = 3\n', encoding="utf-8"
+    )
+    words = (
+        r"unknown key 'size'; shape is \[12, 17\].*; dtype is 'grey'.*; voxel_um is -1.*Correct the"
+        r" header"
+    )
     refused(FileError, words, read_volume, path)
     header.unlink()
-    refused(FileError, r"raw values and no header\. Write Blatt ä 7\.raw\.toml beside it", read_volume, path)
+    refused(
+        FileError,
+        r"raw values and no header\. Write Blatt ä 7\.raw\.toml beside it",
+        read_volume,
+        path,
+    )
 
 
 # MATLAB
@@ -356,8 +423,13 @@ def test_several_variables_are_listed(tmp_path, new):
         with h5py.File(path, "r+") as file:
             file["W"] = VALUES[:, :4]
     else:
-        scipy.io.savemat(path, {"V": np.moveaxis(VALUES, 0, -1), "W": VALUES[:, :4], "voxel_um": 2.0})
-    words = r"v\.mat holds 2 volumes\. Its volumes are V \(17 x 19 x 12 uint16\).*choose one as v\.mat:V\."
+        scipy.io.savemat(
+            path, {"V": np.moveaxis(VALUES, 0, -1), "W": VALUES[:, :4], "voxel_um": 2.0}
+        )
+    words = (
+        r"v\.mat holds 2 volumes\. Its volumes are V \(17 x 19 x 12 uint16\).*choose one as"
+        r" v\.mat:V\."
+    )
     refused(VolumeError, words, read_volume, path)
     np.testing.assert_array_equal(read_volume(f"{path}:V").values, VALUES)
     refused(VolumeError, "has no volume 'X'", read_volume, f"{path}:X")
@@ -381,11 +453,17 @@ def test_a_scaled_nifti_gives_true_values_in_parts_and_at_once(tmp_path):
 
 
 def test_a_nifti_that_is_left_handed_or_lacks_values_or_units_is_reported(tmp_path):
-    for name, affine, told in (("l", np.diag([-2.0, 2.0, 2.0, 1.0]), True), ("r", np.diag([2.0, 2, 2, 1]), False)):
+    for name, affine, told in (
+        ("l", np.diag([-2.0, 2.0, 2.0, 1.0]), True),
+        ("r", np.diag([2.0, 2, 2, 1]), False),
+    ):
         image = nibabel.Nifti1Image(VALUES.T.astype(np.int32), affine)
         image.header.set_xyzt_units("mm")
         nibabel.save(image, tmp_path / f"{name}.nii")
-        assert any("mirror image" in note for note in describe(tmp_path / f"{name}.nii")["warnings"]) is told
+        assert (
+            any("mirror image" in note for note in describe(tmp_path / f"{name}.nii")["warnings"])
+            is told
+        )
     nibabel.save(nibabel.Nifti1Pair(VALUES.T.astype(np.int32), np.eye(4)), tmp_path / "p.img")
     (tmp_path / "p.hdr").rename(tmp_path / "p.nii")
     refused(FileError, r"another file \(.img\)", read_volume, tmp_path / "p.nii")

@@ -9,9 +9,17 @@ from planish.io import guard
     ("groups", "files", "expected"),
     [
         ("0::/system.slice/job_7\n", {"system.slice/job_7/memory.max": "2000"}, 2000),
-        ("0::/job/step\n", {"job/step/memory.max": "max", "job/memory.max": "3000", "memory.max": "9000"}, 3000),
+        (
+            "0::/job/step\n",
+            {"job/step/memory.max": "max", "job/memory.max": "3000", "memory.max": "9000"},
+            3000,
+        ),
         ("0::/outside\n", {"memory.max": "4000"}, 4000),
-        ("9:memory:/slurm/uid_1/job_7\n4:cpu:/x\n", {"memory/slurm/uid_1/job_7/memory.limit_in_bytes": "5000"}, 5000),
+        (
+            "9:memory:/slurm/uid_1/job_7\n4:cpu:/x\n",
+            {"memory/slurm/uid_1/job_7/memory.limit_in_bytes": "5000"},
+            5000,
+        ),
         ("4:cpu:/x\n", {"memory/memory.limit_in_bytes": "6000", "x/memory.max": "1"}, 6000),
         ("0::/\n", {}, 2**62),
         (None, {}, 2**62),

@@ -11,8 +11,14 @@ WHOLE = slice(0, 700), slice(0, 530)
 
 def made(folder, name="map", dtype=np.float32, **other):
     fill_value = np.nan if np.dtype(dtype).kind == "f" else 0
-    options = {"chunks": (256, 200), "compressors": CODECS, "config": {"write_empty_chunks": True}} | other
-    return zarr.create_array(folder, name=name, shape=(700, 530), dtype=dtype, fill_value=fill_value, **options)
+    options = {
+        "chunks": (256, 200),
+        "compressors": CODECS,
+        "config": {"write_empty_chunks": True},
+    } | other
+    return zarr.create_array(
+        folder, name=name, shape=(700, 530), dtype=dtype, fill_value=fill_value, **options
+    )
 
 
 @pytest.fixture(params=[np.float32, np.float64, np.bool_])
@@ -27,19 +33,25 @@ def test_the_files_are_those_of_zarr(tmp_path, values):
     assert is_ours(ours)
     write_chunks(tmp_path / "ours", ours, WHOLE, values)
     sides = tmp_path / "zarr", tmp_path / "ours"
-    files = [{p.relative_to(side): p.read_bytes() for p in side.rglob("*") if p.is_file()} for side in sides]
+    files = [
+        {p.relative_to(side): p.read_bytes() for p in side.rglob("*") if p.is_file()}
+        for side in sides
+    ]
     assert len(files[0]) == 2 + 9
     assert files[0] == files[1]
     np.testing.assert_array_equal(zarr.open_array(tmp_path / "ours", path="map")[:], values)
 
 
-@pytest.mark.parametrize("where", [WHOLE, (slice(100, 300), slice(390, 530)), (slice(256, 512), slice(0, 200))])
+@pytest.mark.parametrize(
+    "where", [WHOLE, (slice(100, 300), slice(390, 530)), (slice(256, 512), slice(0, 200))]
+)
 def test_parts_are_written_and_read_wherever_they_lie(tmp_path, where):
     values = np.random.default_rng(1).normal(size=(700, 530)).astype(np.float32)
     array = made(tmp_path / "a")
     write_chunks(tmp_path / "a", array, where, values[where])
     np.testing.assert_array_equal(array[where], values[where])
-    np.testing.assert_array_equal(read_chunks(tmp_path / "a", array, WHOLE), array[:])  # the rest is missing
+    # The rest is missing.
+    np.testing.assert_array_equal(read_chunks(tmp_path / "a", array, WHOLE), array[:])
     rest = (slice(0, 700), slice(0, 100))  # beside and over it: what was there stays
     write_chunks(tmp_path / "a", array, rest, values[rest])
     np.testing.assert_array_equal(read_chunks(tmp_path / "a", array, where), values[where])

@@ -20,10 +20,13 @@ def stored(tmp_path, monkeypatch):
     thickness = rng.normal(80, 5, grid.shape).astype(np.float32)
     thickness[rng.random(grid.shape) < 0.2] = np.nan
     whole = xr.Dataset(
-        {"thickness": (("y", "x"), thickness, {"units": "um", "support_um": np.float64(3.0)}),
-         "u": (("y", "x"), rng.normal(size=grid.shape)), "valid": (("y", "x"), np.isfinite(thickness))},
+        {
+            "thickness": (("y", "x"), thickness, {"units": "um", "support_um": np.float64(3.0)}),
+            "u": (("y", "x"), rng.normal(size=grid.shape)),
+            "valid": (("y", "x"), np.isfinite(thickness)),
+        },
         coords=grid.coords,
-    )  # fmt: skip
+    )
     sink = StoredMaps(tmp_path / "maps.zarr")
     for tile in tiles_of(grid.shape, (1024, 512)):
         sink.add("linked", grid, tile, whole.isel(y=tile.rows, x=tile.cols))
@@ -37,11 +40,15 @@ def test_a_store_gives_the_maps_and_their_overviews_part_by_part(stored):
     assert set(found.data_vars) == set(whole.data_vars)
     assert found["thickness"].attrs == {"units": "um", "support_um": 3.0}
     xr.testing.assert_identical(found.load().drop_attrs(), whole.drop_attrs())
-    np.testing.assert_array_equal(sink.group("linked")["u"][1000:1100, 500:].values, whole["u"][1000:1100, 500:])
+    np.testing.assert_array_equal(
+        sink.group("linked")["u"][1000:1100, 500:].values, whole["u"][1000:1100, 500:]
+    )
     smaller = [*overviews(whole)]
     assert [f"overviews/linked/{k + 1}" for k in range(len(smaller))] == sorted(sink.overviews())
     for name, expected in zip(sorted(sink.overviews()), smaller, strict=True):
-        xr.testing.assert_allclose(sink.group(name).load().drop_attrs(), expected.drop_attrs(), rtol=1e-12)
+        xr.testing.assert_allclose(
+            sink.group(name).load().drop_attrs(), expected.drop_attrs(), rtol=1e-12
+        )
 
 
 def test_what_is_read_again_comes_from_memory_as_long_as_there_is_room(stored):

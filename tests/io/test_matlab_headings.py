@@ -17,7 +17,9 @@ VOLUME = (np.arange(12 * 10 * 8) % 251).astype(np.uint8).reshape(12, 10, 8)
 @pytest.fixture(params=[False, True], ids=["plain", "compressed"])
 def saved(request, tmp_path):
     path = tmp_path / "v.mat"
-    scipy_io.savemat(path, {"V": VOLUME, "voxel_um": 3.0, "note": "x"}, do_compression=request.param)
+    scipy_io.savemat(
+        path, {"V": VOLUME, "voxel_um": 3.0, "note": "x"}, do_compression=request.param
+    )
     return path
 
 

@@ -41,7 +41,9 @@ def tree(folder):
     found = {}
     for p in sorted(folder.rglob("*")):
         name = p.relative_to(folder).as_posix()
-        found[name] = str(p.readlink()) if p.is_symlink() else p.read_bytes() if p.is_file() else "folder"
+        found[name] = (
+            str(p.readlink()) if p.is_symlink() else p.read_bytes() if p.is_file() else "folder"
+        )
     return found
 
 
@@ -55,8 +57,14 @@ IN_THE_WAY = {
     "an old folder with more": OLD | {"notes.txt": "mine"},
     "an old folder whose lock is a link": OLD | {"lock": "-> victim/data.txt"},
     "an old folder whose tiles are a link": OLD | {"tiles": "-> victim"},
-    "a marked folder with more": {run_folder.WORK_MARKER: "marker", "thesis/chapter.tex": "years of work"},
-    "a folder with another marker": {run_folder.WORK_MARKER: "of another program", "tiles": "folder"},
+    "a marked folder with more": {
+        run_folder.WORK_MARKER: "marker",
+        "thesis/chapter.tex": "years of work",
+    },
+    "a folder with another marker": {
+        run_folder.WORK_MARKER: "of another program",
+        "tiles": "folder",
+    },
 }
 
 
@@ -81,7 +89,10 @@ def test_what_is_not_ours_is_neither_removed_nor_written_into(tmp_path, stands_t
     for name, what in stands_there.items():
         put(out / ".run.work" / name, what, victim)
     before = tree(tmp_path)
-    with pytest.raises(FileError, match=r"\.run\.work .*give another name with out="), work_folder(out / "run", "key"):
+    with (
+        pytest.raises(FileError, match=r"\.run\.work .*give another name with out="),
+        work_folder(out / "run", "key"),
+    ):
         pytest.fail("must not get here")
     assert tree(tmp_path) == before
 
@@ -113,7 +124,10 @@ def test_a_killed_run_finds_its_tiles(tmp_path, version):
 
 def test_groups_survive_a_round_trip(tmp_path):
     data = xr.Dataset(
-        {"a": (("y", "x"), np.arange(6.0).reshape(2, 3), {"units": "um"}), "ok": (("y", "x"), np.ones((2, 3), bool))},
+        {
+            "a": (("y", "x"), np.arange(6.0).reshape(2, 3), {"units": "um"}),
+            "ok": (("y", "x"), np.ones((2, 3), bool)),
+        },
         coords={"y": [0.0, 3.0], "x": [0.0, 3.0, 6.0]},
         attrs={"through": "z", "size": [1.0, 2.0]},
     )

@@ -32,8 +32,15 @@ WHOLE = counter(*ROWS)
 def write(folder, values=None, text=WHOLE, *, stated=True):
     folder.mkdir(exist_ok=True)
     for i, page in enumerate(pictures() if values is None else values):
-        tags: dict[str, Any] = {"resolution": (PER_CM, PER_CM), "resolutionunit": "CENTIMETER"} if stated else {}
-        tifffile.imwrite(folder / f"s{i}.tif", page, photometric="rgb" if page.ndim == 3 else "minisblack", **tags)
+        tags: dict[str, Any] = (
+            {"resolution": (PER_CM, PER_CM), "resolutionunit": "CENTIMETER"} if stated else {}
+        )
+        tifffile.imwrite(
+            folder / f"s{i}.tif",
+            page,
+            photometric="rgb" if page.ndim == 3 else "minisblack",
+            **tags,
+        )
     (folder / "sections.csv").write_text(text, encoding="utf-8")
     return folder
 
@@ -43,11 +50,15 @@ def test_values_positions_and_sizes_are_read(tmp_path):
     read = read_section_stack(folder)
     np.testing.assert_array_equal(read.values, pictures())
     np.testing.assert_array_equal(read.positions_um, POSITIONS)
-    assert read.pixel_um == pytest.approx((2.43, 2.43), rel=1e-6)  # the tag is a fraction of 32-bit integers
+    # The tag is a fraction of 32-bit integers.
+    assert read.pixel_um == pytest.approx((2.43, 2.43), rel=1e-6)
     assert read.attrs["voxel_um"] == pytest.approx([3.5, 2.43, 2.43], rel=1e-6)  # steps 3, 3.5, 8.5
     assert read.attrs["voxel_um_source"] == "the cut counter and the TIFF resolution"
     assert (read.attrs["full_scale"], read.attrs["file_name"]) == (255, "v")
-    assert (read.attrs["file_bytes"], read.kind) == (sum(p.stat().st_size for p in folder.iterdir()), "")
+    assert (read.attrs["file_bytes"], read.kind) == (
+        sum(p.stat().st_size for p in folder.iterdir()),
+        "",
+    )
     assert is_section_folder(folder)
     assert not is_section_folder(tmp_path)
 
@@ -57,7 +68,9 @@ def test_order_and_positions_are_those_of_the_counter_also_with_decimal_commas(t
     read = read_section_stack(write(tmp_path / "v", text=counter(*rows)))
     np.testing.assert_array_equal(read.values, pictures()[[2, 0, 3, 1]])
     rows = [f"s{i}.tif; {str(p).replace('.', ',')}" for i, p in enumerate(POSITIONS)]
-    text = "\ufeff" + counter(*rows, header="File;Position_um", before="# kind: Block-Face\n# microtome 3")
+    text = "\ufeff" + counter(
+        *rows, header="File;Position_um", before="# kind: Block-Face\n# microtome 3"
+    )
     read = read_section_stack(write(tmp_path / "v", text=text))
     np.testing.assert_array_equal(read.positions_um, POSITIONS)
     assert read.kind == read.attrs["section_kind"] == "block-face"
@@ -78,7 +91,9 @@ def test_png_sections_are_read(tmp_path):
     folder.mkdir()
     for i, page in enumerate(pictures()):
         Image.fromarray(page).save(folder / f"s{i}.png")
-    (folder / "sections.csv").write_text(counter(*(row.replace(".tif", ".png") for row in ROWS)), encoding="utf-8")
+    (folder / "sections.csv").write_text(
+        counter(*(row.replace(".tif", ".png") for row in ROWS)), encoding="utf-8"
+    )
     read = read_section_stack(folder, voxel_um=2.43)
     np.testing.assert_array_equal(read.values, pictures())
     assert read.pixel_um == (2.43, 2.43)
@@ -89,7 +104,9 @@ def test_given_sizes_join_the_counter_and_another_than_stated_needs_the_override
     assert read_section_stack(folder, voxel_um=2.0).attrs["voxel_um"] == [3.5, 2.0, 2.0]
     assert read_section_stack(folder, voxel_um=(3.5, 1.0, 2.0)).pixel_um == (1.0, 2.0)
     refused(SizeError, "states no voxel size along y and x", read_section_stack, folder)
-    with pytest.raises(SizeError, match=r"gives z 2 um, but the median step of sections\.csv is 3\.5 um"):
+    with pytest.raises(
+        SizeError, match=r"gives z 2 um, but the median step of sections\.csv is 3\.5 um"
+    ):
         read_section_stack(folder, voxel_um=(2.0, 2.0, 2.0), override_size=True)
     folder = write(tmp_path / "v")
     refused(SizeError, "override_size=True", read_section_stack, folder, voxel_um=1.0)
@@ -106,13 +123,19 @@ def test_given_sizes_join_the_counter_and_another_than_stated_needs_the_override
         (counter(*ROWS, "s0.tif,40"), "row 6: s0.tif for the second time"),
         (counter(*ROWS, "s4.tif,40"), "lacks 1 of 5 files.*s4.tif.*take their rows out"),
         (counter(*ROWS[:3]), "holds 1 pictures that sections.csv does not name: s3.tif"),
-        (counter(ROWS[0], ROWS[2], ROWS[1], ROWS[3]), "s1.tif lies at 13 um, s2.tif before it at 16.5 um"),
+        (
+            counter(ROWS[0], ROWS[2], ROWS[1], ROWS[3]),
+            "s1.tif lies at 13 um, s2.tif before it at 16.5 um",
+        ),
         (counter(*ROWS[:3], "s3.tif,16.5"), "Positions increase"),
         (counter(ROWS[0]), "names 1 sections"),
-        (counter(*ROWS, before="# kind: cut\n# kind: block-face"), "has both kinds, block-face and cut.*folder of its"),
+        (
+            counter(*ROWS, before="# kind: cut\n# kind: block-face"),
+            "has both kinds, block-face and cut.*folder of its",
+        ),
         (counter(*ROWS, before="# kind: frozen"), "has the kind 'frozen'. Give block-face or cut"),
     ],
-)  # fmt: skip
+)
 def test_faults_of_the_counter_are_said(tmp_path, text, words):
     folder = write(tmp_path / "v", text=text)
     refused(VolumeError, words, read_section_stack, folder)

@@ -30,14 +30,18 @@ def test_parts_are_those_that_zarr_reads(tmp_path, dtype):
     for _ in range(30):
         ends = [np.sort(rng.choice(n + 1, 2, replace=False)).tolist() for n in array.shape]
         where = tuple(slice(start, stop, 1) for start, stop in ends)
-        np.testing.assert_array_equal(shards.read_plain(tmp_path / "a.zarr" / "0", array, where), array[where])
+        np.testing.assert_array_equal(
+            shards.read_plain(tmp_path / "a.zarr" / "0", array, where), array[where]
+        )
 
 
 def test_a_shard_that_is_not_there_holds_the_fill_value_as_for_zarr(tmp_path):
     array = made(tmp_path / "a.zarr", np.uint8)
     (tmp_path / "a.zarr" / "0" / "c" / "0" / "1" / "1").unlink()
     whole = tuple(slice(0, n, 1) for n in array.shape)
-    np.testing.assert_array_equal(shards.read_plain(tmp_path / "a.zarr" / "0", array, whole), array[whole])
+    np.testing.assert_array_equal(
+        shards.read_plain(tmp_path / "a.zarr" / "0", array, whole), array[whole]
+    )
 
 
 def test_a_shard_with_a_changed_byte_or_without_its_end_is_found(tmp_path):
@@ -57,11 +61,17 @@ def test_a_shard_with_a_changed_byte_or_without_its_end_is_found(tmp_path):
 def test_other_codecs_and_byte_orders_are_left_to_zarr(tmp_path):
     zstd, turned = zarr.codecs.ZstdCodec(), zarr.codecs.TransposeCodec(order=(2, 1, 0))
     sharded = {"shards": (40, 48, 40)}
-    for number, options in enumerate((
-        {"compressors": zstd}, sharded | {"compressors": zarr.codecs.BloscCodec()}, sharded | {"compressors": None},
-        sharded | {"compressors": zstd, "filters": [turned]},
-        sharded | {"compressors": zstd, "serializer": zarr.codecs.BytesCodec(endian="big")},
-    )):  # fmt: skip
+    for number, options in enumerate(
+        (
+            {"compressors": zstd},
+            sharded | {"compressors": zarr.codecs.BloscCodec()},
+            sharded | {"compressors": None},
+            sharded | {"compressors": zstd, "filters": [turned]},
+            sharded | {"compressors": zstd, "serializer": zarr.codecs.BytesCodec(endian="big")},
+        )
+    ):
         path = tmp_path / f"{number}.zarr"
-        array = zarr.create_array(path, shape=(40, 48, 40), dtype="u2", chunks=(20, 24, 20), **options)
+        array = zarr.create_array(
+            path, shape=(40, 48, 40), dtype="u2", chunks=(20, 24, 20), **options
+        )
         assert not shards.is_plain(array)

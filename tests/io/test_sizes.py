@@ -14,10 +14,22 @@ sizes = st.floats(0.02, 90)
 @pytest.mark.parametrize(
     ("unit", "um"),
     [
-        ("nm", 1e-3), ("um", 1), ("µm", 1), ("μm", 1), ("micron", 1), ("Microns", 1), ("micrometer", 1),
-        ("\\u00B5m", 1), ("\\u00b5m", 1), ("mm", 1e3), ("cm", 1e4), ("m", 1e6), ("inch", 25400), (" um ", 1),
+        ("nm", 1e-3),
+        ("um", 1),
+        ("µm", 1),
+        ("μm", 1),
+        ("micron", 1),
+        ("Microns", 1),
+        ("micrometer", 1),
+        ("\\u00B5m", 1),
+        ("\\u00b5m", 1),
+        ("mm", 1e3),
+        ("cm", 1e4),
+        ("m", 1e6),
+        ("inch", 25400),
+        (" um ", 1),
     ],
-)  # fmt: skip
+)
 def test_every_unit_of_length_is_known(unit, um):
     assert unit_um(unit) == um
 
@@ -29,9 +41,23 @@ def test_other_words_are_no_units(unit):
 
 @pytest.mark.parametrize(
     ("per_unit", "unit"),
-    [(72, "inch"), (96, "inch"), (28.35, "cm"), (28, "cm"), (37.8, "cm"), (2835, "m"), (3780, "m"), (1, "inch"),
-     (1, "cm"), (0, "inch"), (-300, "inch"), (None, "inch"), (float("nan"), "cm"), (300, "")],
-)  # fmt: skip
+    [
+        (72, "inch"),
+        (96, "inch"),
+        (28.35, "cm"),
+        (28, "cm"),
+        (37.8, "cm"),
+        (2835, "m"),
+        (3780, "m"),
+        (1, "inch"),
+        (1, "cm"),
+        (0, "inch"),
+        (-300, "inch"),
+        (None, "inch"),
+        (float("nan"), "cm"),
+        (300, ""),
+    ],
+)
 def test_resolutions_of_programs_that_do_not_know_count_as_missing(per_unit, unit):
     assert from_density(per_unit, unit) is None
 
@@ -54,9 +80,13 @@ def test_a_given_size_more_than_one_percent_off_is_refused(size, factor):
         source = "ImageJ metadata" if given_size == size else "given"
         assert agreed_size(stated, given_size, file_name="v.tif", asked=VOXEL)[1] == source
     elif factor > 1.0101 or factor < 1 / 1.0101:
-        with pytest.raises(SizeError, match=r"voxel_um= gives .* but ImageJ metadata states .*override_size=True"):
+        with pytest.raises(
+            SizeError, match=r"voxel_um= gives .* but ImageJ metadata states .*override_size=True"
+        ):
             agreed_size(stated, given_size, file_name="v.tif", asked=VOXEL)
-        taken, source = agreed_size(stated, given_size, file_name="v.tif", asked=VOXEL, override=True)
+        taken, source = agreed_size(
+            stated, given_size, file_name="v.tif", asked=VOXEL, override=True
+        )
         assert taken == (given_size,) * 3
         assert source.startswith("given, in place of ImageJ metadata")
 
@@ -65,18 +95,24 @@ def test_refusals_name_the_sizes_and_the_missing_axes():
     stated = [Stated(source="ImageJ metadata", um=(2.0, 1.5, 1.5))]
     with pytest.raises(SizeError) as caught:
         agreed_size(stated, 3, file_name="v.tif", asked=VOXEL)
-    assert str(caught.value) == (
-        "v.tif: voxel_um= gives z 3, y 3, x 3 um, but ImageJ metadata states z 2, y 1.5, x 1.5 um. "
+    assert (
+        str(caught.value)
+        == "v.tif: voxel_um= gives z 3, y 3, x 3 um, but ImageJ metadata states z 2, y 1.5, x 1.5"
+        " um. "
         "Correct one of them, or add override_size=True to take the given size."
     )
     with pytest.raises(SizeError) as caught:
         agreed_size([], None, file_name="v.tif", asked=VOXEL)
-    assert str(caught.value) == "v.tif states no voxel size. Give it with voxel_um=SIZE (or Z,Y,X), in um."
+    assert (
+        str(caught.value)
+        == "v.tif states no voxel size. Give it with voxel_um=SIZE (or Z,Y,X), in um."
+    )
     stated = [Stated(source="the TIFF resolution", um=(None, 2.0, 2.5))]
     with pytest.raises(SizeError) as caught:
         agreed_size(stated, None, file_name="v.tif", asked=VOXEL)
-    assert str(caught.value) == (
-        "v.tif states no voxel size along z: the TIFF resolution states y 2, x 2.5 um only. "
+    assert (
+        str(caught.value)
+        == "v.tif states no voxel size along z: the TIFF resolution states y 2, x 2.5 um only. "
         "Give it with voxel_um=SIZE (or Z,Y,X), in um."
     )
 
@@ -86,28 +122,38 @@ def test_two_sources_fill_each_other_up_but_may_not_disagree():
     ome = Stated(source="OME metadata", um=(3.0, None, 2.01))
     assert agreed_size([ome, tags], None, file_name="v.tif", asked=VOXEL)[0] == (3.0, 2.0, 2.01)
     other = Stated(source="OME metadata", um=(3.0, 4.0, 4.0))
-    with pytest.raises(SizeError, match=r"contradicts itself: OME .* z 3, y 4, x 4 um and the TIFF .* y 2, x 2 um"):
+    with pytest.raises(
+        SizeError, match=r"contradicts itself: OME .* z 3, y 4, x 4 um and the TIFF .* y 2, x 2 um"
+    ):
         agreed_size([other, tags], None, file_name="v.tif", asked=VOXEL)
 
 
 @pytest.mark.parametrize(("size", "unit"), [("3000", "nm"), ("0.003", "mm"), ("0.000003", "m")])
 def test_a_size_out_of_range_says_which_unit_it_looks_like(size, unit):
-    with pytest.raises(SizeError, match=rf"It looks like {unit} given as um \({size} {unit} is 3 um\)"):
+    with pytest.raises(
+        SizeError, match=rf"It looks like {unit} given as um \({size} {unit} is 3 um\)"
+    ):
         agreed_size([], float(size), file_name="v.tif", asked=VOXEL)
 
 
 def test_unusual_sizes_need_a_word_and_impossible_ones_are_refused():
     nm = [Stated(source="OME metadata", um=(0.0046,) * 3)]
-    with pytest.raises(SizeError, match=r"usual are 0.01 to 100 um.* If it is meant, add unusual_size=True"):
+    with pytest.raises(
+        SizeError, match=r"usual are 0.01 to 100 um.* If it is meant, add unusual_size=True"
+    ):
         agreed_size(nm, None, file_name="v.tif", asked=VOXEL)
     assert agreed_size(nm, None, file_name="v.tif", asked=VOXEL, unusual=True)[0] == (0.0046,) * 3
     with pytest.raises(SizeError, match=r"possible are 0.0001 to 1000 um.*in um\.$"):
         agreed_size([], 2000.0, file_name="v.tif", asked=VOXEL, unusual=True)
     with pytest.raises(SizeError, match=r"looks like nm .*override_size=True"):
-        agreed_size([Stated(source="OME metadata", um=(3e3,) * 3)], None, file_name="v.tif", asked=VOXEL)
+        agreed_size(
+            [Stated(source="OME metadata", um=(3e3,) * 3)], None, file_name="v.tif", asked=VOXEL
+        )
 
 
-@pytest.mark.parametrize("bad", [0, -1, float("nan"), float("inf"), (1, 2), (1, 2, 3, 4), (1, 0, 1)])
+@pytest.mark.parametrize(
+    "bad", [0, -1, float("nan"), float("inf"), (1, 2), (1, 2, 3, 4), (1, 0, 1)]
+)
 def test_what_is_no_size_is_refused(bad):
     with pytest.raises(SizeError, match="voxel_um"):
         agreed_size([], bad, file_name="v.tif", asked=VOXEL)

@@ -35,14 +35,20 @@ def write_folder(folder, values, extension=".tif", name="s{}"):
 def test_tiff_slices_survive_in_the_order_of_their_numbers(tmp_path, dtype):
     volume = read_volume(write_folder(tmp_path / "v", stack(dtype)), voxel_um=1)
     np.testing.assert_array_equal(volume.values, stack(dtype))  # s10 comes after s9
-    assert (volume.dtype, volume.attrs["file_name"]) == ("float32" if dtype == "float16" else dtype, "v")
+    assert (volume.dtype, volume.attrs["file_name"]) == (
+        "float32" if dtype == "float16" else dtype,
+        "v",
+    )
     assert volume.attrs["file_bytes"] == sum(p.stat().st_size for p in (tmp_path / "v").iterdir())
 
 
 def test_jpeg_slices_are_read(tmp_path):
-    values = np.repeat(np.arange(12, dtype=np.uint8)[:, None, None] * 20, 16, axis=1).repeat(16, axis=2)
+    values = np.repeat(np.arange(12, dtype=np.uint8)[:, None, None] * 20, 16, axis=1).repeat(
+        16, axis=2
+    )
     volume = read_volume(write_folder(tmp_path / "v", values, ".JPG"), voxel_um=1)
-    np.testing.assert_allclose(volume.values.astype(int), values, atol=1)  # JPEG keeps constant blocks to one level
+    # JPEG keeps constant blocks to one level.
+    np.testing.assert_allclose(volume.values.astype(int), values, atol=1)
 
 
 def test_grey_palettes_are_grey(tmp_path):
@@ -55,7 +61,12 @@ def test_grey_palettes_are_grey(tmp_path):
     np.testing.assert_array_equal(read_volume(folder, voxel_um=1).values, stack())
 
 
-@given(first=st.integers(0, 2000), step=st.integers(1, 50), count=st.integers(2, 30), width=st.integers(1, 6))
+@given(
+    first=st.integers(0, 2000),
+    step=st.integers(1, 50),
+    count=st.integers(2, 30),
+    width=st.integers(1, 6),
+)
 def test_any_numbering_with_a_constant_step_is_ordered(tmp_path_factory, first, step, count, width):
     folder = tmp_path_factory.mktemp("v")
     numbers = [first + i * step for i in range(count)]
@@ -66,7 +77,14 @@ def test_any_numbering_with_a_constant_step_is_ordered(tmp_path_factory, first, 
 
 def test_other_files_are_ignored(tmp_path):
     folder = write_folder(tmp_path / "v", stack())
-    for name in ("LICENSE.upstream", "SOURCE.txt", "Thumbs.db", "scan_rec.log", ".hidden1.tif", "desktop.ini"):
+    for name in (
+        "LICENSE.upstream",
+        "SOURCE.txt",
+        "Thumbs.db",
+        "scan_rec.log",
+        ".hidden1.tif",
+        "desktop.ini",
+    ):
         (folder / name).write_text("7")
     (folder / "sub5.tif").mkdir()
     assert read_volume(folder, voxel_um=1).shape == (12, 7, 9)
@@ -76,20 +94,42 @@ def test_missing_numbers_are_named_but_do_not_fill_the_screen(tmp_path):
     folder = write_folder(tmp_path / "v", stack())
     (folder / "s4.tif").unlink()
     (folder / "s9.tif").unlink()
-    refused(VolumeError, r"^v has 10 slices from 0 to 11, 2 missing: 4, 9\. Add them", read_volume, folder, voxel_um=1)
+    refused(
+        VolumeError,
+        r"^v has 10 slices from 0 to 11, 2 missing: 4, 9\. Add them",
+        read_volume,
+        folder,
+        voxel_um=1,
+    )
     (folder / "s11.tif").rename(folder / "s99999999999.tif")
     refused(
-        VolumeError, r"99999999990 missing: 4, 9, 11, 12, 13, 14, 15, 16, \.\.\.\. Add", read_volume, folder, voxel_um=1
+        VolumeError,
+        r"99999999990 missing: 4, 9, 11, 12, 13, 14, 15, 16, \.\.\.\. Add",
+        read_volume,
+        folder,
+        voxel_um=1,
     )
 
 
 @pytest.mark.parametrize(
     ("name", "page", "words"),
     [
-        ("s5.tif", stack(shape=(7, 8)), r"^s5\.tif is 7 x 8 pixels, s0\.tif is 7 x 9 pixels\. All slices need the sam"),
-        ("s5.tif", stack("uint16", (7, 9)), r"^s5\.tif has uint16 values, s0\.tif has uint8 values\. All slices"),
+        (
+            "s5.tif",
+            stack(shape=(7, 8)),
+            r"^s5\.tif is 7 x 8 pixels, s0\.tif is 7 x 9 pixels\. All slices need the sam",
+        ),
+        (
+            "s5.tif",
+            stack("uint16", (7, 9)),
+            r"^s5\.tif has uint16 values, s0\.tif has uint8 values\. All slices",
+        ),
         ("s5.tif", stack(shape=(7, 9, 3)), r"^s5\.tif is rgb, s0\.tif is grey"),
-        ("preview.tif", stack(shape=(7, 9)), r"12 images named like s0\.tif, and 1 named otherwise, first preview"),
+        (
+            "preview.tif",
+            stack(shape=(7, 9)),
+            r"12 images named like s0\.tif, and 1 named otherwise, first preview",
+        ),
         ("s05.tif", stack(shape=(7, 9)), r"more than one slice with the number 5"),
         ("s5.tif", stack(shape=(7, 9)) > 3, r"^s5\.tif has black and white only"),
     ],
@@ -104,10 +144,14 @@ def test_the_odd_slice_is_named(tmp_path, name, page, words):
 def test_a_slice_that_is_damaged_or_has_several_pages_is_named(tmp_path):
     folder = write_folder(tmp_path / "v", stack())
     tifffile.imwrite(folder / "s5.tif", stack(), photometric="minisblack")
-    refused(FileError, r"^s5\.tif is not one picture but 12 x 7 x 9", read_volume, folder, voxel_um=1)
+    refused(
+        FileError, r"^s5\.tif is not one picture but 12 x 7 x 9", read_volume, folder, voxel_um=1
+    )
     folder = write_folder(tmp_path / "w", stack(), ".png")
     (folder / "s7.png").write_bytes((folder / "s7.png").read_bytes()[:-20])
-    refused(FileError, r"^s7\.png cannot be decoded .* It is damaged", read_volume, folder, voxel_um=1)
+    refused(
+        FileError, r"^s7\.png cannot be decoded .* It is damaged", read_volume, folder, voxel_um=1
+    )
 
 
 def test_colour_slices_become_luminance_or_the_channel_chosen(tmp_path):
@@ -121,7 +165,14 @@ def test_colour_slices_become_luminance_or_the_channel_chosen(tmp_path):
         green = read_volume(folder, voxel_um=1, channel="green", memory_bytes=limit)
         np.testing.assert_array_equal(green.values, values[..., 1])
         assert green.attrs["channel"] == "green"
-    refused(InputError, r"'cyan' is no channel.*volume_channel=", read_volume, folder, voxel_um=1, channel="cyan")
+    refused(
+        InputError,
+        r"'cyan' is no channel.*volume_channel=",
+        read_volume,
+        folder,
+        voxel_um=1,
+        channel="cyan",
+    )
     with pytest.raises(InputError, match=r"is grey, so it has no red"):
         read_volume(write_folder(tmp_path / "g", stack()), voxel_um=1, channel="red")
     Image.fromarray(values[0, ..., 0]).save(folder / "s2.png")
@@ -147,7 +198,12 @@ def test_sizes_of_slices_are_read_and_must_agree(tmp_path):
     tags = {"resolutionunit": "CENTIMETER", "photometric": "minisblack"}
     for i, page in enumerate(stack()):
         tifffile.imwrite(tmp_path / f"{i}.tif", page, resolution=(5000, 5000), **tags)
-    refused(SizeError, r"no voxel size along z: the TIFF resolution states y 2, x 2 um only", read_volume, tmp_path)
+    refused(
+        SizeError,
+        r"no voxel size along z: the TIFF resolution states y 2, x 2 um only",
+        read_volume,
+        tmp_path,
+    )
     assert read_volume(tmp_path, voxel_um=(3, 2, 2)).attrs["voxel_um"] == [3, 2, 2]
     tifffile.imwrite(tmp_path / "5.tif", stack()[5], resolution=(2500, 2500), **tags)
     with pytest.raises(SizeError, match=r"^5\.tif states a pixel size of 4 um, 0\.tif one of 2 um"):

@@ -31,7 +31,9 @@ def small_shards(monkeypatch):
     monkeypatch.setattr(module, "_LEAST_DEPTH", 8)
 
 
-@pytest.mark.parametrize(("ome", "dtype"), [("0.5", np.uint8), ("0.4", np.uint16), ("0.5", np.float32)])
+@pytest.mark.parametrize(
+    ("ome", "dtype"), [("0.5", np.uint8), ("0.4", np.uint16), ("0.5", np.float32)]
+)
 def test_what_goes_in_comes_out(tmp_path, ome, dtype):
     data = volume(dtype=dtype)
     write_store(data, tmp_path / "s.zarr", ome=ome)
@@ -45,11 +47,17 @@ def test_coarser_levels_are_means_also_at_odd_ends(tmp_path):
     data = volume()
     write_store(data, tmp_path / "s.zarr")
     group = zarr.open_group(tmp_path / "s.zarr", mode="r")
-    assert [group[k].shape for k in sorted(group.array_keys())] == [(38, 74, 200), (19, 37, 100), (10, 19, 50)]
+    assert [group[k].shape for k in sorted(group.array_keys())] == [
+        (38, 74, 200),
+        (19, 37, 100),
+        (10, 19, 50),
+    ]
     whole = data.values.reshape(19, 2, 37, 2, 100, 2).mean(axis=(1, 3, 5))
     assert np.abs(group["1"][:] - whole).max() <= 0.5
     np.testing.assert_array_equal(group["2"][:], store.halve(group["1"][:]))
-    scales = [d["coordinateTransformations"] for d in group.attrs["ome"]["multiscales"][0]["datasets"]]
+    scales = [
+        d["coordinateTransformations"] for d in group.attrs["ome"]["multiscales"][0]["datasets"]
+    ]
     moved = {"type": "translation", "translation": [1.0, 0.75, 0.75]}
     assert scales[1] == [{"type": "scale", "scale": [4.0, 3.0, 3.0]}, moved]
 
@@ -59,7 +67,9 @@ def test_neither_memory_nor_threads_change_a_byte(tmp_path):
     write_store(data, tmp_path / "a.zarr", memory_bytes=2**31)
     write_store(data, tmp_path / "b.zarr", memory_bytes=2**20, threads=1)
     assert bytes_of(tmp_path / "a.zarr") == bytes_of(tmp_path / "b.zarr")
-    assert hashes.store_fingerprint(tmp_path / "a.zarr") == hashes.store_fingerprint(tmp_path / "b.zarr")
+    assert hashes.store_fingerprint(tmp_path / "a.zarr") == hashes.store_fingerprint(
+        tmp_path / "b.zarr"
+    )
 
 
 class Stop(BaseException):
@@ -119,14 +129,22 @@ def test_another_volume_does_not_go_on_with_it(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "_write_finest_levels", raising(Stop))
     with pytest.raises(Stop):
         write_store(volume(), tmp_path / "s.zarr")
-    refused(InputError, "another volume stopped", write_store, volume(shape=(38, 74, 201)), tmp_path / "s.zarr")
+    refused(
+        InputError,
+        "another volume stopped",
+        write_store,
+        volume(shape=(38, 74, 201)),
+        tmp_path / "s.zarr",
+    )
 
 
 @pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "full"), RuntimeError("wires crossed")])
 def test_an_import_that_fails_leaves_nothing_and_blocks_nothing(tmp_path, monkeypatch, error):
     with monkeypatch.context() as patch:
         patch.setattr(module, "_write_coarser_level", raising(error))
-        with pytest.raises(RuntimeError if isinstance(error, RuntimeError) else ResourceError) as raised:
+        with pytest.raises(
+            RuntimeError if isinstance(error, RuntimeError) else ResourceError
+        ) as raised:
             write_store(volume(), tmp_path / "s.zarr")
         if isinstance(error, OSError):
             assert "MB are free" in str(raised.value)
@@ -178,7 +196,10 @@ def changed_shards(path):
 
 def test_a_lost_or_changed_shard_is_named(tmp_path):
     write_store(volume(), tmp_path / "s.zarr")
-    assert (hashes.missing_shards(tmp_path / "s.zarr"), changed_shards(tmp_path / "s.zarr")) == ([], [])
+    assert (hashes.missing_shards(tmp_path / "s.zarr"), changed_shards(tmp_path / "s.zarr")) == (
+        [],
+        [],
+    )
     shards = sorted((tmp_path / "s.zarr" / "0" / "c").rglob("*"))
     victim = next(p for p in shards if p.is_file())
     name = victim.relative_to(tmp_path / "s.zarr").as_posix()

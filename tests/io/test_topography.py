@@ -54,8 +54,16 @@ def test_a_cut_file_is_an_error(tmp_path, suffix):
 def test_contradicting_sizes_and_other_files_are_errors(tmp_path, monkeypatch):
     path = write(tmp_path / "s.x3p", "um")
     assert read_topography(path, pixel_um=(3, 2)).attrs["pixel_um"] == pytest.approx([3.0, 2.0])
-    refused(SizeError, r"s\.x3p: pixel_um= gives .* the topography file states", read_topography, path, pixel_um=5)
+    refused(
+        SizeError,
+        r"s\.x3p: pixel_um= gives .* the topography file states",
+        read_topography,
+        path,
+        pixel_um=5,
+    )
     refused(ResourceError, r"s\.x3p needs", read_topography, path, memory_bytes=100)
-    refused(FileError, r"[/\\]nothing\.sur does not exist", read_topography, tmp_path / "nothing.sur")
+    refused(
+        FileError, r"[/\\]nothing\.sur does not exist", read_topography, tmp_path / "nothing.sur"
+    )
     monkeypatch.setitem(sys.modules, "SurfaceTopography", None)
     refused(FileError, r'pip install "planish\[formats\]"', read_topography, path)

@@ -43,14 +43,22 @@ def test_values_type_and_order_survive(tmp_path, kind, dtype):
     values = stack(dtype)
     tifffile.imwrite(path, values, photometric="minisblack", **KINDS[kind])
     volume = read_volume(path, voxel_um=(3, 2, 1))
-    assert (volume.dims, volume.dtype, volume.z.dtype) == (("z", "y", "x"), np.dtype(dtype), np.float64)
+    assert (volume.dims, volume.dtype, volume.z.dtype) == (
+        ("z", "y", "x"),
+        np.dtype(dtype),
+        np.float64,
+    )
     np.testing.assert_array_equal(volume.values, values)
     for axis, step in (("z", 3.0), ("y", 2.0), ("x", 1.0)):
         np.testing.assert_array_equal(volume[axis], np.arange(volume.sizes[axis]) * step)
     assert volume.attrs == volume.attrs | {
-        "voxel_um": [3, 2, 1], "voxel_um_source": "given", "units": "1", "long_name": "Grey value",
-        "file_name": "v.tif", "file_bytes": path.stat().st_size,
-    }  # fmt: skip
+        "voxel_um": [3, 2, 1],
+        "voxel_um_source": "given",
+        "units": "1",
+        "long_name": "Grey value",
+        "file_name": "v.tif",
+        "file_bytes": path.stat().st_size,
+    }
 
 
 @settings(max_examples=40)
@@ -101,8 +109,12 @@ def test_float16_white_is_zero_and_singleton_axes_become_plain_volumes(tmp_path)
     assert volume.dtype == np.float32
     np.testing.assert_array_equal(volume.values, stack("float16"))
     tifffile.imwrite(tmp_path / "v.tif", stack("uint8"), photometric="miniswhite")
-    np.testing.assert_array_equal(read_volume(tmp_path / "v.tif", voxel_um=1).values, 255 - stack("uint8"))
-    tifffile.imwrite(tmp_path / "v.tif", stack()[None, :, None], imagej=True, metadata={"axes": "TZCYX"})
+    np.testing.assert_array_equal(
+        read_volume(tmp_path / "v.tif", voxel_um=1).values, 255 - stack("uint8")
+    )
+    tifffile.imwrite(
+        tmp_path / "v.tif", stack()[None, :, None], imagej=True, metadata={"axes": "TZCYX"}
+    )
     np.testing.assert_array_equal(read_volume(tmp_path / "v.tif", voxel_um=1).values, stack())
 
 
@@ -117,7 +129,9 @@ def test_an_uncompressed_stack_is_mapped_or_read_in_parts_but_not_copied(tmp_pat
     np.testing.assert_array_equal(small[1:3, ::2, 3:].values, stack()[1:3, ::2, 3:])
 
 
-@pytest.mark.parametrize("options", [{}, {"compression": "zlib"}, {"planarconfig": "separate"}, {"byteorder": ">"}])
+@pytest.mark.parametrize(
+    "options", [{}, {"compression": "zlib"}, {"planarconfig": "separate"}, {"byteorder": ">"}]
+)
 def test_a_stack_in_colour_becomes_luminance_or_the_channel_chosen(tmp_path, options):
     values = stack("uint16", (5, 7, 9, 3))
     order = (0, 3, 1, 2) if "planarconfig" in options else (0, 1, 2, 3)
@@ -150,20 +164,25 @@ def test_parts_of_a_stack_that_does_not_fit_are_read(tmp_path, options):
     tifffile.imwrite(tmp_path / "v.tif", values, **({"photometric": "minisblack"} | options))
     whole = read_volume(tmp_path / "v.tif", voxel_um=1).values
     part = read_volume(tmp_path / "v.tif", voxel_um=1, memory_bytes=2000)
-    np.testing.assert_array_equal(part.isel(z=slice(1, 5, 2), y=slice(7, 31)).values, whole[1:5:2, 7:31])
+    np.testing.assert_array_equal(
+        part.isel(z=slice(1, 5, 2), y=slice(7, 31)).values, whole[1:5:2, 7:31]
+    )
     np.testing.assert_array_equal(part.values, whole)
 
 
 def write_imagej(path, across_um, **meta):
     resolution = (1 / across_um, 1 / across_um)
-    tifffile.imwrite(path, stack(), imagej=True, resolution=resolution, metadata={"axes": "ZYX", **meta})
+    tifffile.imwrite(
+        path, stack(), imagej=True, resolution=resolution, metadata={"axes": "ZYX", **meta}
+    )
     return path
 
 
 @pytest.mark.parametrize(("unit", "um"), [("\\u00B5m", 1), ("nm", 1e-3), ("inch", 25400)])
 def test_imagej_sizes_come_in_their_unit(tmp_path, unit, um):
     volume = read_volume(write_imagej(tmp_path / "v.tif", 2.0 / um, unit=unit, spacing=2.5 / um))
-    assert volume.attrs["voxel_um"] == pytest.approx([2.5, 2.0, 2.0], rel=1e-5)  # resolutions are stored as fractions
+    # Resolutions are stored as fractions.
+    assert volume.attrs["voxel_um"] == pytest.approx([2.5, 2.0, 2.0], rel=1e-5)
 
 
 @pytest.mark.parametrize(("unit", "um"), [("mm", 1e3), (None, 1)])
@@ -179,29 +198,50 @@ def test_ome_sizes_come_in_their_unit(tmp_path, unit, um):
 
 def test_imagej_without_spacing_or_in_pixels_states_no_size(tmp_path):
     path = write_imagej(tmp_path / "v.tif", 2.0, unit="um")
-    refused(SizeError, r"no voxel size along z: ImageJ metadata states y 2, x 2 um only .*exactly 1", read_volume, path)
+    refused(
+        SizeError,
+        r"no voxel size along z: ImageJ metadata states y 2, x 2 um only .*exactly 1",
+        read_volume,
+        path,
+    )
     assert read_volume(path, voxel_um=(1, 2, 2)).attrs["voxel_um"] == [1, 2, 2]
     write_imagej(path, 1.0, unit="pixel", spacing=1)
-    refused(SizeError, r"states no voxel size \(ImageJ metadata: 'pixel' is no unit of length\)", read_volume, path)
+    refused(
+        SizeError,
+        r"states no voxel size \(ImageJ metadata: 'pixel' is no unit of length\)",
+        read_volume,
+        path,
+    )
 
 
 def test_ome_against_the_resolution_tags_is_an_error(tmp_path):
     meta = {"axes": "ZYX", "PhysicalSizeX": 2.0, "PhysicalSizeY": 2.0, "PhysicalSizeZ": 2.0}
     path = tmp_path / "v.ome.tif"
-    tifffile.imwrite(path, stack(), ome=True, metadata=meta, resolution=(2500, 2500), resolutionunit="CENTIMETER")
+    tifffile.imwrite(
+        path, stack(), ome=True, metadata=meta, resolution=(2500, 2500), resolutionunit="CENTIMETER"
+    )
     words = r"contradicts itself: OME metadata .* x 2 um and the TIFF resolution .* x 4 um"
     refused(SizeError, words, read_volume, path)
-    tifffile.imwrite(path, stack(), ome=True, metadata=meta, resolution=(5000, 5000), resolutionunit="CENTIMETER")
+    tifffile.imwrite(
+        path, stack(), ome=True, metadata=meta, resolution=(5000, 5000), resolutionunit="CENTIMETER"
+    )
     assert read_volume(path).attrs["voxel_um_source"] == "OME metadata and the TIFF resolution"
 
 
 def test_resolution_tags_speak_about_x_and_y_only_and_not_at_all_by_default(tmp_path):
     path = tmp_path / "v.tif"
-    tifffile.imwrite(path, stack(), photometric="minisblack", resolution=(2540, 1270), resolutionunit="INCH")
-    with pytest.raises(SizeError, match=r"no voxel size along z: the TIFF resolution states y 20, x 10 um only\. Give"):
+    tifffile.imwrite(
+        path, stack(), photometric="minisblack", resolution=(2540, 1270), resolutionunit="INCH"
+    )
+    with pytest.raises(
+        SizeError,
+        match=r"no voxel size along z: the TIFF resolution states y 20, x 10 um only\. Give",
+    ):
         read_volume(path)
     assert read_volume(path, voxel_um=(5, 20, 10)).attrs["voxel_um"] == [5, 20, 10]
-    tifffile.imwrite(path, stack(), photometric="minisblack", resolution=(72, 72), resolutionunit="INCH")
+    tifffile.imwrite(
+        path, stack(), photometric="minisblack", resolution=(72, 72), resolutionunit="INCH"
+    )
     refused(SizeError, "states no voxel size ", read_volume, path)
 
 
@@ -209,10 +249,22 @@ def test_resolution_tags_speak_about_x_and_y_only_and_not_at_all_by_default(tmp_
     ("values", "options", "words"),
     [
         (stack(shape=(7, 9)), {}, "has one page, not a stack: 7 x 9"),
-        (stack(shape=(5, 2, 7, 9)), {"imagej": True, "metadata": {"axes": "ZCYX"}}, "has 2 channels: 5 x 2 x 7 x 9"),
-        (stack(shape=(4, 5, 7, 9)), {"imagej": True, "metadata": {"axes": "TZYX"}}, "has 4 time points: 4 x 5 x 7 x 9"),
+        (
+            stack(shape=(5, 2, 7, 9)),
+            {"imagej": True, "metadata": {"axes": "ZCYX"}},
+            "has 2 channels: 5 x 2 x 7 x 9",
+        ),
+        (
+            stack(shape=(4, 5, 7, 9)),
+            {"imagej": True, "metadata": {"axes": "TZYX"}},
+            "has 4 time points: 4 x 5 x 7 x 9",
+        ),
         (stack(), {"imagej": True, "metadata": {"axes": "CYX"}}, "has 5 channels.*If these are"),
-        (stack("uint8", (5, 7, 9, 3)), {"photometric": "minisblack", "planarconfig": "contig"}, "has 3 colour samples"),
+        (
+            stack("uint8", (5, 7, 9, 3)),
+            {"photometric": "minisblack", "planarconfig": "contig"},
+            "has 3 colour samples",
+        ),
         (stack().astype("complex64"), {"photometric": "minisblack"}, "complex64 values"),
         (stack() > 5, {"photometric": "minisblack"}, "black and white only"),
     ],

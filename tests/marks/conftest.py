@@ -20,4 +20,6 @@ def put(tmp_path):
 @pytest.fixture(scope="session")
 def pattern():
     """A planned pattern, which keeps every rule; its origin lies on no step."""
-    return design_pattern(DesignParams(field_um=(20_000.0, 15_000.0), origin_um=(1234.5678, 20.0), seed=3))[0]
+    return design_pattern(
+        DesignParams(field_um=(20_000.0, 15_000.0), origin_um=(1234.5678, 20.0), seed=3)
+    )[0]

@@ -18,46 +18,74 @@ def bigwarp_2d(moving=MOVING, fixed=FIXED):
 
 def bigwarp_3d(z=(40.0, 41.0, 42.5, 39.0), target_z=0.0):
     rows = zip(LABELS, MOVING.tolist(), z, FIXED.tolist(), strict=True)
-    return "".join(f'"{n}","true","{a[0]}","{a[1]}","{c}","{b[0]}","{b[1]}","{target_z}"\n' for n, a, c, b in rows)
+    return "".join(
+        f'"{n}","true","{a[0]}","{a[1]}","{c}","{b[0]}","{b[1]}","{target_z}"\n'
+        for n, a, c, b in rows
+    )
 
 
 PAIRS = "label,moving_x_um,moving_y_um,fixed_x_um,fixed_y_um\n" + "".join(
-    f"{n},{a[0]},{a[1]},{b[0]},{b[1]}\n" for n, a, b in zip(LABELS, MOVING.tolist(), FIXED.tolist(), strict=True)
+    f"{n},{a[0]},{a[1]},{b[0]},{b[1]}\n"
+    for n, a, b in zip(LABELS, MOVING.tolist(), FIXED.tolist(), strict=True)
 )
 
 
 def bigwarp_json():
     inner = {
-        "type": "BigWarpLandmarks", "numDimensions": 2, "movingPoints": MOVING.tolist(), "fixedPoints": FIXED.tolist(),
-        "active": [True] * 4, "names": LABELS,
-    }  # fmt: skip
+        "type": "BigWarpLandmarks",
+        "numDimensions": 2,
+        "movingPoints": MOVING.tolist(),
+        "fixedPoints": FIXED.tolist(),
+        "active": [True] * 4,
+        "names": LABELS,
+    }
     return json.dumps({"landmarks": inner})
 
 
 def elastix(points, word="point"):
-    return f"{word}\n{len(points)}\n" + "\n".join(" ".join(str(v) for v in row) for row in points.tolist()) + "\n"
+    return (
+        f"{word}\n{len(points)}\n"
+        + "\n".join(" ".join(str(v) for v in row) for row in points.tolist())
+        + "\n"
+    )
 
 
 def slicer_list(points_mm, name, system="LPS", units="mm", labels=LABELS):
     controls = [
         {
-            "id": str(k + 1), "label": label, "description": "", "associatedNodeID": "vtkMRMLScalarVolumeNode1",
+            "id": str(k + 1),
+            "label": label,
+            "description": "",
+            "associatedNodeID": "vtkMRMLScalarVolumeNode1",
             "position": [float(v) for v in p] + [0.0] * (3 - len(p)),
             "orientation": [-1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0],
-            "selected": True, "locked": False, "visibility": True, "positionStatus": "defined",
+            "selected": True,
+            "locked": False,
+            "visibility": True,
+            "positionStatus": "defined",
         }
         for k, (label, p) in enumerate(zip(labels, points_mm, strict=True))
-    ]  # fmt: skip
+    ]
     return {
-        "type": "Fiducial", "name": name, "coordinateSystem": system, "coordinateUnits": units, "locked": False,
-        "fixedNumberOfControlPoints": False, "labelFormat": "%N-%d", "lastUsedControlPointNumber": len(controls),
-        "controlPoints": controls, "measurements": [], "display": {"visibility": True, "opacity": 1.0},
-    }  # fmt: skip
+        "type": "Fiducial",
+        "name": name,
+        "coordinateSystem": system,
+        "coordinateUnits": units,
+        "locked": False,
+        "fixedNumberOfControlPoints": False,
+        "labelFormat": "%N-%d",
+        "lastUsedControlPointNumber": len(controls),
+        "controlPoints": controls,
+        "measurements": [],
+        "display": {"visibility": True, "opacity": 1.0},
+    }
 
 
 def slicer(*lists):
     schema = "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
-    return json.dumps({"@schema": schema + "markups-schema-v1.0.3.json#", "markups": list(lists)}, indent=4)
+    return json.dumps(
+        {"@schema": schema + "markups-schema-v1.0.3.json#", "markups": list(lists)}, indent=4
+    )
 
 
 def imagej(points):

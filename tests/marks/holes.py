@@ -24,7 +24,9 @@ class Hole:
     def centre(self):
         """Least-squares centre of the outline that was really cut."""
         angle = np.arange(ANGLES) * 2 * np.pi / ANGLES
-        return self.x + 2 * np.mean(self.outline * np.cos(angle)), self.y + 2 * np.mean(self.outline * np.sin(angle))
+        return self.x + 2 * np.mean(self.outline * np.cos(angle)), self.y + 2 * np.mean(
+            self.outline * np.sin(angle)
+        )
 
 
 @dataclass

@@ -82,8 +82,13 @@ def test_dxf_by_the_published_group_codes(pattern):
     pairs = dxf_pairs(pattern_dxf(pattern))
     assert pairs[-2:] == [(0, "ENDSEC"), (0, "EOF")]
     assert [value for code, value in pairs if (code, value) in ((0, "SECTION"), (0, "ENDSEC"))] == [
-        "SECTION", "ENDSEC", "SECTION", "ENDSEC", "SECTION", "ENDSEC",
-    ]  # fmt: skip
+        "SECTION",
+        "ENDSEC",
+        "SECTION",
+        "ENDSEC",
+        "SECTION",
+        "ENDSEC",
+    ]
     assert pairs[pairs.index((9, "$ACADVER")) + 1] == (1, "AC1009")
     start = pairs.index((2, "ENTITIES"))
     layers = {pairs[k + 1][1] for k, pair in enumerate(pairs[:start]) if pair == (0, "LAYER")}
@@ -108,14 +113,23 @@ def test_dxf_is_ascii(pattern):
 def test_a_design_is_a_whole_folder(made):
     names = {path.name for path in made.iterdir()}
     assert names == {
-        "pattern.json", "holes.csv", "holes_as_imaged.csv", "pattern.dxf", "program.gcode", "drawing.svg",
-        "drawing.png", "drawing.pdf", "predicted_error.png", "path.png",
-    }  # fmt: skip
+        "pattern.json",
+        "holes.csv",
+        "holes_as_imaged.csv",
+        "pattern.dxf",
+        "program.gcode",
+        "drawing.svg",
+        "drawing.png",
+        "drawing.pdf",
+        "predicted_error.png",
+        "path.png",
+    }
     pdf = (made / "drawing.pdf").read_bytes()
     assert pdf.startswith(b"%PDF")
     assert b"/Count 3" in pdf
     svg = (made / "drawing.svg").read_text()
-    assert 'width="841.889764pt"' in svg  # A4 across, so that one mm on paper is one mm of the true-size drawing
+    # A4 across, so that one mm on paper is one mm of the true-size drawing.
+    assert 'width="841.889764pt"' in svg
     with Image.open(made / "drawing.png") as picture:
         grey = np.asarray(picture.convert("L"))
     assert 0.002 < (grey < 128).mean() < 0.2
@@ -154,7 +168,9 @@ def test_simulate(passes, made, tmp_path):
     shifted = tmp_path / "shifted.csv"
     label, x, y, diameter = (made / "holes.csv").read_text().splitlines()[3].split(",")
     moved = ",".join([label, str(float(x) + 0.01), y, diameter])
-    shifted.write_text((made / "holes.csv").read_text().replace(",".join([label, x, y, diameter]), moved))
+    shifted.write_text(
+        (made / "holes.csv").read_text().replace(",".join([label, x, y, diameter]), moved)
+    )
     _, err = passes("marks", "simulate", program, "--pattern", shifted, codes=(4,))
     assert "0.010 um from the nearest shot" in err
 
@@ -163,7 +179,9 @@ def test_simulate(passes, made, tmp_path):
 def test_check(passes, made, tmp_path):
     passes("marks", "check", made / "holes_as_imaged.csv", *FIELD)
     grid = tmp_path / "grid.csv"
-    grid.write_text("x_um,y_um\n" + "".join(f"{2000 * i},{2000 * j}\n" for i in range(5) for j in range(4)))
+    grid.write_text(
+        "x_um,y_um\n" + "".join(f"{2000 * i},{2000 * j}\n" for i in range(5) for j in range(4))
+    )
     out, err = passes("marks", "check", grid, codes=(4,))
     assert "BROKEN" in out
     for rule in ("around", "half turn", "mirror", "shift", "code"):
@@ -182,8 +200,16 @@ def test_check(passes, made, tmp_path):
         (("design", *FIELD, "-o", "OUT", "--layout", "spiral"), 2, "spiral"),
         (("design", *FIELD, "-o", "OUT", "--holes", "20", "--holes-per-cm2", "9"), 2, "not both"),
         (("design", *FIELD, "-o", "OUT", "--power", "9", "--pulse-code", "m64"), 2, "m3 only"),
-        (("design", "--field-um", "3000,2000", "--margin-um", "300", "-o", "OUT"), 3, "rule 'area'"),
-        (("design", *FIELD, "-o", "OUT", "--range-um", "0,0,5000,5000"), 3, "out of the stage's range"),
+        (
+            ("design", "--field-um", "3000,2000", "--margin-um", "300", "-o", "OUT"),
+            3,
+            "rule 'area'",
+        ),
+        (
+            ("design", *FIELD, "-o", "OUT", "--range-um", "0,0,5000,5000"),
+            3,
+            "out of the stage's range",
+        ),
         (("design", *FIELD, "-o", "HERE"), 3, "exists already"),
         (("check", "none.json"), 3, "does not exist"),
         (("simulate", "BROKEN"), 3, "not in the dialect"),
@@ -195,4 +221,10 @@ def test_bad_input_ends_with_a_sentence(refuses, tmp_path, arguments, code, word
     (tmp_path / "broken.gcode").write_text("G21\nhello\n")
     (tmp_path / "binary").write_bytes(b"\xff\x00{")
     names = {"OUT": "out", "HERE": ".", "BROKEN": "broken.gcode", "BINARY": "binary"}
-    refuses("marks", *(tmp_path / names[a] if a in names else a for a in arguments), words=word, code=code, out=False)
+    refuses(
+        "marks",
+        *(tmp_path / names[a] if a in names else a for a in arguments),
+        words=word,
+        code=code,
+        out=False,
+    )

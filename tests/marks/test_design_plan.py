@@ -8,7 +8,14 @@ from pydantic import ValidationError
 
 from planish.core.errors import MarkError
 from planish.core.transform import Similarity
-from planish.design import DesignParams, ImagingParams, check_pattern, design_pattern, hole_error_um, predict
+from planish.design import (
+    DesignParams,
+    ImagingParams,
+    check_pattern,
+    design_pattern,
+    hole_error_um,
+    predict,
+)
 
 
 @pytest.mark.parametrize(
@@ -26,7 +33,9 @@ def test_what_is_planned_keeps_the_rules(field, options):
     assert [(r.name, r.value) for r in rules] == [(r.name, r.value) for r in check_pattern(pattern)]
     assert pattern.field_um == field
     points = pattern.points_um
-    gaps = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1))[~np.eye(len(points), dtype=bool)]
+    gaps = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1))[
+        ~np.eye(len(points), dtype=bool)
+    ]
     assert gaps.min() >= max(500, 3 * pattern.diameter_um)
     # in the stage's frame nothing lies outside the view, and the holes lie on whole steps of 50 um
     seen = points - pattern.origin_um
@@ -64,7 +73,9 @@ def test_any_four_consecutive_holes_tell_where_they_are(pattern):
 
 
 def test_the_same_seed_gives_the_same_pattern():
-    first, second, other = (design_pattern(DesignParams(field_um=(6_000.0, 5_000.0), seed=s))[0] for s in (4, 4, 5))
+    first, second, other = (
+        design_pattern(DesignParams(field_um=(6_000.0, 5_000.0), seed=s))[0] for s in (4, 4, 5)
+    )
     assert first == second
     assert first.holes != other.holes
 
@@ -80,11 +91,23 @@ def test_a_small_field_gets_a_margin_with_room_for_its_holes(field_um):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"field_um": (4_000.0, 3_000.0), "margin_um": 300.0}, ("rule 'area'", "at most 3 %", "larger margin")),
-        ({"field_um": (20_000.0, 15_000.0), "holes": 11}, ("rule 'count'", "at least 12 holes: burn more holes")),
-        ({"field_um": (6_000.0, 4_000.0), "holes": 6}, ("rule 'count'", "at least 12 holes: burn more holes")),
+        (
+            {"field_um": (4_000.0, 3_000.0), "margin_um": 300.0},
+            ("rule 'area'", "at most 3 %", "larger margin"),
+        ),
+        (
+            {"field_um": (20_000.0, 15_000.0), "holes": 11},
+            ("rule 'count'", "at least 12 holes: burn more holes"),
+        ),
+        (
+            {"field_um": (6_000.0, 4_000.0), "holes": 6},
+            ("rule 'count'", "at least 12 holes: burn more holes"),
+        ),
         ({"field_um": (20_000.0, 15_000.0), "holes": 14}, ("rule 'crop'", "20 or more")),
-        ({"field_um": (8_000.0, 8_000.0), "layout": "line", "margin_um": 300.0}, ("rule 'spacing'", "layout 'coded'")),
+        (
+            {"field_um": (8_000.0, 8_000.0), "layout": "line", "margin_um": 300.0},
+            ("rule 'spacing'", "layout 'coded'"),
+        ),
         pytest.param(
             {"field_um": (20_000.0, 15_000.0), "spacing_um": 4_000.0},
             ("rule 'spacing'", "spacing_um="),
@@ -93,7 +116,10 @@ def test_a_small_field_gets_a_margin_with_room_for_its_holes(field_um):
         ({"field_um": (20_000.0, 15_000.0), "spacing_um": 300.0}, ("below 3 diameters, 525 um",)),
         ({"field_um": (20_000.0, 15_000.0), "margin_um": 100.0}, ("below 127.5 um",)),
         ({"field_um": (20.0, 15.0)}, ("field_um", "greater than or equal to 500")),
-        ({"field_um": (20_000.0, 15_000.0), "pulse_s": 5.0}, ("pulse_s", "less than or equal to 1")),
+        (
+            {"field_um": (20_000.0, 15_000.0), "pulse_s": 5.0},
+            ("pulse_s", "less than or equal to 1"),
+        ),
         ({"field_um": (float("nan"), 15_000.0)}, ("field_um", "finite number")),
     ],
 )
@@ -106,7 +132,9 @@ def test_a_refusal_names_the_rule_and_the_remedy(options, words):
 
 def test_predicted_error_by_hand():
     # 18.33 arcs; 2 * 5 / sqrt(18.33) = 2.336 um a map from the rim, 0.1 * sqrt(2) * 5 = 0.707 um from the pixels
-    assert hole_error_um(175.0) == pytest.approx(np.sqrt(2 * (4 * 25 * 30 / (np.pi * 175) + 2 * 0.25)))
+    assert hole_error_um(175.0) == pytest.approx(
+        np.sqrt(2 * (4 * 25 * 30 / (np.pi * 175) + 2 * 0.25))
+    )
     assert hole_error_um(175.0, ImagingParams(pixel_um=(5.0, 12.0))) > hole_error_um(175.0)
     with pytest.raises(ValidationError, match="greater than 0"):
         hole_error_um(175.0, ImagingParams(pixel_um=(0.0, 5.0)))
@@ -121,7 +149,9 @@ def test_predicted_error_is_that_of_a_least_squares_similarity(pattern):
     for share in ((0.5, 0.5), (0, 0), (1, 1)):
         point = low + size * share
         lever = np.sum((point - pattern.points_um.mean(axis=0)) ** 2) / np.sum(away**2)
-        assert float(predicted.at(point)) == pytest.approx(predicted.fle_um * np.sqrt(1 / len(away) + lever))
+        assert float(predicted.at(point)) == pytest.approx(
+            predicted.fle_um * np.sqrt(1 / len(away) + lever)
+        )
 
 
 def test_the_table_as_imaged_is_no_mirror_image_of_an_image(pattern):

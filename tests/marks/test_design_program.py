@@ -20,7 +20,8 @@ def fired_in_order(run, pattern):
 
 
 @pytest.mark.parametrize(
-    "stage", [StageParams(), StageParams(pulse_code="m64"), StageParams(power=1000.0, speed_mm_min=600.5)]
+    "stage",
+    [StageParams(), StageParams(pulse_code="m64"), StageParams(power=1000.0, speed_mm_min=600.5)],
 )
 def test_the_dry_run_fires_the_design(pattern, stage):
     run = dry_run(stage_program(pattern, stage))
@@ -31,7 +32,9 @@ def test_the_dry_run_fires_the_design(pattern, stage):
     np.testing.assert_allclose(run.path_um[[0, -1]], [pattern.origin_um] * 2, atol=0.0005 + 1e-9)
     assert run.least_pause_s >= 0.1
     waits = len(run.fired_um) * (0.005 + 0.1)
-    assert run.time_s == pytest.approx(waits + 60 * run.length_um / 1000 / stage.speed_mm_min, rel=1e-9)
+    assert run.time_s == pytest.approx(
+        waits + 60 * run.length_um / 1000 / stage.speed_mm_min, rel=1e-9
+    )
 
 
 def test_the_program_has_the_times_of_its_pattern_and_its_title_ends_no_comment(pattern):
@@ -98,7 +101,8 @@ def test_a_refusal_names_the_line_and_the_range_of_the_stage_is_kept(pattern):
 def test_what_other_programs_write_too():
     """Comments in brackets, line numbers, lower case, modal moves, G1, M30, a tape's percent sign."""
     text = (
-        "%\n(a program)\nN10 g21 g90\nN20 F600\ng1 x1.0 y1\nm3 s500\ng4p.005\nm5\ng1 x2\ny3\nm3\ng4 p0.005\nm5\nm30\n%"
+        "%\n(a program)\nN10 g21 g90\nN20 F600\ng1 x1.0 y1\nm3 s500\ng4p.005\nm5\ng1 x2\ny3\nm3\ng4"
+        " p0.005\nm5\nm30\n%"
     )
     run = dry_run(text)
     np.testing.assert_allclose(run.fired_um, [[1000, 1000], [2000, 3000]])
@@ -128,6 +132,8 @@ def test_the_way_against_every_order():
 
 def test_the_way_around_a_field_is_the_way_around(pattern):
     """Holes around a rectangle: nothing is shorter than once around it."""
-    way = path_um(pattern.points_um, short_route(pattern.points_um, pattern.origin_um), pattern.origin_um)
+    way = path_um(
+        pattern.points_um, short_route(pattern.points_um, pattern.origin_um), pattern.origin_um
+    )
     around = path_um(pattern.points_um, np.arange(len(pattern.holes)), pattern.origin_um)
     assert way <= around + 1e-6

@@ -8,7 +8,15 @@ from hypothesis import strategies as st
 from folders import refused
 from planish.core.errors import MarkError
 from planish.design import check_pattern, own_pattern
-from planish.design.rules import CROP, _HoleIndex, code_misfit_um, crops, perimeter_order, self_motions, simple_rules
+from planish.design.rules import (
+    CROP,
+    _HoleIndex,
+    code_misfit_um,
+    crops,
+    perimeter_order,
+    self_motions,
+    simple_rules,
+)
 
 
 def broken(pattern):
@@ -26,7 +34,8 @@ def test_a_good_pattern_breaks_no_rule_and_few_close_or_marking_holes_do(pattern
     points = pattern.points_um.copy()
     points[5] = points[4] + [0, 3 * pattern.diameter_um - 1]
     assert "spacing" in broken(moved(pattern, points))
-    assert "spacing" in broken(pattern.model_copy(update={"spacing_um": 2000.0}))  # asked for more than three diameters
+    # Asked for more than three diameters.
+    assert "spacing" in broken(pattern.model_copy(update={"spacing_um": 2000.0}))
     corner = np.array(pattern.frame_low_um)
     assert "marker" in broken(moved(pattern, [*pattern.points_um, corner]))
 
@@ -45,10 +54,14 @@ def test_around(pattern):
 
 def test_radius_and_area(pattern):
     # the same holes around a field with a diagonal of which their rms radius is exactly 0.4
-    radius = np.sqrt(np.mean(np.sum((pattern.points_um - pattern.points_um.mean(axis=0)) ** 2, axis=1)))
+    radius = np.sqrt(
+        np.mean(np.sum((pattern.points_um - pattern.points_um.mean(axis=0)) ** 2, axis=1))
+    )
     side = radius / 0.4 / np.sqrt(2)
     for factor, passed in ((0.999, True), (1.001, False)):
-        rules = simple_rules(pattern.model_copy(update={"field_um": (factor * side, factor * side)}))
+        rules = simple_rules(
+            pattern.model_copy(update={"field_um": (factor * side, factor * side)})
+        )
         assert next(rule.passed for rule in rules if rule.name == "radius") == passed
     # holes of 175 um with rims of 40 um, pi / 4 * 255^2 um2 each; the view of which that is 3 %
     side = np.sqrt(len(pattern.holes) * np.pi / 4 * 255**2 / 0.03)
@@ -69,12 +82,16 @@ def test_crop_against_windows_drawn_at_random(pattern):
         low = rng.uniform(0, CROP, 2) * view
         kept = rng.integers(2)
         low[kept] = rng.choice([0.0, CROP * view[kept]])
-        inside = np.all((points - radius >= low) & (points + radius <= low + (1 - CROP) * view), axis=1)
+        inside = np.all(
+            (points - radius >= low) & (points + radius <= low + (1 - CROP) * view), axis=1
+        )
         fewest = min(fewest, int(inside.sum()))
         assert any(np.all(mask <= inside) for mask in masks)
     assert masks.sum(axis=1).min() == 4 <= fewest
     middle = np.abs(points[:, 0] / view[0] - 0.5) < 0.2
-    assert "crop" in broken(moved(pattern, pattern.points_um[~(middle & (points[:, 1] < 0.1 * view[1]))]))
+    assert "crop" in broken(
+        moved(pattern, pattern.points_um[~(middle & (points[:, 1] < 0.1 * view[1]))])
+    )
 
 
 TURN = np.array([[0, -1], [1, 0]])
@@ -121,7 +138,8 @@ def test_symmetry_of_most_holes_and_a_line_of_even_pitch_are_refused():
 def test_code_misfit_by_hand():
     """Two lines of four, of which one pitch differs by 60 um; what runs round the corners differs more."""
     a = np.cumsum([0.0, 1000, 1400, 2100])
-    b = np.cumsum([0.0, 3000, 2100, 1400, 1060])  # runs the other way round the field: in order 1060, 1400, 2100
+    # Runs the other way round the field: in order 1060, 1400, 2100.
+    b = np.cumsum([0.0, 3000, 2100, 1400, 1060])
     points = np.concatenate([np.stack([a, 0 * a], 1), np.stack([b + 3300, 0 * b + 9000], 1)])
     # with turn, shift and scale free, the misfit of (0, 1000, 2400, 4500) and (0, 1060, 2460, 4560)
     one, two = a - a.mean(), np.cumsum([0.0, 1060, 1400, 2100])
@@ -149,7 +167,9 @@ def test_table_and_tree_give_the_same_holes_in_the_order_of_the_design(pattern):
     index = _HoleIndex(pattern.points_um)
     assert index.table is not None
     rng = np.random.default_rng(2)
-    near = pattern.points_um[rng.integers(len(pattern.points_um), size=3000)] + rng.normal(0, 30, (3000, 2))
+    near = pattern.points_um[rng.integers(len(pattern.points_um), size=3000)] + rng.normal(
+        0, 30, (3000, 2)
+    )
     z = np.concatenate([near, rng.uniform(-40_000, 60_000, (500, 2))]) @ [1, 1j]
     fast = index.holes_at(z[:, None])
     index.table = None

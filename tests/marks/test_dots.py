@@ -26,7 +26,9 @@ def printed(shape=(330, 400), *, holes=CENTRES, pixel=PIXEL, noise=0.005):
 def test_holes_in_a_print_are_found_once_its_dots_are_off():
     image = printed()
     spoilt = find_holes(image, pixel_um=PIXEL, diameter_um=(140.0, 300.0))
-    clean = find_holes(without_dots(image, (PIXEL, PIXEL), 140.0), pixel_um=PIXEL, diameter_um=(140.0, 300.0))
+    clean = find_holes(
+        without_dots(image, (PIXEL, PIXEL), 140.0), pixel_um=PIXEL, diameter_um=(140.0, 300.0)
+    )
     found = np.stack([clean.x, clean.y], axis=1)
     assert spoilt.sizes["mark"] == 0
     assert clean.sizes["mark"] >= len(CENTRES) - 1  # a dot may hide too much of a rim
@@ -41,10 +43,12 @@ def test_dots_become_paper_and_nothing_else_changes():
     assert np.array_equal(out[inside], image[inside])
     # A hole may cut a dot.
     far = np.min([np.hypot(x - a, y - b) for a, b in CENTRES], axis=0) > HOLE / 2 + DOT
-    far[:30], far[-30:], far[:, :30], far[:, -30:] = False, False, False, False  # a dot that the border cuts may stay
+    # a dot that the border cuts may stay.
+    far[:30], far[-30:], far[:, :30], far[:, -30:] = False, False, False, False
     assert out[far].min() > 0.75
     paper = image > 0.79
-    assert np.allclose(out[paper & far], image[paper & far], atol=0.011)  # beside a dot the paper's median may stand
+    # Beside a dot the paper's median may stand.
+    assert np.allclose(out[paper & far], image[paper & far], atol=0.011)
 
 
 def test_an_image_without_dots_or_without_values_stays_as_it_is():

@@ -57,7 +57,10 @@ def mat(moving, fixed, version="6", *, names=("movingPoints", "fixedPoints")):
     """A MATLAB file of this version; 7.3 with the heading that MATLAB writes."""
     data = bytearray(file_of(version, dict(zip(names, (moving, fixed), strict=True))).getvalue())
     if version == "7.3":
-        heading = b"MATLAB 7.3 MAT-file, Platform: GLNXA64, Created on: Mon Mar  3 10:00:00 2025 HDF5 schema 1.00 ."
+        heading = (
+            b"MATLAB 7.3 MAT-file, Platform: GLNXA64, Created on: Mon Mar  3 10:00:00 2025 HDF5"
+            b" schema 1.00 ."
+        )
         data[: len(heading)] = heading
     return bytes(data)
 
@@ -73,7 +76,8 @@ def test_bigwarp_of_two_images_and_of_a_volume(put):
     marks = read_any(put(bigwarp_3d()))
     assert layer_names(marks) == ["volume", "fixed"]
     assert marks.volume_z.values.tolist() == [40.0, 41.0, 42.5, 39.0]
-    assert layer_names(read_any(put(bigwarp_3d(z=(0.0,) * 4)))) == ["moving", "fixed"]  # two flat pictures
+    # Two flat pictures.
+    assert layer_names(read_any(put(bigwarp_3d(z=(0.0,) * 4)))) == ["moving", "fixed"]
 
 
 def test_bigwarp_points_that_are_off_or_not_set(put):
@@ -91,7 +95,10 @@ def test_bigwarp_points_that_are_off_or_not_set(put):
 def test_units_that_a_file_does_not_state(put):
     in_mm = put(bigwarp_2d(MOVING / 1000, FIXED / 1000))
     assert same(read_any(in_mm, unit="mm"))
-    in_pixels = put(elastix(MOVING / MOVING_PIXEL), "a.txt"), put(elastix(FIXED / FIXED_PIXEL), "b.txt")
+    in_pixels = (
+        put(elastix(MOVING / MOVING_PIXEL), "a.txt"),
+        put(elastix(FIXED / FIXED_PIXEL), "b.txt"),
+    )
     assert same(read_any(*in_pixels, unit="pixel", **PIXELS))
 
 
@@ -137,10 +144,16 @@ def test_slicer_points_not_set_or_not_selected_and_other_markups(put):
     assert exchange.used_pairs(marks, least=2).label.values.tolist() == ["Pt-0", "Pt-2"]
 
 
-@pytest.mark.parametrize("options", [
-    {"version": "4"}, {"version": "6"}, {"version": "7"}, {"version": "7.3"},
-    {"names": ("input_points", "base_points")},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"version": "4"},
+        {"version": "6"},
+        {"version": "7"},
+        {"version": "7.3"},
+        {"names": ("input_points", "base_points")},
+    ],
+)
 def test_matlab_counts_from_one(put, options):
     path = put(mat(MOVING / MOVING_PIXEL + 1, FIXED / FIXED_PIXEL + 1, **options), "points.mat")
     assert same(read_any(path, **PIXELS))
@@ -148,27 +161,41 @@ def test_matlab_counts_from_one(put, options):
 
 def test_matlab_of_another_machine(put):
     data = b""
-    for name, values in ((b"movingPoints", MOVING / MOVING_PIXEL + 1), (b"fixedPoints", FIXED / FIXED_PIXEL + 1)):
+    for name, values in (
+        (b"movingPoints", MOVING / MOVING_PIXEL + 1),
+        (b"fixedPoints", FIXED / FIXED_PIXEL + 1),
+    ):
         data += struct.pack(">5i", 1000, *values.shape, 0, len(name) + 1) + name + b"\0"
         data += values.T.astype(">f8").tobytes()
     assert same(read_any(put(data, "version4.mat"), **PIXELS))
 
 
 def test_pairs_on_the_flat_map_with_foreign_labels_and_unused_rows(put):
-    marks = read_any(put("\ufeff" + PAIRS.replace("Pt-0", '"Loch ü, links"').replace("\n", "\r\n"), "pairs.csv"))
+    marks = read_any(
+        put("\ufeff" + PAIRS.replace("Pt-0", '"Loch ü, links"').replace("\n", "\r\n"), "pairs.csv")
+    )
     assert same(marks)
     assert marks.label.values.tolist() == ["Loch ü, links", *LABELS[1:]]
     pairs = exchange.used_pairs(marks)
     assert set(pairs.variables) == {"label", "moving_x", "moving_y", "fixed_x", "fixed_y"}
     assert all(pairs[name].attrs["units"] == "um" for name in pairs.variables if name != "label")
-    rows = [row + end for row, end in zip(PAIRS.splitlines(), (",used", ",1", ",0", ",False", ",1"), strict=True)]
+    rows = [
+        row + end
+        for row, end in zip(PAIRS.splitlines(), (",used", ",1", ",0", ",False", ",1"), strict=True)
+    ]
     assert read_any(put("\n".join(rows))).label.values.tolist() == ["Pt-0", "Pt-3"]
 
 
 def test_pairs_in_the_volume_in_any_order_of_columns(put):
-    text = "fixed_y_um;fixed_x_um;volume_z_um;volume_y_um;volume_x_um\n1;2;3;4;5\n\n# a remark\n6;7;8;9;10\n"
+    text = (
+        "fixed_y_um;fixed_x_um;volume_z_um;volume_y_um;volume_x_um\n1;2;3;4;5\n\n# a"
+        " remark\n6;7;8;9;10\n"
+    )
     marks = exchange.used_pairs(read_any(put(text)), least=1)
-    assert (marks.volume_x.values.tolist(), marks.fixed_y.values.tolist()) == ([5.0, 10.0], [1.0, 6.0])
+    assert (marks.volume_x.values.tolist(), marks.fixed_y.values.tolist()) == (
+        [5.0, 10.0],
+        [1.0, 6.0],
+    )
     assert "moving_x" not in marks
     assert marks.label.values.tolist() == ["1", "2"]
 
@@ -178,12 +205,16 @@ def test_holes_of_one_layer_also_beside_a_file_of_another_program(put):
     marks = read_any(put(holes, "holes.csv"))
     assert (layer_names(marks), holes_of(marks, "marks").diameter.values[0]) == (["marks"], 150)
     assert same(read_any(put(bigwarp_2d().replace('"', ""), "no quotes.csv")))
-    holes = "label,x_um,y_um\n" + "".join(f"{n},{x},{y}\n" for n, (x, y) in zip(LABELS, FIXED.tolist(), strict=True))
+    holes = "label,x_um,y_um\n" + "".join(
+        f"{n},{x},{y}\n" for n, (x, y) in zip(LABELS, FIXED.tolist(), strict=True)
+    )
     assert same(read_any(put(elastix(MOVING / 1000), "a"), put(holes, "holes.csv")))
 
 
 def test_the_page_has_the_formats_of_the_table_and_its_example_is_read(put):
-    page = (Path(__file__).resolve().parents[2] / "docs" / "marks-files.md").read_text(encoding="utf-8")
+    page = (Path(__file__).resolve().parents[2] / "docs" / "marks-files.md").read_text(
+        encoding="utf-8"
+    )
     assert formats_table() in page
     marks = read_any(put(page.split("```json\n")[1].split("```")[0]))
     assert marks.label.values.tolist() == ["hole 1", "hole 2"]
@@ -195,13 +226,25 @@ def test_own_json_holds_everything(put, tmp_path):
     marks = read_any(put(native(), "marks.json"))
     assert marks.label.values.tolist() == ["A", "B", "C, ü"]
     assert marks.used.values.tolist() == [True, False, True]
-    assert (marks.moving_cov_xx[0], marks.moving_cov_xy[0], marks.moving_cov_yy[0]) == (4.0, 0.5, 2.0)
-    assert (marks.moving_diameter[0], marks.moving_axis_ratio[0], marks.moving_arc_coverage[0]) == (151.5, 1.02, 0.98)
+    assert (marks.moving_cov_xx[0], marks.moving_cov_xy[0], marks.moving_cov_yy[0]) == (
+        4.0,
+        0.5,
+        2.0,
+    )
+    assert (marks.moving_diameter[0], marks.moving_axis_ratio[0], marks.moving_arc_coverage[0]) == (
+        151.5,
+        1.02,
+        0.98,
+    )
     assert np.isnan(marks.fixed_x[2])
     assert marks.fixed_source.values.tolist() == ["clicked", "predicted", "imported"]
     assert marks.residual.values[1] == 3.25
     layer = marks.attrs["layers"]["moving"]
-    assert (layer["side"], layer["machine_direction_deg"], layer["origin_um"]) == ("top", 90.0, {"x": -10.0, "y": 4.0})
+    assert (layer["side"], layer["machine_direction_deg"], layer["origin_um"]) == (
+        "top",
+        90.0,
+        {"x": -10.0, "y": 4.0},
+    )
     (copy,) = write_any(marks, tmp_path / "copy.json")
     again = read_any(copy)
     xr.testing.assert_identical(again, marks)
@@ -210,7 +253,9 @@ def test_own_json_holds_everything(put, tmp_path):
 
 
 def test_holes_of_one_layer_and_marks_of_three_come_back(tmp_path):
-    holes = xr.Dataset({k: ("mark", [v, v + 200.0]) for k, v in (("x", 100.1), ("y", 200.2), ("diameter", 150.0))})
+    holes = xr.Dataset(
+        {k: ("mark", [v, v + 200.0]) for k, v in (("x", 100.1), ("y", 200.2), ("diameter", 150.0))}
+    )
     holes["cov_xx"], holes["cov_yy"], holes["cov_xy"] = (("mark", [v, v]) for v in (4.0, 5.0, -1.0))
     one = exchange.marks_of_holes(holes, layer="image", about={"side": "top"})
     (path,) = write_any(one, tmp_path / "holes.json")
@@ -228,7 +273,16 @@ def test_holes_of_one_layer_and_marks_of_three_come_back(tmp_path):
 
 
 def test_marks_of_a_run_come_back_with_their_results_beside_the_pairs(tmp_path):
-    names = ("moving_x", "moving_y", "fixed_x", "fixed_y", "residual_x", "residual_y", "residual", "leave_one_out")
+    names = (
+        "moving_x",
+        "moving_y",
+        "fixed_x",
+        "fixed_y",
+        "residual_x",
+        "residual_y",
+        "residual",
+        "leave_one_out",
+    )
     values = np.random.default_rng(1).uniform(0, 1000, (8, 4))
     run = xr.Dataset({name: ("mark", column) for name, column in zip(names, values, strict=True)})
     (path,) = write_any(run, tmp_path / "run.json")
@@ -238,7 +292,10 @@ def test_marks_of_a_run_come_back_with_their_results_beside_the_pairs(tmp_path):
     path = tmp_path / "marks.csv"
     write_marks(run.assign(used=("mark", [True, True, True, False])), path)
     header, first, *_, last = path.read_text(encoding="utf-8").splitlines()
-    assert header == "label,moving_x_um,moving_y_um,fixed_x_um,fixed_y_um,residual_um,leave_one_out_um,used"
+    assert (
+        header
+        == "label,moving_x_um,moving_y_um,fixed_x_um,fixed_y_um,residual_um,leave_one_out_um,used"
+    )
     assert float(first.split(",")[-2]) == values[-1, 0]
     assert (first[-2:], last[-2:]) == (",1", ",0")
     kept = read_any(path)
@@ -251,7 +308,10 @@ def test_marks_of_a_run_come_back_with_their_results_beside_the_pairs(tmp_path):
 def some_marks(side="moving", origin=(0.0, 0.0)):
     """Nine marks on a map, or in a ``volume``, and in an image."""
     rng = np.random.default_rng(5)
-    first, fixed = rng.uniform(-500, 20000, (9, 2 if side == "moving" else 3)), rng.uniform(0, 20000, (9, 2))
+    first, fixed = (
+        rng.uniform(-500, 20000, (9, 2 if side == "moving" else 3)),
+        rng.uniform(0, 20000, (9, 2)),
+    )
     first[0, 0], fixed[1, 0] = 1 / 3, 2e-300  # each digit counts in planish's own files
     about = {
         side: {"pixel_um": {"x": 2.5, "y": 2.7}, "origin_um": {"x": origin[0], "y": origin[1]}},
@@ -264,14 +324,25 @@ def some_marks(side="moving", origin=(0.0, 0.0)):
 BACK = {"moving": LayerPixels((2.7, 2.5), (-350.5, 20.25)), "fixed": LayerPixels((4.1, 4.0))}
 
 
-@pytest.mark.parametrize(("to", "unit"), [
-    ("json", None), ("csv", None), ("bigwarp", None), ("bigwarp", "pixel"), ("elastix", None), ("elastix", "um"),
-    ("slicer", None), ("matlab", None),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("to", "unit"),
+    [
+        ("json", None),
+        ("csv", None),
+        ("bigwarp", None),
+        ("bigwarp", "pixel"),
+        ("elastix", None),
+        ("elastix", "um"),
+        ("slicer", None),
+        ("matlab", None),
+    ],
+)
 def test_there_and_back(tmp_path, to, unit):
     marks = some_marks(origin=(-350.5, 20.25))
     own = to in ("json", "csv")
-    again = read_any(*write_any(marks, tmp_path / "out.x", to=to, unit=unit), unit=unit, **({} if own else BACK))
+    again = read_any(
+        *write_any(marks, tmp_path / "out.x", to=to, unit=unit), unit=unit, **({} if own else BACK)
+    )
     assert same(again, points(marks, "moving"), points(marks, "fixed"), atol=0.0 if own else 1e-9)
     assert again.attrs["read_from"]["format"] == to
     if to not in ("elastix", "matlab"):
@@ -283,7 +354,9 @@ def test_there_and_back_from_a_volume(tmp_path, to):
     marks = some_marks("volume")
     again = read_any(*write_any(marks, tmp_path / "out.x", to=to))
     for axis in "xyz":
-        np.testing.assert_allclose(again[f"volume_{axis}"], marks[f"volume_{axis}"], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(
+            again[f"volume_{axis}"], marks[f"volume_{axis}"], rtol=0, atol=1e-9
+        )
     assert layer_names(again) == ["volume", "fixed"]
 
 

@@ -53,7 +53,9 @@ def read_by_link(path):
     """Marks of a file as a link reads them, for an image of 5 um pixels; or the message."""
     grid = Grid(y_um=np.arange(300) * 5.0, x_um=np.arange(320) * 5.0)
     try:
-        registration.read_given(path, SimpleNamespace(grid=grid, image=None), SimpleNamespace(grid=grid, image=grid))
+        registration.read_given(
+            path, SimpleNamespace(grid=grid, image=None), SimpleNamespace(grid=grid, image=grid)
+        )
     except PlanishError as error:
         return str(error)
     return "the marks were read"
@@ -63,7 +65,9 @@ POINTS = np.array([[111.1, 222.2], [903.3, 148.4], [505.5, 706.6], [730.1, 655.2
 
 
 def some_pairs(fixed):
-    return make_marks(list("abcd"), {"moving": MarkPlaces(um=POINTS), "fixed": MarkPlaces(um=fixed)})
+    return make_marks(
+        list("abcd"), {"moving": MarkPlaces(um=POINTS), "fixed": MarkPlaces(um=fixed)}
+    )
 
 
 def test_a_link_takes_marks_of_other_programs_and_refuses_what_it_cannot_use(tmp_path):
@@ -72,7 +76,9 @@ def test_a_link_takes_marks_of_other_programs_and_refuses_what_it_cannot_use(tmp
     # The image has pixels of 5 um.
     (path,) = write_any(some_pairs(np.round(POINTS / 5)), tmp_path / "pixels.csv")
     assert "look like pixels" in read_by_link(path)
-    (path,) = write_any(some_pairs(POINTS), tmp_path / "marks.mat", moving=LayerPixels(1.0), fixed=LayerPixels(5.0))
+    (path,) = write_any(
+        some_pairs(POINTS), tmp_path / "marks.mat", moving=LayerPixels(1.0), fixed=LayerPixels(5.0)
+    )
     assert "--moving-pixel-um" in read_by_link(path)
     files = write_any(some_pairs(POINTS), tmp_path / "points.txt")
     assert "planish marks convert MOVING FIXED OUT" in read_by_link(files[0])

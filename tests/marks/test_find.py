@@ -8,7 +8,17 @@ from marks.holes import make_hole, scene
 from planish.core.errors import MarkError, SizeError
 from planish.marks import find_holes, hole_criteria, rims
 
-NAMES = {"x", "y", "cov_xx", "cov_yy", "cov_xy", "diameter", "axis_ratio", "arc_coverage", "contrast"}
+NAMES = {
+    "x",
+    "y",
+    "cov_xx",
+    "cov_yy",
+    "cov_xy",
+    "diameter",
+    "axis_ratio",
+    "arc_coverage",
+    "contrast",
+}
 
 
 def positions(holes):
@@ -45,16 +55,24 @@ def test_mottle_as_strong_as_the_holes_are_deep_hides_none(length_um):
     """The holes are less than three standard deviations of the sheet deep; nothing of it is as black and as flat."""
     for seed in range(2):
         rng = np.random.default_rng(seed)
-        sheet = scene(rng, (400, 500), 5.0, some_holes(rng), mottle=0.3, length_um=length_um, noise=0.01)
+        sheet = scene(
+            rng, (400, 500), 5.0, some_holes(rng), mottle=0.3, length_um=length_um, noise=0.01
+        )
         hits, false, missed, errors = compare(find_holes(sheet.image, pixel_um=5.0), sheet.centres)
         assert (hits, false, missed) == (8, 0, 0)
         assert np.sqrt(np.mean(errors**2)) <= 0.1 * 5.0 + 1.0
 
 
-@pytest.mark.parametrize("image", [
-    np.zeros((50, 60)), np.full((40, 40), np.nan), np.ones((3, 400)), np.empty((0, 0)),
-    np.full((300, 300), 255, np.uint8),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "image",
+    [
+        np.zeros((50, 60)),
+        np.full((40, 40), np.nan),
+        np.ones((3, 400)),
+        np.empty((0, 0)),
+        np.full((300, 300), 255, np.uint8),
+    ],
+)
 def test_images_with_nothing_in_them(image):
     assert find_holes(image, pixel_um=5.0).sizes == {"mark": 0}
 
@@ -116,14 +134,18 @@ def test_turn_and_swap_move_the_marks_along():
 def test_pixels_that_are_not_square():
     rng = np.random.default_rng(5)
     sheet = scene(rng, (500, 833), (4.0, 3.0), some_holes(rng))
-    hits, false, missed, errors = compare(find_holes(sheet.image, pixel_um=(4.0, 3.0)), sheet.centres)
+    hits, false, missed, errors = compare(
+        find_holes(sheet.image, pixel_um=(4.0, 3.0)), sheet.centres
+    )
     assert (hits, false, missed) == (8, 0, 0)
     assert np.sqrt(np.mean(errors**2)) < 1.4
 
 
 def test_holes_cut_by_the_border_or_by_missing_data_are_dropped():
     rng = np.random.default_rng(6)
-    whole, cut, at_nan = (make_hole(rng, *p) for p in ((700.0, 700.0), (60.0, 700.0), (700.0, 1180.0)))
+    whole, cut, at_nan = (
+        make_hole(rng, *p) for p in ((700.0, 700.0), (60.0, 700.0), (700.0, 1180.0))
+    )
     sheet = scene(rng, (300, 300), 5.0, [whole, cut, at_nan])
     image = sheet.image
     image[236:] = np.nan
@@ -161,9 +183,16 @@ def test_results_carry_units_and_repeat_to_the_same_bytes():
     sheet = make_scene(5, "mottle", 12)
     found = find_holes(sheet.image, pixel_um=sheet.pixel)
     assert {name: found[name].attrs["units"] for name in NAMES} == {
-        "x": "um", "y": "um", "cov_xx": "um2", "cov_yy": "um2", "cov_xy": "um2", "diameter": "um", "axis_ratio": "1",
-        "arc_coverage": "1", "contrast": "1",
-    }  # fmt: skip
+        "x": "um",
+        "y": "um",
+        "cov_xx": "um2",
+        "cov_yy": "um2",
+        "cov_xy": "um2",
+        "diameter": "um",
+        "axis_ratio": "1",
+        "arc_coverage": "1",
+        "contrast": "1",
+    }
     assert np.all(found.contrast < 0)
     assert np.all((found.arc_coverage >= 0.7) & (found.arc_coverage <= 1.0))
     assert np.all((found.axis_ratio >= 1.0) & (found.axis_ratio < 1.3))
@@ -178,7 +207,14 @@ def test_impossible_pixel_sizes(size):
 def test_impossible_requests():
     refused(MarkError, "one grey channel", find_holes, np.ones((50, 50, 3)), pixel_um=1.0)
     refused(MarkError, "real grey", find_holes, np.ones((50, 50), complex), pixel_um=1.0)
-    refused(MarkError, "diameters", find_holes, np.ones((50, 50)), pixel_um=1.0, diameter_um=(300.0, 100.0))
+    refused(
+        MarkError,
+        "diameters",
+        find_holes,
+        np.ones((50, 50)),
+        pixel_um=1.0,
+        diameter_um=(300.0, 100.0),
+    )
     refused(MarkError, "polarity", find_holes, np.ones((50, 50)), pixel_um=1.0, polarity="light")
 
 
@@ -188,4 +224,11 @@ def test_a_circle_that_a_border_cuts_is_not_whole():
     rows[:, rims.RADIUS] = radius
     places = [(300, 100), (39, 100), (561, 100), (300, 39), (300, 161), (559, 159)]
     rows[:, [rims.X, rims.Y]] = places
-    assert hole_criteria.is_whole(rows, shape, size).tolist() == [True, False, False, False, False, True]
+    assert hole_criteria.is_whole(rows, shape, size).tolist() == [
+        True,
+        False,
+        False,
+        False,
+        False,
+        True,
+    ]

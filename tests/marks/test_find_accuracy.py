@@ -12,7 +12,12 @@ pytestmark = pytest.mark.ci
 
 @pytest.mark.parametrize(
     ("paper", "across", "bright", "allowance_um"),
-    [("mottle", 12, False, 1.0), ("fibres", 20, False, 1.0), ("scratches", 8, True, 1.0), ("screen", 12, False, 2.0)],
+    [
+        ("mottle", 12, False, 1.0),
+        ("fibres", 20, False, 1.0),
+        ("scratches", 8, True, 1.0),
+        ("screen", 12, False, 2.0),
+    ],
 )
 def test_centres_and_what_is_said_of_them_beside_look_alikes(paper, across, bright, allowance_um):
     """Centre error 0.1 pixel + 1 um rms an axis against the outline cut; the stated one has its roughness.
@@ -51,6 +56,8 @@ def test_a_target_of_another_size_is_its_magnified_picture():
     scene = make_scene(2, "mottle", 20)
     laser = find_holes(scene.image, pixel_um=scene.pixel)
     # The same picture in units of pixels; the middle of the range stays where it is.
-    unit = find_holes(scene.image, pixel_um=1.0, diameter_um=(100.0 / scene.pixel, 300.0 / scene.pixel))
+    unit = find_holes(
+        scene.image, pixel_um=1.0, diameter_um=(100.0 / scene.pixel, 300.0 / scene.pixel)
+    )
     np.testing.assert_allclose(unit.x * scene.pixel, laser.x, atol=0.1)
     np.testing.assert_allclose(unit.cov_xx * scene.pixel**2, laser.cov_xx, rtol=0.02)

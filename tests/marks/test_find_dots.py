@@ -15,7 +15,9 @@ def photograph(shared_data):
     """Return a function from the number of a target to its picture."""
     pillow = pytest.importorskip("PIL.Image")
     folder = shared_data("dot_patterns")
-    return lambda name: np.asarray(pillow.open(folder / f"dot_pattern_{name}.jpg").convert("L"), dtype=np.float32)
+    return lambda name: np.asarray(
+        pillow.open(folder / f"dot_pattern_{name}.jpg").convert("L"), dtype=np.float32
+    )
 
 
 def dots(image, name):
@@ -56,10 +58,12 @@ def projective_residuals(places, points):
     far = np.abs(places).max()
     (a, b), (x, y) = (places / far).T, ((points - shift) / scale).T
     one, none = np.ones_like(a), np.zeros_like(a)
-    rows = np.concatenate([
-        np.stack([a, b, one, none, none, none, -x * a, -x * b], axis=1),
-        np.stack([none, none, none, a, b, one, -y * a, -y * b], axis=1),
-    ])  # fmt: skip
+    rows = np.concatenate(
+        [
+            np.stack([a, b, one, none, none, none, -x * a, -x * b], axis=1),
+            np.stack([none, none, none, a, b, one, -y * a, -y * b], axis=1),
+        ]
+    )
     h = np.append(np.linalg.lstsq(rows, np.concatenate([x, y]))[0], 1.0).reshape(3, 3)
     w = np.stack([a, b, one], axis=1) @ h.T
     return scale * np.hypot(w[:, 0] / w[:, 2] - x, w[:, 1] / w[:, 2] - y)
@@ -79,7 +83,9 @@ def test_the_published_distortion_straightens_the_lattice(photograph, shared_dat
     places, index = lattice(points)
     assert len(set(map(tuple, places))) == len(places)
     assert len(index) >= 0.99 * len(points)
-    lines = (shared_data("dot_patterns") / "coef_dot_05.txt").read_text(encoding="utf-8").splitlines()
+    lines = (
+        (shared_data("dot_patterns") / "coef_dot_05.txt").read_text(encoding="utf-8").splitlines()
+    )
     values = [float(line.split(":")[1]) for line in lines if ":" in line]
     centre, factors = np.array(values[:2]), values[2:]
     radius = np.hypot(*(points - centre).T)
@@ -87,7 +93,9 @@ def test_the_published_distortion_straightens_the_lattice(photograph, shared_dat
     for _ in range(50):
         true = radius / np.polyval(factors[::-1], true)
     straight = centre + (points - centre) * (true / radius)[:, None]
-    plain, better = (np.sqrt(np.mean(projective_residuals(places, p[index]) ** 2)) for p in (points, straight))
+    plain, better = (
+        np.sqrt(np.mean(projective_residuals(places, p[index]) ** 2)) for p in (points, straight)
+    )
     assert better < 0.2 * plain
     assert better < 0.2
 
@@ -113,6 +121,10 @@ def test_uneven_light_hides_no_dots(photograph, name, light):
     same, other = np.unique(partner[away < 2.0]), after[away >= 2.0]
     # Dots that the plain photograph leaves out lie a pitch from the others.
     pitch = np.median(KDTree(before).query(before, k=2)[0][:, 1])
-    on_lattice = np.abs(KDTree(before).query(other)[0] - pitch) < 0.1 * pitch if len(other) else np.empty(0, bool)
+    on_lattice = (
+        np.abs(KDTree(before).query(other)[0] - pitch) < 0.1 * pitch
+        if len(other)
+        else np.empty(0, bool)
+    )
     assert len(same) >= 0.97 * len(before)
     assert on_lattice.all()

@@ -18,7 +18,9 @@ def test_dim_regions_keep_their_holes(monkeypatch):
     y, x = np.mgrid[:side, :side] * 10.0
     dot = np.hypot(x % pitch - pitch / 2, y % pitch - pitch / 2) < 80
     light = 0.6 + 0.4 * np.tanh((x - x.max() / 2) / 500)
-    image = ndimage.gaussian_filter(light * (1 - 0.8 * dot), 0.7) + rng.normal(0, 0.004, (side, side))
+    image = ndimage.gaussian_filter(light * (1 - 0.8 * dot), 0.7) + rng.normal(
+        0, 0.004, (side, side)
+    )
     found = find_holes(image, pixel_um=10.0)
     left = np.count_nonzero(found.x.values < 0.5 * across * pitch)
     assert found.sizes["mark"] >= 0.98 * across**2
@@ -44,7 +46,11 @@ def rows_of(rng, count, field):
 
 
 def apart(rows, row):
-    return np.hypot(rows[:, k.X] - row[k.X], rows[:, k.Y] - row[k.Y]) - rows[:, k.RADIUS] - row[k.RADIUS]
+    return (
+        np.hypot(rows[:, k.X] - row[k.X], rows[:, k.Y] - row[k.Y])
+        - rows[:, k.RADIUS]
+        - row[k.RADIUS]
+    )
 
 
 def quality(rows):
@@ -55,7 +61,9 @@ def quality(rows):
 def naive_deepest_disjoint(rows):
     step = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
     deepest = [
-        not np.any((row[k.INSIDE] - rows[:, k.INSIDE] > hole_criteria.DEEPER * s) & (apart(rows, row) < 0))
+        not np.any(
+            (row[k.INSIDE] - rows[:, k.INSIDE] > hole_criteria.DEEPER * s) & (apart(rows, row) < 0)
+        )
         for row, s in zip(rows, step, strict=True)
     ]
     kept = []

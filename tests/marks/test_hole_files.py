@@ -46,7 +46,9 @@ def test_holes_of_a_sheet_come_back_from_json_and_csv(found, tmp_path):
 
 def test_holes_of_an_image_with_what_others_add(tmp_path):
     holes = find_holes(layer_maps(np.zeros(2), centres=CENTRES[:3])[0], pixel_um=PIXEL)
-    holes = holes.assign(label=("mark", ["a", "b, ü", ""]), used=("mark", [True, False, True]), n=("mark", [1, 2, 3]))
+    holes = holes.assign(
+        label=("mark", ["a", "b, ü", ""]), used=("mark", [True, False, True]), n=("mark", [1, 2, 3])
+    )
     holes = holes.assign_attrs(plane="image", offset_um=[np.nan, 1.5])
     write_holes(holes, tmp_path / "holes.json")
     assert json.loads((tmp_path / "holes.json").read_text(encoding="utf-8"))["plane"] == "image"
@@ -63,28 +65,34 @@ def test_every_float_survives():
     assert np.isnan(back["x"].values[-1])
 
 
-@pytest.mark.parametrize(("change", "words"), [
-    ({"format": "planish-marks"}, "no 'planish-holes'"),
-    ({"version": 2}, "version 2.*Update planish"),
-    ({"units": "mm"}, "units: .*'um'"),
-    ({"more": 1}, "more: "),
-    ({"variables": {}}, "no x; no y"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"format": "planish-marks"}, "no 'planish-holes'"),
+        ({"version": 2}, "version 2.*Update planish"),
+        ({"units": "mm"}, "units: .*'um'"),
+        ({"more": 1}, "more: "),
+        ({"variables": {}}, "no x; no y"),
+    ],
+)
 def test_a_malformed_file_is_refused(found, change, words):
     refused(MarkError, words, holes_from_json, holes_to_json(found) | change, "holes.json")
 
 
-@pytest.mark.parametrize(("part", "words"), [
-    ({"type": "complex128"}, "variables.x.type: .*'float64'"),
-    ({"values": [1.0, 2.0]}, "2, 6 values"),
-    ({"values": [1.0, 2.0, 3.0, "4", 5.0, 6.0]}, "variables.x.values.3: .*number"),
-    ({"values": [1.0, 2.0, 3.0, float("inf"), 5.0, 6.0]}, "variables.x.values.3: .*finite"),
-    ({"type": "uint8", "values": [1, 2, 3, 256, 5, 6]}, "variables.x.values.3: .*255"),
-    ({"type": "int64", "values": [1, 2, 3, 2**63, 5, 6]}, "variables.x.values.3: "),
-    ({"type": "str"}, "variables.x.values.0: .*string"),
-    ({"type": "bool"}, "variables.x.values.0: .*boolean"),
-    ({"unit": "um"}, "variables.x.unit: "),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("part", "words"),
+    [
+        ({"type": "complex128"}, "variables.x.type: .*'float64'"),
+        ({"values": [1.0, 2.0]}, "2, 6 values"),
+        ({"values": [1.0, 2.0, 3.0, "4", 5.0, 6.0]}, "variables.x.values.3: .*number"),
+        ({"values": [1.0, 2.0, 3.0, float("inf"), 5.0, 6.0]}, "variables.x.values.3: .*finite"),
+        ({"type": "uint8", "values": [1, 2, 3, 256, 5, 6]}, "variables.x.values.3: .*255"),
+        ({"type": "int64", "values": [1, 2, 3, 2**63, 5, 6]}, "variables.x.values.3: "),
+        ({"type": "str"}, "variables.x.values.0: .*string"),
+        ({"type": "bool"}, "variables.x.values.0: .*boolean"),
+        ({"unit": "um"}, "variables.x.unit: "),
+    ],
+)
 def test_a_malformed_variable_is_named(found, part, words):
     content = holes_to_json(found)
     content["variables"]["x"] = content["variables"]["x"] | part
@@ -93,9 +101,18 @@ def test_a_malformed_variable_is_named(found, part, words):
 
 def test_what_has_no_place_in_a_file_or_is_no_file_of_holes(found, tmp_path):
     infinite = np.full(6, np.inf)
-    for wrong in (found.assign_attrs(a=1j), found.assign_attrs(a=[np.inf]), found.assign(a=("mark", infinite))):
+    for wrong in (
+        found.assign_attrs(a=1j),
+        found.assign_attrs(a=[np.inf]),
+        found.assign(a=("mark", infinite)),
+    ):
         refused(MarkError, "cannot be written", holes_to_json, wrong)
-    refused(MarkError, "two has dims", holes_to_json, found.assign(two=(("mark", "k"), np.zeros((6, 2)))))
+    refused(
+        MarkError,
+        "two has dims",
+        holes_to_json,
+        found.assign(two=(("mark", "k"), np.zeros((6, 2)))),
+    )
     refused(FileError, r"\.json keeps everything", write_holes, found, tmp_path / "holes.txt")
     (tmp_path / "holes.json").write_text("{")
     refused(FileError, "already there", write_holes, found, tmp_path / "holes.json")

@@ -38,7 +38,10 @@ def test_holes_of_another_size_are_counted():
 
     found = find_holes(row_of_holes(sizes).image, pixel_um=2.6)
     assert (found.sizes["mark"], counted(found)) == (4, {"too_small": 1, "too_large": 1})
-    assert check_holes(found).sentence == "4 holes found; seen and not taken: 1 too small, 1 too large."
+    assert (
+        check_holes(found).sentence
+        == "4 holes found; seen and not taken: 1 too small, 1 too large."
+    )
 
 
 def test_a_blot_without_char_is_unlike_the_others():
@@ -55,7 +58,8 @@ def test_faint_closed_and_cut_holes_are_counted():
     image = sheet.image.copy()
     y, x = np.indices(image.shape) * 2.6
     holes = sheet.holes
-    image[(np.hypot(x - holes[1].x, y - holes[1].y) < 100) & (x > holes[1].x + 20)] = 0.9  # 40 % closed
+    # 40 % closed.
+    image[(np.hypot(x - holes[1].x, y - holes[1].y) < 100) & (x > holes[1].x + 20)] = 0.9
     found = find_holes(image[:, 95:], pixel_um=2.6)  # the border cuts a fifth off the first
     assert (found.sizes["mark"], counted(found)) == (4, {"cut": 1, "not_round": 1})
     pale = np.hypot(x - holes[4].x, y - holes[4].y) < 150
@@ -67,7 +71,9 @@ def test_faint_closed_and_cut_holes_are_counted():
 
 
 def test_places_beyond_the_limit_of_an_area_are_counted_and_are_a_look(monkeypatch):
-    monkeypatch.setattr(candidates, "_strongest_by_tile", lambda places, _radius: np.arange(len(places)) < 2)
+    monkeypatch.setattr(
+        candidates, "_strongest_by_tile", lambda places, _radius: np.arange(len(places)) < 2
+    )
     found = find_holes(row_of_holes().image, pixel_um=2.6)
     assert found.sizes["mark"] == 2
     assert counted(found)["not_measured"] >= 4
@@ -82,7 +88,9 @@ def test_places_beyond_the_limit_of_an_area_are_counted_and_are_a_look(monkeypat
 def test_what_is_usual_around_a_place(shape, share):
     """Beside a slow twin that takes every value of the nine squares."""
     rng = np.random.default_rng(0)
-    values = (rng.normal(size=shape) * (1 + 9 * (np.arange(shape[1]) > shape[1] / 2))).astype(np.float32)
+    values = (rng.normal(size=shape) * (1 + 9 * (np.arange(shape[1]) > shape[1] / 2))).astype(
+        np.float32
+    )
     values[rng.random(shape) < 0.2] = np.nan
     around = candidates.local_spread(candidates.Raster(values, (2.0, 3.0)), 30.0, share)
     down, across = min(15, shape[0]), min(10, shape[1])
@@ -90,11 +98,15 @@ def test_what_is_usual_around_a_place(shape, share):
     down, across = down // step[0] * step[0], across // step[1] * step[1]
     for i, j in ((0, 0), (shape[0] - 1, shape[1] // 3), (shape[0] // 2, shape[1] - 1)):
         y, x = i // down * down, j // across * across
-        part = values[max(0, y - down) : y + 2 * down : step[0], max(0, x - across) : x + 2 * across : step[1]]
+        part = values[
+            max(0, y - down) : y + 2 * down : step[0], max(0, x - across) : x + 2 * across : step[1]
+        ]
         part = part[np.isfinite(part)]
         deviation = np.sort(np.abs(part - np.sort(part)[round(0.5 * (part.size - 1))]))
         expected = deviation[round(share * (part.size - 1))] / candidates.TO_SD[share]
-        assert around.at_points(np.array([[3.0 * j, 2.0 * i]]))[0] == pytest.approx(expected, rel=1e-5)
+        assert around.at_points(np.array([[3.0 * j, 2.0 * i]]))[0] == pytest.approx(
+            expected, rel=1e-5
+        )
 
 
 def test_texture_far_away_hides_no_hole():
@@ -102,7 +114,9 @@ def test_texture_far_away_hides_no_hole():
     sheet = make_scene(5, "mottle", 12)
     columns = np.arange(sheet.image.shape[1])
     light = 1 + 9 / (1 + np.exp((columns.mean() - columns) / 3))
-    plain, lit = (find_holes(image, pixel_um=sheet.pixel) for image in (sheet.image, sheet.image * light))
+    plain, lit = (
+        find_holes(image, pixel_um=sheet.pixel) for image in (sheet.image, sheet.image * light)
+    )
     assert lit.sizes["mark"] >= plain.sizes["mark"] - 1
     assert np.isin(np.round(lit.x.values / 30), np.round(plain.x.values / 30)).mean() > 0.9
 

@@ -16,7 +16,16 @@ from surface.sheets import volume
 
 PIXEL = 4.0
 SHAPE = (280, 320)
-CENTRES = np.array([(250.0, 220.0), (700.0, 230.0), (1050.0, 300.0), (240.0, 640.0), (660.0, 800.0), (1060.0, 860.0)])
+CENTRES = np.array(
+    [
+        (250.0, 220.0),
+        (700.0, 230.0),
+        (1050.0, 300.0),
+        (240.0, 640.0),
+        (660.0, 800.0),
+        (1060.0, 860.0),
+    ]
+)
 # From the middle of the top's layer to that of the bottom's, in shares of the thickness.
 APART = 0.52
 
@@ -30,7 +39,9 @@ def layer_map(name, leans, *, diameter=170.0, taper=0.15, depth=None, centres=CE
     out = 1.0 + np.random.default_rng(0).normal(0, 0.03, SHAPE)
     t = np.linspace(*assemble.LAYERS[name], 21)[:, None]
     depth = np.ones(len(centres)) if depth is None else depth
-    for (u, v), (a, b), deep in zip(centres, np.broadcast_to(leans, centres.shape), depth, strict=True):
+    for (u, v), (a, b), deep in zip(
+        centres, np.broadcast_to(leans, centres.shape), depth, strict=True
+    ):
         near = np.hypot(x - u, y - v) < diameter + np.hypot(a, b)
         r = np.hypot(x[near] - u + t * a, y[near] - v + t * b)
         hollow = np.clip(0.5 - (r - 0.5 * diameter * (1 + taper * t)) / PIXEL, 0, 1)
@@ -45,8 +56,15 @@ def layer_maps(leans, **more):
 def dataset(*layers, pixel=(PIXEL, PIXEL), origin=(0.0, 0.0), **attrs):
     """Maps of the layers that are there, top, centre, bottom."""
     (rows, cols), names = layers[0].shape, list(assemble.LAYERS)
-    data = {name: (("v", "u"), layer) for name, layer in zip(names, layers, strict=False) if layer is not None}
-    coords = {"v": origin[0] + np.arange(rows) * pixel[0], "u": origin[1] + np.arange(cols) * pixel[1]}
+    data = {
+        name: (("v", "u"), layer)
+        for name, layer in zip(names, layers, strict=False)
+        if layer is not None
+    }
+    coords = {
+        "v": origin[0] + np.arange(rows) * pixel[0],
+        "u": origin[1] + np.arange(cols) * pixel[1],
+    }
     return xr.Dataset(data, coords=coords, attrs=attrs)
 
 
@@ -71,7 +89,9 @@ def test_an_oblique_laser_is_measured():
         error = xy(found, name) - (ORDERED - share * lean)
         assert np.abs(error).max() < 0.5
     np.testing.assert_allclose(found.attrs["offset_um"], APART * lean, atol=0.2)
-    np.testing.assert_allclose(found.attrs["tilt_deg"], np.degrees(np.arctan(lean / 100.0)), atol=0.3)
+    np.testing.assert_allclose(
+        found.attrs["tilt_deg"], np.degrees(np.arctan(lean / 100.0)), atol=0.3
+    )
     assert np.max(found.attrs["offset_spread_um"]) < 0.5
     # Over 0.52 of the thickness 15 % of the diameter from face to face: 13 um.
     narrower = found["diameter_top"].values - found["diameter_bottom"].values
@@ -94,7 +114,9 @@ def test_the_side_that_the_image_shows():
     np.testing.assert_allclose(bottom.attrs["offset_um"], top.attrs["offset_um"], atol=0.3)
     moved = find_sheet_holes(dataset(*maps, origin=(-30.0, 70.0)))
     for name in ("", "_bottom"):
-        np.testing.assert_allclose(xy(moved, name), xy(top, name) + np.array([70.0, -30.0]), atol=1e-9)
+        np.testing.assert_allclose(
+            xy(moved, name), xy(top, name) + np.array([70.0, -30.0]), atol=1e-9
+        )
     assert moved["x"].attrs["units"] == "um"
 
 
@@ -129,22 +151,30 @@ def test_holes_that_are_not_round_or_not_known_on_the_other_side_are_unclear():
 def test_noise_of_a_sheet_that_is_hardly_brighter_than_its_holes_hides_none():
     """As in resin: its noise is a third of the contrast, and alone makes the floors of the holes uneven."""
     rng = np.random.default_rng(5)
-    maps = [np.clip(0.25 + 0.6 * m + rng.normal(0, 0.2, m.shape), 0, 1) for m in layer_maps([0.0, 0.0])]
+    maps = [
+        np.clip(0.25 + 0.6 * m + rng.normal(0, 0.2, m.shape), 0, 1) for m in layer_maps([0.0, 0.0])
+    ]
     found = find_sheet_holes(dataset(*maps))
     assert (found.sizes["mark"], found.attrs["through"], found.attrs["openings"]) == (6, 6, 0)
     assert np.abs(xy(found) - CENTRES).max() < 2.0
 
 
 def test_leans_that_differ_are_a_spread():
-    leans = np.array([(0.0, 4.0), (20.0, -4.0), (-20.0, 2.0), (10.0, 0.0), (-10.0, -2.0), (2.0, 0.0)])
+    leans = np.array(
+        [(0.0, 4.0), (20.0, -4.0), (-20.0, 2.0), (10.0, 0.0), (-10.0, -2.0), (2.0, 0.0)]
+    )
     found = find_sheet_holes(dataset(*layer_maps(leans)))
     true = APART * leans[np.lexsort(CENTRES.T)]
-    np.testing.assert_allclose(np.stack([found["offset_x"], found["offset_y"]], axis=1), true, atol=0.6)
+    np.testing.assert_allclose(
+        np.stack([found["offset_x"], found["offset_y"]], axis=1), true, atol=0.6
+    )
     median = np.median(true, axis=0)
     np.testing.assert_allclose(found.attrs["offset_um"], median, atol=0.4)
     spread = 1.4826 * np.median(np.abs(true - median), axis=0)
     np.testing.assert_allclose(found.attrs["offset_spread_um"], spread, rtol=0.2)
-    np.testing.assert_allclose(found.attrs["offset_error_um"], 1.2533 * spread / np.sqrt(6), rtol=0.2)
+    np.testing.assert_allclose(
+        found.attrs["offset_error_um"], 1.2533 * spread / np.sqrt(6), rtol=0.2
+    )
 
 
 @pytest.mark.ci
@@ -187,7 +217,9 @@ def test_a_common_offset_is_followed_to_the_face():
         to_face = np.broadcast_to(found.attrs["to_face_um"], (6, 2))
         np.testing.assert_allclose(xy(found) - xy(found, f"_{side}"), to_face, atol=1e-9)
         assert hole_tilt(found).sentence.startswith("6 holes run through the sheet, shifted by 8.")
-    few = find_sheet_holes(dataset(*layer_maps(lean, centres=CENTRES[:3]), layer_to_face=0.24 / 0.52))
+    few = find_sheet_holes(
+        dataset(*layer_maps(lean, centres=CENTRES[:3]), layer_to_face=0.24 / 0.52)
+    )
     assert few.attrs["to_face_um"] == [0.0, 0.0]
     assert hole_tilt(find_holes(maps["presence"].values, pixel_um=PIXEL)) is None
 
@@ -204,8 +236,15 @@ def test_sheets_without_holes_are_followed_and_impossible_requests_refused():
     assert np.isfinite(one.attrs["offset_um"]).all()
     assert np.isnan(one.attrs["offset_spread_um"]).all()
     refused(MarkError, "'top' or the 'bottom'", find_sheet_holes, maps, side="left")
-    refused(MarkError, "no layer.*presence or presence_bottom", find_sheet_holes, maps[["presence_centre"]])
-    refused(MarkError, "diameters", find_sheet_holes, maps, params=HoleParams(hole_um=(300.0, 100.0)))
+    refused(
+        MarkError,
+        "no layer.*presence or presence_bottom",
+        find_sheet_holes,
+        maps[["presence_centre"]],
+    )
+    refused(
+        MarkError, "diameters", find_sheet_holes, maps, params=HoleParams(hole_um=(300.0, 100.0))
+    )
     refused(SizeError, "2 x 2", find_sheet_holes, maps.isel(u=slice(1)))
 
 
@@ -226,14 +265,21 @@ def test_oblique_holes_in_a_volume():
         solid &= np.hypot(along, across) > radius * (1 + 0.2 * s / thickness)
     grey = np.where(solid, 180, 20).astype(np.uint8)
     columns = Columns(volume=volume(grey, voxel), frame=Frame())
-    present = assemble.find_presence(columns, height[0], thickness, 1.0, (20.0, 180.0), Engine(threads=1))
+    present = assemble.find_presence(
+        columns, height[0], thickness, 1.0, (20.0, 180.0), Engine(threads=1)
+    )
     pixel = (voxel, voxel * long)
-    found = find_sheet_holes(dataset(*present.values(), pixel=pixel, layers_apart_um=APART * thickness))
+    found = find_sheet_holes(
+        dataset(*present.values(), pixel=pixel, layers_apart_um=APART * thickness)
+    )
     assert found.sizes == {"mark": 3}
     expected = APART * thickness * -lean
     np.testing.assert_allclose(found.attrs["offset_um"], expected, atol=0.3 * voxel)
-    np.testing.assert_allclose(xy(found, "_centre"), sorted(((u * long, v) for u, v in holes), key=lambda p: p[1]),
-                               atol=0.3 * voxel)  # fmt: skip
+    np.testing.assert_allclose(
+        xy(found, "_centre"),
+        sorted(((u * long, v) for u, v in holes), key=lambda p: p[1]),
+        atol=0.3 * voxel,
+    )
 
 
 def test_stretched_openings_are_counted_and_many_are_a_look():

@@ -23,7 +23,9 @@ class Made:
 
     def measured(self, *names, **params):
         """Maps of these names with these numbers given."""
-        return measure_along_rays(self.volume, self.surfaces, names=names, params=MeasureParams(**params))
+        return measure_along_rays(
+            self.volume, self.surfaces, names=names, params=MeasureParams(**params)
+        )
 
 
 def step(d, blur):
@@ -38,16 +40,23 @@ def staircase(faces, s, blur):
         (BASE, "interface_top", "interface_bottom"),
         (COAT, "interface_bottom", "bottom"),
     ):
-        values = values + (grey - AIR) * (step(faces[upper] - s, blur) - step(faces[lower] - s, blur))
+        values = values + (grey - AIR) * (
+            step(faces[upper] - s, blur) - step(faces[lower] - s, blur)
+        )
     return values
 
 
 def about(**more):
     """What a run says of its surfaces."""
     return {
-        "through": "z", "top_side": "high", "polarity": 1.0, "grey_air": AIR, "grey_base": BASE,
-        "grey_coating_top": COAT, "grey_coating_bottom": COAT,
-    } | more  # fmt: skip
+        "through": "z",
+        "top_side": "high",
+        "polarity": 1.0,
+        "grey_air": AIR,
+        "grey_base": BASE,
+        "grey_coating_top": COAT,
+        "grey_coating_bottom": COAT,
+    } | more
 
 
 @pytest.fixture(scope="session")
@@ -55,9 +64,19 @@ def made():
     """Return a maker of tilted plane sheets; see its arguments."""
 
     def make(
-        grey=None, *, size_um=(120.0, 150.0), voxel=2.0, slope=(0.0, 0.0), base=50.0, top=16.0, bottom=12.0, blur=2.0,
-        noise=0.0, extra=None, air_um=40.0,
-    ):  # fmt: skip
+        grey=None,
+        *,
+        size_um=(120.0, 150.0),
+        voxel=2.0,
+        slope=(0.0, 0.0),
+        base=50.0,
+        top=16.0,
+        bottom=12.0,
+        blur=2.0,
+        noise=0.0,
+        extra=None,
+        air_um=40.0,
+    ):
         """Make a sheet; ``grey(s, u, v)`` replaces the staircase, ``extra`` is added to it.
 
         ``slope``: of the centre surface along y and x. ``u, v``: coordinates in the tangent plane, from the middle of
@@ -65,8 +84,13 @@ def made():
         """
         steep = float(np.hypot(*slope))
         long = float(np.hypot(1.0, steep))
-        faces = {"top": base / 2 + top, "interface_top": base / 2, "interface_bottom": -base / 2,
-                 "bottom": -base / 2 - bottom, "centre": 0.0}  # fmt: skip
+        faces = {
+            "top": base / 2 + top,
+            "interface_top": base / 2,
+            "interface_bottom": -base / 2,
+            "bottom": -base / 2 - bottom,
+            "centre": 0.0,
+        }
         rise = abs(slope[0]) * size_um[0] / 2 + abs(slope[1]) * size_um[1] / 2
         height = 2 * (rise + (max(faces.values()) + air_um) * long)
         shape = tuple(int(n / voxel) for n in (height, *size_um))
@@ -83,15 +107,21 @@ def made():
             values = values + extra(s, u, v)
         if noise:
             values = values + np.random.default_rng(0).normal(0, noise, shape)
-        data = {name: (("y", "x"), centre + offset * long, {"units": "um"}) for name, offset in faces.items()}
+        data = {
+            name: (("y", "x"), centre + offset * long, {"units": "um"})
+            for name, offset in faces.items()
+        }
         for side, thick in (("top", top), ("bottom", bottom)):
             if thick == 0:
                 data[f"interface_{side}"] = (("y", "x"), np.full(centre.shape, np.nan))
         data["status"] = (("y", "x"), np.zeros(centre.shape, np.uint8))
         attrs = about(
-            grey_noise=noise, blur_um=max(blur, 0.3), voxel_um=[voxel] * 3,
-            grey_coating_top=COAT if top else np.nan, grey_coating_bottom=COAT if bottom else np.nan,
-        )  # fmt: skip
+            grey_noise=noise,
+            blur_um=max(blur, 0.3),
+            voxel_um=[voxel] * 3,
+            grey_coating_top=COAT if top else np.nan,
+            grey_coating_bottom=COAT if bottom else np.nan,
+        )
         surfaces = xr.Dataset(data, coords={"y": y, "x": x}, attrs=attrs)
         return Made(volume=volume(values.astype(np.float32), voxel), surfaces=surfaces, faces=faces)
 
@@ -105,8 +135,17 @@ def rough():
     voxel, shape = 3.0, (60, 52, 40)
     z, y, x = (np.arange(n) * voxel for n in shape)
     centre = 90 + 8 * np.sin(y / 30)[:, None] + 0.3 * (x - x.mean())[None, :]
-    offsets = {"top": 38.0, "interface_top": 25.0, "interface_bottom": -25.0, "bottom": -37.0, "centre": 0.0}
-    heights = {k: centre + v + (rng.normal(0, 0.5, centre.shape) if k != "centre" else 0) for k, v in offsets.items()}
+    offsets = {
+        "top": 38.0,
+        "interface_top": 25.0,
+        "interface_bottom": -25.0,
+        "bottom": -37.0,
+        "centre": 0.0,
+    }
+    heights = {
+        k: centre + v + (rng.normal(0, 0.5, centre.shape) if k != "centre" else 0)
+        for k, v in offsets.items()
+    }
     zz = z[:, None, None]
     values = staircase(heights, zz, 3.0)
     inner = step(heights["interface_top"] - zz, 3.0) - step(heights["interface_bottom"] - zz, 3.0)
@@ -118,4 +157,8 @@ def rough():
     data = {k: (("y", "x"), v) for k, v in heights.items()} | {"status": (("y", "x"), status)}
     attrs = about(grey_noise=12.0, blur_um=3.0, voxel_um=[3.0] * 3)
     surfaces = xr.Dataset(data, coords={"y": y, "x": x}, attrs=attrs)
-    return Made(volume=volume(np.clip(values, 0, 255).astype(np.uint8), voxel), surfaces=surfaces, faces=offsets)
+    return Made(
+        volume=volume(np.clip(values, 0, 255).astype(np.uint8), voxel),
+        surfaces=surfaces,
+        faces=offsets,
+    )

@@ -13,7 +13,10 @@ _NAMES = ("top", "bottom", "interface_top", "interface_bottom", "centre")
 def sheet(height, pitch=2.0, *, offsets, through="z", top="high"):
     """Surfaces at exact normal distances from a plane of the given slope, or from any heights."""
     y, x = (np.arange(n) * pitch for n in height.shape)
-    data = {name: (("y", "x"), height + offset, {"units": "um"}) for name, offset in zip(_NAMES, offsets, strict=True)}
+    data = {
+        name: (("y", "x"), height + offset, {"units": "um"})
+        for name, offset in zip(_NAMES, offsets, strict=True)
+    }
     data["status"] = (("y", "x"), np.zeros(height.shape, np.uint8))
     return xr.Dataset(data, coords={"y": y, "x": x}, attrs={"through": through, "top_side": top})
 
@@ -26,10 +29,17 @@ def test_a_tilted_slab_has_its_normal_thickness(slope, top):
     height = np.broadcast_to(slope * x, (40, 60)).copy()
     stretch = np.hypot(1.0, slope)
     sign = 1.0 if top == "high" else -1.0
-    surfaces = sheet(height, offsets=[sign * s * stretch for s in (40.0, -38.0, 22.0, -21.0, 0.0)], top=top)
+    surfaces = sheet(
+        height, offsets=[sign * s * stretch for s in (40.0, -38.0, 22.0, -21.0, 0.0)], top=top
+    )
     found = measure_properties(surfaces).isel(y=slice(1, -1), x=slice(25, -25))
     # exact for planes; the root is closed to 1e-4 um
-    for name, value in {"thickness": 78.0, "coating_top": 18.0, "coating_bottom": 17.0, "base_thickness": 43.0}.items():
+    for name, value in {
+        "thickness": 78.0,
+        "coating_top": 18.0,
+        "coating_bottom": 17.0,
+        "base_thickness": 43.0,
+    }.items():
         np.testing.assert_allclose(found[name], value, atol=1e-3)
     np.testing.assert_allclose(found["topography_top"], 40.0, atol=1e-3)
     np.testing.assert_allclose(found["topography_bottom"], 38.0, atol=1e-3)
@@ -53,7 +63,9 @@ def test_one_missing_column_costs_no_more_than_its_own_normals():
     """Three nodes of a cell are a plane; two are not."""
     x = np.arange(60) * 2.0
     height = np.broadcast_to(0.3 * x, (40, 60)).copy()
-    surfaces = sheet(height, offsets=[s * np.hypot(1.0, 0.3) for s in (40.0, -38.0, 22.0, -21.0, 0.0)])
+    surfaces = sheet(
+        height, offsets=[s * np.hypot(1.0, 0.3) for s in (40.0, -38.0, 22.0, -21.0, 0.0)]
+    )
     surfaces["top"][20, 30] = np.nan
     surfaces["bottom"][20:22, 40:42] = np.nan
     found = measure_properties(surfaces).isel(y=slice(1, -1), x=slice(8, -8))
@@ -71,9 +83,14 @@ def test_missing_and_uncoated_columns_and_refused_surfaces():
     surfaces["status"][7, 7] = 2
     found = measure_properties(surfaces)
     assert np.isnan(found["coating_bottom"]).all()
-    assert (float(found["base_thickness"][10, 10]), found["status"][5, 5]) == (pytest.approx(20.0, abs=1e-3), 4)
+    assert (float(found["base_thickness"][10, 10]), found["status"][5, 5]) == (
+        pytest.approx(20.0, abs=1e-3),
+        4,
+    )
     assert np.isnan(found["thickness"][7, 7])
     with pytest.raises(SurfaceError, match="at 400 points"):
         measure_properties(sheet(np.zeros((20, 20)), offsets=[-10.0, 10.0, 0.0, 0.0, 0.0]))
     with pytest.raises(SurfaceError, match="lack centre"):
-        measure_properties(sheet(np.zeros((20, 20)), offsets=[10.0, -10.0, 0.0, 0.0, 0.0]).drop_vars("centre"))
+        measure_properties(
+            sheet(np.zeros((20, 20)), offsets=[10.0, -10.0, 0.0, 0.0, 0.0]).drop_vars("centre")
+        )

@@ -19,7 +19,14 @@ def mean(found, name):
 
 
 def test_the_fitted_maps_are_those_of_the_surfaces(rough):
-    names = ["coating_top", "coating_bottom", "base_thickness", "thickness", "topography_top", "topography_bottom"]
+    names = [
+        "coating_top",
+        "coating_bottom",
+        "base_thickness",
+        "thickness",
+        "topography_top",
+        "topography_bottom",
+    ]
     found, plain = rough.measured(*names), measure_properties(rough.surfaces)
     for name in names:
         np.testing.assert_array_equal(found[name], plain[name].astype(np.float32))
@@ -46,7 +53,9 @@ def test_a_gap_counts_in_the_envelope_only(made):
     found = sheet.measured("coating_top_sum", "coating_top_envelope", gap_um=6.0).isel(at)
     # boundaries fall between voxels: half a voxel each
     np.testing.assert_allclose(found["coating_top_envelope"], 16.0, atol=0.55)
-    np.testing.assert_allclose(found["coating_top_envelope"] - found["coating_top_sum"], 4.0, atol=1.0)
+    np.testing.assert_allclose(
+        found["coating_top_envelope"] - found["coating_top_sum"], 4.0, atol=1.0
+    )
     shut = sheet.measured("coating_top_sum", gap_um=2.0).isel(at)
     np.testing.assert_allclose(shut["coating_top_sum"], 8.0, atol=0.55)
 
@@ -75,10 +84,20 @@ def test_coat_weight_from_density_and_from_the_balance(made, source):
 def test_weights_need_a_number_and_absorption(made):
     sheet = made(size_um=SLAB)
     coats = {"coat_weight_top_g_m2": 25.0, "coat_weight_bottom_g_m2": 20.0}
-    refused(CannotMeasure, "coat_weight_bottom= or coating_density=", sheet.measured, "coat_weight_bottom")
+    refused(
+        CannotMeasure,
+        "coat_weight_bottom= or coating_density=",
+        sheet.measured,
+        "coat_weight_bottom",
+    )
     refused(CannotMeasure, "grammage= or base_density=", sheet.measured, "grammage")
     refused(
-        CannotMeasure, "nothing is left for the base", sheet.measured, "apparent_density", grammage_g_m2=40.0, **coats
+        CannotMeasure,
+        "nothing is left for the base",
+        sheet.measured,
+        "apparent_density",
+        grammage_g_m2=40.0,
+        **coats,
     )
     dark = replace(sheet, surfaces=sheet.surfaces.assign_attrs(polarity=-1.0))
     attenuation = {"coating_g_cm3": 1.6, "coat_weight_from": "attenuation"}
@@ -98,7 +117,9 @@ def test_grammage_and_density_of_a_slab_coated_on_both_sides(made):
 
 
 def test_a_side_without_coating_weighs_nothing_and_has_no_thickness(made):
-    found = made(bottom=0.0, size_um=SLAB).measured("grammage", "coating_bottom", coating_g_cm3=1.6, base_g_cm3=0.8)
+    found = made(bottom=0.0, size_um=SLAB).measured(
+        "grammage", "coating_bottom", coating_g_cm3=1.6, base_g_cm3=0.8
+    )
     assert mean(found, "grammage") == pytest.approx(40.0 + 25.6, rel=3e-3)
     assert np.isnan(found["coating_bottom"]).all()
 
@@ -118,7 +139,9 @@ def test_standard_errors_are_the_scatter_over_many_rays(made):
 
 def test_thin_fraction_of_a_ramp():
     """Thickness rises evenly from 0 to 20 um: F(x) = x / 20."""
-    ramp = xr.DataArray(np.linspace(0, 20, 2001)[None, :].repeat(3, 0), dims=("y", "x"), attrs={"support_um": 6.0})
+    ramp = xr.DataArray(
+        np.linspace(0, 20, 2001)[None, :].repeat(3, 0), dims=("y", "x"), attrs={"support_um": 6.0}
+    )
     ramp[0, 5] = np.nan
     found = thin_fraction(ramp, se=np.full(ramp.shape, 1.5))
     at = found["share"].sel(thickness=[2.0, 5.0, 10.0])

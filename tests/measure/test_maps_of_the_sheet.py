@@ -17,7 +17,9 @@ from planish.measure.lengths import smoothed
 def slow_envelope(height, pitch, radius):
     """Closing by a paraboloid, node by node."""
     i, j = (np.arange(n) * p for n, p in zip(height.shape, pitch, strict=True))
-    way = ((i[:, None] - i[None, :]) ** 2)[:, None, :, None] + ((j[:, None] - j[None, :]) ** 2)[None, :, None, :]
+    way = ((i[:, None] - i[None, :]) ** 2)[:, None, :, None] + ((j[:, None] - j[None, :]) ** 2)[
+        None, :, None, :
+    ]
     ball = way / (2 * radius)
     dilated = np.nanmax(height[None, None] - ball, axis=(2, 3))
     return np.where(np.isfinite(height), np.min(dilated[None, None] + ball, axis=(2, 3)), np.nan)
@@ -54,9 +56,14 @@ def test_filters_pass_their_cut_off_by_half():
     # half of the wave passes the L-filter; the S-filter of a tenth takes 0.7 % off
     assert np.nanmax(limited) == pytest.approx(0.5, abs=0.02)
     # roughness of a sine: Sq = a / sqrt 2, Sa = 2 a / pi, Ssk = 0, Sku = 1.5, Sdq = 2 pi / L * Sq
-    numbers = roughness_numbers(wave[:, :450] * 3.0, (pitch, pitch), s_filter_um=5.0, l_filter_um=cutoff)
+    numbers = roughness_numbers(
+        wave[:, :450] * 3.0, (pitch, pitch), s_filter_um=5.0, l_filter_um=cutoff
+    )
     assert numbers.sq == pytest.approx(3 / np.sqrt(2), rel=2e-3)
-    assert (numbers.sa, numbers.ssk) == (pytest.approx(6 / np.pi, rel=2e-3), pytest.approx(0.0, abs=1e-6))
+    assert (numbers.sa, numbers.ssk) == (
+        pytest.approx(6 / np.pi, rel=2e-3),
+        pytest.approx(0.0, abs=1e-6),
+    )
     assert (numbers.sku, numbers.sz) == (pytest.approx(1.5, rel=2e-3), pytest.approx(6.0, rel=3e-3))
     assert numbers.sdq == pytest.approx(2 * np.pi / cutoff * numbers.sq, rel=5e-3)
 
@@ -82,7 +89,8 @@ def bent(made, height):
 @pytest.mark.parametrize(
     ("height", "mean", "gauss"),
     [
-        (lambda y, x: 1000.0 - np.sqrt(1000.0**2 - x**2 - y**2), 1.0, 1.0),  # the bowl of a sphere of 1 mm
+        # The bowl of a sphere of 1 mm.
+        (lambda y, x: 1000.0 - np.sqrt(1000.0**2 - x**2 - y**2), 1.0, 1.0),
         (lambda y, x: 1000.0 - np.sqrt(1000.0**2 - x**2) + 0 * y, 0.5, 0.0),  # a cylinder of 1 mm
         (lambda y, x: (x**2 - y**2) / 2000.0, None, -1.0),  # a saddle, at its middle
         (lambda y, x: 0.3 * x - 0.2 * y, 0.0, 0.0),
@@ -99,26 +107,38 @@ def test_curvatures(made, height, mean, gauss):
     assert np.isnan(found["mean_curvature_se"]).all()
     if mean == 0.0:
         assert float(np.abs(found["warp"]).max()) < 1e-3
-        assert float(found["tilt"][middle]) == pytest.approx(np.rad2deg(np.arctan(np.hypot(0.3, 0.2))), abs=1e-3)
+        assert float(found["tilt"][middle]) == pytest.approx(
+            np.rad2deg(np.arctan(np.hypot(0.3, 0.2))), abs=1e-3
+        )
 
 
 def test_two_sides(made):
     sheet = made(top=16.0, bottom=12.0, slope=(0.0, 0.3))
-    found = sheet.measured("coating_difference", "topography_difference").isel(y=slice(10, -10), x=slice(15, -15))
+    found = sheet.measured("coating_difference", "topography_difference").isel(
+        y=slice(10, -10), x=slice(15, -15)
+    )
     # topographies: 25 + 16 above the centre, 25 + 12 below
     for name in ("coating_difference", "topography_difference"):
         np.testing.assert_allclose(found[name], 4.0, atol=2e-3)
     rng = np.random.default_rng(0)
     shared, own = rng.normal(size=(2, 200, 300))
     maps = xr.Dataset(
-        {"coating_top": (("y", "x"), 16 + 2 * shared), "coating_bottom": (("y", "x"), 12 + 0.6 * shared + 0.8 * own)}
+        {
+            "coating_top": (("y", "x"), 16 + 2 * shared),
+            "coating_bottom": (("y", "x"), 12 + 0.6 * shared + 0.8 * own),
+        }
     )
     numbers = two_sidedness(maps)
     assert numbers["coating_difference_um"] == pytest.approx(4.0, abs=0.02)
     # r = 0.6 by construction, 60000 points
     assert numbers["coating_correlation"] == pytest.approx(0.6, abs=0.01)
     assert numbers["coating_sd_ratio"] == pytest.approx(2.0, abs=0.02)
-    refused(CannotMeasure, "coating_top and coating_bottom", two_sidedness, maps.drop_vars("coating_top"))
+    refused(
+        CannotMeasure,
+        "coating_top and coating_bottom",
+        two_sidedness,
+        maps.drop_vars("coating_top"),
+    )
 
 
 @pytest.mark.parametrize(("side", "outwards"), [("top", 1.0), ("bottom", -1.0)])

@@ -52,7 +52,9 @@ def test_a_mirrored_view_turns_the_angle(made):
 def test_layers_with_directions_of_their_own(made):
     """Stripes along u in the lower half, along v in the upper."""
     along, across = stripes(0.0), stripes(90.0)
-    sheet = made(extra=lambda s, u, v: np.where(s < 0, along(s, u, v), across(s, u, v)), top=0.0, bottom=0.0)
+    sheet = made(
+        extra=lambda s, u, v: np.where(s < 0, along(s, u, v), across(s, u, v)), top=0.0, bottom=0.0
+    )
     layers = orientation_layers(2)
     assert [p.name for p in layers][:2] == ["fibre_angle_layer_1", "fibre_anisotropy_layer_1"]
     found = sheet.measured(*layers, "fibre_anisotropy", **OPTIONS)
@@ -70,7 +72,9 @@ def test_noise_has_no_direction_and_voids_do_not_count(made):
 
     def hollow(s, u, v):
         # A void through the middle layer, in which strong stripes run along v; beside it faint ones along u.
-        return np.where(np.abs(s) < 15, -50.0 + 0.9 * stripes(90.0)(s, u, v), 0.4 * stripes(0.0)(s, u, v))
+        return np.where(
+            np.abs(s) < 15, -50.0 + 0.9 * stripes(90.0)(s, u, v), 0.4 * stripes(0.0)(s, u, v)
+        )
 
     sheet = made(extra=hollow, top=0.0, bottom=0.0, blur=0.5)
     found = sheet.measured("fibre_angle", **OPTIONS)

@@ -18,13 +18,18 @@ def blobs(seed=0, shape=(18, 20, 22)):
 def test_distances_and_inscribed_balls_equal_their_slow_twins():
     void = blobs()
     exact = ndimage.distance_transform_edt(void, sampling=STEP)
-    np.testing.assert_allclose(structure.distances(void, STEP, 6.0), np.minimum(exact, 6.0), rtol=1e-6)
+    np.testing.assert_allclose(
+        structure.distances(void, STEP, 6.0), np.minimum(exact, 6.0), rtol=1e-6
+    )
     assert (structure.distances(np.ones_like(void), STEP, 6.0) == 6.0).all()
     # Every sample takes the largest sphere around any centre that holds it.
     void = blobs(1, (12, 13, 14))
     radius = structure.distances(void, STEP, 8.0)
     places = np.stack(
-        np.meshgrid(*(np.arange(n) * p for n, p in zip(void.shape, STEP, strict=True)), indexing="ij"), -1
+        np.meshgrid(
+            *(np.arange(n) * p for n, p in zip(void.shape, STEP, strict=True)), indexing="ij"
+        ),
+        -1,
     )
     centres, radii = places[radius > 0], radius[radius > 0]
     found = inscribed(radius, STEP)
@@ -63,11 +68,18 @@ def holed(made):
 
     def paint(s, u, v):
         values = np.where(np.abs(s) <= 25.0, 90.0, 40.0)
-        channel = (np.abs((u + 100) % 40 - 20) < 6) & (np.abs((v + 100) % 40 - 20) < 6) & (v < 0) & (np.abs(s) < 18)
+        channel = (
+            (np.abs((u + 100) % 40 - 20) < 6)
+            & (np.abs((v + 100) % 40 - 20) < 6)
+            & (v < 0)
+            & (np.abs(s) < 18)
+        )
         sphere = (((u + 100) % 40 - 20) ** 2 + ((v + 100) % 40 - 20) ** 2 + s**2 < 64) & (v >= 0)
         return np.where((channel | sphere) & (np.abs(s) <= 25), 40.0, values)
 
-    return made(paint, top=0.0, bottom=0.0, voxel=1.0, size_um=(140.0, 140.0), blur=0.3, air_um=10.0)
+    return made(
+        paint, top=0.0, bottom=0.0, voxel=1.0, size_um=(140.0, 140.0), blur=0.3, air_um=10.0
+    )
 
 
 @pytest.mark.ci

@@ -11,7 +11,10 @@ S = S0 + DS * np.arange(41)
 
 def pieces(values, lower, upper, least=0.0, most=2.0):
     """Integral, length and ends of one profile."""
-    return [float(found[0, 0]) for found in kernels.pieces(one(values), S0, DS, at(lower), at(upper), least, most)]
+    return [
+        float(found[0, 0])
+        for found in kernels.pieces(one(values), S0, DS, at(lower), at(upper), least, most)
+    ]
 
 
 def one(values):
@@ -58,7 +61,9 @@ def profile(*pieces):
 def layer(values, *, inward=-1.0, face=6.0, gap=2.0, limit=-8.0):
     g = values if inward < 0 else values[::-1]
     sign = 1.0 if inward < 0 else -1.0
-    found = kernels.layers(one(g), S0, DS, at(sign * face), inward, 0.5, 1.0, at(1.0), gap, at(sign * limit))
+    found = kernels.layers(
+        one(g), S0, DS, at(sign * face), inward, 0.5, 1.0, at(1.0), gap, at(sign * limit)
+    )
     return tuple(float(f[0, 0]) for f in found)
 
 
@@ -77,9 +82,16 @@ def test_depths_of_shares_of_an_exact_phase():
     """Ink from 1 um to 5 um below the face: 50 % at 3, 90 % at 4.6."""
     g = np.where((S <= 5.0) & (S >= 1.0), 1.0, 0.0)
     ramp = 0.5 * DS * 0.5  # the phase reaches half way into the steps beside it
-    depth, total = kernels.depths_of_shares(one(g), S0, DS, at(6), at(-6), 0.5, 2.0, np.array([0.5, 0.9]))
-    assert (total[0, 0], depth[0, 0, 0]) == (pytest.approx(4.0 + 2 * 0.25), pytest.approx(3.0, abs=1e-6))
+    depth, total = kernels.depths_of_shares(
+        one(g), S0, DS, at(6), at(-6), 0.5, 2.0, np.array([0.5, 0.9])
+    )
+    assert (total[0, 0], depth[0, 0, 0]) == (
+        pytest.approx(4.0 + 2 * 0.25),
+        pytest.approx(3.0, abs=1e-6),
+    )
     assert depth[1, 0, 0] == pytest.approx(1.0 - 0.25 + 0.9 * 4.5, abs=ramp)
-    none, empty = kernels.depths_of_shares(one(np.zeros(S.size)), S0, DS, at(6), at(-6), 0.5, 2.0, np.array([0.5]))
+    none, empty = kernels.depths_of_shares(
+        one(np.zeros(S.size)), S0, DS, at(6), at(-6), 0.5, 2.0, np.array([0.5])
+    )
     assert np.isnan(none[0, 0, 0])
     assert empty[0, 0] == 0

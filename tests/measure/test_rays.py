@@ -26,7 +26,9 @@ def straighten(made, rows, **params):
 def slow_grey(made, rays, i, j):
     """One ray by scipy: m + s n, interpolated linearly in the volume."""
     at = RegularGridInterpolator(
-        tuple(made.volume[d].values for d in "zyx"), made.volume.values.astype(float), bounds_error=False
+        tuple(made.volume[d].values for d in "zyx"),
+        made.volume.values.astype(float),
+        bounds_error=False,
     )
     surfaces = made.surfaces
     nr, nc, nh = rays.normals[i, j]
@@ -47,16 +49,27 @@ def test_a_ray_equals_its_slow_twin_and_missing_ones_have_reasons(rough):
     # normals at the border lean out of the volume
     assert (status[:, [0, -1]] == Status.NORMAL_LEAVES_SHEET).all()
     assert np.isnan(found["absorption"].values[status != 0]).all()
-    assert found["status"].attrs["flag_meanings"].split()[Status.RAY_LEAVES_VOLUME] == "ray_leaves_volume"
-    padded = replace(rough, volume=rough.volume.copy(deep=True), surfaces=rough.surfaces.assign_attrs(padding=0.0))
+    assert (
+        found["status"].attrs["flag_meanings"].split()[Status.RAY_LEAVES_VOLUME]
+        == "ray_leaves_volume"
+    )
+    padded = replace(
+        rough,
+        volume=rough.volume.copy(deep=True),
+        surfaces=rough.surfaces.assign_attrs(padding=0.0),
+    )
     padded.volume[:, 40:, :] = 0
-    assert (padded.measured("absorption")["status"].values[45:50, 5:35] == Status.RAY_LEAVES_VOLUME).all()
+    assert (
+        padded.measured("absorption")["status"].values[45:50, 5:35] == Status.RAY_LEAVES_VOLUME
+    ).all()
 
 
 def test_normals_and_greys_of_a_tilted_plane(made):
     sheet = made(slope=(0.0, 0.5), size_um=(60.0, 240.0))
     rays = straighten(sheet, slice(0, 30))
-    np.testing.assert_allclose(rays.normals[15, 60], [0, -0.5 / np.hypot(1, 0.5), 1 / np.hypot(1, 0.5)])
+    np.testing.assert_allclose(
+        rays.normals[15, 60], [0, -0.5 / np.hypot(1, 0.5), 1 / np.hypot(1, 0.5)]
+    )
     assert rays.step_um == 1.0
     np.testing.assert_allclose(rays.stretch[15, 60], [1.0, np.hypot(1, 0.5)])
     # grey along the ray is the blurred staircase itself; linear interpolation rounds its steps by up to v^2 g'' / 8
@@ -69,7 +82,9 @@ def test_vertical_rays_give_lengths_too_large_by_the_cosine(made):
     vertical = straighten(sheet, slice(5, 10), rays="vertical")
     # t / cos a, with tan a = 0.5
     np.testing.assert_allclose(vertical.top - vertical.bottom, 78.0 * np.hypot(1, 0.5), rtol=1e-9)
-    normal, upright = (sheet.measured("thickness", "absorption", rays=way) for way in ("normal", "vertical"))
+    normal, upright = (
+        sheet.measured("thickness", "absorption", rays=way) for way in ("normal", "vertical")
+    )
     middle = {"y": slice(5, 15), "x": slice(50, 70)}
     for name in ("thickness", "absorption"):
         longer = upright[name].isel(middle) / normal[name].isel(middle)
@@ -114,16 +129,26 @@ def test_only_what_a_tile_needs_is_read(made):
 
 
 EVERYTHING = MeasureParams(
-    coating_g_cm3=1.6, base_g_cm3=0.8, filler_g_cm3=2.7, ink_grey=(120.0, 400.0), l_filter_um=60.0,
-    filler_grey=110.0, pore_limit_um=15.0, orientation_rho_um=8.0, orientation_sigma_um=3.0, void_grey=75.0,
+    coating_g_cm3=1.6,
+    base_g_cm3=0.8,
+    filler_g_cm3=2.7,
+    ink_grey=(120.0, 400.0),
+    l_filter_um=60.0,
+    filler_grey=110.0,
+    pore_limit_um=15.0,
+    orientation_rho_um=8.0,
+    orientation_sigma_um=3.0,
+    void_grey=75.0,
     density_support_um=20.0,
-)  # fmt: skip
+)
 
 
 @pytest.mark.ci
 def test_tiles_and_threads_change_no_byte_of_any_property(rough):
     """Every built-in property, and its errors and reasons."""
-    names = [name for name, one in registered().items() if one.function.__module__.startswith("planish.")]
+    names = [
+        name for name, one in registered().items() if one.function.__module__.startswith("planish.")
+    ]
     assert len(names) > 30
 
     measure = partial(measure_along_rays, rough.volume, rough.surfaces, params=EVERYTHING)

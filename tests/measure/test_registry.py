@@ -20,23 +20,34 @@ from planish.measure import (
 )
 
 
-@ray_property("test_depth", units="um", long_name="Depth of the brightest sample", reasons=("dark",))
+@ray_property(
+    "test_depth", units="um", long_name="Depth of the brightest sample", reasons=("dark",)
+)
 def brightest(rays):
     at = np.argmax(np.where(np.isfinite(rays.grey), rays.grey, -np.inf), axis=-1)
     dark = rays.grey.max(axis=-1) < 250
-    return Measured(values=np.where(dark, np.nan, rays.top - rays.s_um[at]), reason=dark.astype(np.uint8))
+    return Measured(
+        values=np.where(dark, np.nan, rays.top - rays.s_um[at]), reason=dark.astype(np.uint8)
+    )
 
 
 @sheet_property(
-    "test_ratio", units="1", long_name="Ratio of a property and the thickness", after=("test_depth", "thickness")
+    "test_ratio",
+    units="1",
+    long_name="Ratio of a property and the thickness",
+    after=("test_depth", "thickness"),
 )
 def ratio(sheet):
     return sheet.maps["test_depth"].values / sheet.maps["thickness"].values
 
 
 def test_a_users_property_with_its_own_reason(made):
-    sheet = made(blur=0.5, voxel=1.0, size_um=(30.0, 60.0),
-                 extra=lambda s, u, _v: 100.0 * ((np.abs(s - 33.0) < 0.6) & (u < 0)))  # fmt: skip
+    sheet = made(
+        blur=0.5,
+        voxel=1.0,
+        size_um=(30.0, 60.0),
+        extra=lambda s, u, _v: 100.0 * ((np.abs(s - 33.0) < 0.6) & (u < 0)),
+    )
     found = sheet.measured("test_ratio", brightest)
     assert isinstance(brightest, Property)
     left = found.isel(y=slice(5, -5), x=slice(5, 20))
@@ -45,25 +56,45 @@ def test_a_users_property_with_its_own_reason(made):
     status = found["test_depth_status"]
     assert int(status[15, 50]) == 10
     assert status.attrs["flag_meanings"].endswith(" dark")
-    fields = ("test_depth", "test_depth_se", "test_depth_status", "test_ratio", "test_ratio_se", "status")
+    fields = (
+        "test_depth",
+        "test_depth_se",
+        "test_depth_status",
+        "test_ratio",
+        "test_ratio_se",
+        "status",
+    )
     assert set(found.data_vars) == set(fields)
 
 
 def test_what_is_wrong_with_a_property_is_said(made):
     sheet = made(size_um=(40.0, 40.0))
-    refused(CannotMeasure, r"no property 'porosty'\. Choose from .*porosity", sheet.measured, "porosty")
+    refused(
+        CannotMeasure, r"no property 'porosty'\. Choose from .*porosity", sheet.measured, "porosty"
+    )
     refused(CannotMeasure, "No property was named", sheet.measured)
-    wrong = Property(name="wrong", units="1", long_name="Wrong", kind="rays", function=lambda rays: rays.s_um)
+    wrong = Property(
+        name="wrong", units="1", long_name="Wrong", kind="rays", function=lambda rays: rays.s_um
+    )
     refused(CannotMeasure, "'wrong' returned the shape", sheet.measured, wrong)
     for name, words in (("porosity", "'porosity' already"), ("my property", "is no name")):
-        refused(CannotMeasure, words, ray_property(name, units="1", long_name="Mine"), lambda rays: rays.top)
+        refused(
+            CannotMeasure,
+            words,
+            ray_property(name, units="1", long_name="Mine"),
+            lambda rays: rays.top,
+        )
     small = {"names": ["fibre_angle"], "engine": Engine(memory_bytes=1000)}
-    refused(ResourceError, "were allowed", measure_along_rays, sheet.volume, sheet.surfaces, **small)
+    refused(
+        ResourceError, "were allowed", measure_along_rays, sheet.volume, sheet.surfaces, **small
+    )
 
 
 def test_options_are_those_of_the_modules_with_a_rule_each_and_checked_numbers():
     assert list(MeasureParams.model_fields)[:3] == ["maps", "rays", "edge_um"]
-    assert {"gap_um", "ink_grey", "pore_limit_um", "coating_g_cm3", "l_filter_um"} <= set(MeasureParams.model_fields)
+    assert {"gap_um", "ink_grey", "pore_limit_um", "coating_g_cm3", "l_filter_um"} <= set(
+        MeasureParams.model_fields
+    )
     for name, one in registered().items():
         assert one.function.__doc__ or one.function.__module__ == __name__, name
         assert one.units in ("um", "1", "g/m2", "g/cm3", "deg", "1/mm", "1/mm2"), name
@@ -76,10 +107,22 @@ def test_maps_whose_numbers_are_given_are_measured(made):
     sheet = made(size_um=(40.0, 60.0), blur=1.0)
     found = measure_properties(sheet.surfaces, volume=sheet.volume)
     assert further_maps(found)[:2] == ["warp", "tilt"]
-    given = MeasureParams(coating_g_cm3=1.6, base_g_cm3=0.8, solid_grey=140.0, maps=("fibre_angle",))
+    given = MeasureParams(
+        coating_g_cm3=1.6, base_g_cm3=0.8, solid_grey=140.0, maps=("fibre_angle",)
+    )
     found = measure_properties(sheet.surfaces, volume=sheet.volume, params=given)
-    names = ["warp", "tilt", "coat_weight_top", "coat_weight_bottom", "grammage", "apparent_density", "porosity",
-             "fibre_angle", "fibre_cos2", "fibre_sin2"]  # fmt: skip
+    names = [
+        "warp",
+        "tilt",
+        "coat_weight_top",
+        "coat_weight_bottom",
+        "grammage",
+        "apparent_density",
+        "porosity",
+        "fibre_angle",
+        "fibre_cos2",
+        "fibre_sin2",
+    ]
     assert sorted(n for n in further_maps(found) if not n.endswith("_se")) == sorted(names)
     assert {"top", "centre", "thickness", "status"} <= set(found.data_vars)
     numbers = sheet_numbers(found, volume=sheet.volume, params=given)

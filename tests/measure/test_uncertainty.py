@@ -32,12 +32,23 @@ def rough_sheet(voxel, noise, seed):
     heights = [0.5 * (depth - 1) * voxel + f for f in faces]
     z = (np.arange(depth * FINE) + 0.5) * voxel / FINE - 0.5 * voxel
     inside = [(z[:, None, None] < h).astype(np.float32) for h in heights]
-    pores = 1 + 0.3 * ndimage.gaussian_filter(rng.standard_normal((depth, *cols)), 1.0).astype(np.float32) * 5
+    pores = (
+        1
+        + 0.3
+        * ndimage.gaussian_filter(rng.standard_normal((depth, *cols)), 1.0).astype(np.float32)
+        * 5
+    )
     sheet, core = inside[0] - inside[3], inside[1] - inside[2]
     coarse = [part.reshape(depth, FINE, *cols).mean(axis=1) for part in (sheet, core)]
     grey = (COAT - AIR) * (coarse[0] - coarse[1]) + (BASE - AIR) * coarse[1] * pores
-    grey = AIR + ndimage.gaussian_filter(grey, 0.75) + noise * (COAT - AIR) * rng.standard_normal(grey.shape)
-    made = volume(np.rint(grey).clip(0, 255).astype(np.uint8), voxel).assign_attrs(voxel_um=[voxel] * 3)
+    grey = (
+        AIR
+        + ndimage.gaussian_filter(grey, 0.75)
+        + noise * (COAT - AIR) * rng.standard_normal(grey.shape)
+    )
+    made = volume(np.rint(grey).clip(0, 255).astype(np.uint8), voxel).assign_attrs(
+        voxel_um=[voxel] * 3
+    )
     return made, dict(zip(NAMES, (top, bottom, base, top + base + bottom), strict=True))
 
 
@@ -61,39 +72,59 @@ def test_the_mean_counts_what_neighbours_share():
     at = np.arange(77) * 3.0
     se = np.full((77, 77), np.hypot(0.5, 0.1))
     data = xr.Dataset(
-        {"thickness": (("y", "x"), 80 + 0 * se, {"units": "um", "role": "property"}),
-         "thickness_se": (("y", "x"), se, {"patch_um2": 14 * 9.0, "common_um": 0.1})},
+        {
+            "thickness": (("y", "x"), 80 + 0 * se, {"units": "um", "role": "property"}),
+            "thickness_se": (("y", "x"), se, {"patch_um2": 14 * 9.0, "common_um": 0.1}),
+        },
         {"y": at, "x": at},
-    )  # fmt: skip
+    )
     facts = run_facts.property_facts(data)["thickness"]
     assert facts.n_independent == 77 * 77 // 14
-    assert facts.mean_standard_error == pytest.approx(np.hypot(0.5 / np.sqrt(77 * 77 / 14), 0.1), rel=1e-3)
+    assert facts.mean_standard_error == pytest.approx(
+        np.hypot(0.5 / np.sqrt(77 * 77 / 14), 0.1), rel=1e-3
+    )
 
 
 def test_standard_error_of_a_pixel_beside_drawn_fields():
     """A Gaussian autocorrelation of the stated integral: the scatter of means over squares of 1 to 12 columns."""
     rng = np.random.default_rng(0)
     sigma = 1.5  # of the autocorrelation, in columns
-    drawn = ndimage.gaussian_filter(rng.standard_normal((1200, 1200)), sigma / np.sqrt(2), mode="wrap")
+    drawn = ndimage.gaussian_filter(
+        rng.standard_normal((1200, 1200)), sigma / np.sqrt(2), mode="wrap"
+    )
     drawn /= drawn.std()
     for wide in (3, 6, 12):
         means = drawn.reshape(1200 // wide, wide, 1200 // wide, wide).mean(axis=(1, 3))
-        stated = maps._mean_se(np.ones(1), {"patch_um2": 2 * np.pi * sigma**2 * 4.0, "common_um": 0.0}, wide * 2.0)
+        stated = maps._mean_se(
+            np.ones(1), {"patch_um2": 2 * np.pi * sigma**2 * 4.0, "common_um": 0.0}, wide * 2.0
+        )
         assert means.std() == pytest.approx(float(stated[0]), rel=0.06)
     common = maps._mean_se(np.ones(1), {"patch_um2": 4.0, "common_um": 0.6}, 1e4)
     assert float(common[0]) == pytest.approx(0.6, rel=1e-3)
 
 
 def test_averaging_and_shared_noise_leave_fewer_independent_values():
-    plain = {"air": 40.0, "base": 90.0, "coating_top": 200.0, "coating_bottom": 200.0, "polarity": 1.0,
-             "blur_um": 2.5, "padding": np.nan}  # fmt: skip
+    plain = {
+        "air": 40.0,
+        "base": 90.0,
+        "coating_top": 200.0,
+        "coating_bottom": 200.0,
+        "polarity": 1.0,
+        "blur_um": 2.5,
+        "padding": np.nan,
+    }
 
     def shared_noise(noise, single=8.0, averaged=0.0, **more):
         greys = Greys(noise=noise, single_noise=single, averaged=averaged, **plain)
-        return uncertainty.SharedNoise.of(greys, voxel_um=3.0, pitch_um=(3.0, 3.0), column_px=1.0, **more)
+        return uncertainty.SharedNoise.of(
+            greys, voxel_um=3.0, pitch_um=(3.0, 3.0), column_px=1.0, **more
+        )
 
     white = shared_noise(8.0)
-    assert (white.patch_um2, white.noise_um) == (pytest.approx(14 * 9.0), pytest.approx(8.0**2 * 3.0))
+    assert (white.patch_um2, white.noise_um) == (
+        pytest.approx(14 * 9.0),
+        pytest.approx(8.0**2 * 3.0),
+    )
     averaged = shared_noise(2.0, averaged=1.0)
     assert averaged.patch_um2 == pytest.approx((14 + 4 * np.pi) * 9.0)
     assert averaged.noise_um < white.noise_um
@@ -102,4 +133,7 @@ def test_averaging_and_shared_noise_leave_fewer_independent_values():
     assert shared.patch_um2 == pytest.approx((14 + 8) * 9.0)
     # Without noise, what little scatters in the air is no measure of anything: it made 2.5 mm of a coating's error.
     clean = shared_noise(4e-5, 4e-5, noise_um=0.05)
-    assert (clean.patch_um2, clean.common_um) == (pytest.approx(14 * 9.0), uncertainty.common_errors(3.0))
+    assert (clean.patch_um2, clean.common_um) == (
+        pytest.approx(14 * 9.0),
+        uncertainty.common_errors(3.0),
+    )

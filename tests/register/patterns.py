@@ -6,7 +6,11 @@ import numpy as np
 
 from planish.core.transform import Similarity
 
-PITCHES = ((500, 725, 590, 860, 650, 950), (545, 905, 620, 770, 510, 830), (695, 560, 815, 530, 935, 605))
+PITCHES = (
+    (500, 725, 590, 860, 650, 950),
+    (545, 905, 620, 770, 510, 830),
+    (695, 560, 815, 530, 935, 605),
+)
 
 
 def marks(n, seed=0, size=3000.0):
@@ -41,16 +45,21 @@ def coded():
 
 def pose(rng, mirrored=False):
     return Similarity(
-        scale=rng.uniform(0.98, 1.02), rotation_rad=rng.uniform(-np.pi, np.pi),
-        shift_um=tuple(rng.uniform(-2000, 2000, 2)), mirrored=mirrored,
-    )  # fmt: skip
+        scale=rng.uniform(0.98, 1.02),
+        rotation_rad=rng.uniform(-np.pi, np.pi),
+        shift_um=tuple(rng.uniform(-2000, 2000, 2)),
+        mirrored=mirrored,
+    )
 
 
 def seen(points, rng, lost, false, error=2.0):
     """Marks in any order, and the hole that each is; negative for none."""
     kept = rng.permutation(len(points))[: len(points) - round(lost * len(points))]
     extra = rng.uniform(points.min(axis=0), points.max(axis=0), (round(false * len(points)), 2))
-    marks, which = np.concatenate([points[kept], extra]), np.concatenate([kept, -1 - np.arange(len(extra))])
+    marks, which = (
+        np.concatenate([points[kept], extra]),
+        np.concatenate([kept, -1 - np.arange(len(extra))]),
+    )
     order = rng.permutation(len(marks))
     return marks[order] + rng.normal(0, error, marks.shape), which[order]
 
@@ -62,7 +71,11 @@ def exhaustive(a, b, tolerance, scale_tolerance):
     for i, j in combinations(range(len(za)), 2):
         for k in range(len(zb)):
             for q in range(len(zb)):
-                if k == q or abs(za[j] - za[i]) < 1 or abs(abs((zb[q] - zb[k]) / (za[j] - za[i])) - 1) > 0.06:
+                if (
+                    k == q
+                    or abs(za[j] - za[i]) < 1
+                    or abs(abs((zb[q] - zb[k]) / (za[j] - za[i])) - 1) > 0.06
+                ):
                     continue
                 alpha = (zb[q] - zb[k]) / (za[j] - za[i])
                 beta = zb[k] - alpha * za[i]

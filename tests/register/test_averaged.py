@@ -28,7 +28,9 @@ def dense(field, pairs, mirrored, where):
         x, y = (-z[:, 0] if mirrored else z[:, 0]), z[:, 1]
         one, none = np.ones(len(z)), np.zeros(len(z))
         turn = np.stack([np.stack([one, none, x, -y], 1), np.stack([none, one, y, x], 1)], 1)
-        return turn.reshape(-1, 4), np.stack([np.stack([x, y], 1), np.stack([-y, x], 1)], 1).reshape(-1, 2)
+        return turn.reshape(-1, 4), np.stack(
+            [np.stack([x, y], 1), np.stack([-y, x], 1)], 1
+        ).reshape(-1, 2)
 
     unit = np.median(pairs.weights)
     noise = np.zeros((2 * len(pairs), 2 * len(pairs)))
@@ -39,7 +41,9 @@ def dense(field, pairs, mirrored, where):
     y, free = pairs.fixed.reshape(-1), 2 * len(pairs) - 4
     logs, means, spreads, variances = [], [], [], []
     for kernel in KERNELS:
-        near, far = (covariance(kernel, np.sum((p[:, None] - nodes) ** 2, axis=-1)) for p in (nodes, at))
+        near, far = (
+            covariance(kernel, np.sum((p[:, None] - nodes) ** 2, axis=-1)) for p in (nodes, at)
+        )
         for stretch in of_field._AFFINE:
             for size in of_field._FIELD:
                 v = noise + stretch * a @ a.T + size * both(near)
@@ -48,12 +52,17 @@ def dense(field, pairs, mirrored, where):
                 rest = y - t @ np.linalg.solve(gram, t.T @ inverse @ y)
                 square = rest @ inverse @ rest
                 logs.append(
-                    -0.5 * (np.linalg.slogdet(v)[1] + np.linalg.slogdet(gram)[1] + free * np.log(square))
+                    -0.5
+                    * (np.linalg.slogdet(v)[1] + np.linalg.slogdet(gram)[1] + free * np.log(square))
                     + np.log(0.5 if size == 0 else 0.5 / (len(of_field._FIELD) - 1))
                     + np.log(0.5 if stretch == 0 else 0.5 / (len(of_field._AFFINE) - 1))
                 )
                 to = stretch * a_at @ a.T + size * both(far)
-                means.append((t_at @ np.linalg.solve(gram, t.T @ inverse @ y) + to @ inverse @ rest).reshape(-1, 2))
+                means.append(
+                    (t_at @ np.linalg.solve(gram, t.T @ inverse @ y) + to @ inverse @ rest).reshape(
+                        -1, 2
+                    )
+                )
                 left = t_at - to @ inverse @ t
                 spread = np.sum(stretch * a_at**2, 1) + size - np.sum((to @ inverse) * to, 1)
                 spread += np.sum(left @ np.linalg.inv(gram) * left, 1)
@@ -71,13 +80,19 @@ def dense(field, pairs, mirrored, where):
 def test_it_is_the_average_of_the_dense_formulas(kind, mirrored, monkeypatch):
     monkeypatch.setattr(of_field, "_LEAST", 0.0)
     rng = np.random.default_rng(1)
-    info = covariances(7, rng) if kind == "covariances" else rng.uniform(0.5, 2, 7)[:, None, None] * np.eye(2)
+    info = (
+        covariances(7, rng)
+        if kind == "covariances"
+        else rng.uniform(0.5, 2, 7)[:, None, None] * np.eye(2)
+    )
     points, where = marks(7), marks(5, 2) * 1.3
     seen = wavy(points * (-1 if mirrored else 1, 1)) + rng.normal(0, 3, (7, 2))
     pairs = Pairs(moving=points, fixed=seen, information=info)
     field = DeviationField(pairs, mirrored)
     mean, square, variance = dense(field, pairs, mirrored, where)
-    fit = fit_transform(points, seen, model="averaged", mirrored=mirrored, weights=np.linalg.inv(info), robust=False)
+    fit = fit_transform(
+        points, seen, model="averaged", mirrored=mirrored, weights=np.linalg.inv(info), robust=False
+    )
     np.testing.assert_allclose(fit(where), mean, rtol=0, atol=1e-7)
     np.testing.assert_allclose(fit.expected_error_um(where) ** 2, square, rtol=1e-8)
     off = mean + np.array([30.0, -40.0])
@@ -87,7 +102,9 @@ def test_it_is_the_average_of_the_dense_formulas(kind, mirrored, monkeypatch):
 
 def test_marks_left_out_are_missed_as_by_the_others_with_the_same_probabilities():
     points = marks(8)
-    pairs = Pairs(moving=points, fixed=wavy(points), information=np.ones(8)[:, None, None] * np.eye(2))
+    pairs = Pairs(
+        moving=points, fixed=wavy(points), information=np.ones(8)[:, None, None] * np.eye(2)
+    )
     field = DeviationField(pairs, False)
     # Lengths are those of all marks: the twin takes one assumption and leaves out by solving the dense equations.
     mixture = np.zeros_like(field.mixture)
@@ -95,7 +112,11 @@ def test_marks_left_out_are_missed_as_by_the_others_with_the_same_probabilities(
     missed, _ = DeviationField(pairs, False, mixture).left_out()
     near = covariance(KERNELS[2], np.sum((field.nodes[:, None] - field.nodes) ** 2, axis=-1))
     design = field._columns(field.nodes).reshape(-1, 6)
-    v = np.eye(16) + 3.0 * design[:, 4:] @ design[:, 4:].T + of_field._FIELD[3] * np.kron(near, np.eye(2))
+    v = (
+        np.eye(16)
+        + 3.0 * design[:, 4:] @ design[:, 4:].T
+        + of_field._FIELD[3] * np.kron(near, np.eye(2))
+    )
     y = pairs.fixed.reshape(-1)
     for k in range(8):
         here = np.arange(16) // 2 == k
@@ -126,7 +147,10 @@ def test_marks_on_a_line_are_enough_and_derivatives_are_those_of_the_map():
     where, h = marks(20, 4), 1e-2
     for k, step in enumerate(np.eye(2) * h):
         np.testing.assert_allclose(
-            fit.jacobian(where)[..., k], (fit(where + step) - fit(where - step)) / (2 * h), rtol=0, atol=1e-8
+            fit.jacobian(where)[..., k],
+            (fit(where + step) - fit(where - step)) / (2 * h),
+            rtol=0,
+            atol=1e-8,
         )
     np.testing.assert_allclose(fit.inverse(fit(where)), where, rtol=0, atol=1e-8)
 
@@ -147,16 +171,23 @@ def test_a_forced_model_states_what_it_leaves():
 
 def test_five_of_six_and_an_affine_sheet_are_followed():
     """Six pairs by hand, one of them far off, as in a table of a user."""
-    points = np.array([[400, 300], [2500, 350], [2600, 1900], [450, 2050], [1400, 1100], [1900, 700.0]])
+    points = np.array(
+        [[400, 300], [2500, 350], [2600, 1900], [450, 2050], [1400, 1100], [1900, 700.0]]
+    )
     seen = TURN(points) + np.random.default_rng(3).normal(0, 0.7, (6, 2))
     seen[3] += (-60.0, 51.0)
     fit = fit_transform(points, seen, model="auto")
     assert fit.robust_weights.tolist() == [1, 1, 1, 0, 1, 1]
-    said = r"5 of 6 marks agree to [23]\.\d um \(leave-one-out, rms\); d is (78|79|80) um off and was left out\."
+    said = (
+        r"5 of 6 marks agree to [23]\.\d um \(leave-one-out, rms\); d is (78|79|80) um off and was"
+        r" left out\."
+    )
     assert re.fullmatch(said, fit.agreement(tuple("abcdef")))
     truth = Affine(linear=((1.01, 0.003), (0.0, 0.99)))
     points, where = marks(14), marks(200, 6)
-    fit = fit_transform(points, truth(points) + np.random.default_rng(4).normal(0, 1, (14, 2)), model="auto")
+    fit = fit_transform(
+        points, truth(points) + np.random.default_rng(4).normal(0, 1, (14, 2)), model="auto"
+    )
     # Six parameters of 14 marks with 1.4 um: 0.9 um rms
     assert np.sqrt(np.mean(np.sum((fit(where) - truth(where)) ** 2, axis=1))) < 2.0
 

@@ -8,7 +8,16 @@ from planish.core.errors import CannotRegister
 from planish.core.transform import Similarity
 from planish.register import Chain, fit_transform
 
-MARKS = np.array([[0.0, 0.0], [4000.0, 100.0], [3900.0, 2900.0], [-50.0, 3000.0], [1700.0, 1300.0], [900.0, 2400.0]])
+MARKS = np.array(
+    [
+        [0.0, 0.0],
+        [4000.0, 100.0],
+        [3900.0, 2900.0],
+        [-50.0, 3000.0],
+        [1700.0, 1300.0],
+        [900.0, 2400.0],
+    ]
+)
 FIRST = Similarity(scale=1.01, rotation_rad=0.3, shift_um=(120.0, -40.0))
 SECOND = Similarity(scale=0.98, rotation_rad=-1.2, shift_um=(-700.0, 310.0), mirrored=True)
 
@@ -21,7 +30,12 @@ def chain(noise_um=0.0, seed=0):
 
     between = FIRST(MARKS)
     first = fit_transform(MARKS, moved(FIRST, MARKS), model="similarity", mirrored=False)
-    return Chain(fits=(first, fit_transform(between, moved(SECOND, between), model="similarity", mirrored=True)))
+    return Chain(
+        fits=(
+            first,
+            fit_transform(between, moved(SECOND, between), model="similarity", mirrored=True),
+        )
+    )
 
 
 def test_a_chain_composes_its_links_similarities_and_hands():
@@ -32,7 +46,9 @@ def test_a_chain_composes_its_links_similarities_and_hands():
     assert both.mirrored
     assert both.similarity.mirrored
     assert both.similarity.scale == pytest.approx(1.01 * 0.98, rel=1e-12)
-    np.testing.assert_allclose(both.similarity.matrix(), SECOND.matrix() @ FIRST.matrix(), atol=1e-12)
+    np.testing.assert_allclose(
+        both.similarity.matrix(), SECOND.matrix() @ FIRST.matrix(), atol=1e-12
+    )
     step = 1e-3
     numeric = (both([1000.0 + step, 500.0]) - both([1000.0 - step, 500.0])) / (2 * step)
     np.testing.assert_allclose(both.jacobian([1000.0, 500.0])[:, 0], numeric, atol=1e-6)
@@ -47,7 +63,9 @@ def test_the_error_of_a_link_is_carried_on_by_the_scale_of_the_next():
     wide = fit_transform(second.moving, 2.0 * second.fixed, model="similarity", mirrored=True)
     at = np.array([[500.0, 500.0], [6000.0, 5000.0]])
     scale = wide.transform.scale
-    expected = np.sqrt((scale * first.expected_error_um(at)) ** 2 + wide.expected_error_um(first(at)) ** 2)
+    expected = np.sqrt(
+        (scale * first.expected_error_um(at)) ** 2 + wide.expected_error_um(first(at)) ** 2
+    )
     np.testing.assert_allclose(Chain(fits=(first, wide)).expected_error_um(at), expected, rtol=1e-9)
     assert scale > 1.9
 
@@ -57,9 +75,13 @@ def test_a_single_link_is_the_fit_itself_and_no_link_is_refused():
     alone = Chain(fits=(fit,))
     points = np.array([[10.0, 20.0], [3000.0, 100.0]])
     np.testing.assert_array_equal(alone(points), fit(points))
-    np.testing.assert_allclose(alone.expected_error_um(points), fit.expected_error_um(points), rtol=1e-12)
+    np.testing.assert_allclose(
+        alone.expected_error_um(points), fit.expected_error_um(points), rtol=1e-12
+    )
     assert alone.similarity == Similarity(
-        scale=fit.transform.scale, rotation_rad=fit.transform.rotation_rad, shift_um=fit.transform.shift_um,
+        scale=fit.transform.scale,
+        rotation_rad=fit.transform.rotation_rad,
+        shift_um=fit.transform.shift_um,
         mirrored=fit.transform.mirrored,
-    )  # fmt: skip
+    )
     refused(CannotRegister, "at least one", Chain, fits=())

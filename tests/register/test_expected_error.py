@@ -13,7 +13,9 @@ TURN = Similarity(scale=0.99, rotation_rad=-0.4, shift_um=(2000.0, 10.0))
 @pytest.mark.ci
 def test_stated_and_true_error_agree():
     """12 truths fix the ratio to some 25 %."""
-    auto = summary([judged(drawn(np.random.default_rng([2, k])), ("auto",)) for k in range(12)], "auto")
+    auto = summary(
+        [judged(drawn(np.random.default_rng([2, k])), ("auto",)) for k in range(12)], "auto"
+    )
     assert 0.5 < auto.pooled < 1.5
 
 
@@ -31,7 +33,10 @@ def test_precise_marks_count_more_and_are_believed(way):
             spread = half @ half.swapaxes(1, 2) + 0.2 * np.eye(2)
         error = (np.linalg.cholesky(spread) @ rng.normal(0, 2, (12, 2, 1)))[..., 0]
         fit = fit_transform(
-            marks, TURN(marks) + error, model="auto", weights=size**-2.0 if way == "weights" else 7 * spread
+            marks,
+            TURN(marks) + error,
+            model="auto",
+            weights=size**-2.0 if way == "weights" else 7 * spread,
         )
         grid = hull_grid(marks)
         true.append(np.mean(np.sum((fit(grid) - TURN(grid)) ** 2, axis=1)))

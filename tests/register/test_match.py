@@ -38,7 +38,10 @@ def test_missing_and_false_marks_are_right_or_refused(kind, both):
     for _ in range(15):
         points = coded() if kind == "coded" else scattered(int(rng.integers(12, 41)), rng)
         points = points + rng.normal(0, 4, points.shape)
-        (a, of_a), (b, of_b) = seen(points, rng, 0.3, 0.3), seen(points, rng, 0.3 * both, 0.3 * both)
+        (a, of_a), (b, of_b) = (
+            seen(points, rng, 0.3, 0.3),
+            seen(points, rng, 0.3 * both, 0.3 * both),
+        )
         truth = pose(rng)
         try:
             found = match_marks(a, truth(b))
@@ -46,7 +49,12 @@ def test_missing_and_false_marks_are_right_or_refused(kind, both):
             reasons.append(str(error))
             continue
         assert np.mean(of_a[found.pairs[:, 0]] == of_b[found.pairs[:, 1]]) > 0.9
-        assert np.linalg.norm(found.transform(a[found.pairs[:, 0]]) - truth(b)[found.pairs[:, 1]], axis=1).max() < 30
+        assert (
+            np.linalg.norm(
+                found.transform(a[found.pairs[:, 0]]) - truth(b)[found.pairs[:, 1]], axis=1
+            ).max()
+            < 30
+        )
     assert all("symmetric" in reason or "no match" in reason for reason in reasons)
     # Holes on lines meet holes on lines more often than scattered ones: more of the coded patterns may be symmetric.
     assert len(reasons) <= (5 if kind == "coded" and both else 2)
@@ -134,9 +142,15 @@ def turned(half, parts):
 WITH_LOSS = {
     "two-fold": lambda rng: turned(scattered(9, rng) * (1.0, 0.6) + 400, 2),
     "four-fold": lambda rng: turned(scattered(5, rng) + 300, 4),
-    "mirror": lambda rng: (lambda half: np.concatenate([half, half * (-1, 1)]))(scattered(9, rng) + 300),
+    "mirror": lambda rng: (lambda half: np.concatenate([half, half * (-1, 1)]))(
+        scattered(9, rng) + 300
+    ),
     "line": lambda _: np.stack([np.arange(16) * 600.0, np.zeros(16)], axis=1),
-    "lattice": lambda _: np.stack(np.meshgrid(np.arange(5) * 600.0, np.arange(4) * 700.0), -1).reshape(-1, 2),
+    "lattice": (
+        lambda _: np.stack(np.meshgrid(np.arange(5) * 600.0, np.arange(4) * 700.0), -1).reshape(
+            -1, 2
+        )
+    ),
 }
 
 
@@ -157,11 +171,20 @@ def test_symmetric_patterns_that_lost_marks_are_refused(name, false, both):
 
 def test_refusals_say_what_was_seen_by_the_names_of_the_sides():
     rng = np.random.default_rng(16)
-    with pytest.raises(CannotRegister, match=r"10 marks of the volume and 12 of the image: no match found: .* agree"):
+    with pytest.raises(
+        CannotRegister,
+        match=r"10 marks of the volume and 12 of the image: no match found: .* agree",
+    ):
         match_marks(scattered(10, rng), scattered(12, rng), names=("volume", "image"))
     points = WITH_LOSS["two-fold"](rng)
     (a, _), (b, _) = seen(points, rng, 0.2, 0.0), seen(points, rng, 0.2, 0.0)
-    refused(CannotRegister, r"symmetric or regular: of the \d+ marks .* turned by 180 deg|ambiguous", match_marks, a, b)
+    refused(
+        CannotRegister,
+        r"symmetric or regular: of the \d+ marks .* turned by 180 deg|ambiguous",
+        match_marks,
+        a,
+        b,
+    )
     with pytest.raises(MarkError, match=r"mark 1 .* of the image is not finite"):
         match_marks(points, [(0, 0), (np.nan, 1)], names=("volume", "image"))
 
@@ -185,7 +208,9 @@ def test_a_wrong_handed_image_is_not_matched_by_chance():
     rng = np.random.default_rng(6)
     for _ in range(200):
         points = scattered(int(rng.integers(5, 9)), rng)
-        assert tried(points, pose(rng, mirrored=True)(points) + rng.normal(0, 1, points.shape)) is None
+        assert (
+            tried(points, pose(rng, mirrored=True)(points) + rng.normal(0, 1, points.shape)) is None
+        )
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
@@ -197,4 +222,10 @@ def test_too_few_marks_are_named(count):
 def test_a_scale_outside_the_calibration_is_no_match_and_named_when_little():
     points = scattered(12, np.random.default_rng(17))
     assert tried(points, 1.08 * points) is None
-    refused(CannotRegister, r"scale of 1\.0350, which is 3\.5 % off", match_marks, points, 1.035 * points)
+    refused(
+        CannotRegister,
+        r"scale of 1\.0350, which is 3\.5 % off",
+        match_marks,
+        points,
+        1.035 * points,
+    )

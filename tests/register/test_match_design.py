@@ -71,9 +71,18 @@ def test_designs_that_are_symmetric_of_another_sheet_or_faulty_are_refused():
     rng = np.random.default_rng(6)
     for _ in range(10):
         marks, _ = seen(scattered(15, rng), rng, 0.1, 0.1)
-        with pytest.raises(CannotRegister, match=r"marks of the image and 15 designed holes: .* agree"):
+        with pytest.raises(
+            CannotRegister, match=r"marks of the image and 15 designed holes: .* agree"
+        ):
             match_by_design(marks, marks, scattered(15, rng), names=("image", "other"))
     points = scattered(6, np.random.default_rng(7))
     with pytest.raises(MarkError, match="2 labels are given for 6 designed holes"):
         match_by_design(points, points, points, labels=["a", "b"])
-    refused(CannotRegister, "2 marks of the fixed: at least 3", match_by_design, points, points[:2], points)
+    refused(
+        CannotRegister,
+        "2 marks of the fixed: at least 3",
+        match_by_design,
+        points,
+        points[:2],
+        points,
+    )

@@ -8,7 +8,13 @@ import pytest
 from folders import refused
 from planish.core.errors import MarkError
 from planish.core.transform import Affine, Projective, Similarity
-from planish.register import Pairs, fit_transform, models, registration_from_json, registration_to_json
+from planish.register import (
+    Pairs,
+    fit_transform,
+    models,
+    registration_from_json,
+    registration_to_json,
+)
 from register.patterns import covariances, marks
 
 PARAMETRIC = ("rigid", "similarity", "affine", "projective")
@@ -20,17 +26,22 @@ TRUTHS = {
     "affine": Affine(linear=((0.4, -0.93), (0.89, 0.41)), source=(1500, 1200), target=(-700, 8000)),
     "projective": Projective(
         homography=((0.9, -0.4, 0.01), (0.41, 0.88, 0.0), (0.03, -0.02, 1.0)),
-        source=(1500, 1200), target=(3000, 2000), source_size=1000, target_size=1010,
+        source=(1500, 1200),
+        target=(3000, 2000),
+        source_size=1000,
+        target_size=1010,
     ),
     "tps": TURN,
     "averaged": TURN,
-}  # fmt: skip
+}
 
 
 def given(weights, n):
     """Weights of n marks: none, numbers, or covariances."""
     rng = np.random.default_rng(3)
-    return {None: None, "numbers": rng.uniform(0.2, 3, n), "covariances": covariances(n, rng)}[weights]
+    return {None: None, "numbers": rng.uniform(0.2, 3, n), "covariances": covariances(n, rng)}[
+        weights
+    ]
 
 
 @pytest.mark.parametrize("model", ALL)
@@ -50,7 +61,9 @@ def test_a_known_transformation_is_recovered(model, weights):
 @pytest.mark.parametrize("model", ALL)
 def test_a_declared_mirror_is_recovered(model):
     points = marks(12)
-    truth = Similarity(scale=1.0 if model == "rigid" else 0.98, rotation_rad=0.4, shift_um=(10, 20), mirrored=True)
+    truth = Similarity(
+        scale=1.0 if model == "rigid" else 0.98, rotation_rad=0.4, shift_um=(10, 20), mirrored=True
+    )
     fit = fit_transform(points, truth(points), model=model, mirrored=True)
     np.testing.assert_allclose(fit(points), truth(points), rtol=0, atol=1e-9)
     assert fit.mirrored
@@ -66,7 +79,9 @@ def test_leave_one_out_equals_the_fit_without_each_mark(model, weights):
     for k in range(9):
         others = np.arange(9) != k
         rest = None if weight is None else weight[others]
-        without = fit_transform(points[others], seen[others], model=model, robust=False, weights=rest)
+        without = fit_transform(
+            points[others], seen[others], model=model, robust=False, weights=rest
+        )
         twin = np.linalg.norm(without(points[k]) - seen[k])
         assert fit.leave_one_out_um[k] == pytest.approx(twin, rel=0, abs=1e-9)
 
@@ -77,7 +92,9 @@ def test_the_fit_is_a_minimum(model):
     rng = np.random.default_rng(4)
     points = marks(8)
     info = np.linalg.inv(given("covariances", 8))
-    pairs = Pairs(moving=points, fixed=TRUTHS[model](points) + rng.normal(0, 5, (8, 2)), information=info)
+    pairs = Pairs(
+        moving=points, fixed=TRUTHS[model](points) + rng.normal(0, 5, (8, 2)), information=info
+    )
     transform = models.MODELS[model].fit(pairs, False)
     design = models.MODELS[model].design(transform, pairs.frame(), points)
     slope = np.einsum("nap,nab,nb->p", design, info, pairs.fixed - transform(points))
@@ -102,8 +119,14 @@ def test_json_gives_the_fit_back_to_the_byte(model, robust):
     where = marks(200, 8)
     for name in ("sentence", "warnings", "model", "rms_um", "localisation_error_um"):
         assert getattr(again, name) == getattr(fit, name)
-    for of in (lambda f: f(where), lambda f: f.expected_error_um(where), lambda f: f.leave_one_out_um,
-               lambda f: f.inverse(where), lambda f: f.jacobian(where), lambda f: f.weights):  # fmt: skip
+    for of in (
+        lambda f: f(where),
+        lambda f: f.expected_error_um(where),
+        lambda f: f.leave_one_out_um,
+        lambda f: f.inverse(where),
+        lambda f: f.jacobian(where),
+        lambda f: f.weights,
+    ):
         assert of(again).tobytes() == of(fit).tobytes()
 
 
@@ -112,9 +135,15 @@ def test_json_keeps_missing_numbers_and_a_point_behind_the_camera_has_no_image()
     points = marks(7)
     for model, n in (("similarity", 2), ("tps", 7)):
         fit = fit_transform(points[:n], TURN(points[:n]), model=model, robust=False)
-        again = registration_from_json(json.loads(json.dumps(registration_to_json(fit), allow_nan=False)))
-        np.testing.assert_array_equal(again.expected_error_um(points), fit.expected_error_um(points))
-        assert getattr(again.transform, "smoothing_um2", 0) == getattr(fit.transform, "smoothing_um2", 0)
+        again = registration_from_json(
+            json.loads(json.dumps(registration_to_json(fit), allow_nan=False))
+        )
+        np.testing.assert_array_equal(
+            again.expected_error_um(points), fit.expected_error_um(points)
+        )
+        assert getattr(again.transform, "smoothing_um2", 0) == getattr(
+            fit.transform, "smoothing_um2", 0
+        )
     assert np.isnan(TRUTHS["projective"]([[-60000.0, 0.0]])).all()
 
 
@@ -127,16 +156,22 @@ def test_expected_errors_are_those_of_the_closed_form_whatever_the_weights_facto
     f2 = np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))
     fit = fit_transform(points, points + np.random.default_rng(6).normal(0, 3, (60, 2)))
     assert fit.localisation_error_um == pytest.approx(3 * np.sqrt(2), rel=0.2)
-    ratio = fit.expected_error_um(where) / (fit.localisation_error_um / np.sqrt(60) * np.sqrt(1 + away / f2))
+    ratio = fit.expected_error_um(where) / (
+        fit.localisation_error_um / np.sqrt(60) * np.sqrt(1 + away / f2)
+    )
     assert ratio.min() > 0.99
     assert ratio.max() < 2.0
     rng = np.random.default_rng(7)
     points = marks(12)
     seen = TURN(points) + rng.normal(0, 3, (12, 2))
     for model in ("affine", "tps", "averaged"):
-        a, b = (fit_transform(points, seen, model=model, weights=np.full(12, k)) for k in (1.0, 50.0))
+        a, b = (
+            fit_transform(points, seen, model=model, weights=np.full(12, k)) for k in (1.0, 50.0)
+        )
         np.testing.assert_allclose(a(points), b(points), rtol=0, atol=1e-5)
-        np.testing.assert_allclose(a.expected_error_um(points), b.expected_error_um(points), rtol=1e-4)
+        np.testing.assert_allclose(
+            a.expected_error_um(points), b.expected_error_um(points), rtol=1e-4
+        )
 
 
 def test_rigid_keeps_the_scale_at_one_and_order_does_not_matter():
@@ -169,7 +204,9 @@ def test_residuals_have_the_expected_size():
 def test_refitted_keeps_the_pairs_and_weights(model):
     """The places of the fit itself give its transformation; turned places give it after the turn back."""
     points = marks(10)
-    seen = Similarity(scale=1.01, rotation_rad=0.4)(points) + np.random.default_rng(1).normal(0, 3, (10, 2))
+    seen = Similarity(scale=1.01, rotation_rad=0.4)(points) + np.random.default_rng(1).normal(
+        0, 3, (10, 2)
+    )
     seen[2] += 300.0
     fit = fit_transform(points, seen, model=model)
     turn = Similarity(rotation_rad=0.2, shift_um=(50.0, 10.0))

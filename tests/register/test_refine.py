@@ -47,9 +47,19 @@ def test_an_affine_displacement_is_found(metric):
     linear = np.array([[0.004, 0.002], [-0.003, 0.001]])
     true = (places() - (500, 400)) @ linear.T + (7.0, -5.0)
     linked, image, valid = maps(true, 1)
-    found = refine(linked, image, valid, pixel_um=(PIXEL, PIXEL), fit=marks_fit(), options=RefineOptions(metric=metric))
+    found = refine(
+        linked,
+        image,
+        valid,
+        pixel_um=(PIXEL, PIXEL),
+        fit=marks_fit(),
+        options=RefineOptions(metric=metric),
+    )
     error = np.linalg.norm(found(places()) - places() - true, axis=-1)
-    print(f"{metric}: error {np.sqrt(np.mean(error**2)):.2f} um rms of {np.linalg.norm(true, axis=-1).max():.1f} um")
+    print(
+        f"{metric}: error {np.sqrt(np.mean(error**2)):.2f} um rms of"
+        f" {np.linalg.norm(true, axis=-1).max():.1f} um"
+    )
     assert np.sqrt(np.mean(error**2)) < 1.5  # 0.15 pixels
     # The displacement itself, not its opposite, and the sentence says what was done.
     assert found([500.0, 400.0]) == pytest.approx((507.0, 395.0), abs=1.5)
@@ -70,7 +80,10 @@ def test_a_bend_is_found_by_the_spline_and_every_run_is_the_same():
     }
     found = refine(linked, image, valid, **settings)
     error = np.linalg.norm(found(places()) - places() - true, axis=-1)
-    print(f"error {np.sqrt(np.mean(error**2)):.2f} um rms of {np.linalg.norm(true, axis=-1).max():.1f} um")
+    print(
+        f"error {np.sqrt(np.mean(error**2)):.2f} um rms of"
+        f" {np.linalg.norm(true, axis=-1).max():.1f} um"
+    )
     assert np.sqrt(np.mean(error**2)) < 1.5
     assert 0.9 < found.area[0] < 1 < found.area[1] < 1.1
     again = refine(linked, image, valid, **settings)
@@ -78,7 +91,9 @@ def test_a_bend_is_found_by_the_spline_and_every_run_is_the_same():
     # What the refined registration makes of the image correlates better than what the marks make of it.
     seen = found.image_at(image, (PIXEL, PIXEL))
     both = np.isfinite(seen) & valid
-    assert abs(np.corrcoef(linked[both], seen[both])[0, 1]) > abs(np.corrcoef(linked[both], image[both])[0, 1])
+    assert abs(np.corrcoef(linked[both], seen[both])[0, 1]) > abs(
+        np.corrcoef(linked[both], image[both])[0, 1]
+    )
 
 
 def test_the_spline_is_that_of_the_library():
@@ -92,9 +107,13 @@ def test_the_spline_is_that_of_the_library():
         mesh_um=nodes[0].GetSpacing(),
     )
     points = rng.uniform((0.1, 0.1), (38.9, 28.9), (50, 2))
-    assert own(points) == pytest.approx(np.array([made.TransformPoint(p) for p in points.tolist()]), abs=1e-9)
+    assert own(points) == pytest.approx(
+        np.array([made.TransformPoint(p) for p in points.tolist()]), abs=1e-9
+    )
     step = 1e-6
-    slopes = np.stack([(own(points + d) - own(points - d)) / (2 * step) for d in step * np.eye(2)], axis=-1)
+    slopes = np.stack(
+        [(own(points + d) - own(points - d)) / (2 * step) for d in step * np.eye(2)], axis=-1
+    )
     assert own.jacobian(points) == pytest.approx(slopes, abs=1e-6)
     outside = np.array([[-500.0, 12.0], [np.nan, 1.0]])
     border = np.array([own.origin_um[0] + own.mesh_um[0], 12.0])
@@ -106,7 +125,9 @@ def test_the_spline_is_that_of_the_library():
 def test_more_than_the_marks_allow_is_refused():
     linked, image, valid = maps(constant(8.0, 0.0), 3)
     settings = {"pixel_um": (PIXEL, PIXEL), "fit": marks_fit(noise=0.8)}
-    with pytest.raises(CannotRegister, match=r"moves the map by \d+\.\d um near .* up to 3 times that is accepted"):
+    with pytest.raises(
+        CannotRegister, match=r"moves the map by \d+\.\d um near .* up to 3 times that is accepted"
+    ):
         refine(linked, image, valid, **settings)
     found = refine(linked, image, valid, **settings, options=RefineOptions(bounded=False))
     assert found.share > 3
@@ -120,7 +141,9 @@ def test_a_fold_is_refused_and_a_strain_is_told(monkeypatch):
     def bent(height):
         nodes = np.zeros((2, 5, 6))
         nodes[0, 2, 2:4] = height, -height
-        return refinement.FreeForm(coefficients_um=nodes, origin_um=(-600.0, -600.0), mesh_um=(600.0, 600.0))
+        return refinement.FreeForm(
+            coefficients_um=nodes, origin_um=(-600.0, -600.0), mesh_um=(600.0, 600.0)
+        )
 
     settings = {"pixel_um": (PIXEL, PIXEL), "fit": marks_fit(noise=4000.0)}
     monkeypatch.setattr(module, "_search", lambda *_: bent(900.0))
@@ -135,11 +158,31 @@ def test_what_cannot_be_refined_is_refused(monkeypatch):
     linked, image, valid = maps(constant(0.0, 0.0), 5)
     settings = {"pixel_um": (PIXEL, PIXEL), "fit": marks_fit()}
     refused(CannotRegister, "one grid", refine, linked[1:], image, None, **settings)
-    refused(CannotRegister, "400", refine, linked, image, valid & (places()[..., 0] < 30), **settings)
+    refused(
+        CannotRegister, "400", refine, linked, image, valid & (places()[..., 0] < 30), **settings
+    )
     refused(CannotRegister, "constant", refine, linked, 0 * image, valid, **settings)
-    refused(SizeError, "positive lengths", refine, linked, image, valid, **settings, options=RefineOptions(grid_um=0.0))
+    refused(
+        SizeError,
+        "positive lengths",
+        refine,
+        linked,
+        image,
+        valid,
+        **settings,
+        options=RefineOptions(grid_um=0.0),
+    )
     exact = fit_transform([[0, 0], [900, 100]], [[0, 0], [900, 100]])
-    refused(CannotRegister, "nothing bounds", refine, linked, image, valid, pixel_um=(PIXEL, PIXEL), fit=exact)
+    refused(
+        CannotRegister,
+        "nothing bounds",
+        refine,
+        linked,
+        image,
+        valid,
+        pixel_um=(PIXEL, PIXEL),
+        fit=exact,
+    )
 
     def missing(_name):
         raise ImportError
@@ -155,7 +198,9 @@ def test_a_refined_correlation_is_cross_fitted():
     free = RefineOptions(bounded=False)
 
     def tune(a, look):
-        return refine(a, image, look, pixel_um=(PIXEL, PIXEL), fit=fit, options=free).image_at(image, (PIXEL, PIXEL))
+        return refine(a, image, look, pixel_um=(PIXEL, PIXEL), fit=fit, options=free).image_at(
+            image, (PIXEL, PIXEL)
+        )
 
     found = cross_fitted(linked, image, tune, valid=valid, pixel_um=(PIXEL, PIXEL))
     assert found.r == pytest.approx(-0.9, abs=0.06)

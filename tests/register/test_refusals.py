@@ -40,7 +40,12 @@ def test_doubles_are_refused_and_repeated_pairs_count_once():
     points = marks(6)
     twice = points.copy()
     twice[4] = twice[1]
-    refused(MarkError, "Marks 1 and 4 lie at one place on the moving side.*um apart on the other", twice, points)
+    refused(
+        MarkError,
+        "Marks 1 and 4 lie at one place on the moving side.*um apart on the other",
+        twice,
+        points,
+    )
     refused(MarkError, "Marks 1 and 4 lie at one place on the fixed side", points, twice)
     points = np.concatenate([marks(7), marks(7)[2:4]])
     there = TURN(points) + np.tile(np.random.default_rng(1).normal(0, 2, (7, 2)), (2, 1))[:9]
@@ -56,7 +61,9 @@ def test_doubles_are_refused_and_repeated_pairs_count_once():
 def test_a_line(model):
     points = np.stack([np.linspace(0, 3000, 9), np.linspace(100, 500, 9)], axis=1)
     refused(CannotRegister, "on one line", points, TURN(points), model=model)
-    np.testing.assert_allclose(fit_transform(points, TURN(points))(points), TURN(points), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        fit_transform(points, TURN(points))(points), TURN(points), rtol=0, atol=1e-9
+    )
 
 
 def test_lines_mirrors_pixels_wrong_pairs_and_few_marks_are_named():
@@ -73,7 +80,14 @@ def test_lines_mirrors_pixels_wrong_pairs_and_few_marks_are_named():
     fit = fit_transform(marks(10), marks(10, seed=1), robust=False)
     assert any("many pairs are wrong" in w for w in fit.warnings)
     assert "5 marks only" in fit_transform(marks(5), TURN(marks(5))).warnings[0]
-    for data in (None, "", [], {}, {"format": "other"}, {"format": "planish registration 1", "model": "affine"}):
+    for data in (
+        None,
+        "",
+        [],
+        {},
+        {"format": "other"},
+        {"format": "planish registration 1", "model": "affine"},
+    ):
         with pytest.raises(MarkError, match=r"no registration|format 'other'"):
             registration_from_json(data)
 
@@ -82,6 +96,8 @@ def test_lines_mirrors_pixels_wrong_pairs_and_few_marks_are_named():
 @pytest.mark.parametrize("noise", [0.0, 5.0])
 def test_exchanged_columns(model, noise):
     points = marks(10)
-    there = Similarity(rotation_rad=0.05)(points) + np.random.default_rng(1).normal(0, noise, (10, 2))
+    there = Similarity(rotation_rad=0.05)(points) + np.random.default_rng(1).normal(
+        0, noise, (10, 2)
+    )
     refused(MarkError, "Probably x and y are exchanged", points, there[:, ::-1], model=model)
     refused(MarkError, "Probably x and y are exchanged", points[:, ::-1], there, model=model)

@@ -59,7 +59,11 @@ def test_three_marks_cannot_outvote_each_other_nor_a_smooth_distortion_make_one_
     assert np.all(fit_transform(points, seen).robust_weights == 1.0)
     # 30 um of waves under 1 um of noise, of which a similarity explains nothing.
     points = marks(24)
-    seen = TURN(points) + 30 * np.sin(points[:, ::-1] / 600.0) + np.random.default_rng(5).normal(0, 1, (24, 2))
+    seen = (
+        TURN(points)
+        + 30 * np.sin(points[:, ::-1] / 600.0)
+        + np.random.default_rng(5).normal(0, 1, (24, 2))
+    )
     for model in ("similarity", "auto"):
         assert np.all(fit_transform(points, seen, model=model).robust_weights == 1.0)
 

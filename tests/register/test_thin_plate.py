@@ -27,7 +27,9 @@ def test_it_is_the_spline_of_scipy(smoothing):
     rng = np.random.default_rng(1)
     moving = marks(20)
     fixed, weights = bent(moving) + rng.normal(0, 2, (20, 2)), rng.uniform(0.5, 2, 20)
-    twin = RBFInterpolator(moving, fixed, kernel="thin_plate_spline", degree=1, smoothing=smoothing / weights)
+    twin = RBFInterpolator(
+        moving, fixed, kernel="thin_plate_spline", degree=1, smoothing=smoothing / weights
+    )
     where = marks(100, seed=2)
     ours = Smoothing(pairs_of(moving, fixed, weights)).spline(smoothing)
     np.testing.assert_allclose(ours(where), twin(where), rtol=0, atol=1e-6)
@@ -48,7 +50,9 @@ def test_leave_one_out_equals_the_fit_without_each_mark_at_the_same_smoothing():
     rng = np.random.default_rng(3)
     moving = marks(12)
     weights = covariances(12, rng)
-    fit = fit_transform(moving, bent(moving) + rng.normal(0, 2, (12, 2)), model="tps", weights=weights, robust=False)
+    fit = fit_transform(
+        moving, bent(moving) + rng.normal(0, 2, (12, 2)), model="tps", weights=weights, robust=False
+    )
     smoothing = fit.transform.smoothing_um2
     assert 0 < smoothing < np.inf
     for k in range(12):
@@ -92,9 +96,19 @@ def test_a_fold_is_refused_with_its_place_and_a_strain_of_one_per_cent_reported(
     # Two neighbours have changed places, exactly enough in number that no spline of the others passes them by.
     fixed[moving[:, 0] == 1000.0] += [700.0, 0.0]
     fixed[moving[:, 0] == 1500.0] -= [700.0, 0.0]
-    refused(CannotRegister, "folds the map near", fit_transform, moving, fixed, model="tps", robust=False)
+    refused(
+        CannotRegister,
+        "folds the map near",
+        fit_transform,
+        moving,
+        fixed,
+        model="tps",
+        robust=False,
+    )
     moving = marks(20)
-    assert "Local strain" not in str(fit_transform(moving, bent(moving, amount=5.0), model="tps").warnings)
+    assert "Local strain" not in str(
+        fit_transform(moving, bent(moving, amount=5.0), model="tps").warnings
+    )
     fit = fit_transform(moving, bent(moving, amount=60.0), model="tps")
     assert "Local strain" in fit.warnings[-1]
     assert fit.strain.largest > 0.01

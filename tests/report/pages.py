@@ -33,7 +33,9 @@ class Page(HTMLParser):
         given = {k: v or "" for k, v in attrs}
         self.tags.add(tag)
         self.handlers += [k for k in given if k.startswith("on")]
-        self.addresses += [given[k] for k in ("src", "href", "action", "srcset", "data") if k in given]
+        self.addresses += [
+            given[k] for k in ("src", "href", "action", "srcset", "data") if k in given
+        ]
         if tag == "section":
             self.sections.append(given["id"])
         self.drawings += tag == "svg" and given.get("role") == "img"
@@ -43,7 +45,9 @@ class Page(HTMLParser):
         if "scroll" in style:
             self.boxes.append(given)
         # What is wider than a narrow page: it must lie in a box that scrolls.
-        wide = "wide" in style or (tag == "svg" and "svg" not in self._open and "full" in self._classes)
+        wide = "wide" in style or (
+            tag == "svg" and "svg" not in self._open and "full" in self._classes
+        )
         if wide and "scroll" not in self._classes:
             self.loose.append(f"{tag} {style}")
         if tag == "image":

@@ -14,8 +14,15 @@ from report.pages import Page
 from report.runs import IMAGE_PAIR, a_run, results_of
 
 SIZE = {"point_um": 100.0, "n": 40, "r": 0.8, "n_eff": 31.2, "interval": [0.6, 0.9], "band": None}
-BAND = {"shortest_um": 50.0, "longest_um": 100.0, "coherence": 0.5, "p_of_bands": 0.01, "phase_deg": 3.0, "gain": 2.0,
-        "modes": 30.0}  # fmt: skip
+BAND = {
+    "shortest_um": 50.0,
+    "longest_um": 100.0,
+    "coherence": 0.5,
+    "p_of_bands": 0.01,
+    "phase_deg": 3.0,
+    "gain": 2.0,
+    "modes": 30.0,
+}
 
 
 def with_evidence():
@@ -26,7 +33,9 @@ def with_evidence():
 
 def written(folder, run):
     folder.mkdir()
-    write_report(folder / "report.html", **run | {"results": results_of(run)}, figures=folder / "figures")
+    write_report(
+        folder / "report.html", **run | {"results": results_of(run)}, figures=folder / "figures"
+    )
     return folder / "figures"
 
 
@@ -42,7 +51,10 @@ def test_every_figure_of_the_page_is_a_file(figures):
     assert [path.name[:2] for path in drawn] == [f"{k:02d}" for k in range(1, len(drawn) + 1)]
     for path, shown in zip(drawn, page.svgs, strict=True):
         root = ElementTree.parse(path).getroot()
-        assert (root.tag, root.attrib["aria-label"]) == ("{http://www.w3.org/2000/svg}svg", shown["aria-label"])
+        assert (root.tag, root.attrib["aria-label"]) == (
+            "{http://www.w3.org/2000/svg}svg",
+            shown["aria-label"],
+        )
         assert "Liberation Sans" in root.attrib["font-family"]
         title, caption = root[0].text, root[1].text
         assert title == shown["aria-label"]
@@ -50,13 +62,20 @@ def test_every_figure_of_the_page_is_a_file(figures):
 
 
 def test_numbers_of_the_figures_are_those_of_the_results(figures):
-    rows = {path.stem: csv.DictReader(path.read_text(encoding="utf-8").splitlines()) for path in figures.glob("*.csv")}
+    rows = {
+        path.stem: csv.DictReader(path.read_text(encoding="utf-8").splitlines())
+        for path in figures.glob("*.csv")
+    }
     found = {re.sub(r"^\d+-", "", stem): list(rows[stem]) for stem in sorted(rows)}
     run = with_evidence()
     linked = run["groups"]["linked"]
-    a, b = relation.block_means(linked["coating_top"], linked["image"], point_um=100.0, valid=[linked["valid"]])
+    a, b = relation.block_means(
+        linked["coating_top"], linked["image"], point_um=100.0, valid=[linked["valid"]]
+    )
     points = found["points-of-100-um-points"]
-    np.testing.assert_array_equal([float(v) for row in points for v in row.values()], np.stack([a, b], axis=1).ravel())
+    np.testing.assert_array_equal(
+        [float(v) for row in points for v in row.values()], np.stack([a, b], axis=1).ravel()
+    )
     assert list(points[0]) == ["Coating thickness, top side / µm", "Relative grey, luminance"]
     names = {name.rpartition("-")[2]: rows for name, rows in found.items()}
     assert [float(row["r"]) for row in names["sizes"]] == [0.8]
@@ -82,6 +101,8 @@ def test_hostile_titles_stay_text_and_a_figure_alone_lies_on_white(tmp_path):
     assert {path.parent for path in tmp_path.rglob("*.svg")} == {folder}
     assert (folder / "01-x-script-script.svg").is_file()
     assert ElementTree.parse(folder / "01-x-script-script.svg").getroot()[0].text == title
-    root = ElementTree.fromstring(standalone(Canvas(20, 10).picture(title="紙", caption="a < b")).encode())
+    root = ElementTree.fromstring(
+        standalone(Canvas(20, 10).picture(title="紙", caption="a < b")).encode()
+    )
     assert root[1].text == "a < b"
     assert root[2].attrib["fill"] == "#ffffff"

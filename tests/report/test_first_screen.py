@@ -27,17 +27,23 @@ def test_first_page_of_a_link_shows_the_result_and_nothing_else(link_page):
     html = first_of(link_page)
     page = Page(html)
     assert (
-        "The image is brighter (relative grey, luminance) where coating thickness (top side) is larger: r = 0.80"
-        in page.text("p")
+        "The image is brighter (relative grey, luminance) where coating thickness (top side) is"
+        " larger: r = 0.80" in page.text("p")
     )
     assert len(re.findall(r'<dd class="value">', html)) == 3
     titles = re.findall(r"<b>Figure \d\. (.*?)\.</b>", html)
-    assert titles == ["Coating thickness, top side", "Relative grey, luminance", "Points of 100\u202fµm"]
+    assert titles == [
+        "Coating thickness, top side",
+        "Relative grey, luminance",
+        "Points of 100\u202fµm",
+    ]
     assert "What would make it more certain" in page.text("h2")
     assert "The check passed." in page.text("p")
     assert "90 % of the columns" not in page.text("header")
     assert link_page.count('id="counted"') == 1
-    lines = re.findall(r'<path d="M[^"]*" fill="none" stroke="#b3402a"[^>]*>', html.split("<figure")[3])
+    lines = re.findall(
+        r'<path d="M[^"]*" fill="none" stroke="#b3402a"[^>]*>', html.split("<figure")[3]
+    )
     assert ["stroke-dasharray" in line for line in lines] == [False, True]
     # All but the scatters, the slices, and the convergence are maps.
     maps = [f for f in link_page.split("<figure")[1:] if re.search(r"(x, y|u, v) / µm", f)]
@@ -53,17 +59,26 @@ def test_both_maps_have_one_grid_and_one_mask():
     both = linked["valid"] & np.isfinite(linked["image"]) & np.isfinite(linked["coating_top"])
     assert [int(n.replace("\u202f", "")) for n in counted] == [int(both.sum())] * 2
     drawn = html.split("<figure")[1:3]
-    frames = [re.search(r'<svg x="44" y="8" (width="[\d.]+" height="[\d.]+")', svg) for svg in drawn]
+    frames = [
+        re.search(r'<svg x="44" y="8" (width="[\d.]+" height="[\d.]+")', svg) for svg in drawn
+    ]
     assert frames[0].group(1) == frames[1].group(1)
 
 
 @pytest.mark.parametrize(("state", "linked"), [("fail", False), ("look", True), ("unknown", False)])
 def test_only_lights_that_are_not_green_stand_on_the_first_page(state, linked):
     run = a_run(linked=linked)
-    run["results"]["checks"].append({
-        "name": "dust", "value": 30.0, "limit": 20.0, "state": state, "advice": "Clean the sheet.",
-        "sentence": "Dust was found.", "figures": ["coating_top"],
-    })  # fmt: skip
+    run["results"]["checks"].append(
+        {
+            "name": "dust",
+            "value": 30.0,
+            "limit": 20.0,
+            "state": state,
+            "advice": "Clean the sheet.",
+            "sentence": "Dust was found.",
+            "figures": ["coating_top"],
+        }
+    )
     html = page_of(run)
     head, rest = Page(first_of(html)).text("header"), Page(html).text()
     assert f"Dust ({state}): Dust was found." in head
@@ -75,7 +90,9 @@ def test_only_lights_that_are_not_green_stand_on_the_first_page(state, linked):
 
 def test_a_map_has_a_first_page_of_its_own_and_one_mean_of_a_property(map_page):
     html = first_of(map_page)
-    assert re.findall(r"<b>Figure (\d)\. (.*?)\.</b>", html) == [("1", "Coating thickness, top side")]
+    assert re.findall(r"<b>Figure (\d)\. (.*?)\.</b>", html) == [
+        ("1", "Coating thickness, top side")
+    ]
     assert len(re.findall(r'<dd class="value">', html)) == 4
     assert "A second field" in Page(html).text("li")
     assert map_page.count('id="counted"') == 1
@@ -109,10 +126,20 @@ def evidence(**values):
 @pytest.mark.parametrize(
     ("interval", "given", "says", "says_not"),
     [
-        ([0.63, 0.9], {}, "four times the area would about halve the interval of r (now 0.63 to 0.90)", "More marks"),
+        (
+            [0.63, 0.9],
+            {},
+            "four times the area would about halve the interval of r (now 0.63 to 0.90)",
+            "More marks",
+        ),
         ([0.78, 0.82], {}, "A second specimen", "four times"),
         (None, {}, "too few independent points for an interval", "four times"),
-        ([0.78, 0.82], {"ceiling": 0.9}, "a perfect relation would show r = 0.90", "A second specimen"),
+        (
+            [0.78, 0.82],
+            {"ceiling": 0.9},
+            "a perfect relation would show r = 0.90",
+            "A second specimen",
+        ),
         ([0.78, 0.82], {"ceiling": 0.97}, "A second specimen", "More marks"),
         ([0.78, 0.82], {"declared": False}, "Declare the map that leads", "A second specimen"),
     ],
@@ -150,7 +177,9 @@ def test_boxes_that_scroll_are_reached_with_the_keyboard_and_drawings_have_names
 
 def colours_written(svg):
     """Return the numbers beside the colour bar of a map on half a page."""
-    texts = re.findall(r'<text x="([\d.]+)" y="[\d.]+" font-size="11" fill="[^"]*">([^<]*)</text>', svg)
+    texts = re.findall(
+        r'<text x="([\d.]+)" y="[\d.]+" font-size="11" fill="[^"]*">([^<]*)</text>', svg
+    )
     return [text for x, text in texts if float(x) > 300]
 
 
@@ -159,7 +188,9 @@ def test_both_coatings_of_a_sheet_share_their_colours():
     maps = run["groups"]["maps"].copy(deep=True)
     maps["coating_bottom"] += 30.0
     facts = PropertyFacts(units="um", n=9, mean=20.0, sd=2.0, p5=17.0, median=20.0, p95=23.0)
-    drawn = draw_maps(maps, dict.fromkeys(maps.data_vars, facts), headline="thickness", rim_um=100.0)
+    drawn = draw_maps(
+        maps, dict.fromkeys(maps.data_vars, facts), headline="thickness", rim_um=100.0
+    )
     numbers = {p.title: colours_written(p.svg) for p in drawn if "oating" in p.title}
     top, bottom = numbers.values()
     assert top == bottom

@@ -20,17 +20,27 @@ NOWHERE = (NAN, NAN)
 def a_lag(*, silence=None, tiles=True):
     """Return a lag of (3, -4) um, known to 0.6 and 0.8 um, or one that says nothing."""
     field = LagField(
-        at_um=np.array([[100.0, 200.0], [300.0, 200.0]]), lag_um=np.array([[1.0, 2.0], NOWHERE]),
-        covariance_um2=np.full((2, 2, 2), 0.25), r=np.array([0.6, 0.1]), distinct=np.array([True, False]),
+        at_um=np.array([[100.0, 200.0], [300.0, 200.0]]),
+        lag_um=np.array([[1.0, 2.0], NOWHERE]),
+        covariance_um2=np.full((2, 2, 2), 0.25),
+        r=np.array([0.6, 0.1]),
+        distinct=np.array([True, False]),
         tile_um=400.0,
-    )  # fmt: skip
+    )
     quiet = silence is not None
     return Lag(
         lag_um=NOWHERE if quiet else (3.0, -4.0),
         covariance_um2=np.full((2, 2), NAN) if quiet else np.diag([0.36, 0.64]),
-        r=-0.5, r_at_zero=-0.4, limit_r=0.15, silence=silence, light=NAN, reach_um=150.0, pixel_um=(8.0, 8.0),
-        n=5000, field=field if tiles else None,
-    )  # fmt: skip
+        r=-0.5,
+        r_at_zero=-0.4,
+        limit_r=0.15,
+        silence=silence,
+        light=NAN,
+        reach_um=150.0,
+        pixel_um=(8.0, 8.0),
+        n=5000,
+        field=field if tiles else None,
+    )
 
 
 def test_results_of_a_lag_are_ready_for_json():
@@ -52,7 +62,9 @@ def test_results_of_a_lag_are_ready_for_json():
 def test_results_of_a_lag_that_says_nothing_are_none():
     found = _lag(a_lag(silence="texture", tiles=False), expected_um=4.0, headline="coating_top")
     json.dumps(found, allow_nan=False)
-    assert [found[k] for k in ("lag_um", "se_um", "length_um", "agrees", "light", "tile_um")] == [None] * 6
+    assert [found[k] for k in ("lag_um", "se_um", "length_um", "agrees", "light", "tile_um")] == [
+        None
+    ] * 6
     assert (found["tiles"], found["silence"]) == ([], "texture")
     for missing in (None, NAN):
         assert _lag(a_lag(), expected_um=missing, headline="coating_top")["expected_um"] is None

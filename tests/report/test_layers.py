@@ -14,7 +14,8 @@ from report.pages import HOSTILE, Page, assert_alone, captions_of
 from report.runs import lag_of, marks_of, page_of, planes, registration_of, results_of, text_of
 
 MICRO = "\u202fµm"
-OFFSET, SPREAD = 2.5, 0.8  # um: what map b of the coating has more than map a, and how much that varies
+# um: what map b of the coating has more than map a, and how much that varies.
+OFFSET, SPREAD = 2.5, 0.8
 
 
 def layer_of(y, x, **values):
@@ -53,34 +54,65 @@ def layers(*, chain=False, blank=False):
     maps = {
         "before": layer_of(y, x, coating_top=before, thickness=90 + 0.2 * before),
         "photo": layer_of(y, x, image=photo),
-        "after": layer_of(y, x, coating_top=after, thickness=90 + 0.2 * after).drop_vars("expected_error"),
+        "after": (
+            layer_of(y, x, coating_top=after, thickness=90 + 0.2 * after).drop_vars(
+                "expected_error"
+            )
+        ),
     }
     marks = {"before": some_marks(1), "photo": some_marks(2)}
-    paths = {"before": ("before", "photo", "after") if chain else ("before", "after"), "photo": ("photo", "after")}
+    paths = {
+        "before": ("before", "photo", "after") if chain else ("before", "after"),
+        "photo": ("photo", "after"),
+    }
     listed = []
     for name in maps:
         layer = {
-            "name": name, "kind": "image" if name == "photo" else "sheet",
-            "source": {"name": f"{name}.tif", "shape": [100, 140], "dtype": "uint8", "bytes": 14_000,
-                       "sha256": "ab" * 32, "size_um": [6.0, 6.0], "size_source": "given"},
-            "headline": "image" if name == "photo" else "coating_top", "share_of_reference": 0.86,
-        }  # fmt: skip
+            "name": name,
+            "kind": "image" if name == "photo" else "sheet",
+            "source": {
+                "name": f"{name}.tif",
+                "shape": [100, 140],
+                "dtype": "uint8",
+                "bytes": 14_000,
+                "sha256": "ab" * 32,
+                "size_um": [6.0, 6.0],
+                "size_source": "given",
+            },
+            "headline": "image" if name == "photo" else "coating_top",
+            "share_of_reference": 0.86,
+        }
         if name in paths:
             to = paths[name][1]
             layer["registration"] = registration_of(name, to, path=paths[name])
             layer["registration"]["orientation"] = layer["registration"]["orientation"] | {
-                "md_deg_fixed_from_moving": 30.0, "sentence": f"The machine direction lies at 30 deg in {to}."
-            }  # fmt: skip
+                "md_deg_fixed_from_moving": 30.0,
+                "sentence": f"The machine direction lies at 30 deg in {to}.",
+            }
         listed.append(layer)
     listed[0]["registration"]["lag"] = lag_of()
     results = {
-        "planish": "0.2.0", "versions": {"numpy": "2.4.6"}, "chain": chain, "layers": listed,
+        "planish": "0.2.0",
+        "versions": {"numpy": "2.4.6"},
+        "chain": chain,
+        "layers": listed,
         "correlations": [*rows_of(maps, "before", "after"), *rows_of(maps, "photo", "after")],
-        "checks": [{"name": "marks", "layers": ["before", "after"], "value": 1.5, "limit": 20.0, "state": "pass",
-                   "sentence": "4 marks agree to 1.5 um."}],
-        "parameters": {"chain": chain, "layers": [{"name": "before", "volume": {"voxel_um": [3.0, 3.0, 3.0]}}],
-                       "holes": {"hole_um": [120.0, 320.0]}},
-    }  # fmt: skip
+        "checks": [
+            {
+                "name": "marks",
+                "layers": ["before", "after"],
+                "value": 1.5,
+                "limit": 20.0,
+                "state": "pass",
+                "sentence": "4 marks agree to 1.5 um.",
+            }
+        ],
+        "parameters": {
+            "chain": chain,
+            "layers": [{"name": "before", "volume": {"voxel_um": [3.0, 3.0, 3.0]}}],
+            "holes": {"hole_um": [120.0, 320.0]},
+        },
+    }
     groups = {f"layers/{name}": data for name, data in maps.items()}
     return {"groups": groups, "marks": marks, "results": results}
 
@@ -100,16 +132,28 @@ def test_page_shows_every_layer_and_pair(page):
     text = read.text()
     assert read.sections == ["relation", "linked", "registration", "inputs", "checks", "record"]
     assert read.text("title") == "3 layers on the pixels of after"
-    for expected in ("before.tif", "photo.tif", "after.tif", "86\u202f%", "1.4; 2.6", "before → after",
-                     f"3 marks of before agree to 0.9{MICRO}.", "at 30° in after", "The check passed.",
-                     "3 matched, of 5 holes in before and 6 in after", f"Points of 60{MICRO}",
-                     f"The expected error is 1.4{MICRO} (rms, median over the worst layer), at most 2.6"):  # fmt: skip
+    for expected in (
+        "before.tif",
+        "photo.tif",
+        "after.tif",
+        "86\u202f%",
+        "1.4; 2.6",
+        "before → after",
+        f"3 marks of before agree to 0.9{MICRO}.",
+        "at 30° in after",
+        "The check passed.",
+        "3 matched, of 5 holes in before and 6 in after",
+        f"Points of 60{MICRO}",
+        f"The expected error is 1.4{MICRO} (rms, median over the worst layer), at most 2.6",
+    ):
         assert expected in text
     # The first page; residuals and expected error of either layer, the lags of one, two maps side by side, and a figure
     # for each pair.
     captions = captions_of(page)
     assert read.drawings == len(captions) == 3 + 2 * 2 + 1 + 2 + 3
-    assert [int(v) for v in re.findall(r"<b>Figure (\d+)\.", page)] == [*range(1, len(captions) + 1)]
+    assert [int(v) for v in re.findall(r"<b>Figure (\d+)\.", page)] == [
+        *range(1, len(captions) + 1)
+    ]
     for caption in captions:
         assert re.search(r"\bn\b", caption)
         assert "mask" in caption.lower()
@@ -117,13 +161,21 @@ def test_page_shows_every_layer_and_pair(page):
 
 def test_the_page_states_registrations_and_differences_of_the_same_quantity(page):
     # The weakest correlation in a tile and in the scatter of the first page, a caption for each pair, and the table.
-    assert len(re.findall("registration: marks only", Page(page).text(), flags=re.IGNORECASE)) == 1 + 1 + 3 + 1
+    assert (
+        len(re.findall("registration: marks only", Page(page).text(), flags=re.IGNORECASE))
+        == 1 + 1 + 3 + 1
+    )
     rows = [largest(group) for group in summary.by_pair(results_of(layers()))]
     assert [row.point_um for row in rows] == [60.0] * 3
     assert rows[0].difference_mean == pytest.approx(OFFSET, abs=0.05)
     found = to_spread(rows[0].difference_mean, rows[0].difference_sd)
-    assert f"coating thickness (top side) of after minus that of before is {found} µm on average" in Page(page).text()
-    drawn = ["the difference (map on the vertical axis minus map on" in c for c in captions_of(page)[3:6]]
+    assert (
+        f"coating thickness (top side) of after minus that of before is {found} µm on average"
+        in Page(page).text()
+    )
+    drawn = [
+        "the difference (map on the vertical axis minus map on" in c for c in captions_of(page)[3:6]
+    ]
     assert drawn == [True, True, False]
 
 
@@ -134,8 +186,20 @@ def test_difference_and_drawing_have_one_sign_and_a_pair_without_correlation_is_
     row = largest(summary.by_pair(results_of(given))[0])
     assert float((second - first).mean()) == pytest.approx(row.difference_mean, abs=0.1)
     a = layers(blank=True)["groups"]["layers/before"]["coating_top"]
-    row = CorrelationRow(a="a", a_map="m", b="b", b_map="m", point_um=60.0, n=0, r=None, r2=None, slope=None,
-                         intercept=None, same_quantity=True, units="um")  # fmt: skip
+    row = CorrelationRow(
+        a="a",
+        a_map="m",
+        b="b",
+        b_map="m",
+        point_um=60.0,
+        n=0,
+        r=None,
+        r2=None,
+        slope=None,
+        intercept=None,
+        same_quantity=True,
+        units="um",
+    )
     drawn = relation.draw_pair(relation.MapPair(a, a, [row]), names=("a", "b"))
     assert "no correlation" in drawn.svg
     assert "nan" not in drawn.svg
@@ -151,7 +215,8 @@ def test_two_instruments_of_one_sheet_are_compared_by_their_difference():
     assert read.text("title") == "before.tif linked to after.tif"
     assert "minus that of before is" in text
     assert (
-        "Coating thickness (top side) of after is larger where coating thickness (top side) of before is larger" in text
+        "Coating thickness (top side) of after is larger where coating thickness (top side) of"
+        " before is larger" in text
     )
     assert "on the pixels of after" in read.text("figcaption")
 
@@ -170,13 +235,20 @@ def test_two_images_are_called_by_their_names_and_nothing_is_said_of_a_volume():
         ],
         "correlations": rows,
     }
-    given |= {"groups": {f"layers/{name}": data for name, data in maps.items()}, "marks": {"white": some_marks(1)}}
+    given |= {
+        "groups": {f"layers/{name}": data for name, data in maps.items()},
+        "marks": {"white": some_marks(1)},
+    }
     read = Page(page_of(given))
-    assert "Uv is darker (relative grey, luminance) where white is brighter: r = −1.00" in read.text("p")
+    assert (
+        "Uv is darker (relative grey, luminance) where white is brighter: r = −1.00"
+        in read.text("p")
+    )
     assert "A pixel is one of uv." in read.text("p")
     assert "volume" not in read.text("p")
     axes = [f"Relative grey, luminance, {name}" for name in ("white", "uv")]
-    assert [read.text("svg").count(axis) for axis in axes] == [3, 3]  # on the first page, and of pixels and of points
+    # On the first page, and of pixels and of points.
+    assert [read.text("svg").count(axis) for axis in axes] == [3, 3]
     rows[0]["trust"] = rows[1]["trust"] = "doubtful"
     assert "The correlation of white and uv is doubtful" in Page(page_of(given)).text("p")
 

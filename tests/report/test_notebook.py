@@ -9,8 +9,15 @@ def test_a_link_shows_its_numbers_and_both_maps():
     run = a_run()
     html = run_html(results_of(run), run["groups"])
     page = Page(html)
-    for expected in ("sheet.tif · image.png", "r² 0.81", "r² 0.64 (0.40 to 0.81)", "0.51", "The check passed.",
-                     "volume: Coating thickness, top side / µm", "image: Relative grey, luminance"):  # fmt: skip
+    for expected in (
+        "sheet.tif · image.png",
+        "r² 0.81",
+        "r² 0.64 (0.40 to 0.81)",
+        "0.51",
+        "The check passed.",
+        "volume: Coating thickness, top side / µm",
+        "image: Relative grey, luminance",
+    ):
         assert expected in page.text("div")
     assert len(page.addresses) == 2
     assert all(address.startswith("data:image/png;base64,") for address in page.addresses)

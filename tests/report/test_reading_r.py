@@ -13,12 +13,27 @@ def with_lag(light, lag_um):
     run = a_run()
     run["results"]["layers"][0]["registration"]["lag"] = lag_of(light=light)
     lags_um = [-100.0, 0.0, 100.0]
-    profile = {"lags_um": lags_um, "r": [0.2, 0.8, 0.2], "limit": [0.2] * 3, "limit_of_any": [0.3] * 3}
+    profile = {
+        "lags_um": lags_um,
+        "r": [0.2, 0.8, 0.2],
+        "limit": [0.2] * 3,
+        "limit_of_any": [0.3] * 3,
+    }
     correlogram = {
-        "cell_um": [6.0, 6.0], "reach_um": 300.0, "r_at_zero": 0.8, "peak_r": 0.85, "lag_um": list(lag_um),
-        "inner": True, "widths_um": [90.0, 80.0], "angle_deg": 0.0, "n_eff": 90.0, "limit_of_any": 0.3,
-        "beyond_chance": True, "along_x": profile, "along_y": profile,
-    }  # fmt: skip
+        "cell_um": [6.0, 6.0],
+        "reach_um": 300.0,
+        "r_at_zero": 0.8,
+        "peak_r": 0.85,
+        "lag_um": list(lag_um),
+        "inner": True,
+        "widths_um": [90.0, 80.0],
+        "angle_deg": 0.0,
+        "n_eff": 90.0,
+        "limit_of_any": 0.3,
+        "beyond_chance": True,
+        "along_x": profile,
+        "along_y": profile,
+    }
     evidence = IMAGE_PAIR | {"declared": True, "correlogram": correlogram, "ceiling": 0.93}
     run["results"]["evidence"] = [evidence]
     return run
@@ -31,7 +46,9 @@ def read(run):
 def test_side_light_lag_and_strain_are_reconciled_beside_r():
     text = read(with_lag(0.62, (0.0, -19.0)))
     assert "A straight line explains r² = 64 % of the variance" in text
-    assert "A perfect relation would show an r of 0.93 here; the rest is lost to misplacement." in text
+    assert (
+        "A perfect relation would show an r of 0.93 here; the rest is lost to misplacement." in text
+    )
     assert "62 % of what image and sheet share follows slopes" in text
     assert "side light affects r" in text
     assert "r would be largest, 0.85, with one map shifted by 19\u202fµm." in text
@@ -54,7 +71,9 @@ def test_what_moves_the_largest_r_is_named(light, lag_um, says, says_not):
     assert says_not not in text
 
 
-@pytest.mark.parametrize(("r", "said"), [(0.95, "longer ones, such as uneven light, lower it"), (0.8, "")])
+@pytest.mark.parametrize(
+    ("r", "said"), [(0.95, "longer ones, such as uneven light, lower it"), (0.8, "")]
+)
 def test_long_waves_that_change_r_are_named(r, said):
     run = with_lag(0.05, (0.0, 0.2))
     low, high = r - 0.03, r + 0.03
@@ -73,10 +92,17 @@ def test_nothing_is_read_into_an_r_that_is_withheld():
 
 def test_options_stand_in_the_operators_part_alone():
     run = a_run()
-    run["results"]["checks"].append({
-        "name": "dust", "value": 30.0, "limit": 20.0, "state": "look", "figures": [],
-        "sentence": "Dust was found (--image-side not given).", "advice": "Clean it. Give a closer --hole-um.",
-    })  # fmt: skip
+    run["results"]["checks"].append(
+        {
+            "name": "dust",
+            "value": 30.0,
+            "limit": 20.0,
+            "state": "look",
+            "figures": [],
+            "sentence": "Dust was found (--image-side not given).",
+            "advice": "Clean it. Give a closer --hole-um.",
+        }
+    )
     text, operator = text_of(run).split("For the operator")
     option = re.compile(r"(?<![\w-])--[a-z]+")
     assert option.findall(text) == []

@@ -101,7 +101,8 @@ def test_a_reader_finds_what_how_sure_why_who_and_how_to_cite(signed_run, chromi
         key=lambda row: row.point_um,
     )
     found = re.search(
-        r"The image is brighter .*where coating thickness \(top side\) is larger: r = (\S+) with a 95 % interval of "
+        r"The image is brighter .*where coating thickness \(top side\) is larger: r = (\S+) with a"
+        r" 95 % interval of "
         r"(\S+) to (\S+), over \d+ points of 100.µm, (\d+) of them independent",
         first,
     )
@@ -115,7 +116,8 @@ def test_a_reader_finds_what_how_sure_why_who_and_how_to_cite(signed_run, chromi
 
     # Whether light from one side explains it.
     light = reader.look_for(
-        r"(\d+) % of what image and sheet share follows slopes of the face, as under light from one side: "
+        r"(\d+) % of what image and sheet share follows slopes of the face, as under light from one"
+        r" side: "
         "too little to affect r"
     )
     assert int(light[1]) == round(100 * results.moving[0].registration.lag.light)

@@ -11,14 +11,33 @@ import pytest
 from PIL import Image
 
 from planish.core.numbers import count, fixed, in_words, length, number, percent, plain, to_spread
-from planish.report import Canvas, Scale, colours, draw, image_uri, limits, maps, relation, take_slice
+from planish.report import (
+    Canvas,
+    Scale,
+    colours,
+    draw,
+    image_uri,
+    limits,
+    maps,
+    relation,
+    take_slice,
+)
 from report.pages import HOSTILE, Page, assert_alone, captions_of
 from report.runs import PROPERTIES, a_run, page_of, text_of
 
 OF_A_LINK = [
-    "relation", "linked", "maps", "registration", "slices", "flattening", "comparison", "inputs", "checks", "record",
+    "relation",
+    "linked",
+    "maps",
+    "registration",
+    "slices",
+    "flattening",
+    "comparison",
+    "inputs",
+    "checks",
+    "record",
     "solver",
-]  # fmt: skip
+]
 OF_A_MAP = ["maps", "slices", "flattening", "inputs", "checks", "record", "solver"]
 
 
@@ -34,10 +53,17 @@ def test_sections_stand_in_the_order_in_which_a_reader_asks(link_page, bare_page
 def test_verdict_states_the_results_and_no_more(link_page):
     text = Page(link_page).text()
     for expected in (
-        "95 %: 0.63 to 0.90; r² 0.64 (0.40 to 0.81); 31 independent points of 40", "r² 0.81", "0.51\u202fµm",
-        "not on n", "81\u202f% are valid in all maps", "does not imply causation",
-        "image is brighter (relative grey, luminance) where coating thickness (top side) is larger: r = 0.80 with a",
-    ):  # fmt: skip
+        "95 %: 0.63 to 0.90; r² 0.64 (0.40 to 0.81); 31 independent points of 40",
+        "r² 0.81",
+        "0.51\u202fµm",
+        "not on n",
+        "81\u202f% are valid in all maps",
+        "does not imply causation",
+        (
+            "image is brighter (relative grey, luminance) where coating thickness (top side) is"
+            " larger: r = 0.80 with a"
+        ),
+    ):
         assert expected in text
     assert "significant" not in text
 
@@ -45,7 +71,10 @@ def test_verdict_states_the_results_and_no_more(link_page):
 @pytest.mark.parametrize(
     ("interval", "says"),
     [
-        ([-0.1, 0.4], "It is not certain that the image is related to coating thickness (top side)"),
+        (
+            [-0.1, 0.4],
+            "It is not certain that the image is related to coating thickness (top side)",
+        ),
         (None, "No statement on coating thickness (top side)"),
     ],
 )
@@ -85,19 +114,30 @@ def test_every_figure_is_embedded_and_states_n_and_mask(link_page):
 def test_nothing_is_fetched_and_nothing_runs(link_page):
     page = Page(link_page)
     assert_alone(page)
-    assert re.findall(r"https?:|//[a-z]|@import|url\(", re.sub(r'href="data:[^"]*"', "", link_page)) == []
-    policy = next(m["content"] for m in page.metas if m.get("http-equiv") == "Content-Security-Policy")
+    assert (
+        re.findall(r"https?:|//[a-z]|@import|url\(", re.sub(r'href="data:[^"]*"', "", link_page))
+        == []
+    )
+    policy = next(
+        m["content"] for m in page.metas if m.get("http-equiv") == "Content-Security-Policy"
+    )
     assert policy == "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
 
 def test_what_others_write_stays_text():
     run, registered = a_run(), "<b>registered</b>"
     for layer in run["results"]["layers"]:
-        layer["source"] |= {"name": f"{layer['name']} {HOSTILE}", "size_source": HOSTILE, "dtype": HOSTILE}
+        layer["source"] |= {
+            "name": f"{layer['name']} {HOSTILE}",
+            "size_source": HOSTILE,
+            "dtype": HOSTILE,
+        }
     run["results"]["parameters"][HOSTILE] = {HOSTILE: HOSTILE}
     run["results"]["checks"][0]["sentence"] = HOSTILE
     facts = run["results"]["layers"][0]["registration"]
-    facts |= dict.fromkeys(("match_sentence", "design", "model_sentence"), registered) | {"warnings": [registered]}
+    facts |= dict.fromkeys(("match_sentence", "design", "model_sentence"), registered) | {
+        "warnings": [registered]
+    }
     facts["lag"]["sentence"] = facts["orientation"]["sentence"] = registered
     run["marks"]["volume"]["label"] = ("mark", np.array([HOSTILE] * 3, dtype=object))
     for group, name in (("linked", "image"), ("linked", "coating_top"), ("maps", "coating_top")):
@@ -109,7 +149,9 @@ def test_what_others_write_stays_text():
     assert page.text().count(registered) >= 6
 
 
-def test_a_map_alone_leaves_out_what_needs_an_image_and_a_link_without_coating_outlines_the_thickness(bare_page):
+def test_a_map_alone_leaves_out_what_needs_an_image_and_a_link_without_coating_outlines_the_thickness(
+    bare_page,
+):
     page = Page(bare_page)
     assert "no image was linked" in page.text("h1")
     assert "No coating was found" in page.text()
@@ -131,10 +173,18 @@ def test_the_page_needs_no_plotting_library():
 def test_checks_are_named_the_worst_first_with_limits_and_advice():
     run = a_run(linked=False)
     for name, state in (("dust", "unknown"), ("marks", "look"), ("slices", "fail")):
-        run["results"]["checks"].append({
-            "name": name, "value": 30.0, "limit": 20.0, "units": "um", "state": state, "advice": "Mend it.",
-            "sentence": "4 marks agree to 30.0 um.", "figures": ["coating_top"],
-        })  # fmt: skip
+        run["results"]["checks"].append(
+            {
+                "name": name,
+                "value": 30.0,
+                "limit": 20.0,
+                "units": "um",
+                "state": state,
+                "advice": "Mend it.",
+                "sentence": "4 marks agree to 30.0 um.",
+                "figures": ["coating_top"],
+            }
+        )
     html = page_of(run)
     text = Page(html).text()
     assert "Of 4 checks, 1 failed, and what it concerns is withheld; 1 asks for a look" in text
@@ -151,22 +201,42 @@ def test_a_sheet_with_its_top_at_the_low_end_is_drawn_top_up():
     assert np.all(np.diff(cut.heights) < 0)
     assert np.all(cut.lines["top"] > cut.lines["bottom"])
     # Grey values are turned with their heights: the sheet is bright where its surfaces say that it is.
-    inside = (cut.heights[:, None] > cut.lines["bottom"] + 6) & (cut.heights[:, None] < cut.lines["top"] - 6)
+    inside = (cut.heights[:, None] > cut.lines["bottom"] + 6) & (
+        cut.heights[:, None] < cut.lines["top"] - 6
+    )
     assert cut.grey[inside].mean() > 140
 
 
 def test_joined_sections_and_bridged_gaps_are_described():
     run = a_run(linked=False)
-    sections = {"kind": "photographs", "count": 1250, "not_aligned": 2, "missing": 5, "cutoff_um": 150.0, "fixed": [],
-                "pairs_used": 9, "pairs_refused": 1, "gain_sd": 0.1, "shift_row_rms_um": 1.52, "shift_col_rms_um": 1.61,
-                "jitter_left_row_um": 0.31, "jitter_left_col_um": 0.42}  # fmt: skip
+    sections = {
+        "kind": "photographs",
+        "count": 1250,
+        "not_aligned": 2,
+        "missing": 5,
+        "cutoff_um": 150.0,
+        "fixed": [],
+        "pairs_used": 9,
+        "pairs_refused": 1,
+        "gain_sd": 0.1,
+        "shift_row_rms_um": 1.52,
+        "shift_col_rms_um": 1.61,
+        "jitter_left_row_um": 0.31,
+        "jitter_left_col_um": 0.42,
+    }
     sheet = run["results"]["layers"][0]["sheet"]
     sheet["sections"] = sections
     sheet["surfaces"]["bridged_share"] = 0.02
     text = text_of(run)
-    assert "1\u202f250 sections were aligned to their neighbours; shifts of 1.5\u202fµm and 1.6\u202fµm rms" in text
+    assert (
+        "1\u202f250 sections were aligned to their neighbours; shifts of 1.5\u202fµm and"
+        " 1.6\u202fµm rms" in text
+    )
     assert "5 missing sections were bridged, 2 of them because they match no neighbour." in text
-    assert "more slowly than over 150\u202fµm cannot be distinguished from the sheet's own bend" in text
+    assert (
+        "more slowly than over 150\u202fµm cannot be distinguished from the sheet's own bend"
+        in text
+    )
     assert "in 2.0\u202f% of the columns, were bridged" in text
     sections["fixed"] = ["tilt"]
     assert "Slow drift was removed (tilt)" in text_of(run)
@@ -174,7 +244,10 @@ def test_joined_sections_and_bridged_gaps_are_described():
 
 def test_links_without_numbers_checks_or_expected_error_have_a_page():
     run = a_run()
-    run["results"]["layers"][0]["registration"] |= {"leave_one_out_rms_um": None, "expected_error": None}
+    run["results"]["layers"][0]["registration"] |= {
+        "leave_one_out_rms_um": None,
+        "expected_error": None,
+    }
     for row in (*run["results"]["correlations"], *run["results"]["comparison"]):
         row |= {"n": 2, "r": None, "r2": None, "slope": None, "intercept": None}
     text = text_of(run)
@@ -200,12 +273,19 @@ def test_point_means_have_the_correlation_of_the_maps_and_need_two_pixels():
     a, b = relation.block_means(*coating_and_image(linked), point_um=100.0)
     assert 20 < a.size <= 40  # 540 x 840 um hold 5 x 8 points, and the hole takes some
     np.testing.assert_allclose(b, 3 * a + 5, rtol=1e-6)
-    assert [a.size for a in relation.block_means(*coating_and_image(linked), point_um=5.0)] == [0, 0]
+    assert [a.size for a in relation.block_means(*coating_and_image(linked), point_um=5.0)] == [
+        0,
+        0,
+    ]
 
 
-@pytest.mark.parametrize(("thin_um", "expected"), [(18.0, "below 18\u202fµm,"), (1.0, "No valid pixel is below 1")])
+@pytest.mark.parametrize(
+    ("thin_um", "expected"), [(18.0, "below 18\u202fµm,"), (1.0, "No valid pixel is below 1")]
+)
 def test_outlines_say_which_limit_they_show(thin_um, expected):
-    caption = maps.draw_outlines(a_run()["groups"]["linked"], name="coating_top", thin_um=thin_um)[-1].caption
+    caption = maps.draw_outlines(a_run()["groups"]["linked"], name="coating_top", thin_um=thin_um)[
+        -1
+    ].caption
     assert expected in caption
     assert ("thinnest 5 %" in caption) == (thin_um == 1.0)
     assert "standard deviations darker" in caption
@@ -218,7 +298,9 @@ def test_large_maps_are_averaged_by_area_and_coloured_by_their_values():
     assert shown.values.std() < 0.2  # picking every third pixel would leave 0.5
     assert shown.width == pytest.approx(4000.0, rel=1e-3)
     values = np.array([[-5.0, 0.0, 1.0, np.nan]])
-    with Image.open(io.BytesIO(base64.b64decode(image_uri(values, Scale(0.0, 1.0)).split(",")[1]))) as image:
+    with Image.open(
+        io.BytesIO(base64.b64decode(image_uri(values, Scale(0.0, 1.0)).split(",")[1]))
+    ) as image:
         found = np.asarray(image.convert("RGB"))[0]
     assert [bytes(c).hex() for c in found] == ["440154", "440154", "fde725", colours.MISSING[1:]]
     assert limits(np.array([3.0, 3.0]), colours.GREYS) == Scale(2.5, 3.5, colours.GREYS)
@@ -251,7 +333,10 @@ def test_numbers_and_names_are_written_the_same_way_everywhere(written, expected
 def test_scale_bars_and_ticks_are_round_and_few():
     for value, expected in ((7.3, 5.0), (1.0, 1.0), (0.0499, 0.02), (250.0, 200.0)):
         assert draw.round_step(value) == pytest.approx(expected)
-    for low, high, ticks in ((0.0, 1.0, [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]), (-3.2, 7.1, [-2.0, 0.0, 2.0, 4.0, 6.0])):
+    for low, high, ticks in (
+        (0.0, 1.0, [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]),
+        (-3.2, 7.1, [-2.0, 0.0, 2.0, 4.0, 6.0]),
+    ):
         step = draw.round_step((high - low) / 6, above=True)
         np.testing.assert_allclose(draw.multiples(low, high, step), ticks, atol=1e-12)
 
@@ -261,7 +346,11 @@ def test_drawings_place_what_they_show():
     axes = canvas.axes(10, 20, 100, 50, (0.0, 10.0, 5.0, 0.0))
     axes.line([(0.0, 0.0), (10.0, 5.0), (np.nan, 0.0), (2.0, 2.0), (2.0, 3.0)], colour="red")
     axes.outline(
-        np.array([[False, True], [False, False]]), np.array([1.25, 3.75]), np.array([2.5, 7.5]), colour="blue", width=1
+        np.array([[False, True], [False, False]]),
+        np.array([1.25, 3.75]),
+        np.array([2.5, 7.5]),
+        colour="blue",
+        width=1,
     )
     svg = canvas.picture(title="a & b", caption="").svg
     assert 'd="M0 0l100 50M20 20l0 10"' in svg
@@ -276,7 +365,9 @@ def test_long_numbers_at_the_ends_of_axes_stay_within_the_figure():
     shown = draw.ShownMap(np.arange(4.0).reshape(2, 2), (0.0, 100_000.0, 100_000.0, 0.0))
     canvas.map_axes(44.0, 8.0, (277.0, 250.0), shown, Scale(0.0, 100_000.0, colours.PROPERTY))
     canvas.colour_bar(44.0, 270.0, 277.0, 10.0, Scale(0.0, 100_000.0, colours.PROPERTY))
-    pattern = r'<text x="([\d.]+)" y="[\d.]+" font-size="([\d.]+)"[^>]*?(?:text-anchor="(\w+)")?>([^<]*)<'
+    pattern = (
+        r'<text x="([\d.]+)" y="[\d.]+" font-size="([\d.]+)"[^>]*?(?:text-anchor="(\w+)")?>([^<]*)<'
+    )
     numbers = re.findall(pattern, canvas.svg())
     assert [text for *_, text in numbers].count("100\u202f000") == 3
     for x, size, anchor, text in numbers:

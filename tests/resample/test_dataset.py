@@ -11,7 +11,9 @@ from planish.resample import find_places, resample_dataset
 def test_a_dataset_takes_along_its_numbers_only():
     uv, labels = grid(12, 15, 3.0), np.arange(12 * 15).reshape(12, 15)
     about = {"units": "um", "long_name": "Height"}
-    data = xr.Dataset({"height": (("y", "x"), uv[..., 0], about | {"other": 1}), "status": (("y", "x"), labels)})
+    data = xr.Dataset(
+        {"height": (("y", "x"), uv[..., 0], about | {"other": 1}), "status": (("y", "x"), labels)}
+    )
     places = find_places(uv, Grid.regular((6, 5), (4.0, 4.0), (1.0, 5.0)))
     coords = {"v": 4.0 * np.arange(6), "u": 4.0 * np.arange(5)}
     out = resample_dataset(data, places, dims=("v", "u"), coords=coords)

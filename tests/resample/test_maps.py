@@ -30,7 +30,11 @@ def sheet(angle=20.0):
     there = (yy > 20) | (xx > 30)
 
     def data(values, **attrs):
-        return ("y", "x"), np.where(there, values, np.nan), {"units": "um", "long_name": "Title"} | attrs
+        return (
+            ("y", "x"),
+            np.where(there, values, np.nan),
+            {"units": "um", "long_name": "Title"} | attrs,
+        )
 
     surfaces = xr.Dataset(
         {
@@ -48,7 +52,9 @@ def sheet(angle=20.0):
         coords={"y": y, "x": x},
         attrs={"through": "z", "top_side": "high", "thickness_um": 20.0},
     )
-    flat = xr.Dataset({"u": data(xx), "v": data(yy), "projected_u": data(xx - 1), "projected_v": data(yy)})
+    flat = xr.Dataset(
+        {"u": data(xx), "v": data(yy), "projected_u": data(xx - 1), "projected_v": data(yy)}
+    )
     return surfaces, flat.assign_coords(y=y, x=x)
 
 
@@ -62,7 +68,9 @@ def test_flat_maps_have_the_pixel_of_the_columns_and_need_properties():
     assert "fibre_sin2_se" not in maps
     assert {"fibre_cos2_se", "presence", "projected_u", "projected_v"} <= set(maps)
     assert maps["thickness"].dtype == np.float32
-    np.testing.assert_allclose(maps["thickness"].values[known], (20 + 0.1 * u - 0.05 * v)[known], rtol=1e-6)
+    np.testing.assert_allclose(
+        maps["thickness"].values[known], (20 + 0.1 * u - 0.05 * v)[known], rtol=1e-6
+    )
     np.testing.assert_allclose(maps["volume_x"].values[known], u[known], atol=1e-9)
     np.testing.assert_allclose(maps["volume_y"].values[known], v[known], atol=1e-9)
     np.testing.assert_allclose(maps["volume_z"].values[known], 50.0)
@@ -77,7 +85,9 @@ def test_flat_maps_have_the_pixel_of_the_columns_and_need_properties():
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_maps_on_a_reference_lie_where_the_transformation_says(mirrored):
     surfaces, flat = sheet()
-    way = Placed(scale=1.1, rotation_rad=0.2, shift_um=(150.0 if mirrored else 20.0, 5.0), mirrored=mirrored)
+    way = Placed(
+        scale=1.1, rotation_rad=0.2, shift_um=(150.0 if mirrored else 20.0, 5.0), mirrored=mirrored
+    )
     grid = Grid.regular((50, 60), (1.9, 2.1))
     linked = resample_maps(surfaces, flat, onto=grid, transform=way)
     points = way.inverse(middles(grid))
@@ -88,7 +98,9 @@ def test_maps_on_a_reference_lie_where_the_transformation_says(mirrored):
     np.testing.assert_allclose(linked["v"].values[known], points[known][:, 1], atol=1e-9)
     # A direction turns with the sheet, the other way round in a mirror.
     turned = np.deg2rad(2 * (-20.0 if mirrored else 20.0)) + 2 * 0.2
-    np.testing.assert_allclose(linked["fibre_angle"].values[known], axial_angle(np.cos(turned), np.sin(turned)))
+    np.testing.assert_allclose(
+        linked["fibre_angle"].values[known], axial_angle(np.cos(turned), np.sin(turned))
+    )
     np.testing.assert_allclose(linked["fibre_cos2"].values[known], np.cos(turned))
 
 
@@ -101,7 +113,9 @@ def test_an_image_on_a_reference_and_its_expected_error():
     points = way.inverse(middles(grid))
     known = np.isfinite(found.values)
     assert known.mean() > 0.5
-    np.testing.assert_allclose(found.values[known], (3 * points[..., 0] - points[..., 1])[known], atol=1e-8)
+    np.testing.assert_allclose(
+        found.values[known], (3 * points[..., 0] - points[..., 1])[known], atol=1e-8
+    )
     error = position_error.PositionErrors(None, way, grid).on(grid, found.values)["expected_error"]
     np.testing.assert_array_equal(np.isfinite(error.values), known)
     np.testing.assert_allclose(error.values[known], (1 + 0.01 * points[..., 0])[known], rtol=1e-6)

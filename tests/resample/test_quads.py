@@ -96,7 +96,9 @@ def test_a_regular_mesh_gives_its_own_values_and_the_border_of_the_mesh_is_on_th
     assert places.overlaps == 0
 
 
-@pytest.mark.parametrize(("method", "least_um"), [("quads", 1.0), ("delaunay", None), ("delaunay", 1.0)])
+@pytest.mark.parametrize(
+    ("method", "least_um"), [("quads", 1.0), ("delaunay", None), ("delaunay", 1.0)]
+)
 def test_what_is_affine_in_the_plane_stays_so(method, least_um):
     """Exact on any mesh: sub-pixels of a pixel lie about its centre."""
     uv = turned(bent(40, 40), 30)
@@ -117,7 +119,9 @@ def test_delaunay_equals_scipy_and_agrees_where_the_field_is_smooth():
     at, points = covered(uv, 1.3)
     field = np.random.default_rng(2).normal(size=(30, 30))
     places = find_places(uv, at, method="delaunay")
-    np.testing.assert_allclose(resample(field, places), resample_delaunay(uv, field, points), atol=1e-10)
+    np.testing.assert_allclose(
+        resample(field, places), resample_delaunay(uv, field, points), atol=1e-10
+    )
     quads = find_places(uv, at)
     assert (places.triangle >= 0).sum() > (quads.triangle >= 0).sum()  # it bridges the hole
     # On a smooth field both are right to second order of the mesh.

@@ -16,7 +16,9 @@ IDENTITY = Similarity()
 
 def warped(source, source_um, to_source, shape, pixel, *, origin_um=(0.0, 0.0), **more):
     pitch = (source_um, source_um) if isinstance(source_um, float) else source_um
-    return warp_image(source, Grid.regular(shape, pixel, origin_um), to_source, pixel_um=pitch, **more)
+    return warp_image(
+        source, Grid.regular(shape, pixel, origin_um), to_source, pixel_um=pitch, **more
+    )
 
 
 def ramp(rows, cols):
@@ -36,7 +38,9 @@ def places_of(shape, pixel=1.0, origin=(0.0, 0.0)):
 def bent(points):
     """Not affine anywhere: waves of up to 8 um over some 1000 um."""
     x, y = points[..., 0], points[..., 1]
-    return np.stack([0.98 * x + 0.1 * y + 8 * np.sin(y / 150), y - 0.08 * x + 6 * np.cos(x / 170)], axis=-1)
+    return np.stack(
+        [0.98 * x + 0.1 * y + 8 * np.sin(y / 150), y - 0.08 * x + 6 * np.cos(x / 170)], axis=-1
+    )
 
 
 def clipped(polygon, axis, limit, sign):
@@ -60,17 +64,29 @@ def area(polygon):
 def area_twin(source, known, to_source, shape, pixel, origin):
     """Mean over the image of each pixel's outline, source pixel by source pixel; and the share that is known."""
     corners = to_source(
-        places_of((shape[0] + 1, shape[1] + 1), pixel, (origin[0] - pixel[1] / 2, origin[1] - pixel[0] / 2))
+        places_of(
+            (shape[0] + 1, shape[1] + 1),
+            pixel,
+            (origin[0] - pixel[1] / 2, origin[1] - pixel[0] / 2),
+        )
     )
     out, share = np.full(shape, np.nan), np.zeros(shape)
     for r, c in np.ndindex(shape):
         outline = corners[[r, r, r + 1, r + 1], [c, c + 1, c + 1, c]]
         total = weight = 0.0
-        low, high = np.floor(outline.min(axis=0) + 0.5).astype(int), np.floor(outline.max(axis=0) + 0.5).astype(int)
+        low, high = (
+            np.floor(outline.min(axis=0) + 0.5).astype(int),
+            np.floor(outline.max(axis=0) + 0.5).astype(int),
+        )
         for i in range(max(low[1], 0), min(high[1] + 1, source.shape[0])):
             for j in range(max(low[0], 0), min(high[0] + 1, source.shape[1])):
                 part = outline
-                for axis, limit, sign in ((0, j - 0.5, 1), (0, j + 0.5, -1), (1, i - 0.5, 1), (1, i + 0.5, -1)):
+                for axis, limit, sign in (
+                    (0, j - 0.5, 1),
+                    (0, j + 0.5, -1),
+                    (1, i - 0.5, 1),
+                    (1, i + 0.5, -1),
+                ):
                     part = clipped(part, axis, limit, sign) if len(part) else part
                 if known[i, j] and len(part):
                     total += area(part) * source[i, j]
@@ -110,7 +126,11 @@ def test_sizes_of_pixels_and_the_origin_enter():
     ("dtype", "rtol", "to_source"),
     [
         (np.float32, 1e-6, Similarity(scale=0.8, rotation_rad=0.5, shift_um=(12.0, -8.0))),
-        (np.float64, 1e-9, Similarity(scale=0.9, rotation_rad=2.0, shift_um=(50.0, 20.0), mirrored=True)),
+        (
+            np.float64,
+            1e-9,
+            Similarity(scale=0.9, rotation_rad=2.0, shift_um=(50.0, 20.0), mirrored=True),
+        ),
         (np.float64, 1e-9, Affine(linear=((0.8, 0.3), (-0.2, 0.5)), target=(10.0, 20.0))),
     ],
 )
@@ -149,7 +169,9 @@ def test_area_means_without_a_mask_equal_exact_clipping_where_the_map_bends():
         return bent(2.2 * points + 8) * (0.9, 0.9)
 
     out = warped(source, 1.0, to_source, shape, 1.0)
-    truth, share = area_twin(source, np.ones((60, 60), bool), to_source, shape, (1.0, 1.0), (0.0, 0.0))
+    truth, share = area_twin(
+        source, np.ones((60, 60), bool), to_source, shape, (1.0, 1.0), (0.0, 0.0)
+    )
     inside = (share > 1 - 1e-9) & np.isfinite(out)
     assert inside.mean() > 0.4
     # A side that is wrong by 0.01 of a pixel moves 0.03 of 5 square pixels at most, of values up to 250.
@@ -199,21 +221,31 @@ def test_places_are_right_to_a_hundredth_of_a_pixel_and_affine_maps_are_asked_on
         worst = max(worst, np.hypot(*np.moveaxis(made - truth, -1, 0)).max())
     assert covered.max() == 1
     # Only pixels that the bend takes out of the source may be left out.
-    assert np.any((bent(places_of((400, 450))) < 1) | (bent(places_of((400, 450))) > 598), axis=-1)[covered == 0].all()
+    assert np.any((bent(places_of((400, 450))) < 1) | (bent(places_of((400, 450))) > 598), axis=-1)[
+        covered == 0
+    ].all()
     assert 0.001 < worst < TOLERANCE
     assert sum(asked) < 0.05 * 400 * 450
     asked.clear()
-    find_patches(lambda p: (asked.append(p[..., 0].size), IDENTITY(p))[1], Tile(0, 400, 0, 450), (600, 600))
+    find_patches(
+        lambda p: (asked.append(p[..., 0].size), IDENTITY(p))[1], Tile(0, 400, 0, 450), (600, 600)
+    )
     assert sum(asked) == 4 * 25  # blocks of 256 pixels
 
 
 def test_a_view_from_aslant_equals_the_twin_of_its_true_places():
     oblique = Projective(
         homography=((1.0, 0.05, 0.0), (0.0, 0.9, 0.0), (0.2, 0.3, 1.0)),
-        source=(40.0, 40.0), target=(30.0, 30.0), source_size=40.0, target_size=30.0,
-    )  # fmt: skip
-    out = warped(ramp(70, 70), 1.0, oblique, (110, 110), 0.7)  # nowhere more than 1.1 pixels of the source
-    truth = bilinear_twin(ramp(70, 70), np.ones((70, 70), bool), oblique(places_of((110, 110), (0.7, 0.7))))
+        source=(40.0, 40.0),
+        target=(30.0, 30.0),
+        source_size=40.0,
+        target_size=30.0,
+    )
+    # Nowhere more than 1.1 pixels of the source.
+    out = warped(ramp(70, 70), 1.0, oblique, (110, 110), 0.7)
+    truth = bilinear_twin(
+        ramp(70, 70), np.ones((70, 70), bool), oblique(places_of((110, 110), (0.7, 0.7)))
+    )
     assert (np.isfinite(out) != np.isfinite(truth)).mean() < 0.01
     assert np.nanmax(np.abs(out - truth)) < np.hypot(3, 2) * TOLERANCE
 
@@ -239,7 +271,10 @@ def test_same_bytes_on_any_number_of_threads_and_any_tiles(scale, monkeypatch):
 @pytest.mark.parametrize(
     ("to_source", "words"),
     [
-        (Similarity(shift_um=(5000.0, 0.0)), r"x 5000 to 5030, y 0 to 30 um.*50 um wide and 40 um high.*inverse"),
+        (
+            Similarity(shift_um=(5000.0, 0.0)),
+            r"x 5000 to 5030, y 0 to 30 um.*50 um wide and 40 um high.*inverse",
+        ),
         (Similarity(shift_um=(51.0, 0.0)), "overlaps"),  # one pixel beside it
         (lambda p: np.full(p.shape, np.nan), "nowhere"),
         (Affine(linear=((1.0, 2.0), (0.5, 1.0))), "nothing overlaps"),
@@ -259,7 +294,9 @@ def test_images_that_cannot_be_warped_or_do_not_fit_are_refused_before_the_work(
     refused(SizeError, "grid", warped, ramp(4, 5), 1.0, IDENTITY, (0, 5), 1.0)
     allowed = {"memory_bytes": 2 * 10**8 + 10**7}
     words = r"0\.2. GB are allowed.*coarser"
-    refused(ResourceError, words, warped, noise(10, 10), 1.0, IDENTITY, (10**5, 10**5), 1.0, **allowed)
+    refused(
+        ResourceError, words, warped, noise(10, 10), 1.0, IDENTITY, (10**5, 10**5), 1.0, **allowed
+    )
     big = np.broadcast_to(np.float32(1), (20000, 20000))
     middle = {"origin_um": (5000.0, 5000.0)}
     refused(ResourceError, "under one pixel", warped, big, 1.0, IDENTITY, (1, 2), 10000.0, **middle)

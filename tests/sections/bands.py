@@ -37,7 +37,9 @@ def jitter(n, rng, *, white_um=1.5, walk_um=0.15):
 def fibres(shape, pitch_um, rng, reach_um):
     """Noise of variance 1 whose correlation over a distance d is exp(-(d / reach)^2)."""
     field = gaussian_filter(
-        rng.normal(size=shape).astype(np.float32), [0.5 * reach_um / p for p in pitch_um], mode="wrap"
+        rng.normal(size=shape).astype(np.float32),
+        [0.5 * reach_um / p for p in pitch_um],
+        mode="wrap",
     )
     return (field / field.std()).astype(np.float64)
 
@@ -69,9 +71,15 @@ def make_series(
     up = (np.arange(rows) - 0.5 * (rows - 1)) * PIXEL_UM[0]
     deep = 64
     material = fibres((sections, deep, cols), (PITCH_UM, *PIXEL_UM), rng, 30.0)
-    rough = 2.0 * np.stack([fibres((sections, cols), (PITCH_UM, PIXEL_UM[1]), rng, 30.0) for _ in range(2)])
-    height = rise_um * np.sin(2 * np.pi * x[:, None] / wave_um + 0.3) + 15 * np.sin(2 * np.pi * across / 1500 + 1)
-    shift = np.stack([jitter(sections, rng, white_um=errors[0], walk_um=errors[1]) for _ in range(2)], axis=1)
+    rough = 2.0 * np.stack(
+        [fibres((sections, cols), (PITCH_UM, PIXEL_UM[1]), rng, 30.0) for _ in range(2)]
+    )
+    height = rise_um * np.sin(2 * np.pi * x[:, None] / wave_um + 0.3) + 15 * np.sin(
+        2 * np.pi * across / 1500 + 1
+    )
+    shift = np.stack(
+        [jitter(sections, rng, white_um=errors[0], walk_um=errors[1]) for _ in range(2)], axis=1
+    )
     turn = rng.normal(0.0, turn_rad, sections) if turn_rad else np.zeros(sections)
     gain = 1.0 + drift * rng.normal(size=sections)
     offset = 100 * drift * rng.normal(size=sections)
@@ -84,7 +92,11 @@ def make_series(
         faces = [np.interp(true_across, across, rough[k, i]) for k in range(2)]
         inside = ndtr((depth + 45 - faces[0]) / 2.5) * ndtr((45 + faces[1] - depth) / 2.5)
         grain = map_coordinates(
-            material[i], [depth / PIXEL_UM[0] + 0.5 * (deep - 1), col], order=1, mode="nearest", prefilter=False
+            material[i],
+            [depth / PIXEL_UM[0] + 0.5 * (deep - 1), col],
+            order=1,
+            mode="nearest",
+            prefilter=False,
         )
         image = RESIN + inside * (SHEET - RESIN + texture * grain)
         if marks:

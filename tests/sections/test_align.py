@@ -28,8 +28,10 @@ def alignment(series):
 def test_quick_errors_are_taken_off(series, alignment):
     before = split(series.positions_um, series.shift_um)[1]
     after = split(series.positions_um, alignment.shift_um - series.shift_um)[1]
-    print(f"rows {rms(before[:, 0]):.2f} -> {rms(after[:, 0]):.3f} um, cols {rms(before[:, 1]):.2f} -> "
-          f"{rms(after[:, 1]):.3f} um; said {alignment.jitter_left_um}")  # fmt: skip
+    print(
+        f"rows {rms(before[:, 0]):.2f} -> {rms(after[:, 0]):.3f} um, cols {rms(before[:, 1]):.2f}"
+        f" -> {rms(after[:, 1]):.3f} um; said {alignment.jitter_left_um}"
+    )
     assert alignment.aligned.all()
     # What remains is the sheet itself: in 2 mm its faces, rough by 2 um over 30 um, rise and sink together by 0.2 um,
     # and its fibres wander together along the columns by 0.35 um. It falls with the root of the width.
@@ -41,9 +43,14 @@ def test_quick_errors_are_taken_off(series, alignment):
 
 
 @pytest.mark.ci
-def test_missing_sections_and_a_nick_move_nothing_and_rotations_are_not_made_worse(series, alignment):
+def test_missing_sections_and_a_nick_move_nothing_and_rotations_are_not_made_worse(
+    series, alignment
+):
     error = alignment.shift_um - series.shift_um
-    for gap in (np.searchsorted(series.positions_um, 50 * PITCH_UM), np.searchsorted(series.positions_um, 120 * 3.0)):
+    for gap in (
+        np.searchsorted(series.positions_um, 50 * PITCH_UM),
+        np.searchsorted(series.positions_um, 120 * 3.0),
+    ):
         beside = split(series.positions_um, error)[1][gap - 3 : gap + 3]
         # Six sections on both sides; the sheet rises by 6 um over the wider gap. Three standard deviations as above.
         assert np.abs(beside[:, 0]).max() < 0.9
@@ -75,7 +82,9 @@ def test_wide_sections_tell_rotations_and_more():
     wide = make_series(sections=60, cols=2400, seed=4)
     found = align_sections(SectionSeries(wide.stack, wide.positions_um, PIXEL_UM))
     after = split(wide.positions_um, found.rotation_rad - wide.rotation_rad)[1]
-    print(f"rotation {np.rad2deg(rms(wide.rotation_rad)):.4f} -> {np.rad2deg(rms(after)):.4f} degrees")
+    print(
+        f"rotation {np.rad2deg(rms(wide.rotation_rad)):.4f} -> {np.rad2deg(rms(after)):.4f} degrees"
+    )
     assert rms(after) < 0.4 * rms(wide.rotation_rad)  # measured 0.2
 
 
@@ -112,7 +121,10 @@ def test_drift_of_colour_is_taken_off():
     found = normalise_sections(SectionSeries(drifting.stack, drifting.positions_um, PIXEL_UM))
     rest = found.gain * drifting.gain
     background = found.gain * (60 * drifting.gain + drifting.offset) + found.offset
-    print(f"gain {drifting.gain.std():.4f} -> {rest.std() / rest.mean():.4f}, background {background.std():.3f}")
+    print(
+        f"gain {drifting.gain.std():.4f} -> {rest.std() / rest.mean():.4f}, background"
+        f" {background.std():.3f}"
+    )
     assert found.measured.all()
     assert rest.std() / rest.mean() < 0.005
     # Noise of 10 over some 50 000 pixels, cut to two standard deviations and rounded, is 0.05; twice that.
@@ -132,7 +144,14 @@ def test_what_is_no_series_is_refused():
         ("is none", blank, places, (0.0, 1.0)),
         ("at least two of each", blank[0], places, PIXEL_UM),
     ):
-        refused(VolumeError, words, lambda *series: align_sections(SectionSeries(*series)), stack, positions, pixels)
+        refused(
+            VolumeError,
+            words,
+            lambda *series: align_sections(SectionSeries(*series)),
+            stack,
+            positions,
+            pixels,
+        )
 
 
 # --- parts ---------------------------------------------------------------------------------------------------
@@ -143,7 +162,9 @@ def test_the_slow_part_is_the_smoother_applied_twice_and_passes_cubics():
     stiffness = (cut / (2 * np.pi)) ** 8 / (1 / np.sqrt(0.5) - 1)
     smoother = np.linalg.inv(np.eye(40) + stiffness * fourth.T @ fourth)
     twin = smoother @ y + smoother @ (y - smoother @ y)
-    np.testing.assert_allclose(network.slow_part(np.arange(40.0) * 3, y, cutoff_um=cut * 3), twin, atol=1e-9)
+    np.testing.assert_allclose(
+        network.slow_part(np.arange(40.0) * 3, y, cutoff_um=cut * 3), twin, atol=1e-9
+    )
     x = 3 * np.arange(120) + np.random.default_rng(2).uniform(-1, 1, 120)
     y = 1 + x - 0.01 * x**2 + 1e-5 * x**3
     np.testing.assert_allclose(network.slow_part(x, y, cutoff_um=150.0), y, atol=1e-3)
@@ -166,7 +187,9 @@ def test_block_means_smoothing_and_layers_equal_their_twins():
     section = np.random.default_rng(4).normal(size=(17, 23)).astype(np.float32)
     section[3, 4] = np.nan
     out = band.block_means(section, 3, 5)
-    np.testing.assert_allclose(out, section[:15, :20].reshape(5, 3, 4, 5).mean(axis=(1, 3)), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(
+        out, section[:15, :20].reshape(5, 3, 4, 5).mean(axis=(1, 3)), rtol=1e-5, atol=1e-6
+    )
     values = np.random.default_rng(6).normal(size=(9, 12)).astype(np.float32)
     down, across = (np.array(w, np.float32) for w in ([0.25, 0.5, 0.25], [0.1, 0.2, 0.4, 0.2, 0.1]))
     out = np.empty_like(values)
@@ -199,7 +222,9 @@ def test_straighten_twin():
         for s in range(2 * k, 2 * k + 2):
             for c in range(3 * b, 3 * b + 3):
                 r = height[c] - 6.0 + s
-                total += bilinear(section, r + pose[0] + pose[2] * (c - 14.5), c + pose[1] - pose[3] * (r - 19.5))
+                total += bilinear(
+                    section, r + pose[0] + pose[2] * (c - 14.5), c + pose[1] - pose[3] * (r - 19.5)
+                )
         twin[k, b] = total / 6
     assert np.isnan(twin).any()
     np.testing.assert_allclose(out, twin, rtol=1e-5, atol=1e-3)
@@ -235,12 +260,19 @@ def test_pair_sums_twin():
                 w = trust[k] * max(0.0, 1 - (d / limit[k]) ** 2) ** 2
                 square = (float(a[k, c]) - 0.5) ** 2 + (float(b[k, c]) - 0.5) ** 2
                 twin[chunk] += [
-                    *(w * np.outer(g, g)[np.triu_indices(3)]), *(w * g * d), w * d * d, w * square, w, trust[k]
-                ]  # fmt: skip
+                    *(w * np.outer(g, g)[np.triu_indices(3)]),
+                    *(w * g * d),
+                    w * d * d,
+                    w * square,
+                    w,
+                    trust[k],
+                ]
     np.testing.assert_allclose(sums, twin, rtol=1e-4, atol=1e-3)
 
 
-@pytest.mark.parametrize(("turn", "shift"), [(0.0, (0.4, -1.7)), (0.03, (-50.0, 40.0)), (-0.03, (2.0, 3.0))])
+@pytest.mark.parametrize(
+    ("turn", "shift"), [(0.0, (0.4, -1.7)), (0.03, (-50.0, 40.0)), (-0.03, (2.0, 3.0))]
+)
 def test_between_twin(turn, shift):
     rng = np.random.default_rng(8)
     first, second = rng.integers(0, 255, (2, 24, 31)).astype(np.uint8)
@@ -251,7 +283,9 @@ def test_between_twin(turn, shift):
     interpolate(first, second, 0.3, poses, grades, -np.inf, np.inf, False, real)
     twin = np.zeros((24, 31))
     for r, c in np.ndindex(24, 31):
-        for section, share, pose, grade in zip((first, second), (0.7, 0.3), poses, grades, strict=True):
+        for section, share, pose, grade in zip(
+            (first, second), (0.7, 0.3), poses, grades, strict=True
+        ):
             y = np.clip(r + pose[0] + pose[2] * (c - 15.0), 0, 23)
             x = np.clip(c + pose[1] - pose[3] * (r - 11.5), 0, 30)
             padded = np.pad(section, ((0, 1), (0, 1)), mode="edge")

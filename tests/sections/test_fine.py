@@ -26,7 +26,8 @@ def test_shared_gradients_equal_their_twin_and_noise_does_not_shorten_a_displace
     np.testing.assert_allclose(shared[[0, 1, 3]], twin, rtol=1e-3, atol=1e-3)
     np.testing.assert_array_equal(shared[6:], plain[6:])
     rng = np.random.default_rng(2)
-    texture = fibres((60, 1600), (1.0, 0.5), rng, 6.0)  # samples half a unit apart: a shift of one is 0.5 exactly
+    # Samples half a unit apart: a shift of one is 0.5 exactly.
+    texture = fibres((60, 1600), (1.0, 0.5), rng, 6.0)
     a, b = (texture[:, k : k + 1598 : 2] + rng.normal(0, 0.3, (60, 799)) for k in (1, 0))
     shared, plain = shared_and_plain(a.astype(np.float32), b.astype(np.float32))
     told, short = -shared[7] / shared[3], -plain[7] / plain[3]
@@ -43,5 +44,7 @@ def test_what_is_said_is_what_is_left():
     left = split(series.positions_um, found.shift_um - series.shift_um)[1]
     for axis in (0, 1):
         ratio = found.jitter_left_um[axis] / rms(left[:, axis])
-        print(f"axis {axis}: said {found.jitter_left_um[axis]:.3f}, left {rms(left[:, axis]):.3f} um")
+        print(
+            f"axis {axis}: said {found.jitter_left_um[axis]:.3f}, left {rms(left[:, axis]):.3f} um"
+        )
         assert 1 / 1.5 < ratio < 1.5

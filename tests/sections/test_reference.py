@@ -22,7 +22,11 @@ def with_fixture(series, drift, *, seed=0):
         turn = series.rotation_rad[i] + drift[i, 2]
         down = up[:, None] - shift[0] - turn * across
         side = across - shift[1] + turn * up[:, None]
-        frame = 50 + 120 * ndtr((up[strip // 2] - down) / 2.0) + 120 * ndtr((across[strip // 2] - side) / 2.0)
+        frame = (
+            50
+            + 120 * ndtr((up[strip // 2] - down) / 2.0)
+            + 120 * ndtr((across[strip // 2] - side) / 2.0)
+        )
         out[i] = frame + rng.normal(0, 6, frame.shape)
         out[i, strip:, strip:] = series.stack[i]
     return np.clip(np.rint(out), 0, 255).astype(np.uint8), strip
@@ -42,7 +46,10 @@ def test_places_against_two_edges(drifting):
     found = fixed_places(stack, PIXEL_UM, rows=(0, strip - 4), cols=(0, strip - 4))
     true = np.column_stack([series.shift_um, series.rotation_rad]) + drift
     error = found - (true - true.mean(axis=0))
-    print(f"rms error {rms(error[:, 0]):.3f} and {rms(error[:, 1]):.3f} um, {1e6 * rms(error[:, 2]):.1f} urad")
+    print(
+        f"rms error {rms(error[:, 0]):.3f} and {rms(error[:, 1]):.3f} um,"
+        f" {1e6 * rms(error[:, 2]):.1f} urad"
+    )
     assert rms(error[:, 0]) < 0.15
     assert rms(error[:, 1]) < 0.15
     assert rms(error[:, 2]) < 5e-5

@@ -18,7 +18,9 @@ COMPUTE = Compute()
 
 @pytest.fixture
 def specimen(tmp_path):
-    tifffile.imwrite(tmp_path / "v.tif", np.arange(504, dtype=np.uint8).reshape(9, 8, 7), imagej=True)
+    tifffile.imwrite(
+        tmp_path / "v.tif", np.arange(504, dtype=np.uint8).reshape(9, 8, 7), imagej=True
+    )
     tifffile.imwrite(tmp_path / "i.tif", np.zeros((8, 7), np.uint8))
     return PlannedSpecimen(name="A 1", files=(str(tmp_path / "v.tif"), str(tmp_path / "i.tif")))
 
@@ -31,7 +33,11 @@ def book(folder, *specimens, changes=()):
 
 def closed(one, specimen, state, message):
     job = opened(one, specimen)
-    return one.close(specimen, job, job.note.model_copy(update={"state": state, "message": message, "seconds": 1.0}))
+    return one.close(
+        specimen,
+        job,
+        job.note.model_copy(update={"state": state, "message": message, "seconds": 1.0}),
+    )
 
 
 def opened(one, specimen):
@@ -67,7 +73,9 @@ def in_parts_or_two_files(folder, kind):
         return path, Path(path.partition(":/entry")[0])
     if kind == "zarr":
         store = write_zarr(folder, values, CUBE, 2)
-        return f"{store}:/0", next(file for file in (store / "0").rglob("*") if file.is_file() and file.suffix == "")
+        return f"{store}:/0", next(
+            file for file in (store / "0").rglob("*") if file.is_file() and file.suffix == ""
+        )
     if kind == "toml":
         data = write_raw(folder, values, CUBE)
         return f"{data}.toml", data
@@ -109,7 +117,10 @@ def test_a_missing_file_concerns_its_specimen(tmp_path, specimen):
 def test_a_job_never_raises(tmp_path, specimen, monkeypatch):
     job = opened(book(tmp_path, specimen), specimen)
     assert jobs.do(job).state == "refused"  # eight pixels are no sheet
-    for error, words in ((MemoryError(), "memory"), (ZeroDivisionError("x"), "fault of planish: ZeroDivisionError")):
+    for error, words in (
+        (MemoryError(), "memory"),
+        (ZeroDivisionError("x"), "fault of planish: ZeroDivisionError"),
+    ):
 
         def fails(*_, error=error, **__):
             raise error
@@ -123,9 +134,15 @@ def test_a_job_never_raises(tmp_path, specimen, monkeypatch):
 @pytest.mark.parametrize(
     ("states", "code"),
     [
-        (["whole", "whole"], 0), (["whole", "refused"], 4), (["refused", "damaged"], 3), (["withheld"], 4),
-        (["withheld", "whole"], 4), ([], 3),
+        (["whole", "whole"], 0),
+        (["whole", "refused"], 4),
+        (["refused", "damaged"], 3),
+        (["withheld"], 4),
+        (["withheld", "whole"], 4),
+        ([], 3),
     ],
-)  # fmt: skip
+)
 def test_exit_codes(states, code):
-    assert series.code_of([Member(name=str(k), state=state) for k, state in enumerate(states)]) == code
+    assert (
+        series.code_of([Member(name=str(k), state=state) for k, state in enumerate(states)]) == code
+    )

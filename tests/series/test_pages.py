@@ -26,22 +26,41 @@ FILES = ["report.html", "results.json", "specimens.csv", "values.csv"]
 def written(tmp_path_factory):
     """Two papers of three sheets, one specimen doubtful, one refused, one with a map; written once."""
     home = tmp_path_factory.mktemp("Blätter und mehr")
-    rows = [({"paper": p, "sheet": str(s)}, results_of(mean=18.0 + s + (p == "B") * 4, sd=2 + s / 10, r=0.4 + s / 20))
-            for p in "AB" for s in range(1, 5)]  # fmt: skip
+    rows = [
+        (
+            {"paper": p, "sheet": str(s)},
+            results_of(mean=18.0 + s + (p == "B") * 4, sd=2 + s / 10, r=0.4 + s / 20),
+        )
+        for p in "AB"
+        for s in range(1, 5)
+    ]
     rows[3] = ({"paper": "A", "sheet": "4"}, results_of(mean=60.0, trust="doubtful", state="look"))
     members = series(home, *rows)
     odd = 'über "10" <b>'
     members.append(
-        Member(name=odd, factors={"paper": "B"}, state="refused", message="No sheet & no way. Give another.")
+        Member(
+            name=odd,
+            factors={"paper": "B"},
+            state="refused",
+            message="No sheet & no way. Give another.",
+        )
     )
     y, x = np.arange(40) * 5.0, np.arange(60) * 5.0
-    coating = (20 + np.sin(y / 20)[:, None] + 0 * x, {"units": "um", "long_name": "Coating thickness, top side"})
+    coating = (
+        20 + np.sin(y / 20)[:, None] + 0 * x,
+        {"units": "um", "long_name": "Coating thickness, top side"},
+    )
     maps = xr.Dataset({"coating_top": (("v", "u"), *coating)}, {"v": y, "u": x})
     shutil.rmtree(home / "run-1" / "maps.zarr")
     write_tree(home / "run-1" / "maps.zarr", {"maps": maps})
     out = home / "out"
     out.mkdir()
-    return write_series(members, home, Declared(margin={"coating_top": 1.0}), out), members, home, out
+    return (
+        write_series(members, home, Declared(margin={"coating_top": 1.0}), out),
+        members,
+        home,
+        out,
+    )
 
 
 def files_of(out):
@@ -80,19 +99,30 @@ def test_links_lead_to_the_runs_from_the_folder_of_the_page(written):
     links = {a for a in page.addresses if a.endswith("report.html")}
     assert links == {f"../run-{k}/report.html" for k in range(1, 9)}
     again = SeriesResults.read(out / "results.json")
-    assert [(out / m.run).resolve() for m in again.members if m.run] == [home / f"run-{k}" for k in range(1, 9)]
+    assert [(out / m.run).resolve() for m in again.members if m.run] == [
+        home / f"run-{k}" for k in range(1, 9)
+    ]
 
 
 def test_the_table_is_written_in_every_order_and_the_style_shows_the_chosen_one(written):
     _, members, _, out = written
     text = (out / "report.html").read_text(encoding="utf-8")
     names = re.findall(
-        r'<input type="radio" name="order" id="order-\d"(?: checked)?><label for="order-\d">(.+?)<', text
+        r'<input type="radio" name="order" id="order-\d"(?: checked)?><label for="order-\d">(.+?)<',
+        text,
     )
     bodies = re.findall(r'<div class="order order-(\d)">.*?<tbody>(.*?)</tbody>', text, re.S)
-    assert (names, len(bodies)) == (["as listed", "state", "sheet", "mean", "standard deviation"], len(names))
-    orders = [tuple(re.findall(r'<th scope="row" class="name">(?:<a[^>]*>)?(.*?)<', body)) for _, body in bodies]
-    assert all(sorted(order) == sorted(orders[0]) and len(order) == len(members) for order in orders)
+    assert (names, len(bodies)) == (
+        ["as listed", "state", "sheet", "mean", "standard deviation"],
+        len(names),
+    )
+    orders = [
+        tuple(re.findall(r'<th scope="row" class="name">(?:<a[^>]*>)?(.*?)<', body))
+        for _, body in bodies
+    ]
+    assert all(
+        sorted(order) == sorted(orders[0]) and len(order) == len(members) for order in orders
+    )
     assert len(set(orders)) == len(orders)
     for number, _ in bodies:
         assert f"#order-{number}:checked ~ .orders > .order-{number}" in text
@@ -107,7 +137,8 @@ def test_the_same_runs_give_the_same_bytes_also_when_moved(written, tmp_path):
     shutil.copytree(home, moved)
     before = files_of(moved / "out")
     slow = [m.model_copy(update={"seconds": 12.5}) for m in members]
-    write_series(slow, moved, Declared(margin={"coating_top": 1.0}), moved / "out")  # over the older ones
+    # Over the older ones.
+    write_series(slow, moved, Declared(margin={"coating_top": 1.0}), moved / "out")
     assert files_of(moved / "out") == before == files_of(out)
     assert sorted(before) == FILES
 
@@ -118,14 +149,36 @@ def test_tables_hold_every_figure_and_every_specimen(written):
         specimens = list(csv.DictReader(file))
     assert [row["specimen"] for row in specimens] == [m.name for m in members]
     assert float(specimens[1]["coating_top_mean_um"]) == 20.0
-    assert (specimens[3]["coating_top_mean_um_trust"], specimens[3]["checks_look"]) == ("doubtful", "coverage")
+    assert (specimens[3]["coating_top_mean_um_trust"], specimens[3]["checks_look"]) == (
+        "doubtful",
+        "coverage",
+    )
     assert specimens[8]["state"] == "refused"
     with (out / "values.csv").open(encoding="utf-8", newline="") as file:
         values = list(csv.DictReader(file))
-    assert {"specimen", "paper", "sheet", "quantity", "value", "unit", "low", "high", "trust"} <= values[0].keys()
-    [r] = [v for v in values if (v["specimen"], v["quantity"], v["map"], v["at_um"]) ==
-           ("run-1", "r", "coating_top", "100.0")]  # fmt: skip
-    assert (float(r["value"]), float(r["low"]), float(r["high"]), r["paper"]) == (0.45, 0.63, 0.9, "A")
+    assert {
+        "specimen",
+        "paper",
+        "sheet",
+        "quantity",
+        "value",
+        "unit",
+        "low",
+        "high",
+        "trust",
+    } <= values[0].keys()
+    [r] = [
+        v
+        for v in values
+        if (v["specimen"], v["quantity"], v["map"], v["at_um"])
+        == ("run-1", "r", "coating_top", "100.0")
+    ]
+    assert (float(r["value"]), float(r["low"]), float(r["high"]), r["paper"]) == (
+        0.45,
+        0.63,
+        0.9,
+        "A",
+    )
     assert results.quantities[3].what == "r"
 
 
@@ -141,7 +194,10 @@ def test_a_series_comes_back_as_arrays(written):
     assert study.r_low.sel(pair="coating_top/image", point_um=100, specimen="run-1").item() == 0.63
     assert study.thin_share.sel(map="coating_top", limit_um=5.0).values[0] == 0.02
     assert study.trust.sel(map="coating_top").values.tolist() == [0, 0, 0, 1, 0, 0, 0, 0, -1]
-    assert (study.paper.values.tolist(), study.state.values[-1]) == (["A"] * 4 + ["B"] * 5, "refused")
+    assert (study.paper.values.tolist(), study.state.values[-1]) == (
+        ["A"] * 4 + ["B"] * 5,
+        "refused",
+    )
     assert study.marks_used.sel(registration="volume/image").values[0] == 3
     assert coating.groupby("paper").mean().sel(paper="B").item() == pytest.approx(24.5)
 
@@ -149,7 +205,9 @@ def test_a_series_comes_back_as_arrays(written):
 def test_two_volumes_keep_their_layers_in_arrays_and_have_a_section(tmp_path):
     out = written_of(series(tmp_path, ({}, two_volumes()), ({}, two_volumes(bias=0.7))), tmp_path)
     study = pl.open_study(out)
-    assert study.bias.sel(pair="ct.coating_top/sections.coating_top", point_um=100).values.tolist() == [0.5, 0.7]
+    assert study.bias.sel(
+        pair="ct.coating_top/sections.coating_top", point_um=100
+    ).values.tolist() == [0.5, 0.7]
     assert study.bias_low.values.ravel().tolist() == pytest.approx([0.4, 0.6])
     text = Page((out / "report.html").read_text(encoding="utf-8")).text()
     assert "Two instruments" in text
@@ -183,14 +241,19 @@ def test_one_specimen_and_none_that_can_be_read_have_a_page_as_well(tmp_path):
     for k, some in enumerate((members, [Member(name="x", state="refused", message="No.")])):
         (tmp_path / f"out{k}").mkdir()
         write_series(some, tmp_path, Declared(), tmp_path / f"out{k}")
-    one, none = (Page((tmp_path / f"out{k}" / "report.html").read_text(encoding="utf-8")).text() for k in (0, 1))
+    one, none = (
+        Page((tmp_path / f"out{k}" / "report.html").read_text(encoding="utf-8")).text()
+        for k in (0, 1)
+    )
     assert "1 of at least 3 sheets" in one
     assert "No specimen has a run that can be read" in none
     assert pl.open_study(tmp_path / "out1").sizes == {"specimen": 1}
 
 
 def test_a_factor_with_the_name_of_a_column_keeps_apart(tmp_path):
-    study = pl.open_study(written_of(series(tmp_path, ({"map": "M", "state": "wet"}, results_of())), tmp_path))
+    study = pl.open_study(
+        written_of(series(tmp_path, ({"map": "M", "state": "wet"}, results_of())), tmp_path)
+    )
     assert (study.factor_map.values.tolist(), study.state.values.tolist()) == (["M"], ["whole"])
     assert study.factor_state.values.tolist() == ["wet"]
 
@@ -201,8 +264,13 @@ def test_parquet_holds_what_the_table_holds(written):
 
     _, members, home, _ = written
     rows = gather(members, home).rows
-    table = pq.read_table(io.BytesIO(pages.parquet_bytes(*pages.figures_table(rows, ["paper", "sheet"]))))
-    assert (table.num_rows, table.column("value").to_pylist()) == (len(rows), [row.value for row in rows])
+    table = pq.read_table(
+        io.BytesIO(pages.parquet_bytes(*pages.figures_table(rows, ["paper", "sheet"])))
+    )
+    assert (table.num_rows, table.column("value").to_pylist()) == (
+        len(rows),
+        [row.value for row in rows],
+    )
     assert table.column("paper").to_pylist() == [row.factors["paper"] for row in rows]
 
 

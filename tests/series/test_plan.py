@@ -18,12 +18,17 @@ def write(folder, text, name="specimens.csv"):
 
 def test_a_table_gives_files_factors_and_options(tmp_path):
     table = write(
-        tmp_path, "volume,image,Paper,sheet,volume.through\na/v.tif,a/i.tif,Süd 1,1,y\nb/v.tif,b/i.tif,Nord,1,\n"
+        tmp_path,
+        "volume,image,Paper,sheet,volume.through\na/v.tif,a/i.tif,Süd"
+        " 1,1,y\nb/v.tif,b/i.tif,Nord,1,\n",
     )
     first, second = read_plan(table).specimens
     assert first.name == "Süd 1-1"
     assert first.files == (str(tmp_path / "a" / "v.tif"), str(tmp_path / "a" / "i.tif"))
-    assert (first.factors, first.changes) == ({"paper": "Süd 1", "sheet": "1"}, ("volume.through=y",))
+    assert (first.factors, first.changes) == (
+        {"paper": "Süd 1", "sheet": "1"},
+        ("volume.through=y",),
+    )
     assert second.changes == ()
 
 
@@ -99,7 +104,8 @@ def test_a_study_with_specimens_shares_its_options(tmp_path):
     volume = study.layers[0].volume
     assert (volume.through, volume.top, volume.voxel_um) == ("y", "low", (3.0, 3.0, 3.0))
     assert study.correlate.point_um == 50.0
-    with pytest.raises(PlanishError, match=r"w\.tif"):  # a file that is missing concerns its specimen alone
+    # a file that is missing concerns its specimen alone.
+    with pytest.raises(PlanishError, match=r"w\.tif"):
         plan.study(second)
 
 
@@ -109,7 +115,11 @@ def test_a_study_with_specimens_shares_its_options(tmp_path):
         ('through = "y"', 'thruogh = "y"', "line 3, volume.thruogh: unknown; did you mean through"),
         ("point_um = 50", "point_um = -1", "line 5, correlate.point_um"),
         ("margin = { coating_top = 0.5 }", "margni = 1", "compare.margni"),
-        ("margin = { coating_top = 0.5 }", "compare = 'paper'", "no specimen has that factor; there are sheet"),
+        (
+            "margin = { coating_top = 0.5 }",
+            "compare = 'paper'",
+            "no specimen has that factor; there are sheet",
+        ),
         ("sheet = 1", "sheet = [1]", "line 8: sheet has to be a text or a number"),
         ('set = ["volume.top=low"]', 'set = "volume.top=low"', "set is a list of texts"),
         ('volume = "v.tif"\n', "", "line 8: no volume"),
@@ -124,10 +134,17 @@ def test_what_is_wrong_with_a_series_is_named_with_its_line(tmp_path, old, new, 
 
 
 def test_unknown_maps_and_foreign_folders_are_refused_before_anything_is_linked(tmp_path):
-    misspelt = write(tmp_path, SERIES.replace("margin = {", "headline = ['coatng_top']\nmargin = {"), "misspelt.toml")
+    misspelt = write(
+        tmp_path,
+        SERIES.replace("margin = {", "headline = ['coatng_top']\nmargin = {"),
+        "misspelt.toml",
+    )
     series = write(tmp_path, SERIES, "series.toml")
     (tmp_path / "foreign").mkdir()
-    for study, out, words in ((misspelt, "out", "Did you mean coating_top?"), (series, "foreign", "exists already")):
+    for study, out, words in (
+        (misspelt, "out", "Did you mean coating_top?"),
+        (series, "foreign", "exists already"),
+    ):
         done = CliRunner().invoke(planish, ["study", str(study), "--out", str(tmp_path / out)])
         assert words in str(done.exception)
     assert not (tmp_path / "out").exists()

@@ -50,7 +50,9 @@ def done(*given):
 
 
 def files_of(folder):
-    return {name: data for name, data in bytes_of(folder).items() if ".series" not in Path(name).parts}
+    return {
+        name: data for name, data in bytes_of(folder).items() if ".series" not in Path(name).parts
+    }
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +63,8 @@ def whole(table):
     assert found.returncode == 4, found.stderr
     assert "4 specimens: 3 linked, 1 refused" in found.stderr
     assert "cut ö: refused: cut.tif is cut off" in found.stderr
-    assert "leaked" not in found.stderr  # semaphores of workers, which Python reports where these are killed
+    # Semaphores of workers, which Python reports where these are killed.
+    assert "leaked" not in found.stderr
     return out
 
 
@@ -105,7 +108,9 @@ def interrupted(table, out):
             shutil.rmtree(out / "runs" / name, ignore_errors=True)
         # A shell has jobs in the background ignore the signal, and their children would inherit that.
         listens = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
-        process = subprocess.Popen(command(table, out), stderr=subprocess.PIPE, text=True, preexec_fn=listens)
+        process = subprocess.Popen(
+            command(table, out), stderr=subprocess.PIPE, text=True, preexec_fn=listens
+        )
         # Python itself loses a signal that comes while modules are loaded.
         next(line for line in process.stderr if "b ö" in line)
         process.send_signal(signal.SIGINT)

@@ -64,20 +64,32 @@ def test_the_same_sheets_before_and_after_are_paired_and_before_comes_first(tmp_
     rows = rows_of(after, treatment="after") + rows_of(before, treatment="before")
     d = said(tmp_path, *rows, margin={"coating_top": 5.0}).differences[0]
     paired = stats.ttest_rel(after, before[:3])
-    assert (d.levels, d.kind, d.sheets, d.unpaired) == (("before", "after"), "paired", (3, 3), ("sheet 3",))
+    assert (d.levels, d.kind, d.sheets, d.unpaired) == (
+        ("before", "after"),
+        "paired",
+        (3, 3),
+        ("sheet 3",),
+    )
     assert d.p == pytest.approx(paired.pvalue, rel=1e-9)
     assert d.interval == pytest.approx(tuple(paired.confidence_interval()), rel=1e-9)
-    assert (d.equivalence.verdict, d.difference) == ("equivalent", pytest.approx((after - before[:3]).mean()))
+    assert (d.equivalence.verdict, d.difference) == (
+        "equivalent",
+        pytest.approx((after - before[:3]).mean()),
+    )
 
 
 def test_two_papers_before_and_after_are_compared_within_each_paper(tmp_path):
     rows = []
     for k, (paper, treatment) in enumerate(itertools.product("AB", ("before", "after"))):
         rows += rows_of(20.0 + 3 * k + np.arange(3), paper=paper, treatment=treatment)
-    assert kinds_of(said(tmp_path, *rows)) == [({"paper": "A"}, "paired"), ({"paper": "B"}, "paired")]
+    assert kinds_of(said(tmp_path, *rows)) == [
+        ({"paper": "A"}, "paired"),
+        ({"paper": "B"}, "paired"),
+    ]
     assert kinds_of(said(tmp_path / "again", *rows, compare="paper")) == [
-        ({"treatment": "before"}, "two groups"), ({"treatment": "after"}, "two groups"),
-    ]  # fmt: skip
+        ({"treatment": "before"}, "two groups"),
+        ({"treatment": "after"}, "two groups"),
+    ]
 
 
 def test_doubtful_and_withheld_figures_take_part_only_where_that_was_declared(tmp_path):
@@ -102,7 +114,9 @@ def test_doubtful_and_withheld_figures_take_part_only_where_that_was_declared(tm
 
 def test_r_is_pooled_by_z_over_sheets_with_heterogeneity(tmp_path):
     r = [0.3, 0.5, 0.7]
-    results = said(tmp_path, *(({"sheet": str(k)}, results_of(r=v, mean=20.0 + k)) for k, v in enumerate(r)))
+    results = said(
+        tmp_path, *(({"sheet": str(k)}, results_of(r=v, mean=20.0 + k)) for k, v in enumerate(r))
+    )
     z, found = np.arctanh(r), of(results, "r")
     assert found.mean == pytest.approx(math.tanh(z.mean()))
     # weights of n_eff 70, less 3, alike
@@ -111,13 +125,17 @@ def test_r_is_pooled_by_z_over_sheets_with_heterogeneity(tmp_path):
 
 def test_r_of_few_points_or_points_of_another_size_takes_part_in_nothing_and_says_so(tmp_path):
     rows = rows_of([20.0, 21.0, 22.0])
-    rows += [({"sheet": "5"}, results_of(mean=1, n_eff=3.0)), ({"sheet": "6"}, results_of(mean=2, point_um=60.0))]
+    rows += [
+        ({"sheet": "5"}, results_of(mean=1, n_eff=3.0)),
+        ({"sheet": "6"}, results_of(mean=2, point_um=60.0)),
+    ]
     results = said(tmp_path, *rows)
     assert of(results, "r").left_out == ("run-4", "run-5")
     k = number_of(results, "r")
     assert [one.cells[k].why_not for one in results.specimens[3:]] == [
-        "too few independent points", "points of 60 um, others of 100 um",
-    ]  # fmt: skip
+        "too few independent points",
+        "points of 60 um, others of 100 um",
+    ]
     assert any("too few" in c for c in results.cautions)
     assert any("another size" in c for c in results.cautions)
 
@@ -131,15 +149,26 @@ def test_fewer_than_three_sheets_have_no_interval_and_the_reason(tmp_path):
 
 
 def test_without_sheets_each_specimen_is_one_but_those_of_one_volume_are_one(tmp_path):
-    rows = [({"paper": "A"}, results_of(mean=20.0 + k, volume="same" if k < 2 else "")) for k in range(4)]
+    rows = [
+        ({"paper": "A"}, results_of(mean=20.0 + k, volume="same" if k < 2 else ""))
+        for k in range(4)
+    ]
     results = said(tmp_path, *rows)
     assert [one.sheet for one in results.specimens] == [
-        "specimen run-1", "specimen run-1", "specimen run-3", "specimen run-4",
-    ]  # fmt: skip
+        "specimen run-1",
+        "specimen run-1",
+        "specimen run-3",
+        "specimen run-4",
+    ]
     assert of(results, "mean").sheets == 3
-    assert any("names no sheets: each volume counts as a sheet of its own" in c for c in results.cautions)
+    assert any(
+        "names no sheets: each volume counts as a sheet of its own" in c for c in results.cautions
+    )
     assert any("same volume and count as one sheet" in c for c in results.cautions)
-    wrong = said(tmp_path / "wrong", *(({"sheet": str(k)}, results_of(volume="same", r=0.1 * k)) for k in range(3)))
+    wrong = said(
+        tmp_path / "wrong",
+        *(({"sheet": str(k)}, results_of(volume="same", r=0.1 * k)) for k in range(3)),
+    )
     assert any("byte by byte" in c for c in wrong.cautions)
 
 
@@ -163,8 +192,11 @@ def test_what_is_not_there_or_damaged_stays_named_has_no_figures_and_stops_nothi
     assert {row.specimen for row in found.rows} == {"run-2"}
     results = summary_of(found, Declared())
     assert [(m.name, m.state) for m in results.members] == [
-        ("run-1", "damaged"), ("run-2", "whole"), ("fünf 5", "refused"), ("moved", "damaged"),
-    ]  # fmt: skip
+        ("run-1", "damaged"),
+        ("run-2", "whole"),
+        ("fünf 5", "refused"),
+        ("moved", "damaged"),
+    ]
     assert "cannot be read" in results.members[0].message
     assert "does not exist" in results.members[3].message
     assert str(tmp_path) not in results.members[3].message
@@ -174,11 +206,23 @@ def test_what_is_not_there_or_damaged_stays_named_has_no_figures_and_stops_nothi
 def test_two_volumes_list_bias_limits_and_the_scale_that_both_share(tmp_path):
     results = said(tmp_path, ({}, two_volumes()), ({}, results_of()))
     [found] = results.instruments
-    assert (found.specimen, found.a, found.b, found.map) == ("run-1", "ct", "sections", "coating_top")
+    assert (found.specimen, found.a, found.b, found.map) == (
+        "run-1",
+        "ct",
+        "sections",
+        "coating_top",
+    )
     assert (found.bias, found.limits, found.shared_um) == (0.5, (-1.46, 2.46), 40.0)
     assert (found.limit_intervals[1], found.slopes) == ((2.2, 2.8), pytest.approx((0.8, 1 / 0.9)))
-    rows = {(r.quantity, r.at_um): r for r in gather(series(tmp_path / "b", ({}, two_volumes())), tmp_path / "b").rows}
-    assert (rows["bias", 100.0].low, rows["bias", 100.0].high, rows["shared_um", 100.0].value) == (0.4, 0.6, 40.0)
+    rows = {
+        (r.quantity, r.at_um): r
+        for r in gather(series(tmp_path / "b", ({}, two_volumes())), tmp_path / "b").rows
+    }
+    assert (rows["bias", 100.0].low, rows["bias", 100.0].high, rows["shared_um", 100.0].value) == (
+        0.4,
+        0.6,
+        40.0,
+    )
 
 
 def test_factors_that_do_not_fit_are_an_error_or_a_caution(tmp_path):
@@ -190,9 +234,11 @@ def test_factors_that_do_not_fit_are_an_error_or_a_caution(tmp_path):
     assert any("No paper is given for run-5" in c for c in results.cautions)
     found = gather(series(tmp_path / "b", *rows), tmp_path / "b")
     for wrong, words in (
-        ({"compare": "papr"}, "Did you mean paper"), ({"compare": "sheet"}, "Sheets are the sample"),
-        ({"headline": ("coatng_top",)}, "Did you mean coating_top"), ({"margin": {"thicknes.sd": 1.0}}, "thickness"),
-    ):  # fmt: skip
+        ({"compare": "papr"}, "Did you mean paper"),
+        ({"compare": "sheet"}, "Sheets are the sample"),
+        ({"headline": ("coatng_top",)}, "Did you mean coating_top"),
+        ({"margin": {"thicknes.sd": 1.0}}, "thickness"),
+    ):
         refused(InputError, words, summary_of, found, Declared(**wrong))
     refused(ValueError, "margin", Declared, margin={"coating_top": 0})
 
@@ -205,8 +251,13 @@ def test_more_than_eight_levels_are_not_compared_two_by_two(tmp_path):
 
 def test_sheets_that_pair_by_a_factor_of_ones_own_are_said_to_be_the_same_sheets(tmp_path):
     for factor, kind, are_the_same in (("papier", "paired", True), ("paper", "two groups", False)):
-        rows = rows_of([20.0, 21.0, 22.0], **{factor: "A"}) + rows_of([23.0, 24.0, 25.0], **{factor: "B"})
+        rows = rows_of([20.0, 21.0, 22.0], **{factor: "A"}) + rows_of(
+            [23.0, 24.0, 25.0], **{factor: "B"}
+        )
         results = said(tmp_path / factor, *rows, compare=factor)
         assert results.differences[0].kind == kind
-        said_same = ["count as the same sheets" in c and "call the factor paper" in c for c in results.cautions]
+        said_same = [
+            "count as the same sheets" in c and "call the factor paper" in c
+            for c in results.cautions
+        ]
         assert any(said_same) == are_the_same

@@ -41,9 +41,13 @@ def write(path, *, seed=0):
 def test_pairs_are_taken_once_when_they_are_whole_and_stand_still(tmp_path):
     clock, said = Clock(), list[str]()
     coming = watched(
-        plan(tmp_path, volume="{paper} {sheet}_ct.tif", image="{paper} {sheet}_img.tif"), tmp_path, settle_s=30,
-        idle_s=200, tell=said.append, clock=clock,
-    )  # fmt: skip
+        plan(tmp_path, volume="{paper} {sheet}_ct.tif", image="{paper} {sheet}_img.tif"),
+        tmp_path,
+        settle_s=30,
+        idle_s=200,
+        tell=said.append,
+        clock=clock,
+    )
     look = partial(clock.after, coming=coming)
     write(tmp_path / "Süd 1_img.tif")
     whole = write(tmp_path / "Süd 1_ct.tif")
@@ -66,23 +70,32 @@ def test_pairs_are_taken_once_when_they_are_whole_and_stand_still(tmp_path):
 def test_an_image_that_is_missing_is_waited_for(tmp_path):
     clock = Clock()
     coming = watched(
-        plan(tmp_path, volume="{sheet}_ct.tif", image="{sheet}_img.tif"), tmp_path, settle_s=0, idle_s=None,
-        tell=lambda _: None, clock=clock,
-    )  # fmt: skip
+        plan(tmp_path, volume="{sheet}_ct.tif", image="{sheet}_img.tif"),
+        tmp_path,
+        settle_s=0,
+        idle_s=None,
+        tell=lambda _: None,
+        clock=clock,
+    )
     write(tmp_path / "1_ct.tif")
     assert [next(coming) for _ in range(3)] == [None] * 3
     write(tmp_path / "1_img.tif")
     assert next(coming) is None
     found = next(coming)
-    assert [os.path.basename(file) for file in found.files] == ["1_ct.tif", "1_img.tif"]  # noqa: PTH119
+    names = [os.path.basename(file) for file in found.files]  # noqa: PTH119
+    assert names == ["1_ct.tif", "1_img.tif"]
 
 
 def test_a_part_of_each_file_is_taken_when_all_of_it_stands_still(tmp_path):
     clock, said = Clock(), list[str]()
     coming = watched(
-        plan(tmp_path, volume="{sheet}_ct.h5:/entry/a"), tmp_path, settle_s=30, idle_s=None, tell=said.append,
+        plan(tmp_path, volume="{sheet}_ct.h5:/entry/a"),
+        tmp_path,
+        settle_s=30,
+        idle_s=None,
+        tell=said.append,
         clock=clock,
-    )  # fmt: skip
+    )
     look = partial(clock.after, coming=coming)
     for rows in (4, 9):
         with h5py.File(tmp_path / "1_ct.h5", "w") as file:

@@ -41,13 +41,17 @@ STUDY = Study.model_validate({"layers": [{"name": "sheet", "volume": {"path": "v
 
 
 def job(name):
-    return jobs.Job(name=name, study=STUDY, folder=Path(name), compute=Compute(), note=jobs.Note(key=name))
+    return jobs.Job(
+        name=name, study=STUDY, folder=Path(name), compute=Compute(), note=jobs.Note(key=name)
+    )
 
 
 @pytest.mark.parametrize("at_once", [1, 2, 5])
 def test_every_job_has_one_outcome(at_once, monkeypatch):
     monkeypatch.setattr(workers, "_PAUSE", 0.001)
-    slow: Iterator[jobs.Job | None] = iter([job("a"), None, job("b"), None, None, job("c"), job("d")])
+    slow: Iterator[jobs.Job | None] = iter(
+        [job("a"), None, job("b"), None, None, job("c"), job("d")]
+    )
     pool = Workers(at_once, b=1, d=5)
     found = [(one.name, outcome.state) for one, outcome in workers._run_jobs(slow, pool)]
     assert sorted(found) == [("a", "whole"), ("b", "whole"), ("c", "whole"), ("d", "damaged")]

@@ -11,12 +11,25 @@ VOXEL = 3.0
 
 def volume(array, voxel=VOXEL):
     return xr.DataArray(
-        array, dims=("z", "y", "x"), coords={k: np.arange(n) * voxel for k, n in zip("zyx", array.shape, strict=True)}
+        array,
+        dims=("z", "y", "x"),
+        coords={k: np.arange(n) * voxel for k, n in zip("zyx", array.shape, strict=True)},
     )
 
 
-def slab(shape=(70, 50, 56), *, height=105.0, base=55.0, coat=17.0, slope=0.0, wave=0.0, greys=(40.0, 90.0,
-200.0), blur=2.6, noise=4.0, seed=0):  # fmt: skip
+def slab(
+    shape=(70, 50, 56),
+    *,
+    height=105.0,
+    base=55.0,
+    coat=17.0,
+    slope=0.0,
+    wave=0.0,
+    greys=(40.0, 90.0, 200.0),
+    blur=2.6,
+    noise=4.0,
+    seed=0,
+):
     """A sheet of constant normal layers along a smooth mid-surface, blurred exactly along its normal."""
     z, y, x = np.meshgrid(*(np.arange(n) * VOXEL for n in shape), indexing="ij")
     middle = height + slope * (x - x.mean()) + wave * np.sin(2 * np.pi * y / 400.0)
@@ -90,7 +103,9 @@ class Sheet:
         found = {"centre": middle}
         for name, (face, inner, coat) in sides.items():
             found[name] = middle + face / self.cosine
-            found[f"interface_{name}"] = middle + inner / self.cosine if coat else np.full(middle.shape, np.nan)
+            found[f"interface_{name}"] = (
+                middle + inner / self.cosine if coat else np.full(middle.shape, np.nan)
+            )
         return found
 
     def volume(self):
@@ -103,7 +118,9 @@ class Sheet:
 
         def edge(x):
             t = x / (self.fringe_px * self.voxel)
-            return special.ndtr(x / sigma) + self.fringe * t * np.exp(-0.5 * t * t) / np.sqrt(2 * np.pi)
+            return special.ndtr(x / sigma) + self.fringe * t * np.exp(-0.5 * t * t) / np.sqrt(
+                2 * np.pi
+            )
 
         def between(low, high):
             return edge(s - low) - edge(s - high)
@@ -140,4 +157,7 @@ class Sheet:
         half = 0.5 * self.thickness
         out = np.where(np.abs(s) <= half, 2, 0)
         out[(s <= half - self.coats[0]) & (s >= -half + self.coats[1])] = 1
-        return volume(np.ascontiguousarray(np.moveaxis(out.astype(np.uint8), 2, "zyx".index(self.through))), self.voxel)
+        return volume(
+            np.ascontiguousarray(np.moveaxis(out.astype(np.uint8), 2, "zyx".index(self.through))),
+            self.voxel,
+        )

@@ -14,12 +14,22 @@ from surface.sheets import Sheet
 PLAIN = Sheet(lateral=(48, 52), margin=20.0, thickness=60.0)
 CASES = {
     "inverted uint16": replace(PLAIN, inverted=True, dtype="uint16"),
-    "inverted float32, coated below only": replace(PLAIN, inverted=True, dtype="float32", coats=(0.0, 12.0)),
+    "inverted float32, coated below only": replace(
+        PLAIN, inverted=True, dtype="float32", coats=(0.0, 12.0)
+    ),
     "tilted about both axes": replace(PLAIN, tilt=(35.0, -30.0)),
-    "tilted by 45 degrees, one side, top low": replace(PLAIN, tilt=(0.0, 45.0), coats=(12.0, 0.0), top="low"),
-    "through x, uncoated, textured": replace(PLAIN, through="x", coats=(0.0, 0.0), texture=0.2, tilt=(10.0, 0.0)),
-    "through y, thick, large voxels": replace(PLAIN, through="y", voxel=3.0, thickness=400.0, lateral=(30, 34)),
-    "40 um, large voxels, much noise and blur": replace(PLAIN, voxel=3.0, thickness=40.0, noise=0.1, fwhm=6.0),
+    "tilted by 45 degrees, one side, top low": replace(
+        PLAIN, tilt=(0.0, 45.0), coats=(12.0, 0.0), top="low"
+    ),
+    "through x, uncoated, textured": replace(
+        PLAIN, through="x", coats=(0.0, 0.0), texture=0.2, tilt=(10.0, 0.0)
+    ),
+    "through y, thick, large voxels": replace(
+        PLAIN, through="y", voxel=3.0, thickness=400.0, lateral=(30, 34)
+    ),
+    "40 um, large voxels, much noise and blur": replace(
+        PLAIN, voxel=3.0, thickness=40.0, noise=0.1, fwhm=6.0
+    ),
     "a base that is hardly there": replace(PLAIN, greys=(40.0, 65.0, 210.0), noise=0.1),
     "faces close to the ends": replace(PLAIN, margin=5.0),
     "a field of 30 um": replace(PLAIN, lateral=(20, 24), tilt=(45.0, 0.0)),
@@ -39,9 +49,17 @@ def test_faces_layers_and_coated_sides_without_an_option(name):
         error = (found[face].values - truth[face])[ok] * sheet.cosine
         assert np.sqrt(np.mean(error**2)) < 0.5 * sheet.voxel
         inner, true_inner = found[f"interface_{face}"].values, truth[f"interface_{face}"]
-        assert np.isnan(inner).all() == np.isnan(found.attrs[f"grey_coating_{face}"]) == np.isnan(true_inner).all()
+        assert (
+            np.isnan(inner).all()
+            == np.isnan(found.attrs[f"grey_coating_{face}"])
+            == np.isnan(true_inner).all()
+        )
         if np.isfinite(true_inner).all():
-            coating = frame.sign * (found[face].values - inner - truth[face] + true_inner)[ok] * sheet.cosine
+            coating = (
+                frame.sign
+                * (found[face].values - inner - truth[face] + true_inner)[ok]
+                * sheet.cosine
+            )
             assert abs(coating.mean()) < 0.5
 
 

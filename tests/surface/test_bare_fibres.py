@@ -37,15 +37,20 @@ def scanned(solid, noise, seed):
     """The volume of a structure, and the true thickness at each of its columns."""
     sigma = FWHM / np.sqrt(8 * np.log(2))
     blurred = ndimage.gaussian_filter(solid, (sigma / LATERAL, sigma / LATERAL, sigma))
-    counts = [int(n * size / VOXEL) for n, size in zip(solid.shape, (LATERAL, LATERAL, 1), strict=True)]
+    counts = [
+        int(n * size / VOXEL) for n, size in zip(solid.shape, (LATERAL, LATERAL, 1), strict=True)
+    ]
     rows, cols, cells = (
-        (np.arange(n) + 0.5) * VOXEL / size - 0.5 for n, size in zip(counts, (LATERAL, LATERAL, 1), strict=True)
+        (np.arange(n) + 0.5) * VOXEL / size - 0.5
+        for n, size in zip(counts, (LATERAL, LATERAL, 1), strict=True)
     )
     at = np.meshgrid(rows, cols, np.arange(solid.shape[2]), indexing="ij")
     fine = ndimage.map_coordinates(blurred, at, order=1, mode="nearest")
     passes = fine >= 0.5
     true = np.where(
-        passes.any(axis=2), passes.shape[2] - passes[..., ::-1].argmax(axis=2) - passes.argmax(axis=2) - 1.0, np.nan
+        passes.any(axis=2),
+        passes.shape[2] - passes[..., ::-1].argmax(axis=2) - passes.argmax(axis=2) - 1.0,
+        np.nan,
     )
     at = np.meshgrid(rows, cols, cells, indexing="ij")
     grey = AIR + (WALL - AIR) * ndimage.map_coordinates(blurred, at, order=1, mode="nearest")
@@ -80,6 +85,10 @@ def test_the_outermost_crossing_is_that_of_a_plain_loop():
         for k in range(max(int(np.floor(first)), 1), 40) if np.isfinite(first) else ():
             if column[k] > 0.2:
                 a, b = column[k - 1], column[k]
-                true = k - 1 + min(max((0.2 - a) / (b - a), 0.0), 1.0) if k <= min(last, 39) else np.nan
+                true = (
+                    k - 1 + min(max((0.2 - a) / (b - a), 0.0), 1.0)
+                    if k <= min(last, 39)
+                    else np.nan
+                )
                 break
         np.testing.assert_allclose(depth, true, atol=1e-12)

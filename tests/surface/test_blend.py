@@ -39,5 +39,8 @@ def test_every_column_is_the_sum_of_its_moved_neighbours():
     for r in range(5):
         for c in range(4):
             beside = [(min(max(r + i, 0), 4), weights[abs(i)]) for i in range(-2, 3)]
-            rows = [w * grey[k, c, np.clip(np.arange(12) + int(slope[r, c]) * (k - r), 0, 11)] for k, w in beside]
+            rows = [
+                w * grey[k, c, np.clip(np.arange(12) + int(slope[r, c]) * (k - r), 0, 11)]
+                for k, w in beside
+            ]
             assert_allclose(found[r, c], np.sum(rows, axis=0), atol=1e-6)

@@ -29,7 +29,9 @@ def test_nothing_depends_on_threads_or_on_how_many_nodes_are_fitted_at_once(monk
     monkeypatch.setattr(centre, "_NODES", 100)
     for threads in (1, 3):
         with limit_threads(threads):
-            assert gaussian_regression(height, (4.0, 5.0), cutoff_um=90.0).tobytes() == whole.tobytes()
+            assert (
+                gaussian_regression(height, (4.0, 5.0), cutoff_um=90.0).tobytes() == whole.tobytes()
+            )
 
 
 def test_a_paraboloid_passes_unchanged_up_to_the_border_and_nothing_lies_far_from_the_sheet():
@@ -75,7 +77,9 @@ def bridged(middle, cutoff):
     params = SurfaceParams(cutoff_um=cutoff)
     centre, used = assemble.centre_surface(middle, np.ones(middle.shape, bool), (4.0, 4.0), params)
     # a block that is hardly known counts as a gap
-    assert not ((used > cutoff) & ndimage.binary_erosion(np.isfinite(middle), iterations=3, border_value=1)).any()
+    assert not (
+        (used > cutoff) & ndimage.binary_erosion(np.isfinite(middle), iterations=3, border_value=1)
+    ).any()
     return centre, used
 
 
@@ -116,4 +120,7 @@ def test_a_cut_off_that_was_not_kept_is_said():
     assert check.state == "look"
     assert "250 um in 70.0 %" in check.sentence
     assert check.figures == ("position",)
-    assert cutoff(MeasuredSheet(None, surfaces.assign_attrs(bridged_off_rims_share=0.01))).state == "pass"
+    assert (
+        cutoff(MeasuredSheet(None, surfaces.assign_attrs(bridged_off_rims_share=0.01))).state
+        == "pass"
+    )

@@ -22,7 +22,7 @@ from planish.surface import (
     find_surfaces,
     read_corrections,
     uncorrected,
-)  # fmt: skip
+)
 from surface.sheets import VOXEL, slab, volume
 from surface.test_tiles import lazy
 
@@ -40,7 +40,11 @@ def spoilt(grey=AIR, through="z", top="high"):
     values, middle, half = slab(SHAPE, height=125.0 + rough * 2.0 / rough.std(), noise=0.0)
     truth = middle[0] + half
     z, y, x = np.meshgrid(*(np.arange(n) * VOXEL for n in SHAPE), indexing="ij")
-    apart = (z - truth[SHAPE[1] // 2, SHAPE[2] // 2]) ** 2 * 3 + (y - MIDDLE[0]) ** 2 + (x - MIDDLE[1]) ** 2
+    apart = (
+        (z - truth[SHAPE[1] // 2, SHAPE[2] // 2]) ** 2 * 3
+        + (y - MIDDLE[0]) ** 2
+        + (x - MIDDLE[1]) ** 2
+    )
     share = ndimage.gaussian_filter((apart < RADIUS**2).astype(float), 0.8)
     values = values * (1 - share) + np.minimum(values, grey) * share + rng.normal(0, 4.0, SHAPE)
     whole = volume(values)
@@ -49,7 +53,10 @@ def spoilt(grey=AIR, through="z", top="high"):
     names = dict(zip("zyx", (through, frame.rows, frame.cols), strict=True))
     if top == "low":
         last = float(whole.z[-1])
-        whole, truth = whole.isel(z=slice(None, None, -1)).assign_coords(z=whole.z.values), last - truth
+        whole, truth = (
+            whole.isel(z=slice(None, None, -1)).assign_coords(z=whole.z.values),
+            last - truth,
+        )
     return whole.rename(names).transpose("z", "y", "x"), truth, frame
 
 
@@ -61,7 +68,9 @@ def clicks(truth, frame, *, error_um=0.0, reach_um=60.0):
         at = truth[round(MIDDLE[0] / VOXEL), round(along / VOXEL)] + rng.normal(0, error_um)
         place = {frame.through: at, frame.rows: MIDDLE[0], frame.cols: along}
         points.append({k: float(place[k]) for k in "zyx"} | {"face": "top"})
-    return Corrections(stretches=(Stretch.model_validate({"id": "c1", "points": points, "reach_um": reach_um}),))
+    return Corrections(
+        stretches=(Stretch.model_validate({"id": "c1", "points": points, "reach_um": reach_um}),)
+    )
 
 
 @cache
@@ -88,7 +97,8 @@ def test_six_clicks_bring_a_face_behind_a_dark_inclusion_back_to_within_a_voxel(
     whole, truth, frame = spoilt(grey)
     patch = near(MIDDLE, RADIUS)
     measured = np.isfinite(found(grey)["top"].values)
-    assert rms(found(grey), truth, patch & measured) > 2  # it had followed the floor of the inclusion
+    # It had followed the floor of the inclusion.
+    assert rms(found(grey), truth, patch & measured) > 2
     # Clicks are off by a third of a voxel: a screen pixel.
     corrected = correct_surfaces(found(grey), whole, clicks(truth, frame, error_um=1.0))
     assert np.isfinite(corrected["top"].values[patch]).all()
@@ -111,13 +121,17 @@ def test_columns_beyond_the_reach_keep_their_bytes_and_what_was_found_comes_back
     line = np.array([[point.y, point.x] for point in asked.stretches[0].points])
     beyond = draw.distance_to_line(places(), line) > asked.stretches[0].reach_um
     for name in (*SIDES, "interface_top", "interface_bottom", "status"):
-        assert corrected[name].values[beyond].tobytes() == found()[name].values[beyond].tobytes(), name
+        assert corrected[name].values[beyond].tobytes() == found()[name].values[beyond].tobytes(), (
+            name
+        )
     assert corrected["interface_bottom"].equals(found()["interface_bottom"])
     back = uncorrected(corrected)
     assert back.identical(found())
     assert correct_surfaces(corrected, whole, Corrections()).identical(found())
     # One correction after the other, or a new one in place of the old one: the same.
-    again = correct_surfaces(correct_surfaces(found(), whole, clicks(truth, frame, error_um=3.0)), whole, asked)
+    again = correct_surfaces(
+        correct_surfaces(found(), whole, clicks(truth, frame, error_um=3.0)), whole, asked
+    )
     assert again.identical(corrected)
 
 
@@ -146,7 +160,8 @@ def test_where_the_image_shows_no_edge_the_standard_error_is_that_of_the_interpo
     # The coating that is found there has an error of its own.
     assert (se[1][how > 0] >= 0.999 * error[how > 0]).all()
     assert (se[1] > 1.2 * se[0])[how == 2].mean() > 0.9
-    np.testing.assert_allclose(se[1][how == 0], se[0][how == 0], rtol=0.02)  # the centre surface turned a little
+    # The centre surface turned a little.
+    np.testing.assert_allclose(se[1][how == 0], se[0][how == 0], rtol=0.02)
     light = next(light for light in CHECKS if light.name == "corrections")
     check = light(MeasuredSheet(None, corrected))
     assert check is not None
@@ -186,8 +201,14 @@ def test_a_point_on_the_right_face_changes_next_to_nothing_and_one_outside_is_re
         ("{", "Invalid JSON"),
         ("[1]", "holds no corrections"),
         ('{"stretches": [{"id": "a", "points": []}]}', "points"),
-        ('{"stretches": [{"id": "a", "points": [{"z": NaN, "y": 1, "x": 1, "face": "top"}]}]}', "finite"),
-        ('{"stretches": [{"id": "a", "points": [{"z": 1, "y": 1, "x": 1, "face": "side"}]}]}', "face"),
+        (
+            '{"stretches": [{"id": "a", "points": [{"z": NaN, "y": 1, "x": 1, "face": "top"}]}]}',
+            "finite",
+        ),
+        (
+            '{"stretches": [{"id": "a", "points": [{"z": 1, "y": 1, "x": 1, "face": "side"}]}]}',
+            "face",
+        ),
         ('{"units": "mm", "stretches": []}', "units"),
     ],
 )
@@ -202,11 +223,17 @@ def test_kriging_meets_its_points_and_is_as_wrong_as_a_brownian_bridge():
     rng = np.random.default_rng(3)
     walks = np.cumsum(rng.normal(0, np.sqrt(2 * 0.5), (4000, 41)), axis=1)
     at = np.column_stack([np.zeros(41), np.arange(41.0)])
-    ends = {"places": at[[0, 40]], "heights": np.array([2.0, 10.0]), "variances": np.zeros(2), "slope": 0.5}
+    ends = {
+        "places": at[[0, 40]],
+        "heights": np.array([2.0, 10.0]),
+        "variances": np.zeros(2),
+        "slope": 0.5,
+    }
     height, errors = draw.krige(at[[0, 10, 20, 40]], **ends)
     np.testing.assert_allclose(height, [2, 4, 6, 10], atol=1e-9)
     # A bridge of length 40 has the variance t (40 - t) / 40.
     np.testing.assert_allclose(errors[1:3], np.sqrt([10 * 30 / 40, 20 * 20 / 40]), rtol=1e-9)
     off = walks[:, [10, 20]] - walks[:, :1] * [0.75, 0.5] - walks[:, 40:] * [0.25, 0.5]
-    np.testing.assert_allclose(np.std(off, axis=0), errors[1:3], rtol=0.04)  # three standard errors of 4000 draws
+    # Three standard errors of 4000 draws.
+    np.testing.assert_allclose(np.std(off, axis=0), errors[1:3], rtol=0.04)
     assert draw.variogram_slope(walks, (1.0, 1.0), 4.0, least=0.0) > 0

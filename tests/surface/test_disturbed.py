@@ -34,7 +34,10 @@ def test_what_floats_two_voxels_above_the_face_is_counted_and_the_face_below_it_
 def test_a_narrow_particle_is_removed():
     sheet = replace(SHEET, lateral=(100, 110), margin=30.0)
     found = find_surfaces(dusty(-1, 8, (40, 46), (20, 26), sheet))
-    assert (found.attrs["particles_removed"], set(np.unique(found["status"].values[41:45, 21:25]))) == (1, {7})
+    assert (
+        found.attrs["particles_removed"],
+        set(np.unique(found["status"].values[41:45, 21:25])),
+    ) == (1, {7})
     assert np.isnan(found["top"].values[41:45, 21:25]).all()
     assert np.nanmax(np.abs(found["top"].values - sheet.surfaces()["top"])) < 2.0
 
@@ -79,7 +82,9 @@ def test_open_holes_have_the_area_of_their_ellipse():
     assert len(regions.half_closed(sheet, ~sheet & False, (2.0, 2.0))) == 0
 
 
-@pytest.mark.parametrize("fill", [lambda y, _x: y > 5, lambda y, x: (np.abs(x) < 12) & (y < 200) | (y > 25)])
+@pytest.mark.parametrize(
+    "fill", [lambda y, _x: y > 5, lambda y, x: (np.abs(x) < 12) & (y < 200) | (y > 25)]
+)
 def test_a_hole_that_is_half_closed_is_named(fill):
     sheet = holes(fill)
     closed = regions.half_closed(sheet, ~sheet & False, (2.0, 2.0))

@@ -16,7 +16,13 @@ def test_flat_and_tilted_faces_within_a_fraction_of_a_voxel(slope):
     found = find_surfaces(volume(np.rint(grey).astype(np.uint8)))
     inside = (slice(10, -10), slice(10, -10))
     stretch = np.hypot(1, slope)
-    offsets = {"top": half, "bottom": -half, "interface_top": 27.5, "interface_bottom": -27.5, "centre": 0.0}
+    offsets = {
+        "top": half,
+        "bottom": -half,
+        "interface_top": 27.5,
+        "interface_bottom": -27.5,
+        "centre": 0.0,
+    }
     for name, offset in offsets.items():
         error = (found[name].values - middle[0] - offset * stretch)[inside]
         assert abs(error.mean()) < 0.15
@@ -40,10 +46,15 @@ def test_a_hole_is_missing_in_the_faces_and_bridged_by_the_centre():
     grey, middle, _ = slab(shape=(70, 120, 120), wave=10.0)
     y, x = np.mgrid[0:120, 0:120] * VOXEL
     hole = np.hypot(x - 180, y - 180) < 80
-    found = find_surfaces(volume(np.where(hole, 40.0, grey) + np.random.default_rng(1).normal(0, 1, grey.shape)))
+    found = find_surfaces(
+        volume(np.where(hole, 40.0, grey) + np.random.default_rng(1).normal(0, 1, grey.shape))
+    )
     assert np.isnan(found["top"].values[60, 60])
     assert abs(found["centre"].values[60, 60] - middle[0, 60, 60]) < 3.0
-    assert (set(np.unique(found["status"].values[50:70, 50:70])), found["status"].values[60, 93]) == ({1}, 2)
+    assert (
+        set(np.unique(found["status"].values[50:70, 50:70])),
+        found["status"].values[60, 93],
+    ) == ({1}, 2)
     assert found["presence"].values[60, 60] < 0.1 < 0.9 < found["presence"].values[10, 10]
 
 
@@ -77,14 +88,27 @@ def test_volumes_without_a_sheet_or_across_it_are_refused():
     grey[20:28, 30:38, 30:38] = 200
     refused(VolumeError, "no sheet", find_surfaces, volume(grey))
     grey, *_ = slab()
-    refused(VolumeError, r"through=|leaves the volume|one after", find_surfaces, volume(grey), frame=Frame(through="x"))
+    refused(
+        VolumeError,
+        r"through=|leaves the volume|one after",
+        find_surfaces,
+        volume(grey),
+        frame=Frame(through="x"),
+    )
     refused(VolumeError, "at least 8", find_surfaces, volume(np.zeros((4, 50, 50))))
 
 
 def on_film(sheet, film_um, gap_um, film_grey, half):
     """The grey of a sheet (its air is 40) at 170 um with a film below it."""
     height = 170.0 - half - gap_um - film_um / 2
-    film, *_ = slab(shape=sheet.shape, height=height, coat=0.0, base=film_um, greys=(0.0, film_grey, 0.0), noise=0.0)
+    film, *_ = slab(
+        shape=sheet.shape,
+        height=height,
+        coat=0.0,
+        base=film_um,
+        greys=(0.0, film_grey, 0.0),
+        noise=0.0,
+    )
     return sheet + film
 
 
@@ -97,13 +121,19 @@ def test_a_film_beyond_air_is_left_out_and_named_where_the_sheet_is_coated(gap_u
     for face in ("top", "bottom", "interface_bottom"):
         assert np.abs(found[face] - alone[face]).max() < 0.3
     assert "from the bottom side, in 100 % of the columns" in found.attrs["beside"]
-    assert found.attrs["beside_gap_um"] == pytest.approx(gap_um, abs=10.0)  # between the outer edges of the blur
+    # Between the outer edges of the blur.
+    assert found.attrs["beside_gap_um"] == pytest.approx(gap_um, abs=10.0)
     assert "beside" not in alone.attrs
 
 
 def test_a_film_thicker_than_a_sheet_without_a_coating_is_not_taken_for_the_sheet():
     grey, _, half = slab(shape=(110, 44, 48), height=170.0, coat=0.0, greys=(40.0, 90.0, 90.0))
-    refused(VolumeError, r"2 separate sheets", find_surfaces, volume(on_film(grey, 80.0, 20.0, 80.0, half)))
+    refused(
+        VolumeError,
+        r"2 separate sheets",
+        find_surfaces,
+        volume(on_film(grey, 80.0, 20.0, 80.0, half)),
+    )
 
 
 def test_two_coated_sheets_are_refused_whether_one_is_thicker_or_a_film_lies_where_the_sheet_is_not():
@@ -111,7 +141,9 @@ def test_two_coated_sheets_are_refused_whether_one_is_thicker_or_a_film_lies_whe
     thinner, *_ = slab(shape=(130, 44, 60), height=190.0 - half - 75.0, base=20.0, noise=0.0)
     refused(VolumeError, r"2 separate sheets", find_surfaces, volume(np.maximum(grey, thinner)))
     apart = on_film(np.where(np.arange(60) < 28, grey, 40.0), 40.0, 20.0, 80.0, half)
-    apart[:, :, :32] = np.where(np.arange(130)[:, None, None] * VOXEL < 190.0 - half - 10.0, 40.0, apart[:, :, :32])
+    apart[:, :, :32] = np.where(
+        np.arange(130)[:, None, None] * VOXEL < 190.0 - half - 10.0, 40.0, apart[:, :, :32]
+    )
     refused(VolumeError, r"2 separate sheets", find_surfaces, volume(apart))
 
 
@@ -119,7 +151,12 @@ def test_two_sheets_are_counted_and_one_is_chosen_by_its_grey():
     flat = {"shape": (120, 44, 48), "coat": 0.0, "base": 40.0}
     grey, *_ = slab(**flat, height=90.0, greys=(20.0, 120.0, 120.0))
     other, *_ = slab(**flat, height=260.0, greys=(20.0, 120.0, 120.0))
-    refused(VolumeError, r"2 separate sheets.*sheet_grey=", find_surfaces, volume(np.maximum(grey, other)))
+    refused(
+        VolumeError,
+        r"2 separate sheets.*sheet_grey=",
+        find_surfaces,
+        volume(np.maximum(grey, other)),
+    )
     other, *_ = slab(**flat, height=260.0, greys=(20.0, 220.0, 220.0))
     both = volume(np.maximum(grey, other))
     bright = find_surfaces(both, params=SurfaceParams(sheet_grey=(170.0, 255.0)))

@@ -14,7 +14,20 @@ def test_equals_the_slow_twin(thickness):
     rng = np.random.default_rng(int(10 * thickness))
     g = staircase(np.arange(24), (7.3, thickness, 0.98, 0.4), WIDTH, AIR) + rng.normal(0, NOISE, 24)
     p = np.array([7.0, thickness + 0.3, 1.0, 0.35])
-    fit_column(g.astype(np.float32), 0, 23, AIR, NOISE, WIDTH, p, PRIOR, SPREAD, True, np.zeros((4, 4)), np.zeros(4))
+    fit_column(
+        g.astype(np.float32),
+        0,
+        23,
+        AIR,
+        NOISE,
+        WIDTH,
+        p,
+        PRIOR,
+        SPREAD,
+        True,
+        np.zeros((4, 4)),
+        np.zeros(4),
+    )
     slow = fit_staircase(g, [7.0, thickness + 0.3, 1.0, 0.35], WIDTH, AIR, NOISE, PRIOR, SPREAD)
     # the kernel stops when a step is below 2e-4 voxel
     np.testing.assert_allclose(p, slow, atol=2e-3)
@@ -24,7 +37,20 @@ def test_a_profile_without_coating_gives_back_what_made_it():
     truth, none = [9.4, 0.0, 0.1, 0.7], np.zeros(4)
     g = staircase(np.arange(24), truth, WIDTH, AIR, False)
     p = np.array([9.0, 0.0, 0.0, 0.6])
-    fit_column(g.astype(np.float32), 0, 23, AIR, NOISE, WIDTH, p, PRIOR, none, False, np.zeros((4, 4)), np.zeros(4))
+    fit_column(
+        g.astype(np.float32),
+        0,
+        23,
+        AIR,
+        NOISE,
+        WIDTH,
+        p,
+        PRIOR,
+        none,
+        False,
+        np.zeros((4, 4)),
+        np.zeros(4),
+    )
     # of a profile in float32
     np.testing.assert_allclose(p, truth, atol=2e-3)
 
@@ -34,8 +60,19 @@ def run(profile, expected, other, *, coated=True):
     result = np.empty((5, 1, 1))
     one = np.ones((1, 1))
     fit_faces(
-        slab, expected * one, other * one, one, AIR, WIDTH, NOISE, PRIOR, SPREAD, coated, 6.0, result
-    )  # fmt: skip
+        slab,
+        expected * one,
+        other * one,
+        one,
+        AIR,
+        WIDTH,
+        NOISE,
+        PRIOR,
+        SPREAD,
+        coated,
+        6.0,
+        result,
+    )
     return result[:, 0, 0]
 
 

@@ -18,7 +18,11 @@ OFF = SurfaceParams(fringe="off")
 def biases(found, sheet):
     """Bias in um of the top face and of both coatings."""
     truth = sheet.surfaces()
-    off = {k: float(np.nanmean(found[k].values - truth[k])) for k in truth if not np.isnan(truth[k]).all()}
+    off = {
+        k: float(np.nanmean(found[k].values - truth[k]))
+        for k in truth
+        if not np.isnan(truth[k]).all()
+    }
     top = off["top"] - off.get("interface_top", off["top"])
     return off["top"], top, off.get("interface_bottom", off["bottom"]) - off["bottom"]
 
@@ -66,7 +70,10 @@ def test_an_uncoated_sheet_with_a_fringe_has_no_coating():
 @pytest.mark.ci
 @pytest.mark.parametrize(
     "sheet",
-    [replace(COARSE, coats=(0.0, 0.0), texture=0.2), replace(COARSE, coats=(0.0, 8.0), inverted=True)],
+    [
+        replace(COARSE, coats=(0.0, 0.0), texture=0.2),
+        replace(COARSE, coats=(0.0, 8.0), inverted=True),
+    ],
     ids=["uncoated, textured", "one side, inverted"],
 )
 def test_without_a_fringe_auto_gives_the_bytes_of_off(sheet):
@@ -98,6 +105,20 @@ def test_the_kernel_gives_back_what_made_a_profile():
         grey = grey + step * fringe * y * np.exp(-0.5 * y * y) / np.sqrt(2 * np.pi)
     p = np.array([9.0, 2.0, 1.1, 0.35])
     none = np.zeros(4)
-    fit_column(grey.astype(np.float32), 0, 23, 0.0, 0.04, width, p, none, none, True, np.zeros((4, 4)), np.zeros(4),
-               fringe, ratio)  # fmt: skip
+    fit_column(
+        grey.astype(np.float32),
+        0,
+        23,
+        0.0,
+        0.04,
+        width,
+        p,
+        none,
+        none,
+        True,
+        np.zeros((4, 4)),
+        np.zeros(4),
+        fringe,
+        ratio,
+    )
     np.testing.assert_allclose(p, truth, atol=2e-3)

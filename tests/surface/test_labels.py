@@ -23,7 +23,9 @@ SHEET = Sheet(lateral=(50, 56), thickness=60.0, margin=15.0, coats=(14.0, 0.0))
 @pytest.mark.parametrize(("through", "tilt"), [("z", (0.0, 0.0)), ("x", (30.0, 20.0))])
 def test_boundaries_lie_within_half_a_voxel(through, tilt):
     sheet = replace(SHEET, tilt=tilt, through=through)
-    found = find_surfaces(sheet.labels(), frame=Frame(through=through), params=SurfaceParams(labels=LabelParams()))
+    found = find_surfaces(
+        sheet.labels(), frame=Frame(through=through), params=SurfaceParams(labels=LabelParams())
+    )
     truth = sheet.surfaces()
     assert (found["status"].values == 0).mean() > 0.99
     for name in ("top", "bottom", "interface_top"):
@@ -77,7 +79,10 @@ def test_the_published_method_fits_an_uncoated_sheet_and_thickens_a_thin_coating
     sheet = replace(SHEET, coats=(5.0, 14.0))
     paper, profile = (
         float(np.nanmean((found["top"] - found["interface_top"]).values))
-        for found in (find_surfaces(sheet.volume(), params=SurfaceParams(method=m)) for m in ("paper", "profile"))
+        for found in (
+            find_surfaces(sheet.volume(), params=SurfaceParams(method=m))
+            for m in ("paper", "profile")
+        )
     )
     assert abs(profile - 5) < 0.5 < paper - 5
 

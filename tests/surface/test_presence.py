@@ -20,7 +20,12 @@ def wavy(shape=(60, 70, 90), slope=(0.1, -0.2), seed=0):
     rng = np.random.default_rng(seed)
     grey = rng.integers(0, 200, shape).astype(np.uint8)
     y, x = np.mgrid[: shape[1], : shape[2]] * VOXEL
-    centre = 0.5 * shape[0] * VOXEL + slope[0] * (y - y.mean()) + slope[1] * (x - x.mean()) + 4 * np.sin(x / 60)
+    centre = (
+        0.5 * shape[0] * VOXEL
+        + slope[0] * (y - y.mean())
+        + slope[1] * (x - x.mean())
+        + 4 * np.sin(x / 60)
+    )
     centre[rng.random(centre.shape) < 0.02] = np.nan
     return grey, centre
 
@@ -32,12 +37,22 @@ def along_normals(grey, centre, places):
     rows, cols = np.indices(centre.shape)
     found = []
     for s in np.asarray(places) * THICKNESS:
-        at = centre / VOXEL + s / long / VOXEL, rows - s * slope[0] / long / VOXEL, cols - s * slope[1] / long / VOXEL
-        inside = np.all([(a >= 0) & (a <= n - 1) for a, n in zip(at, grey.shape, strict=True)], axis=0)
-        value = ndimage.map_coordinates(grey.astype(float), [np.where(inside, a, 0) for a in at], order=1)
+        at = (
+            centre / VOXEL + s / long / VOXEL,
+            rows - s * slope[0] / long / VOXEL,
+            cols - s * slope[1] / long / VOXEL,
+        )
+        inside = np.all(
+            [(a >= 0) & (a <= n - 1) for a, n in zip(at, grey.shape, strict=True)], axis=0
+        )
+        value = ndimage.map_coordinates(
+            grey.astype(float), [np.where(inside, a, 0) for a in at], order=1
+        )
         found.append(np.where(inside, np.clip((value - AIR) / (BASE - AIR), 0, 1), np.nan))
     known = np.isfinite(found).any(axis=0)
-    return np.where(known, np.nansum(found, axis=0) / np.maximum(np.isfinite(found).sum(axis=0), 1), np.nan)
+    return np.where(
+        known, np.nansum(found, axis=0) / np.maximum(np.isfinite(found).sum(axis=0), 1), np.nan
+    )
 
 
 def presence(data, centre, *, frame=None, up=1.0, engine=ONE):
@@ -105,7 +120,11 @@ def test_the_surfaces_carry_all_three(top):
     found = find_surfaces(data, frame=Frame(top=top))
     places = [45, 45, 5], [30, 75, 52]  # in the blind hole, in the other one, in the sheet
     # The blind hole's floor draws the centre surface down by some micrometres: more than half of its layer is there.
-    for name, values in {"presence": (0, 0, 1), "presence_centre": (0.7, 0, 1), "presence_bottom": (1, 0, 1)}.items():
+    for name, values in {
+        "presence": (0, 0, 1),
+        "presence_centre": (0.7, 0, 1),
+        "presence_bottom": (1, 0, 1),
+    }.items():
         np.testing.assert_allclose(found[name].values[places], values, atol=0.1)
         assert (found[name].dtype, found[name].attrs["units"]) == (found["presence"].dtype, "1")
         assert found[name].attrs["layer"] == list(assemble.LAYERS[name])

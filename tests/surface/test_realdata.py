@@ -50,13 +50,18 @@ def test_centre_of_folded_paper_lies_where_others_found_it(letter, part):
     gap, nearest = cKDTree(ours).query(points)
     near = gap < 1.5
     distance = np.abs(np.sum((points[near] - ours[nearest[near]]) * across[nearest[near]], axis=1))
-    angle = np.degrees(np.arccos(np.clip(np.abs(np.sum(normals[near] * across[nearest[near]], axis=1)), 0, 1)))
+    angle = np.degrees(
+        np.arccos(np.clip(np.abs(np.sum(normals[near] * across[nearest[near]], axis=1)), 0, 1))
+    )
     assert near.sum() > 300
     assert np.median(distance) <= 0.5
     assert np.percentile(distance, 95) <= 1.0
     assert np.median(angle) <= 10.0
     # Where sheets touch, no column is as thick as two of them.
-    assert np.nanpercentile((found["top"] - found["bottom"]).values[ok], 99) < 2.2 * found.attrs["thickness_um"]
+    assert (
+        np.nanpercentile((found["top"] - found["bottom"]).values[ok], 99)
+        < 2.2 * found.attrs["thickness_um"]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +74,9 @@ def cell(shared_data):
 @pytest.mark.parametrize("x", [7.0, 18.0, 31.0, 41.0, 53.0, 65.0])
 def test_each_electrode_layer_behind_the_wall(cell, x):
     crop = cell.isel(z=slice(26, 45), y=slice(100, 200))
-    found = find_surfaces(crop, frame=Frame(through="x"), params=SurfaceParams(seed_um=(35.0, 150.0, x)))
+    found = find_surfaces(
+        crop, frame=Frame(through="x"), params=SurfaceParams(seed_um=(35.0, 150.0, x))
+    )
     status = found["status"].values
     centre = found["centre"].values[:, 50]
     # The first one is cut by the border of the crop.

@@ -12,7 +12,14 @@ from planish.core.frame import Frame
 from planish.surface import SurfaceParams, find_surfaces
 from surface.sheets import Sheet, slab, volume
 
-THIN = Sheet(lateral=(40, 44), thickness=40.0, coats=(0.0, 0.0), greys=(20.0, 120.0, 120.0), voxel=3.0, margin=120.0)
+THIN = Sheet(
+    lateral=(40, 44),
+    thickness=40.0,
+    coats=(0.0, 0.0),
+    greys=(20.0, 120.0, 120.0),
+    voxel=3.0,
+    margin=120.0,
+)
 
 
 def stack(gap_grey=20.0, offsets=(-75.0, 0.0, 75.0), bright=1.0):
@@ -29,14 +36,18 @@ def stack(gap_grey=20.0, offsets=(-75.0, 0.0, 75.0), bright=1.0):
     grey += (gap_grey - 20.0) * between(middle + offsets[0] - 30, middle + offsets[-1] + 30)
     for k, offset in enumerate(offsets):
         factor = bright if k == len(offsets) - 1 else 1.0
-        grey += (20 + 100.0 * factor - gap_grey) * between(middle + offset - 20, middle + offset + 20)
+        grey += (20 + 100.0 * factor - gap_grey) * between(
+            middle + offset - 20, middle + offset + 20
+        )
     grey = grey + np.random.default_rng(0).normal(0, 3, grey.shape)
     return single.copy(data=np.clip(grey, 0, 255).astype(np.uint8)), middle
 
 
 def points_named(grey):
     """Points (z, y, x) that the refusal of three sheets lists."""
-    with pytest.raises(VolumeError, match=r"3 separate sheets.*seed_um=\(Z, Y, X\).*Points to start from") as told:
+    with pytest.raises(
+        VolumeError, match=r"3 separate sheets.*seed_um=\(Z, Y, X\).*Points to start from"
+    ) as told:
         find_surfaces(grey)
     points = str(told.value).split("Points to start from: ")[1].rstrip(".").split("; ")
     return [tuple(map(float, point.split(","))) for point in points]
@@ -75,7 +86,9 @@ def test_where_two_sheets_touch_nothing_is_measured():
     z = flat["z"].values
     between = (z > middle) & (z < middle + 75.0)
     joined[between, 20:30, 20:30] = 120
-    found = find_surfaces(grey.copy(data=joined), params=SurfaceParams(seed_um=(middle, 15.0, 15.0)))
+    found = find_surfaces(
+        grey.copy(data=joined), params=SurfaceParams(seed_um=(middle, 15.0, 15.0))
+    )
     status = found["status"].values
     assert set(np.unique(status[20:30, 20:30])) == {5}
     assert np.isnan(found["top"].values[20:30, 20:30]).all()
@@ -87,11 +100,16 @@ def test_where_two_sheets_touch_nothing_is_measured():
 def test_a_seed_changes_little_in_a_single_sheet_and_is_refused_where_it_lies_nowhere():
     grey, middle, _ = slab(wave=10.0)
     plain = find_surfaces(volume(grey))
-    seeded = find_surfaces(volume(grey), params=SurfaceParams(seed_um=(float(middle[0, 20, 30]), 60.0, 90.0)))
+    seeded = find_surfaces(
+        volume(grey), params=SurfaceParams(seed_um=(float(middle[0, 20, 30]), 60.0, 90.0))
+    )
     for name in ("top", "bottom", "interface_top", "interface_bottom"):
         np.testing.assert_allclose(seeded[name], plain[name], atol=0.2)
     grey, middle = stack()
-    for words, seed in (("only air", (middle + 37.0, 60.0, 60.0)), ("outside the volume", (middle, 60.0, 6000.0))):
+    for words, seed in (
+        ("only air", (middle + 37.0, 60.0, 60.0)),
+        ("outside the volume", (middle, 60.0, 6000.0)),
+    ):
         refused(VolumeError, words, find_surfaces, grey, params=SurfaceParams(seed_um=seed))
 
 

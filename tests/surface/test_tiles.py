@@ -33,12 +33,17 @@ class Asked(xr.backends.BackendArray):
 def lazy(array, voxel=VOXEL):
     asked = Asked(array)
     coords = {k: np.arange(n) * voxel for k, n in zip("zyx", array.shape, strict=True)}
-    return xr.DataArray(xr.Variable(("z", "y", "x"), LazilyIndexedArray(asked)), coords=coords), asked
+    return (
+        xr.DataArray(xr.Variable(("z", "y", "x"), LazilyIndexedArray(asked)), coords=coords),
+        asked,
+    )
 
 
 def assert_same_bytes(one, other):
     assert list(one.data_vars) == list(other.data_vars)
-    assert [name for name in one.data_vars if one[name].values.tobytes() != other[name].values.tobytes()] == []
+    assert [
+        name for name in one.data_vars if one[name].values.tobytes() != other[name].values.tobytes()
+    ] == []
     np.testing.assert_equal(one.attrs, other.attrs)
 
 
@@ -85,7 +90,12 @@ def test_wide_columns_find_the_same_faces(step, slope):
     assert x[0] == pytest.approx(0.5 * (step - 1) * VOXEL)
     truth = np.interp(x, np.arange(130) * VOXEL, middle[0, 0])
     inside = (slice(4, -4), slice(4, -4))
-    for name, offset in {"top": half, "bottom": -half, "interface_top": 27.5, "centre": 0.0}.items():
+    for name, offset in {
+        "top": half,
+        "bottom": -half,
+        "interface_top": 27.5,
+        "centre": 0.0,
+    }.items():
         error = (found[name].values - truth - offset * np.hypot(1, slope))[inside]
         assert abs(error.mean()) < 0.15
         assert np.sqrt(np.mean(error**2)) < 0.2 * VOXEL

@@ -25,7 +25,9 @@ pytestmark = pytest.mark.ci
 
 SIZE = (2400.0, 1800.0)  # um that the images show
 SEED = np.random.SeedSequence(11)
-CLEAN = CameraParams(nuisance_sd=0.0, shading=0.0, vignetting=0.0, lens_um=0.0, noise=0.0, bits=16, radial=0.0)
+CLEAN = CameraParams(
+    nuisance_sd=0.0, shading=0.0, vignetting=0.0, lens_um=0.0, noise=0.0, bits=16, radial=0.0
+)
 STRAIGHT = CameraPose(similarity=Similarity())
 HOLES = np.array([[600.0, 500.0], [1500.0, 1200.0]])
 STEP = 1 / 65535  # of 16 bits
@@ -48,7 +50,11 @@ def sheet_of(coating_um, *, holes=HOLES, rough_um=1.0, closed=False):
         "char": 1 - 0.5 * np.exp(-np.maximum(rim, 0) / 20.0),
         "holes": holes,
     }
-    maps |= {"coating_density": np.ones(shape), "base_mass": np.ones(shape), "crack_um": np.zeros(shape)}
+    maps |= {
+        "coating_density": np.ones(shape),
+        "base_mass": np.ones(shape),
+        "crack_um": np.zeros(shape),
+    }
     maps = {name: values.astype(np.float32) for name, values in maps.items()}
     return DrawnSheet(params=PaperParams(), seed=0, origin=(-150.0, -150.0), **maps)
 
@@ -77,7 +83,10 @@ def r2_at_100_um(sheet, image, camera=CLEAN):
     coating, rim = truth(sheet, camera)
     side = (100.0 / camera.pixel_um,) * 2
     away = rim > 100.0
-    x, y = (area_mean(np.where(away, m, np.nan), side, least_share=1.0) for m in (coating, image.astype(float)))
+    x, y = (
+        area_mean(np.where(away, m, np.nan), side, least_share=1.0)
+        for m in (coating, image.astype(float))
+    )
     known = np.isfinite(x)
     return np.corrcoef(x[known], y[known])[0, 1] ** 2
 
@@ -92,15 +101,21 @@ def test_brightness_rises_with_the_coating():
 def test_an_image_lies_where_its_pose_says_and_its_seed_repeats_it(sheet):
     camera = replace(CLEAN, pixel_um=5.0)
     shape, pose = draw_pose(
-        CameraParams(pixel_um=5.0, turn_deg=155.0, mirrored=True), (0, 0, *SIZE), np.random.default_rng(1)
+        CameraParams(pixel_um=5.0, turn_deg=155.0, mirrored=True),
+        (0, 0, *SIZE),
+        np.random.default_rng(1),
     )
     image = photograph(sheet, pose, camera, shape=shape, seed=SEED)
     u, v = image_material(pose, shape, 5.0)
     y, x = np.indices(shape) * 5.0
-    np.testing.assert_allclose(pose(np.stack([u, v], axis=-1)), np.stack([x, y], axis=-1), atol=1e-9)
+    np.testing.assert_allclose(
+        pose(np.stack([u, v], axis=-1)), np.stack([x, y], axis=-1), atol=1e-9
+    )
     labels, count = ndimage.label(image < 0.3)
     assert count == len(HOLES)
-    found = np.array(ndimage.center_of_mass(image < 0.3, labels, range(1, count + 1)))[:, ::-1] * 5.0
+    found = (
+        np.array(ndimage.center_of_mass(image < 0.3, labels, range(1, count + 1)))[:, ::-1] * 5.0
+    )
     off = np.linalg.norm(found[:, None] - pose(HOLES)[None], axis=-1).min(axis=0)
     assert (off < 1.0).all()  # um: a disc of 35 pixels across, counted pixel by pixel
     camera = CameraParams()
@@ -137,13 +152,25 @@ def test_an_oracle_out_of_reach_is_an_error_that_says_so(sheet):
     refused(ValueError, words, seen, sheet, replace(CLEAN, oracle_r2=0.5 * (1 + free)))
     low = replace(CLEAN, oracle_r2=0.2)
     refused(ValueError, "out of reach", seen, sheet_of(0.0), low)  # no coating to follow
-    refused(ValueError, "take a larger image", photograph, sheet, STRAIGHT, low, shape=(90, 90), seed=SEED)
+    refused(
+        ValueError,
+        "take a larger image",
+        photograph,
+        sheet,
+        STRAIGHT,
+        low,
+        shape=(90, 90),
+        seed=SEED,
+    )
 
 
 def test_the_screen_has_its_frequency_and_angle_and_mean_tone():
     flat = sheet_of(17.4, holes=HOLES[:0], rough_um=0.0)
     camera = replace(CLEAN, screen=PrintParams())
-    plain, printed = seen(flat, camera).astype(float), seen(flat, camera, printed=True).astype(float)
+    plain, printed = (
+        seen(flat, camera).astype(float),
+        seen(flat, camera, printed=True).astype(float),
+    )
     assert np.mean((plain - printed) / (plain - 0.08)) == pytest.approx(0.40, abs=0.01)
     n = 4096
     window = np.outer(*(np.hanning(s) for s in printed.shape))
@@ -165,14 +192,18 @@ def test_a_nuisance_that_is_off_leaves_the_others_as_they_are(sheet):
         assert np.abs(less - whole).max() > 1e-3
         same = less - seen(sheet, replace(usual, **{off: 0.0, "noise": 0.0}))
         inside = free & (np.abs(less - 0.5) < 0.45)
-        np.testing.assert_allclose(same[inside], grain[inside], atol=2.1 * STEP)  # two roundings on each side
+        # Two roundings on each side.
+        np.testing.assert_allclose(same[inside], grain[inside], atol=2.1 * STEP)
     assert grain[free].std() == pytest.approx(0.005, rel=0.01)
 
 
 def test_vignetting_is_a_factor_and_shading_follows_the_slope(sheet):
     plain = seen(sheet).astype(float)
     factor = seen(sheet, replace(CLEAN, vignetting=0.04)) / plain
-    assert (factor[0, 0], factor[225, 300]) == (pytest.approx(0.96, abs=1e-3), pytest.approx(1.0, abs=1e-3))
+    assert (factor[0, 0], factor[225, 300]) == (
+        pytest.approx(0.96, abs=1e-3),
+        pytest.approx(1.0, abs=1e-3),
+    )
     lit = seen(sheet, replace(CLEAN, shading=0.02)) / plain
     u, v = image_material(STRAIGHT, plain.shape, 4.0)
     slope = np.gradient(sheet.at(sheet.faces[0], u, v), 4.0, axis=1)

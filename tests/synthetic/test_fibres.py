@@ -5,22 +5,37 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planish.synthetic import PRESETS, BurnParams, FibreParams, FilmParams, PaperParams, SpecimenParams
+from planish.synthetic import (
+    PRESETS,
+    BurnParams,
+    FibreParams,
+    FilmParams,
+    PaperParams,
+    SpecimenParams,
+)
 from planish.synthetic.fibres import WALL_G_PER_CM3, Structure
 from planish.synthetic.sheet import PITCH_UM, make_sheet
 from planish.synthetic.specimen import make_specimen
 
 PAPER = PaperParams(
-    base_um=50.0, coating_top_um=10.0, coating_bottom_um=10.0, coating_sd_um=3.8, least_coating_um=0.5, filler=0.0,
-    roughness_um=3.2, fibres=FibreParams(g_per_m2=33.0),
-)  # fmt: skip
+    base_um=50.0,
+    coating_top_um=10.0,
+    coating_bottom_um=10.0,
+    coating_sd_um=3.8,
+    least_coating_um=0.5,
+    filler=0.0,
+    roughness_um=3.2,
+    fibres=FibreParams(g_per_m2=33.0),
+)
 NONE = np.zeros((0, 2))
 
 
 def sheet_of(paper=PAPER, *, seed=0, size_um=900.0, **more):
     corner = np.array([0.5 * size_um, 0.4 * size_um])
     holes = more.pop("holes", NONE)
-    return make_sheet(paper, BurnParams(), low=-corner, high=corner, centres=holes, seed=seed, **more)
+    return make_sheet(
+        paper, BurnParams(), low=-corner, high=corner, centres=holes, seed=seed, **more
+    )
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +57,8 @@ def test_a_base_has_the_mass_of_its_fibres_and_the_voids_of_paper(sheet):
     void = np.mean(structure.density[in_base] < 30)
     assert 0.35 < void < 0.6  # 40 to 55 % in papers of 50 to 135 g/m2
     near = in_base & (z > sheet.faces[1][..., None] - 5.0)
-    assert structure.density[near].mean() > structure.density[in_base].mean() + 10  # the face is a face of fibres
+    # The face is a face of fibres.
+    assert structure.density[near].mean() > structure.density[in_base].mean() + 10
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -72,12 +88,16 @@ def test_the_face_is_where_the_blurred_wall_reaches_half_of_its_grey(thickness_u
     # A wall of thickness t under a Gaussian of 4 um full width has a peak of erf(t / 2 / sqrt(2) / 1.70 um): .5 at 2.3.
     cell, count = 0.2, 300
     z = cell * (np.arange(count) + 0.5)
-    wall = np.where((z > 30 - thickness_um / 2) & (z < 30 + thickness_um / 2), 100, 0).astype(np.uint8)
+    wall = np.where((z > 30 - thickness_um / 2) & (z < 30 + thickness_um / 2), 100, 0).astype(
+        np.uint8
+    )
     structure = Structure(density=np.broadcast_to(wall, (9, 9, count)), low_um=0.0, cell_um=cell)
     face = structure.face(4.0, PITCH_UM, top=True)
     if thickness_um > 10:
         assert face == pytest.approx(30 + thickness_um / 2, abs=0.05)
-        assert structure.face(4.0, PITCH_UM, top=False) == pytest.approx(30 - thickness_um / 2, abs=0.05)
+        assert structure.face(4.0, PITCH_UM, top=False) == pytest.approx(
+            30 - thickness_um / 2, abs=0.05
+        )
     assert np.isfinite(face).all() == is_seen
 
 

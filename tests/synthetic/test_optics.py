@@ -12,7 +12,10 @@ from planish.synthetic import PRESETS, PaperParams, camera
 def test_one_more_sheet_on_a_pile_leaves_it_as_it_is():
     for paper in (PaperParams(), PRESETS["board"][1], PRESETS["sc50"][1]):
         one_more = camera.sheet_reflectance(
-            paper, "pile", coating_top_um=paper.coating_top_um, coating_bottom_um=paper.coating_bottom_um
+            paper,
+            "pile",
+            coating_top_um=paper.coating_top_um,
+            coating_bottom_um=paper.coating_bottom_um,
         )
         assert one_more == pytest.approx(camera.pile_reflectance(paper), abs=1e-12)
     assert camera.pile_reflectance(PRESETS["sc50"][1]) == pytest.approx(
@@ -38,7 +41,12 @@ def test_each_map_and_a_coating_act_on_the_brightness_in_their_own_sense():
         given = {"coating_top_um": 17.4, "coating_bottom_um": 17.4} | more
         return camera.sheet_reflectance(paper, "black", **given)
 
-    for more in ({"coating_density": 1.1}, {"base_mass": 1.1}, {"base_s_m2_per_kg": 50.0}, {"coating_bottom_um": 20.0}):
+    for more in (
+        {"coating_density": 1.1},
+        {"base_mass": 1.1},
+        {"base_s_m2_per_kg": 50.0},
+        {"coating_bottom_um": 20.0},
+    ):
         assert over_black(**more) > over_black()
     heavy = replace(paper, base_um=paper.base_um * 2)
     assert over_black(heavy) == pytest.approx(over_black(base_mass=2.0), abs=1e-14)

@@ -53,7 +53,10 @@ def test_base_thickness_faces_and_densities(wfc):
 @pytest.mark.parametrize("side", [0, 2])
 def test_coating(wfc, side):
     coating = _layers(wfc)[side]
-    assert (coating.mean(), coating.std()) == (pytest.approx(17.4, abs=0.3), pytest.approx(4.5, rel=0.05))
+    assert (coating.mean(), coating.std()) == (
+        pytest.approx(17.4, abs=0.3),
+        pytest.approx(4.5, rel=0.05),
+    )
     assert 0.01 <= (coating < 5).mean() <= 0.03
     assert coating.min() >= 0
     assert stats.skew(coating.ravel()[::11]) < -0.3  # thin where fibres stand up
@@ -75,10 +78,14 @@ def test_the_outer_face_follows_the_base_by_half_at_the_levelling_wavelength():
     paper = PaperParams(coating_sd_um=0.0, coating_noise_sd_um=0.0, coating_top_um=40.0)
     sheet = _sheet(paper, high=LARGE)
     outer, base = (np.abs(fft.fft2(f - f.mean())) for f in sheet.faces[:2].astype(float))
-    frequency = np.hypot(*np.meshgrid(*(fft.fftfreq(n, PITCH_UM) for n in outer.shape), indexing="ij"))
+    frequency = np.hypot(
+        *np.meshgrid(*(fft.fftfreq(n, PITCH_UM) for n in outer.shape), indexing="ij")
+    )
     for wave, gain in ((250.0, 0.5), (500.0, 0.84), (125.0, 0.0625)):
         ring = np.abs(frequency * wave - 1) < 0.05
-        assert np.sqrt(np.mean(outer[ring] ** 2) / np.mean(base[ring] ** 2)) == pytest.approx(gain, abs=0.05)
+        assert np.sqrt(np.mean(outer[ring] ** 2) / np.mean(base[ring] ** 2)) == pytest.approx(
+            gain, abs=0.05
+        )
 
 
 def test_noise_has_its_correlation_length():
@@ -120,7 +127,9 @@ def test_the_coded_pattern_has_no_two_equal_pitches_and_the_stage_its_error():
     assert pitches.min() >= 500 - 1e-6
     assert pitches.max() <= 950 + 1e-6
     assert len(np.unique(np.round(pitches, 3))) == len(pitches)
-    errors = [hole_pattern(BurnParams(stage_um=4.0), LOW, corner, seed) - holes for seed in range(12)]
+    errors = [
+        hole_pattern(BurnParams(stage_um=4.0), LOW, corner, seed) - holes for seed in range(12)
+    ]
     assert np.std(errors) == pytest.approx(4.0, rel=0.12)
 
 
@@ -133,7 +142,9 @@ def test_the_unstrained_surface_of_a_bent_laminate():
         expected = float(np.sum(modulus * z) / np.sum(modulus))
         assert neutral_height(base, top, bottom, ratio) == pytest.approx(expected, abs=1e-3)
     assert neutral_height(base, top, bottom, 1.0) == pytest.approx((top - bottom) / 2)
-    soft, stiff = (_sheet(PaperParams(coating_bottom_um=5.0), stiffness=ratio) for ratio in (0.0, 2.0))
+    soft, stiff = (
+        _sheet(PaperParams(coating_bottom_um=5.0), stiffness=ratio) for ratio in (0.0, 2.0)
+    )
     moved = soft.faces - stiff.faces
     assert np.ptp(moved) < 1e-4
     assert 2.0 < moved.mean() < 12.0

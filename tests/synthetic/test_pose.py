@@ -12,7 +12,9 @@ from planish.core.transform import Similarity
 from planish.synthetic import CameraParams, CameraPose, draw_pose
 
 SPREAD = (200.0, -300.0, 3200.0, 1700.0)
-ALL_OFF = CameraParams(turn_range_deg=0.0, shift_range_um=0.0, scale_range=0.0, radial=0.0, stretch=0.0)
+ALL_OFF = CameraParams(
+    turn_range_deg=0.0, shift_range_um=0.0, scale_range=0.0, radial=0.0, stretch=0.0
+)
 
 
 def drawn(seed=0, spread=SPREAD, **changes):
@@ -27,17 +29,28 @@ def share_in_view(shape, pose, pixel_um, spread=SPREAD):
 
 
 @given(
-    rotation=st.floats(-np.pi, np.pi), scale=st.floats(0.95, 1.05), mirrored=st.booleans(),
-    stretch=st.floats(-0.01, 0.01), radial=st.floats(-0.02, 0.02),
+    rotation=st.floats(-np.pi, np.pi),
+    scale=st.floats(0.95, 1.05),
+    mirrored=st.booleans(),
+    stretch=st.floats(-0.01, 0.01),
+    radial=st.floats(-0.02, 0.02),
     point=st.tuples(st.floats(-9000, 9000), st.floats(-9000, 9000)),
-)  # fmt: skip
+)
 def test_the_inverse_is_exact(rotation, scale, mirrored, stretch, radial, point):
     pose = CameraPose(
-        similarity=Similarity(scale=scale, rotation_rad=rotation, shift_um=(150.0, -420.0), mirrored=mirrored),
-        stretch=stretch, middle_um=(1700.0, 700.0), radial=radial, centre_um=(1560.0, 1120.0), half_diagonal_um=4000.0,
-    )  # fmt: skip
+        similarity=Similarity(
+            scale=scale, rotation_rad=rotation, shift_um=(150.0, -420.0), mirrored=mirrored
+        ),
+        stretch=stretch,
+        middle_um=(1700.0, 700.0),
+        radial=radial,
+        centre_um=(1560.0, 1120.0),
+        half_diagonal_um=4000.0,
+    )
     # Within 4.0 half diagonals of the middle: 1 / sqrt(3 x 0.02), where the lens would fold the image.
-    np.testing.assert_allclose(pose.inverse(pose([point, [0.0, 0.0]])), [point, [0.0, 0.0]], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        pose.inverse(pose([point, [0.0, 0.0]])), [point, [0.0, 0.0]], rtol=0, atol=1e-9
+    )
     np.testing.assert_allclose(pose(pose.inverse(np.array(point))), point, rtol=0, atol=1e-9)
 
 
@@ -59,7 +72,10 @@ def test_a_pose_keeps_missing_points_small_shifts_and_its_file():
 def test_the_middle_stays_the_lens_moves_corners_and_the_stretch_has_two_signs():
     shape, pose = drawn(radial=0.001, stretch=0.002, turn_deg=7.0)
     middle = [[1700.0, 700.0]]
-    np.testing.assert_allclose(pose(middle), [[(shape[1] - 1) * 2.0, (shape[0] - 1) * 2.0]], atol=1e-9)  # 4 um / 2
+    # 4 um / 2.
+    np.testing.assert_allclose(
+        pose(middle), [[(shape[1] - 1) * 2.0, (shape[0] - 1) * 2.0]], atol=1e-9
+    )
     shape, pose = drawn(radial=0.001)
     corner = np.array([0.0, 0.0])
     straight = replace(pose, radial=0.0)
@@ -75,14 +91,17 @@ def test_the_middle_stays_the_lens_moves_corners_and_the_stretch_has_two_signs()
     assert along == pytest.approx(1000.0 * pose.stretch)
 
 
-@pytest.mark.parametrize(("turn_deg", "mirrored"), [(0.0, True), (-15.0, False), (40.0, True), (155.0, False)])
+@pytest.mark.parametrize(
+    ("turn_deg", "mirrored"), [(0.0, True), (-15.0, False), (40.0, True), (155.0, False)]
+)
 def test_most_of_the_field_is_in_view_however_it_is_turned(turn_deg, mirrored):
     camera = CameraParams(turn_deg=turn_deg, mirrored=mirrored)
     off_middle = []
     for seed in range(4):
         shape, pose = draw_pose(camera, SPREAD, np.random.default_rng(seed))
         assert share_in_view(shape, pose, 4.0) > 0.845  # 85 %, less what another grid counts
-        assert shape[0] * shape[1] * 16.0 < 3.1 * 3000.0 * 2000.0  # 2.1 is the box around it at 45 degrees
+        # 2.1 is the box around it at 45 degrees.
+        assert shape[0] * shape[1] * 16.0 < 3.1 * 3000.0 * 2000.0
         off_middle.append(np.hypot(*(pose([[1700.0, 700.0]])[0] - pose.centre_um)))
         assert abs(np.rad2deg(pose.similarity.rotation_rad) - turn_deg) <= 8.0
     assert np.median(off_middle) > 100.0  # the specimen is not centred

@@ -30,7 +30,9 @@ from planish.synthetic.sheet import PITCH_UM
 
 module = importlib.import_module("planish.synthetic.specimen")
 SMALL = SpecimenParams(size_um=(700.0, 600.0), holes=BurnParams(pattern="irregular", count=1))
-EVERYTHING = ScannerParams(voxel_um=8.0, noise_px=2.0, fringe=0.12, cupping=0.04, rings=2, streak=0.03)
+EVERYTHING = ScannerParams(
+    voxel_um=8.0, noise_px=2.0, fringe=0.12, cupping=0.04, rings=2, streak=0.03
+)
 
 
 @settings(max_examples=25)
@@ -45,9 +47,14 @@ EVERYTHING = ScannerParams(voxel_um=8.0, noise_px=2.0, fringe=0.12, cupping=0.04
 )
 def test_the_inverse_of_the_warp_is_exact(slope, tilt, ruling, wavelength, bump, curl, s):
     warp = Warp(
-        slope=slope, tilt_deg=tilt, ruling_deg=ruling, wavelength_um=wavelength, bump_um=bump, curl_deg=curl,
+        slope=slope,
+        tilt_deg=tilt,
+        ruling_deg=ruling,
+        wavelength_um=wavelength,
+        bump_um=bump,
+        curl_deg=curl,
         curl_p_um=600.0,
-    )  # fmt: skip
+    )
     u, v = np.array([-1200.0, 3.0, 900.0]), np.array([700.0, -5.0, -1100.0])
     points = warp.points(u, v) + s * warp.normals(u, v)
     back = warp.material(points)
@@ -91,7 +98,9 @@ def test_columns_stand_above_their_material():
 def clean_sheet(slope, **more):
     """A sheet without blur, noise or texture, bent by a slope."""
     params = with_only(replace(SMALL, warp=Warp(slope=slope, wavelength_um=1500.0), **more), [])
-    return make_specimen(replace(params, scanner=replace(params.scanner, dtype="float32", grey=(0.0, 1.0, 3.0))))
+    return make_specimen(
+        replace(params, scanner=replace(params.scanner, dtype="float32", grey=(0.0, 1.0, 3.0)))
+    )
 
 
 @pytest.fixture(scope="module", params=[0.0, 0.4], ids=["flat", "bent"])
@@ -147,9 +156,11 @@ def test_a_crack_in_resin_lies_on_the_face_and_is_darker_than_resin():
 @pytest.mark.parametrize("fibres", [None, FibreParams()])
 def test_same_seed_same_bytes_on_any_number_of_threads_and_any_tile(fibres):
     params = replace(
-        SMALL, paper=PaperParams(fibres=fibres), scanner=EVERYTHING,
+        SMALL,
+        paper=PaperParams(fibres=fibres),
+        scanner=EVERYTHING,
         sections=SectionsParams(pixel_um=4.0, section_um=40.0),
-    )  # fmt: skip
+    )
     one, again = make_specimen(params), make_specimen(params)
     with limit_threads(1):
         volume = one.scanner.volume()
@@ -177,7 +188,9 @@ def test_one_nuisance_does_not_move_the_others():
 
 @pytest.mark.ci
 def test_noise_has_the_size_and_the_length_that_were_asked_for():
-    params = with_only(replace(SMALL, scanner=replace(EVERYTHING, dtype="float32", noise=0.08)), ["scan_noise"])
+    params = with_only(
+        replace(SMALL, scanner=replace(EVERYTHING, dtype="float32", noise=0.08)), ["scan_noise"]
+    )
     quiet = make_specimen(with_only(params, []))
     noise = (make_specimen(params).volume - quiet.volume).values / 160.0
     assert noise.std() == pytest.approx(0.08, rel=0.01)
@@ -191,7 +204,8 @@ def test_noise_has_the_size_and_the_length_that_were_asked_for():
 def test_sections_are_where_their_poses_say():
     """A picture moved back by its pose shows what a perfect one shows."""
     params = with_only(
-        replace(SMALL, sections=SectionsParams(pixel_um=2.0, section_um=20.0)), ["jitter", "section_turn"]
+        replace(SMALL, sections=SectionsParams(pixel_um=2.0, section_um=20.0)),
+        ["jitter", "section_turn"],
     )
     moved, still = make_specimen(params), make_specimen(with_only(params, []))
     assert moved.poses.shift_x_um.std() == pytest.approx(1.5, rel=0.35)
@@ -216,19 +230,33 @@ def test_missing_sections_come_in_runs_of_at_most_three():
 @pytest.mark.ci
 def test_holes_have_the_size_that_was_ordered_or_are_half_closed_and_do_not_fit_everywhere():
     centres = np.array([[300.0, 300.0], [900.0, 700.0]])
-    exact = BurnParams(rim_um=0.0, axis_ratio=1.0, diameter_sd_um=0.0, tilt_deg=0.0, half_closed=0.0)
+    exact = BurnParams(
+        rim_um=0.0, axis_ratio=1.0, diameter_sd_um=0.0, tilt_deg=0.0, half_closed=0.0
+    )
 
     def open_um2(holes):
         sheet = make_sheet(
-            PaperParams(), holes, low=np.zeros(2), high=np.array([1200.0, 1000.0]), centres=centres, seed=0
+            PaperParams(),
+            holes,
+            low=np.zeros(2),
+            high=np.array([1200.0, 1000.0]),
+            centres=centres,
+            seed=0,
         )
         return np.count_nonzero(sheet.rim_um < 0, axis=(1, 2)) * PITCH_UM**2 / 2
 
-    np.testing.assert_allclose(np.sqrt(4 * open_um2(exact) / np.pi), [175.0, 175.0 * 0.85], rtol=0.01)
+    np.testing.assert_allclose(
+        np.sqrt(4 * open_um2(exact) / np.pi), [175.0, 175.0 * 0.85], rtol=0.01
+    )
     top, bottom = open_um2(replace(exact, half_closed=1.0, taper=0.0))
     assert bottom / top == pytest.approx(0.5, abs=0.05)
     refused(ValueError, "coded holes fit", make_specimen, SpecimenParams(size_um=(700.0, 600.0)))
-    refused(ValueError, "do not fit", make_specimen, replace(SMALL, holes=BurnParams(pattern="irregular", count=9)))
+    refused(
+        ValueError,
+        "do not fit",
+        make_specimen,
+        replace(SMALL, holes=BurnParams(pattern="irregular", count=9)),
+    )
 
 
 def test_drawn_parameters_lie_in_their_ranges():
@@ -236,7 +264,9 @@ def test_drawn_parameters_lie_in_their_ranges():
     drawn = [draw_params(SpecimenParams(seed=seed)) for seed in range(60)]
     assert {params.scanner.rings for params in drawn} == {0, 1, 2, 3}
     assert {params.camera.backing for params in drawn} == {"pile", "black"}
-    assert all(2.4 <= params.scanner.voxel_um <= 3.2 and params.scanner.ring == 0.03 for params in drawn)
+    assert all(
+        2.4 <= params.scanner.voxel_um <= 3.2 and params.scanner.ring == 0.03 for params in drawn
+    )
     assert [params.seed for params in drawn] == list(range(60))
     assert draw_params(SpecimenParams(seed=7)) == drawn[7]
 
@@ -249,7 +279,11 @@ def test_the_default_specimen_in_one_call(tmp_path, monkeypatch):
     voxel, pixel = SMALL.scanner.voxel_um, SMALL.camera.pixel_um
     assert (specimen.volume.dims, float(specimen.volume["x"][1])) == (("z", "y", "x"), voxel)
     assert float(specimen.image["y"][2]) == 2 * pixel
-    for file in (specimen.files.volume, specimen.files.image, tmp_path / "made" / "truth" / "holes.csv"):
+    for file in (
+        specimen.files.volume,
+        specimen.files.image,
+        tmp_path / "made" / "truth" / "holes.csv",
+    ):
         assert file.is_file()
     assert "1 holes" in repr(specimen)
     assert make_specimen(SMALL).files is None

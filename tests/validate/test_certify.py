@@ -11,7 +11,17 @@ import pytest
 import record
 from folders import refused
 from planish.core.errors import CannotRegister, InputError
-from planish.validate import STAGES, Certificate, Entry, Limit, certify, read_scenario, render_page, run_scenario, table
+from planish.validate import (
+    STAGES,
+    Certificate,
+    Entry,
+    Limit,
+    certify,
+    read_scenario,
+    render_page,
+    run_scenario,
+    table,
+)
 from planish.validate.page import dots
 from report.pages import Page, assert_alone
 
@@ -41,8 +51,15 @@ def test_the_spread_over_seeds_and_the_worst_one_decide():
     assert (found["tre_p95"].mean, found["tre_p95"].sd) == (2.0, pytest.approx(np.sqrt(2.0)))
     assert (found["tre_p95"].worst, found["top_bias"].worst) == (3.0, -0.3)
     assert list(found) == ["top_bias", "tre_p95"]
-    limits = {"tre_p95": Limit(limit=2.5), "recall_image": Limit(least=0.9), "thin_dice": Limit(least=0.5)}
-    found = made_up([{"tre_p95": 1.0, "recall_image": 1.0}, {"tre_p95": 3.0, "recall_image": 1.0}], limits=limits)
+    limits = {
+        "tre_p95": Limit(limit=2.5),
+        "recall_image": Limit(least=0.9),
+        "thin_dice": Limit(least=0.5),
+    }
+    found = made_up(
+        [{"tre_p95": 1.0, "recall_image": 1.0}, {"tre_p95": 3.0, "recall_image": 1.0}],
+        limits=limits,
+    )
     assert {name: line.met for name, line in found.lines().items()} == {
         "tre_p95": False,
         "recall_image": True,
@@ -68,10 +85,15 @@ def test_every_seed_gives_an_entry_and_the_first_an_example(monkeypatch, small):
     run = SimpleNamespace(results=results, groups={"linked": None})
     monkeypatch.setattr(certify, "run_study", lambda *_, **__: run)
     monkeypatch.setattr(certify, "make_ledger", lambda _both: {"tre_p95": 7.0})
-    monkeypatch.setattr("planish.validate.page.draw_example", lambda _both, seed: [f"maps of {seed}"])
+    monkeypatch.setattr(
+        "planish.validate.page.draw_example", lambda _both, seed: [f"maps of {seed}"]
+    )
     reports = []
     found = run_scenario(small, [4, 2], progress=lambda *words: reports.append(words))
-    assert ([entry.seed for entry in found.entries], found.entries[0].values) == ([4, 2], {"tre_p95": 7.0})
+    assert ([entry.seed for entry in found.entries], found.entries[0].values) == (
+        [4, 2],
+        {"tre_p95": 7.0},
+    )
     assert found.entries[0].failed == ("marks: 7 marks agree to 33.1 um.",)
     assert [entry.pictures for entry in found.entries] == [("maps of 4",), ()]
     assert ("small", "seed 2, 2 of 2") in reports
@@ -92,7 +114,10 @@ def test_a_refusal_is_an_outcome(monkeypatch, small):
 
     monkeypatch.setattr(certify, "run_study", refuse)
     found = run_scenario(small, 1)
-    assert (found.entries[0].refusal, found.entries[0].values) == ("Only 2 holes were found in the volume.", {})
+    assert (found.entries[0].refusal, found.entries[0].values) == (
+        "Only 2 holes were found in the volume.",
+        {},
+    )
     assert not found.passed
     assert "no result" in table.verdict(found)
     assert "Only 2 holes" in render_page(found)
@@ -141,11 +166,19 @@ def test_the_page_needs_nothing_else(certificate):
 
 
 def test_figures_worse_than_recorded_are_named_by_size():
-    old = made_up([{"tre_p95": 1.0, "recall_image": 1.0, "r_pixel": 0.5}, {"tre_p95": 1.2, "recall_image": 1.0}])
+    old = made_up(
+        [
+            {"tre_p95": 1.0, "recall_image": 1.0, "r_pixel": 0.5},
+            {"tre_p95": 1.2, "recall_image": 1.0},
+        ]
+    )
     kept = record.record(old)
     assert (kept["figures"]["tre_p95"]["mean"], record.worse(old, kept)) == (pytest.approx(1.1), [])
     # 2 sd are 0.28
-    near, far = made_up([{"tre_p95": 1.35, "recall_image": 1.0}]), made_up([{"tre_p95": 1.4, "recall_image": 0.9}])
+    near, far = (
+        made_up([{"tre_p95": 1.35, "recall_image": 1.0}]),
+        made_up([{"tre_p95": 1.4, "recall_image": 0.9}]),
+    )
     assert record.worse(near, kept) == []
     faults = record.worse(far, kept)
     assert [fault.split(":")[0] for fault in faults] == ["recall_image", "tre_p95"]

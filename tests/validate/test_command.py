@@ -23,9 +23,11 @@ def call(capsys, monkeypatch, certificate):
     def do(*arguments):
         # The names of the help option are the group's; click keeps the option once a command has made it.
         code = validate.main(
-            [str(a) for a in arguments], prog_name="planish validate", standalone_mode=False,
+            [str(a) for a in arguments],
+            prog_name="planish validate",
+            standalone_mode=False,
             help_option_names=["-h", "--help"],
-        )  # fmt: skip
+        )
         out, err = capsys.readouterr()
         return code, out, err
 
@@ -53,20 +55,28 @@ def test_files_and_folders_of_scenarios(call, tmp_path):
     code, _, err = call("--out", tmp_path / "out")
     assert code == 0
     assert {p.name for p in (tmp_path / "out").iterdir()} == {
-        "certificate.html", "certificate.json", "certificate.md"
-    }  # fmt: skip
+        "certificate.html",
+        "certificate.json",
+        "certificate.md",
+    }
     assert json.loads((tmp_path / "out" / "certificate.json").read_text())["passed"]
     assert "certificate" in err
     refused(FileError, "exists already", call, "--out", tmp_path / "out")
-    code, out, _ = call("--scenario", "small", "--scenario", "quiet", "--out", tmp_path / "both", "--json")
+    code, out, _ = call(
+        "--scenario", "small", "--scenario", "quiet", "--out", tmp_path / "both", "--json"
+    )
     assert code in (0, 4)
     assert [found["scenario"]["name"] for found in json.loads(out)] == ["small", "quiet"]
     assert {p.name for p in (tmp_path / "both").iterdir()} == {"small", "quiet"}
 
 
 def test_a_missed_limit_ends_with_4(call, monkeypatch, certificate):
-    strict = certificate.scenario.model_copy(update={"limits": {"tre_p95": Limit(limit=1e-6, source="a dream")}})
-    monkeypatch.setattr(certify, "run_scenario", lambda *_, **__: replace(certificate, scenario=strict))
+    strict = certificate.scenario.model_copy(
+        update={"limits": {"tre_p95": Limit(limit=1e-6, source="a dream")}}
+    )
+    monkeypatch.setattr(
+        certify, "run_scenario", lambda *_, **__: replace(certificate, scenario=strict)
+    )
     code, out, err = call()
     assert code == 4
     assert "MISSED" in out

@@ -86,8 +86,13 @@ def exact_run(*, shift=(0.0, 0.0), lift=0.0, stretch=1.0, thicker=0.0):
         return s
 
     dims = ("y", "x")
-    levels = dict(zip(("top", "interface_top", "interface_bottom", "bottom"), FACES_UM, strict=True))
-    values = {name: (dims, height(solved(s, lift if name == "top" else 0.0))) for name, s in levels.items()}
+    levels = dict(
+        zip(("top", "interface_top", "interface_bottom", "bottom"), FACES_UM, strict=True)
+    )
+    values = {
+        name: (dims, height(solved(s, lift if name == "top" else 0.0)))
+        for name, s in levels.items()
+    }
     values |= {
         "centre": (dims, height(np.zeros(xx.shape))),
         "status": (dims, np.zeros(xx.shape, dtype=np.int8)),
@@ -99,10 +104,14 @@ def exact_run(*, shift=(0.0, 0.0), lift=0.0, stretch=1.0, thicker=0.0):
     surfaces = xr.Dataset(values, coords={"y": y, "x": x}, attrs=attrs)
     surfaces["coating_top_se"] = surfaces["top"] * 0 + 0.4
     flat = xr.Dataset(
-        {"u": (dims, stretch * u + 100.0), "v": (dims, stretch * v - 50.0), "projected_u": (dims, xx),
-         "projected_v": (dims, yy)},
+        {
+            "u": (dims, stretch * u + 100.0),
+            "v": (dims, stretch * v - 50.0),
+            "projected_u": (dims, xx),
+            "projected_v": (dims, yy),
+        },
         coords={"y": y, "x": x},
-    )  # fmt: skip
+    )
     shape = 152, 208
     iy, ix = np.arange(shape[0]) * PIXEL, np.arange(shape[1]) * PIXEL
     pu, pv = np.moveaxis(pose.inverse(np.stack(np.meshgrid(ix, iy), axis=-1)), -1, 0)
@@ -123,9 +132,14 @@ def exact_run(*, shift=(0.0, 0.0), lift=0.0, stretch=1.0, thicker=0.0):
     )
     truth = xr.Dataset({"u": (dims, pu), "v": (dims, pv)}, coords={"y": iy, "x": ix})
     mu, mv = np.arange(0, stretch * u.max() + 200, PIXEL), np.arange(-50, stretch * v.max(), PIXEL)
-    at_u, at_v = (mu[None, :] - 100.0) / stretch + 0 * mv[:, None], (mv[:, None] + 50.0) / stretch + 0 * mu[None, :]
+    at_u, at_v = (
+        (mu[None, :] - 100.0) / stretch + 0 * mv[:, None],
+        (mv[:, None] + 50.0) / stretch + 0 * mu[None, :],
+    )
     on = (at_u >= 0) & (at_u <= u.max()) & (at_v >= 0) & (at_v <= v.max())
-    presence = 1.0 - (np.hypot(at_u[..., None] - HOLES[:, 0], at_v[..., None] - HOLES[:, 1]).min(axis=-1) < 88)
+    presence = 1.0 - (
+        np.hypot(at_u[..., None] - HOLES[:, 0], at_v[..., None] - HOLES[:, 1]).min(axis=-1) < 88
+    )
     maps = xr.Dataset(
         {
             "presence": (("v", "u"), np.where(on, presence, np.nan)),
@@ -140,13 +154,15 @@ def exact_run(*, shift=(0.0, 0.0), lift=0.0, stretch=1.0, thicker=0.0):
     moving = stretch * HOLES + [100.0, -50.0]
     fixed = pose(HOLES)
     study = SimpleNamespace(
-        holes=SimpleNamespace(hole_um=(100.0, 300.0)), correlate=SimpleNamespace(thin_um=13.0, point_um=100.0)
-    )  # fmt: skip
+        holes=SimpleNamespace(hole_um=(100.0, 300.0)),
+        correlate=SimpleNamespace(thin_um=13.0, point_um=100.0),
+    )
     run = SimpleNamespace(
-        groups={"surfaces": surfaces, "flat": flat, "linked": linked, "maps": maps}, study=study,
+        groups={"surfaces": surfaces, "flat": flat, "linked": linked, "maps": maps},
+        study=study,
         registrations={"sheet": SimpleNamespace(fit=fit_transform(moving, fixed))},
         results=SimpleNamespace(layers=[SimpleNamespace(headline="coating_top", sheet=True)]),
-    )  # fmt: skip
+    )
     specimen = SimpleNamespace(warp=warp, sheet=sheet, pose=pose, truth=truth)
     files = SimpleNamespace(to_physical=lambda points, _sections=None: points)
     return specimen, files, run
@@ -160,13 +176,22 @@ def figures(stage, specimen, files, run):
 def disc_image(centres, x, y, coating):
     """Dark discs on a ground that follows the coating."""
     away = np.hypot(x[None, :, None] - centres[:, 0], y[:, None, None] - centres[:, 1]).min(axis=-1)
-    return np.where(away < 88, 0.05, 0.7 + 0.01 * coating) + np.random.default_rng(0).normal(0, 0.002, away.shape)
+    return np.where(away < 88, 0.05, 0.7 + 0.01 * coating) + np.random.default_rng(0).normal(
+        0, 0.002, away.shape
+    )
 
 
 def test_an_exact_run_has_no_errors():
     found = figures(make_ledger, *exact_run())
     exact = [f"{face}_rmse" for face in FACES]
-    exact += ["centre_rms", "angle_rms", "column_coating_top_rmse", "pixel_coating_top_rmse", "node_rms", "flat_scale"]
+    exact += [
+        "centre_rms",
+        "angle_rms",
+        "column_coating_top_rmse",
+        "pixel_coating_top_rmse",
+        "node_rms",
+        "flat_scale",
+    ]
     exact += ["strain_rms", "tre_rms", "fre_rms", "scale_deviation", "r_difference_pixel"]
     assert [found[name] for name in exact] == pytest.approx([0.0] * len(exact), abs=1e-6)
     assert (found["thin_dice"], found["thin_lag"], found["measured_share"]) == (1.0, 0.0, 100.0)
@@ -190,8 +215,11 @@ def test_a_false_and_a_missed_hole():
 def test_pictures_of_errors():
     pictures = page.draw_example(Comparison(*exact_run(shift=(3.0, 0.0), thicker=-0.4)), 7)
     assert [picture.title for picture in pictures] == [
-        "The image of one specimen", "Measured coating thickness", "Error of place", "Error of the coating thickness"
-    ]  # fmt: skip
+        "The image of one specimen",
+        "Measured coating thickness",
+        "Error of place",
+        "Error of the coating thickness",
+    ]
     assert "Seed 7; pixels of 5" in pictures[0].caption
     assert "below 3.00" in pictures[2].caption
     assert "−0.400" in pictures[3].caption
@@ -335,7 +363,8 @@ def test_runs_without_an_image_or_any_value_have_no_figures_of_them():
 
 def test_figures_are_named_once_and_outlines_of_discs_are_as_far_apart_as_their_radii():
     assert all(
-        figure.stage in scenario.STAGES and figure.sentence and figure.title for figure in scenario.FIGURES.values()
+        figure.stage in scenario.STAGES and figure.sentence and figure.title
+        for figure in scenario.FIGURES.values()
     )
     assert all(
         name in scenario.FIGURES and scenario.FIGURES[name].stage == stage
@@ -349,4 +378,7 @@ def test_figures_are_named_once_and_outlines_of_discs_are_as_far_apart_as_their_
     points = errors.contour_points(one, 0.0) * 2.0
     np.testing.assert_allclose(np.hypot(points[:, 1] - 120, points[:, 0] - 118), 60.0, atol=0.02)
     assert errors.dice(one < 0, two < 0) == pytest.approx(2 * 60**2 / (60**2 + 67**2), rel=0.01)
-    assert (errors.outline_lag(one, two + 1e3, 0.0, (2.0, 2.0)), errors.dice(one > 1e9, one > 1e9)) == (None, None)
+    assert (
+        errors.outline_lag(one, two + 1e3, 0.0, (2.0, 2.0)),
+        errors.dice(one > 1e9, one > 1e9),
+    ) == (None, None)

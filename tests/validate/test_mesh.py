@@ -11,14 +11,18 @@ from planish.validate.mesh import cylinder, deformed, grid, node_error, rest_len
 def test_as_1_with_two_deformations():
     found = certify.run_scenario(scenario.read_scenario("as-1"), 2)
     # times depend on the machine and are no matter of a test
-    assert all(line.met is not False for name, line in found.lines().items() if "seconds" not in name)
+    assert all(
+        line.met is not False for name, line in found.lines().items() if "seconds" not in name
+    )
     # the paper's own reading stops too early; the specification names 0.2 to 0.5 %
     assert 0.1 < found.lines()["mesh_first"].mean < 1.0
 
 
 def test_errors_start_and_rest_lengths_of_the_mesh():
     flat = grid(24, 32)
-    np.testing.assert_allclose(size_errors(flat * [1.01, 0.98], flat), [0.01, -0.02, 1.01 / 0.98 - 1])
+    np.testing.assert_allclose(
+        size_errors(flat * [1.01, 0.98], flat), [0.01, -0.02, 1.01 / 0.98 - 1]
+    )
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
     assert node_error(flat @ turn + 5.0, flat) < 1e-12
     moved = flat.copy()
@@ -26,7 +30,11 @@ def test_errors_start_and_rest_lengths_of_the_mesh():
     # the mean of 768 nodes moves along by 0.5 / 768, the turn by less
     assert node_error(moved, flat) == pytest.approx(0.5, rel=0.01)
     start, rest = deformed(0)
-    assert (start.shape, np.nanmin(rest), np.nanmax(rest)) == ((24, 32, 2), 1.0, pytest.approx(np.sqrt(2.0)))
+    assert (start.shape, np.nanmin(rest), np.nanmax(rest)) == (
+        (24, 32, 2),
+        1.0,
+        pytest.approx(np.sqrt(2.0)),
+    )
     flat, points = cylinder()
     # arcs of equal x are longest at the ends
     lengths = rest_lengths(points)[0, 0, :-1]

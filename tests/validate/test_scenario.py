@@ -39,7 +39,11 @@ def test_as_2_is_what_the_specification_asks_for():
     scenario = read_scenario("as-2")
     params = scenario.params(0)
     assert params.size_um == (8000.0, 6000.0)
-    assert (scenario.instrument, params.sections.pixel_um, params.sections.section_um) == ("sections", 2.43, 3.0)
+    assert (scenario.instrument, params.sections.pixel_um, params.sections.section_um) == (
+        "sections",
+        2.43,
+        3.0,
+    )
     assert params.camera.pixel_um == 12.0
     # The sheet over the 8 mm along x is longer than these by 250 um, wherever one looks.
     warp = replace(params.warp, shift_um=(4000.0, 3000.0, 0.0), reach_um=18_000.0)

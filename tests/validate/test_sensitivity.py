@@ -12,15 +12,26 @@ BASE = {"surfaces_rmse": 0.4, "column_coating_top_rmse": 0.5, "fle_pair": 0.3, "
 
 
 def test_errors_are_taken_apart_as_squares():
-    assert (certify.added_error(0.5, 0.4), certify.added_error(0.3, 0.4)) == (pytest.approx(0.3), 0.0)
+    assert (certify.added_error(0.5, 0.4), certify.added_error(0.3, 0.4)) == (
+        pytest.approx(0.3),
+        0.0,
+    )
     assert certify.added_error(None, 0.4) is None
 
 
 def test_the_first_stage_of_those_that_grow_alike_suffers():
-    keys = {"surfaces": "surfaces_rmse", "thickness": "column_coating_top_rmse", "registration": "tre_rms"}
+    keys = {
+        "surfaces": "surfaces_rmse",
+        "thickness": "column_coating_top_rmse",
+        "registration": "tre_rms",
+    }
     quiet = {"surfaces": 0.4, "thickness": 0.5, "registration": 0.6}
     row = certify.make_row(
-        "scan_blur", keys, quiet, {"surfaces_rmse": 0.8, "column_coating_top_rmse": 1.2, "tre_rms": 0.6}, None
+        "scan_blur",
+        keys,
+        quiet,
+        {"surfaces_rmse": 0.8, "column_coating_top_rmse": 1.2, "tre_rms": 0.6},
+        None,
     )
     assert row.suffers == "surfaces"
     row = certify.make_row("stretch", keys, quiet, BASE | {"tre_rms": 3.0}, None)
@@ -29,7 +40,9 @@ def test_the_first_stage_of_those_that_grow_alike_suffers():
     assert row.suffers is None
     assert "no stage notices" in table.row_sentence(row)
     # against a baseline of next to nothing, 0.01 um are no growth to speak of
-    row = certify.make_row("lens", {"registration": "tre_rms"}, {"registration": 1e-6}, {"tre_rms": 0.01}, None)
+    row = certify.make_row(
+        "lens", {"registration": "tre_rms"}, {"registration": 1e-6}, {"tre_rms": 0.01}, None
+    )
     assert row.suffers is None
 
 
@@ -49,7 +62,11 @@ def fake(monkeypatch, effect):
 
 
 def test_independent_nuisances_sum_up(monkeypatch, small):
-    adds = {"char": {"fle_pair": 1.0}, "stage": {"tre_rms": 2.0}, "scan_noise": {"surfaces_rmse": 0.5}}
+    adds = {
+        "char": {"fle_pair": 1.0},
+        "stage": {"tre_rms": 2.0},
+        "scan_noise": {"surfaces_rmse": 0.5},
+    }
 
     def effect(on):
         values = {k: v**2 for k, v in BASE.items()}
@@ -63,9 +80,15 @@ def test_independent_nuisances_sum_up(monkeypatch, small):
     assert (len(calls), calls[0]) == (2 + len(small.active), frozenset())
     suffering = {row.nuisance: row.suffers for row in found.rows}
     assert {k: v for k, v in suffering.items() if v} == {
-        "char": "holes", "stage": "registration", "scan_noise": "surfaces"
-    }  # fmt: skip
-    assert (found.ratio["holes"], found.ratio["thickness"], found.together) == (pytest.approx(1.0), None, {})
+        "char": "holes",
+        "stage": "registration",
+        "scan_noise": "surfaces",
+    }
+    assert (found.ratio["holes"], found.ratio["thickness"], found.together) == (
+        pytest.approx(1.0),
+        None,
+        {},
+    )
     assert "act independently" in table.sum_sentence("holes", found)
     head, rows = table.sensitivity_rows(found)
     assert all(len(row) == len(head) for row in rows)

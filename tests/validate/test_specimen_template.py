@@ -35,7 +35,10 @@ def test_the_template_states_its_sources_and_takes_the_place_of_paper_and_instru
     assert all(note.endswith(".") for note in found.notes)
     assert "path" not in json.dumps(found.study)
     scenario = found.scenario(read_scenario("ct"))
-    assert (scenario.params(2).paper, scenario.params(2).warp) == (found.params.paper, found.params.warp)
+    assert (scenario.params(2).paper, scenario.params(2).warp) == (
+        found.params.paper,
+        found.params.warp,
+    )
     assert (scenario.params(2).seed, scenario.limits) == (2, read_scenario("ct").limits)
     assert scenario.instrument == "stack"
 
@@ -51,7 +54,9 @@ def test_a_folder_that_is_no_run(linked_run, tmp_path, missing):
     refused(FileError, r"results\.json|is no run", specimen_template.like_run, part)
 
 
-@pytest.mark.parametrize("text", ["{", "[1, 2]", "{}", '{"inputs": {"volume": {"voxel_um": [1, 2, 3]}}}'])
+@pytest.mark.parametrize(
+    "text", ["{", "[1, 2]", "{}", '{"inputs": {"volume": {"voxel_um": [1, 2, 3]}}}']
+)
 def test_damaged_results(linked_run, tmp_path, text):
     part = tmp_path / "run"
     shutil.copytree(linked_run, part)

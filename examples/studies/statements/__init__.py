@@ -11,9 +11,14 @@ from matplotlib.figure import Figure
 from . import design, fig_06, fig_07, fig_09, fig_11, flattening, no_holes
 
 STATEMENTS: dict[str, Callable[[Path, Figure], str]] = {
-    "fig-06": fig_06.state, "fig-07": fig_07.state, "fig-09": fig_09.state, "fig-11": fig_11.state,
-    "flattening": flattening.state, "no-holes": no_holes.state, "design": design.state,
-}  # fmt: skip
+    "fig-06": fig_06.state,
+    "fig-07": fig_07.state,
+    "fig-09": fig_09.state,
+    "fig-11": fig_11.state,
+    "flattening": flattening.state,
+    "no-holes": no_holes.state,
+    "design": design.state,
+}
 """One for each study."""
 
 

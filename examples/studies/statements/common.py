@@ -42,7 +42,9 @@ def one_run(folder: Path) -> pl.Run:
     return next(iter(runs.values()))
 
 
-def fields_of(series: SeriesResults, wanted: Callable[[SeriesSpecimen], bool]) -> tuple[Fields, list[float]]:
+def fields_of(
+    series: SeriesResults, wanted: Callable[[SeriesSpecimen], bool]
+) -> tuple[Fields, list[float]]:
     """R of the fields that are wanted, and the independent points behind their intervals."""
     at = next(k for k, q in enumerate(series.quantities) if q.what == "r")
     found = [one for one in series.specimens if wanted(one)]
@@ -54,7 +56,11 @@ def fields_of(series: SeriesResults, wanted: Callable[[SeriesSpecimen], bool]) -
 
 def of_image(run: pl.Run) -> CorrelationRow:
     """Correlation of coating and image at the largest points."""
-    return [row for row in run.results.correlations if row.a_map == "coating_top" and row.b_map == "image"][-1]
+    return [
+        row
+        for row in run.results.correlations
+        if row.a_map == "coating_top" and row.b_map == "image"
+    ][-1]
 
 
 def cloud(ax: Axes, run: pl.Run, label: str) -> None:
@@ -74,7 +80,13 @@ def draw_map(ax: Axes, maps: xr.Dataset, values: np.ndarray, *, low: float | Non
     """Draw a map in grey from its 1 to its 99 % value, or from ``low``; missing is light grey, its borders cut off."""
     least, most = np.nanpercentile(values, (1, 99))
     limits = {"vmin": least if low is None else low, "vmax": most}
-    ax.imshow(np.ma.masked_invalid(values), extent=extent_mm(maps), cmap="gray", interpolation="none", **limits)
+    ax.imshow(
+        np.ma.masked_invalid(values),
+        extent=extent_mm(maps),
+        cmap="gray",
+        interpolation="none",
+        **limits,
+    )
     ax.set_facecolor(MISSING)
     seen = np.isfinite(values)
     rows, cols = (np.flatnonzero(seen.any(axis=axis))[[0, -1]] for axis in (1, 0))
@@ -89,4 +101,9 @@ def pitch(maps: xr.Dataset) -> tuple[float, float]:
 
 def extent_mm(maps: xr.Dataset) -> tuple[float, float, float, float]:
     """Left, right, bottom and top of a map whose first row is on top."""
-    return float(maps.x[0]) / 1e3, float(maps.x[-1]) / 1e3, float(maps.y[-1]) / 1e3, float(maps.y[0]) / 1e3
+    return (
+        float(maps.x[0]) / 1e3,
+        float(maps.x[-1]) / 1e3,
+        float(maps.y[-1]) / 1e3,
+        float(maps.y[0]) / 1e3,
+    )

@@ -32,25 +32,39 @@ def state(folder: Path, figure: Figure) -> str:
     ax, text = figure.subplots(), list[str]()
     designs = [(paired, fields) for paired in (True, False) for fields in (1, 3)]
     for colour, (paired, fields) in enumerate(designs):
-        label = f"{'same sheets' if paired else 'two papers'}, {fields} field{'s' * (fields > 1)} a sheet"
+        label = (
+            f"{'same sheets' if paired else 'two papers'}, {fields} field{'s' * (fields > 1)} a"
+            " sheet"
+        )
         more = {"change_between_sheets": CHANGE, "shared": SHARED} if paired else {}
         needed: list[str] = []
         for between, style in zip(BETWEEN, ("-", "--"), strict=True):
-            given = {"fields": fields, "n_eff": points, "between_sheets": between, "paired": paired, **more}
+            given = {
+                "fields": fields,
+                "n_eff": points,
+                "between_sheets": between,
+                "paired": paired,
+                **more,
+            }
             needed.append(str(sheets_needed(R2, **given).sheets))
             power = [power_of_study(R2, sheets=int(k), **given).power for k in counts]
-            ax.plot(counts, power, style, color=f"C{colour}", label=f"{label}, z varies by {between}")
+            ax.plot(
+                counts, power, style, color=f"C{colour}", label=f"{label}, z varies by {between}"
+            )
         text.append(f"{label} {' or '.join(needed)}")
     ax.axhline(0.8, color="grey", linewidth=0.8)
     ax.set(
-        title=f"r² {R2[0]} against {R2[1]}; {points:.0f} independent points a field", xlabel="sheets", ylabel="power"
+        title=f"r² {R2[0]} against {R2[1]}; {points:.0f} independent points a field",
+        xlabel="sheets",
+        ylabel="power",
     )
     ax.set_xscale("log")
     ax.set_xticks(ticks := [3, 5, 10, 20, 50, 100], [str(k) for k in ticks])
     ax.legend(frameon=False, fontsize=7, loc="upper left")
     return (
-        f"To distinguish r² {R2[0]} from {R2[1]} with a power of 0.8 in fields of {points:.0f} independent points "
-        f"takes so many sheets (of each paper), where z varies by {BETWEEN[0]} or {BETWEEN[1]} between sheets: "
-        f"{'; '.join(text)}. In this series z varied by {math.sqrt(found.between):.2f} "
-        f"between its {int(use.sum())} fields, which are too few to state it well."
+        f"To distinguish r² {R2[0]} from {R2[1]} with a power of 0.8 in fields of {points:.0f}"
+        f" independent points takes so many sheets (of each paper), where z varies by {BETWEEN[0]}"
+        f" or {BETWEEN[1]} between sheets: {'; '.join(text)}. In this series z varied by"
+        f" {math.sqrt(found.between):.2f} between its {int(use.sum())} fields, which are too few to"
+        " state it well."
     )

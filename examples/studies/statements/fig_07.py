@@ -18,7 +18,9 @@ def state(folder: Path, figure: Figure) -> str:
     """Compare r² of two treatments of the same sheets."""
     series, runs = SeriesResults.read(folder / "results.json"), runs_of(folder)
     levels = list(dict.fromkeys(one.member.factors["treatment"] for one in series.specimens))
-    each = [fields_of(series, lambda one, k=k: one.member.factors["treatment"] == k) for k in levels]
+    each = [
+        fields_of(series, lambda one, k=k: one.member.factors["treatment"] == k) for k in levels
+    ]
     of_r2 = difference_of_pooled_r(each[0][0], each[1][0], paired=True, squared=True)
     of_r = difference_of_pooled_r(each[0][0], each[1][0], paired=True)
     pooled = [pooled_r(*one) for one in each]
@@ -27,7 +29,10 @@ def state(folder: Path, figure: Figure) -> str:
         for one in series.specimens:
             if one.member.factors["treatment"] == levels[k] and one.member.name in runs:
                 cloud(ax, runs[one.member.name], f"sheet {one.member.factors['sheet']}")
-        ax.set(title=f"{levels[k].capitalize()}: r² = {pooled[k].mean ** 2:.2f}", xlabel="coating thickness / µm")
+        ax.set(
+            title=f"{levels[k].capitalize()}: r² = {pooled[k].mean ** 2:.2f}",
+            xlabel="coating thickness / µm",
+        )
         ax.set_ylabel("brightness" if k == 0 else "")
         ax.legend(frameon=False, markerscale=3)
     each_says = " and ".join(
@@ -35,8 +40,9 @@ def state(folder: Path, figure: Figure) -> str:
         for one, level in zip(pooled, levels, strict=True)
     )
     return (
-        f"r² is {each_says} over {of_r2.sheets[0]} sheets. Its difference is {of_r2.difference:+.3f} (95 % interval "
-        f"{interval(of_r2.interval, 3)}), that of r {of_r.difference:+.3f} ({interval(of_r.interval, 3)}): "
-        f"{VERDICT[of_r2.distinguishable]}{f' ({of_r2.reason})' if of_r2.reason else ''}. In 80 % of cases, such a "
-        f"study finds a difference of r² of {of_r2.smallest_seen():.3f}."
+        f"r² is {each_says} over {of_r2.sheets[0]} sheets. Its difference is"
+        f" {of_r2.difference:+.3f} (95 % interval {interval(of_r2.interval, 3)}), that of r"
+        f" {of_r.difference:+.3f} ({interval(of_r.interval, 3)}):"
+        f" {VERDICT[of_r2.distinguishable]}{f' ({of_r2.reason})' if of_r2.reason else ''}. In 80 %"
+        f" of cases, such a study finds a difference of r² of {of_r2.smallest_seen():.3f}."
     )

@@ -19,10 +19,12 @@ def state(folder: Path, figure: Figure) -> str:
     draw_map(maps, linked, known(linked, "image"))
     maps.set(title="Print without its screen, away from holes", xlabel="x / mm", ylabel="y / mm")
     cloud(right, run, "")
-    right.set(title=f"r² = {row.r2:.2f}", xlabel="coating thickness / µm", ylabel="grey of the print")
+    right.set(
+        title=f"r² = {row.r2:.2f}", xlabel="coating thickness / µm", ylabel="grey of the print"
+    )
     return (
-        f"r = {row.r:.2f} (95 % interval {interval(row.interval)}), r² = {row.r2:.2f} over {row.n} points of "
-        f"{row.point_um:g} um, {row.n_eff:.0f} of them independent.{_mottle(run)}"
+        f"r = {row.r:.2f} (95 % interval {interval(row.interval)}), r² = {row.r2:.2f} over {row.n}"
+        f" points of {row.point_um:g} um, {row.n_eff:.0f} of them independent.{_mottle(run)}"
     )
 
 
@@ -31,7 +33,10 @@ def _mottle(run: pl.Run) -> str:
     bands = [band for one in run.results.mottle for band in one.bands]
     if not bands:
         why = "; ".join(one.silence for one in run.results.mottle if one.silence)
-        return f" How uneven the print is, is stated for no octave of wavelength{f': {why}' if why else ''}."
+        return (
+            " How uneven the print is, is stated for no octave of"
+            f" wavelength{f': {why}' if why else ''}."
+        )
     most = max(bands, key=lambda band: band.coefficient_of_variation)
     return (
         f" The print is most uneven in waves of {most.shortest_um:.0f} to {most.longest_um:.0f} um "

@@ -29,15 +29,22 @@ def state(folder: Path, figure: Figure) -> str:
     x, y = (area_mean(values, factor).ravel() for values in (a, b))
     axes[2].plot(x, y, ".", markersize=1, alpha=0.3)
     axes[2].axline((0, 0), slope=1, color="grey", linewidth=0.8)
-    axes[2].set(title=f"r = {row.r:.2f}", xlabel=f"{row.a} / µm", ylabel=f"{row.b} / µm", aspect="equal")
+    axes[2].set(
+        title=f"r = {row.r:.2f}", xlabel=f"{row.a} / µm", ylabel=f"{row.b} / µm", aspect="equal"
+    )
 
     twice = run.results.evidence[0].twice
     declared = len(run.results.regions.regions) if run.results.regions else 0
-    left_out = f" Left out beside the holes: {declared} declared region{'s' * (declared > 1)}." if declared else ""
+    left_out = (
+        f" Left out beside the holes: {declared} declared region{'s' * (declared > 1)}."
+        if declared
+        else ""
+    )
     return (
-        f"r = {row.r:.3f} (95 % interval {interval(row.interval, 3)}) over {row.n} points of {row.point_um:.0f} um, "
-        f"{row.n_eff:.0f} of them independent. {row.b} less {row.a}: {twice.bias:+.2f} um (95 % interval "
-        f"{interval(twice.bias_interval)}); limits of agreement {interval(twice.limits, 1)} um (the lower one "
-        f"{interval(twice.limit_intervals[0], 1)}, the upper one {interval(twice.limit_intervals[1], 1)}). "
-        f"{twice.sentence or ''}{left_out}"
+        f"r = {row.r:.3f} (95 % interval {interval(row.interval, 3)}) over {row.n} points of"
+        f" {row.point_um:.0f} um, {row.n_eff:.0f} of them independent. {row.b} less {row.a}:"
+        f" {twice.bias:+.2f} um (95 % interval {interval(twice.bias_interval)}); limits of"
+        f" agreement {interval(twice.limits, 1)} um (the lower one"
+        f" {interval(twice.limit_intervals[0], 1)}, the upper one"
+        f" {interval(twice.limit_intervals[1], 1)}). {twice.sentence or ''}{left_out}"
     )

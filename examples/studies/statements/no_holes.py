@@ -45,7 +45,9 @@ def state(folder: Path, figure: Figure) -> str:
     series = SeriesResults.read(folder / "results.json")
     bare, holed = (_sheets(series, folder, holes) for holes in ("no", "yes"))
     if not bare:
-        raise SystemExit(f"{folder}: no sheet without holes was linked by texture; this statement needs one.")
+        raise SystemExit(
+            f"{folder}: no sheet without holes was linked by texture; this statement needs one."
+        )
     _draw(figure, bare, holed)
     asked = [one for one in series.specimens if one.factor("holes") == "no"]
     linked = sum(one.member.run is not None for one in asked)
@@ -55,8 +57,10 @@ def state(folder: Path, figure: Figure) -> str:
         if sheets
     )
     text = [
-        f"Without holes, {linked} of {len(asked)} sheets were linked, with a probability of a false link "
-        f"{_largest([one.registration.false_probability or 0.0 for one in bare])}",
+        (
+            f"Without holes, {linked} of {len(asked)} sheets were linked, with a probability of a"
+            f" false link {_largest([one.registration.false_probability or 0.0 for one in bare])}"
+        ),
         f"The expected error (median) is {errors}",
         f"Without waves above {WAVES_UM / 1000:g} mm, {_by_texture(bare)}"
         + (f"; by holes it is {_mean(holed)}" if holed else ""),
@@ -95,13 +99,13 @@ def _by_texture(sheets: Sequence[Sheet]) -> str:
     tuned = [h.r_of_marks for h in held_out if h is not None and h.n is not None]
     if len(tuned) == len(sheets):
         return (
-            f"r by texture where it was not tuned is {_mean(sheets)}; tuned on the whole sheet, it is "
-            f"{math.tanh(float(np.mean(np.arctanh(tuned)))):.2f} there"
+            f"r by texture where it was not tuned is {_mean(sheets)}; tuned on the whole sheet, it"
+            f" is {math.tanh(float(np.mean(np.arctanh(tuned)))):.2f} there"
         )
     chance = max((h.null_95 for h in held_out if h is not None and h.n is None), default=math.nan)
     return (
-        f"r by texture is {_mean(sheets)}, which is tuned where a sheet is too small for tiles of its own (unrelated "
-        f"maps reach {chance:.2f} so)"
+        f"r by texture is {_mean(sheets)}, which is tuned where a sheet is too small for tiles of"
+        f" its own (unrelated maps reach {chance:.2f} so)"
     )
 
 
@@ -111,7 +115,10 @@ def _mean(sheets: Sequence[Sheet]) -> str:
     low, high = (math.tanh(v) for v in found.interval)
     reason = f", because {found.reason}" if found.reason else ""
     between = interval((low, high))
-    return f"{math.tanh(found.mean):.2f} ({f'95 % interval {between}' if not found.reason else between}{reason})"
+    return (
+        f"{math.tanh(found.mean):.2f}"
+        f" ({f'95 % interval {between}' if not found.reason else between}{reason})"
+    )
 
 
 def _change(pairs: Sequence[tuple[Sheet, Sheet]]) -> str:
@@ -125,7 +132,8 @@ def _change(pairs: Sequence[tuple[Sheet, Sheet]]) -> str:
         else:
             shares_all = False
         before, after = (
-            pearson(*(values[v] for values in _short_waves(m, v))) for m, v in zip(maps, valid, strict=True)
+            pearson(*(values[v] for values in _short_waves(m, v)))
+            for m, v in zip(maps, valid, strict=True)
         )
         names.append(one.name)
         by_holes.append(before)
@@ -152,7 +160,10 @@ def _valid(maps: xr.Dataset) -> np.ndarray:
 def _short_waves(maps: xr.Dataset, valid: np.ndarray) -> list[np.ndarray]:
     """Coating and image without slow variations; NaN where they do not count."""
     names = ("coating_top", "image")
-    short = [in_band(maps[name].values.astype(float), valid, pitch(maps), (None, WAVES_UM)) for name in names]
+    short = [
+        in_band(maps[name].values.astype(float), valid, pitch(maps), (None, WAVES_UM))
+        for name in names
+    ]
     return [np.where(valid, values, np.nan) for values in short]
 
 
@@ -183,7 +194,10 @@ def _draw(figure: Figure, bare: Sequence[Sheet], holed: Sequence[Sheet]) -> None
         ax.set_xticks(range(len(names)), [f"sheet {name}" for name in names])
         ax.set_xlim(-0.5, len(names) - 0.5)
         ax.set_ylim(0)
-    left.set(title="r of coating and image, with 95 % intervals", ylabel=f"r, without waves above {WAVES_UM:g} µm")
+    left.set(
+        title="r of coating and image, with 95 % intervals",
+        ylabel=f"r, without waves above {WAVES_UM:g} µm",
+    )
     right.set(title="Expected error of a pixel", ylabel="median / µm")
     right.set_ylim(0, 1.3 * right.get_ylim()[1])  # room for the legend
     left.legend(frameon=False, loc="lower left")

@@ -102,13 +102,26 @@ def bland_altman(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pix
     sums, differences = sums_of(x[is_valid], y[is_valid]), y - x
     slope, _, slope_x_on_y = sums.lines
     bias, sd = float(differences[is_valid].mean()), sums.difference[1]
-    estimates: dict[str, Any] = {"n": sums.n, "bias": bias, "slope": slope, "slope_x_on_y": slope_x_on_y}
-    if np.ptp(differences[is_valid]) <= 1e-12 * max(np.abs(x[is_valid]).max(), np.abs(y[is_valid]).max()):
+    estimates: dict[str, Any] = {
+        "n": sums.n,
+        "bias": bias,
+        "slope": slope,
+        "slope_x_on_y": slope_x_on_y,
+    }
+    if np.ptp(differences[is_valid]) <= 1e-12 * max(
+        np.abs(x[is_valid]).max(), np.abs(y[is_valid]).max()
+    ):
         zero_width, n_eff = (bias, bias), float(sums.n)
         return Agreement(
-            **estimates, sd=0.0, limits=zero_width, bias_interval=zero_width, sd_interval=(0.0, 0.0), n_eff=n_eff,
-            n_eff_sd=n_eff, limit_intervals=(zero_width, zero_width),
-        )  # fmt: skip
+            **estimates,
+            sd=0.0,
+            limits=zero_width,
+            bias_interval=zero_width,
+            sd_interval=(0.0, 0.0),
+            n_eff=n_eff,
+            n_eff_sd=n_eff,
+            limit_intervals=(zero_width, zero_width),
+        )
     lags = Lags(is_valid, pixel)
     variance, n_eff = scatter_of(differences, lags)
     # Of maps with these covariances; the number for the mean is smaller, as long waves weigh more in it.
@@ -121,12 +134,22 @@ def bland_altman(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pix
         width = quantile * math.sqrt(variance / n_eff + variance * LIMIT**2 / (2 * (n_eff_sd - 1)))
         estimates |= {
             "bias_interval": (bias - bias_half_width, bias + bias_half_width),
-            "sd_interval": (sigma * math.exp(-log_sd_half_width), sigma * math.exp(log_sd_half_width)),
+            "sd_interval": (
+                sigma * math.exp(-log_sd_half_width),
+                sigma * math.exp(log_sd_half_width),
+            ),
             "limit_intervals": tuple(
-                (bias + s * LIMIT * sigma - width, bias + s * LIMIT * sigma + width) for s in (-1, 1)
+                (bias + s * LIMIT * sigma - width, bias + s * LIMIT * sigma + width)
+                for s in (-1, 1)
             ),
         }
-    return Agreement(**estimates, sd=sd, limits=(bias - LIMIT * sd, bias + LIMIT * sd), n_eff=n_eff, n_eff_sd=n_eff_sd)
+    return Agreement(
+        **estimates,
+        sd=sd,
+        limits=(bias - LIMIT * sd, bias + LIMIT * sd),
+        n_eff=n_eff,
+        n_eff_sd=n_eff_sd,
+    )
 
 
 class Deming(ResultModel):
@@ -135,7 +158,9 @@ class Deming(ResultModel):
     slope: float = Field(description="Of the line.")
     intercept: float = Field(description="Of the line.")
     interval: Pair = Field(
-        description="95 % interval of the slope; (NaN, NaN) where n_eff is below 10 or any direction fits."
+        description=(
+            "95 % interval of the slope; (NaN, NaN) where n_eff is below 10 or any direction fits."
+        )
     )
     error_ratio: float = Field(description="Variance of the errors of y over that of x, as given.")
 
@@ -170,21 +195,28 @@ def deming(x: Array, y: Array, *, error_ratio: float | None, n_eff: float | None
     """
     if error_ratio is None or not 0 < error_ratio < math.inf:
         raise InputError(
-            f"The ratio of the error variances, y over x, is {error_ratio}. Give a number above 0, from repeated "
-            "measurements of both: without it there is no slope between two quantities with errors."
+            f"The ratio of the error variances, y over x, is {error_ratio}. Give a number above 0,"
+            " from repeated measurements of both: without it there is no slope between two"
+            " quantities with errors."
         )
     if n_eff is None or not 0 < n_eff < math.inf:
         raise InputError(
-            f"n_eff is {n_eff}. Give the number of independent points (planish.analyze.independent_points)."
+            f"n_eff is {n_eff}. Give the number of independent points"
+            " (planish.analyze.independent_points)."
         )
     if np.shape(x) != np.shape(y):
-        raise InputError(f"x has the shape {np.shape(x)}, y {np.shape(y)}. Bring both onto one grid first.")
+        raise InputError(
+            f"x has the shape {np.shape(x)}, y {np.shape(y)}. Bring both onto one grid first."
+        )
     is_valid = np.isfinite(x) & np.isfinite(y)
     n = int(np.count_nonzero(is_valid))
     if n < LEAST:
         raise CannotMeasure(f"{n} points are known in x and y. Give {LEAST} or more.")
     scale = math.sqrt(error_ratio)
-    a, b = np.asarray(x)[is_valid].astype(np.float64), np.asarray(y)[is_valid].astype(np.float64) / scale
+    a, b = (
+        np.asarray(x)[is_valid].astype(np.float64),
+        np.asarray(y)[is_valid].astype(np.float64) / scale,
+    )
     xx, xy, yy = float(np.var(a)), float(np.mean((a - a.mean()) * (b - b.mean()))), float(np.var(b))
     eigenvalue_gap = math.hypot(yy - xx, 2 * xy)
     if xy == 0 or not min(xx, yy) > 0 or eigenvalue_gap < 1e-12 * (xx + yy):
@@ -192,11 +224,19 @@ def deming(x: Array, y: Array, *, error_ratio: float | None, n_eff: float | None
     axis_angle = math.atan2(2 * xy, xx - yy) / 2
     slope, interval, n_eff = math.tan(axis_angle) * scale, (math.nan, math.nan), min(n_eff, n)
     if n_eff >= LEAST_CLAIMED:
-        sin_2_half_width = 2 * t_95(n_eff - 2) * math.sqrt(max(xx * yy - xy * xy, 0.0) / (n_eff - 2)) / eigenvalue_gap
+        sin_2_half_width = (
+            2
+            * t_95(n_eff - 2)
+            * math.sqrt(max(xx * yy - xy * xy, 0.0) / (n_eff - 2))
+            / eigenvalue_gap
+        )
         half_width = math.asin(sin_2_half_width) / 2 if sin_2_half_width < 1 else math.inf
         # Beyond upright, the interval would go through infinity.
         if -math.pi / 2 < axis_angle - half_width <= axis_angle + half_width < math.pi / 2:
-            interval = math.tan(axis_angle - half_width) * scale, math.tan(axis_angle + half_width) * scale
+            interval = (
+                math.tan(axis_angle - half_width) * scale,
+                math.tan(axis_angle + half_width) * scale,
+            )
     intercept = float(b.mean()) * scale - slope * float(a.mean())
     return Deming(slope=slope, intercept=intercept, interval=interval, error_ratio=error_ratio)
 
@@ -215,7 +255,12 @@ def answer_twice(pair: ComparedMaps) -> dict[str, Any]:
     """Of two sheets with one quantity: rings of waves over the cells, bias and limits over the larger points."""
     if pair.repeated_points is None:
         return {}
-    (a, b), point_um, error_ratio, units = pair.repeated_points, pair.point_um, pair.params.error_ratio, pair.units[0]
+    (a, b), point_um, error_ratio, units = (
+        pair.repeated_points,
+        pair.point_um,
+        pair.params.error_ratio,
+        pair.units[0],
+    )
     try:
         rings = ring_correlation(pair.x, pair.y, mask=pair.lags.is_valid, pixel_um=pair.cell_um)
     except PlanishError as error:
@@ -229,7 +274,11 @@ def answer_twice(pair: ComparedMaps) -> dict[str, Any]:
         with suppress(PlanishError):
             n_eff = independent_points(a, b, pixel_um=point_um).n_eff
             fit = deming(a, b, error_ratio=error_ratio, n_eff=n_eff)
-            line_fields |= {"error_slope": fit.slope, "error_intercept": fit.intercept, "error_interval": fit.interval}
+            line_fields |= {
+                "error_slope": fit.slope,
+                "error_intercept": fit.intercept,
+                "error_interval": fit.interval,
+            }
     return {"twice": Twice.holding(rings, agreement, point_um=point_um, units=units, **line_fields)}
 
 
@@ -240,15 +289,18 @@ def say_twice(agreement: Twice, evidence: EvidenceFacts, _: PairWords) -> Iterat
     if is_known(agreement.bias) and is_known(agreement.point_um):
         units = unit(agreement.units)
         text = (
-            f"{evidence.b} minus {evidence.a}, over {count(agreement.n)} points of {plain(agreement.point_um)}: "
-            f"{fixed(agreement.bias, 2)} {units} on average ({limits_text(agreement.bias_interval) or 'no interval'})"
+            f"{evidence.b} minus {evidence.a}, over {count(agreement.n)} points of"
+            f" {plain(agreement.point_um)}: {fixed(agreement.bias, 2)} {units} on average"
+            f" ({limits_text(agreement.bias_interval) or 'no interval'})"
         )
         if sd_text := limits_text(agreement.sd_interval):
             text += f"; standard deviation of a point within {f'{sd_text} {units}'.rstrip()}"
         yield f"{text}."
     if is_known(agreement.error_ratio):
         if not is_known(agreement.error_slope):
-            yield "No line is given: the two do not vary together, or too few points are independent."
+            yield (
+                "No line is given: the two do not vary together, or too few points are independent."
+            )
             return
         yield (
             "Line with errors in both (Deming, variances in a ratio of "
@@ -262,25 +314,41 @@ class Instruments(ResultModel):
 
     point_um: float = Field(description="Edge of the points that bias, limits and lines are of.")
     agreement: Agreement = Field(
-        description="Bias, limits of agreement and both lines of least squares, with intervals; b less a."
+        description=(
+            "Bias, limits of agreement and both lines of least squares, with intervals; b less a."
+        )
     )
     correlation: Correlation = Field(description="Of both, over the same points.")
-    rings: RingCorrelation | None = Field(description="Of waves, at the pixel; None where `notes` says why.")
+    rings: RingCorrelation | None = Field(
+        description="Of waves, at the pixel; None where `notes` says why."
+    )
     shared_um: float | None = Field(
-        description="Both show the same in waves of this length and longer; None where the rings do not tell."
+        description=(
+            "Both show the same in waves of this length and longer; None where the rings do not"
+            " tell."
+        )
     )
     line: Deming | None = Field(
-        description="Between two measurements that both have errors; None without `error_ratio`, or where `notes` says "
-        "why."
+        description=(
+            "Between two measurements that both have errors; None without `error_ratio`, or where"
+            " `notes` says why."
+        )
     )
-    difference: Floats = Field(description="b less a at every pixel, (rows, cols); NaN where one is missing.")
+    difference: Floats = Field(
+        description="b less a at every pixel, (rows, cols); NaN where one is missing."
+    )
     notes: tuple[str, ...] = Field(default=(), description="What could not be told, and why.")
 
 
 def compare_instruments(
-    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel,
-    point_um: float | None = None, error_ratio: float | None = None,
-) -> Instruments:  # fmt: skip
+    a: Array,
+    b: Array,
+    *,
+    mask: Bools | None = None,
+    pixel_um: Pixel,
+    point_um: float | None = None,
+    error_ratio: float | None = None,
+) -> Instruments:
     """Compare what two instruments measured of one quantity.
 
     Parameters
@@ -333,6 +401,12 @@ def compare_instruments(
         except CannotMeasure as error:
             notes.append(error.text)
     return Instruments(
-        point_um=correlation.point_um, agreement=agreement, correlation=correlation, rings=rings,
-        shared_um=rings.resolution_um if rings else None, line=line, difference=y - x, notes=tuple(notes),
-    )  # fmt: skip
+        point_um=correlation.point_um,
+        agreement=agreement,
+        correlation=correlation,
+        rings=rings,
+        shared_um=rings.resolution_um if rings else None,
+        line=line,
+        difference=y - x,
+        notes=tuple(notes),
+    )

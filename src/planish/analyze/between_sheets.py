@@ -32,7 +32,9 @@ class Equivalence(ResultModel):
 class SetDifference(ResultModel):
     """Difference of two sets of sheets, the second minus the first."""
 
-    kind: Literal["paired", "two groups"] = Field(description="Of the same sheets, or of different ones.")
+    kind: Literal["paired", "two groups"] = Field(
+        description="Of the same sheets, or of different ones."
+    )
     sheets: tuple[int, int] = Field(description="Sheets that count.")
     means: tuple[Value, Value] = Field(default=(NULL, NULL), description="Over these sheets.")
     difference: Value = optional("Of the means.")
@@ -47,7 +49,9 @@ class SheetDifference(SetDifference):
     sd: Unsaved = optional("Of the differences of single sheets where they pair.")
     standard_error: Unsaved = optional("Of the difference.")
     free: Unsaved = optional("Degrees of freedom of its interval.")
-    unpaired: tuple[str, ...] = Field(default=(), description="Sheets without a partner, where sheets pair.")
+    unpaired: tuple[str, ...] = Field(
+        default=(), description="Sheets without a partner, where sheets pair."
+    )
     reason: str = Field(default="", description="Why there is no interval.")
 
     @property
@@ -79,30 +83,46 @@ def paired_over_sheets(before: Fields, after: Fields) -> SheetDifference:
     old_sheets, new_sheets = before.by_sheet, after.by_sheet
     if before.names and after.names:
         old_fields, new_fields = (
-            {(s, f): v for s, f, v in zip(m.sheets, m.names, m.values, strict=True) if not math.isnan(v)}
+            {
+                (s, f): v
+                for s, f, v in zip(m.sheets, m.names, m.values, strict=True)
+                if not math.isnan(v)
+            }
             for m in (before, after)
         )
         keys = [field for field in old_fields if field in new_fields]
         old_sheets, new_sheets = (
-            Fields([m[k] for k in keys], [s for s, _ in keys]).by_sheet for m in (old_fields, new_fields)
+            Fields([m[k] for k in keys], [s for s, _ in keys]).by_sheet
+            for m in (old_fields, new_fields)
         )
     means = {
-        sheet: (values.mean(), new_sheets[sheet].mean()) for sheet, values in old_sheets.items() if sheet in new_sheets
+        sheet: (values.mean(), new_sheets[sheet].mean())
+        for sheet, values in old_sheets.items()
+        if sheet in new_sheets
     }
-    unpaired = tuple(sheet for sheet in dict.fromkeys([*before.sheets, *after.sheets]) if sheet not in means)
+    unpaired = tuple(
+        sheet for sheet in dict.fromkeys([*before.sheets, *after.sheets]) if sheet not in means
+    )
     k = len(means)
     if k == 0:
-        return SheetDifference(kind="paired", sheets=(0, 0), unpaired=unpaired, reason="no sheet has a partner")
+        return SheetDifference(
+            kind="paired", sheets=(0, 0), unpaired=unpaired, reason="no sheet has a partner"
+        )
     means_before, means_after = np.array([*means.values()], dtype=np.float64).T
     changes = means_after - means_before
     sd = spread_of(changes)
     if sd <= 1e-12 * float(np.abs([means_before, means_after]).max()):
         sd = 0.0
     difference = SheetDifference(
-        kind="paired", sheets=(k, k), means=(float(means_before.mean()), float(means_after.mean())),
-        difference=float(changes.mean()), sd=sd, standard_error=sd / math.sqrt(k) if k > 1 else math.nan,
-        unpaired=unpaired, reason=too_few(k) or ("" if sd > 0 else "all sheets have the same difference"),
-    )  # fmt: skip
+        kind="paired",
+        sheets=(k, k),
+        means=(float(means_before.mean()), float(means_after.mean())),
+        difference=float(changes.mean()),
+        sd=sd,
+        standard_error=sd / math.sqrt(k) if k > 1 else math.nan,
+        unpaired=unpaired,
+        reason=too_few(k) or ("" if sd > 0 else "all sheets have the same difference"),
+    )
     return difference if difference.reason else _with_interval(difference, k - 1.0)
 
 
@@ -120,15 +140,25 @@ def two_groups(first: Fields, second: Fields) -> SheetDifference:
     a, b = (m.means for m in (first, second))
     k = (a.size, b.size)
     if min(k) == 0:
-        return SheetDifference(kind="two groups", sheets=k, reason="one of the two has no field with a value")
+        return SheetDifference(
+            kind="two groups", sheets=k, reason="one of the two has no field with a value"
+        )
     means = (float(a.mean()), float(b.mean()))
     mean_variances = [spread_of(m) ** 2 / m.size for m in (a, b)]
     error = math.sqrt(sum(mean_variances))
     difference = SheetDifference(
-        kind="two groups", sheets=k, means=means, difference=means[1] - means[0], standard_error=error,
+        kind="two groups",
+        sheets=k,
+        means=means,
+        difference=means[1] - means[0],
+        standard_error=error,
         reason=too_few(*k) or all_alike(error),
-    )  # fmt: skip
-    return difference if difference.reason else _with_interval(difference, welch_free(mean_variances, k))
+    )
+    return (
+        difference
+        if difference.reason
+        else _with_interval(difference, welch_free(mean_variances, k))
+    )
 
 
 def welch_free(variances: Sequence[float], sizes: Sequence[int]) -> float:
@@ -138,16 +168,21 @@ def welch_free(variances: Sequence[float], sizes: Sequence[int]) -> float:
 
 def _with_interval(difference: SheetDifference, free: float) -> SheetDifference:
     width = t_95(free) * difference.standard_error
-    return difference.model_copy(update={
-        "free": free, "interval": (difference.difference - width, difference.difference + width),
-        "p": 2 * student_tail(abs(difference.difference) / difference.standard_error, free),
-    })  # fmt: skip
+    return difference.model_copy(
+        update={
+            "free": free,
+            "interval": (difference.difference - width, difference.difference + width),
+            "p": 2 * student_tail(abs(difference.difference) / difference.standard_error, free),
+        }
+    )
 
 
 def p_of_tables(differences: Sequence[SheetDifference]) -> tuple[SheetDifference, ...]:
     """Put p right for how many differences are looked at, of all properties and pairs of papers (Holm 1979)."""
     adjusted_p = holm([d.p for d in differences])
-    return tuple(d.model_copy(update={"p_of_table": p}) for d, p in zip(differences, adjusted_p, strict=True))
+    return tuple(
+        d.model_copy(update={"p_of_table": p}) for d, p in zip(differences, adjusted_p, strict=True)
+    )
 
 
 def equivalence(shift: SheetDifference, *, margin: float) -> Equivalence:
@@ -172,17 +207,24 @@ def equivalence(shift: SheetDifference, *, margin: float) -> Equivalence:
     Schuirmann (1987), J. Pharmacokinet. Biopharm. 15, 657, doi:10.1007/BF01068419.
     """
     if not 0 < margin < math.inf:
-        raise InputError(f"The margin is {margin}. Give the largest difference that does not matter, above 0.")
+        raise InputError(
+            f"The margin is {margin}. Give the largest difference that does not matter, above 0."
+        )
     if shift.reason:
         return Equivalence(margin=margin, verdict="unknown")
     width = float(special.stdtrit(shift.free, 0.95)) * shift.standard_error
     low, high = shift.difference - width, shift.difference + width
-    p = max(student_tail((margin + s * shift.difference) / shift.standard_error, shift.free) for s in (-1, 1))
+    p = max(
+        student_tail((margin + s * shift.difference) / shift.standard_error, shift.free)
+        for s in (-1, 1)
+    )
     inside, beyond = -margin < low and high < margin, low > margin or high < -margin
     return Equivalence(
-        margin=margin, interval=(low, high), p=p,
+        margin=margin,
+        interval=(low, high),
+        p=p,
         verdict="equivalent" if inside else "larger" if beyond else "undecided",
-    )  # fmt: skip
+    )
 
 
 def check_power(power: float) -> None:
@@ -197,7 +239,9 @@ def shift_seen(power: float, free: float) -> float:
     high = 4.0  # not at once a large one: far out, the distribution's numbers are not defined
     while power_of_shift(high, free) < power:
         high *= 2
-    return float(optimize.brentq(lambda shift: power_of_shift(shift, free) - power, 0.0, high, xtol=1e-10))
+    return float(
+        optimize.brentq(lambda shift: power_of_shift(shift, free) - power, 0.0, high, xtol=1e-10)
+    )
 
 
 def power_of_shift(shift: float, free: float) -> float:

@@ -30,19 +30,29 @@ class Ceiling(ResultModel):
 
     r: float = Field(description="Product of what follows.")
     position: float = Field(description="What misplacement leaves.")
-    noise: float = Field(default=1.0, description="What the noise of the map leaves; 1 where it is not known.")
+    noise: float = Field(
+        default=1.0, description="What the noise of the map leaves; 1 where it is not known."
+    )
 
     @property
     def sentence(self) -> str:
         """What may be said."""
         noise = f", noise of the map {self.noise:.2f}" if self.noise < 1 else ""
-        return f"A perfect relation would show r = {self.r:.2f} here (misplacement leaves {self.position:.2f}{noise})."
+        return (
+            f"A perfect relation would show r = {self.r:.2f} here (misplacement leaves"
+            f" {self.position:.2f}{noise})."
+        )
 
 
 def ceiling(
-    a: Array, *, error_um: float | Array, mask: Bools | None = None,
-    pixel_um: Pixel, point_um: float | None = None, reliability: float = 1.0,
-) -> Ceiling:  # fmt: skip
+    a: Array,
+    *,
+    error_um: float | Array,
+    mask: Bools | None = None,
+    pixel_um: Pixel,
+    point_um: float | None = None,
+    reliability: float = 1.0,
+) -> Ceiling:
     """State the r that a map would have with itself, displaced by the error of its place.
 
     Parameters
@@ -75,9 +85,13 @@ def ceiling(
     """
     is_valid, pixel = valid_pixels(a, a, mask, pixel_um)
     errors = np.asarray(error_um, dtype=np.float64)
-    errors = errors[is_valid & np.isfinite(errors)] if errors.shape == is_valid.shape else errors.ravel()
+    errors = (
+        errors[is_valid & np.isfinite(errors)] if errors.shape == is_valid.shape else errors.ravel()
+    )
     if not errors.size or not np.isfinite(errors).all() or errors.min() < 0:
-        raise InputError("The error of the places is not known. Give a number of um from 0 on, or a map of it.")
+        raise InputError(
+            "The error of the places is not known. Give a number of um from 0 on, or a map of it."
+        )
     if not 0 < reliability <= 1:
         raise InputError(f"The reliability is {reliability:g}. Give a share above 0, at most 1.")
     check_varying(is_valid, a=a)
@@ -86,7 +100,9 @@ def ceiling(
     frequency = [fft.fftfreq(n, p) for n, p in zip(covariance.shape, pixel, strict=True)]
     across = frequency[1][: spectrum.shape[1]]
     if point_um is not None:
-        spectrum = spectrum * np.outer(np.sinc(frequency[0] * point_um), np.sinc(across * point_um)) ** 2
+        spectrum = (
+            spectrum * np.outer(np.sinc(frequency[0] * point_um), np.sinc(across * point_um)) ** 2
+        )
     square = (2 * math.pi) ** 2 * (frequency[0][:, None] ** 2 + across**2)
     # Waves of half a spectrum count twice, but those that are their own mirror images.
     counts = np.full(spectrum.shape[1], 2.0)
@@ -99,9 +115,13 @@ def ceiling(
     if errors.size > 1:
         quantiles = np.quantile(errors, (np.arange(_QUANTILES) + 0.5) / _QUANTILES)
     # Along an axis the standard deviation is the error over the square root of 2.
-    attenuations = [at_zero(spectrum * np.exp(-(e * e / 2) * square / 2)) / variance for e in quantiles]
+    attenuations = [
+        at_zero(spectrum * np.exp(-(e * e / 2) * square / 2)) / variance for e in quantiles
+    ]
     position = float(np.clip(np.mean(attenuations), 0.0, 1.0))
-    return Ceiling(r=position * math.sqrt(reliability), position=position, noise=math.sqrt(reliability))
+    return Ceiling(
+        r=position * math.sqrt(reliability), position=position, noise=math.sqrt(reliability)
+    )
 
 
 def answer_ceiling(pair: ComparedMaps) -> dict[str, Any]:
@@ -109,14 +129,29 @@ def answer_ceiling(pair: ComparedMaps) -> dict[str, Any]:
     answers: dict[str, Any] = {}
     error_maps = [m["expected_error"] for m in pair.layers if "expected_error" in m]
     # Of the places of all layers together, at some pixels.
-    errors_um = np.sqrt(sum((np.asarray(thinned(m)[1][0], dtype=np.float64) ** 2 for m in error_maps), np.zeros(1)))
+    errors_um = np.sqrt(
+        sum((np.asarray(thinned(m)[1][0], dtype=np.float64) ** 2 for m in error_maps), np.zeros(1))
+    )
     errors_um = errors_um[np.isfinite(errors_um)]
     if error_maps and errors_um.size:
-        size_um, errors_um = pair.point_um if pair.has_points else None, np.quantile(errors_um, np.linspace(0, 1, 65))
-        by_shift = ceiling(pair.x, error_um=errors_um, mask=pair.lags.is_valid, pixel_um=pair.cell_um, point_um=size_um)
+        size_um, errors_um = (
+            pair.point_um if pair.has_points else None,
+            np.quantile(errors_um, np.linspace(0, 1, 65)),
+        )
+        by_shift = ceiling(
+            pair.x,
+            error_um=errors_um,
+            mask=pair.lags.is_valid,
+            pixel_um=pair.cell_um,
+            point_um=size_um,
+        )
         answers |= {"ceiling": by_shift.r, "ceiling_sentence": by_shift.sentence}
     if pair.columns and pair.has_points:
-        halves = tuple(reliability_of(pair, layer, name) for layer, name in (pair.a, pair.b) if layer in pair.columns)
+        halves = tuple(
+            reliability_of(pair, layer, name)
+            for layer, name in (pair.a, pair.b)
+            if layer in pair.columns
+        )
         answers["reliability"] = halves
         noise_r = math.sqrt(math.prod(half.value for half in halves)) if halves else math.nan
         if not math.isnan(noise_r):
@@ -130,7 +165,7 @@ def say_ceiling(_: object, evidence: EvidenceFacts, *__: object) -> Iterator[str
     """What a perfect relation would show."""
     if evidence.ceiling_sentence:
         yield (
-            f"{evidence.ceiling_sentence} It rests on the expected error of the registration and the texture of the "
-            "map; noise lowers it further."
+            f"{evidence.ceiling_sentence} It rests on the expected error of the registration and"
+            " the texture of the map; noise lowers it further."
         )
     yield from say_reliability(evidence)

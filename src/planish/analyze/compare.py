@@ -36,21 +36,34 @@ class _Judged(Correlation):
     trust: Trust = Field(default="ok", description="What the checks leave of the figures.")
 
 
-_NUMBERS_OF_R = tuple(name for name in Correlation.model_fields if name not in ("point_um", "n", "warnings"))
+_NUMBERS_OF_R = tuple(
+    name for name in Correlation.model_fields if name not in ("point_um", "n", "warnings")
+)
 
 
 class CorrelationRow(_Judged):
     """Correlation of two maps over points of one size; ``slope`` and ``intercept`` give b from a."""
 
-    WITHHELD: ClassVar = (*_NUMBERS_OF_R, "p_of_table", "difference_mean", "difference_sd", "limits")
+    WITHHELD: ClassVar = (
+        *_NUMBERS_OF_R,
+        "p_of_table",
+        "difference_mean",
+        "difference_sd",
+        "limits",
+    )
 
     a: str = Field(description="First layer.")
     a_map: str = Field(description="Its map.")
     b: str = Field(description="Second layer.")
     b_map: str = Field(description="Its map.")
-    p_of_table: Value = optional("p after Holm, corrected for the number of rows at this point size.")
+    p_of_table: Value = optional(
+        "p after Holm, corrected for the number of rows at this point size."
+    )
     same_quantity: bool = Field(
-        default=False, description="Whether both maps are of one quantity, so that their difference means something."
+        default=False,
+        description=(
+            "Whether both maps are of one quantity, so that their difference means something."
+        ),
     )
     difference_mean: Value = optional("Mean of b less a, for equal quantities.")
     difference_sd: Value = optional("Standard deviation of that difference.")
@@ -73,20 +86,30 @@ class ComparisonRow(_Judged):
 def is_property(data: xr.DataArray) -> bool:
     """Whether a map is a measured property; standard errors, places and masks are none."""
     attrs = data.attrs
-    return attrs.get("role") == "property" or ("support_um" in attrs and not str(data.name).endswith("_se"))
+    return attrs.get("role") == "property" or (
+        "support_um" in attrs and not str(data.name).endswith("_se")
+    )
 
 
 def _maps_to_correlate(maps: xr.Dataset) -> list[str]:
     """The maps of a layer that are correlated: its image, or all properties but angles and standard errors."""
     if "image" in maps and "thickness" not in maps:
         return ["image"]
-    names = [str(k) for k, data in maps.data_vars.items() if is_property(data) and data.attrs.get("units") != "deg"]
+    names = [
+        str(k)
+        for k, data in maps.data_vars.items()
+        if is_property(data) and data.attrs.get("units") != "deg"
+    ]
     # A store gives its maps in the order of the alphabet: here they stand in one order, wherever they come from.
     order = [*PROPERTIES]
-    return sorted(names, key=lambda name: (order.index(name) if name in order else len(order), name))
+    return sorted(
+        names, key=lambda name: (order.index(name) if name in order else len(order), name)
+    )
 
 
-def correlate_layers(a: str, b: str, maps: dict[str, xr.Dataset], point_um: float) -> Iterator[CorrelationRow]:
+def correlate_layers(
+    a: str, b: str, maps: dict[str, xr.Dataset], point_um: float
+) -> Iterator[CorrelationRow]:
     """Correlate two layers point by point, per pixel and over larger points.
 
     Two sheets: the same properties, with their differences. A sheet and an image: every property with the image.
@@ -94,14 +117,24 @@ def correlate_layers(a: str, b: str, maps: dict[str, xr.Dataset], point_um: floa
     layers = maps[a], maps[b]
     names = [_maps_to_correlate(data) for data in layers]
     are_sheets = all("image" not in n for n in names)
-    pairs = [(n, n) for n in names[0] if n in names[1]] if are_sheets else [(m, n) for m in names[0] for n in names[1]]
+    pairs = (
+        [(n, n) for n in names[0] if n in names[1]]
+        if are_sheets
+        else [(m, n) for m in names[0] for n in names[1]]
+    )
     grid = Grid.of(layers[0])
-    sums = [PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=CELLS) for _ in pairs]
+    sums = [
+        PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=CELLS)
+        for _ in pairs
+    ]
 
     def read(rows: slice) -> tuple[list[Array], list[Array]]:
         valid = band_of(layers[0]["valid"], rows) & band_of(layers[1]["valid"], rows)
         p, q = (
-            {n: np.where(valid, band_of(data[n], rows), np.nan) for n in {pair[k] for pair in pairs}}
+            {
+                n: np.where(valid, band_of(data[n], rows), np.nan)
+                for n in {pair[k] for pair in pairs}
+            }
             for k, data in enumerate(layers)
         )
         return [p[name] for name, _ in pairs], [q[name] for _, name in pairs]
@@ -114,11 +147,17 @@ def correlate_layers(a: str, b: str, maps: dict[str, xr.Dataset], point_um: floa
         correlations = [*sums_of_pair.sizes()]
         for row, pair_sums in correlations if correlations[0][0].n else []:
             mean, sd = pair_sums.difference
-            agreement: dict[str, Any] = {"same_quantity": True, "difference_mean": mean, "difference_sd": sd}
+            agreement: dict[str, Any] = {
+                "same_quantity": True,
+                "difference_mean": mean,
+                "difference_sd": sd,
+            }
             agreement["limits"] = mean - LIMIT * sd, mean + LIMIT * sd
             agreement["units"] = str(layers[0][pair[0]].attrs.get("units", "1"))
             table.append(
-                CorrelationRow.holding(row, a=a, a_map=pair[0], b=b, b_map=pair[1], **(agreement if are_sheets else {}))
+                CorrelationRow.holding(
+                    row, a=a, a_map=pair[0], b=b, b_map=pair[1], **(agreement if are_sheets else {})
+                )
             )
     for size_um in {row.point_um for row in table}:
         row_numbers = [k for k, row in enumerate(table) if row.point_um == size_um]
@@ -143,17 +182,27 @@ class _Variant(NamedTuple):
 
 
 def comparison_rows(
-    linked: xr.Dataset, sheet: Mapping[str, xr.Dataset], fit: FittedTransform, *, name: str, point_um: float,
+    linked: xr.Dataset,
+    sheet: Mapping[str, xr.Dataset],
+    fit: FittedTransform,
+    *,
+    name: str,
+    point_um: float,
     away: Callable[[Grid], Bools],
-) -> Iterator[ComparisonRow]:  # fmt: skip
+) -> Iterator[ComparisonRow]:
     """The headline correlation by the registrations that the paper compares, and by that of the run.
 
     ``away`` gives the pixels away from holes. All marks count, as in the paper: misfits show a wrong registration.
     """
     grid, sheet_map = Grid.of(linked), sheet["surfaces"][name].values
     variants = [*_variants(sheet, fit), _Variant(f"flattened, {fit.model}", fit.rms_um, None)]
-    sums = [PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=CELLS) for _ in variants]
-    for rows, (linked_map, is_valid, image) in read_bands(linked[name], linked["valid"], linked["image"]):
+    sums = [
+        PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=CELLS)
+        for _ in variants
+    ]
+    for rows, (linked_map, is_valid, image) in read_bands(
+        linked[name], linked["valid"], linked["image"]
+    ):
         part = grid.part(rows)
         placed = [variant.bring(sheet_map, linked_map, part) for variant in variants]
         # Rows that are compared are of the same pixels.
@@ -164,16 +213,31 @@ def comparison_rows(
     of_run = [*zip((row.r for row, _ in sums[-1].sizes()), maps_of_run, strict=True)]
     for variant, variant_sums in zip(variants, sums, strict=True):
         for (row, _), variant_maps, (run_r, run_maps) in zip(
-            variant_sums.sizes(), (variant_sums.cells()[0], variant_sums.points()), of_run, strict=True
+            variant_sums.sizes(),
+            (variant_sums.cells()[0], variant_sums.points()),
+            of_run,
+            strict=True,
         ):
-            change = _change(run_r - row.r, variant_maps, *run_maps) if variant.mesh is not None and row.n else {}
+            change = (
+                _change(run_r - row.r, variant_maps, *run_maps)
+                if variant.mesh is not None and row.n
+                else {}
+            )
             yield ComparisonRow.holding(
-                row, registration=variant.title, property=name, marks_rms_um=variant.rms_um, **change
+                row,
+                registration=variant.title,
+                property=name,
+                marks_rms_um=variant.rms_um,
+                **change,
             )
 
 
-def _change(change_of_r: float, pair: Sequence[Array], pair_of_run: Sequence[Array], pixel_um: Pixel) -> dict[str, Any]:
-    change = paired_difference((pair[0], pair[1]), (pair_of_run[0], pair_of_run[1]), pixel_um=pixel_um)
+def _change(
+    change_of_r: float, pair: Sequence[Array], pair_of_run: Sequence[Array], pixel_um: Pixel
+) -> dict[str, Any]:
+    change = paired_difference(
+        (pair[0], pair[1]), (pair_of_run[0], pair_of_run[1]), pixel_um=pixel_um
+    )
     # The interval is told from cells, which may be larger than the pixels that r is of.
     low, high = (v + (change_of_r - change.difference) for v in change.interval)
     return {"difference": change_of_r, "difference_interval": (low, high)}
@@ -183,10 +247,18 @@ def _variants(sheet: Mapping[str, xr.Dataset], fit: FittedTransform) -> Iterator
     for title, coordinates, model in REGISTRATION_VARIANTS:
         if model == fit.model and coordinates == ("u", "v"):
             continue  # the run's own
-        marks = fit.moving if coordinates == ("u", "v") else values_at(sheet["maps"], coordinates, fit.moving)
+        marks = (
+            fit.moving
+            if coordinates == ("u", "v")
+            else values_at(sheet["maps"], coordinates, fit.moving)
+        )
         if not np.isfinite(marks).all():
-            raise MarkError("A mark lies outside the flattened sheet. Remove it from the table of marks.")
-        variant_fit = fit_transform(marks, fit.fixed, model=model, mirrored=fit.mirrored, robust=False)
+            raise MarkError(
+                "A mark lies outside the flattened sheet. Remove it from the table of marks."
+            )
+        variant_fit = fit_transform(
+            marks, fit.fixed, model=model, mirrored=fit.mirrored, robust=False
+        )
         uv = np.stack([sheet["flat"][coordinate].values for coordinate in coordinates], axis=-1)
         mesh = Mesh.of(variant_fit.transform(uv), least_um=min(pitch(sheet["surfaces"])))
         yield _Variant(title, variant_fit.rms_um, mesh)
@@ -204,7 +276,10 @@ def headline_of(maps: xr.Dataset, side: Side = "top", wanted: str | None = None)
         return "image"
     if wanted is not None:
         if wanted not in maps:
-            raise InputError(f"The sheet has no map {wanted!r} to lead. It has {', '.join(_maps_to_correlate(maps))}.")
+            raise InputError(
+                f"The sheet has no map {wanted!r} to lead. It has"
+                f" {', '.join(_maps_to_correlate(maps))}."
+            )
         return wanted
     coating = f"coating_{side}"
     return coating if any_finite(maps[coating]) else "thickness"

@@ -43,7 +43,11 @@ class Correlation(ResultModel):
     """
 
     point_um: float = Field(description="Edge of the squares over which both maps are averaged.")
-    n: int = Field(description="Points that are valid in both. Neighbours resemble each other: n is no sample size.")
+    n: int = Field(
+        description=(
+            "Points that are valid in both. Neighbours resemble each other: n is no sample size."
+        )
+    )
     r: Value = Field(description="Pearson's correlation.")
     r2: Value = Field(description="Its square.")
     rho: Value = optional("Spearman's rank correlation.")
@@ -53,7 +57,9 @@ class Correlation(ResultModel):
     mean_a: Value = optional("Mean of a over the points.")
     mean_b: Value = optional("Mean of b over the points.")
     n_eff: Value = optional("Independent points that would test r = 0 as well.")
-    p: Value = optional("Of the test of r = 0; none where fewer than 10 independent points say nothing.")
+    p: Value = optional(
+        "Of the test of r = 0; none where fewer than 10 independent points say nothing."
+    )
     interval: Interval = optional("95 % interval of r.")
     n_eff_interval: Value = optional("Independent points that would give this interval.")
     warnings: tuple[str, ...] = Field(default=(), description="What to be careful about.")
@@ -77,7 +83,9 @@ class PointsCorrelation(ResultModel):
     @classmethod
     def of(cls, row: Correlation, **extra_fields: Any) -> Self:
         """Take what stands beside another r of a correlation, and what the class has more."""
-        return cls(**({name: getattr(row, name) for name in PointsCorrelation.model_fields} | extra_fields))
+        return cls(
+            **({name: getattr(row, name) for name in PointsCorrelation.model_fields} | extra_fields)
+        )
 
 
 class PairSums:
@@ -116,7 +124,9 @@ class PairSums:
     @property
     def variances(self) -> Pair:
         """Of x and of y."""
-        return float(self._square[0, 0]) / max(self.n, 1), float(self._square[1, 1]) / max(self.n, 1)
+        return float(self._square[0, 0]) / max(self.n, 1), float(self._square[1, 1]) / max(
+            self.n, 1
+        )
 
     @property
     def constant(self) -> list[bool]:
@@ -138,7 +148,11 @@ class PairSums:
         if math.isnan(self.r):
             return math.nan, math.nan, math.nan
         slope = float(self._square[0, 1] / self._square[0, 0])
-        return slope, float(self._mean[1] - slope * self._mean[0]), float(self._square[0, 1] / self._square[1, 1])
+        return (
+            slope,
+            float(self._mean[1] - slope * self._mean[0]),
+            float(self._square[0, 1] / self._square[1, 1]),
+        )
 
     @property
     def difference(self) -> Pair:
@@ -160,9 +174,14 @@ def pearson(x: Array, y: Array) -> float:
 
 
 def correlate(
-    a: Rows, b: Rows, *, mask: Rows | None = None, pixel_um: Pixel | None = None,
-    point_um: float | None = None, most_cells: int = _MOST_CELLS,
-) -> Correlation:  # fmt: skip
+    a: Rows,
+    b: Rows,
+    *,
+    mask: Rows | None = None,
+    pixel_um: Pixel | None = None,
+    point_um: float | None = None,
+    most_cells: int = _MOST_CELLS,
+) -> Correlation:
     """Correlate map b with map a, and state how sure the correlation is.
 
     Parameters
@@ -211,14 +230,20 @@ def correlate(
         pitch_um = [step for step in steps_um if step is not None]
         if len(pitch_um) != 2:
             raise SizeError(
-                "The maps have no pixel size: they are no maps with coordinates in um. Give it with --pixel-um."
+                "The maps have no pixel size: they are no maps with coordinates in um. Give it with"
+                " --pixel-um."
             )
         pixel_um = pitch_um[0], pitch_um[1]
     pixel = on_one_grid(a, b, mask, pixel_um)
     if point_um is not None and not max(pixel) * (1 - 1e-9) <= point_um < math.inf:
-        raise SizeError(f"A point of {point_um:g} um is smaller than a pixel of {max(pixel):g} um. Give a larger one.")
+        raise SizeError(
+            f"A point of {point_um:g} um is smaller than a pixel of {max(pixel):g} um. Give a"
+            " larger one."
+        )
     cells = 0 if point_um is not None else most_cells
-    pair = PairAtSizes((a.shape[0], a.shape[1]), pixel_um=pixel, point_um=point_um, most_cells=cells)
+    pair = PairAtSizes(
+        (a.shape[0], a.shape[1]), pixel_um=pixel, point_um=point_um, most_cells=cells
+    )
     pair.add_maps(a, b, *([] if mask is None else [mask]))
     return pair.at_pixel() if point_um is None else pair.at_points()
 
@@ -231,7 +256,9 @@ def on_one_grid(a: Rows, b: Rows, mask: Rows | None, pixel_um: Pixel) -> Pair:
     except (TypeError, ValueError):
         pixel = ()
     if len(pixel) != 2 or not all(0 < v < math.inf for v in pixel):
-        raise SizeError(f"The pixel is {pixel_um!r} um. Give one number above 0, or two: along y and x.")
+        raise SizeError(
+            f"The pixel is {pixel_um!r} um. Give one number above 0, or two: along y and x."
+        )
     maps: dict[str, Any] = {"a": a, "b": b} | ({} if mask is None else {"mask": mask})
     for name, values in maps.items():
         if not isinstance(values, (np.ndarray, xr.DataArray)) or len(values.shape) != 2:
@@ -240,13 +267,21 @@ def on_one_grid(a: Rows, b: Rows, mask: Rows | None, pixel_um: Pixel) -> Pair:
             wanted = "true or false" if name == "mask" else "numbers"
             raise InputError(f"{name} holds {values.dtype} values. Give an array of {wanted}.")
         if values.shape != a.shape:
-            raise InputError(f"{name} has {values.shape} pixels, a has {a.shape}. Bring both onto one grid first.")
+            raise InputError(
+                f"{name} has {values.shape} pixels, a has {a.shape}. Bring both onto one grid"
+                " first."
+            )
     placed = [m for m in maps.values() if isinstance(m, xr.DataArray)]
     for other in placed[1:]:
         if other.dims != placed[0].dims or any(
-            not np.allclose(other[k], placed[0][k]) for k in other.dims if k in other.coords and k in placed[0].coords
+            not np.allclose(other[k], placed[0][k])
+            for k in other.dims
+            if k in other.coords and k in placed[0].coords
         ):
-            raise InputError("The maps have other places. Bring both onto one grid first (planish.resample_maps).")
+            raise InputError(
+                "The maps have other places. Bring both onto one grid first"
+                " (planish.resample_maps)."
+            )
     return pixel[0], pixel[1]
 
 
@@ -261,10 +296,14 @@ def check_varying(is_valid: Bools, **maps: Array) -> None:
     """Raise CannotMeasure where fewer than 3 pixels are valid, or one of the maps is constant over them."""
     n = int(np.count_nonzero(is_valid))
     if n < LEAST:
-        raise CannotMeasure(f"{n} pixels are known in all maps, {LEAST} are needed. Look at the masks.")
+        raise CannotMeasure(
+            f"{n} pixels are known in all maps, {LEAST} are needed. Look at the masks."
+        )
     for name, values in maps.items():
         if not np.ptp(values[is_valid]) > 0:
-            raise CannotMeasure(f"Over {n} known pixels, map {name} is constant. Look at the masks.")
+            raise CannotMeasure(
+                f"Over {n} known pixels, map {name} is constant. Look at the masks."
+            )
 
 
 class PairAtSizes:
@@ -275,12 +314,21 @@ class PairAtSizes:
     """
 
     def __init__(
-        self, shape: tuple[int, int], *, pixel_um: Pair, point_um: float | None, most_cells: int = _MOST_CELLS
+        self,
+        shape: tuple[int, int],
+        *,
+        pixel_um: Pair,
+        point_um: float | None,
+        most_cells: int = _MOST_CELLS,
     ) -> None:
         self._pixel_um, self._point_um = pixel_um, point_um
-        factor = (0.0, 0.0) if point_um is None else (point_um / pixel_um[0], point_um / pixel_um[1])
+        factor = (
+            (0.0, 0.0) if point_um is None else (point_um / pixel_um[0], point_um / pixel_um[1])
+        )
         self._points = AreaMeans(shape, factor) if min(factor) >= 1 - 1e-9 else None
-        self._factor = max(1, math.ceil(math.sqrt(math.prod(shape) / most_cells))) if most_cells else 0
+        self._factor = (
+            max(1, math.ceil(math.sqrt(math.prod(shape) / most_cells))) if most_cells else 0
+        )
         self._cells = AreaMeans(shape, (self._factor, self._factor)) if self._factor else None
         self._sums = PairSums()
         self._ranked: list[Floats] = []
@@ -288,7 +336,11 @@ class PairAtSizes:
     def add_maps(self, a: Rows, b: Rows, *masks: Rows) -> None:
         """Add all rows of both maps, where all masks are true."""
         for rows, (x, y, *mask_bands) in read_bands(a, b, *masks):
-            self.add(rows.start, np.where(np.logical_and.reduce(mask_bands), x, np.nan) if mask_bands else x, y)
+            self.add(
+                rows.start,
+                np.where(np.logical_and.reduce(mask_bands), x, np.nan) if mask_bands else x,
+                y,
+            )
 
     def add(self, begin: int, x: Array, y: Array) -> None:
         """Add the rows from ``begin`` on of both maps; NaN is missing."""
@@ -301,7 +353,9 @@ class PairAtSizes:
         self._sums.add(x, y)
         k = self._factor
         every_kth = np.s_[-begin % k :: k, ::k]
-        self._ranked.append(np.stack([m[every_kth][is_valid[every_kth]].astype(np.float64) for m in (x, y)]))
+        self._ranked.append(
+            np.stack([m[every_kth][is_valid[every_kth]].astype(np.float64) for m in (x, y)])
+        )
 
     def at_pixel(self) -> Correlation:
         """The correlation per pixel."""
@@ -313,7 +367,9 @@ class PairAtSizes:
         """The correlation of the larger points; of none where they would be smaller than a pixel."""
         points, size = self.points(), self._point_um or math.nan
         is_valid = np.isfinite(points[0]) & np.isfinite(points[1])
-        return _stated(sums_of(*points), points, np.stack([m[is_valid] for m in points]), (size, size), size)
+        return _stated(
+            sums_of(*points), points, np.stack([m[is_valid] for m in points]), (size, size), size
+        )
 
     def sizes(self) -> Iterator[tuple[Correlation, PairSums]]:
         """The correlation per pixel, and of the larger points, each with its sums."""
@@ -323,7 +379,10 @@ class PairAtSizes:
     def cells(self) -> tuple[list[Floats], Pair]:
         """The means of both maps over the cells that stand for the pixels, and the size of a cell."""
         assert self._cells is not None
-        return self._cells.means(), (self._factor * self._pixel_um[0], self._factor * self._pixel_um[1])
+        return self._cells.means(), (
+            self._factor * self._pixel_um[0],
+            self._factor * self._pixel_um[1],
+        )
 
     def points(self) -> list[Floats]:
         """The means of both maps; none where a point would be smaller than a pixel."""
@@ -331,13 +390,19 @@ class PairAtSizes:
         return means or [np.full((0, 0), np.nan)] * 2
 
 
-def _stated(sums: PairSums, cells: list[Floats], ranked: Floats, pitch_um: Pair, support_um: float) -> Correlation:
+def _stated(
+    sums: PairSums, cells: list[Floats], ranked: Floats, pitch_um: Pair, support_um: float
+) -> Correlation:
     """Say how sure the correlation is that stands in the sums; ``cells`` are both maps, as they are or averaged."""
     r, (slope, intercept, slope_x_on_y) = sums.r, sums.lines
     fields: dict[str, Any] = {"point_um": support_um, "n": sums.n, "r": r, "r2": r * r}
     fields |= {"slope": slope, "intercept": intercept, "slope_x_on_y": slope_x_on_y}
     if math.isnan(r):
-        warnings = [f"{which} map is constant." for which, flat in zip(_ORDER, sums.constant, strict=True) if flat]
+        warnings = [
+            f"{which} map is constant."
+            for which, flat in zip(_ORDER, sums.constant, strict=True)
+            if flat
+        ]
         if sums.n < LEAST:
             warnings = [f"Only {sums.n} points are valid in both maps."]
         return Correlation(**fields, warnings=tuple(warnings))
@@ -347,8 +412,9 @@ def _stated(sums: PairSums, cells: list[Floats], ranked: Floats, pitch_um: Pair,
         median_shares = (float(np.mean(values == np.median(values))) for values in ranked)
         warnings = [
             f"{100 * median_share:.0f} % of the points of {which.lower()} map have the same value."
-            for which, median_share in zip(_ORDER, median_shares, strict=True) if median_share > 0.9
-        ]  # fmt: skip
+            for which, median_share in zip(_ORDER, median_shares, strict=True)
+            if median_share > 0.9
+        ]
     fields |= {"rho": rho, "mean_a": sums.means[0], "mean_b": sums.means[1]}
     fields |= _certainty(r, sums, cells, pitch_um, warnings)
     return Correlation(**fields, warnings=tuple(warnings))
@@ -367,7 +433,9 @@ def _certainty(
     n_eff = pair.n_eff(sums.n, sums.variances)
     if not n_eff >= LEAST_CLAIMED:
         points_text = f"{n_eff:.0f}" if n_eff >= 1 else "No"
-        warnings.append(f"{points_text} independent points: nothing is claimed. Measure a larger field.")
+        warnings.append(
+            f"{points_text} independent points: nothing is claimed. Measure a larger field."
+        )
         return {"n_eff": n_eff}
     if n_eff < 30:
         warnings.append(f"Only {n_eff:.0f} independent points. Measure a larger field.")
@@ -379,10 +447,13 @@ def _certainty(
         error_ratio = max(pair.spatial_error(r_of_cells, reach)[1], 1.0)
     if error_ratio > UNEVEN:
         warnings.append(
-            f"The maps vary unevenly, which makes the interval {error_ratio:.1f} times as wide. Look at "
-            "them, and mask what does not belong."
+            f"The maps vary unevenly, which makes the interval {error_ratio:.1f} times as wide."
+            " Look at them, and mask what does not belong."
         )
-    variance_of_z, quantile = error_ratio**2 * pair.variance_of_z(r, sums.variances), float(special.ndtri(0.975))
+    variance_of_z, quantile = (
+        error_ratio**2 * pair.variance_of_z(r, sums.variances),
+        float(special.ndtri(0.975)),
+    )
     width = quantile / math.sqrt(n_eff - 3)
     if 0 < variance_of_z < 1 / 3:  # the quantile needs degrees of freedom above 1
         width = max(width, t_95(1 / variance_of_z - 2) * math.sqrt(variance_of_z))
@@ -390,6 +461,8 @@ def _certainty(
         warnings.append(trend)
     z = math.atanh(r)
     return {
-        "n_eff": n_eff, "p": 2 * student_tail(abs(r) * math.sqrt((n_eff - 2) / (1 - r * r)), n_eff - 2),
-        "interval": (math.tanh(z - width), math.tanh(z + width)), "n_eff_interval": (quantile / width) ** 2 + 3,
-    }  # fmt: skip
+        "n_eff": n_eff,
+        "p": 2 * student_tail(abs(r) * math.sqrt((n_eff - 2) / (1 - r * r)), n_eff - 2),
+        "interval": (math.tanh(z - width), math.tanh(z + width)),
+        "n_eff_interval": (quantile / width) ** 2 + 3,
+    }

@@ -20,7 +20,12 @@ from planish.analyze.correlograms import CorrelogramProfiles, answer_correlogram
 from planish.analyze.covariance import Lags
 from planish.analyze.curve import Curvature, answer_curve, say_curve
 from planish.analyze.curve_of_sizes import SizeRow, answer_sizes
-from planish.analyze.kubelka_munk import KubelkaMunk, answer_density, answer_kubelka_munk, say_kubelka_munk
+from planish.analyze.kubelka_munk import (
+    KubelkaMunk,
+    answer_density,
+    answer_kubelka_munk,
+    say_kubelka_munk,
+)
 from planish.analyze.light_spread import LightSpread, answer_light_spread, say_light_spread
 from planish.analyze.octaves import Band, answer_octaves
 from planish.analyze.params import CorrelateParams
@@ -54,15 +59,21 @@ class EvidenceFacts(ResultModel):
     declared: bool = Field(description="Whether the study named the map before r was looked at.")
     sizes: tuple[SizeRow, ...] = Field(default=(), description="r over points of growing size.")
     bands: tuple[Band, ...] = Field(default=(), description="Coherence by octaves of wavelength.")
-    resolution_per_um: Number = optional("Waves closer in frequency than this are not distinguished.")
+    resolution_per_um: Number = optional(
+        "Waves closer in frequency than this are not distinguished."
+    )
     origins: tuple[float, float, float] | None = optional(
         "Least, mean and largest r over grids of points that begin elsewhere."
     )
     curve: Curvature | None = optional("Whether the relation is straight or bent.")
     kubelka_munk: KubelkaMunk | None = optional("Where the study asks for it.")
     light_spread: LightSpread | None = optional("Where the study states how far light spreads.")
-    density_g_cm3: Number = optional("Of the coating, where the run knows it: it turns thickness into g/m2.")
-    thin: tuple[RegionDifference, ...] = Field(default=(), description="The image where the coating is thin.")
+    density_g_cm3: Number = optional(
+        "Of the coating, where the run knows it: it turns thickness into g/m2."
+    )
+    thin: tuple[RegionDifference, ...] = Field(
+        default=(), description="The image where the coating is thin."
+    )
     short_waves: SizeRow | None = optional("Without waves above short_waves_um.")
     short_waves_um: Number = optional("Longest wave that was left in for short_waves.")
     ceiling: Number = optional("The r that a perfect relation would show, by misplacement alone.")
@@ -71,17 +82,21 @@ class EvidenceFacts(ResultModel):
         default=(), description="Of the maps of sheets among the two, at the larger points."
     )
     ceiling_noise: Number = optional(
-        "The r that a perfect relation would show, by the noise of these maps alone: an upper bound."
+        "The r that a perfect relation would show, by the noise of these maps alone: an upper"
+        " bound."
     )
     ceiling_both: Number = optional("The same by noise and misplacement together.")
     second_opinion: SecondOpinion | None = optional("An interval from what single points add to r.")
-    variograms: tuple[Variogram, ...] = Field(default=(), description="How each map varies with distance.")
+    variograms: tuple[Variogram, ...] = Field(
+        default=(), description="How each map varies with distance."
+    )
     correlogram: CorrelogramProfiles | None = optional("r at every shift of one map.")
     twice: Twice | None = optional("Where both maps are of the same quantity.")
     partial: Partial | None = optional("Where the study names maps that stand beside.")
     commonality: dict[str, float] | None = optional(
-        "Shares of the variance of b that the maps explain alone and only together (joined by ' and '), "
-        "at the larger points; their sum is r2 of all of them. Below 0 where a map hides what another one does."
+        "Shares of the variance of b that the maps explain alone and only together (joined by ' and"
+        " '), at the larger points; their sum is r2 of all of them. Below 0 where a map hides what"
+        " another one does."
     )
 
 
@@ -92,13 +107,15 @@ class ComparedMaps:
     a: tuple[str, str]  # layer and map
     b: tuple[str, str]
     units: tuple[str, str]
-    x: Floats  # both maps (rows, cols), averaged to at most 65 536 cells; NaN where one of them is missing
+    # Both maps (rows, cols), averaged to at most 65 536 cells; NaN where one of them is missing.
+    x: Floats
     y: Floats
     lags: Lags  # of the cells that count, ``lags.is_valid``
     params: CorrelateParams
     layers: tuple[xr.Dataset, xr.Dataset]  # all maps of both, on the pixels of ``grid``
     grid: Grid
-    columns: Mapping[str, SheetColumns] = field(default_factory=dict[str, SheetColumns])  # those of each sheet
+    # Those of each sheet.
+    columns: Mapping[str, SheetColumns] = field(default_factory=dict[str, SheetColumns])
     md_deg: float | None = None  # machine direction on the reference
     # Means over the larger points, straight from the pixels, where both are sheets and the maps of one quantity.
     repeated_points: list[Floats] | None = None
@@ -128,7 +145,10 @@ class ComparedMaps:
         """Why there are no means over the larger points; empty where there are."""
         if self.point_um >= max(self.cell_um) * (1 - 1e-9):
             return ""
-        return f"Points of {self.point_um:g} um are smaller than the means that stand for the pixels. Give larger ones."
+        return (
+            f"Points of {self.point_um:g} um are smaller than the means that stand for the pixels."
+            " Give larger ones."
+        )
 
     @property
     def points(self) -> tuple[Floats, Floats]:
@@ -182,22 +202,41 @@ QUESTIONS = (
     Question(("short_waves", "short_waves_um"), answer_short_waves, say_short_waves),
     Question(("partial", "commonality"), answer_partial, say_partial, option="beside"),
     Question(
-        ("ceiling", "ceiling_sentence", "reliability", "ceiling_noise", "ceiling_both"), answer_ceiling, say_ceiling
+        ("ceiling", "ceiling_sentence", "reliability", "ceiling_noise", "ceiling_both"),
+        answer_ceiling,
+        say_ceiling,
     ),
     Question(("variograms",), answer_variograms, say_variograms, section="distance"),
     Question(("correlogram",), answer_correlogram, say_correlogram, section="distance"),
     Question(("twice",), answer_twice, say_twice, section="repeated"),
     Question(("density_g_cm3",), answer_density),
-    Question(("kubelka_munk",), answer_kubelka_munk, say_kubelka_munk, section="light", option="kubelka_munk"),
-    Question(("light_spread",), answer_light_spread, say_light_spread, section="light", option="light_spread_um"),
+    Question(
+        ("kubelka_munk",),
+        answer_kubelka_munk,
+        say_kubelka_munk,
+        section="light",
+        option="kubelka_munk",
+    ),
+    Question(
+        ("light_spread",),
+        answer_light_spread,
+        say_light_spread,
+        section="light",
+        option="light_spread_um",
+    ),
 )
 """In the order in which the page has their sentences."""
 
 
 def correlation_diagnostics(
-    maps: Mapping[str, xr.Dataset], a: tuple[str, str], b: tuple[str, str], *, params: CorrelateParams | None = None,
-    columns: Mapping[str, SheetColumns] | None = None, md_deg: float | None = None,
-) -> EvidenceFacts | None:  # fmt: skip
+    maps: Mapping[str, xr.Dataset],
+    a: tuple[str, str],
+    b: tuple[str, str],
+    *,
+    params: CorrelateParams | None = None,
+    columns: Mapping[str, SheetColumns] | None = None,
+    md_deg: float | None = None,
+) -> EvidenceFacts | None:
     """Answer every question of two maps; None where they share fewer than 3 cells, or one of them is constant.
 
     Parameters
@@ -221,7 +260,10 @@ def correlation_diagnostics(
     a_maps, b_maps = maps[a[0]], maps[b[0]]
     grid, is_same_quantity = Grid.of(a_maps), a[1] == b[1] and "image" not in (a[1], b[1])
     accumulator = PairAtSizes(
-        grid.shape, pixel_um=grid.pixel_um, point_um=params.point_um if is_same_quantity else None, most_cells=CELLS
+        grid.shape,
+        pixel_um=grid.pixel_um,
+        point_um=params.point_um if is_same_quantity else None,
+        most_cells=CELLS,
     )
     accumulator.add_maps(a_maps[a[1]], b_maps[b[1]], a_maps["valid"], b_maps["valid"])
     (x, y), cell_um = accumulator.cells()
@@ -229,22 +271,43 @@ def correlation_diagnostics(
     if np.count_nonzero(is_valid) < 3 or not (np.ptp(x[is_valid]) > 0 and np.ptp(y[is_valid]) > 0):
         return None
     pair = ComparedMaps(
-        a=a, b=b, units=(str(a_maps[a[1]].attrs.get("units", "1")), str(b_maps[b[1]].attrs.get("units", "1"))), x=x,
-        y=y, lags=Lags(is_valid, cell_um), params=params, layers=(a_maps, b_maps), grid=grid, columns=columns or {},
-        md_deg=md_deg, repeated_points=accumulator.points() if is_same_quantity else None,
-    )  # fmt: skip
+        a=a,
+        b=b,
+        units=(
+            str(a_maps[a[1]].attrs.get("units", "1")),
+            str(b_maps[b[1]].attrs.get("units", "1")),
+        ),
+        x=x,
+        y=y,
+        lags=Lags(is_valid, cell_um),
+        params=params,
+        layers=(a_maps, b_maps),
+        grid=grid,
+        columns=columns or {},
+        md_deg=md_deg,
+        repeated_points=accumulator.points() if is_same_quantity else None,
+    )
     answers: dict[str, Any] = {}
     for question in QUESTIONS:
         if question.option and getattr(params, question.option) in (None, ()):
             continue
-        with suppress(CannotMeasure, SizeError):  # a field that is too small for one of them, and the rest stands
+        # a field that is too small for one of them, and the rest stands.
+        with suppress(CannotMeasure, SizeError):
             answers |= question.answer(pair)
-    return EvidenceFacts(a=a[0], a_map=a[1], b=b[0], b_map=b[1], declared=params.headline is not None, **answers)
+    return EvidenceFacts(
+        a=a[0], a_map=a[1], b=b[0], b_map=b[1], declared=params.headline is not None, **answers
+    )
 
 
-def sentences(evidence: EvidenceFacts, section: Section, words: PairWords | None = None) -> Iterator[str]:
+def sentences(
+    evidence: EvidenceFacts, section: Section, words: PairWords | None = None
+) -> Iterator[str]:
     """Give what a section of the page says of two maps, question by question."""
     for question in QUESTIONS:
         answers = [getattr(evidence, name) for name in question.fields]
-        if question.section == section and question.say and any(answer not in (None, ()) for answer in answers):
+        if (
+            question.section == section
+            and question.say
+            and any(answer not in (None, ()) for answer in answers)
+        ):
             yield from question.say(answers[0], evidence, words or PairWords())

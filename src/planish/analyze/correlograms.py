@@ -32,8 +32,12 @@ class LagProfile(ResultModel):
 
     lags_um: tuple[float, ...] = Field(description="How far one map is shifted.")
     r: tuple[Value, ...] = Field(description="Correlation.")
-    limit: tuple[Value, ...] = Field(description="|r| that unrelated maps exceed at this lag with 1 %.")
-    limit_of_any: tuple[Value, ...] = Field(description="|r| that they exceed at any of all lags with 1 %.")
+    limit: tuple[Value, ...] = Field(
+        description="|r| that unrelated maps exceed at this lag with 1 %."
+    )
+    limit_of_any: tuple[Value, ...] = Field(
+        description="|r| that they exceed at any of all lags with 1 %."
+    )
 
 
 class CorrelogramProfiles(ResultModel):
@@ -44,12 +48,20 @@ class CorrelogramProfiles(ResultModel):
     r_at_zero: Value = Field(description="Without a shift.")
     peak_r: float = Field(description="Largest r of all shifts.")
     lag_um: Pair = Field(description="Of the largest |r|.")
-    inner: bool = Field(description="Whether that is a summit, not a slope that goes on beyond the reach.")
+    inner: bool = Field(
+        description="Whether that is a summit, not a slope that goes on beyond the reach."
+    )
     widths_um: Interval = Field(description="Full widths at half height, the longer one first.")
-    angle_deg: Value = Field(description="Direction of the longer width, clockwise from the x axis.")
+    angle_deg: Value = Field(
+        description="Direction of the longer width, clockwise from the x axis."
+    )
     n_eff: Value = Field(description="Independent points.")
-    limit_of_any: Value = Field(description="|r| at lag 0 that unrelated maps exceed at any lag with 1 %.")
-    beyond_chance: bool | None = Field(description="Whether some lag exceeds that; none where nothing is claimed.")
+    limit_of_any: Value = Field(
+        description="|r| at lag 0 that unrelated maps exceed at any lag with 1 %."
+    )
+    beyond_chance: bool | None = Field(
+        description="Whether some lag exceeds that; none where nothing is claimed."
+    )
     along_x: LagProfile = Field(description="Through no shift, along x.")
     along_y: LagProfile = Field(description="Through no shift, along y.")
 
@@ -57,11 +69,17 @@ class CorrelogramProfiles(ResultModel):
 class Correlogram(CorrelogramProfiles):
     """Correlation of map a with map b, moved by each lag; shape (lags along y, lags along x)."""
 
-    r: Floats = Field(exclude=True, description="Of the pairs a[p], b[p + lag]; NaN where few pairs are left.")
+    r: Floats = Field(
+        exclude=True, description="Of the pairs a[p], b[p + lag]; NaN where few pairs are left."
+    )
     lag_y_um: Floats = Field(exclude=True, description="Lags of its rows.")
     lag_x_um: Floats = Field(exclude=True, description="Lags of its columns.")
-    band_99: Floats = Field(exclude=True, description="|r| that unrelated maps exceed at this lag with 1 %.")
-    band_99_of_any: Floats = Field(exclude=True, description="Limit that they exceed at any of all lags with 1 %.")
+    band_99: Floats = Field(
+        exclude=True, description="|r| that unrelated maps exceed at this lag with 1 %."
+    )
+    band_99_of_any: Floats = Field(
+        exclude=True, description="Limit that they exceed at any of all lags with 1 %."
+    )
 
 
 def _profile(lags_um: Floats, *along: Floats) -> LagProfile:
@@ -108,10 +126,15 @@ def cross_correlogram(
     """
     pixel = on_one_grid(a, b, mask, pixel_um)
     if not max(pixel) <= reach_um < math.inf:
-        raise SizeError(f"The reach is {reach_um:g} um, a pixel {max(pixel):g} um. Give a reach of a pixel or more.")
+        raise SizeError(
+            f"The reach is {reach_um:g} um, a pixel {max(pixel):g} um. Give a reach of a pixel or"
+            " more."
+        )
     use = np.ones(a.shape, bool) if mask is None else mask
     valid = [np.isfinite(m) & use for m in (a, b)]
-    return correlogram_of((a, b), (valid[0], valid[1]), Lags(valid[0] & valid[1], pixel), reach_um=reach_um)
+    return correlogram_of(
+        (a, b), (valid[0], valid[1]), Lags(valid[0] & valid[1], pixel), reach_um=reach_um
+    )
 
 
 def correlogram_of(
@@ -122,25 +145,46 @@ def correlogram_of(
     check_varying(lags.is_valid)
     check_varying(valid[0], a=a)
     check_varying(valid[1], b=b)
-    reach = tuple(max(min(int(reach_um / p + 1e-9), n // 2), 1) for n, p in zip(a.shape, pixel, strict=True))
-    ncc = MaskedNcc(a.astype(np.float64), a_valid=valid[0], b_valid=valid[1], reach=(reach[0], reach[1]))
+    reach = tuple(
+        max(min(int(reach_um / p + 1e-9), n // 2), 1) for n, p in zip(a.shape, pixel, strict=True)
+    )
+    ncc = MaskedNcc(
+        a.astype(np.float64), a_valid=valid[0], b_valid=valid[1], reach=(reach[0], reach[1])
+    )
     r = ncc(b.astype(np.float64))
     if not np.isfinite(r).any():
-        raise CannotMeasure("At no lag are there enough pairs that differ. Give a larger map or a smaller mask.")
-    lags_y_um, lags_x_um = ((np.arange(-k, k + 1) * p).astype(np.float64) for k, p in zip(reach, pixel, strict=True))
+        raise CannotMeasure(
+            "At no lag are there enough pairs that differ. Give a larger map or a smaller mask."
+        )
+    lags_y_um, lags_x_um = (
+        (np.arange(-k, k + 1) * p).astype(np.float64) for k, p in zip(reach, pixel, strict=True)
+    )
     summit, peak_r, inner = _summit(r)
-    widths, angle = _widths(r / peak_r, summit, pixel) if inner else ((math.nan, math.nan), math.nan)
+    widths, angle = (
+        _widths(r / peak_r, summit, pixel) if inner else ((math.nan, math.nan), math.nan)
+    )
     n_eff, band, of_any = _limits([a, b], lags, ncc.pairs, np.isfinite(r))
     maps_by_lag, (zero_row, zero_col) = (r, band, of_any), reach
     return Correlogram(
-        r=r, lag_y_um=lags_y_um, lag_x_um=lags_x_um, band_99=band, band_99_of_any=of_any, cell_um=pixel,
-        reach_um=min(float(lags_y_um[-1]), float(lags_x_um[-1])), r_at_zero=float(r[zero_row, zero_col]), peak_r=peak_r,
-        inner=inner, lag_um=((summit[0] - zero_row) * pixel[0], (summit[1] - zero_col) * pixel[1]), widths_um=widths,
-        angle_deg=angle, n_eff=n_eff, limit_of_any=float(of_any[zero_row, zero_col]),
+        r=r,
+        lag_y_um=lags_y_um,
+        lag_x_um=lags_x_um,
+        band_99=band,
+        band_99_of_any=of_any,
+        cell_um=pixel,
+        reach_um=min(float(lags_y_um[-1]), float(lags_x_um[-1])),
+        r_at_zero=float(r[zero_row, zero_col]),
+        peak_r=peak_r,
+        inner=inner,
+        lag_um=((summit[0] - zero_row) * pixel[0], (summit[1] - zero_col) * pixel[1]),
+        widths_um=widths,
+        angle_deg=angle,
+        n_eff=n_eff,
+        limit_of_any=float(of_any[zero_row, zero_col]),
         beyond_chance=bool(np.any(np.abs(r) > of_any)) if np.isfinite(of_any).any() else None,
         along_x=_profile(lags_x_um, *(m[zero_row, :] for m in maps_by_lag)),
         along_y=_profile(lags_y_um, *(m[:, zero_col] for m in maps_by_lag)),
-    )  # fmt: skip
+    )
 
 
 def _summit(r: Floats) -> tuple[Pair, float, bool]:
@@ -160,7 +204,11 @@ def _summit(r: Floats) -> tuple[Pair, float, bool]:
     shift = -np.linalg.solve(curvature, c[1:3] * sign)
     if np.abs(shift).max() > 1:
         return pixel_peak
-    return (float(row + shift[0]), float(col + shift[1])), float(np.clip(c[0] + c[1:3] @ shift / 2, -1.0, 1.0)), True
+    return (
+        (float(row + shift[0]), float(col + shift[1])),
+        float(np.clip(c[0] + c[1:3] @ shift / 2, -1.0, 1.0)),
+        True,
+    )
 
 
 def _widths(height: Floats, summit: Pair, pixel: Pair) -> tuple[Pair, float]:
@@ -180,7 +228,9 @@ def _widths(height: Floats, summit: Pair, pixel: Pair) -> tuple[Pair, float]:
     inner, outer = ray_heights[rays, first - 1], ray_heights[rays, first]
     if not np.isfinite(outer).all() or not below.any(axis=1).all():
         return (math.nan, math.nan), math.nan
-    half_height_um = steps[first - 1] + (inner - 0.5) / (inner - outer) * (steps[first] - steps[first - 1])
+    half_height_um = steps[first - 1] + (inner - 0.5) / (inner - outer) * (
+        steps[first] - steps[first - 1]
+    )
     area = float(np.sum(half_height_um**2)) / 2
     moments = (directions * half_height_um**4) @ directions.T / 4 / area
     values, vectors = np.linalg.eigh(moments)
@@ -189,7 +239,9 @@ def _widths(height: Floats, summit: Pair, pixel: Pair) -> tuple[Pair, float]:
     return (4 * math.sqrt(values[1]), 4 * math.sqrt(values[0])), angle
 
 
-def _limits(maps: list[Array], lags: Lags, pairs: Floats, looked_at: Bools) -> tuple[float, Floats, Floats]:
+def _limits(
+    maps: list[Array], lags: Lags, pairs: Floats, looked_at: Bools
+) -> tuple[float, Floats, Floats]:
     """Independent points, and the limits of ``|r|`` by lag: at this lag alone, and at any lag."""
     x, y = (np.where(lags.is_valid, m, 0.0).astype(np.float64) for m in maps)
     pair = PairCovariances(x, y, lags)
@@ -215,8 +267,15 @@ def _limits(maps: list[Array], lags: Lags, pairs: Floats, looked_at: Bools) -> t
     # Over the inverse of the points, limits are all but straight: a quantile for each lag would take longest of all.
     nodes = np.linspace(1 / float(n_eff_of_lag.max()), 1 / float(n_eff_of_lag.min()), 65)
     alone, anywhere = (
-        np.where(looked_at, np.interp(1 / n_eff_of_lag, nodes, t / np.sqrt(t * t + 1 / nodes - 2)), math.nan)
-        for t in (np.asarray(-special.stdtrit(1 / nodes - 2, tail)) for tail in (_CHANCE / 2, normal_tail(u)))
+        np.where(
+            looked_at,
+            np.interp(1 / n_eff_of_lag, nodes, t / np.sqrt(t * t + 1 / nodes - 2)),
+            math.nan,
+        )
+        for t in (
+            np.asarray(-special.stdtrit(1 / nodes - 2, tail))
+            for tail in (_CHANCE / 2, normal_tail(u))
+        )
     )
     return n_eff, alone, anywhere
 
@@ -230,14 +289,20 @@ def answer_correlogram(pair: ComparedMaps) -> dict[str, Any]:
 
 def say_correlogram(profiles: CorrelogramProfiles, *_: object) -> Iterator[str]:
     """Where both maps agree best, and what unrelated maps reach."""
-    limit_text = f"|r| above {fixed(profiles.limit_of_any, 2)} is exceeded at any lag by 1 % of unrelated maps"
+    limit_text = (
+        f"|r| above {fixed(profiles.limit_of_any, 2)} is exceeded at any lag by 1 % of unrelated"
+        " maps"
+    )
     if not is_known(profiles.limit_of_any):
         limit_text = "fewer than 10 independent points: what unrelated maps reach is not known"
     elif not profiles.beyond_chance:
         limit_text += ", and no lag reaches that"
     if not profiles.inner:
         reach_text = plain(round(profiles.reach_um))
-        yield f"Shifted against each other, the maps show no peak of r within {reach_text}; {limit_text}."
+        yield (
+            f"Shifted against each other, the maps show no peak of r within {reach_text};"
+            f" {limit_text}."
+        )
         return
     lag_y_text, lag_x_text = (fixed(v, 0 if abs(v) >= 10 else 1) for v in profiles.lag_um)
     width_text = ""
@@ -245,6 +310,6 @@ def say_correlogram(profiles: CorrelogramProfiles, *_: object) -> Iterator[str]:
         widths_text = " × ".join(fixed(v, 0) for v in profiles.widths_um)
         width_text = f" (width at half height {widths_text} µm)"
     yield (
-        f"Shifted against each other, the maps agree best at a lag of {lag_x_text} µm along x and {lag_y_text} µm "
-        f"along y, with r = {fixed(profiles.peak_r, 2)}{width_text}; {limit_text}."
+        f"Shifted against each other, the maps agree best at a lag of {lag_x_text} µm along x and"
+        f" {lag_y_text} µm along y, with r = {fixed(profiles.peak_r, 2)}{width_text}; {limit_text}."
     )

@@ -19,8 +19,12 @@ class Lags:
     def __init__(self, is_valid: Bools, pixel_um: Pair) -> None:
         self.is_valid, self.pixel_um, self.n = is_valid, pixel_um, int(np.count_nonzero(is_valid))
         reach = [int(0.5 * k) for k in is_valid.shape]  # longer lags have too few pairs of points
-        self._size = [fft.next_fast_len(k + m, real=True) for k, m in zip(is_valid.shape, reach, strict=True)]
-        self.lag_um = [fft.fftfreq(k, 1.0 / k) * p for k, p in zip(self._size, pixel_um, strict=True)]
+        self._size = [
+            fft.next_fast_len(k + m, real=True) for k, m in zip(is_valid.shape, reach, strict=True)
+        ]
+        self.lag_um = [
+            fft.fftfreq(k, 1.0 / k) * p for k, p in zip(self._size, pixel_um, strict=True)
+        ]
         self.inside = np.logical_and.outer(
             *(np.abs(lag) <= m * p for lag, m, p in zip(self.lag_um, reach, pixel_um, strict=True))
         )
@@ -36,7 +40,9 @@ class Lags:
 
     def own_products(self, values: Array) -> Floats:
         """Sums of products of a map (rows, cols), less its mean, with itself."""
-        spectrum = self.transform(np.where(self.is_valid, values - values[self.is_valid].mean(), 0.0))
+        spectrum = self.transform(
+            np.where(self.is_valid, values - values[self.is_valid].mean(), 0.0)
+        )
         return self.products(spectrum, spectrum)
 
     def products(self, a: Complexes, b: Complexes) -> Floats:
@@ -83,7 +89,9 @@ def scatter_of(values: Array, lags: Lags) -> tuple[float, float]:
     """Variance of a map, with what the removal of the mean took put back, and the independent points of its mean."""
     covariance = covariance_of(values, lags)
     variance, variance_of_mean = float(covariance[0, 0]), lags.variance_of_mean(covariance)
-    return variance, min(variance / variance_of_mean, float(lags.n)) if variance_of_mean > 0 else math.nan
+    return variance, (
+        min(variance / variance_of_mean, float(lags.n)) if variance_of_mean > 0 else math.nan
+    )
 
 
 class PairCovariances:
@@ -95,22 +103,32 @@ class PairCovariances:
         a, b = (lags.transform(m) for m in self._maps)
         auto_products, cross_products = [lags.products(m, m) for m in (a, b)], lags.products(a, b)
         self.used = [lags.until_zero(p) for p in auto_products]
-        self.xx, self.yy = (lags.covariance(p, use) for p, use in zip(auto_products, self.used, strict=True))
+        self.xx, self.yy = (
+            lags.covariance(p, use) for p, use in zip(auto_products, self.used, strict=True)
+        )
         # For the interval all are cut alike: where r is large they nearly cancel each other.
         used = self.used[0] | self.used[1]
         self._together = [lags.covariance(p, used) for p in (*auto_products, cross_products)]
         self.variances = tuple(float(p[0, 0]) / lags.n for p in auto_products)
-        self._put_back = [float(c[0, 0]) - v for c, v in zip((self.xx, self.yy), self.variances, strict=True)]
+        self._put_back = [
+            float(c[0, 0]) - v for c, v in zip((self.xx, self.yy), self.variances, strict=True)
+        ]
 
     def variance_of_r(self, variances: Pair | None = None) -> float:
         """Variance of r of unrelated maps (Dutilleul 1993); ``variances``: of single points, where maps are means."""
         n, (xx, yy) = self.lags.n, (self.xx, self.yy)
         row_x, row_y = self.lags.sums(xx), self.lags.sums(yy)
         sum_x, sum_y = float(row_x.sum()), float(row_y.sum())
-        trace = float(np.sum(self.lags.pairs * xx * yy)) - 2.0 / n * float(np.sum(row_x * row_y)) + sum_x * sum_y / n**2
+        trace = (
+            float(np.sum(self.lags.pairs * xx * yy))
+            - 2.0 / n * float(np.sum(row_x * row_y))
+            + sum_x * sum_y / n**2
+        )
         product = math.prod(  # What is put back into the covariances belongs to the variances, too.
             n * v + p * n - s / n
-            for v, p, s in zip(variances or self.variances, self._put_back, (sum_x, sum_y), strict=True)
+            for v, p, s in zip(
+                variances or self.variances, self._put_back, (sum_x, sum_y), strict=True
+            )
         )
         return trace / product if product > 0 else math.nan
 
@@ -135,20 +153,38 @@ class PairCovariances:
         weight = np.maximum(1.0 - self.lags.distance_um / bandwidth_um, 0.0)
         model = self._influence(r, None)
         model_variance = float(np.sum(weight * model))
-        model_variance -= float(model.sum()) * float(np.sum(weight * self.lags.pairs)) / self.lags.n**2
-        observed_variance = float(np.sum(weight * self.lags.products(influence_hat, influence_hat))) / (1 - r * r) ** 2
+        model_variance -= (
+            float(model.sum()) * float(np.sum(weight * self.lags.pairs)) / self.lags.n**2
+        )
+        observed_variance = (
+            float(np.sum(weight * self.lags.products(influence_hat, influence_hat)))
+            / (1 - r * r) ** 2
+        )
         error = math.sqrt(max(observed_variance, 0.0))
         return error / self.lags.n, error / math.sqrt(model_variance) if model_variance > 0 else 1.0
 
     def _influence(self, r: float, variances: Pair | None) -> Floats:
-        sd = [math.sqrt(v + p) for v, p in zip(variances or self.variances, self._put_back, strict=True)]
-        xx, yy, xy = (c / s for c, s in zip(self._together, (sd[0] ** 2, sd[1] ** 2, sd[0] * sd[1]), strict=True))
+        sd = [
+            math.sqrt(v + p)
+            for v, p in zip(variances or self.variances, self._put_back, strict=True)
+        ]
+        xx, yy, xy = (
+            c / s
+            for c, s in zip(self._together, (sd[0] ** 2, sd[1] ** 2, sd[0] * sd[1]), strict=True)
+        )
         yx = _reversed(xy)
-        terms = xx * yy + xy * yx - r * (xx + yy) * (xy + yx) + r * r / 2 * (xx**2 + yy**2 + xy**2 + yx**2)
+        terms = (
+            xx * yy
+            + xy * yx
+            - r * (xx + yy) * (xy + yx)
+            + r * r / 2 * (xx**2 + yy**2 + xy**2 + yx**2)
+        )
         return self.lags.pairs * terms / (1 - r * r) ** 2
 
 
-def variance_of_products(maps: Sequence[Floats], terms: Sequence[tuple[int, int, float]], lags: Lags) -> float:
+def variance_of_products(
+    maps: Sequence[Floats], terms: Sequence[tuple[int, int, float]], lags: Lags
+) -> float:
     """Variance of the mean of a sum of products of jointly Gaussian maps, from their covariances by lag.
 
     The maps (rows, cols) have mean 0 and variance 1 over the mask of ``lags`` and are 0 outside of it; ``terms`` are
@@ -159,14 +195,18 @@ def variance_of_products(maps: Sequence[Floats], terms: Sequence[tuple[int, int,
     for i in range(len(maps)):
         for j in range(i, len(maps)):
             products = lags.products(spectra[i], spectra[j])
-            covariances[i, j] = lags.covariance(products, lags.until_zero(products + _reversed(products)))
+            covariances[i, j] = lags.covariance(
+                products, lags.until_zero(products + _reversed(products))
+            )
             covariances[j, i] = _reversed(covariances[i, j])
     sd = [math.sqrt(float(covariances[i, i][0, 0])) for i in range(len(maps))]
     total = np.zeros_like(lags.pairs)
     for i, j, v in terms:
         for k, m, w in terms:
             # Isserlis: of Gaussian maps the covariance of products is one of pairs.
-            product_covariance = covariances[i, k] * covariances[j, m] + covariances[i, m] * covariances[j, k]
+            product_covariance = (
+                covariances[i, k] * covariances[j, m] + covariances[i, m] * covariances[j, k]
+            )
             total += v * w / (sd[i] * sd[j] * sd[k] * sd[m]) * product_covariance
     return lags.variance_of_mean(total)
 

@@ -28,15 +28,23 @@ if TYPE_CHECKING:
 class IndependentPoints(ResultModel):
     """Independent points of y over x; NaN where the maps do not tell."""
 
-    n_eff: float = Field(description="Of the slope: Dutilleul's number for x and what the straight line leaves of y.")
-    n_eff_square: float = Field(description="Of the bend: the same for `(x - mean)^2`, which varies faster than x.")
+    n_eff: float = Field(
+        description="Of the slope: Dutilleul's number for x and what the straight line leaves of y."
+    )
+    n_eff_square: float = Field(
+        description="Of the bend: the same for `(x - mean)^2`, which varies faster than x."
+    )
     n_eff_level: float = Field(
-        description="Of the mean of y at the mean of x: only what the line leaves counts, so there are fewer than of "
-        "the slope."
+        description=(
+            "Of the mean of y at the mean of x: only what the line leaves counts, so there are"
+            " fewer than of the slope."
+        )
     )
 
 
-def independent_points(x: Array, y: Array, *, pixel_um: Pixel, mask: Bools | None = None) -> IndependentPoints:
+def independent_points(
+    x: Array, y: Array, *, pixel_um: Pixel, mask: Bools | None = None
+) -> IndependentPoints:
     """Count the independent points of a curve of map y over map x.
 
     Parameters
@@ -60,7 +68,9 @@ def independent_points(x: Array, y: Array, *, pixel_um: Pixel, mask: Bools | Non
     check_varying(is_valid, x=x)
     dx, dy = (np.where(is_valid, m - m[is_valid].mean(), 0.0) for m in (x, y))
     residuals = dy - dx * (float(np.sum(dx * dy)) / float(np.sum(dx * dx)))
-    slope, square = (correlate(m, residuals, mask=is_valid, pixel_um=pixel).n_eff for m in (dx, dx * dx))
+    slope, square = (
+        correlate(m, residuals, mask=is_valid, pixel_um=pixel).n_eff for m in (dx, dx * dx)
+    )
     level = scatter_of(residuals, Lags(is_valid, pixel))[1]
     return IndependentPoints(n_eff=slope, n_eff_square=square, n_eff_level=level)
 
@@ -74,7 +84,9 @@ class Curvature(ResultModel):
     point_um: Value = optional("Edge of the points.")
     n: int = Field(description="Points that are valid in both.")
     n_eff: Value = Field(description="Independent points.")
-    n_eff_square: Unsaved = optional("Independent points that the interval of the curvature counts.")
+    n_eff_square: Unsaved = optional(
+        "Independent points that the interval of the curvature counts."
+    )
     slope: Value = Field(description="Slope of the straight line.")
     slope_interval: Interval = Field(description="95 % interval of the slope.")
     curvature: Value = Field(description="Coefficient of the square.")
@@ -84,7 +96,9 @@ class Curvature(ResultModel):
     words: str = Field(description="The same in words.")
 
 
-def straight_or_curved(x: ArrayLike, y: ArrayLike, *, n_eff: float, n_eff_square: float | None = None) -> Curvature:
+def straight_or_curved(
+    x: ArrayLike, y: ArrayLike, *, n_eff: float, n_eff_square: float | None = None
+) -> Curvature:
     """Whether y bends over x.
 
     Parameters
@@ -119,9 +133,13 @@ def straight_or_curved(x: ArrayLike, y: ArrayLike, *, n_eff: float, n_eff_square
     scale = float(xs.std())
     u = (xs - float(xs.mean())) / scale
     line, line_mse = _least_squares(np.stack([np.ones(xs.size), u], axis=1), ys, n_slope)
-    parabola, parabola_mse = _least_squares(np.stack([np.ones(xs.size), u, u * u], axis=1), ys, n_bend)
+    parabola, parabola_mse = _least_squares(
+        np.stack([np.ones(xs.size), u, u * u], axis=1), ys, n_bend
+    )
     variance = float(ys.var())
-    r2_line, r2_parabola = (1 - mse / variance if variance > 0 else math.nan for mse in (line_mse, parabola_mse))
+    r2_line, r2_parabola = (
+        1 - mse / variance if variance > 0 else math.nan for mse in (line_mse, parabola_mse)
+    )
     (slope, slope_width), (curvature, bend_width) = line[:, 1] / scale, parabola[:, 2] / scale**2
     if curvature - bend_width <= 0 <= curvature + bend_width:
         verdict = "not distinguishable from a straight line"
@@ -130,11 +148,17 @@ def straight_or_curved(x: ArrayLike, y: ArrayLike, *, n_eff: float, n_eff_square
     else:  # a curve saturates where its slope, up or down, loses steepness as x grows
         verdict = "curved, saturating" if curvature * slope < 0 else "curved, growing"
     return Curvature(
-        n=xs.size, n_eff=n_slope, n_eff_square=n_bend, slope=slope,
-        slope_interval=(slope - slope_width, slope + slope_width), curvature=curvature,
-        interval=(curvature - bend_width, curvature + bend_width), r2_line=r2_line, r2_parabola=r2_parabola,
+        n=xs.size,
+        n_eff=n_slope,
+        n_eff_square=n_bend,
+        slope=slope,
+        slope_interval=(slope - slope_width, slope + slope_width),
+        curvature=curvature,
+        interval=(curvature - bend_width, curvature + bend_width),
+        r2_line=r2_line,
+        r2_parabola=r2_parabola,
         words=verdict,
-    )  # fmt: skip
+    )
 
 
 def known_points(x: ArrayLike, y: ArrayLike, n_eff: float) -> tuple[Floats, Floats, float]:
@@ -151,8 +175,9 @@ def known_points(x: ArrayLike, y: ArrayLike, n_eff: float) -> tuple[Floats, Floa
     if xs.size < LEAST_CLAIMED or math.isnan(n) or 0 < n < LEAST_CLAIMED:
         independent_text = "an unknown number" if math.isnan(n) else f"{min(n, xs.size):.0f}"
         raise CannotMeasure(
-            f"{xs.size} points are known in x and y, {independent_text} of them independent; a curve needs "
-            f"{LEAST_CLAIMED:.0f} that are. Measure a larger field, or look at the masks."
+            f"{xs.size} points are known in x and y, {independent_text} of them independent; a"
+            f" curve needs {LEAST_CLAIMED:.0f} that are. Measure a larger field, or look at the"
+            " masks."
         )
     if not 0 < n <= xs.size * (1 + 1e-9):
         raise InputError(
@@ -162,8 +187,8 @@ def known_points(x: ArrayLike, y: ArrayLike, n_eff: float) -> tuple[Floats, Floa
     n_distinct = 1 if xs.std() <= 1e-12 * np.abs(xs).max() else len(np.unique(xs))
     if n_distinct < 3:  # two do not show a curve
         raise CannotMeasure(
-            f"x has {n_distinct} different value{'s' if n_distinct > 1 else ''}; a curve needs 3. Take points whose "
-            "thickness or weight differs."
+            f"x has {n_distinct} different value{'s' if n_distinct > 1 else ''}; a curve needs 3."
+            " Take points whose thickness or weight differs."
         )
     return xs, ys, n
 
@@ -189,5 +214,8 @@ def answer_curve(pair: ComparedMaps) -> dict[str, Any]:
 
 def say_curve(curvature: Curvature, _: EvidenceFacts, words: PairWords) -> Iterator[str]:
     """Whether the relation is straight."""
-    r2_text = f"r² is {fixed(curvature.r2_line, 2)} of the line and {fixed(curvature.r2_parabola, 2)} of the parabola"
+    r2_text = (
+        f"r² is {fixed(curvature.r2_line, 2)} of the line and {fixed(curvature.r2_parabola, 2)} of"
+        " the parabola"
+    )
     yield f"Over points of {plain(words.point_um)} the relation is {curvature.words} ({r2_text})."

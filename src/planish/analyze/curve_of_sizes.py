@@ -26,7 +26,12 @@ class SizeRow(PointsCorrelation):
 
 
 def size_curve(
-    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel, sizes_um: Sequence[float] | None = None
+    a: Array,
+    b: Array,
+    *,
+    mask: Bools | None = None,
+    pixel_um: Pixel,
+    sizes_um: Sequence[float] | None = None,
 ) -> tuple[SizeRow, ...]:
     """Correlate two maps over points of several sizes.
 
@@ -59,7 +64,10 @@ def size_curve(
         n_sizes = math.floor(2 * math.log2(max(largest_um / max(pixel), 1.0)) + 1e-9) + 1
         sizes_um = [max(pixel) * 2 ** (k / 2) for k in range(n_sizes)]
     if min(sizes_um, default=0) < max(pixel) * (1 - 1e-9):
-        raise SizeError(f"A point of {min(sizes_um, default=0):g} um is smaller than a pixel of {max(pixel):g} um.")
+        raise SizeError(
+            f"A point of {min(sizes_um, default=0):g} um is smaller than a pixel of"
+            f" {max(pixel):g} um."
+        )
     rows, tile_sums = list[Correlation](), list[Floats]()
     for size in map(float, sorted(sizes_um)):
         means = AreaMeans((a.shape[0], a.shape[1]), (size / pixel[0], size / pixel[1]))
@@ -86,7 +94,9 @@ def _by_tiles(x: Floats, y: Floats, r: float) -> Floats:
     tile_px = min(is_valid.shape) / 6
     for axis, n in enumerate(is_valid.shape):
         n_tiles = max(round(n / tile_px), 1)
-        contributions = np.add.reduceat(contributions, [round(k * n / n_tiles) for k in range(n_tiles)], axis=axis)
+        contributions = np.add.reduceat(
+            contributions, [round(k * n / n_tiles) for k in range(n_tiles)], axis=axis
+        )
     return contributions.ravel()
 
 
@@ -95,7 +105,9 @@ def _wider(tile_sums: list[Floats]) -> float:
     if len(tile_sums) < 2:
         return 1.0
     n_tiles = min(p.size for p in tile_sums)
-    power, vectors = np.linalg.eigh(np.nan_to_num(np.corrcoef(np.stack([p[:n_tiles] for p in tile_sums]))))
+    power, vectors = np.linalg.eigh(
+        np.nan_to_num(np.corrcoef(np.stack([p[:n_tiles] for p in tile_sums])))
+    )
     drawn = np.random.default_rng(20090502).normal(size=(20_000, len(tile_sums)))
     drawn = drawn @ (vectors * np.sqrt(np.maximum(power, 0.0))).T
     return float(np.quantile(np.abs(drawn).max(axis=1), 0.95) / special.ndtri(0.975))

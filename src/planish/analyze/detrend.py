@@ -17,13 +17,17 @@ from planish.core.typing import Bools, Floats, Pair
 def without_trend(values: Floats, is_valid: Bools) -> Floats:
     """Take the plane and second-order surface of least squares off a map (rows, cols); 0 where it is not known."""
     # Products of one polynomial along the rows and one along the columns: no term is ever as large as the map.
-    rows, cols = (np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, n), 2) for n in is_valid.shape)
+    rows, cols = (
+        np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, n), 2) for n in is_valid.shape
+    )
     inside = np.where(is_valid, values - values[is_valid].mean(), 0.0)
     weights = is_valid.astype(np.float64)
     moments = np.einsum(
-        "rjl,ri,rk->ijkl", (weights @ (cols[:, :, None] * cols[:, None, :]).reshape(len(cols), 9)).reshape(-1, 3, 3),
-        rows, rows,
-    )  # fmt: skip
+        "rjl,ri,rk->ijkl",
+        (weights @ (cols[:, :, None] * cols[:, None, :]).reshape(len(cols), 9)).reshape(-1, 3, 3),
+        rows,
+        rows,
+    )
     sums = rows.T @ inside @ cols
     terms = [(i, j) for i in range(3) for j in range(3 - i)]
     matrix = np.array([[moments[i, j, k, m] for k, m in terms] for i, j in terms])
@@ -37,14 +41,17 @@ def without_trend(values: Floats, is_valid: Bools) -> Floats:
 def shared_trend(x: Floats, y: Floats, is_valid: Bools) -> str:
     """Say what trends over the field hold of two maps; empty where it is less than a quarter of either."""
     detrended = [without_trend(m, is_valid)[is_valid] for m in (x, y)]
-    shares = [1.0 - float(m.var()) / float(v[is_valid].var()) for m, v in zip(detrended, (x, y), strict=True)]
+    shares = [
+        1.0 - float(m.var()) / float(v[is_valid].var())
+        for m, v in zip(detrended, (x, y), strict=True)
+    ]
     if min(shares) < 0.25:
         return ""
     spread = math.sqrt(float(detrended[0].var()) * float(detrended[1].var()))
     r = float(np.mean(detrended[0] * detrended[1])) / spread if spread > 0 else math.nan
     return (
-        f"Trends over the whole field hold {100 * shares[0]:.0f} % of the variance of the first map and "
-        f"{100 * shares[1]:.0f} % of that of the second; without them r is {r:.2f}."
+        f"Trends over the whole field hold {100 * shares[0]:.0f} % of the variance of the first map"
+        f" and {100 * shares[1]:.0f} % of that of the second; without them r is {r:.2f}."
     )
 
 
@@ -59,8 +66,13 @@ class PhaseSurrogate:
         mean = float(values[valid].mean()) if valid.any() else 0.0
         # A tapered cosine (Tukey) window, as the jump at the borders would whiten the spectrum, and make the null too
         # narrow; scipy.signal has it too but takes half a second to import.
-        border_depths = (np.minimum(np.arange(n), np.arange(n)[::-1]) * 2 / (0.4 * max(n - 1, 1)) for n in values.shape)
-        taper = np.multiply.outer(*(0.5 - 0.5 * np.cos(np.pi * np.minimum(depth, 1.0)) for depth in border_depths))
+        border_depths = (
+            np.minimum(np.arange(n), np.arange(n)[::-1]) * 2 / (0.4 * max(n - 1, 1))
+            for n in values.shape
+        )
+        taper = np.multiply.outer(
+            *(0.5 - 0.5 * np.cos(np.pi * np.minimum(depth, 1.0)) for depth in border_depths)
+        )
         self.amplitude = np.abs(np.asarray(fft.rfft2(np.where(valid, values - mean, 0.0) * taper)))
         self._shape = values.shape
         self._plane = Plane(valid)
@@ -88,7 +100,8 @@ class Plane:
         self._rows, self._cols = rows - by_row @ rows / n, cols - by_col @ cols / n
         mixed = float(self._rows @ (valid @ self._cols))
         square = np.array([[by_row @ self._rows**2, mixed], [mixed, by_col @ self._cols**2]])
-        self._solve = np.linalg.pinv(square)  # On one line of pixels only the slope along it is known.
+        # On one line of pixels only the slope along it is known.
+        self._solve = np.linalg.pinv(square)
         self._n = n
 
     def taken_off(self, values: Floats) -> Floats:
@@ -102,7 +115,9 @@ class Plane:
         return np.where(self._valid, centred - plane, 0.0)
 
 
-def in_band(values: Floats, valid: Bools, pixel_um: Pair, band_um: tuple[float | None, float | None]) -> Floats:
+def in_band(
+    values: Floats, valid: Bools, pixel_um: Pair, band_um: tuple[float | None, float | None]
+) -> Floats:
     """Keep wavelengths from ``band_um[0]`` to ``band_um[1]`` of a map, where both limits are halved.
 
     Parameters
@@ -135,11 +150,17 @@ def correlation_length_um(values: Floats, valid: Bools, pixel_um: Pair) -> float
     distance = np.hypot(y[:, None], x[None, :])
     step = max(pixel_um)
     limit = min(n * p for n, p in zip(reach, pixel_um, strict=True))
-    rings = np.where((distance <= limit) & np.isfinite(r), np.rint(distance / step), -1).astype(np.int64)
+    rings = np.where((distance <= limit) & np.isfinite(r), np.rint(distance / step), -1).astype(
+        np.int64
+    )
     count = np.bincount(rings[rings >= 0])
     mean = np.bincount(rings[rings >= 0], weights=r[rings >= 0]) / np.maximum(count, 1)
     below = np.flatnonzero((mean < np.exp(-1.0)) & (count > 0))
     if below.size == 0:
         return math.inf
     k = int(below[0])
-    return float(step * (k - 1 + (mean[k - 1] - np.exp(-1.0)) / (mean[k - 1] - mean[k]))) if k else step
+    return (
+        float(step * (k - 1 + (mean[k - 1] - np.exp(-1.0)) / (mean[k - 1] - mean[k])))
+        if k
+        else step
+    )

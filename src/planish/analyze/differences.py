@@ -21,7 +21,9 @@ class Difference(ResultModel):
     difference: float = Field(description="Of r.")
     interval: Pair = Field(
         default=(math.nan, math.nan),
-        description="Its 95 % interval; (NaN, NaN) where fewer than 10 independent points say nothing.",
+        description=(
+            "Its 95 % interval; (NaN, NaN) where fewer than 10 independent points say nothing."
+        ),
     )
 
     @property
@@ -34,11 +36,21 @@ class Difference(ResultModel):
     def words(self) -> str:
         """What may be said."""
         verdict = self.distinguishable
-        return "unknown" if verdict is None else "distinguishable" if verdict else "not distinguishable"
+        return (
+            "unknown"
+            if verdict is None
+            else "distinguishable"
+            if verdict
+            else "not distinguishable"
+        )
 
 
 def paired_difference(
-    first: tuple[Array, Array], second: tuple[Array, Array], *, mask: Bools | None = None, pixel_um: Pixel
+    first: tuple[Array, Array],
+    second: tuple[Array, Array],
+    *,
+    mask: Bools | None = None,
+    pixel_um: Pixel,
 ) -> Difference:
     """Compare the correlations of two pairs of maps on one grid, over the pixels that are valid in all.
 
@@ -72,7 +84,10 @@ def paired_difference(
         return without_interval
     values = [np.where(is_valid, m, np.nan) for m in maps]
     maps = [np.where(is_valid, (m - m[is_valid].mean()) / m[is_valid].std(), 0.0) for m in values]
-    scores = [(x * y - v / 2 * (x * x + y * y)) / (1 - v * v) for x, y, v in zip(maps[::2], maps[1::2], r, strict=True)]
+    scores = [
+        (x * y - v / 2 * (x * x + y * y)) / (1 - v * v)
+        for x, y, v in zip(maps[::2], maps[1::2], r, strict=True)
+    ]
     lags = Lags(is_valid, pixel)
     products = lags.own_products(scores[1] - scores[0])
     if not products[0, 0] > 0:  # the same pair twice
@@ -82,9 +97,15 @@ def paired_difference(
     for sign, pair_r, (a, b) in ((-1.0, r[0], (0, 1)), (1.0, r[1], (2, 3))):
         scale = sign / (1 - pair_r * pair_r)
         product_terms += [(a, b, scale), (a, a, -scale * pair_r / 2), (b, b, -scale * pair_r / 2)]
-    variance = max(lags.variance_of_mean(covariance), variance_of_products(maps, product_terms, lags))
+    variance = max(
+        lags.variance_of_mean(covariance), variance_of_products(maps, product_terms, lags)
+    )
     n_eff = float(covariance[0, 0]) / variance if variance > 0 else 0.0
-    return without_interval if n_eff < LEAST_CLAIMED else _difference(r, t_95(n_eff - 1) * math.sqrt(variance))
+    return (
+        without_interval
+        if n_eff < LEAST_CLAIMED
+        else _difference(r, t_95(n_eff - 1) * math.sqrt(variance))
+    )
 
 
 def difference_of(first: Correlation, second: Correlation) -> Difference:
@@ -97,21 +118,26 @@ def difference_of(first: Correlation, second: Correlation) -> Difference:
     """
     if not math.isclose(first.point_um, second.point_um, rel_tol=0.02):
         raise InputError(
-            f"One correlation is over points of {first.point_um:g} um, the other of {second.point_um:g} um. Give both "
-            "the same point_um."
+            f"One correlation is over points of {first.point_um:g} um, the other of"
+            f" {second.point_um:g} um. Give both the same point_um."
         )
     r = first.r, second.r
     ends = [*first.interval, *second.interval]
     if any(math.isnan(v) or abs(v) >= 1 for v in (*r, *ends)):
         return Difference(r=r, difference=r[1] - r[0])
-    widths = [(math.atanh(high) - math.atanh(low)) / 2 for low, high in (first.interval, second.interval)]
+    widths = [
+        (math.atanh(high) - math.atanh(low)) / 2 for low, high in (first.interval, second.interval)
+    ]
     return _difference(r, math.hypot(*widths))
 
 
 def _difference(r: Pair, width: float) -> Difference:
     z = [math.atanh(v) for v in r]
     z_mean, z_change = sum(z) / 2, z[1] - z[0]
-    low, high = (math.tanh(z_mean + d / 2) - math.tanh(z_mean - d / 2) for d in (z_change - width, z_change + width))
+    low, high = (
+        math.tanh(z_mean + d / 2) - math.tanh(z_mean - d / 2)
+        for d in (z_change - width, z_change + width)
+    )
     return Difference(r=r, difference=r[1] - r[0], interval=(low, high))
 
 

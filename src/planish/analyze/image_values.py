@@ -28,7 +28,9 @@ SCREEN_REACH = 3.0
 class ImageFacts(ResultModel):
     """What the values of an image are that is compared."""
 
-    quantity: Literal["relative grey", "reflectance"] = Field(description="What the grey is taken for.")
+    quantity: Literal["relative grey", "reflectance"] = Field(
+        description="What the grey is taken for."
+    )
     dark_grey: Number = optional("Grey of the dark reference, if it was given.")
     white_grey: Number = optional("Grey of the white reference, whose reflectance counts as 1.")
     screen_um: Number = optional("Period of the print screen that was taken off, if it was given.")
@@ -44,8 +46,9 @@ class ImageFacts(ResultModel):
             text = "relative grey, as stored: no dark and white reference was given"
         if self.screen_um is not None:
             text += (
-                f"; the print screen of {self.screen_um:g} um was taken off by a Gaussian (sigma {self.sigma_um:.3g} "
-                f"um) before anything was compared, and {self.reach_um:.3g} um more around holes are left out"
+                f"; the print screen of {self.screen_um:g} um was taken off by a Gaussian (sigma"
+                f" {self.sigma_um:.3g} um) before anything was compared, and {self.reach_um:.3g} um"
+                " more around holes are left out"
             )
         return text
 
@@ -54,13 +57,18 @@ def image_facts(params: ImageParams) -> ImageFacts:
     """What the values of an image are."""
     screen_um = params.screen_um
     return ImageFacts(
-        quantity="relative grey" if params.dark_grey is None else "reflectance", dark_grey=params.dark_grey,
-        white_grey=params.white_grey, screen_um=screen_um, reach_um=reach_um(params) or None,
+        quantity="relative grey" if params.dark_grey is None else "reflectance",
+        dark_grey=params.dark_grey,
+        white_grey=params.white_grey,
+        screen_um=screen_um,
+        reach_um=reach_um(params) or None,
         sigma_um=None if screen_um is None else SCREEN_SIGMA * screen_um,
-    )  # fmt: skip
+    )
 
 
-def compared_image(image: xr.DataArray, params: ImageParams, *, mask: Bools | None = None) -> xr.DataArray:
+def compared_image(
+    image: xr.DataArray, params: ImageParams, *, mask: Bools | None = None
+) -> xr.DataArray:
     """Turn grey into reflectance and take the screen off, as far as the options say so.
 
     Parameters
@@ -87,12 +95,16 @@ def compared_image(image: xr.DataArray, params: ImageParams, *, mask: Bools | No
         return image
     more: dict[str, object] = {}
     if params.dark_grey is not None and params.white_grey is not None:
-        values = (values - np.float32(params.dark_grey)) / np.float32(params.white_grey - params.dark_grey)
+        values = (values - np.float32(params.dark_grey)) / np.float32(
+            params.white_grey - params.dark_grey
+        )
         _, comma, channel = title.partition(", ")
         title = f"Reflectance{comma}{channel}"
     if params.screen_um is not None:
         pixel = float(image.attrs["pixel_um"][0]), float(image.attrs["pixel_um"][1])
-        values = without_screen(values, pixel_um=pixel, sigma_um=SCREEN_SIGMA * params.screen_um, mask=mask)
+        values = without_screen(
+            values, pixel_um=pixel, sigma_um=SCREEN_SIGMA * params.screen_um, mask=mask
+        )
         title = f"{title}, without its screen"
         more["reach_um"] = reach_um(params)
     return image.copy(data=values).assign_attrs(long_name=title, **more)
@@ -100,11 +112,19 @@ def compared_image(image: xr.DataArray, params: ImageParams, *, mask: Bools | No
 
 def reach_um(params: ImageParams | None) -> float:
     """How far the Gaussian reaches that takes the screen off; 0 without one."""
-    return 0.0 if params is None or params.screen_um is None else SCREEN_REACH * (SCREEN_SIGMA * params.screen_um)
+    return (
+        0.0
+        if params is None or params.screen_um is None
+        else SCREEN_REACH * (SCREEN_SIGMA * params.screen_um)
+    )
 
 
 def without_screen(
-    image: ArrayLike, *, pixel_um: Pixel, sigma_um: float = SCREEN_SIGMA_UM, mask: Bools | None = None
+    image: ArrayLike,
+    *,
+    pixel_um: Pixel,
+    sigma_um: float = SCREEN_SIGMA_UM,
+    mask: Bools | None = None,
 ) -> NDArray[np.floating[Any]]:
     """Average an image with a Gaussian, over the pixels that are known; before it is averaged over points.
 
@@ -137,12 +157,18 @@ def without_screen(
     sigma = [sigma_um / p for p in pixel]
     if not (math.isfinite(sigma_um) and min(sigma) >= 0.75):
         raise SizeError(
-            f"A Gaussian of {sigma_um:g} um is {min(sigma):.2g} pixels wide; it needs 0.75. Take a larger sigma_um, or "
-            "an image with smaller pixels."
+            f"A Gaussian of {sigma_um:g} um is {min(sigma):.2g} pixels wide; it needs 0.75. Take a"
+            " larger sigma_um, or an image with smaller pixels."
         )
     kind = np.result_type(values.dtype, np.float32)
     weight = valid.astype(kind)
-    return smooth(np.where(valid, values, 0).astype(kind, copy=False), weight, valid, sigma, truncate=SCREEN_REACH)
+    return smooth(
+        np.where(valid, values, 0).astype(kind, copy=False),
+        weight,
+        valid,
+        sigma,
+        truncate=SCREEN_REACH,
+    )
 
 
 def smooth(
@@ -154,7 +180,9 @@ def smooth(
     return np.divide(total, full, out=np.full_like(total, np.nan), where=is_valid)
 
 
-def known_pixels(image: ArrayLike, mask: Bools | None, pixel_um: Pixel) -> tuple[Array, Bools, Pair]:
+def known_pixels(
+    image: ArrayLike, mask: Bools | None, pixel_um: Pixel
+) -> tuple[Array, Bools, Pair]:
     """The values of an image, where they are known and count, and the pixel along y and x."""
     values = np.asarray(image)
     is_valid, pitch_um = valid_pixels(values, values, mask, pixel_um)

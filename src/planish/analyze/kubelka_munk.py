@@ -41,7 +41,9 @@ class ScatteringLayer:
     absorption: ArrayLike = 0.0  #: as ``scattering``
 
 
-def reflectance(weight: ArrayLike, *, scattering: ArrayLike, absorption: ArrayLike = 0.0, backing: ArrayLike) -> Floats:
+def reflectance(
+    weight: ArrayLike, *, scattering: ArrayLike, absorption: ArrayLike = 0.0, backing: ArrayLike
+) -> Floats:
     """Reflectance of a layer over a backing.
 
     Parameters
@@ -82,8 +84,8 @@ def reflectance(weight: ArrayLike, *, scattering: ArrayLike, absorption: ArrayLi
     if np.any((backings < 0) | (backings > 1)):
         worst_backing = backings.flat[int(np.nanargmax(np.abs(backings - 0.5)))]
         raise InputError(
-            f"The reflectance of the backing is {worst_backing:g}; it lies within 0 and 1. Divide the grey of the base "
-            "by that of a white reference, both less the dark level."
+            f"The reflectance of the backing is {worst_backing:g}; it lies within 0 and 1. Divide"
+            " the grey of the base by that of a white reference, both less the dark level."
         )
     return layer_over(backings, s, k, weights)
 
@@ -98,7 +100,9 @@ def stack(layers: Sequence[ScatteringLayer], backing: ArrayLike) -> Floats:
     """
     below = reflectance(0.0, scattering=0.0, backing=backing)
     for layer in layers:
-        below = reflectance(layer.weight, scattering=layer.scattering, absorption=layer.absorption, backing=below)
+        below = reflectance(
+            layer.weight, scattering=layer.scattering, absorption=layer.absorption, backing=below
+        )
     return below
 
 
@@ -112,7 +116,9 @@ def pile(*, scattering: ArrayLike, absorption: ArrayLike) -> Floats:
     """
     s, k = _at_least_0(scattering=scattering, absorption=absorption)
     if np.any((s == 0) & (k == 0)):
-        raise InputError("A layer that neither scatters nor absorbs hides nothing. Give a scattering above 0.")
+        raise InputError(
+            "A layer that neither scatters nor absorbs hides nothing. Give a scattering above 0."
+        )
     return s / (s + k + np.sqrt(k * (k + 2 * s)))  # a - b as 1 / (a + b): nothing cancels
 
 
@@ -124,7 +130,10 @@ def _at_least_0(**arguments: ArrayLike) -> list[Floats]:
         if n := np.count_nonzero((arrays[-1] < 0) | np.isinf(arrays[-1])):
             faults.append(f"{name} has {n} of {arrays[-1].size} values")
     if faults:
-        raise InputError(f"{'; '.join(faults)} that are negative or infinite. Mask them (NaN), or check the units.")
+        raise InputError(
+            f"{'; '.join(faults)} that are negative or infinite. Mask them (NaN), or check the"
+            " units."
+        )
     return arrays
 
 
@@ -136,13 +145,16 @@ class KubelkaMunk(ResultModel):
     n: int | None = optional("Points that are valid in both maps.")
     n_eff: Value = optional("Independent points.")
     weight: bool = Field(
-        default=False, description="Whether the coating is in g/m2, and S in m2/kg; otherwise um and 1/um."
+        default=False,
+        description="Whether the coating is in g/m2, and S in m2/kg; otherwise um and 1/um.",
     )
     scattering: Value = optional("Coefficient S of the coating.")
     scattering_interval: Interval = optional("95 % interval of S; none where it has no end.")
     backing: Value = optional("Reflectance below the coating, extrapolated.")
     backing_interval: Interval = optional("Its 95 % interval.")
-    backing_at_ends: Interval = optional("Backing that fits best with each end of the interval of S.")
+    backing_at_ends: Interval = optional(
+        "Backing that fits best with each end of the interval of S."
+    )
     rms: Value = optional("Of what the curve leaves of the reflectance.")
     silence: str | None = optional("Why there is no curve.")
 
@@ -157,9 +169,14 @@ class KubelkaMunk(ResultModel):
 
 
 def fit_kubelka_munk(
-    x: ArrayLike, y: ArrayLike, *, n_eff: float, n_eff_level: float | None = None,
-    absorption_over_scattering: float = 0.0, weight: bool = False,
-) -> KubelkaMunk:  # fmt: skip
+    x: ArrayLike,
+    y: ArrayLike,
+    *,
+    n_eff: float,
+    n_eff_level: float | None = None,
+    absorption_over_scattering: float = 0.0,
+    weight: bool = False,
+) -> KubelkaMunk:
     """Fit a scattering layer over a backing to the reflectance of points: a curve beside the straight line.
 
     Parameters
@@ -202,7 +219,10 @@ def fit_kubelka_munk(
     xs, ys, n_slope = known_points(x, y, n_eff)
     ratio = float(absorption_over_scattering)
     if not 0 <= ratio < math.inf:
-        raise InputError(f"absorption_over_scattering is {ratio:g}. Give K / S, 0 or above; 0 takes no absorption.")
+        raise InputError(
+            f"absorption_over_scattering is {ratio:g}. Give K / S, 0 or above; 0 takes no"
+            " absorption."
+        )
     if xs.min() < 0:
         raise InputError(
             f"{np.count_nonzero(xs < 0)} of {xs.size} thicknesses or weights are below 0, down to "
@@ -211,13 +231,15 @@ def fit_kubelka_munk(
     n_outside = int(np.count_nonzero((ys < 0) | (ys > 1)))
     if n_outside:
         raise InputError(
-            f"{n_outside} of {ys.size} greys are not within 0 and 1 ({ys.min():.5g} to {ys.max():.5g}). "
-            "The curve needs relative reflectance, for which a dark and a white reference are needed: correct the "
-            "image by both first, and mask glare."
+            f"{n_outside} of {ys.size} greys are not within 0 and 1 ({ys.min():.5g} to"
+            f" {ys.max():.5g}). The curve needs relative reflectance, for which a dark and a white"
+            " reference are needed: correct the image by both first, and mask glare."
         )
     n_level = n_slope if n_eff_level is None else float(n_eff_level)
     if not 0 < n_level < math.inf:
-        raise InputError(f"n_eff_level is {n_level:g}. Give a number above 0, or none where it is not known.")
+        raise InputError(
+            f"n_eff_level is {n_level:g}. Give a number above 0, or none where it is not known."
+        )
     x_mean = float(xs.mean())
     # S times the mean of x is about 1, as the backing is.
     fit = _Fit(xs / x_mean, ys, ratio, math.sqrt(min(n_level / n_slope, 1.0)))
@@ -227,20 +249,33 @@ def fit_kubelka_munk(
     total_squares = float(np.sum((ys - ys.mean()) ** 2))
     if best[0] <= 1e-6 or sum_of_squares >= total_squares * (1 - 1e-9):
         raise CannotMeasure(
-            f"No scattering layer of K/S = {ratio:g} fits: over {xs.size} points the grey does not rise with x as it "
-            "would. Look at the straight line; give absorption_over_scattering where the layer darkens what it covers."
+            f"No scattering layer of K/S = {ratio:g} fits: over {xs.size} points the grey does not"
+            " rise with x as it would. Look at the straight line; give absorption_over_scattering"
+            " where the layer darkens what it covers."
         )
     intervals: list[Pair] = [(v, v) for v in best]
     if rms > 1e-9:  # else the fit has no error
         limit = sum_of_squares * (1 + t_95(n_slope - 2) ** 2 / (n_slope - 2))
         intervals = [fit.interval(k, best, limit) for k in (0, 1)]
-    low_backing, high_backing = (fit.refit(0, s, best) if s < math.inf else math.nan for s in intervals[0])
-    scattering, *s_ends = (s / x_mean * (1000.0 if weight else 1.0) for s in (best[0], *intervals[0]))  # g to kg
+    low_backing, high_backing = (
+        fit.refit(0, s, best) if s < math.inf else math.nan for s in intervals[0]
+    )
+    # g to kg.
+    scattering, *s_ends = (
+        s / x_mean * (1000.0 if weight else 1.0) for s in (best[0], *intervals[0])
+    )
     return KubelkaMunk(
-        ratio=ratio, n=xs.size, n_eff=n_slope, weight=weight, scattering=scattering, backing=best[1], rms=rms,
-        scattering_interval=(s_ends[0], s_ends[1]), backing_interval=intervals[1],
+        ratio=ratio,
+        n=xs.size,
+        n_eff=n_slope,
+        weight=weight,
+        scattering=scattering,
+        backing=best[1],
+        rms=rms,
+        scattering_interval=(s_ends[0], s_ends[1]),
+        backing_interval=intervals[1],
         backing_at_ends=(low_backing, high_backing),
-    )  # fmt: skip
+    )
 
 
 class _Fit:
@@ -271,7 +306,9 @@ class _Fit:
     def refit(self, k: int, fixed: float, best: Pair) -> float:
         """The other parameter, near that of the best fit, that fits best with a value of one of them."""
         free = slice(1 - k, 2 - k)
-        return float(_solved(lambda v: self._residuals(*_parameters(k, fixed, v[0])), best[free], free)[0])
+        return float(
+            _solved(lambda v: self._residuals(*_parameters(k, fixed, v[0])), best[free], free)[0]
+        )
 
     def interval(self, k: int, best: Pair, limit: float) -> Pair:
         """Values of one parameter for which the other can keep the sum of squares below a limit."""
@@ -280,7 +317,10 @@ class _Fit:
             return self.squares(*_parameters(k, value, self.refit(k, value, best))) - limit
 
         low, high = float(_LOW[k]), float(_HIGH[k])
-        return (_crossing(excess, best[k], low, low), _crossing(excess, best[k], high, math.inf if k == 0 else high))
+        return (
+            _crossing(excess, best[k], low, low),
+            _crossing(excess, best[k], high, math.inf if k == 0 else high),
+        )
 
     def _residuals(self, s: float, backing: float) -> Floats:
         residuals = layer_over(backing, s, s * self._ratio, self._x) - self._y
@@ -291,16 +331,25 @@ def _parameters(k: int, fixed_value: float, free_value: float) -> Pair:
     return (fixed_value, free_value) if k == 0 else (free_value, fixed_value)
 
 
-def _solved(residuals: Callable[[Floats], Floats], start: tuple[float, ...], free_slice: slice) -> Floats:
+def _solved(
+    residuals: Callable[[Floats], Floats], start: tuple[float, ...], free_slice: slice
+) -> Floats:
     """Least squares over the parameters that are free, within what is possible."""
     low, high = _LOW[free_slice], _HIGH[free_slice]
     return optimize.least_squares(
-        residuals, np.clip(start, low + 1e-9, high - 1e-9), bounds=(low, high), x_scale="jac", xtol=1e-12, ftol=1e-14,
+        residuals,
+        np.clip(start, low + 1e-9, high - 1e-9),
+        bounds=(low, high),
+        x_scale="jac",
+        xtol=1e-12,
+        ftol=1e-14,
         gtol=1e-14,
-    ).x  # fmt: skip
+    ).x
 
 
-def _crossing(excess: Callable[[float], float], inside: float, end: float, fallback: float) -> float:
+def _crossing(
+    excess: Callable[[float], float], inside: float, end: float, fallback: float
+) -> float:
     """Where ``excess`` turns positive from ``inside`` to ``end``, in doubling steps: the nearest; else ``fallback``."""
     near, step = inside, 0.05 * max(abs(inside), 0.1)
     while near != end:
@@ -323,7 +372,11 @@ def density_of(measured: xr.Dataset, name: str) -> float | None:
     ratio = weight[is_valid].astype(np.float64) / coating[is_valid]
     middle = float(np.median(ratio))
     # A weight by absorption is another measurement: no one number leads to it.
-    return float(f"{middle:.6g}") if np.percentile(np.abs(ratio - middle), 99) < 1e-3 * middle else None
+    return (
+        float(f"{middle:.6g}")
+        if np.percentile(np.abs(ratio - middle), 99) < 1e-3 * middle
+        else None
+    )
 
 
 def kubelka_munk_of(
@@ -334,7 +387,12 @@ def kubelka_munk_of(
     try:
         count = independent_points(x, y, pixel_um=point_um)
         curve = fit_kubelka_munk(
-            x, y, n_eff=count.n_eff, n_eff_level=count.n_eff_level, absorption_over_scattering=ratio, weight=is_weight
+            x,
+            y,
+            n_eff=count.n_eff,
+            n_eff_level=count.n_eff_level,
+            absorption_over_scattering=ratio,
+            weight=is_weight,
         )
     except PlanishError as error:
         return KubelkaMunk(point_um=point_um, ratio=ratio, weight=is_weight, silence=error.text)
@@ -355,9 +413,15 @@ def answer_kubelka_munk(pair: ComparedMaps) -> dict[str, Any]:
     if ratio is None or not pair.is_coat_on_image:
         return {}
     if pair.why_no_points:
-        return {"kubelka_munk": KubelkaMunk(point_um=point_um, ratio=ratio, silence=pair.why_no_points)}
+        return {
+            "kubelka_munk": KubelkaMunk(point_um=point_um, ratio=ratio, silence=pair.why_no_points)
+        }
     density = 1.0 if pair.units[0] == "g/m2" else answer_density(pair).get("density_g_cm3")
-    return {"kubelka_munk": kubelka_munk_of(pair.points, point_um=point_um, ratio=ratio, density=density)}
+    return {
+        "kubelka_munk": kubelka_munk_of(
+            pair.points, point_um=point_um, ratio=ratio, density=density
+        )
+    }
 
 
 def say_kubelka_munk(curve: KubelkaMunk, *_: object) -> Iterator[str]:
@@ -369,12 +433,14 @@ def say_kubelka_munk(curve: KubelkaMunk, *_: object) -> Iterator[str]:
     unit_text = "m²/kg" if curve.weight else "per µm"
     interval_text = _limits_text(curve.scattering_interval) or "its 95 % interval has no upper end"
     backing_text = _limits_text(curve.backing_interval)
-    density_hint = "" if curve.weight else " (in m²/kg with the density of the coating: --coating-density)"
+    density_hint = (
+        "" if curve.weight else " (in m²/kg with the density of the coating: --coating-density)"
+    )
     yield (
-        f"{title}: the coating scatters with S = {number(curve.scattering)} {unit_text} "
-        f"({interval_text}){density_hint}, over a backing of {number(curve.backing)} ({backing_text}). S counts all "
-        "that varies with the thickness as scattering in the coating; errors of the thickness lower it, as they lower "
-        "a slope."
+        f"{title}: the coating scatters with S = {number(curve.scattering)} {unit_text}"
+        f" ({interval_text}){density_hint}, over a backing of {number(curve.backing)}"
+        f" ({backing_text}). S counts all that varies with the thickness as scattering in the"
+        " coating; errors of the thickness lower it, as they lower a slope."
     )
 
 

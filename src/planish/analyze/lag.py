@@ -26,7 +26,10 @@ _SILENCE: dict[Silence, str] = {
     "texture": "the maps have no texture in common that stands out from chance",
     "border": "the correlation still rises at the largest lag searched",
     "rival": "a second peak is nearly as high, as where a pattern repeats itself",
-    "light": "the image follows the slopes of the face, and light from one side cannot be distinguished from a shift",
+    "light": (
+        "the image follows the slopes of the face, and light from one side cannot be distinguished"
+        " from a shift"
+    ),
 }
 
 
@@ -44,7 +47,10 @@ class LagNumbers(ResultModel):
 
     property: str = Field(description="The map that was compared with the image.")
     lag_um: Interval = Field(
-        description="The image shows at p + lag what the map shows at p; along x and y. None where inconclusive."
+        description=(
+            "The image shows at p + lag what the map shows at p; along x and y. None where"
+            " inconclusive."
+        )
     )
     se_um: Interval = Field(description="Standard error of the lag, along x and y.")
     length_um: Value = Field(description="Length of the lag.")
@@ -52,8 +58,12 @@ class LagNumbers(ResultModel):
     r: Value = Field(description="r at the best lag; it was searched for and measures no relation.")
     r_at_zero: Value = Field(description="r without any lag.")
     limit_r: Value = optional("|r| that unrelated maps exceed in the search in 1 of 1000 cases.")
-    silence: str | None = Field(description="Why the lag is inconclusive: few, texture, border, rival or light.")
-    agrees: bool | None = Field(description="Whether the lag agrees with the marks; None where inconclusive.")
+    silence: str | None = Field(
+        description="Why the lag is inconclusive: few, texture, border, rival or light."
+    )
+    agrees: bool | None = Field(
+        description="Whether the lag agrees with the marks; None where inconclusive."
+    )
     expected_um: Value = Field(description="Expected error of the registration, rms over the map.")
     sentence: str = Field(description="The same in words.")
     pixel_um: Pair = Field(description="Pixel of the maps that were compared, along y and x.")
@@ -103,7 +113,11 @@ class Lag:
     @property
     def length_se_um(self) -> float:
         """Standard error of the lag along its own direction, in um."""
-        along = np.array(self.lag_um) / self.length_um if self.length_um > 0 else np.full(2, math.sqrt(0.5))
+        along = (
+            np.array(self.lag_um) / self.length_um
+            if self.length_um > 0
+            else np.full(2, math.sqrt(0.5))
+        )
         return float(np.sqrt(along @ self.covariance_um2 @ along))
 
     def agrees(self, expected_error_um: float) -> bool | None:
@@ -134,14 +148,24 @@ class Lag:
             return Check(name=NAME, state="unknown", sentence=sentence, figures=(POSITION,))
         length, length_error = self.length_um, self.length_se_um
         offset = (
-            f"y their texture the maps lie {length:.1f} ± {length_error:.1f} um apart (x {self.lag_um[0]:.1f}, "
-            f"y {self.lag_um[1]:.1f} um)"
+            f"y their texture the maps lie {length:.1f} ± {length_error:.1f} um apart (x"
+            f" {self.lag_um[0]:.1f}, y {self.lag_um[1]:.1f} um)"
         )
         if expected_error_um is None or not math.isfinite(expected_error_um):
             sentence = f"{inconclusive} the marks give no expected error; b{offset}."
             return Check(name=NAME, state="unknown", sentence=sentence, value=length, units="um")
-        limit_um, expected = self._allowed_um(expected_error_um), f"expected error {expected_error_um:.1f} um"
-        judge = partial(Check, name=NAME, value=length, limit=limit_um, units="um", figures=(POSITION, CORRELATION))
+        limit_um, expected = (
+            self._allowed_um(expected_error_um),
+            f"expected error {expected_error_um:.1f} um",
+        )
+        judge = partial(
+            Check,
+            name=NAME,
+            value=length,
+            limit=limit_um,
+            units="um",
+            figures=(POSITION, CORRELATION),
+        )
         if length <= limit_um:
             is_vague = math.hypot(*self.se_um) > max(expected_error_um, *self.pixel_um)
             verdict = "agrees, but is less certain than the marks" if is_vague else "agrees"
@@ -149,13 +173,18 @@ class Lag:
         excess = f"more than the marks allow ({expected})"
         if length <= 3.0 * length_error:
             return judge(
-                state="unknown", sentence=f"{inconclusive} b{offset}, which is {excess} but within 3 standard errors."
+                state="unknown",
+                sentence=(
+                    f"{inconclusive} b{offset}, which is {excess} but within 3 standard errors."
+                ),
             )
         return judge(
             state="look",
             sentence=f"B{offset}, {excess}. Nothing else shows a shift that all marks share.",
-            advice="Compare the outlines of maps and image; if it is real, correct it, or use marks at the face that "
-            "the image shows.",
+            advice=(
+                "Compare the outlines of maps and image; if it is real, correct it, or use marks at"
+                " the face that the image shows."
+            ),
         )
 
     def sentence(self, expected_error_um: float | None = None) -> str:
@@ -165,23 +194,50 @@ class Lag:
     def numbers(self, property_name: str, expected_error_um: float | None = None) -> LagNumbers:
         """Return what stands in the results of a run, with the first map's property and the expected error if known."""
         expected_um = math.nan if expected_error_um is None else expected_error_um
-        tile_lags = () if self.field is None else zip(
-            self.field.at_um.tolist(), self.field.lag_um.tolist(), self.field.distinct.tolist(), strict=True
-        )  # fmt: skip
+        tile_lags = (
+            ()
+            if self.field is None
+            else zip(
+                self.field.at_um.tolist(),
+                self.field.lag_um.tolist(),
+                self.field.distinct.tolist(),
+                strict=True,
+            )
+        )
         return LagNumbers(
-            property=property_name, lag_um=self.lag_um, se_um=self.se_um, length_um=self.length_um,
-            length_se_um=self.length_se_um, r=self.r, r_at_zero=self.r_at_zero, limit_r=self.limit_r,
-            silence=self.silence, agrees=self.agrees(expected_um), expected_um=expected_um,
-            sentence=self.sentence(expected_um), pixel_um=self.pixel_um, n=self.n, reach_um=self.reach_um,
-            light=self.light, tile_um=math.nan if self.field is None else self.field.tile_um,
-            tiles=tuple(LagTile(x=x, y=y, lag_um=lag, distinct=distinct) for (x, y), lag, distinct in tile_lags),
-        )  # fmt: skip
+            property=property_name,
+            lag_um=self.lag_um,
+            se_um=self.se_um,
+            length_um=self.length_um,
+            length_se_um=self.length_se_um,
+            r=self.r,
+            r_at_zero=self.r_at_zero,
+            limit_r=self.limit_r,
+            silence=self.silence,
+            agrees=self.agrees(expected_um),
+            expected_um=expected_um,
+            sentence=self.sentence(expected_um),
+            pixel_um=self.pixel_um,
+            n=self.n,
+            reach_um=self.reach_um,
+            light=self.light,
+            tile_um=math.nan if self.field is None else self.field.tile_um,
+            tiles=tuple(
+                LagTile(x=x, y=y, lag_um=lag, distinct=distinct)
+                for (x, y), lag, distinct in tile_lags
+            ),
+        )
 
 
 def texture_lag(
-    texture: Textures, first: Sequence[str], last: str, *, reach_um: float, tiles_um: float | None = None,
+    texture: Textures,
+    first: Sequence[str],
+    last: str,
+    *,
+    reach_um: float,
+    tiles_um: float | None = None,
     slopes: int = 0,
-) -> Lag:  # fmt: skip
+) -> Lag:
     """Find the lag between some maps and another one, and whether it is conclusive.
 
     Parameters
@@ -220,13 +276,15 @@ def texture_lag(
     least_um, most_um = 3 * max(pixel), min(sides_um) / 4
     if not least_um <= reach_um <= most_um:
         raise SizeError(
-            f"A reach of {reach_um:g} um does not fit maps of {sides_um[1]:.0f} x {sides_um[0]:.0f} um in pixels of "
-            f"{max(pixel):g} um. Take one from 3 pixels ({least_um:g} um) to a quarter of the shorter side "
-            f"({most_um:.0f} um)."
+            f"A reach of {reach_um:g} um does not fit maps of {sides_um[1]:.0f} x {sides_um[0]:.0f}"
+            f" um in pixels of {max(pixel):g} um. Take one from 3 pixels ({least_um:g} um) to a"
+            f" quarter of the shorter side ({most_um:.0f} um)."
         )
     reach = int(reach_um / pixel[0] + 1e-9), int(reach_um / pixel[1] + 1e-9)
     build_lag = partial(Lag, reach_um=reach_um, pixel_um=pixel, n=texture.n)
-    if texture.n < 400 or not all(k in texture.maps and texture.maps[k].any() for k in (*first, last)):
+    if texture.n < 400 or not all(
+        k in texture.maps and texture.maps[k].any() for k in (*first, last)
+    ):
         return build_lag(silence="few")
     halves = [texture.halves(k) for k in first]
     x, y = np.stack([m for two in halves for m in two]), texture.maps[last]
@@ -235,11 +293,17 @@ def texture_lag(
     above = allowed & (search.height > limit)
     peak = find_peak(search.share, above if above.any() else allowed)
     share_at_zero = search.share[search.share.shape[0] // 2, search.share.shape[1] // 2]
-    lag = build_lag(silence="texture", limit_r=math.sqrt(limit), r_at_zero=math.sqrt(max(share_at_zero, 0)))
+    lag = build_lag(
+        silence="texture", limit_r=math.sqrt(limit), r_at_zero=math.sqrt(max(share_at_zero, 0))
+    )
     if peak is None:
         return lag
     weights = search.weights(peak.lag_px)
-    sign = float(np.vdot(np.tensordot(weights[: len(halves[0])], x[: len(halves[0])], 1), texture.maps[first[0]]))
+    sign = float(
+        np.vdot(
+            np.tensordot(weights[: len(halves[0])], x[: len(halves[0])], 1), texture.maps[first[0]]
+        )
+    )
     lag = replace(lag, r=math.copysign(math.sqrt(max(peak.r, 0.0)), sign))
     if not above.any():
         return lag
@@ -253,13 +317,24 @@ def texture_lag(
     if slopes:
         without_slopes = slice(0, sum(map(len, halves[: len(first) - slopes])))
         lag = replace(lag, light=1.0 - search.share_of(without_slopes, peak.lag_px) / peak.r)
-    if not math.sqrt(float(np.linalg.eigvalsh(covariance)[-1])) < reach_um / 4:  # else it locates nothing
+    # Else it locates nothing.
+    if not math.sqrt(float(np.linalg.eigvalsh(covariance)[-1])) < reach_um / 4:
         return replace(lag, silence="light" if slopes else "texture")
     lag_x_um, lag_y_um = (float(v) for v in peak.summit_px[::-1] * step)
     lag = replace(lag, silence=None, lag_um=(lag_x_um, lag_y_um), covariance_um2=covariance)
     if tiles_um is None:
         return lag
-    return replace(lag, field=lag_field(
-        np.tensordot(weights, x, 1), y, texture.known, pixel, reach=reach, tile_um=tiles_um,
-        unrelated=[*PhaseSurrogate(y, texture.known).draws(19, np.random.default_rng(20090501))],
-    ))  # fmt: skip
+    return replace(
+        lag,
+        field=lag_field(
+            np.tensordot(weights, x, 1),
+            y,
+            texture.known,
+            pixel,
+            reach=reach,
+            tile_um=tiles_um,
+            unrelated=[
+                *PhaseSurrogate(y, texture.known).draws(19, np.random.default_rng(20090501))
+            ],
+        ),
+    )

@@ -14,7 +14,9 @@ from planish.core.typing import Bools, Floats, Pair
 class LagField(ResultModel):
     """Lags of tiles, one row each; tiles of which less than half is known are left out."""
 
-    at_um: Floats = Field(description="Middle of the tiles, (n, 2): `(x, y)` from the middle of the first pixel.")
+    at_um: Floats = Field(
+        description="Middle of the tiles, (n, 2): `(x, y)` from the middle of the first pixel."
+    )
     lag_um: Floats = Field(description="(n, 2): `(x, y)`; NaN where the peak is not distinct.")
     covariance_um2: Floats = Field(description="Of the lags, (n, 2, 2).")
     r: Floats = Field(description="Correlation at the peak of each tile, a searched one.")
@@ -42,7 +44,10 @@ class LagField(ResultModel):
             return None
         centres, lag = self.at_um[use], self.lag_um[use]
         weight = 1.0 / np.sqrt(np.trace(self.covariance_um2[use], axis1=1, axis2=2))
-        design = np.concatenate([np.ones((len(centres), 1)), centres - centres.mean(axis=0)], axis=1) * weight[:, None]
+        design = (
+            np.concatenate([np.ones((len(centres), 1)), centres - centres.mean(axis=0)], axis=1)
+            * weight[:, None]
+        )
         if np.linalg.matrix_rank(design) < 3:
             return None
         coefficients, *_ = np.linalg.lstsq(design, lag * weight[:, None], rcond=None)
@@ -53,9 +58,16 @@ class LagField(ResultModel):
 
 
 def lag_field(
-    a: Floats, b: Floats, is_valid: Bools, pixel_um: Pair, *, reach: tuple[int, int], tile_um: float,
-    unrelated: list[Floats], overlapping: bool = True,
-) -> LagField:  # fmt: skip
+    a: Floats,
+    b: Floats,
+    is_valid: Bools,
+    pixel_um: Pair,
+    *,
+    reach: tuple[int, int],
+    tile_um: float,
+    unrelated: list[Floats],
+    overlapping: bool = True,
+) -> LagField:
     """Find the lag of every tile of a within b, by positive correlation; tiles overlap by half, or not at all.
 
     The maps are without trend, 0 where not valid. The null are the peaks of the unrelated maps, of b's texture, in all
@@ -65,13 +77,17 @@ def lag_field(
     allowed, wide = within(reach), (reach[0] + MARGIN, reach[1] + MARGIN)
     if any(s <= 2 * k or s > n for s, k, n in zip(side_px, wide, a.shape, strict=True)):
         raise SizeError(
-            f"Tiles of {tile_um:g} um are too small for the reach, or larger than the map. Take sides above "
-            f"{2 * max(wide[0] * pixel_um[0], wide[1] * pixel_um[1]):.0f} um, or a shorter reach."
+            f"Tiles of {tile_um:g} um are too small for the reach, or larger than the map. Take"
+            f" sides above {2 * max(wide[0] * pixel_um[0], wide[1] * pixel_um[1]):.0f} um, or a"
+            " shorter reach."
         )
     step = np.array([pixel_um[1], pixel_um[0]])
     tiles: list[tuple[Floats, Floats, Floats, float, float]] = []
     null_z: list[float] = []
-    starts = (range(0, n - s + 1, max(s // (1 + overlapping), 1)) for n, s in zip(a.shape, side_px, strict=True))
+    starts = (
+        range(0, n - s + 1, max(s // (1 + overlapping), 1))
+        for n, s in zip(a.shape, side_px, strict=True)
+    )
     for row, col in product(*starts):
         # The tile of a, and b around it as far as the search goes: every lag keeps its pairs.
         rows = slice(max(row - wide[0], 0), row + side_px[0] + wide[0])
@@ -84,15 +100,20 @@ def lag_field(
             continue
         correlate = MaskedNcc(a[rows, cols], a_valid=masks[0], b_valid=masks[1], reach=wide)
         peak = find_peak(correlate(b[rows, cols]), allowed)
-        highest_r = (float(np.nanmax(correlate(m[rows, cols])[allowed], initial=0.0)) for m in unrelated)
+        highest_r = (
+            float(np.nanmax(correlate(m[rows, cols])[allowed], initial=0.0)) for m in unrelated
+        )
         null_z += [float(np.arctanh(min(r, 0.999999)) * np.sqrt(share)) for r in highest_r]
         covariance, lag = np.full((2, 2), np.nan), np.full(2, np.nan)
         if peak is not None and peak.inner:
             lag = peak.summit_px[::-1] * step
-            covariance = covariance_of(peak, a[rows, cols], b[rows, cols], *masks)[::-1, ::-1] * np.outer(step, step)
+            covariance = covariance_of(peak, a[rows, cols], b[rows, cols], *masks)[
+                ::-1, ::-1
+            ] * np.outer(step, step)
         centre_um = (np.array([col, row]) + (np.array(side_px[::-1]) - 1) / 2) * step
         tiles.append((centre_um, lag, covariance, np.nan if peak is None else peak.r, share))
-    limit = float(np.quantile(null_z, 0.99, method="higher")) if null_z else np.inf  # a field has many tiles
+    # a field has many tiles.
+    limit = float(np.quantile(null_z, 0.99, method="higher")) if null_z else np.inf
     centres_um, lags, covariances, r, shares = (
         np.array([row[k] for row in tiles]).reshape(len(tiles), *size)
         for k, size in enumerate(((2,), (2,), (2, 2), (), ()))
@@ -100,6 +121,10 @@ def lag_field(
     height = np.arctanh(np.minimum(np.abs(r), 0.999999)) * np.sqrt(shares)
     distinct = np.isfinite(lags[:, 0]) & (height > limit)
     return LagField(
-        at_um=centres_um, lag_um=np.where(distinct[:, None], lags, np.nan), r=r, distinct=distinct, tile_um=tile_um,
+        at_um=centres_um,
+        lag_um=np.where(distinct[:, None], lags, np.nan),
+        r=r,
+        distinct=distinct,
+        tile_um=tile_um,
         covariance_um2=np.where(distinct[:, None, None], covariances, np.nan),
-    )  # fmt: skip
+    )

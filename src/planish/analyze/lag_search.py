@@ -19,13 +19,17 @@ class LagSearch:
 
     def __init__(self, x: Floats, y: Floats, is_valid: Bools, wide: tuple[int, int]) -> None:
         self._x, self._y, self._is_valid, self._wide = x, y, is_valid, wide
-        self._size = [fft.next_fast_len(n + m, real=True) for n, m in zip(y.shape, wide, strict=True)]
+        self._size = [
+            fft.next_fast_len(n + m, real=True) for n, m in zip(y.shape, wide, strict=True)
+        ]
         mask, self._y_hat = self._transform(is_valid.astype(np.float64)), self._transform(y)
         self._x_hat = np.stack([self._transform(m) for m in x])
         pairs = np.rint(self._lags(np.abs(mask) ** 2))
         self._pairs = np.maximum(pairs, 1.0)
         enough = pairs >= LEAST_PAIRS * pairs.max()
-        self._g = np.stack([self._lags(np.conj(m) * self._y_hat) / self._pairs for m in self._x_hat])
+        self._g = np.stack(
+            [self._lags(np.conj(m) * self._y_hat) / self._pairs for m in self._x_hat]
+        )
         n = int(np.count_nonzero(is_valid))
         self._inner = np.tensordot(x, x, ((1, 2), (1, 2))) / n
         self._inverse = np.linalg.pinv(self._inner, rcond=1e-6, hermitian=True)
@@ -40,18 +44,24 @@ class LagSearch:
     def share_of(self, subset: slice, lag_px: tuple[int, int]) -> float:
         """R² at a lag with some of the maps only."""
         g = self._products_at(lag_px)[subset]
-        return float(g @ np.linalg.pinv(self._inner[subset, subset], rcond=1e-6, hermitian=True) @ g)
+        return float(
+            g @ np.linalg.pinv(self._inner[subset, subset], rcond=1e-6, hermitian=True) @ g
+        )
 
     def limit(self, reach: tuple[int, int]) -> float:
         """Height that unrelated textures exceed within reach in 1 of 1000 cases."""
-        values, vectors = np.linalg.eigh(self._inner)  # Independent combinations of the maps, each of spread 1.
+        # Independent combinations of the maps, each of spread 1.
+        values, vectors = np.linalg.eigh(self._inner)
         use = values > 1e-6 * values[-1]
         across = (vectors[:, use] / np.sqrt(values[use])).T
         n = float(np.count_nonzero(self._is_valid))
         power_y = np.abs(self._y_hat) ** 2
         power_y[:, 1:] *= 2.0
-        powers = [np.abs(np.tensordot(weights, self._x_hat, 1)) ** 2 * power_y for weights in across]
-        variance = max(float(np.sum(m)) for m in powers) / (self._size[0] * self._size[1] * n**3)  # As in `relate`.
+        powers = [
+            np.abs(np.tensordot(weights, self._x_hat, 1)) ** 2 * power_y for weights in across
+        ]
+        # As in `relate`.
+        variance = max(float(np.sum(m)) for m in powers) / (self._size[0] * self._size[1] * n**3)
         fy = 2 * np.pi * fft.fftfreq(self._size[0])[:, None]
         fx = 2 * np.pi * fft.rfftfreq(self._size[1])[None, :]
         power = np.sum(powers, axis=0)
@@ -72,7 +82,9 @@ class LagSearch:
         x_slices, y_slices = overlap(self._y.shape, peak.lag_px)
         is_valid = self._is_valid[x_slices] & self._is_valid[y_slices]
         x, y = self._x[:, x_slices[0], x_slices[1]], self._y[y_slices]
-        slopes = np.stack([np.where(is_valid, np.gradient(self._y, axis=k)[y_slices], 0.0) for k in (0, 1)])
+        slopes = np.stack(
+            [np.where(is_valid, np.gradient(self._y, axis=k)[y_slices], 0.0) for k in (0, 1)]
+        )
         n = int(np.count_nonzero(is_valid))
         fitted = np.tensordot(self.weights(peak.lag_px), x, 1)
         residual = np.where(is_valid, y - fitted, 0.0)

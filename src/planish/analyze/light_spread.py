@@ -24,7 +24,9 @@ if TYPE_CHECKING:
 
 
 class _Spread(ResultModel):
-    width_um: float = Field(description="Length over which the point spread function falls to 1/e, as it was given.")
+    width_um: float = Field(
+        description="Length over which the point spread function falls to 1/e, as it was given."
+    )
 
 
 class LightSpread(PointsCorrelation, _Spread):
@@ -35,7 +37,9 @@ class LightSpread(PointsCorrelation, _Spread):
     silence: str | None = optional("Why there is no such r.")
 
 
-def spread_light(values: Array, *, pixel_um: Pixel, width_um: float, mask: Bools | None = None) -> Floats:
+def spread_light(
+    values: Array, *, pixel_um: Pixel, width_um: float, mask: Bools | None = None
+) -> Floats:
     """Blur a map as light is that spreads in the paper, over the pixels that are known.
 
     Parameters
@@ -71,8 +75,8 @@ def spread_light(values: Array, *, pixel_um: Pixel, width_um: float, mask: Bools
     side_um = min(n * p for n, p in zip(values.shape, pixel, strict=True))
     if not 0 < width_um < side_um:
         raise SizeError(
-            f"Light would spread over {width_um:g} um; the map is {side_um:g} um wide. Give a width above 0, below "
-            "that."
+            f"Light would spread over {width_um:g} um; the map is {side_um:g} um wide. Give a width"
+            " above 0, below that."
         )
     if not is_valid.any():
         raise CannotMeasure("No pixel of the map is known and counts. Look at the mask.")
@@ -108,16 +112,25 @@ def answer_light_spread(pair: ComparedMaps) -> dict[str, Any]:
     except PlanishError as error:
         return {"light_spread": build_result(silence=error.text)}
     if math.isnan(correlation.r):
-        return {"light_spread": build_result(n=correlation.n, silence=" ".join(correlation.warnings))}
-    return {"light_spread": LightSpread.of(
-        correlation, width_um=width_um, point_um=point_um, difference=difference.difference,
-        difference_interval=difference.interval
-    )}  # fmt: skip
+        return {
+            "light_spread": build_result(n=correlation.n, silence=" ".join(correlation.warnings))
+        }
+    return {
+        "light_spread": LightSpread.of(
+            correlation,
+            width_um=width_um,
+            point_um=point_um,
+            difference=difference.difference,
+            difference_interval=difference.interval,
+        )
+    }
 
 
 def say_light_spread(spread: LightSpread, *_: object) -> Iterator[str]:
     """R with the coating blurred, and whether it differs from that of the coating as it is."""
-    width_text = f"With the coating blurred by light that spreads over {plain(spread.width_um)} (declared)"
+    width_text = (
+        f"With the coating blurred by light that spreads over {plain(spread.width_um)} (declared)"
+    )
     if not is_known(spread.r):
         yield f"{width_text}, there is no r. {spread.silence or ''}".strip()
         return
@@ -129,5 +142,7 @@ def say_light_spread(spread: LightSpread, *_: object) -> Iterator[str]:
         return
     low, high = spread.difference_interval
     verdict = "not distinguishable from" if low <= 0 <= high else "distinguishable from"
-    change_text = f"r changes by {fixed(spread.difference, 3)}, {limits_text(spread.difference_interval, 3)}"
+    change_text = (
+        f"r changes by {fixed(spread.difference, 3)}, {limits_text(spread.difference_interval, 3)}"
+    )
     yield f"{text}: {verdict} that of the coating as it is ({change_text})."

@@ -18,8 +18,10 @@ from planish.core.facts import ResultModel, Value, optional
 from planish.core.grid import Grid
 from planish.core.typing import Bools, Pixel
 
-_HALF = math.sqrt(math.log(2.0) / 2) / math.pi  # sigma of the Gaussian that halves a wave, over its length
-_OCTAVE = math.sqrt(math.log2(25 / 16) / 2)  # rms that a band keeps of waves that are alike in every octave
+# Sigma of the Gaussian that halves a wave, over its length.
+_HALF = math.sqrt(math.log(2.0) / 2) / math.pi
+# Rms that a band keeps of waves that are alike in every octave.
+_OCTAVE = math.sqrt(math.log2(25 / 16) / 2)
 
 
 class MottleBand(ResultModel):
@@ -27,14 +29,18 @@ class MottleBand(ResultModel):
 
     shortest_um: float = Field(description="Shortest wave of the octave.")
     longest_um: float = Field(description="Longest wave of the octave.")
-    coefficient_of_variation: float = Field(description="Standard deviation of the octave over the mean.")
+    coefficient_of_variation: float = Field(
+        description="Standard deviation of the octave over the mean."
+    )
 
 
 class Mottle(ResultModel):
     """How uneven an image is, by octaves of wavelength; after the idea of ISO/IEC 24790 and ISO 15311."""
 
     layer: str = Field(default="", description="Name of the layer.")
-    bands: tuple[MottleBand, ...] = Field(default=(), description="From the longest waves to the shortest.")
+    bands: tuple[MottleBand, ...] = Field(
+        default=(), description="From the longest waves to the shortest."
+    )
     mean: Value = optional("Of the image.")
     n: int | None = optional("Pixels, or means over several, that are known.")
     measured: str | None = optional("What the values are of.")
@@ -42,9 +48,14 @@ class Mottle(ResultModel):
 
 
 def print_mottle(
-    reflectance: ArrayLike, *, pixel_um: Pixel, shortest_um: float = 250.0,
-    longest_um: float | None = None, mask: Bools | None = None, quantity: str = "reflectance",
-) -> Mottle:  # fmt: skip
+    reflectance: ArrayLike,
+    *,
+    pixel_um: Pixel,
+    shortest_um: float = 250.0,
+    longest_um: float | None = None,
+    mask: Bools | None = None,
+    quantity: str = "reflectance",
+) -> Mottle:
     """Coefficient of variation of the reflectance in octaves of wavelength.
 
     Parameters
@@ -87,42 +98,57 @@ def print_mottle(
     """
     image, is_valid, pixel = known_pixels(reflectance, mask, pixel_um)
     least_um = 4.0 * max(pixel)  # shorter ones are no waves on a grid
-    most_um = 0.2 * min(n * p for n, p in zip(image.shape, pixel, strict=True))  # of longer waves a field has too few
+    # Of longer waves a field has too few.
+    most_um = 0.2 * min(n * p for n, p in zip(image.shape, pixel, strict=True))
     limit_um = most_um if longest_um is None else longest_um
-    if not (least_um <= shortest_um < math.inf and 2 * shortest_um <= limit_um * (1 + 1e-9) <= most_um * (1 + 2e-9)):
+    if not (
+        least_um <= shortest_um < math.inf
+        and 2 * shortest_um <= limit_um * (1 + 1e-9) <= most_um * (1 + 2e-9)
+    ):
         raise SizeError(
-            f"No octave lies between waves of {shortest_um:g} and {limit_um:g} um: this image shows waves from "
-            f"{least_um:g} um (4 pixels) to {most_um:g} um (a fifth of its shorter side), and an octave ends at twice "
-            "its beginning. Take other wavelengths, smaller pixels or a larger field."
+            f"No octave lies between waves of {shortest_um:g} and {limit_um:g} um: this image shows"
+            f" waves from {least_um:g} um (4 pixels) to {most_um:g} um (a fifth of its shorter"
+            " side), and an octave ends at twice its beginning. Take other wavelengths, smaller"
+            " pixels or a larger field."
         )
-    edges = [shortest_um * 2.0**k for k in range(math.floor(math.log2(limit_um / shortest_um) + 1e-9) + 1)]
+    edges = [
+        shortest_um * 2.0**k
+        for k in range(math.floor(math.log2(limit_um / shortest_um) + 1e-9) + 1)
+    ]
     mean = float(image[is_valid].mean(dtype=np.float64))
     if not mean > 0:
         raise CannotMeasure(
-            f"The mean of the image is {mean:.3g}; variation relative to it needs one above 0. Give reflectance, not "
-            "its difference from a mean."
+            f"The mean of the image is {mean:.3g}; variation relative to it needs one above 0. Give"
+            " reflectance, not its difference from a mean."
         )
-    values = np.where(is_valid, image - mean, 0.0)  # first, so that rounding is that of the variation
+    # First, so that rounding is that of the variation.
+    values = np.where(is_valid, image - mean, 0.0)
     weight = is_valid.astype(np.float64)
     means = (
-        smooth(values, weight, is_valid, [_HALF * edge / p for p in pixel], truncate=4.0)[is_valid] for edge in edges
+        smooth(values, weight, is_valid, [_HALF * edge / p for p in pixel], truncate=4.0)[is_valid]
+        for edge in edges
     )
     bands: list[MottleBand] = []
     for (short_um, fine), (long_um, coarse) in pairwise(zip(edges, means, strict=True)):
         sd = float((fine - coarse).std()) / _OCTAVE
-        bands.append(MottleBand(shortest_um=short_um, longest_um=long_um, coefficient_of_variation=sd / mean))
+        bands.append(
+            MottleBand(shortest_um=short_um, longest_um=long_um, coefficient_of_variation=sd / mean)
+        )
     measured = (
-        f"Coefficient of variation of the {quantity} in octaves from {edges[0]:g} to {edges[-1]:g} um, as "
-        f"differences of Gaussian means over {np.count_nonzero(is_valid)} pixels; after ISO/IEC 24790 and ISO 15311, "
-        "conforming to neither."
+        f"Coefficient of variation of the {quantity} in octaves from {edges[0]:g} to {edges[-1]:g}"
+        f" um, as differences of Gaussian means over {np.count_nonzero(is_valid)} pixels; after"
+        " ISO/IEC 24790 and ISO 15311, conforming to neither."
     )
-    return Mottle(bands=tuple(bands), mean=mean, n=int(np.count_nonzero(is_valid)), measured=measured)
+    return Mottle(
+        bands=tuple(bands), mean=mean, n=int(np.count_nonzero(is_valid)), measured=measured
+    )
 
 
 def mottle_of(name: str, data: xr.Dataset, *, quantity: str) -> Mottle:
     """How uneven an image is over its valid pixels, or why that cannot be said; ``quantity`` names its values."""
     grid = Grid.of(data)
-    factor = max(1, int(15.0 / max(grid.pixel_um)))  # means over up to 15 um keep 0.99 of the shortest waves
+    # Means over up to 15 um keep 0.99 of the shortest waves.
+    factor = max(1, int(15.0 / max(grid.pixel_um)))
     (image,) = common_means([data["image"]], (factor, factor), masks=[data["valid"]])
     cell_um = grid.pixel_um[0] * factor, grid.pixel_um[1] * factor
     try:

@@ -9,7 +9,8 @@ from scipy.interpolate import RectBivariateSpline
 from planish.analyze.texture import standard
 from planish.core.typing import Bools, Complexes, Floats
 
-LEAST_PAIRS = 0.2  # At a lag where less than this share of the pairs is left, or of the variance, r is meaningless.
+# At a lag where less than this share of the pairs is left, or of the variance, r is meaningless.
+LEAST_PAIRS = 0.2
 MARGIN = 4  # pixels of r that have to be known around the lags that are searched
 
 
@@ -21,9 +22,13 @@ class MaskedNcc:
     Image Process. 21, 2706, doi:10.1109/TIP.2011.2181402). The maps are padded by ``reach``: no wrap.
     """
 
-    def __init__(self, a: Floats, *, a_valid: Bools, b_valid: Bools, reach: tuple[int, int]) -> None:
+    def __init__(
+        self, a: Floats, *, a_valid: Bools, b_valid: Bools, reach: tuple[int, int]
+    ) -> None:
         self._reach = reach
-        self._shape = tuple(fft.next_fast_len(n + r, real=True) for n, r in zip(a.shape, reach, strict=True))
+        self._shape = tuple(
+            fft.next_fast_len(n + r, real=True) for n, r in zip(a.shape, reach, strict=True)
+        )
         self._b_valid = b_valid
         a = standard(a, a_valid)
         self._mask_a = np.conj(self._transform(a_valid.astype(np.float64)))
@@ -67,7 +72,8 @@ class Peak:
     lag_px: tuple[int, int]  # whole lag
     summit_px: Floats  # (2,): lag between the pixels
     r: float  # correlation there
-    curvature: Floats = field(default_factory=lambda: np.full((2, 2), np.nan))  # second derivatives, negative definite
+    # Second derivatives, negative definite.
+    curvature: Floats = field(default_factory=lambda: np.full((2, 2), np.nan))
     inner: bool = False  # whether it is a summit, not a slope that goes on beyond the lags searched
 
 
@@ -85,11 +91,20 @@ def find_peak(r: Floats, allowed: Bools) -> Peak | None:
         return None
     lag_px = (row - r.shape[0] // 2, col - r.shape[1] // 2)
     neighbourhood = r[row - MARGIN : row + MARGIN + 1, col - MARGIN : col + MARGIN + 1]
-    pixel_peak = Peak(lag_px=lag_px, summit_px=np.array(lag_px, dtype=np.float64), r=float(r[row, col]))
+    pixel_peak = Peak(
+        lag_px=lag_px, summit_px=np.array(lag_px, dtype=np.float64), r=float(r[row, col])
+    )
     width_px = 2 * MARGIN + 1
-    if r[row, col] < 0 or neighbourhood.shape != (width_px, width_px) or not np.isfinite(neighbourhood).all():
+    if (
+        r[row, col] < 0
+        or neighbourhood.shape != (width_px, width_px)
+        or not np.isfinite(neighbourhood).all()
+    ):
         return pixel_peak
-    if neighbourhood[MARGIN - 1 : MARGIN + 2, MARGIN - 1 : MARGIN + 2].max() > neighbourhood[MARGIN, MARGIN]:
+    if (
+        neighbourhood[MARGIN - 1 : MARGIN + 2, MARGIN - 1 : MARGIN + 2].max()
+        > neighbourhood[MARGIN, MARGIN]
+    ):
         return pixel_peak
     axis = np.arange(-MARGIN, MARGIN + 1, dtype=np.float64)
     spline = RectBivariateSpline(axis, axis, neighbourhood, kx=3, ky=3, s=0)
@@ -105,10 +120,15 @@ def find_peak(r: Floats, allowed: Bools) -> Peak | None:
             return pixel_peak
         if k == 20 or np.abs(step).max() < 1e-10:
             summit = pixel_peak.summit_px + offset
-            return Peak(lag_px=lag_px, summit_px=summit, r=slope(offset), curvature=curvature, inner=True)
-        step = np.clip(-np.linalg.solve(curvature, [slope(offset, 1, 0), slope(offset, 0, 1)]), -0.5, 0.5)
+            return Peak(
+                lag_px=lag_px, summit_px=summit, r=slope(offset), curvature=curvature, inner=True
+            )
+        step = np.clip(
+            -np.linalg.solve(curvature, [slope(offset, 1, 0), slope(offset, 0, 1)]), -0.5, 0.5
+        )
         offset = offset + step
-        if np.abs(offset).max() > 2.0:  # on a ridge, the summit is not within the pixel that is highest
+        # On a ridge, the summit is not within the pixel that is highest.
+        if np.abs(offset).max() > 2.0:
             return pixel_peak
     return pixel_peak
 
@@ -131,12 +151,16 @@ def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Boo
     a_slices, b_slices = overlap(a.shape, peak.lag_px)
     # A cubic spline, as in `find_peak`: its slope in a pixel is half the difference of neighbouring coefficients.
     spline = np.where(b_valid, b - float(b[b_valid].mean()), 0.0)
-    spline = np.pad(np.asarray(ndimage.spline_filter(spline, order=3), dtype=np.float64), 1, mode="edge")
+    spline = np.pad(
+        np.asarray(ndimage.spline_filter(spline, order=3), dtype=np.float64), 1, mode="edge"
+    )
     differences = spline[2:, 1:-1] - spline[:-2, 1:-1], spline[1:-1, 2:] - spline[1:-1, :-2]
     slopes = np.stack([0.5 * difference[b_slices] for difference in differences])
     is_valid = a_valid[a_slices] & b_valid[b_slices]
     n = int(is_valid.sum())
-    u = np.where(is_valid, standard(a[a_slices], is_valid) - peak.r * standard(b[b_slices], is_valid), 0.0)
+    u = np.where(
+        is_valid, standard(a[a_slices], is_valid) - peak.r * standard(b[b_slices], is_valid), 0.0
+    )
     v = np.where(is_valid, slopes / float(b[b_slices][is_valid].std()), 0.0)
     v = np.where(is_valid, v - v.sum(axis=(1, 2), keepdims=True) / n, 0.0)
     reach = (max(u.shape[0] // 4, 1), max(u.shape[1] // 4, 1))
@@ -145,21 +169,32 @@ def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Boo
     v_hat = [fft.rfft2(s, shape) for s in v]
 
     def lags(first: Complexes, second: Complexes) -> Floats:
-        return cropped(np.asarray(fft.irfft2(np.conj(first) * second, shape), dtype=np.float64), reach)
+        return cropped(
+            np.asarray(fft.irfft2(np.conj(first) * second, shape), dtype=np.float64), reach
+        )
 
     pairs = np.maximum(np.rint(lags(mask_hat, mask_hat)), 1.0)
     r_u = lags(u_hat, u_hat) / pairs
     r_uv = [lags(u_hat, s) for s in v_hat]
-    covariance = np.array([
-        [float(np.sum(r_u * lags(v_hat[i], v_hat[j]) + r_uv[i] * r_uv[j][::-1, ::-1] / pairs)) for j in (0, 1)]
-        for i in (0, 1)
-    ])  # fmt: skip
+    covariance = np.array(
+        [
+            [
+                float(
+                    np.sum(r_u * lags(v_hat[i], v_hat[j]) + r_uv[i] * r_uv[j][::-1, ::-1] / pairs)
+                )
+                for j in (0, 1)
+            ]
+            for i in (0, 1)
+        ]
+    )
     values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T) / n**2)
     covariance = (vectors * np.maximum(values, 0.0)) @ vectors.T
     return np.linalg.inv(peak.curvature) @ covariance @ np.linalg.inv(peak.curvature)
 
 
-def overlap(shape: tuple[int, ...], lag: tuple[int, int]) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+def overlap(
+    shape: tuple[int, ...], lag: tuple[int, int]
+) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
     """Return the pixels of a, and those of b that lie on them at a lag."""
     a_slices = [slice(max(-k, 0), n - max(k, 0)) for n, k in zip(shape, lag, strict=True)]
     b_slices = [slice(max(k, 0), n - max(-k, 0)) for n, k in zip(shape, lag, strict=True)]

@@ -25,10 +25,14 @@ class Band(ResultModel):
 
     shortest_um: float = Field(description="Shortest wavelength of the octave.")
     longest_um: float = Field(description="Longest wavelength of the octave.")
-    coherence: Value = Field(description="Squared, corrected for chance; a little below 0 where there is nothing.")
+    coherence: Value = Field(
+        description="Squared, corrected for chance; a little below 0 where there is nothing."
+    )
     p: Unsaved = optional("Of the test that there is nothing in common.")
     p_of_bands: Value = Field(description="p of all octaves together, after Sidak.")
-    phase_deg: Value = Field(description="Phase of b against a; 0 or 180 where one simply follows the other.")
+    phase_deg: Value = Field(
+        description="Phase of b against a; 0 or 180 where one simply follows the other."
+    )
     gain: Value = Field(description="Change of b per change of a, with its sign.")
     modes: Value = Field(description="Independent waves.")
 
@@ -44,7 +48,9 @@ class Coherence:
     resolution_per_um: float
 
 
-def coherence(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel, bands: int = 5) -> Coherence:
+def coherence(
+    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel, bands: int = 5
+) -> Coherence:
     """Squared coherence of two maps by octaves of wavelength.
 
     Parameters
@@ -73,28 +79,37 @@ def coherence(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel,
     is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
     shortest_side = min(n * p for n, p in zip(is_valid.shape, pixel, strict=True))
     limit_um = 0.25 * shortest_side  # of longer waves a field holds too few
-    count = min(bands, int(math.log2(max(limit_um / (2 * max(pixel)), 1e-9)))) if is_valid.any() else 0
+    count = (
+        min(bands, int(math.log2(max(limit_um / (2 * max(pixel)), 1e-9)))) if is_valid.any() else 0
+    )
     if count < 1:
         raise CannotMeasure(
-            f"The field of {shortest_side:g} um holds no octave of waves from a quarter of it to two pixels. Give a "
-            "larger map."
+            f"The field of {shortest_side:g} um holds no octave of waves from a quarter of it to"
+            " two pixels. Give a larger map."
         )
     waves = Waves(is_valid, pixel, a, b)
     half = half_plane(is_valid.shape) & waves.stand_out
     whitened = [
-        m / np.sqrt(np.maximum(p, 1e-300))[waves.ring] for m, p in zip(waves.spectra, waves.powers, strict=True)
+        m / np.sqrt(np.maximum(p, 1e-300))[waves.ring]
+        for m, p in zip(waves.spectra, waves.powers, strict=True)
     ]
     octaves: list[Band] = []
     for k in range(count):
         longest_um, shortest_um = limit_um / 2**k, limit_um / 2 ** (k + 1)
         in_octave = half & (waves.frequency > 1 / longest_um) & (waves.frequency <= 1 / shortest_um)
-        raw_waves, white_waves = ([m[in_octave] for m in spectra] for spectra in (waves.spectra, whitened))
-        band_fields = _band(raw_waves, white_waves, np.count_nonzero(in_octave) / waves.joined, count)
+        raw_waves, white_waves = (
+            [m[in_octave] for m in spectra] for spectra in (waves.spectra, whitened)
+        )
+        band_fields = _band(
+            raw_waves, white_waves, np.count_nonzero(in_octave) / waves.joined, count
+        )
         octaves.append(Band(shortest_um=shortest_um, longest_um=longest_um, **band_fields))
     return Coherence(bands=tuple(octaves), resolution_per_um=waves.resolution)
 
 
-def _band(raw: list[Complexes], whitened: list[Complexes], modes: float, count: int) -> dict[str, float]:
+def _band(
+    raw: list[Complexes], whitened: list[Complexes], modes: float, count: int
+) -> dict[str, float]:
     """What the waves of both maps, as they are and whitened, have in common in one of so many bands."""
     cross, gain = complex(np.vdot(whitened[0], whitened[1])), complex(np.vdot(raw[0], raw[1]))
     spread = math.sqrt(math.prod(float(np.vdot(m, m).real) for m in whitened))
@@ -105,10 +120,13 @@ def _band(raw: list[Complexes], whitened: list[Complexes], modes: float, count: 
         # Of m complex waves without relation the squared coherence exceeds x with the probability (1 - x)^(m - 1).
         p, unbiased = (1 - share) ** (modes - 1), (share - 1 / modes) / (1 - 1 / modes)
     return {
-        "coherence": unbiased, "p": p, "p_of_bands": 1 - (1 - p) ** count, "modes": modes,
+        "coherence": unbiased,
+        "p": p,
+        "p_of_bands": 1 - (1 - p) ** count,
+        "modes": modes,
         "phase_deg": -math.degrees(math.atan2(cross.imag, cross.real)) if spread > 0 else math.nan,
         "gain": math.copysign(abs(gain), gain.real) / power_a if power_a > 0 else math.nan,
-    }  # fmt: skip
+    }
 
 
 class Waves:
@@ -118,10 +136,13 @@ class Waves:
         window = window_of(is_valid)
         self.spectra = [spectrum_of(m, is_valid, window) for m in maps]
         frequency_y = fft.fftfreq(is_valid.shape[0], pixel_um[0])[:, None]
-        self.frequency = np.hypot(frequency_y, fft.rfftfreq(is_valid.shape[1], pixel_um[1]))  # waves a um
+        # Waves a um.
+        self.frequency = np.hypot(frequency_y, fft.rfftfreq(is_valid.shape[1], pixel_um[1]))
         # Width of the window in frequency: one over the field it leaves.
         self.joined = is_valid.size * float(np.sum(window**4)) / float(np.sum(window**2)) ** 2
-        self.resolution = math.sqrt(self.joined) / min(n * p for n, p in zip(is_valid.shape, pixel_um, strict=True))
+        self.resolution = math.sqrt(self.joined) / min(
+            n * p for n, p in zip(is_valid.shape, pixel_um, strict=True)
+        )
         self.ring: Ints = np.rint(self.frequency / self.resolution).astype(np.intp)
         ring_numbers = self.ring.ravel()
         powers = [np.bincount(ring_numbers, weights=np.abs(m.ravel()) ** 2) for m in self.spectra]

@@ -8,35 +8,60 @@ class CorrelateParams(Params):
 
     point_um: float = option(100.0, gt=0, help="Edge of the averaging square (point) in um.")
     headline: str | None = option(
-        None, metavar="NAME", help="Map whose correlation leads; the coating of the given side, where not given."
+        None,
+        metavar="NAME",
+        help="Map whose correlation leads; the coating of the given side, where not given.",
     )
     beside: tuple[str, ...] = option(
-        (), metavar="NAME", max_length=3,
-        help="A map of the sheet, such as base_thickness, whose part is taken off both sides of the headline "
-        "correlation for a second, partial r; may be given again, up to 3 times.",
-    )  # fmt: skip
+        (),
+        metavar="NAME",
+        max_length=3,
+        help=(
+            "A map of the sheet, such as base_thickness, whose part is taken off both sides of the"
+            " headline correlation for a second, partial r; may be given again, up to 3 times."
+        ),
+    )
     regions: str | None = option(
         None,
         metavar="FILE",
-        help="Artefacts (a stain, a crease, a label) whose pixels do not count: polygons in GeoJSON, in um of the "
-        "reference, or selections of ImageJ (.roi, .zip), in its pixels; with reason and author.",
+        help=(
+            "Artefacts (a stain, a crease, a label) whose pixels do not count: polygons in GeoJSON,"
+            " in um of the reference, or selections of ImageJ (.roi, .zip), in its pixels; with"
+            " reason and author."
+        ),
     )
     kubelka_munk: float | None = option(
-        None, ge=0, lt=10, metavar="K/S",
-        help="Fit the curve of Kubelka and Munk to the reflectance over the coating that leads, with this ratio of "
-        "absorption to scattering (0.002 for a white coating); needs --dark-grey and --white-grey.",
-    )  # fmt: skip
+        None,
+        ge=0,
+        lt=10,
+        metavar="K/S",
+        help=(
+            "Fit the curve of Kubelka and Munk to the reflectance over the coating that leads, with"
+            " this ratio of absorption to scattering (0.002 for a white coating); needs --dark-grey"
+            " and --white-grey."
+        ),
+    )
     light_spread_um: float | None = option(
-        None, gt=0,
-        help="Also correlate the coating blurred as light is that spreads in paper: length over which an exponential "
-        "falls to 1/e.",
-    )  # fmt: skip
+        None,
+        gt=0,
+        help=(
+            "Also correlate the coating blurred as light is that spreads in paper: length over"
+            " which an exponential falls to 1/e."
+        ),
+    )
     mottle: bool = option(
-        False, help="State by octaves of wavelength how uneven each image is (coefficient of variation)."
+        False,
+        help="State by octaves of wavelength how uneven each image is (coefficient of variation).",
     )
     error_ratio: float | None = option(
-        None, gt=0, metavar="RATIO",
-        help="Of two volumes: variance of the errors of the second over that of the first; adds the line between two "
-        "measurements that both have errors (Deming).",
-    )  # fmt: skip
-    thin_um: float = option(5.0, gt=0, cli=None, help="Coating thickness in um below which the page outlines it.")
+        None,
+        gt=0,
+        metavar="RATIO",
+        help=(
+            "Of two volumes: variance of the errors of the second over that of the first; adds the"
+            " line between two measurements that both have errors (Deming)."
+        ),
+    )
+    thin_um: float = option(
+        5.0, gt=0, cli=None, help="Coating thickness in um below which the page outlines it."
+    )

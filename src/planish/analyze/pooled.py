@@ -14,7 +14,9 @@ from planish.core.errors import InputError
 from planish.core.typing import Floats, Pair
 
 
-def random_effects(effects: Sequence[float] | Floats, variances: Sequence[float] | Floats) -> RandomEffects:
+def random_effects(
+    effects: Sequence[float] | Floats, variances: Sequence[float] | Floats
+) -> RandomEffects:
     """Pool effects that differ from each other.
 
     Parameters
@@ -41,10 +43,16 @@ def random_effects(effects: Sequence[float] | Floats, variances: Sequence[float]
     Higgins and Thompson (2002), Statist. Med. 21, 1539, doi:10.1002/sim.1186.
     """
     y, v = (np.asarray(m, dtype=np.float64) for m in (effects, variances))
-    if y.ndim != 1 or y.shape != v.shape or y.size < 2 or not np.isfinite(y).all() or not (v > 0).all():
+    if (
+        y.ndim != 1
+        or y.shape != v.shape
+        or y.size < 2
+        or not np.isfinite(y).all()
+        or not (v > 0).all()
+    ):
         raise InputError(
-            f"There are {y.size} effects and {v.size} variances. Give two effects or more, each a number with a "
-            "variance above 0."
+            f"There are {y.size} effects and {v.size} variances. Give two effects or more, each a"
+            " number with a variance above 0."
         )
     if not np.isfinite(v).all():
         raise InputError("The variance of an effect is infinite. Leave that effect out.")
@@ -57,10 +65,16 @@ def random_effects(effects: Sequence[float] | Floats, variances: Sequence[float]
         squares = float(np.sum(weight * (y - mean) ** 2))
         width = t_95(k - 1) * math.sqrt(squares / float(weight.sum()) / (k - 1))
     return RandomEffects(
-        effects=k, mean=mean, standard_error=1 / math.sqrt(float(weight.sum())), between=between,
-        sd_between=math.sqrt(between), q=q, p=float(special.chdtrc(k - 1, q)), interval=(mean - width, mean + width),
+        effects=k,
+        mean=mean,
+        standard_error=1 / math.sqrt(float(weight.sum())),
+        between=between,
+        sd_between=math.sqrt(between),
+        q=q,
+        p=float(special.chdtrc(k - 1, q)),
+        interval=(mean - width, mean + width),
         i2=max(1 - (k - 1) / q, 0.0) if q > 0 else 0.0,
-    )  # fmt: skip
+    )
 
 
 def _excess(between: float, y: Floats, v: Floats) -> Pair:
@@ -112,14 +126,20 @@ def pooled_r(r: Fields, n_eff: Sequence[float]) -> SheetMean:
     fields = [(k, v) for k, v in zip(z.values, variance.values, strict=True) if not math.isnan(k)]
     of_sheets = [float(v.sum()) / v.size**2 for v in variance.by_sheet.values()]
     return SheetMean(
-        sheets=mean.sheets, fields=mean.fields, missing=mean.missing, mean=math.tanh(mean.mean), reason=mean.reason,
+        sheets=mean.sheets,
+        fields=mean.fields,
+        missing=mean.missing,
+        mean=math.tanh(mean.mean),
+        reason=mean.reason,
         interval=(math.tanh(mean.interval[0]), math.tanh(mean.interval[1])),
         between_sheets=random_effects(z.means, of_sheets) if mean.sheets > 1 else None,
         between_fields=random_effects(*zip(*fields, strict=True)) if len(fields) > 1 else None,
-    )  # fmt: skip
+    )
 
 
-def difference_of_pooled_r(first: Fields, second: Fields, *, paired: bool, squared: bool = False) -> SheetDifference:
+def difference_of_pooled_r(
+    first: Fields, second: Fields, *, paired: bool, squared: bool = False
+) -> SheetDifference:
     """Compare the r, or r², of two sets of sheets.
 
     Parameters
@@ -152,18 +172,24 @@ def difference_of_pooled_r(first: Fields, second: Fields, *, paired: bool, squar
     for fields, mean_z in zip(z, means, strict=True):
         r = math.tanh(mean_z)
         r_at_mean, slope = (r * r, 2 * r * (1 - r * r)) if squared else (r, 1 - r * r)
-        linearised.append(replace(fields, values=[r_at_mean + slope * (k - mean_z) for k in fields.values]))
+        linearised.append(
+            replace(fields, values=[r_at_mean + slope * (k - mean_z) for k in fields.values])
+        )
     return compare(*linearised)
 
 
 def _fisher_z(r: Fields, n_eff: Sequence[float] | None) -> tuple[Fields, Fields]:
     """Fisher's z of fields and its variances, both NaN where a field does not count."""
     if n_eff is not None and len(n_eff) != len(r.values):
-        raise InputError(f"There are {len(r.values)} correlations and {len(n_eff)} n_eff. Give one for each.")
+        raise InputError(
+            f"There are {len(r.values)} correlations and {len(n_eff)} n_eff. Give one for each."
+        )
     if any(abs(v) > 1 for v in r.values):
         raise InputError("A correlation is beyond 1. Give r of every field, from -1 to 1, or NaN.")
     n_effs = [math.inf] * len(r.values) if n_eff is None else n_eff
     uses = [abs(v) < 1 and n > 4 for v, n in zip(r.values, n_effs, strict=True)]
     z = [math.atanh(v) if is_used else math.nan for v, is_used in zip(r.values, uses, strict=True)]
-    variance = [1 / (n - 3) if is_used else math.nan for n, is_used in zip(n_effs, uses, strict=True)]
+    variance = [
+        1 / (n - 3) if is_used else math.nan for n, is_used in zip(n_effs, uses, strict=True)
+    ]
     return replace(r, values=z), replace(r, values=variance)

@@ -34,7 +34,8 @@ It must look at a at these pixels only; NaN is missing in what it returns.
 
 _TUNED_UM = 10.0  # by which a place found by texture may be off at the corners of the map
 _INVERSE_STEPS = 8  # each is off by the strain of the refinement times the one before
-_COARSEST_UM = 1000.0  # slower variations are taken off both maps: they make tiles and guards as large as they are
+# Slower variations are taken off both maps: they make tiles and guards as large as they are.
+_COARSEST_UM = 1000.0
 
 
 class RegistrationBasis(StrEnum):
@@ -58,7 +59,9 @@ class RefinementR(ResultModel):
     n_eff: Value = optional("Independent points.")
     r_of_marks: Value = optional("By the marks alone, over the same pixels.")
     gain_interval: Interval = optional("95 % interval of r - r_of_marks.")
-    registration: str = Field(description="What r rests on: cross-fitted, or beside a searched null.")
+    registration: str = Field(
+        description="What r rests on: cross-fitted, or beside a searched null."
+    )
     sentence: str = Field(description="The same in words.")
     n: int | None = optional("Pixels that are reported on.")
     tile_um: Value = optional("Side of the tiles of the checkerboard.")
@@ -72,7 +75,9 @@ class CrossFitted(RefinementR):
     """Correlation of tiles that the registration was not tuned on: both halves together, each about its own means."""
 
     registration: RegistrationBasis = RegistrationBasis.CROSS_FITTED  # type: ignore[reportIncompatibleVariableOverride]
-    r_of_halves: Pair = Field(description="Of either colour of the checkerboard, registered on the other.")
+    r_of_halves: Pair = Field(
+        description="Of either colour of the checkerboard, registered on the other."
+    )
     share: float = Field(description="Pixels that are reported on over all that are known in both.")
     length_um: float = Field(description="Correlation length of the coarser map.")
 
@@ -89,9 +94,15 @@ class SearchedNull(RefinementR):
 
 
 def cross_fitted(
-    a: Floats, b: Floats, tune: Tune, *, valid: Bools | None = None, pixel_um: Pair, tile_um: float | None = None,
+    a: Floats,
+    b: Floats,
+    tune: Tune,
+    *,
+    valid: Bools | None = None,
+    pixel_um: Pair,
+    tile_um: float | None = None,
     guard_um: float | None = None,
-) -> CrossFitted:  # fmt: skip
+) -> CrossFitted:
     """Tune the registration on every other tile, correlate on the rest, and vice versa.
 
     Parameters
@@ -121,8 +132,9 @@ def cross_fitted(
     guard = 2 * length if guard_um is None else guard_um
     if not guard >= length or not math.isfinite(guard):
         raise CannotMeasure(
-            f"The guard between tiles is {guard:.0f} um, but the maps are correlated over {length:.0f} um: tiles would "
-            "not be independent. Take a guard of at least that length, or take the slow variations off the maps first."
+            f"The guard between tiles is {guard:.0f} um, but the maps are correlated over"
+            f" {length:.0f} um: tiles would not be independent. Take a guard of at least that"
+            " length, or take the slow variations off the maps first."
         )
     side, tuned_masks, report_masks = _checkerboard(is_valid, pixel_um, guard, tile_um)
     a_centred, refined_centred, marks_centred = (np.full(a.shape, np.nan) for _ in range(3))
@@ -134,19 +146,35 @@ def cross_fitted(
             out[is_used] = values[is_used] - values[is_used].mean()
         halves.append(pearson(a[is_used], placed[is_used]))
     row = correlate(a_centred, refined_centred, pixel_um=pixel_um)
-    gain = paired_difference((a_centred, marks_centred), (a_centred, refined_centred), pixel_um=pixel_um)
+    gain = paired_difference(
+        (a_centred, marks_centred), (a_centred, refined_centred), pixel_um=pixel_um
+    )
     low, high = gain.interval
-    limits = "" if math.isnan(row.interval[0]) else f" (95 %: {row.interval[0]:.2f} to {row.interval[1]:.2f})"
+    limits = (
+        ""
+        if math.isnan(row.interval[0])
+        else f" (95 %: {row.interval[0]:.2f} to {row.interval[1]:.2f})"
+    )
     change = "" if math.isnan(low) else f", from which it differs by {low:.3f} to {high:.3f}"
     if low <= 0 <= high:
         change = ", which is not distinguishable from it"
     return CrossFitted(
-        r=row.r, interval=row.interval, n_eff=row.n_eff, r_of_halves=(halves[0], halves[1]),
-        r_of_marks=gain.r[0], gain_interval=gain.interval, n=row.n,
-        share=row.n / max(int(is_valid.sum()), 1), tile_um=side, guard_um=guard, length_um=length,
-        sentence=f"r = {row.r:.2f}{limits}; the marks alone give {gain.r[0]:.2f} there{change}; "
-        f"{RegistrationBasis.CROSS_FITTED.sentence}",
-    )  # fmt: skip
+        r=row.r,
+        interval=row.interval,
+        n_eff=row.n_eff,
+        r_of_halves=(halves[0], halves[1]),
+        r_of_marks=gain.r[0],
+        gain_interval=gain.interval,
+        n=row.n,
+        share=row.n / max(int(is_valid.sum()), 1),
+        tile_um=side,
+        guard_um=guard,
+        length_um=length,
+        sentence=(
+            f"r = {row.r:.2f}{limits}; the marks alone give {gain.r[0]:.2f} there{change}; "
+            f"{RegistrationBasis.CROSS_FITTED.sentence}"
+        ),
+    )
 
 
 def _checkerboard(
@@ -154,26 +182,32 @@ def _checkerboard(
 ) -> tuple[float, list[Bools], list[Bools]]:
     shape, sides_um = is_valid.shape, [6 * guard_um, 4 * guard_um] if tile_um is None else [tile_um]
     for side in sides_um:
-        tile_numbers: list[Ints] = []  # of every row and column; a rest at the border goes half to either side
+        # Of every row and column; a rest at the border goes half to either side.
+        tile_numbers: list[Ints] = []
         for n, pitch in zip(shape, pixel_um, strict=True):
             edge_um = 0.5 * (n * pitch - max(int(n * pitch / side), 1) * side)
-            tile_numbers.append(np.floor(((np.arange(n) + 0.5) * pitch - edge_um) / side).astype(np.intp))
+            tile_numbers.append(
+                np.floor(((np.arange(n) + 0.5) * pitch - edge_um) / side).astype(np.intp)
+            )
         tile_row, tile_col = tile_numbers[0][:, None], tile_numbers[1]
         tuned = [is_valid & ((tile_row + tile_col) % 2 == k) for k in (0, 1)]
         reported = [
-            tuned[1 - k] & (ndimage.distance_transform_edt(~tuned[k], sampling=pixel_um) > guard_um) for k in (0, 1)
+            tuned[1 - k] & (ndimage.distance_transform_edt(~tuned[k], sampling=pixel_um) > guard_um)
+            for k in (0, 1)
         ]
         tile_counts = [np.unique((tile_row * shape[1] + tile_col)[m]).size for m in reported]
         if min(tile_counts) >= 4 and min(map(np.sum, reported)) >= 100:
             return side, tuned, reported
     raise CannotMeasure(
-        f"Tiles of {sides_um[-1]:.0f} um with a guard of {guard_um:.0f} um leave fewer than 4 of either colour to "
-        "report on: the map is too small for its texture. Report the marks-only correlation, or the refined one with a "
-        "searched null."
+        f"Tiles of {sides_um[-1]:.0f} um with a guard of {guard_um:.0f} um leave fewer than 4 of"
+        " either colour to report on: the map is too small for its texture. Report the marks-only"
+        " correlation, or the refined one with a searched null."
     )
 
 
-def searched_null(a: Floats, tune: Tune, *, valid: Bools | None = None, surrogates: int = 99) -> SearchedNull:
+def searched_null(
+    a: Floats, tune: Tune, *, valid: Bools | None = None, surrogates: int = 99
+) -> SearchedNull:
     """Tune the registration on all of the map, and on maps with its texture that are related to nothing.
 
     Parameters
@@ -193,7 +227,9 @@ def searched_null(a: Floats, tune: Tune, *, valid: Bools | None = None, surrogat
         If fewer than 19 surrogates are asked for.
     """
     if surrogates < 19:
-        raise CannotMeasure(f"{surrogates} unrelated maps give no 95 % band; 19 are needed, 99 are better.")
+        raise CannotMeasure(
+            f"{surrogates} unrelated maps give no 95 % band; 19 are needed, 99 are better."
+        )
     is_valid = np.isfinite(a) & (True if valid is None else valid)
     flat = Plane(is_valid).taken_off(a)
     rng = np.random.default_rng(20090502)
@@ -203,17 +239,27 @@ def searched_null(a: Floats, tune: Tune, *, valid: Bools | None = None, surrogat
         return pearson(a_known, tune(a_known, is_valid))
 
     r = searched(flat)
-    null = [abs(searched(surrogate)) for surrogate in PhaseSurrogate(flat, is_valid).draws(surrogates, rng)]
+    null = [
+        abs(searched(surrogate))
+        for surrogate in PhaseSurrogate(flat, is_valid).draws(surrogates, rng)
+    ]
     p = (1 + sum(v >= abs(r) for v in null)) / (1 + surrogates)
     if surrogates < 199:  # a tail is not known further than half of one over their number squared
-        tail_share = largest_tail(np.arctanh(np.minimum(null, 1 - 1e-12)), math.atanh(min(abs(r), 1 - 1e-12)))
+        tail_share = largest_tail(
+            np.arctanh(np.minimum(null, 1 - 1e-12)), math.atanh(min(abs(r), 1 - 1e-12))
+        )
         p = max(tail_share, 0.5 / len(null) ** 2)
     null_95 = float(np.quantile(null, 0.95, method="higher"))
     return SearchedNull(
-        r=r, null_95=null_95, p=p, surrogates=surrogates,
-        sentence=f"r = {r:.2f} after the search, which reaches {null_95:.2f} on unrelated maps (95 %; p = {p:.2g}); "
-        f"{RegistrationBasis.SEARCHED_NULL.sentence}",
-    )  # fmt: skip
+        r=r,
+        null_95=null_95,
+        p=p,
+        surrogates=surrogates,
+        sentence=(
+            f"r = {r:.2f} after the search, which reaches {null_95:.2f} on unrelated maps (95 %; p"
+            f" = {p:.2g}); {RegistrationBasis.SEARCHED_NULL.sentence}"
+        ),
+    )
 
 
 class RefinementFacts(ResultModel):
@@ -224,7 +270,9 @@ class RefinementFacts(ResultModel):
     property: str = Field(description="The map that was refined.")
     moved_rms_um: float = Field(description="Displacement, rms over the pixels.")
     moved_most_um: float = Field(description="Largest displacement.")
-    share_of_expected_error: float = Field(description="Largest ratio of displacement to expected error.")
+    share_of_expected_error: float = Field(
+        description="Largest ratio of displacement to expected error."
+    )
     area: tuple[float, ...] = Field(description="Least and largest local change of area.")
     strain: float = Field(description="Largest local strain, without its sign.")
     warnings: tuple[str, ...] = Field(description="What to be careful about.")
@@ -259,7 +307,12 @@ class RefinedTransform:
 
 
 def refine_link(
-    a: xr.DataArray, b: xr.DataArray, valid: Bools, grid: Grid, fit: FittedTransform, model: Refinement
+    a: xr.DataArray,
+    b: xr.DataArray,
+    valid: Bools,
+    grid: Grid,
+    fit: FittedTransform,
+    model: Refinement,
 ) -> tuple[RefinedTransform, RefinementFacts]:
     """Refine a link by the maps of two layers on one grid, and correlate without the bias of that.
 
@@ -272,7 +325,9 @@ def refine_link(
     fine = refine(moving, fixed, valid, pixel_um=pixel, fit=fit, options=options)
 
     def tune(other: Floats, look: Bools) -> Floats:
-        tuned = refine(other, fixed, look, pixel_um=pixel, fit=fit, options=replace(options, bounded=False))
+        tuned = refine(
+            other, fixed, look, pixel_um=pixel, fit=fit, options=replace(options, bounded=False)
+        )
         return tuned.image_at(fixed, pixel)
 
     try:
@@ -280,14 +335,25 @@ def refine_link(
     except CannotMeasure:
         of_r = searched_null(moving, tune, valid=valid, surrogates=19)
     facts = RefinementFacts(
-        model=fine.model, metric=fine.metric, property=str(a.name), moved_rms_um=fine.moved_um[0],
-        moved_most_um=fine.moved_um[1], share_of_expected_error=fine.share, area=fine.area, strain=fine.strain,
-        warnings=fine.warnings, sentence=fine.sentence, longest_wave_um=_COARSEST_UM, correlation=of_r,
-    )  # fmt: skip
+        model=fine.model,
+        metric=fine.metric,
+        property=str(a.name),
+        moved_rms_um=fine.moved_um[0],
+        moved_most_um=fine.moved_um[1],
+        share_of_expected_error=fine.share,
+        area=fine.area,
+        strain=fine.strain,
+        warnings=fine.warnings,
+        sentence=fine.sentence,
+        longest_wave_um=_COARSEST_UM,
+        correlation=of_r,
+    )
     return RefinedTransform(marks=Chain(fits=(fit,)), refined=fine), facts
 
 
-def held_out_r(a: Floats, b: Floats, face: Floats | None, valid: Bools, pixel_um: Pair) -> RefinementR:
+def held_out_r(
+    a: Floats, b: Floats, face: Floats | None, valid: Bools, pixel_um: Pair
+) -> RefinementR:
     """Correlate a map with an image (rows, cols) where a place found by their texture was not tuned on them.
 
     A similarity is tuned on every other tile and r read off the rest; where the map is too small for that, r stands
@@ -307,15 +373,22 @@ def held_out_r(a: Floats, b: Floats, face: Floats | None, valid: Bools, pixel_um
         moving, light = textures(maps, look & np.isfinite(other), pixel_um, band_um=BAND_UM), ()
         if face is not None:
             moving, light = moving.with_slopes("face"), ("face_x", "face_y")
-        place = tuned_place(moving, fixed, ("map", "image"), Similarity(), reach_um=_TUNED_UM, beside=light)
+        place = tuned_place(
+            moving, fixed, ("map", "image"), Similarity(), reach_um=_TUNED_UM, beside=light
+        )
         at = np.moveaxis(place(points)[..., ::-1] / step, -1, 0)
         is_seen = ndimage.map_coordinates(b_known, at, order=1) >= 0.99
-        return np.where(is_seen, ndimage.map_coordinates(spline, at, order=3, prefilter=False), np.nan)
+        return np.where(
+            is_seen, ndimage.map_coordinates(spline, at, order=3, prefilter=False), np.nan
+        )
 
     waves_text = f"ithout waves above {_COARSEST_UM / 1000:g} mm, "
     try:
         found = cross_fitted(a, b, tune, valid=valid, pixel_um=pixel_um)
-        text = f"On held-out tiles, which had no part in the place, w{waves_text}{found.sentence.split(';')[0]}."
+        text = (
+            "On held-out tiles, which had no part in the place,"
+            f" w{waves_text}{found.sentence.split(';')[0]}."
+        )
     except CannotMeasure:
         found = searched_null(a, tune, valid=valid, surrogates=19)
         text = f"W{waves_text}{found.sentence.rsplit(';', 1)[0]}."
@@ -325,4 +398,8 @@ def held_out_r(a: Floats, b: Floats, face: Floats | None, valid: Bools, pixel_um
 def _detail(values: Floats, valid: Bools, pixel_um: Pair) -> Floats:
     """A map without its slow variations; NaN where it is not valid."""
     is_valid = valid & np.isfinite(values)
-    return np.where(is_valid, in_band(values.astype(np.float64), is_valid, pixel_um, (None, _COARSEST_UM)), np.nan)
+    return np.where(
+        is_valid,
+        in_band(values.astype(np.float64), is_valid, pixel_um, (None, _COARSEST_UM)),
+        np.nan,
+    )

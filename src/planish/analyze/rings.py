@@ -17,7 +17,9 @@ class Ring(ResultModel):
 
     wavelength_um: float = Field(description="Middle of the ring.")
     correlation: float = Field(description="Of the waves of the ring.")
-    threshold: float = Field(description="Correlation at which the mean of both holds half a bit a wave.")
+    threshold: float = Field(
+        description="Correlation at which the mean of both holds half a bit a wave."
+    )
     modes: float = Field(description="Independent waves.")
 
 
@@ -27,12 +29,16 @@ class RingCorrelation(ResultModel):
     No wavelength where it never does, or where it is below from the longest waves on: the sentence says which.
     """
 
-    rings: tuple[Ring, ...] = Field(default=(), description="From the longest waves to the shortest.")
+    rings: tuple[Ring, ...] = Field(
+        default=(), description="From the longest waves to the shortest."
+    )
     resolution_um: float | None = optional("Shortest wave that both show.")
     sentence: str | None = optional("The same in words.")
 
 
-def ring_correlation(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel) -> RingCorrelation:
+def ring_correlation(
+    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel
+) -> RingCorrelation:
     """Correlate two measurements of one quantity ring by ring of frequency.
 
     Parameters
@@ -66,13 +72,18 @@ def ring_correlation(a: Array, b: Array, *, mask: Bools | None = None, pixel_um:
     is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
     check_varying(is_valid, a=a, b=b)
     waves = Waves(is_valid, pixel, a, b)
-    last = int(0.5 / max(pixel) / waves.resolution - 0.5)  # rings that lie whole within the shorter Nyquist frequency
+    # Rings that lie whole within the shorter Nyquist frequency.
+    last = int(0.5 / max(pixel) / waves.resolution - 0.5)
     if last < 3:
-        raise CannotMeasure(f"The field holds {last} rings of frequency, 3 are needed. Give a larger map.")
+        raise CannotMeasure(
+            f"The field holds {last} rings of frequency, 3 are needed. Give a larger map."
+        )
     inside = half_plane(is_valid.shape) & (waves.ring >= 1) & (waves.ring <= last)
 
     def sums(values: Array) -> Floats:
-        return np.bincount(waves.ring[inside], weights=values[inside], minlength=last + 1)[1:].astype(np.float64)
+        return np.bincount(waves.ring[inside], weights=values[inside], minlength=last + 1)[
+            1:
+        ].astype(np.float64)
 
     count, (spectrum_a, spectrum_b) = sums(np.ones(inside.shape)), waves.spectra
     spread = np.sqrt(sums(np.abs(spectrum_a) ** 2) * sums(np.abs(spectrum_b) ** 2))
@@ -81,11 +92,13 @@ def ring_correlation(a: Array, b: Array, *, mask: Bools | None = None, pixel_um:
     middle, modes = sums(waves.frequency) / count, (count / waves.joined).tolist()
     rings = tuple(
         Ring(
-            wavelength_um=1 / float(middle[k]), correlation=float(correlation[k]), modes=modes[k],
+            wavelength_um=1 / float(middle[k]),
+            correlation=float(correlation[k]),
+            modes=modes[k],
             threshold=half_bit(modes[k]),
         )
         for k in range(int(weak[0]) if weak.size else last)
-    )  # fmt: skip
+    )
     resolution_um, sentence = _resolved(rings, middle.tolist(), leaking=bool(weak.size))
     return RingCorrelation(rings=rings, resolution_um=resolution_um, sentence=sentence)
 
@@ -97,16 +110,25 @@ def half_bit(modes: float) -> float:
     return (ratio + (2 * math.sqrt(ratio) + 1) / root) / (1 + ratio + 2 * math.sqrt(ratio) / root)
 
 
-def _resolved(rings: tuple[Ring, ...], frequencies: list[float], *, leaking: bool) -> tuple[float | None, str]:
+def _resolved(
+    rings: tuple[Ring, ...], frequencies: list[float], *, leaking: bool
+) -> tuple[float | None, str]:
     """Wavelength down to which the rings agree, None where they do not say, and the same in words."""
     excesses = [ring.correlation - ring.threshold for ring in rings]
     first_below = next((k for k, v in enumerate(excesses) if v < 0), None)
     if first_below is None:
-        why = "shorter waves are too weak to be distinguished from leakage" if leaking else "the pixels end there"
+        why = (
+            "shorter waves are too weak to be distinguished from leakage"
+            if leaking
+            else "the pixels end there"
+        )
         shortest = f"{rings[-1].wavelength_um:.3g} um" if rings else "the longest waves"
         return None, f"Both show the same down to {shortest}; {why}. No resolution."
     if first_below == 0:
-        return None, f"Not even the longest waves ({rings[0].wavelength_um:.3g} um) agree. No resolution."
+        return (
+            None,
+            f"Not even the longest waves ({rings[0].wavelength_um:.3g} um) agree. No resolution.",
+        )
     share = excesses[first_below - 1] / (excesses[first_below - 1] - excesses[first_below])
     frequency_above, frequency_below = frequencies[first_below - 1 : first_below + 1]
     resolution_um = 1 / (frequency_above + share * (frequency_below - frequency_above))

@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import Field
 
-from planish.analyze.correlation import LEAST, Correlation, PointsCorrelation, check_varying, correlate, valid_pixels
+from planish.analyze.correlation import (
+    LEAST,
+    Correlation,
+    PointsCorrelation,
+    check_varying,
+    correlate,
+    valid_pixels,
+)
 from planish.analyze.curve_of_sizes import SizeRow
 from planish.analyze.texture import low_pass
 from planish.core.area import common_means
@@ -45,7 +52,9 @@ class Origins:
     count: int
 
 
-def origins(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel, point_um: float) -> Origins:
+def origins(
+    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel, point_um: float
+) -> Origins:
     """Correlate two maps over points whose grid begins at 16 places within a point.
 
     Where a grid begins is chosen by no one, and moves r² of one field by some hundredths.
@@ -64,14 +73,23 @@ def origins(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel, p
     ]
     known_r = [r for r in r_of_origins if not math.isnan(r)]
     if not known_r:
-        raise SizeError(f"No grid of points of {point_um:g} um fits into the map. Give smaller points.")
-    return Origins(r=float(np.mean(known_r)), least=min(known_r), largest=max(known_r), count=len(known_r))
+        raise SizeError(
+            f"No grid of points of {point_um:g} um fits into the map. Give smaller points."
+        )
+    return Origins(
+        r=float(np.mean(known_r)), least=min(known_r), largest=max(known_r), count=len(known_r)
+    )
 
 
 def of_short_waves(
-    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel,
-    longest_um: float | None = None, point_um: float | None = None,
-) -> tuple[Correlation, float]:  # fmt: skip
+    a: Array,
+    b: Array,
+    *,
+    mask: Bools | None = None,
+    pixel_um: Pixel,
+    longest_um: float | None = None,
+    point_um: float | None = None,
+) -> tuple[Correlation, float]:
     """Correlate what waves below a fifth of the field leave of two maps; return it with that wavelength.
 
     A field holds few long waves, which make the interval wide. This row says nothing of waves above that length.
@@ -92,7 +110,9 @@ def of_short_waves(
         raise SizeError(f"The longest wave is {longest:g} um. Give a length above 0.")
     weight = np.maximum(low_pass(is_valid.astype(np.float64), longest, pixel), 1e-9)
     short = [
-        np.where(is_valid, m - low_pass(np.where(is_valid, m, 0.0), longest, pixel) / weight, np.nan)
+        np.where(
+            is_valid, m - low_pass(np.where(is_valid, m, 0.0), longest, pixel) / weight, np.nan
+        )
         for m in (np.where(is_valid, v - np.mean(v[is_valid]), 0.0) for v in (a, b))
     ]
     return correlate(*short, pixel_um=pixel, point_um=point_um), longest
@@ -129,14 +149,17 @@ def partial(
         residual = y - covariate_columns @ np.linalg.lstsq(covariate_columns, y, rcond=None)[0]
         if float(residual @ residual) <= 1e-10 * float(y @ y):
             raise InputError(
-                "The other maps explain all of one map: parts stand beside their sum. Leave one of them out."
+                "The other maps explain all of one map: parts stand beside their sum. Leave one of"
+                " them out."
             )
         residual_maps.append(np.full(m.shape, np.nan))
         residual_maps[-1][is_valid] = residual
     return correlate(*residual_maps, pixel_um=pixel)
 
 
-def commonality(b: Array, parts: Mapping[str, Array], *, mask: Bools | None = None) -> dict[str, float]:
+def commonality(
+    b: Array, parts: Mapping[str, Array], *, mask: Bools | None = None
+) -> dict[str, float]:
     """Share of the variance of map b that each map explains alone, and that maps explain only together.
 
     Parameters
@@ -166,10 +189,17 @@ def commonality(b: Array, parts: Mapping[str, Array], *, mask: Bools | None = No
         is_valid &= mask
     check_varying(is_valid, b=b)
     y = b[is_valid] - b[is_valid].mean()
-    columns = {k: (m[is_valid] - m[is_valid].mean()) / max(float(m[is_valid].std()), 1e-300) for k, m in parts.items()}
+    columns = {
+        k: (m[is_valid] - m[is_valid].mean()) / max(float(m[is_valid].std()), 1e-300)
+        for k, m in parts.items()
+    }
     if np.linalg.cond(np.stack(list(columns.values()), axis=1)) > 1e6:
-        raise InputError("One of the maps is the sum of others. Leave the sum, or one of its parts, out.")
-    subsets = [chosen for n_maps in range(1, len(names) + 1) for chosen in combinations(names, n_maps)]
+        raise InputError(
+            "One of the maps is the sum of others. Leave the sum, or one of its parts, out."
+        )
+    subsets = [
+        chosen for n_maps in range(1, len(names) + 1) for chosen in combinations(names, n_maps)
+    ]
     explained: dict[frozenset[str], float] = {frozenset(): 0.0}
     for chosen in subsets:
         regressors = np.stack([columns[k] for k in chosen], axis=1)
@@ -178,10 +208,12 @@ def commonality(b: Array, parts: Mapping[str, Array], *, mask: Bools | None = No
     shares: dict[str, float] = {}
     for chosen in subsets:
         other_names = frozenset(names) - frozenset(chosen)
-        shares[" and ".join(chosen)] = -sum(  # What is gained by these maps over the others, counted in and out.
+        # What is gained by these maps over the others, counted in and out.
+        shares[" and ".join(chosen)] = -sum(
             (-1) ** k * explained[other_names | frozenset(subset)]
-            for k in range(len(chosen) + 1) for subset in combinations(chosen, k)
-        )  # fmt: skip
+            for k in range(len(chosen) + 1)
+            for subset in combinations(chosen, k)
+        )
     return shares
 
 
@@ -196,13 +228,15 @@ def answer_origins(pair: ComparedMaps) -> dict[str, Any]:
     return {"origins": (r_of_origins.least, r_of_origins.r, r_of_origins.largest)}
 
 
-def say_origins(r_range: tuple[float, float, float], _: EvidenceFacts, words: PairWords) -> Iterator[str]:
+def say_origins(
+    r_range: tuple[float, float, float], _: EvidenceFacts, words: PairWords
+) -> Iterator[str]:
     """How far r depends on where the grid of points begins."""
     decimals = decimals_of_r((r_range[0], r_range[2]))
     least_text, mean_text, largest_text = (fixed(v, decimals) for v in r_range)
     yield (
-        f"Where the grid of points of {plain(words.point_um)} begins is arbitrary: over 16 origins r is {mean_text} on "
-        f"average, from {least_text} to {largest_text}."
+        f"Where the grid of points of {plain(words.point_um)} begins is arbitrary: over 16 origins"
+        f" r is {mean_text} on average, from {least_text} to {largest_text}."
     )
 
 
@@ -219,41 +253,61 @@ def say_short_waves(short_waves: SizeRow, evidence: EvidenceFacts, _: PairWords)
     if is_known(short_waves.interval) and evidence.short_waves_um:
         decimals = decimals_of_r(short_waves.interval)
         yield (
-            f"Waves below {plain(round(evidence.short_waves_um, -1))} alone: r = {fixed(short_waves.r, decimals)} "
-            f"({limits_text(short_waves.interval, decimals)}; {count(round(short_waves.n_eff))} independent points). "
-            "This says nothing of longer waves."
+            f"Waves below {plain(round(evidence.short_waves_um, -1))} alone: r ="
+            f" {fixed(short_waves.r, decimals)} ({limits_text(short_waves.interval, decimals)};"
+            f" {count(round(short_waves.n_eff))} independent points). This says nothing of longer"
+            " waves."
         )
 
 
 def answer_partial(pair: ComparedMaps) -> dict[str, Any]:
     """Partial correlation and commonality over the larger points; InputError where the sheet lacks a map for them."""
-    (sheet_maps, image_maps), covariates, point_um, grid = pair.layers, pair.params.beside, pair.point_um, pair.grid
+    (sheet_maps, image_maps), covariates, point_um, grid = (
+        pair.layers,
+        pair.params.beside,
+        pair.point_um,
+        pair.grid,
+    )
     if "thickness" not in sheet_maps:
         return {}
     partial_of = functools.partial(Partial, given=covariates, point_um=point_um)
     if missing_names := [name for name in covariates if name not in sheet_maps]:
         raise InputError(
-            f"The sheet has no map {', '.join(missing_names)} to stand beside. Leave it out of --beside, or measure it."
+            f"The sheet has no map {', '.join(missing_names)} to stand beside. Leave it out of"
+            " --beside, or measure it."
         )
     factor = (point_um / grid.pixel_um[0], point_um / grid.pixel_um[1])
     if min(factor) < 1 - 1e-9:
-        reason = f"Points of {point_um:g} um are smaller than a pixel. Give larger ones with --point-um."
+        reason = (
+            f"Points of {point_um:g} um are smaller than a pixel. Give larger ones with --point-um."
+        )
         return {"partial": partial_of(silence=reason)}
     names = (pair.a[1], *covariates)
     maps = [*(sheet_maps[name] for name in names), image_maps[pair.b[1]]]
-    *sheet_points, image_points = common_means(maps, factor, masks=(sheet_maps["valid"], image_maps["valid"]))
+    *sheet_points, image_points = common_means(
+        maps, factor, masks=(sheet_maps["valid"], image_maps["valid"])
+    )
     is_valid = np.isfinite(image_points)  # all maps count where all are known
     n = int(np.count_nonzero(is_valid))
-    flat_maps = [name for name, m in zip(names, sheet_points, strict=True) if n < LEAST or not np.ptp(m[is_valid]) > 0]
+    flat_maps = [
+        name
+        for name, m in zip(names, sheet_points, strict=True)
+        if n < LEAST or not np.ptp(m[is_valid]) > 0
+    ]
     if flat_maps:
-        reason = f"Over {n} points that are valid in all maps, {', '.join(flat_maps)} does not vary."
+        reason = (
+            f"Over {n} points that are valid in all maps, {', '.join(flat_maps)} does not vary."
+        )
         return {"partial": partial_of(n=n, silence=reason)}
     try:
         correlation = partial(sheet_points[0], image_points, sheet_points[1:], pixel_um=point_um)
         shares = commonality(image_points, dict(zip(names, sheet_points, strict=True)))
     except PlanishError as error:  # nothing is left: the rest of the run stands
         return {"partial": partial_of(silence=error.text)}
-    return {"partial": Partial.of(correlation, given=covariates, point_um=point_um), "commonality": shares}
+    return {
+        "partial": Partial.of(correlation, given=covariates, point_um=point_um),
+        "commonality": shares,
+    }
 
 
 def say_partial(partial_r: Partial, evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
@@ -264,8 +318,13 @@ def say_partial(partial_r: Partial, evidence: EvidenceFacts, _: PairWords) -> It
         return
     interval_text = f"{limits_text(partial_r.interval)}; ".lstrip("; ")
     unique_share = (evidence.commonality or {}).get(evidence.a_map)
-    unique_text = "" if unique_share is None else f" Alone, the map explains {fixed(unique_share, 2)} of the variance."
+    unique_text = (
+        ""
+        if unique_share is None
+        else f" Alone, the map explains {fixed(unique_share, 2)} of the variance."
+    )
     yield (
-        f"Given {names_text}, r = {fixed(partial_r.r, 2)} at points of {plain(partial_r.point_um)} ({interval_text}"
-        f"{count(round(partial_r.n_eff) if is_known(partial_r.n_eff) else 0)} independent points).{unique_text}"
+        f"Given {names_text}, r = {fixed(partial_r.r, 2)} at points of {plain(partial_r.point_um)}"
+        f" ({interval_text}{count(round(partial_r.n_eff) if is_known(partial_r.n_eff) else 0)}"
+        f" independent points).{unique_text}"
     )

@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import Field
 
-from planish.analyze.correlation import BANDWIDTH, LEAST_CLAIMED, UNEVEN, correlate, pearson, valid_pixels
+from planish.analyze.correlation import (
+    BANDWIDTH,
+    LEAST_CLAIMED,
+    UNEVEN,
+    correlate,
+    pearson,
+    valid_pixels,
+)
 from planish.analyze.covariance import Lags, PairCovariances
 from planish.analyze.distributions import t_95
 from planish.core.area import area_mean
@@ -78,14 +85,20 @@ def second_opinion(
     r, critical, error, ratio = pearson(x[is_valid], y[is_valid]), math.nan, math.nan, math.nan
     if correlation.n_eff >= LEAST_CLAIMED and 1 - r * r >= 1e-14:
         reach_um = BANDWIDTH * min(n * p for n, p in zip(is_valid.shape, pixel, strict=True))
-        spatial_error, ratio = PairCovariances(x, y, Lags(is_valid, pixel)).spatial_error(r, reach_um)
+        spatial_error, ratio = PairCovariances(x, y, Lags(is_valid, pixel)).spatial_error(
+            r, reach_um
+        )
         if spatial_error > 0:
             error, critical = spatial_error, critical_value(is_valid, pixel)
     z = math.atanh(r) if critical > 0 else math.nan
     return SecondOpinion(
-        point_um=correlation.point_um, r=r, interval=(math.tanh(z - critical * error), math.tanh(z + critical * error)),
-        standard_error=error, critical=critical, ratio=ratio,
-    )  # fmt: skip
+        point_um=correlation.point_um,
+        r=r,
+        interval=(math.tanh(z - critical * error), math.tanh(z + critical * error)),
+        standard_error=error,
+        critical=critical,
+        ratio=ratio,
+    )
 
 
 def critical_value(is_valid: Bools, pixel_um: Pair) -> float:
@@ -96,7 +109,12 @@ def critical_value(is_valid: Bools, pixel_um: Pair) -> float:
     """
     k = max(1, math.ceil(math.sqrt(np.count_nonzero(is_valid) / 400)))  # of 400 cells or fewer
     shape = [n // k * k for n in is_valid.shape]
-    cells = is_valid[: shape[0], : shape[1]].reshape(shape[0] // k, k, shape[1] // k, k).mean(axis=(1, 3)) >= 0.5
+    cells = (
+        is_valid[: shape[0], : shape[1]]
+        .reshape(shape[0] // k, k, shape[1] // k, k)
+        .mean(axis=(1, 3))
+        >= 0.5
+    )
     places_um = np.argwhere(cells) * (k * pixel_um[0], k * pixel_um[1])
     side = min(n * p for n, p in zip(is_valid.shape, pixel_um, strict=True))
     distance = np.hypot(*(places_um[:, None, axis] - places_um[:, axis] for axis in (0, 1)))
@@ -110,15 +128,20 @@ def critical_value(is_valid: Bools, pixel_um: Pair) -> float:
 
 def answer_second_opinion(pair: ComparedMaps) -> dict[str, Any]:
     """The second opinion at the larger points."""
-    return {"second_opinion": second_opinion(pair.x, pair.y, **pair.sizes)} if pair.has_points else {}
+    return (
+        {"second_opinion": second_opinion(pair.x, pair.y, **pair.sizes)} if pair.has_points else {}
+    )
 
 
 def say_second_opinion(opinion: SecondOpinion, *_: object) -> Iterator[str]:
     """The second interval, where there is one."""
     if interval_text := limits_text(opinion.interval, decimals_of_r(opinion.interval)):
         is_uneven = opinion.ratio > UNEVEN
-        caveat = "the maps vary unevenly" if is_uneven else "it is too narrow for maps with a long range"
+        caveat = (
+            "the maps vary unevenly" if is_uneven else "it is too narrow for maps with a long range"
+        )
         yield (
-            f"Second opinion, from what single points of {plain(opinion.point_um)} add to r: {interval_text} "
-            f"({fixed(opinion.critical, 2)} standard errors after Conley); {caveat}."
+            f"Second opinion, from what single points of {plain(opinion.point_um)} add to r:"
+            f" {interval_text} ({fixed(opinion.critical, 2)} standard errors after Conley);"
+            f" {caveat}."
         )

@@ -51,15 +51,20 @@ class Fields:
         n = len(self.values)
         if len(self.sheets) != n or len(self.names) not in (0, n):
             raise InputError(
-                f"There are {n} values of fields, {len(self.sheets)} sheets and {len(self.names)} names. Give one "
-                "sheet for each value, and a name for each or for none."
+                f"There are {n} values of fields, {len(self.sheets)} sheets and {len(self.names)}"
+                " names. Give one sheet for each value, and a name for each or for none."
             )
         if any(math.isinf(v) for v in self.values):
-            raise InputError("The value of a field is infinite. Give numbers, or NaN where one is missing.")
+            raise InputError(
+                "The value of a field is infinite. Give numbers, or NaN where one is missing."
+            )
         field_keys = list(zip(self.sheets, self.names, strict=False))
         if len(set(field_keys)) < len(field_keys):
             twice = next(pair for pair in field_keys if field_keys.count(pair) > 1)
-            raise InputError(f"Sheet {twice[0]} has the field {twice[1]} twice. Give each field a name of its own.")
+            raise InputError(
+                f"Sheet {twice[0]} has the field {twice[1]} twice. Give each field a name of its"
+                " own."
+            )
 
     @property
     def by_sheet(self) -> dict[str, Floats]:
@@ -80,14 +85,18 @@ class RandomEffects(ResultModel):
     """Mean of effects that differ, each known with a variance of its own; of r the effects are Fisher's z."""
 
     effects: int = Field(description="Sheets, or fields.")
-    sd_between: Value = Field(description="Standard deviation of the true z; 0 where their own scatter explains all.")
+    sd_between: Value = Field(
+        description="Standard deviation of the true z; 0 where their own scatter explains all."
+    )
     i2: Value = Field(description="Share of the variance of z that is between them.")
     q: Value = Field(description="Cochran's Q.")
     p: Value = Field(description="Of the test that all are the same.")
     mean: Unsaved = optional("With weights of 1 over the sum of both variances.")
     standard_error: Unsaved = optional("Of the mean, from the weights.")
     between: Unsaved = optional("Variance of the true effects.")
-    interval: UnsavedInterval = optional("95 % interval of the mean; none with fewer than 3 effects.")
+    interval: UnsavedInterval = optional(
+        "95 % interval of the mean; none with fewer than 3 effects."
+    )
 
 
 class SheetVariances(ResultModel):
@@ -106,15 +115,21 @@ class SheetMean(ResultModel):
 
     sheets: int = Field(description="Sheets that count.")
     fields: int = Field(description="Specimens that count; each is a field of a sheet.")
-    left_out: tuple[str, ...] = Field(default=(), description="Specimens of the group that do not count.")
+    left_out: tuple[str, ...] = Field(
+        default=(), description="Specimens of the group that do not count."
+    )
     mean: Value = optional("Over the means of sheets; of r by Fisher's z.")
     sd: Value = optional("Standard deviation of the means of sheets; none of r.")
     interval: Interval = optional("95 % interval of the mean of such sheets.")
     reason: str = Field(default="", description="Why there is no interval.")
     variances: SheetVariances | None = optional("Of a property.")
     between_sheets: RandomEffects | None = optional("Of r, over sheets.")
-    between_fields: RandomEffects | None = optional("Of r, over all fields as if each were of a sheet of its own.")
-    missing: SkipJsonSchema[int] = Field(default=0, exclude=True, description="Fields without a value.")
+    between_fields: RandomEffects | None = optional(
+        "Of r, over all fields as if each were of a sheet of its own."
+    )
+    missing: SkipJsonSchema[int] = Field(
+        default=0, exclude=True, description="Fields without a value."
+    )
     standard_error: Unsaved = optional("Of the mean of a property.")
 
 
@@ -132,14 +147,23 @@ def over_sheets(fields: Fields) -> SheetMean:
     """
     means, n_missing = fields.means, sum(map(math.isnan, fields.values))
     k = means.size
-    counts: dict[str, Any] = {"sheets": k, "fields": len(fields.values) - n_missing, "missing": n_missing}
+    counts: dict[str, Any] = {
+        "sheets": k,
+        "fields": len(fields.values) - n_missing,
+        "missing": n_missing,
+    }
     if k == 0:
         return SheetMean(**counts, reason=too_few(k))
     mean, spread = float(means.mean()), spread_of(means)
     error, reason = spread / math.sqrt(k) if k > 1 else math.nan, too_few(k) or all_alike(spread)
     width = math.nan if reason else t_95(k - 1) * error
     return SheetMean(
-        **counts, mean=mean, sd=spread, standard_error=error, interval=(mean - width, mean + width), reason=reason
+        **counts,
+        mean=mean,
+        sd=spread,
+        standard_error=error,
+        interval=(mean - width, mean + width),
+        reason=reason,
     )
 
 
@@ -185,25 +209,38 @@ def variances_of(fields: Fields) -> SheetVariances:
     k, n = len(sheets), int(counts.sum())
     if k < 2 or n == k:
         reason = "no sheet has two fields" if k > 1 else f"{k} of at least 2 sheets"
-        return SheetVariances(sd_within=float(sheets[0].std(ddof=1)) if k == 1 and n > 1 else math.nan, reason=reason)
+        return SheetVariances(
+            sd_within=float(sheets[0].std(ddof=1)) if k == 1 and n > 1 else math.nan, reason=reason
+        )
     means = fields.means
     squares_within = sum(float(np.sum((v - v.mean()) ** 2)) for v in sheets)
     within, spread = squares_within / (n - k), spread_of(means) ** 2
     if not within > (_SAME * float(np.abs(means).max())) ** 2:
         return SheetVariances(
-            sd_between=math.sqrt(spread), sd_within=0.0, share=1.0 if spread > 0 else math.nan,
+            sd_between=math.sqrt(spread),
+            sd_within=0.0,
+            share=1.0 if spread > 0 else math.nan,
             reason="all fields of a sheet have the same value",
-        )  # fmt: skip
+        )
     fields_per_sheet = k / float(np.sum(1 / counts))  # fields of a sheet, harmonic mean
     between = max(spread - within / fields_per_sheet, 0.0)
     grand_mean = sum(float(v.sum()) for v in sheets) / n
     ratio = float(np.sum(counts * (means - grand_mean) ** 2)) / (k - 1) / within
     interval = (math.nan, math.nan)
     if not too_few(k):
-        quantiles = (float(special.fdtri(k - 1, n - k, share)) for share in ((1 + 0.95) / 2, (1 - 0.95) / 2))
-        low, high = (max(fields_per_sheet * spread / within / f - 1, 0.0) / fields_per_sheet for f in quantiles)
+        quantiles = (
+            float(special.fdtri(k - 1, n - k, share)) for share in ((1 + 0.95) / 2, (1 - 0.95) / 2)
+        )
+        low, high = (
+            max(fields_per_sheet * spread / within / f - 1, 0.0) / fields_per_sheet
+            for f in quantiles
+        )
         interval = (low / (1 + low), high / (1 + high))
     return SheetVariances(
-        sd_between=math.sqrt(between), sd_within=math.sqrt(within), share=between / (between + within),
-        share_interval=interval, p=float(special.fdtrc(k - 1, n - k, ratio)), reason=too_few(k),
-    )  # fmt: skip
+        sd_between=math.sqrt(between),
+        sd_within=math.sqrt(within),
+        share=between / (between + within),
+        share_interval=interval,
+        p=float(special.fdtrc(k - 1, n - k, ratio)),
+        reason=too_few(k),
+    )

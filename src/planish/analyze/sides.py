@@ -30,12 +30,20 @@ _OF_SIDES = ("coating_top", "coating_bottom", "topography_top", "topography_bott
 _NO_WORD = "nothing beside the marks says that both show one specimen"
 _ONE = "so both show one specimen"
 _TURN = (
-    "Top and bottom are exchanged: turn the stack (--top; a volume numbered against the usual sense needs --mirror), "
-    "or give --image-side {side} if the image shows that side."
+    "Top and bottom are exchanged: turn the stack (--top; a volume numbered against the usual sense"
+    " needs --mirror), or give --image-side {side} if the image shows that side."
 )
 
 _TILE_UM = 1000.0
-_MAPS = ("coating_top", "coating_bottom", "thickness", "base_thickness", "topography_top", "topography_bottom", "image")
+_MAPS = (
+    "coating_top",
+    "coating_bottom",
+    "thickness",
+    "base_thickness",
+    "topography_top",
+    "topography_bottom",
+    "image",
+)
 
 
 class SideFound(NamedTuple):
@@ -45,7 +53,9 @@ class SideFound(NamedTuple):
     side: Side | None = None
 
 
-def image_of_sheet(texture: Textures, *, coated: Iterable[Side], side: Side, is_given: bool, image: str) -> SideFound:
+def image_of_sheet(
+    texture: Textures, *, coated: Iterable[Side], side: Side, is_given: bool, image: str
+) -> SideFound:
     """Judge which face of a sheet goes with an image.
 
     Parameters
@@ -63,8 +73,14 @@ def image_of_sheet(texture: Textures, *, coated: Iterable[Side], side: Side, is_
     """
     image = with_article(image)
     if "image" not in texture.maps:
-        return SideFound(_check("unknown", f"Specimen: inconclusive, because the sheet and {image} share no field."))
-    coatings = _faces(texture, {k: [f"coating_{k}"] for k in coated if f"coating_{k}" in texture.maps})
+        return SideFound(
+            _check(
+                "unknown", f"Specimen: inconclusive, because the sheet and {image} share no field."
+            )
+        )
+    coatings = _faces(
+        texture, {k: [f"coating_{k}"] for k in coated if f"coating_{k}" in texture.maps}
+    )
     side_text = f"The {side} side was {'given' if is_given else 'assumed (--image-side not given)'}"
     other: Side = "bottom" if side == "top" else "top"
     side_coating, other_coating = coatings.get(side), coatings.get(other)
@@ -72,20 +88,33 @@ def image_of_sheet(texture: Textures, *, coated: Iterable[Side], side: Side, is_
         end = f"; no coating is seen on the {other} side"
         if other_coating is not None:
             end = f"{_preposition(other_coating)} that of the {other} side ({other_coating})"
-        text = f"{capital(image)} correlates with the coating of the {side} side ({side_coating}){end}. {side_text}."
+        text = (
+            f"{capital(image)} correlates with the coating of the {side} side"
+            f" ({side_coating}){end}. {side_text}."
+        )
         return SideFound(_check("pass", text, side_coating), side)
     if other_coating is not None and _stands_out(other_coating, side_coating):
         text = f"{capital(image)} correlates with the coating of the {other} side ({other_coating})"
         advice = _TURN.format(side=other)
         if side_coating is not None:
-            text += f"{_preposition(side_coating)} that of the {side} side ({side_coating}). {side_text}."
-            return SideFound(_check("fail", text, other_coating, advice=advice, figures=_OF_SIDES), other)
+            text += (
+                f"{_preposition(side_coating)} that of the {side} side ({side_coating})."
+                f" {side_text}."
+            )
+            return SideFound(
+                _check("fail", text, other_coating, advice=advice, figures=_OF_SIDES), other
+            )
         text += f", and none is seen on the {side} side. {side_text}."
         advice += " Light that goes through the sheet may show it as well."
-        return SideFound(_check("look", text, other_coating, advice=advice, figures=_OF_SIDES), other)
+        return SideFound(
+            _check("look", text, other_coating, advice=advice, figures=_OF_SIDES), other
+        )
     strongest_coating = max(coatings.values(), key=lambda k: abs(k.z), default=None)
     if strongest_coating is not None and abs(strongest_coating.z) > Z_RELATED:
-        text = f"Side: inconclusive, because {image} correlates with both coatings, the coating of the {side} side "
+        text = (
+            f"Side: inconclusive, because {image} correlates with both coatings, the coating of the"
+            f" {side} side "
+        )
         text += f"({side_coating}) and that of the {other} side ({other_coating}), {_ONE}."
         return SideFound(_check("unknown", text, strongest_coating))
     return _by_slopes_and_thickness(texture, coatings, side, side_text, image)
@@ -99,30 +128,46 @@ def _by_slopes_and_thickness(
         if f"topography_{k}" in texture.maps:
             texture = texture.with_slopes(f"topography_{k}")
     slopes = _faces(texture, {k: [f"topography_{k}_{way}" for way in "xy"] for k in SIDES})
-    tried_text = "; ".join(f"coating of the {k} side {relation}" for k, relation in coatings.items())
+    tried_text = "; ".join(
+        f"coating of the {k} side {relation}" for k, relation in coatings.items()
+    )
     rivals: dict[Side, Side] = {"top": "bottom", "bottom": "top"}
     for face in (side, rivals[side]):
         if face in slopes and _stands_out(slopes[face], slopes.get(rivals[face])):
             not_coatings_text = f", not with the coatings ({tried_text})" if tried_text else ""
-            text = f"{capital(image)} correlates with the slopes of the {face} face, as light from one side shows them "
+            text = (
+                f"{capital(image)} correlates with the slopes of the {face} face, as light from one"
+                " side shows them "
+            )
             text += f"({slopes[face]}){not_coatings_text}. {side_text}."
             if face == side:
                 return SideFound(_check("pass", text, slopes[face]), face)
             advice = _TURN.format(side=face)
-            return SideFound(_check("look", text, slopes[face], advice=advice, figures=_OF_SIDES), face)
+            return SideFound(
+                _check("look", text, slopes[face], advice=advice, figures=_OF_SIDES), face
+            )
     relations = {
         k: relate(m, texture.maps["image"], texture.known, texture.pixel_um)
-        for k, m in texture.maps.items() if k in ("thickness", "base_thickness", f"topography_{side}")
-    }  # fmt: skip
+        for k, m in texture.maps.items()
+        if k in ("thickness", "base_thickness", f"topography_{side}")
+    }
     relations |= {f"slopes of the {k} face": relation for k, relation in slopes.items()}
     best_map = max(relations, key=lambda k: abs(relations[k].z), default=None)
     specimen_text, figures = _NO_WORD, _OF_A_SPECIMEN
     if best_map is not None and abs(relations[best_map].z) > Z_RELATED:
-        specimen_text = f"it correlates with the {best_map.replace('_', ' ')} ({relations[best_map]}), {_ONE}"
+        specimen_text = (
+            f"it correlates with the {best_map.replace('_', ' ')} ({relations[best_map]}), {_ONE}"
+        )
         figures = (CORRELATION,)
     if side in coatings:
-        text = f"{capital(image)} correlates with no coating ({tried_text}; needed: {Z_RELATED}), and {specimen_text}."
-        advice = "Compare map and image by eye: is it this specimen, this place, and a side that shows its coating?"
+        text = (
+            f"{capital(image)} correlates with no coating ({tried_text}; needed: {Z_RELATED}), and"
+            f" {specimen_text}."
+        )
+        advice = (
+            "Compare map and image by eye: is it this specimen, this place, and a side that shows"
+            " its coating?"
+        )
         strongest_coating = max(coatings.values(), key=lambda k: abs(k.z))
         return SideFound(_check("look", text, strongest_coating, advice=advice, figures=figures))
     text = f"Side: inconclusive, because no coating is seen on the {side} side; {specimen_text}."
@@ -132,12 +177,21 @@ def _by_slopes_and_thickness(
 def two_images(texture: Textures, names: tuple[str, str]) -> Check:
     """Judge whether two images, ``image`` and ``other image``, show one specimen by their texture, with either sign."""
     if not {"image", "other image"} <= texture.maps.keys():
-        return _check("unknown", f"Specimen: inconclusive, because {names[0]} and {names[1]} share no field.")
+        return _check(
+            "unknown", f"Specimen: inconclusive, because {names[0]} and {names[1]} share no field."
+        )
     r = relate(texture.maps["image"], texture.maps["other image"], texture.known, texture.pixel_um)
     if abs(r.z) > Z_RELATED:
-        return _check("pass", f"The textures of {names[0]} and {names[1]} go together ({r}), {_ONE}.", r)
-    text = f"The textures of {names[0]} and {names[1]} do not go together ({r}; {Z_RELATED} is needed): {_NO_WORD}."
-    advice = "Compare both by eye: are they one specimen, one side, and is one of them a mirror image?"
+        return _check(
+            "pass", f"The textures of {names[0]} and {names[1]} go together ({r}), {_ONE}.", r
+        )
+    text = (
+        f"The textures of {names[0]} and {names[1]} do not go together ({r}; {Z_RELATED} is"
+        f" needed): {_NO_WORD}."
+    )
+    advice = (
+        "Compare both by eye: are they one specimen, one side, and is one of them a mirror image?"
+    )
     return _check("look", text, r, advice=advice, figures=_OF_A_SPECIMEN)
 
 
@@ -160,39 +214,75 @@ def two_sheets(texture: Textures, names: tuple[str, str], *, coated: Iterable[Si
     a, b = names
     if same is not None and same.z > Z_RELATED and _stands_out(same, cross):
         end = f", not crosswise ({cross})" if cross else ""
-        return _check("pass", f"The coatings of {a} and {b} go together side by side ({same}){end}, {_ONE}.", same)
+        return _check(
+            "pass",
+            f"The coatings of {a} and {b} go together side by side ({same}){end}, {_ONE}.",
+            same,
+        )
     if same is not None and cross is not None and cross.z > Z_RELATED and _stands_out(cross, same):
-        text = f"The coatings of {a} and {b} go together crosswise ({cross}), not side by side ({same})."
-        advice = "Top and bottom of one of the two are exchanged. Check --top, and whether its slices are numbered "
+        text = (
+            f"The coatings of {a} and {b} go together crosswise ({cross}), not side by side"
+            f" ({same})."
+        )
+        advice = (
+            "Top and bottom of one of the two are exchanged. Check --top, and whether its slices"
+            " are numbered "
+        )
         advice += "against the usual sense."
         return _check("fail", text, cross, advice=advice, figures=_OF_SIDES)
     if whole is not None and whole.z > Z_RELATED:
         why = "the coatings do not tell the sides apart" if same else "no coating is seen in both"
-        text = f"Side: inconclusive, because {why}; the thicknesses of {a} and {b} go together ({whole}), {_ONE}."
+        text = (
+            f"Side: inconclusive, because {why}; the thicknesses of {a} and {b} go together"
+            f" ({whole}), {_ONE}."
+        )
         return _check("unknown", text, whole)
-    tried = "; ".join(f"{k} {v}" for k, v in (("coatings", same), ("thickness", whole)) if v is not None)
+    tried = "; ".join(
+        f"{k} {v}" for k, v in (("coatings", same), ("thickness", whole)) if v is not None
+    )
     if not tried:
-        return _check("unknown", f"Specimen: inconclusive, because {a} and {b} have no map in common.")
-    text = f"No map of {a} correlates with that of {b} ({tried}; {Z_RELATED} is needed): {_NO_WORD}."
-    advice = "Either they are not the same piece of paper, or they are not aligned, or one is badly measured."
+        return _check(
+            "unknown", f"Specimen: inconclusive, because {a} and {b} have no map in common."
+        )
+    text = (
+        f"No map of {a} correlates with that of {b} ({tried}; {Z_RELATED} is needed): {_NO_WORD}."
+    )
+    advice = (
+        "Either they are not the same piece of paper, or they are not aligned, or one is badly"
+        " measured."
+    )
     return _check("look", text, same or whole, advice=advice, figures=_OF_A_SPECIMEN)
 
 
 def _check(
-    state: State, text: str, relation: Relation | None = None, *, advice: str = "", figures: tuple[str, ...] = ()
+    state: State,
+    text: str,
+    relation: Relation | None = None,
+    *,
+    advice: str = "",
+    figures: tuple[str, ...] = (),
 ) -> Check:
     return Check(
-        name=NAME, state=state, sentence=text, value=None if relation is None else relation.z, limit=Z_RELATED,
-        units="z", advice=advice, figures=figures,
-    )  # fmt: skip
+        name=NAME,
+        state=state,
+        sentence=text,
+        value=None if relation is None else relation.z,
+        limit=Z_RELATED,
+        units="z",
+        advice=advice,
+        figures=figures,
+    )
 
 
 def _stands_out(face: Relation, rival: Relation | None) -> bool:
     """Whether a face goes with the image, and the other one does not, or clearly less."""
     if not abs(face.z) > Z_RELATED:
         return False
-    return rival is None or abs(rival.z) < Z_CLEAR or abs(face.part) - abs(rival.part) > Z_CLEAR * math.hypot(
-        face.part_se, rival.part_se)  # fmt: skip
+    return (
+        rival is None
+        or abs(rival.z) < Z_CLEAR
+        or abs(face.part) - abs(rival.part) > Z_CLEAR * math.hypot(face.part_se, rival.part_se)
+    )
 
 
 def _preposition(relation: Relation) -> str:
@@ -208,7 +298,9 @@ def _faces(texture: Textures, names: Mapping[Side, list[str]]) -> dict[Side, Rel
             if name not in texture.maps:
                 continue
             a, b = texture.maps[name], image
-            for rival in (maps[k] for of, maps in names.items() if of != side and maps[k] in texture.maps):
+            for rival in (
+                maps[k] for of, maps in names.items() if of != side and maps[k] in texture.maps
+            ):
                 a, b = (unexplained(m, texture.maps[rival]) for m in (a, b))
             relations.append(relate(a, b, texture.known, texture.pixel_um, of=image))
         if relations:
@@ -220,7 +312,10 @@ def _mean(relations: Iterable[Relation | None]) -> Relation | None:
     pooled = [relation for relation in relations if relation is not None]
     if not pooled:
         return None
-    r, sd = sum(k.r for k in pooled) / len(pooled), math.sqrt(sum(k.sd**2 for k in pooled)) / len(pooled)
+    r, sd = (
+        sum(k.r for k in pooled) / len(pooled),
+        math.sqrt(sum(k.sd**2 for k in pooled)) / len(pooled),
+    )
     return Relation(r, sd, r, sd)
 
 
@@ -232,7 +327,12 @@ class TextureFound(NamedTuple):
 
 
 def texture_of(
-    a: xr.Dataset, b: xr.Dataset, names: tuple[str, str], *, side: Side = "top", is_given: bool = True
+    a: xr.Dataset,
+    b: xr.Dataset,
+    names: tuple[str, str],
+    *,
+    side: Side = "top",
+    is_given: bool = True,
 ) -> TextureFound:
     """Compare two layers on one grid by their own texture.
 
@@ -240,9 +340,13 @@ def texture_of(
     """
     if "thickness" in b and "thickness" not in a:
         a, b, names = b, a, (names[1], names[0])
-    valid, one_sheet = a["valid"].values & b["valid"].values, "thickness" in a and "thickness" not in b
+    valid, one_sheet = (
+        a["valid"].values & b["valid"].values,
+        "thickness" in a and "thickness" not in b,
+    )
     first, second = ({k: d[k] for k in _MAPS if k in d and any_finite(d[k], valid)} for d in (a, b))
-    image = {k: m for k, m in second.items() if k == "image"}  # none where the two have no valid pixel in common
+    # None where the two have no valid pixel in common.
+    image = {k: m for k, m in second.items() if k == "image"}
     maps = first | (image if one_sheet else {f"other {k}": m for k, m in second.items()})
     try:
         texture = textures(maps, valid, Grid.of(a).pixel_um)
@@ -254,14 +358,19 @@ def texture_of(
     slope_names: tuple[str, ...] = ()
     if one_sheet:
         target_map = "image"
-        check, face = image_of_sheet(texture, coated=coated, side=side, is_given=is_given, image=names[1])
+        check, face = image_of_sheet(
+            texture, coated=coated, side=side, is_given=is_given, image=names[1]
+        )
         # An image of a face follows its coating, or thickness and height, and slopes under light from one side.
         face = face or side
         height_map = f"topography_{face}"
         source_maps = [f"coating_{face}"] if face in coated else ["thickness"]
         if height_map in texture.maps:
             source_maps += [] if face in coated else [height_map]
-            texture, slope_names = texture.with_slopes(height_map), (f"{height_map}_x", f"{height_map}_y")
+            texture, slope_names = (
+                texture.with_slopes(height_map),
+                (f"{height_map}_x", f"{height_map}_y"),
+            )
     elif coated_sides:
         check = two_sheets(texture, names, coated=coated)
         source_maps = [next((f"coating_{k}" for k in coated), "thickness")]
@@ -270,8 +379,12 @@ def texture_of(
         check, source_maps, target_map = two_images(texture, names), ["image"], "other image"
     if any("reach_um" in d["image"].attrs for d in (a, b) if "image" in d):
         screen_text = "was taken off with the screen."
-        if check.state == "look":  # the texture that would show the side is gone: that none goes is no evidence
-            text = f"Side and specimen: inconclusive, because the fine texture that would show it {screen_text}"
+        # The texture that would show the side is gone: that none goes is no evidence.
+        if check.state == "look":
+            text = (
+                "Side and specimen: inconclusive, because the fine texture that would show it"
+                f" {screen_text}"
+            )
             check = Check(name=NAME, state="unknown", sentence=text)
         text = f"Image-based check: not made, because the fine texture that it aligns {screen_text}"
         moved = Check(name=lag.NAME, state="unknown", figures=(POSITION,), sentence=text)
@@ -281,28 +394,45 @@ def texture_of(
     short = min(n * um for n, um in zip(texture.known.shape, texture.pixel_um, strict=True))
     try:
         offset = lag.texture_lag(
-            texture, [*source_maps, *slope_names], target_map, slopes=len(slope_names), reach_um=min(150.0, short / 4),
+            texture,
+            [*source_maps, *slope_names],
+            target_map,
+            slopes=len(slope_names),
+            reach_um=min(150.0, short / 4),
             tiles_um=_TILE_UM if short >= 2 * _TILE_UM else None,
-        )  # fmt: skip
+        )
     except SizeError:
         return TextureFound(None, (check,))
     if offset.distinct and check.state == "look" and set(check.figures) <= {POSITION, CORRELATION}:
-        text = f"{check.sentence} Moved by {offset.length_um:.0f} um they do go together (position by texture)."
+        text = (
+            f"{check.sentence} Moved by {offset.length_um:.0f} um they do go together (position by"
+            " texture)."
+        )
         check = check.model_copy(update={"sentence": text})
-    return TextureFound(offset.numbers(source_maps[0], expected_um), (check, offset.check(expected_um)))
+    return TextureFound(
+        offset.numbers(source_maps[0], expected_um), (check, offset.check(expected_um))
+    )
 
 
 def found_by_texture(sentence: str, false_probability: float | None) -> tuple[Check, Check]:
     """Judge layers that were registered by their texture: by the search, for what it made large is no evidence."""
     check = _check(
-        "unknown", f"Specimen: inconclusive, because the marks are tiles whose search is not known; {_NO_WORD}."
+        "unknown",
+        "Specimen: inconclusive, because the marks are tiles whose search is not known;"
+        f" {_NO_WORD}.",
     )
     if false_probability is not None:
         check = Check(
-            name=NAME, state="pass", sentence=f"{sentence} So both show one specimen.", value=false_probability,
-            limit=FALSE, units="probability",
-        )  # fmt: skip
-    text = "Image-based check: not made, because the place was found by the texture that it compares."
+            name=NAME,
+            state="pass",
+            sentence=f"{sentence} So both show one specimen.",
+            value=false_probability,
+            limit=FALSE,
+            units="probability",
+        )
+    text = (
+        "Image-based check: not made, because the place was found by the texture that it compares."
+    )
     return check, Check(name=lag.NAME, state="unknown", sentence=text, figures=(POSITION,))
 
 
@@ -311,13 +441,21 @@ def holes_and_texture(apart_um: float, expected_um: float) -> Check:
     limit_um = math.sqrt(-math.log(0.05)) * expected_um
     text = f"Holes and texture, each by itself, put the middle of the map {apart_um:.1f} um apart"
     judged = Check(
-        name=lag.NAME, state="pass", sentence=f"{text}, which both errors allow (up to {limit_um:.1f} um).",
-        value=apart_um, limit=limit_um, units="um", figures=(POSITION, CORRELATION),
-    )  # fmt: skip
+        name=lag.NAME,
+        state="pass",
+        sentence=f"{text}, which both errors allow (up to {limit_um:.1f} um).",
+        value=apart_um,
+        limit=limit_um,
+        units="um",
+        figures=(POSITION, CORRELATION),
+    )
     if apart_um <= limit_um:
         return judged
     text += f", more than both errors allow ({limit_um:.1f} um)."
-    advice = "Light from one side, tilted holes, or marks of another place: compare both by --by holes and texture."
+    advice = (
+        "Light from one side, tilted holes, or marks of another place: compare both by --by holes"
+        " and texture."
+    )
     return judged.model_copy(update={"state": "look", "sentence": text, "advice": advice})
 
 
@@ -326,9 +464,15 @@ def _coated(sheet: xr.Dataset) -> list[Side]:
     sides: list[Side] = []
     for side in SIDES:
         name = f"coating_{side}"
-        use, *maps = thinned(sheet["valid"], *(sheet[k] for k in (name, f"{name}_se") if k in sheet))[1]
+        use, *maps = thinned(
+            sheet["valid"], *(sheet[k] for k in (name, f"{name}_se") if k in sheet)
+        )[1]
         coat_um, *errors = (m[use & np.isfinite(m)] for m in maps)
         limit = 3.0 * float(np.median(errors[0])) if errors and errors[0].size else 0.0
-        if coat_um.size and coat_um.size >= 0.5 * np.count_nonzero(use) and float(np.median(coat_um)) > limit:
+        if (
+            coat_um.size
+            and coat_um.size >= 0.5 * np.count_nonzero(use)
+            and float(np.median(coat_um)) > limit
+        ):
             sides.append(side)
     return sides

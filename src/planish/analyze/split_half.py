@@ -32,10 +32,13 @@ if TYPE_CHECKING:
     from planish.analyze.correlation_evidence import ComparedMaps, EvidenceFacts
 
 _ENDS = {
-    "thickness": ("top", "bottom"), "base_thickness": ("interface_top", "interface_bottom"),
-    "coating_top": ("top", "interface_top"), "coating_bottom": ("interface_bottom", "bottom"),
-    "topography_top": ("top", "centre"), "topography_bottom": ("centre", "bottom"),
-}  # fmt: skip
+    "thickness": ("top", "bottom"),
+    "base_thickness": ("interface_top", "interface_bottom"),
+    "coating_top": ("top", "interface_top"),
+    "coating_bottom": ("interface_bottom", "bottom"),
+    "topography_top": ("top", "centre"),
+    "topography_bottom": ("centre", "bottom"),
+}
 """Of each map that is a distance of two surfaces, the upper and the lower."""
 
 
@@ -47,7 +50,9 @@ class Reliability(ResultModel):
     point_um: float = Field(description="Edge of a point.")
     n: int | None = optional("Points that are known in both halves.")
     halves_r: Value = optional("Correlation of both halves.")
-    value: Value = optional("Share of the variance of the map that both halves show: an upper bound.")
+    value: Value = optional(
+        "Share of the variance of the map that both halves show: an upper bound."
+    )
     interval: Interval = optional("Its 95 % interval.")
     n_eff: Value = optional("Independent points.")
     shared: str | None = optional("What both halves share, which makes it an upper bound.")
@@ -62,13 +67,21 @@ class Reliability(ResultModel):
         low, high = self.interval
         interval_text = "no interval" if math.isnan(low) else f"95 %: {low:.2f} to {high:.2f}"
         bound = "; an upper bound, as both measurements share errors" if self.shared_errors else ""
-        return f"The reliability is {self.value:.2f} at points of {self.point_um:g} um ({interval_text}){bound}."
+        return (
+            f"The reliability is {self.value:.2f} at points of {self.point_um:g} um"
+            f" ({interval_text}){bound}."
+        )
 
 
 def split_reliability(
-    first: Array, second: Array, *, mask: Bools | None = None,
-    pixel_um: Pixel, point_um: float | None = None, shared_errors: bool = True,
-) -> Reliability:  # fmt: skip
+    first: Array,
+    second: Array,
+    *,
+    mask: Bools | None = None,
+    pixel_um: Pixel,
+    point_um: float | None = None,
+    shared_errors: bool = True,
+) -> Reliability:
     """Tell the reliability of a map from two halves of its measurement.
 
     Parameters
@@ -99,12 +112,19 @@ def split_reliability(
     """
     row = correlate(first, second, mask=mask, pixel_um=pixel_um, point_um=point_um)
     if math.isnan(row.r):
-        raise CannotMeasure(f"The halves have no correlation. {' '.join(row.warnings)} Give two maps that vary.")
+        raise CannotMeasure(
+            f"The halves have no correlation. {' '.join(row.warnings)} Give two maps that vary."
+        )
     low, high = (_of_both(v) for v in row.interval)
     return Reliability(
-        point_um=row.point_um, n=row.n, halves_r=row.r, value=_of_both(row.r),
-        interval=(low, high), n_eff=row.n_eff, shared_errors=shared_errors,
-    )  # fmt: skip
+        point_um=row.point_um,
+        n=row.n,
+        halves_r=row.r,
+        value=_of_both(row.r),
+        interval=(low, high),
+        n_eff=row.n_eff,
+        shared_errors=shared_errors,
+    )
 
 
 def _of_both(r: float) -> float:
@@ -138,12 +158,16 @@ class SheetColumns:
         faces: list[Floats] = []
         for end in _ENDS[name]:
             values = data[end].values
-            if end.startswith("interface_") and not np.isfinite(values).any():  # a side without a coating
+            # a side without a coating.
+            if end.startswith("interface_") and not np.isfinite(values).any():
                 values = data[end.removeprefix("interface_")].values
             faces.append(values)
         slopes = np.gradient(data["centre"].values, *pitch(data))
         cosine = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
-        return np.where(is_valid, Frame.of(data).sign * (faces[0] - faces[1]) * cosine, np.nan), True
+        return (
+            np.where(is_valid, Frame.of(data).sign * (faces[0] - faces[1]) * cosine, np.nan),
+            True,
+        )
 
     def shared(self, *, alone: bool) -> str:
         """What both halves share, in words."""
@@ -151,7 +175,10 @@ class SheetColumns:
         if "from_labels" in attrs:
             causes = ["whatever the program smoothed that made the labels"]
         if (blend := float(attrs.get("averaged_columns", 0.0))) > 0:
-            causes.append(f"noise, as columns were averaged with their neighbours (Gaussian of {blend:.2g} columns)")
+            causes.append(
+                f"noise, as columns were averaged with their neighbours (Gaussian of {blend:.2g}"
+                " columns)"
+            )
         elif not alone:
             causes.append("noise, as this map is read between columns")
         if self.interpolated:
@@ -160,7 +187,13 @@ class SheetColumns:
 
 
 def half_points(
-    columns: SheetColumns, name: str, is_valid: Bools, *, origin_um: Pair, cell_um: Pair, point_um: float
+    columns: SheetColumns,
+    name: str,
+    is_valid: Bools,
+    *,
+    origin_um: Pair,
+    cell_um: Pair,
+    point_um: float,
 ) -> tuple[Floats, Floats, bool]:
     """Means of a map over the points of a reference, of the odd and of the even rows of its columns.
 
@@ -168,7 +201,9 @@ def half_points(
     outer corner of the first one (x, y), where the points begin. Means are NaN where less than half of a point counts,
     or the halves have no column in it. Also says whether no column's value holds anything of its neighbours.
     """
-    enough = np.isfinite(area_mean(np.where(is_valid, 1.0, np.nan), (point_um / cell_um[0], point_um / cell_um[1])))
+    enough = np.isfinite(
+        area_mean(np.where(is_valid, 1.0, np.nan), (point_um / cell_um[0], point_um / cell_um[1]))
+    )
     turn, shift_um = columns.similarity.matrix(), columns.similarity.shift_um
     n_columns, totals, alone = np.zeros(enough.size), np.zeros((2, enough.size)), True
     for rows in bands(columns.measured.sizes["y"]):
@@ -176,19 +211,32 @@ def half_points(
         before = min(rows.start, 2)
         part = columns.part(slice(rows.start - before, rows.stop + 2))
         values, alone = part.values(name)
-        halves = [_half(values, first)[before : before + rows.stop - rows.start].ravel() for first in (1, 0)]
-        u, v = (part.flat[axis].values[before : before + rows.stop - rows.start].ravel() for axis in "uv")
+        halves = [
+            _half(values, first)[before : before + rows.stop - rows.start].ravel()
+            for first in (1, 0)
+        ]
+        u, v = (
+            part.flat[axis].values[before : before + rows.stop - rows.start].ravel()
+            for axis in "uv"
+        )
         x = turn[0, 0] * u + turn[0, 1] * v + (shift_um[0] - origin_um[0])
         y = turn[1, 0] * u + turn[1, 1] * v + (shift_um[1] - origin_um[1])
         use = np.isfinite(halves[0] + halves[1]) & (y >= 0) & (x >= 0)
         use &= (y < is_valid.shape[0] * cell_um[0]) & (x < is_valid.shape[1] * cell_um[1])
         use &= (y < enough.shape[0] * point_um) & (x < enough.shape[1] * point_um)
-        use[use] = is_valid[(y[use] / cell_um[0]).astype(np.intp), (x[use] / cell_um[1]).astype(np.intp)]
-        ids = (y[use] / point_um).astype(np.intp) * enough.shape[1] + (x[use] / point_um).astype(np.intp)
+        use[use] = is_valid[
+            (y[use] / cell_um[0]).astype(np.intp), (x[use] / cell_um[1]).astype(np.intp)
+        ]
+        ids = (y[use] / point_um).astype(np.intp) * enough.shape[1] + (x[use] / point_um).astype(
+            np.intp
+        )
         n_columns += np.bincount(ids, minlength=enough.size)
         totals += [np.bincount(ids, weights=half[use], minlength=enough.size) for half in halves]
     is_counted = enough & (n_columns > 0).reshape(enough.shape)
-    means = [np.where(is_counted, (m / np.maximum(n_columns, 1)).reshape(is_counted.shape), np.nan) for m in totals]
+    means = [
+        np.where(is_counted, (m / np.maximum(n_columns, 1)).reshape(is_counted.shape), np.nan)
+        for m in totals
+    ]
     return means[0], means[1], alone
 
 
@@ -211,12 +259,19 @@ def reliability_of(pair: ComparedMaps, layer: str, name: str) -> Reliability:
     corner_um = grid.origin_um[0] - grid.pixel_um[1] / 2, grid.origin_um[1] - grid.pixel_um[0] / 2
     try:
         odd, even, alone = half_points(
-            columns, name, pair.lags.is_valid, origin_um=corner_um, cell_um=pair.cell_um, point_um=point_um
+            columns,
+            name,
+            pair.lags.is_valid,
+            origin_um=corner_um,
+            cell_um=pair.cell_um,
+            point_um=point_um,
         )
         reliability = split_reliability(odd, even, pixel_um=point_um)
     except PlanishError as error:
         return Reliability(layer=layer, map=name, point_um=point_um, silence=error.text)
-    return Reliability.holding(reliability, layer=layer, map=name, shared=columns.shared(alone=alone))
+    return Reliability.holding(
+        reliability, layer=layer, map=name, shared=columns.shared(alone=alone)
+    )
 
 
 def say_reliability(evidence: EvidenceFacts) -> Iterator[str]:
@@ -229,20 +284,26 @@ def say_reliability(evidence: EvidenceFacts) -> Iterator[str]:
             yield f"Reliability of {map_text}: not known. {reliability.silence or ''}".strip()
             continue
         size_text = f"over {count(reliability.n)} points of {plain(reliability.point_um)}"
-        share_text = ("below " if reliability.value > 0.99 else "") + percent(max(1 - reliability.value, 0.01), 1)
+        share_text = ("below " if reliability.value > 0.99 else "") + percent(
+            max(1 - reliability.value, 0.01), 1
+        )
         text = (
-            f"Odd and even rows of columns are two half measurements of {map_text}: {size_text} they correlate with r "
-            f"{_near_one(reliability.halves_r)}, so that noise which differs between them is "
-            f"{share_text} of the variance of the map"
+            f"Odd and even rows of columns are two half measurements of {map_text}: {size_text}"
+            f" they correlate with r {_near_one(reliability.halves_r)}, so that noise which differs"
+            f" between them is {share_text} of the variance of the map"
         )
         if k == len(evidence.reliability) - 1 and evidence.ceiling_noise is not None:
             ceiling_both = evidence.ceiling_both
-            shift_text = "" if ceiling_both is None else f", r {_near_one(ceiling_both)} with misplacement, too"
+            shift_text = (
+                ""
+                if ceiling_both is None
+                else f", r {_near_one(ceiling_both)} with misplacement, too"
+            )
             noise_r = _near_one(evidence.ceiling_noise)
             text += f"; with such noise alone a perfect relation would show r {noise_r}{shift_text}"
         yield (
-            f"{text}. Errors that neighbouring columns share are not in it, and the standard error of a column may be "
-            f"larger: both halves share {reliability.shared}."
+            f"{text}. Errors that neighbouring columns share are not in it, and the standard error"
+            f" of a column may be larger: both halves share {reliability.shared}."
         )
 
 

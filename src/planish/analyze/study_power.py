@@ -31,9 +31,16 @@ class StudyDesign(ResultModel):
 
 
 def power_of_study(
-    r2: Pair, *, sheets: int, fields: int, n_eff: float, between_sheets: float, paired: bool,
-    change_between_sheets: float = 0.0, shared: float = 0.0,
-) -> StudyDesign:  # fmt: skip
+    r2: Pair,
+    *,
+    sheets: int,
+    fields: int,
+    n_eff: float,
+    between_sheets: float,
+    paired: bool,
+    change_between_sheets: float = 0.0,
+    shared: float = 0.0,
+) -> StudyDesign:
     """Say how often a study will distinguish two r².
 
     Parameters
@@ -68,36 +75,58 @@ def power_of_study(
         raise InputError(f"r² is {r2[0]} and {r2[1]}. Give two different ones, from 0 to below 1.")
     if sheets < LEAST_SHEETS or fields < 1:
         raise InputError(
-            f"The study is of {sheets} sheets with {fields} fields each. Give {LEAST_SHEETS} sheets or more, and 1 "
-            "field or more."
+            f"The study is of {sheets} sheets with {fields} fields each. Give {LEAST_SHEETS} sheets"
+            " or more, and 1 field or more."
         )
     if not LEAST_CLAIMED <= n_eff < math.inf:
-        raise InputError(f"n_eff is {n_eff}. Give the independent points of a field, {LEAST_CLAIMED:.0f} or more.")
-    if not (0 <= between_sheets < math.inf and 0 <= change_between_sheets < math.inf and 0 <= shared <= 1):
         raise InputError(
-            f"z varies by {between_sheets} between sheets and its change by {change_between_sheets}, and {shared} of "
-            "the scatter is shared. Give numbers from 0 on, and a share from 0 to 1."
+            f"n_eff is {n_eff}. Give the independent points of a field, {LEAST_CLAIMED:.0f} or"
+            " more."
+        )
+    if not (
+        0 <= between_sheets < math.inf
+        and 0 <= change_between_sheets < math.inf
+        and 0 <= shared <= 1
+    ):
+        raise InputError(
+            f"z varies by {between_sheets} between sheets and its change by"
+            f" {change_between_sheets}, and {shared} of the scatter is shared. Give numbers from 0"
+            " on, and a share from 0 to 1."
         )
     slopes = [1 - v for v in r2]  # of r over z
     field_variance = 1 / (n_eff - 3) / fields
     if paired:
         s0, s1 = slopes
         fields_variance = (s0 * s0 + s1 * s1 - 2 * shared * s0 * s1) * field_variance
-        variance = ((s1 - s0) * between_sheets) ** 2 + (s1 * change_between_sheets) ** 2 + fields_variance
+        variance = (
+            ((s1 - s0) * between_sheets) ** 2 + (s1 * change_between_sheets) ** 2 + fields_variance
+        )
         error, free = math.sqrt(variance / sheets), sheets - 1.0
     else:
         variances = [s * s * (between_sheets**2 + field_variance) / sheets for s in slopes]
         error, free = math.sqrt(sum(variances)), welch_free(variances, (sheets, sheets))
     return StudyDesign(
-        sheets=sheets, fields=fields, n_eff=n_eff, r2=(float(r2[0]), float(r2[1])), paired=paired, standard_error=error,
+        sheets=sheets,
+        fields=fields,
+        n_eff=n_eff,
+        r2=(float(r2[0]), float(r2[1])),
+        paired=paired,
+        standard_error=error,
         power=power_of_shift(abs(math.sqrt(r2[1]) - math.sqrt(r2[0])) / error, free),
-    )  # fmt: skip
+    )
 
 
 def sheets_needed(
-    r2: Pair, *, fields: int, n_eff: float, between_sheets: float, paired: bool, power: float = 0.8,
-    change_between_sheets: float = 0.0, shared: float = 0.0,
-) -> StudyDesign:  # fmt: skip
+    r2: Pair,
+    *,
+    fields: int,
+    n_eff: float,
+    between_sheets: float,
+    paired: bool,
+    power: float = 0.8,
+    change_between_sheets: float = 0.0,
+    shared: float = 0.0,
+) -> StudyDesign:
     """Find the fewest sheets with which a study distinguishes two r² with a power.
 
     Parameters
@@ -118,15 +147,22 @@ def sheets_needed(
     """
     check_power(power)
     design_of = partial(
-        power_of_study, r2, fields=fields, n_eff=n_eff, between_sheets=between_sheets, paired=paired,
-        change_between_sheets=change_between_sheets, shared=shared,
-    )  # fmt: skip
+        power_of_study,
+        r2,
+        fields=fields,
+        n_eff=n_eff,
+        between_sheets=between_sheets,
+        paired=paired,
+        change_between_sheets=change_between_sheets,
+        shared=shared,
+    )
     low, high = LEAST_SHEETS - 1, LEAST_SHEETS
     while design_of(sheets=high).power < power:
         low, high = high, 2 * high
         if high > 100_000:
             raise InputError(
-                f"100000 sheets do not see a difference of {abs(r2[1] - r2[0]):g} in r². Give a larger one."
+                f"100000 sheets do not see a difference of {abs(r2[1] - r2[0]):g} in r². Give a"
+                " larger one."
             )
     while high - low > 1:
         middle = (low + high) // 2
@@ -156,22 +192,31 @@ def expected_n_eff(field_um: Pair, *, length_um: Pixel, point_um: float) -> floa
     lengths = (length_um, length_um) if isinstance(length_um, (int, float)) else length_um
     if not all(0 < v < math.inf for v in (*field_um, *lengths, point_um)):
         raise SizeError(
-            f"The field is {field_um} um, a length {length_um} um, a point {point_um} um. Give sizes above 0."
+            f"The field is {field_um} um, a length {length_um} um, a point {point_um} um. Give"
+            " sizes above 0."
         )
     shape = [int(v / point_um + 1e-9) for v in field_um]
     n = math.prod(shape)
     if not 3 <= n <= _MOST_POINTS:
-        raise SizeError(f"The field holds {n} points of {point_um:g} um. Give one with 3 to {_MOST_POINTS}.")
+        raise SizeError(
+            f"The field holds {n} points of {point_um:g} um. Give one with 3 to {_MOST_POINTS}."
+        )
     covariances = [_of_means(shape, length / point_um) for length in lengths]
     size = [2 * k - 1 for k in shape]
     lags = [np.abs(fft.fftfreq(k, 1 / k)).astype(np.intp) for k in size]
     x, y = (m[np.ix_(*lags)] for m in covariances)
     pairs = np.outer(*(k - a for k, a in zip(shape, lags, strict=True))).astype(np.float64)
     ones = np.asarray(fft.rfft2(np.ones(shape), size))
-    row_sums = [np.asarray(fft.irfft2(fft.rfft2(m) * ones, size))[: shape[0], : shape[1]] for m in (x, y)]
+    row_sums = [
+        np.asarray(fft.irfft2(fft.rfft2(m) * ones, size))[: shape[0], : shape[1]] for m in (x, y)
+    ]
     totals = [float(m.sum()) for m in row_sums]
     product = math.prod(n * float(m[0, 0]) - s / n for m, s in zip((x, y), totals, strict=True))
-    trace = float(np.sum(pairs * x * y)) - 2 / n * float(np.sum(row_sums[0] * row_sums[1])) + math.prod(totals) / n**2
+    trace = (
+        float(np.sum(pairs * x * y))
+        - 2 / n * float(np.sum(row_sums[0] * row_sums[1]))
+        + math.prod(totals) / n**2
+    )
     return min(1 + product / trace, float(n))
 
 
@@ -183,5 +228,7 @@ def _of_means(shape: list[int], length: float) -> Floats:
     covariance = np.zeros(shape)
     for i, w in enumerate(weight):
         for j, v in enumerate(weight):
-            covariance += w * v * np.exp(-np.hypot(distance_y[:, i, None], distance_x[None, :, j]) / length)
+            covariance += (
+                w * v * np.exp(-np.hypot(distance_y[:, i, None], distance_x[None, :, j]) / length)
+            )
     return covariance

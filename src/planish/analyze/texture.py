@@ -44,7 +44,10 @@ class Textures:
             for step in (-1, 1):
                 is_valid &= np.roll(self.known, step, axis)
         is_valid[[0, -1], :] = is_valid[:, [0, -1]] = False
-        slopes = {f"{name}_{way}": np.gradient(self.maps[name], axis=axis) for way, axis in (("x", 1), ("y", 0))}
+        slopes = {
+            f"{name}_{way}": np.gradient(self.maps[name], axis=axis)
+            for way, axis in (("x", 1), ("y", 0))
+        }
         maps = {k: standard(m, is_valid) for k, m in (self.maps | slopes).items()}
         return replace(self, maps=maps, known=is_valid)
 
@@ -53,7 +56,9 @@ class Textures:
         weight = low_pass(self.known.astype(np.float64), _SPLIT_UM, self.pixel_um)
         low = low_pass(self.maps[name], _SPLIT_UM, self.pixel_um) / np.maximum(weight, 1e-9)
         low = np.where(self.known, low, 0.0)
-        return [m for m in (standard(k, self.known) for k in (low, self.maps[name] - low)) if m.any()]
+        return [
+            m for m in (standard(k, self.known) for k in (low, self.maps[name] - low)) if m.any()
+        ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,8 +84,13 @@ class Relation:
 
 
 def textures(
-    maps: Mapping[str, Rows], valid: Bools, pixel_um: Pair, *, band_um: Pair = BAND_UM, most_pixels: float = MOST_PIXELS
-) -> Textures:  # fmt: skip
+    maps: Mapping[str, Rows],
+    valid: Bools,
+    pixel_um: Pair,
+    *,
+    band_um: Pair = BAND_UM,
+    most_pixels: float = MOST_PIXELS,
+) -> Textures:
     """Keep the waves of a band of maps, 15 to 250 um where not given, with the same spread everywhere.
 
     Parameters
@@ -113,8 +123,8 @@ def textures(
         raise CannotMeasure("The maps and the mask do not lie on one grid. Link them first.")
     if not 4 * max(pixel_um) <= band_um[1]:
         raise SizeError(
-            f"The pixel of {max(pixel_um):g} um is too large for the texture below {band_um[1]:g} um. An image with "
-            f"pixels of {band_um[1] / 4:g} um or less is needed."
+            f"The pixel of {max(pixel_um):g} um is too large for the texture below {band_um[1]:g}"
+            f" um. An image with pixels of {band_um[1] / 4:g} um or less is needed."
         )
     factor = math.ceil(math.sqrt(valid.size / most_pixels))
     if factor > 1:
@@ -129,10 +139,14 @@ def textures(
     if not shown:
         return Textures(maps={}, known=np.zeros(valid.shape, dtype=bool), pixel_um=pixel_um)
     band = _Band(np.logical_and.reduce([np.isfinite(m) for m in shown.values()]), pixel_um, band_um)
-    return Textures(maps={k: band(m) for k, m in shown.items()}, known=band.is_valid, pixel_um=pixel_um)
+    return Textures(
+        maps={k: band(m) for k, m in shown.items()}, known=band.is_valid, pixel_um=pixel_um
+    )
 
 
-def relate(a: Floats, b: Floats, is_valid: Bools, pixel_um: Pair, *, of: Floats | None = None) -> Relation:
+def relate(
+    a: Floats, b: Floats, is_valid: Bools, pixel_um: Pair, *, of: Floats | None = None
+) -> Relation:
     """Correlate two textures (rows, cols) and state how far r scatters about 0 where they are unrelated.
 
     ``of`` is the texture whose spread ``part`` is a share of, where that is not b. The standard deviation is the larger
@@ -152,7 +166,10 @@ def relate(a: Floats, b: Floats, is_valid: Bools, pixel_um: Pair, *, of: Floats 
     a, b = standard(a, is_valid), standard(b, is_valid)
     r = float(np.vdot(a, b)) / n
     unexplained_share = math.sqrt(max(1.0 - r * r, 0.0))
-    sd, part_se = _scatter(a, b, r, n, pixel_um), _scatter(a, standard(b - r * a, is_valid), 0.0, n, pixel_um)
+    sd, part_se = (
+        _scatter(a, b, r, n, pixel_um),
+        _scatter(a, standard(b - r * a, is_valid), 0.0, n, pixel_um),
+    )
     return Relation(r, sd, share * r, share * unexplained_share * part_se)
 
 
@@ -178,7 +195,11 @@ def standard(values: Floats, is_valid: Bools) -> Floats:
 def unexplained(values: Floats, explaining: Floats) -> Floats:
     """What a texture does not share with another one: the residual of least squares."""
     sum_of_squares = float(np.vdot(explaining, explaining))
-    return values - float(np.vdot(values, explaining)) / sum_of_squares * explaining if sum_of_squares > 0 else values
+    return (
+        values - float(np.vdot(values, explaining)) / sum_of_squares * explaining
+        if sum_of_squares > 0
+        else values
+    )
 
 
 def low_pass(values: Floats, half_um: float, pixel_um: Pair) -> Floats:
@@ -206,7 +227,8 @@ class _Band:
         self.is_valid: Bools = self._fine >= 0.5  # Single missing pixels are bridged.
         weight = self.is_valid.astype(np.float64)
         self._weights = [
-            np.maximum(m, 1e-9) for m in (low_pass(weight, band_um[1], pixel_um), self._neighbourhood(weight))
+            np.maximum(m, 1e-9)
+            for m in (low_pass(weight, band_um[1], pixel_um), self._neighbourhood(weight))
         ]
         # Around holes, the mean at each distance up to 300 um is taken off.
         distance = ndimage.distance_transform_edt(self.is_valid, sampling=pixel_um)
@@ -220,7 +242,8 @@ class _Band:
         slow = low_pass(out, self._band_um[1], self._pixel_um) / self._weights[0]
         out = standard(np.where(is_valid, out - slow, 0.0), is_valid)
         spread = np.sqrt(np.maximum(self._neighbourhood(out * out) / self._weights[1], 0.3**2))
-        out = np.where(is_valid, np.clip(out / spread, -3.0, 3.0), 0.0)  # A stain is one event, however dark it is.
+        # A stain is one event, however dark it is.
+        out = np.where(is_valid, np.clip(out / spread, -3.0, 3.0), 0.0)
         # What holes by one laser program do to their surroundings is no sign of one specimen.
         ring_mean = np.bincount(self._ring[is_valid], weights=out[is_valid]) / self._in_ring
         return standard(np.where(is_valid, out - ring_mean[self._ring], 0.0), is_valid)

@@ -23,9 +23,14 @@ _TILE_Z = 7.0  # standard deviations of chance by which a tile should stand out
 
 
 def tuned_place(
-    moving: Textures, fixed: Textures, names: Names, start: Similarity, *, reach_um: float,
+    moving: Textures,
+    fixed: Textures,
+    names: Names,
+    start: Similarity,
+    *,
+    reach_um: float,
     beside: tuple[str, ...] = (),
-) -> Similarity:  # fmt: skip
+) -> Similarity:
     """Climb from a place to where a map, with those ``beside`` it, explains most of the image.
 
     What an image shows of other maps, and of the face's slopes in light from one side, moves one map's best place.
@@ -41,7 +46,9 @@ def tuned_place(
 
     def placed(p: Floats) -> Similarity:
         turn = replace(
-            start, scale=start.scale * math.exp(p[3] / arm_um), rotation_rad=start.rotation_rad + p[2] / arm_um
+            start,
+            scale=start.scale * math.exp(p[3] / arm_um),
+            rotation_rad=start.rotation_rad + p[2] / arm_um,
         )
         return nearest_similarity(turn.matrix(), middle, start(middle) + p[:2])
 
@@ -52,14 +59,21 @@ def tuned_place(
         centred = maps[:, is_known] - maps[:, is_known].mean(axis=1, keepdims=True)
         grey = grey[is_known] - grey[is_known].mean()
         products = centred @ grey
-        return 1.0 - float(products @ np.linalg.pinv(centred @ centred.T) @ products / (grey @ grey))
+        return 1.0 - float(
+            products @ np.linalg.pinv(centred @ centred.T) @ products / (grey @ grey)
+        )
 
     found = optimize.minimize(
-        lambda p: unexplained(placed(p)), np.zeros(4), method="Nelder-Mead", options={
-            "initial_simplex": np.concatenate([np.zeros((1, 4)), 0.5 * reach_um * np.eye(4)]), "xatol": 0.05,
-            "fatol": 1e-6, "maxfev": 400,
+        lambda p: unexplained(placed(p)),
+        np.zeros(4),
+        method="Nelder-Mead",
+        options={
+            "initial_simplex": np.concatenate([np.zeros((1, 4)), 0.5 * reach_um * np.eye(4)]),
+            "xatol": 0.05,
+            "fatol": 1e-6,
+            "maxfev": 400,
         },
-    )  # fmt: skip
+    )
     return placed(found.x)
 
 
@@ -71,7 +85,11 @@ def leading_maps(moving: Textures, fixed: Textures, place: Similarity) -> Names:
     def z(names: Names) -> float:
         seen, is_known = _Sampled(fixed, names[1])(points)
         is_valid = moving.known & is_known
-        return abs(relate(moving.maps[names[0]], np.where(is_valid, seen, 0.0), is_valid, moving.pixel_um).z)
+        return abs(
+            relate(
+                moving.maps[names[0]], np.where(is_valid, seen, 0.0), is_valid, moving.pixel_um
+            ).z
+        )
 
     return max(compared(moving, fixed), key=z)
 
@@ -91,9 +109,14 @@ class TilePlaces(NamedTuple):
 
 
 def tile_places(
-    moving: Textures, fixed: Textures, names: Names, place: Similarity, *, beside: tuple[str, ...] = (),
+    moving: Textures,
+    fixed: Textures,
+    names: Names,
+    place: Similarity,
+    *,
+    beside: tuple[str, ...] = (),
     light: tuple[str, ...] = (),
-) -> TilePlaces:  # fmt: skip
+) -> TilePlaces:
     """Find where tiles of a map lie in the image, near the place of the whole.
 
     Tiles share no pixel. Their side follows from how far the whole stands out from chance: each has to by itself. What
@@ -101,14 +124,21 @@ def tile_places(
     """
     rows, cols = np.indices(moving.known.shape)
     pixel_um = moving.pixel_um
-    grey, is_known = _Sampled(fixed, names[1])(place(np.stack([cols * pixel_um[1], rows * pixel_um[0]], axis=-1)))
+    grey, is_known = _Sampled(fixed, names[1])(
+        place(np.stack([cols * pixel_um[1], rows * pixel_um[0]], axis=-1))
+    )
     is_valid = moving.known & is_known
-    a, b = standard(moving.maps[names[0]], is_valid), standard(np.where(is_valid, grey, 0.0), is_valid)
+    a, b = (
+        standard(moving.maps[names[0]], is_valid),
+        standard(np.where(is_valid, grey, 0.0), is_valid),
+    )
     relation = relate(a, b, is_valid, pixel_um)
     shared_um2 = np.zeros((2, 2))
     if beside or light:
         shown = np.stack([a, *(standard(moving.maps[k], is_valid) for k in (*beside, *light))])
-        shared_um2 = _shared(shown, b, is_valid, pixel_um, slopes=len(light)) if light else shared_um2
+        shared_um2 = (
+            _shared(shown, b, is_valid, pixel_um, slopes=len(light)) if light else shared_um2
+        )
         weights = np.linalg.lstsq(shown[:, is_valid].T, b[is_valid], rcond=None)[0]
         a = standard(math.copysign(1.0, weights[0]) * np.tensordot(weights, shown, 1), is_valid)
         relation = replace(relation, r=math.copysign(relation.r, weights[0]))
@@ -119,13 +149,21 @@ def tile_places(
     side_um = math.sqrt(moving.n * pixel_um[0] * pixel_um[1]) / max(stands_out, 1e-9)
     side_um = min(side_um, 0.5 * short_um)
     field = lag_field(
-        math.copysign(1.0, relation.r) * a, b, is_valid, pixel_um, reach=reach, overlapping=False,
+        math.copysign(1.0, relation.r) * a,
+        b,
+        is_valid,
+        pixel_um,
+        reach=reach,
+        overlapping=False,
         tile_um=max(side_um, least_um),
         unrelated=[*PhaseSurrogate(b, is_valid).draws(9, np.random.default_rng(20090501))],
-    )  # fmt: skip
+    )
     at_um, lag_um = field.at_um[field.distinct], field.lag_um[field.distinct]
     turn = place.matrix()
-    covariance, shared = turn @ field.covariance_um2[field.distinct] @ turn.T, turn @ shared_um2 @ turn.T
+    covariance, shared = (
+        turn @ field.covariance_um2[field.distinct] @ turn.T,
+        turn @ shared_um2 @ turn.T,
+    )
     return TilePlaces(at_um, place(at_um + lag_um), covariance, shared, relation.r, place)
 
 
@@ -143,7 +181,9 @@ def _shared(shown: Floats, seen: Floats, is_valid: Bools, pixel_um: Pair, *, slo
 
     (search, with_slopes), (_, without) = peak(shown), peak(shown[:-slopes])
     if with_slopes is None or without is None or not with_slopes.inner:
-        return np.diag([(0.5 * k * p) ** 2 for k, p in zip(reach, pixel_um, strict=True)])[::-1, ::-1]
+        return np.diag([(0.5 * k * p) ** 2 for k, p in zip(reach, pixel_um, strict=True)])[
+            ::-1, ::-1
+        ]
     taken_off = _OF_LIGHT * (with_slopes.summit_px - without.summit_px)
     covariance = search.covariance(with_slopes, pixel_um) + np.outer(taken_off, taken_off)
     return covariance[::-1, ::-1] * np.outer(pixel_um[::-1], pixel_um[::-1])

@@ -37,7 +37,8 @@ _SCALE_STEP = 45.0  # um: scales in steps of this over the size of the map
 _CANDIDATES = 5
 _LEAST_WINDOW = 384  # pixels of a part of the image that is transformed as a whole
 _LEAST_ROTATIONS = 20  # that show how high chance gets
-_INDEPENDENT = 0.25  # of the rotations, measured on unrelated fields; those beside each other are alike
+# Of the rotations, measured on unrelated fields; those beside each other are alike.
+_INDEPENDENT = 0.25
 Slab = NDArray[np.float32]
 Names = tuple[str, str]
 """A map of the moving layer, and that of the fixed one which it is compared with."""
@@ -67,7 +68,8 @@ class PlaceSearch:
     """Places of the sheet in the image, the best first, and how sure that one is."""
 
     candidates: tuple[Candidate, ...]
-    false_probability: float  # that textures which have nothing in common reach as much at any place
+    # That textures which have nothing in common reach as much at any place.
+    false_probability: float
 
     @property
     def best(self) -> Candidate:
@@ -77,7 +79,10 @@ class PlaceSearch:
     @property
     def inverse(self) -> PlaceSearch:
         """The same places, from the fixed layer to the moving one."""
-        turned = (replace(c, names=(c.names[1], c.names[0]), place=c.place.inverse) for c in self.candidates)
+        turned = (
+            replace(c, names=(c.names[1], c.names[0]), place=c.place.inverse)
+            for c in self.candidates
+        )
         return replace(self, candidates=tuple(turned))
 
     @property
@@ -100,15 +105,20 @@ def compared(moving: Textures, fixed: Textures) -> tuple[Names, ...]:
     names = tuple((name, name) for name in moving.maps if name in fixed.maps)
     if not names:
         raise CannotRegister(
-            "The two sheets have no map in common to compare. Measure the same maps in both (--property)."
+            "The two sheets have no map in common to compare. Measure the same maps in both"
+            " (--property)."
         )
     return names
 
 
 def search_place(
-    moving: Textures, fixed: Textures, *, mirrored: bool | None, scale_tolerance: float = 0.02,
+    moving: Textures,
+    fixed: Textures,
+    *,
+    mirrored: bool | None,
+    scale_tolerance: float = 0.02,
     near: Sequence[Near] = (),
-) -> PlaceSearch:  # fmt: skip
+) -> PlaceSearch:
     """Search all places of a sheet in an image.
 
     ``moving``: maps of the sheet that may show in it; ``fixed``: ``image``, with pixels that are not larger than those
@@ -160,7 +170,11 @@ class _Steps:
         count = 2 * max(math.ceil(scale_tolerance / step - 0.5), 0) + 1
         most = scale_tolerance * (count - 1) / count
         scales = np.linspace(1.0 - most, 1.0 + most, count).tolist()
-        return cls(deg=360.0 / math.ceil(360.0 * size_um / (wider * _STEP)), scale=step, scales=tuple(scales))
+        return cls(
+            deg=360.0 / math.ceil(360.0 * size_um / (wider * _STEP)),
+            scale=step,
+            scales=tuple(scales),
+        )
 
     def turns(self, hands: tuple[bool, ...]) -> Iterator[Similarity]:
         """All rotations of all hands."""
@@ -186,14 +200,21 @@ def _judged(scanner: _Scanner, steps: _Steps, cells: list[list[_Peak]]) -> Place
         return abs(peak.height) / null_sd[peak.names]
 
     def candidate(peak: _Peak) -> Candidate:
-        return Candidate(names=peak.names, z=z(peak), r=peak.r, place=scanner.place(peak.turn, peak.at))
+        return Candidate(
+            names=peak.names, z=z(peak), r=peak.r, place=scanner.place(peak.turn, peak.at)
+        )
 
     best_of_cells = sorted((max(cell, key=z) for cell in cells), key=z, reverse=True)
     best = best_of_cells[0]
-    is_best = [p.turn.mirrored == best.turn.mirrored and _same_turn(p.turn, best.turn) for p in best_of_cells]
+    is_best = [
+        p.turn.mirrored == best.turn.mirrored and _same_turn(p.turn, best.turn)
+        for p in best_of_cells
+    ]
     others = np.array([z(p) for p, same in zip(best_of_cells, is_best, strict=True) if not same])
     probability = _exceeded(z(best), others) if others.size >= _LEAST_ROTATIONS else 1.0
-    finer = (p for turn, scales in steps.about(best.turn) for p in scanner.peaks(turn, scales, best.near))
+    finer = (
+        p for turn, scales in steps.about(best.turn) for p in scanner.peaks(turn, scales, best.near)
+    )
     finest = max((best, *finer), key=lambda p: z(p) if p.names == best.names else 0.0)
     candidates = [replace(candidate(finest), z=z(best))]
     for peak in sorted((*best_of_cells[1:], *scanner.rivals(best, _NEAR_UM)), key=z, reverse=True):
@@ -229,10 +250,17 @@ def _exceeded(z: float, others: Floats) -> float:
 
     s = np.geomspace(0.8, 3.0, 67)[:, None]  # below 0.8 it is chance among few rotations
     x = np.maximum(others / s, 1.2)
-    log_sums, independent = special.logsumexp(log_rates(others / s), axis=1), _INDEPENDENT * others.size
+    log_sums, independent = (
+        special.logsumexp(log_rates(others / s), axis=1),
+        _INDEPENDENT * others.size,
+    )
     log_likelihood = -_INDEPENDENT * np.sum(np.log(s) + 0.5 * x**2 - np.log(x**2 - 1.0), axis=1)
     weights = special.softmax(log_likelihood - independent * log_sums)
-    expected = (others.size + 1) / _INDEPENDENT * np.exp(np.minimum(log_rates(z / s[:, 0]) - log_sums, 700.0))
+    expected = (
+        (others.size + 1)
+        / _INDEPENDENT
+        * np.exp(np.minimum(log_rates(z / s[:, 0]) - log_sums, 700.0))
+    )
     return float(np.sum(weights * -np.expm1(-independent * np.log1p(expected))))
 
 
@@ -251,24 +279,35 @@ class _Scanner:
 
     def __init__(self, moving: Textures, fixed: Textures, scale_tolerance: float) -> None:
         self._fixed, self._names = fixed, compared(moving, fixed)
-        self._moving_px, self._fixed_px = (np.array(t.pixel_um[::-1]) for t in (moving, fixed))  # x, y
+        # X, y.
+        self._moving_px, self._fixed_px = (np.array(t.pixel_um[::-1]) for t in (moving, fixed))
         shape = np.array(moving.known.shape[::-1])
-        self._extent_um, self.middle_um = shape * self._moving_px, 0.5 * (shape - 1) * self._moving_px
+        self._extent_um, self.middle_um = (
+            shape * self._moving_px,
+            0.5 * (shape - 1) * self._moving_px,
+        )
         self.size_um = math.sqrt(max(moving.area_um2, 1.0))
-        self._splines = {k: np.asarray(ndimage.spline_filter(moving.maps[k]), dtype=np.float32) for k, _ in self._names}
+        self._splines = {
+            k: np.asarray(ndimage.spline_filter(moving.maps[k]), dtype=np.float32)
+            for k, _ in self._names
+        }
         self._mask = moving.known.astype(np.float32)
         self._most = moving.n * float(np.prod(self._moving_px / self._fixed_px))
         most_um = 1.05 * (1.0 + scale_tolerance) * float(np.hypot(*self._extent_um))
         self._margin = math.ceil(0.5 * most_um / float(self._fixed_px.min())) + 2
         spans = [_spans(n, max(4 * self._margin, _LEAST_WINDOW)) for n in fixed.known.shape]
         size = spans[0][1] - spans[0][0], spans[1][1] - spans[1][0]
-        self._whole = [self._spectra(first, size) for first in product(spans[0][:-1], spans[1][:-1])]
+        self._whole = [
+            self._spectra(first, size) for first in product(spans[0][:-1], spans[1][:-1])
+        ]
 
     def cell(self, turn: Similarity, steps: _Steps, windows: Sequence[Near | None]) -> list[_Peak]:
         """Peaks of all maps at one rotation and hand, and all scales."""
         return [peak for near in windows for peak in self.peaks(turn, steps.scales, near)]
 
-    def peaks(self, turn: Similarity, scales: tuple[float, ...], near: Near | None) -> Iterator[_Peak]:
+    def peaks(
+        self, turn: Similarity, scales: tuple[float, ...], near: Near | None
+    ) -> Iterator[_Peak]:
         """The highest correlation of each map at each scale."""
         for scaled, names, values, weight, window in self._heights(turn, scales, near):
             yield self._peak(scaled, names, values * weight, weight, window, near)
@@ -281,17 +320,27 @@ class _Scanner:
                 continue
             rows, cols = (
                 (np.arange(n) + first - at) * um
-                for n, first, at, um in zip(values.shape, window.first, best.at, self._fixed_px[::-1], strict=True)
+                for n, first, at, um in zip(
+                    values.shape, window.first, best.at, self._fixed_px[::-1], strict=True
+                )
             )
             far = np.hypot(rows[:, None], cols) > apart_um
             yield self._peak(scaled, names, values * weight * far, weight, window, best.near)
 
     def place(self, turn: Similarity, at: tuple[int, int]) -> Similarity:
         """Transformation that puts the middle of the map on a pixel of the image."""
-        return nearest_similarity(turn.matrix(), self.middle_um, np.array(at[::-1]) * self._fixed_px)
+        return nearest_similarity(
+            turn.matrix(), self.middle_um, np.array(at[::-1]) * self._fixed_px
+        )
 
     def _peak(
-        self, turn: Similarity, names: Names, height: Slab, weight: Slab, window: _Window, near: Near | None
+        self,
+        turn: Similarity,
+        names: Names,
+        height: Slab,
+        weight: Slab,
+        window: _Window,
+        near: Near | None,
     ) -> _Peak:
         row, col = divmod(int(np.argmax(np.abs(height))), height.shape[1])
         value = float(height[row, col])
@@ -311,22 +360,34 @@ class _Scanner:
         for window in windows:
             pairs = self._lags(window, window.known, mask, half)
             weights.append(
-                np.where(pairs >= least_pairs, 1.0 / np.sqrt(np.maximum(pairs, 1.0)), 0.0).astype(np.float32)
+                np.where(pairs >= least_pairs, 1.0 / np.sqrt(np.maximum(pairs, 1.0)), 0.0).astype(
+                    np.float32
+                )
             )
         for scale in scales:
             scaled = replace(turn, scale=scale)
             half, sampled = self._on_image(scaled)
             is_known = self._turned_mask(sampled)
             for names in self._names:
-                part = self._spectrum(sampled(self._splines[names[0]], 3) * is_known, windows[0].shape)
+                part = self._spectrum(
+                    sampled(self._splines[names[0]], 3) * is_known, windows[0].shape
+                )
                 for window, weight in zip(windows, weights, strict=True):
-                    yield scaled, names, self._lags(window, window.maps[names[1]], part, half), weight, window
+                    yield (
+                        scaled,
+                        names,
+                        self._lags(window, window.maps[names[1]], part, half),
+                        weight,
+                        window,
+                    )
 
     def _windows(self, turn: Similarity, near: Near | None) -> list[_Window]:
         """Parts of the image in which the middle of the map may lie: all, or one near a place."""
         if near is None:
             return self._whole
-        arm_um = np.zeros(2) if near.moving_um is None else self.middle_um - np.array(near.moving_um)
+        arm_um = (
+            np.zeros(2) if near.moving_um is None else self.middle_um - np.array(near.moving_um)
+        )
         middle = (np.array(near.fixed_um) + turn.matrix() @ arm_um) / self._fixed_px
         first = np.floor(middle - near.radius_um / self._fixed_px).astype(int)
         count = np.ceil(2.0 * near.radius_um / self._fixed_px).astype(int) + 1
@@ -334,7 +395,10 @@ class _Scanner:
 
     def _spectra(self, first: tuple[int, int], count: tuple[int, ...]) -> _Window:
         (rows, cols), margin = count, self._margin
-        shape = fft.next_fast_len(rows + 2 * margin, real=True), fft.next_fast_len(cols + 2 * margin, real=True)
+        shape = (
+            fft.next_fast_len(rows + 2 * margin, real=True),
+            fft.next_fast_len(cols + 2 * margin, real=True),
+        )
 
         def spectrum(values: NDArray[np.generic]) -> NDArray[np.complex64]:
             part = np.zeros(shape, np.float32)
@@ -345,7 +409,8 @@ class _Scanner:
             if all(low < high for low, high in spans):
                 inside = tuple(slice(low, high) for low, high in spans)
                 to = tuple(
-                    slice(low - b + margin, high - b + margin) for (low, high), b in zip(spans, first, strict=True)
+                    slice(low - b + margin, high - b + margin)
+                    for (low, high), b in zip(spans, first, strict=True)
                 )
                 part[to] = values[inside]
             return np.asarray(fft.rfft2(part), dtype=np.complex64)
@@ -353,20 +418,28 @@ class _Scanner:
         maps = {k: spectrum(self._fixed.maps[k]) for k in {fixed for _, fixed in self._names}}
         return _Window(first, (rows, cols), maps, spectrum(self._fixed.known), shape)
 
-    def _on_image(self, turn: Similarity) -> tuple[tuple[int, int], Callable[[Slab, Literal[1, 3]], Slab]]:
+    def _on_image(
+        self, turn: Similarity
+    ) -> tuple[tuple[int, int], Callable[[Slab, Literal[1, 3]], Slab]]:
         """Half the size, and the sampling, of a map on pixels of the image, no larger than it has to be."""
         matrix = turn.matrix()
         corners = np.array([*product((-0.5, 0.5), repeat=2)]) * self._extent_um @ matrix.T
         half = np.ceil(np.abs(corners).max(axis=0) / self._fixed_px).astype(int)
-        to_moving = (np.linalg.inv(matrix) * self._fixed_px) / self._moving_px[:, None]  # of pixels x, y
+        # Of pixels x, y.
+        to_moving = (np.linalg.inv(matrix) * self._fixed_px) / self._moving_px[:, None]
         offset = self.middle_um / self._moving_px - to_moving @ half
         shape = (2 * int(half[1]) + 1, 2 * int(half[0]) + 1)
 
         def sampled(values: Slab, order: Literal[1, 3]) -> Slab:
             return ndimage.affine_transform(
-                values, to_moving[::-1, ::-1], offset[::-1], output_shape=shape, order=order, prefilter=False,
+                values,
+                to_moving[::-1, ::-1],
+                offset[::-1],
+                output_shape=shape,
+                order=order,
+                prefilter=False,
                 output=np.float32,
-            )  # fmt: skip
+            )
 
         return (shape[0] // 2, shape[1] // 2), sampled
 
@@ -378,8 +451,12 @@ class _Scanner:
         return np.conj(fft.fft(fft.rfft(part, shape[1], axis=1), shape[0], axis=0))
 
     def _lags(
-        self, window: _Window, image: NDArray[np.complex64], part: NDArray[np.complex64], half: tuple[int, int]
-    ) -> Slab:  # fmt: skip
+        self,
+        window: _Window,
+        image: NDArray[np.complex64],
+        part: NDArray[np.complex64],
+        half: tuple[int, int],
+    ) -> Slab:
         """Sums of products by the pixel at which the middle of the part lies; only the rows that are needed."""
         along = fft.ifft(image * part, axis=0, overwrite_x=True)
         row, col = (self._margin - h for h in half)

@@ -33,7 +33,9 @@ class RegionDifference(ResultModel):
     n_eff: Value = Field(description="Independent points of the thin regions.")
 
 
-def region_difference(values: Array, inside: Bools, *, mask: Bools | None = None, pixel_um: Pixel) -> RegionDifference:
+def region_difference(
+    values: Array, inside: Bools, *, mask: Bools | None = None, pixel_um: Pixel
+) -> RegionDifference:
     """Compare a map inside and outside of regions.
 
     Parameters
@@ -65,8 +67,8 @@ def region_difference(values: Array, inside: Bools, *, mask: Bools | None = None
     count = int(np.count_nonzero(is_inside)), int(np.count_nonzero(is_outside))
     if min(count) < LEAST:
         raise CannotMeasure(
-            f"{count[0]} valid pixels lie inside of the regions and {count[1]} outside, {LEAST} are needed on either "
-            "side. Give another limit."
+            f"{count[0]} valid pixels lie inside of the regions and {count[1]} outside, {LEAST} are"
+            " needed on either side. Give another limit."
         )
     share = count[0] / sum(count)
     means = float(values[is_inside].mean()), float(values[is_outside].mean())
@@ -81,7 +83,10 @@ def region_difference(values: Array, inside: Bools, *, mask: Bools | None = None
         width = t_95(n_eff - 1) * math.sqrt(variance / n_eff)
     difference = means[0] - means[1]
     return RegionDifference(
-        share=share, difference=difference, interval=(difference - width, difference + width), n_eff=n_eff
+        share=share,
+        difference=difference,
+        interval=(difference - width, difference + width),
+        n_eff=n_eff,
     )
 
 
@@ -93,7 +98,10 @@ def answer_thin(pair: ComparedMaps) -> dict[str, Any]:
     for limit_um in THIN_UM:
         try:
             difference = region_difference(
-                pair.y, np.where(is_valid, pair.x, np.inf) < limit_um, mask=is_valid, pixel_um=pair.cell_um
+                pair.y,
+                np.where(is_valid, pair.x, np.inf) < limit_um,
+                mask=is_valid,
+                pixel_um=pair.cell_um,
             )
         except PlanishError:
             continue
@@ -101,12 +109,15 @@ def answer_thin(pair: ComparedMaps) -> dict[str, Any]:
     return {"thin": tuple(differences)}
 
 
-def say_thin(regions: tuple[RegionDifference, ...], _: EvidenceFacts, words: PairWords) -> Iterator[str]:
+def say_thin(
+    regions: tuple[RegionDifference, ...], _: EvidenceFacts, words: PairWords
+) -> Iterator[str]:
     """How the image differs where the coating is thin."""
     for region in regions:
         if is_known(region.interval):
             low, high = map(number, region.interval)
             yield (
-                f"Where the coating is below {plain(region.thinner_than_um)} ({percent(region.share, 2)} of the valid "
-                f"area) the mean {words.image} differs by {number(region.difference)} (95 %: {low} to {high})."
+                f"Where the coating is below {plain(region.thinner_than_um)}"
+                f" ({percent(region.share, 2)} of the valid area) the mean {words.image} differs by"
+                f" {number(region.difference)} (95 %: {low} to {high})."
             )

@@ -32,10 +32,15 @@ class Variogram(ResultModel):
     map: str = Field(default="", description="Name of the map.")
     units: str = Field(default="1", description="Of the values.")
     cell_um: Pair = Field(description="What the map was averaged over first, along y and x.")
-    nugget: float = Field(description="Variance that neighbouring cells do not share, in the map's units squared.")
+    nugget: float = Field(
+        description="Variance that neighbouring cells do not share, in the map's units squared."
+    )
     sill: float = Field(description="Variance of the map.")
     range_um: Value = Field(
-        description="Distance at which the covariance has fallen to 1/e; none where it does not, or all is nugget."
+        description=(
+            "Distance at which the covariance has fallen to 1/e; none where it does not, or all is"
+            " nugget."
+        )
     )
     md_deg: Value = optional("Machine direction on the reference, where the run knows it.")
     range_along_um: Value = optional("The range within 22.5 degrees of the machine direction.")
@@ -43,10 +48,14 @@ class Variogram(ResultModel):
     ratio: Value = optional("Range along over range across.")
     distances_um: tuple[float, ...] = Field(description="Middle of each class of distances.")
     values: tuple[float, ...] = Field(description="At each distance, in the map's units squared.")
-    pairs: SkipJsonSchema[tuple[float, ...]] = Field(default=(), exclude=True, description="Pairs of points of each.")
+    pairs: SkipJsonSchema[tuple[float, ...]] = Field(
+        default=(), exclude=True, description="Pairs of points of each."
+    )
 
 
-def variogram(a: Array, *, mask: Bools | None = None, pixel_um: Pixel, md_deg: float | None = None) -> Variogram:
+def variogram(
+    a: Array, *, mask: Bools | None = None, pixel_um: Pixel, md_deg: float | None = None
+) -> Variogram:
     """Variogram of a map with nugget, sill and ranges.
 
     Parameters
@@ -87,22 +96,36 @@ def variogram_of(a: Array, lags: Lags, md_deg: float | None = None) -> Variogram
     distance, covariance, pairs = _by_ring(lags, products, lags.inside)
     if distance.size < _LEAST_RINGS:
         raise CannotMeasure(
-            f"Half of the field holds {distance.size} rings of distance, {_LEAST_RINGS} are needed. Give a larger map."
+            f"Half of the field holds {distance.size} rings of distance, {_LEAST_RINGS} are needed."
+            " Give a larger map."
         )
     shared = min(_at_zero(distance, covariance, max(lags.pixel_um)), sill)
     range_along_um = range_across_um = math.nan
     if md_deg is not None:
         turned = np.degrees(np.arctan2(lags.lag_um[0][:, None], lags.lag_um[1][None, :]))
-        sectors = (np.abs((turned - direction + 90) % 180 - 90) for direction in (md_deg, md_deg + 90))
+        sectors = (
+            np.abs((turned - direction + 90) % 180 - 90) for direction in (md_deg, md_deg + 90)
+        )
         range_along_um, range_across_um = (
             _range(*_by_ring(lags, products, away <= 22.5 + 1e-9)[:2], shared) for away in sectors
         )
     return Variogram(
-        cell_um=lags.pixel_um, nugget=sill - shared, sill=sill, range_um=_range(distance, covariance, shared),
-        md_deg=math.nan if md_deg is None else md_deg, range_along_um=range_along_um, range_across_um=range_across_um,
-        ratio=range_along_um / range_across_um if np.isfinite([range_along_um, range_across_um]).all() else math.nan,
-        distances_um=tuple(distance.tolist()), values=tuple((sill - covariance).tolist()), pairs=tuple(pairs.tolist()),
-    )  # fmt: skip
+        cell_um=lags.pixel_um,
+        nugget=sill - shared,
+        sill=sill,
+        range_um=_range(distance, covariance, shared),
+        md_deg=math.nan if md_deg is None else md_deg,
+        range_along_um=range_along_um,
+        range_across_um=range_across_um,
+        ratio=(
+            range_along_um / range_across_um
+            if np.isfinite([range_along_um, range_across_um]).all()
+            else math.nan
+        ),
+        distances_um=tuple(distance.tolist()),
+        values=tuple((sill - covariance).tolist()),
+        pairs=tuple(pairs.tolist()),
+    )
 
 
 def _by_ring(lags: Lags, products: Floats, is_used: Bools) -> tuple[Floats, Floats, Floats]:
@@ -110,13 +133,21 @@ def _by_ring(lags: Lags, products: Floats, is_used: Bools) -> tuple[Floats, Floa
     step = max(lags.pixel_um)
     ring = np.rint(lags.distance_um / step).astype(np.intp)
     side_um = min(n * p for n, p in zip(lags.is_valid.shape, lags.pixel_um, strict=True))
-    is_in_reach = is_used & lags.inside & (lags.pairs > 0) & (ring >= 1) & (lags.distance_um <= side_um / 2)
+    is_in_reach = (
+        is_used & lags.inside & (lags.pairs > 0) & (ring >= 1) & (lags.distance_um <= side_um / 2)
+    )
     ring_numbers = ring[is_in_reach]
-    pairs, total = (np.bincount(ring_numbers, weights=m[is_in_reach]) for m in (lags.pairs, products))
+    pairs, total = (
+        np.bincount(ring_numbers, weights=m[is_in_reach]) for m in (lags.pairs, products)
+    )
     distance_sums = np.bincount(ring_numbers, weights=(lags.pairs * lags.distance_um)[is_in_reach])
     has_pairs = pairs > 0
     # Each pair of points stands at two lags, one the negative of the other.
-    return distance_sums[has_pairs] / pairs[has_pairs], total[has_pairs] / pairs[has_pairs], pairs[has_pairs] / 2
+    return (
+        distance_sums[has_pairs] / pairs[has_pairs],
+        total[has_pairs] / pairs[has_pairs],
+        pairs[has_pairs] / 2,
+    )
 
 
 def _at_zero(distance: Floats, covariance: Floats, step: float) -> float:
@@ -133,10 +164,11 @@ def _at_zero(distance: Floats, covariance: Floats, step: float) -> float:
 
     start = max(float(h[-1]) / 2, step)
     fit = optimize.least_squares(
-        off, np.array([1.1, math.log(start), 1.3]),
+        off,
+        np.array([1.1, math.log(start), 1.3]),
         # From the exponential to the Gaussian covariance.
         bounds=([0.0, math.log(step / 20), 1.0], [np.inf, math.log(1e3 * float(h[-1])), 2.0]),
-    )  # fmt: skip
+    )
     return float(fit.x[0] * covariance[0])
 
 
@@ -156,19 +188,25 @@ def _range(distance: Floats, covariance: Floats, shared: float) -> float:
 def answer_variograms(pair: ComparedMaps) -> dict[str, Any]:
     """Variograms of both maps on their one mask; nothing of a map that the field is too small for."""
     curves: list[Variogram] = []
-    for values, (layer, name), units in zip((pair.x, pair.y), (pair.a, pair.b), pair.units, strict=True):
+    for values, (layer, name), units in zip(
+        (pair.x, pair.y), (pair.a, pair.b), pair.units, strict=True
+    ):
         try:
             curve = variogram_of(values, pair.lags, pair.md_deg)
         except PlanishError:
             continue
         # At up to 60 distances, closer for short ones.
         indices = np.unique(np.geomspace(1, len(curve.values), 60).round().astype(np.intp)) - 1
-        thinned = {k: tuple(getattr(curve, k)[n] for n in indices) for k in ("distances_um", "values")}
+        thinned = {
+            k: tuple(getattr(curve, k)[n] for n in indices) for k in ("distances_um", "values")
+        }
         curves.append(Variogram.holding(curve, layer=layer, map=name, units=units, **thinned))
     return {"variograms": tuple(curves)}
 
 
-def say_variograms(curves: tuple[Variogram, ...], _: EvidenceFacts, words: PairWords) -> Iterator[str]:
+def say_variograms(
+    curves: tuple[Variogram, ...], _: EvidenceFacts, words: PairWords
+) -> Iterator[str]:
     """Nugget, range and direction of each map."""
     for curve, title in zip(curves, words.titles, strict=True):
         nugget_share = curve.nugget / curve.sill if curve.sill > 0 else 1.0
@@ -176,17 +214,29 @@ def say_variograms(curves: tuple[Variogram, ...], _: EvidenceFacts, words: PairW
         if nugget_share > 0.999:
             yield f"{title}: neighbours share nothing ({nugget_text}): noise, no texture."
             continue
-        noise_text = f"{nugget_text}, {percent(nugget_share, 2)} of the sill" if nugget_share > 5e-4 else "no nugget"
+        noise_text = (
+            f"{nugget_text}, {percent(nugget_share, 2)} of the sill"
+            if nugget_share > 5e-4
+            else "no nugget"
+        )
         farthest_text = plain(round(curve.distances_um[-1]))
         if not is_known(curve.md_deg):
-            direction_text = "no direction, as the machine direction is not given (--md-deg, --image-md-deg)"
-        else:
-            ratio_text = f" ({number(curve.ratio, 2)} times as far)" if is_known(curve.ratio) else ""
             direction_text = (
-                f"{_range_text(curve.range_along_um, farthest_text)} along and "
-                f"{_range_text(curve.range_across_um, farthest_text)} across the machine direction{ratio_text}"
+                "no direction, as the machine direction is not given (--md-deg, --image-md-deg)"
             )
-        yield f"{title}: {noise_text}; range {_range_text(curve.range_um, farthest_text)}; {direction_text}."
+        else:
+            ratio_text = (
+                f" ({number(curve.ratio, 2)} times as far)" if is_known(curve.ratio) else ""
+            )
+            direction_text = (
+                f"{_range_text(curve.range_along_um, farthest_text)} along and"
+                f" {_range_text(curve.range_across_um, farthest_text)} across the machine"
+                f" direction{ratio_text}"
+            )
+        yield (
+            f"{title}: {noise_text}; range {_range_text(curve.range_um, farthest_text)};"
+            f" {direction_text}."
+        )
 
 
 def squared_unit(curve: Variogram, title: str) -> str:
@@ -195,4 +245,8 @@ def squared_unit(curve: Variogram, title: str) -> str:
 
 
 def _range_text(range_um: float, farthest_text: str) -> str:
-    return plain(round(range_um, 0 if range_um >= 10 else 1)) if is_known(range_um) else f"beyond {farthest_text}"
+    return (
+        plain(round(range_um, 0 if range_um >= 10 else 1))
+        if is_known(range_um)
+        else f"beyond {farthest_text}"
+    )

@@ -21,13 +21,22 @@ from planish.core.facts import ResultModel
 from planish.io.run_folder import sweep
 
 Phase = Literal["idle", "working", "done", "failed", "cancelled"]
-_SHARE_BEFORE = {  # Share of the work that is behind it when a stage begins, by the time that stages take.
-    "read": 0.02, "surface": 0.05, "measure": 0.25, "flatten": 0.35, "resample": 0.4, "check": 0.42, "register": 0.45,
-    "link": 0.5, "correlate": 0.65, "write": 0.88,
-}  # fmt: skip
+# Share of the work that is behind it when a stage begins, by the time that stages take.
+_SHARE_BEFORE = {
+    "read": 0.02,
+    "surface": 0.05,
+    "measure": 0.25,
+    "flatten": 0.35,
+    "resample": 0.4,
+    "check": 0.42,
+    "register": 0.45,
+    "link": 0.5,
+    "correlate": 0.65,
+    "write": 0.88,
+}
 _LOST_MESSAGE = (
-    "The process that made the run ended unexpectedly, most likely because it ran out of memory. Close other "
-    "programs and apply it again."
+    "The process that made the run ended unexpectedly, most likely because it ran out of memory."
+    " Close other programs and apply it again."
 )
 
 
@@ -51,7 +60,8 @@ class Applying:
     """Apply of one session: at most one new run at a time."""
 
     session: Session
-    reports: dict[str, Path] = field(default_factory=dict[str, Path])  # pages of runs that were made, by ticket
+    # Pages of runs that were made, by ticket.
+    reports: dict[str, Path] = field(default_factory=dict[str, Path])
     progress: Progress = field(default_factory=Progress)  # of the run that is made
     _process: subprocess.Popen[str] | None = None
     _warm_process: subprocess.Popen[str] | None = None
@@ -70,11 +80,17 @@ class Applying:
     def warm(self) -> None:
         """Start the process that the next Apply will use, which takes a second or two."""
         with self._lock:
-            if not self._is_closed and (self._warm_process is None or self._warm_process.poll() is not None):
+            if not self._is_closed and (
+                self._warm_process is None or self._warm_process.poll() is not None
+            ):
                 self._warm_process = subprocess.Popen(
-                    [sys.executable, "-m", "planish.app.apply_worker"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                    encoding="utf-8", env={"OPENBLAS_NUM_THREADS": "1"} | os.environ,  # as the command line has it
-                )  # fmt: skip
+                    [sys.executable, "-m", "planish.app.apply_worker"],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    # As the command line has it.
+                    encoding="utf-8",
+                    env={"OPENBLAS_NUM_THREADS": "1"} | os.environ,
+                )
 
     def _warm_soon(self) -> None:
         """Once something was changed, it will be applied; but not while the first clicks follow each other."""
@@ -97,13 +113,20 @@ class Applying:
             process, self._warm_process = self._warm_process, None
             assert process is not None
             assert process.stdin is not None
-            order = {"study": study.model_dump_json(), "files": file_texts, "out": str(out), "run": str(folder)}
+            order = {
+                "study": study.model_dump_json(),
+                "files": file_texts,
+                "out": str(out),
+                "run": str(folder),
+            }
             with suppress(BrokenPipeError):  # it died: whoever reads from it says so
                 process.stdin.write(json.dumps(order | {"staging": str(staging)}) + "\n")
                 process.stdin.flush()
             self._process, self._is_cancelled = process, False
             self.progress = Progress(state="working", message=f"Making {out.name} ...")
-            self._progress_thread = threading.Thread(target=self._follow_progress, args=(process, out), daemon=True)
+            self._progress_thread = threading.Thread(
+                target=self._follow_progress, args=(process, out), daemon=True
+            )
             self._progress_thread.start()
             return self.progress
 

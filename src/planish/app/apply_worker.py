@@ -27,7 +27,8 @@ TARGET = "target"
 
 def main() -> None:
     """Make one run."""
-    parent_stream: TextIO = os.fdopen(os.dup(1), "w", encoding="utf-8")  # to whoever started this process
+    # To whoever started this process.
+    parent_stream: TextIO = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # what others print goes to standard error
 
     def send(message: Mapping[str, Any]) -> None:
@@ -43,7 +44,8 @@ def main() -> None:
         else:
             _thread.interrupt_main()
 
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # it may be ignored where the server was started
+    # It may be ignored where the server was started.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     with suppress(OSError, AttributeError):
         os.nice(5)  # the page and whatever else a person does come first
     try:
@@ -67,11 +69,13 @@ def _warm_up() -> None:
 
     assert callable(run_study)  # it is loaded when it is asked for
     report_template()
-    x, y = np.meshgrid(np.arange(16.0), np.arange(16.0))  # Compiled code is read from the disk when it is used first.
+    # Compiled code is read from the disk when it is used first.
+    x, y = np.meshgrid(np.arange(16.0), np.arange(16.0))
     relax_grid(np.dstack([x, y, 0.01 * x * y]))
     for dtype in (np.float32, np.float64, np.bool_):
         halved_values(np.zeros((2, 2), dtype))
-    with suppress(ImportError):  # where it is installed, xarray loads it with the first array that stays in its file
+    # Where it is installed, xarray loads it with the first array that stays in its file.
+    with suppress(ImportError):
         import_module("dask.array")
     gc.freeze()
     gc.enable()
@@ -91,10 +95,18 @@ def _make_run(order: Mapping[str, Any], send: Any) -> None:
             staging.mkdir(parents=True, exist_ok=True)
             for name, text in {TARGET: str(out), **order["files"]}.items():
                 (staging / name).write_text(text, encoding="utf-8", newline="\n")
-        run_study(Study.model_validate_json(order["study"]), out, old=Path(order["run"]), progress=progress)
+        run_study(
+            Study.model_validate_json(order["study"]),
+            out,
+            old=Path(order["run"]),
+            progress=progress,
+        )
     except Exception as error:  # noqa: BLE001  the page gets a sentence
         remedy = "Close other programs, or apply it on a machine with more memory."
-        outcome = {"state": "failed", "message": in_study_words(as_sentence(error, "the new run", remedy).text)}
+        outcome = {
+            "state": "failed",
+            "message": in_study_words(as_sentence(error, "the new run", remedy).text),
+        }
     finally:
         shutil.rmtree(staging, ignore_errors=True)
     send(outcome)

@@ -183,7 +183,8 @@ class DeclareRegion(_Change):
 
 
 Change = Annotated[
-    Add | Move | Use | Relabel | Remove | Import | ChooseModel | Correct | DeclareRegion, Field(discriminator="do")
+    Add | Move | Use | Relabel | Remove | Import | ChooseModel | Correct | DeclareRegion,
+    Field(discriminator="do"),
 ]
 _CHANGE: TypeAdapter[Change] = TypeAdapter(Change)
 
@@ -197,7 +198,10 @@ def change_of(data: bytes | str) -> Change:
 def numbered(change: Change, line_number: int) -> Change:
     """The change with the ids of what it makes: those of its line in the journal, so that no id ever returns."""
     if isinstance(change, Import):
-        marks = (mark.model_copy(update={"id": f"m{line_number}-{k}"}) for k, mark in enumerate(change.marks, 1))
+        marks = (
+            mark.model_copy(update={"id": f"m{line_number}-{k}"})
+            for k, mark in enumerate(change.marks, 1)
+        )
         return change.model_copy(update={"marks": tuple(marks)})
     letter = {"add": "m", "correct": "c", "region": "r"}.get(change.do)
     return change if letter is None else change.model_copy(update={"id": f"{letter}{line_number}"})
@@ -217,7 +221,9 @@ class State:
         """Marks of one registration, of the first where none is named; ChangeError for another name."""
         name = layer or self.first_layer
         if name not in self.marks:
-            raise ChangeError(f"There is no registration {name!r}; there is {', '.join(self.marks) or 'none'}.")
+            raise ChangeError(
+                f"There is no registration {name!r}; there is {', '.join(self.marks) or 'none'}."
+            )
         return self.marks[name]
 
     def mark(self, layer: str | None, mark_id: str) -> Mark:
@@ -244,8 +250,12 @@ def applied(state: State, change: Change) -> State:
             return replace(state, marks={**state.marks, change.layer or state.first_layer: marks})
 
 
-def _marks_after(marks: tuple[Mark, ...], change: Add | Move | Use | Relabel | Remove | Import) -> tuple[Mark, ...]:
-    if isinstance(change, Add | Relabel) and any(m.label == change.label and m.id != change.id for m in marks):
+def _marks_after(
+    marks: tuple[Mark, ...], change: Add | Move | Use | Relabel | Remove | Import
+) -> tuple[Mark, ...]:
+    if isinstance(change, Add | Relabel) and any(
+        m.label == change.label and m.id != change.id for m in marks
+    ):
         raise ChangeError(f"Another mark is called {change.label!r}. Choose another label.")
     match change:
         case Add():
@@ -254,11 +264,19 @@ def _marks_after(marks: tuple[Mark, ...], change: Add | Move | Use | Relabel | R
             if len(marks) >= MOST_MARKS:
                 raise ChangeError(f"There are {len(marks)} marks; {MOST_MARKS} are the most.")
             labels = {mark.label for mark in marks}
-            label = change.label or next(name for k in range(1, len(marks) + 2) if (name := f"mark {k}") not in labels)
-            new_mark = Mark(id=change.id, label=checked_label(label), moving=change.moving, fixed=change.fixed)
+            label = change.label or next(
+                name for k in range(1, len(marks) + 2) if (name := f"mark {k}") not in labels
+            )
+            new_mark = Mark(
+                id=change.id, label=checked_label(label), moving=change.moving, fixed=change.fixed
+            )
             return (*marks, new_mark)
         case Move():
-            ends = {side: end for side in ("moving", "fixed") if (end := getattr(change, side)) is not None}
+            ends = {
+                side: end
+                for side in ("moving", "fixed")
+                if (end := getattr(change, side)) is not None
+            }
             if not ends:
                 raise ChangeError("A move gives no new place. Give moving or fixed.")
             return _with_fields(marks, change.id, **ends)
@@ -275,7 +293,9 @@ def _marks_after(marks: tuple[Mark, ...], change: Add | Move | Use | Relabel | R
 def checked_label(label: str) -> str:
     """A label that can stand in a table; ChangeError for one with line ends, or with nothing to see."""
     if not label.strip() or printable(label) != label or {*label} & {*"\n\t"}:
-        raise ChangeError(f"The label {label!r} cannot be read. Give letters, digits, signs and blanks.")
+        raise ChangeError(
+            f"The label {label!r} cannot be read. Give letters, digits, signs and blanks."
+        )
     return label
 
 
@@ -313,14 +333,24 @@ def corrections_of(study: Study) -> tuple[Correct, ...]:
 
 def stretches_of(corrections: Sequence[Correct], layer: str, first_sheet: str) -> Corrections:
     """The corrections of one layer as its file has them; those that name none are of the ``first_sheet``."""
-    layer_corrections = [correction for correction in corrections if (correction.layer or first_sheet) == layer]
-    stretches = [correction.model_dump(exclude={"do", "layer"}, exclude_none=True) for correction in layer_corrections]
+    layer_corrections = [
+        correction for correction in corrections if (correction.layer or first_sheet) == layer
+    ]
+    stretches = [
+        correction.model_dump(exclude={"do", "layer"}, exclude_none=True)
+        for correction in layer_corrections
+    ]
     return Corrections.model_validate({"stretches": stretches})
 
 
-def changed_corrections(study: Study, old: Sequence[Correct], new: Sequence[Correct]) -> Mapping[str, Corrections]:
+def changed_corrections(
+    study: Study, old: Sequence[Correct], new: Sequence[Correct]
+) -> Mapping[str, Corrections]:
     """The corrections of each layer that has others than before."""
     sheet_names = [layer.name for layer in study.layers if layer.volume is not None]
-    by_layer = ({name: stretches_of(state, name, sheet_names[0]) for name in sheet_names} for state in (old, new))
+    by_layer = (
+        {name: stretches_of(state, name, sheet_names[0]) for name in sheet_names}
+        for state in (old, new)
+    )
     before, after = by_layer
     return {name: corrections for name, corrections in after.items() if corrections != before[name]}

@@ -47,7 +47,9 @@ class MarkFile(Part):
             raise ChangeError(f"This is not base64: {error}.") from error
 
 
-def imported(session: Session, layer: str, file: MarkFile, fixed_file: MarkFile | None = None) -> Import:
+def imported(
+    session: Session, layer: str, file: MarkFile, fixed_file: MarkFile | None = None
+) -> Import:
     """The marks of a file, in the planes of a registration, as a change.
 
     ``fixed_file``: the fixed layer, of a format with one a file. FileError, MarkError, SizeError for a faulty one.
@@ -60,7 +62,10 @@ def imported(session: Session, layer: str, file: MarkFile, fixed_file: MarkFile 
         marks = read_any(*paths, **{plane: _pixels(session, layer, plane) for plane in PLANES})
     moving, fixed = pair_of_layers(marks, name=file.name)
     if moving == "volume":
-        store, is_sheet = layer_run(session.folder, layer) / MAPS, session.results.layer(layer).sheet is not None
+        store, is_sheet = (
+            layer_run(session.folder, layer) / MAPS,
+            session.results.layer(layer).sheet is not None,
+        )
         groups = {group: read_group(store, group) for group in ("surfaces", "flat") if is_sheet}
         marks, moving = volume_to_map(marks, layer, groups), "moving"
     pairs = pairs_of(marks, moving, fixed, label=lambda name: checked_label(str(name)))
@@ -77,9 +82,13 @@ def exported(session: Session, layer: str, format_name: str, fitted: Fitted) -> 
     dataset = dataset_of(
         marks,
         about={plane: _pixels(session, layer, plane).about() for plane in PLANES},
-        results={name: np.append(um, np.nan)[rows] for name, um in errors_um.items()},  # what the shown fit leaves
+        # What the shown fit leaves.
+        results={name: np.append(um, np.nan)[rows] for name, um in errors_um.items()},
     )
-    suffix, files = next(iter(FORMATS[format_name].suffixes), ".csv"), marks_bytes(dataset, format_name)
+    suffix, files = (
+        next(iter(FORMATS[format_name].suffixes), ".csv"),
+        marks_bytes(dataset, format_name),
+    )
     if len(files) == 1:
         return f"marks{suffix}", files[""]
     buffer = io.BytesIO()

@@ -63,7 +63,9 @@ def find_outliers(moving: Floats, fixed: Floats, mirrored: bool, *, tolerance_um
         if not excluded.size:
             break
         candidate = excluded[np.argmax(p_value[excluded])]
-        if p_value[candidate] < p_limit or residual_um[candidate] > max(tolerance_um, _CLEAR_SDS * np.sqrt(variance)):
+        if p_value[candidate] < p_limit or residual_um[candidate] > max(
+            tolerance_um, _CLEAR_SDS * np.sqrt(variance)
+        ):
             is_outlier[excluded] = True
             break
         inliers = np.append(inliers, candidate)
@@ -74,7 +76,8 @@ def _best_inliers(z: Complexes, w: Complexes, count: int) -> NDArray[np.intp]:
     if len(z) < 56:
         i, j = np.array(list(combinations(range(len(z)), 2))).T
     else:
-        permutations = np.tile(np.arange(len(z)), (1500, 1))  # of so many pairs a similarity is tried
+        # Of so many pairs a similarity is tried.
+        permutations = np.tile(np.arange(len(z)), (1500, 1))
         i, j = np.random.default_rng(0).permuted(permutations, axis=1)[:, :2].T
     with np.errstate(divide="ignore", invalid="ignore"):
         factor = (w[j] - w[i]) / (z[j] - z[i])
@@ -83,20 +86,26 @@ def _best_inliers(z: Complexes, w: Complexes, count: int) -> NDArray[np.intp]:
     if not factor.size:
         return np.arange(len(z))
     residual2 = np.abs(w - w[i][:, None] - factor[:, None] * (z - z[i][:, None])) ** 2
-    best = np.argsort(np.sum(np.partition(residual2, count - 1, axis=1)[:, :count], axis=1), kind="stable")[:10]
+    best = np.argsort(
+        np.sum(np.partition(residual2, count - 1, axis=1)[:, :count], axis=1), kind="stable"
+    )[:10]
     candidates: list[tuple[float, NDArray[np.intp]]] = []
     for k in best:
         inliers = np.argsort(residual2[k], kind="stable")[:count]
         for _ in range(5):
             inliers = np.argsort(np.abs(_residuals(z, w, inliers)), kind="stable")[:count]
-        candidates.append((float(np.sum(np.abs(_residuals(z, w, inliers)[inliers]) ** 2)), np.sort(inliers)))
+        candidates.append(
+            (float(np.sum(np.abs(_residuals(z, w, inliers)[inliers]) ** 2)), np.sort(inliers))
+        )
     return min(candidates, key=lambda candidate: candidate[0])[1]
 
 
 def _residuals(z: Complexes, w: Complexes, inliers: NDArray[np.intp]) -> Complexes:
     z_mean, w_mean = z[inliers].mean(), w[inliers].mean()
     z_centred = z[inliers] - z_mean
-    factor = np.sum(z_centred.conj() * (w[inliers] - w_mean)) / max(float(np.sum(np.abs(z_centred) ** 2)), 1e-300)
+    factor = np.sum(z_centred.conj() * (w[inliers] - w_mean)) / max(
+        float(np.sum(np.abs(z_centred) ** 2)), 1e-300
+    )
     return w - (w_mean + factor * (z - z_mean))
 
 
@@ -120,7 +129,8 @@ class Fitted:
     is_outlier: Bools  # (n,), pairs that stand out
     residual_um: Floats  # (n,), of all pairs
     leave_one_out_um: Floats  # (n,); marks that stand out are left out of the fits to all others
-    error: str = ""  # why there is no fit of the model; a similarity stands for it where there is one
+    # Why there is no fit of the model; a similarity stands for it where there is one.
+    error: str = ""
     is_pending: bool = False  # whether the fit of the model is still worked out
     warnings: tuple[FitWarning, ...] = ()
     mirrored: bool | None = False
@@ -130,16 +140,23 @@ class Fitted:
         """Agreement of the marks, and those that stand out, in a sentence."""
         outliers = np.flatnonzero(self.is_outlier)
         errors_um = self.leave_one_out_um[outliers]
-        if outliers.size and np.isfinite(errors_um).all():  # else there is no fit, and the error says why
+        # Else there is no fit, and the error says why.
+        if outliers.size and np.isfinite(errors_um).all():
             order = np.argsort(-errors_um, kind="stable")
             labels = and_join_few([self.pairs[k].label for k in outliers[order]])
             um_text = and_join_few([f"{um:.0f}" for um in errors_um[order]])
-            stand, they_are, them = ("stand", "they are", "them") if outliers.size > 1 else ("stands", "it is", "it")
+            stand, they_are, them = (
+                ("stand", "they are", "them") if outliers.size > 1 else ("stands", "it is", "it")
+            )
             advice = f"Check where {they_are} set, or take {them} out of use."
             return f"{labels} {stand} out: {um_text} um from where the others put {them}. {advice}"
         if self.error:
             return self.error
-        return "" if self.fit is None else self.fit.agreement([mark.label for mark in self.pairs if mark.used])
+        return (
+            ""
+            if self.fit is None
+            else self.fit.agreement([mark.label for mark in self.pairs if mark.used])
+        )
 
     def predicted(
         self, side: Plane, point_um: tuple[float, float]
@@ -147,10 +164,17 @@ class Fitted:
         """Place in the other plane of a point of ``side``, its expected error in um where known, and both in words."""
         used_marks = [mark for mark in self.pairs if mark.used]
         if self.fit is not None and len(used_marks) >= 3:
-            transform, expected_error, error_text = self.fit, self.fit.expected_error_um, "its error is not known"
+            transform, expected_error, error_text = (
+                self.fit,
+                self.fit.expected_error_um,
+                "its error is not known",
+            )
         else:
             moving, fixed = (_points(used_marks, plane) for plane in PLANES)
-            (transform, error_text), expected_error = _from_few_pairs(moving, fixed, self.mirrored), None
+            (transform, error_text), expected_error = (
+                _from_few_pairs(moving, fixed, self.mirrored),
+                None,
+            )
         if transform is None:
             return None
         point = np.array(point_um)
@@ -165,9 +189,14 @@ class Fitted:
 
 
 def fitted(
-    marks: Sequence[Mark], model: str, *, mirrored: bool | None, params: RegistrationParams, quick: bool = False,
+    marks: Sequence[Mark],
+    model: str,
+    *,
+    mirrored: bool | None,
+    params: RegistrationParams,
+    quick: bool = False,
     where: Mapping[Plane, str] = WHERE,
-) -> Fitted:  # fmt: skip
+) -> Fitted:
     """Fit the marks of one registration as the page shows them; those with one end are passed over.
 
     The model ``auto`` is fitted as Apply will do it: robustly, with the covariances of the holes; all others by least
@@ -180,25 +209,41 @@ def fitted(
     is_mirrored = bool(mirrored)
     if mirrored is None:
         with suppress(PlanishError):
-            is_mirrored = _least_squares(moving[is_used], fixed[is_used], "similarity", None).mirrored
+            is_mirrored = _least_squares(
+                moving[is_used], fixed[is_used], "similarity", None
+            ).mirrored
     is_outlier = np.zeros(len(pairs), dtype=np.bool_)
-    is_outlier[is_used] = find_outliers(moving[is_used], fixed[is_used], is_mirrored, tolerance_um=params.tolerance_um)
+    is_outlier[is_used] = find_outliers(
+        moving[is_used], fixed[is_used], is_mirrored, tolerance_um=params.tolerance_um
+    )
     nans = np.full(len(pairs), np.nan)
     coincident, error_text = _coincidence_warnings(pairs, where), ""
     warnings = [*coincident]
     if (n_used := int(is_used.sum())) < 3:
         needed_text = "a registration needs 3, far apart, and more to say how good it is."
-        warnings.append(FitWarning(text=f"{n_used} pair{'s' * (n_used != 1)} of marks in use: {needed_text}"))
+        warnings.append(
+            FitWarning(text=f"{n_used} pair{'s' * (n_used != 1)} of marks in use: {needed_text}")
+        )
     unfitted = Fitted(
-        fit=None, pairs=pairs, is_outlier=is_outlier, residual_um=nans, leave_one_out_um=nans, warnings=tuple(warnings),
-        is_pending=quick and len(pairs) > 1, mirrored=mirrored,
-    )  # fmt: skip
+        fit=None,
+        pairs=pairs,
+        is_outlier=is_outlier,
+        residual_um=nans,
+        leave_one_out_um=nans,
+        warnings=tuple(warnings),
+        is_pending=quick and len(pairs) > 1,
+        mirrored=mirrored,
+    )
     try:
         if model == "auto" and not quick:
-            fit = fit_marks(dataset_of(pairs), params=changed(params, model="auto"), mirrored=mirrored)
+            fit = fit_marks(
+                dataset_of(pairs), params=changed(params, model="auto"), mirrored=mirrored
+            )
         else:
             fitted_model = model if not quick or model in QUICK else "similarity"
-            fit = _least_squares(moving[is_used], fixed[is_used], fitted_model, mirrored, inspect=not quick)
+            fit = _least_squares(
+                moving[is_used], fixed[is_used], fitted_model, mirrored, inspect=not quick
+            )
     except PlanishError as refusal:
         error_text = refusal.text if is_used.any() else ""
         if coincident and "at one place" in refusal.text:
@@ -209,7 +254,10 @@ def fitted(
         except PlanishError:
             return replace(unfitted, error=error_text)
     residual_um, leave_one_out_um = np.linalg.norm(fixed - fit(moving), axis=1), nans.copy()
-    leave_one_out_um[is_used], leave_one_out_um[~is_used] = fit.leave_one_out_um, residual_um[~is_used]
+    leave_one_out_um[is_used], leave_one_out_um[~is_used] = (
+        fit.leave_one_out_um,
+        residual_um[~is_used],
+    )
     if is_outlier.any():
         fitted_model = "auto" if model == "auto" and not quick and not error_text else fit.model
         # Marks that stand out take part in no fit here: they would spoil the errors of the others.
@@ -222,18 +270,28 @@ def fitted(
     warnings += _disagreements(pairs, is_rejected, is_outlier, residual_um, leave_one_out_um)
     # Those of the fit that are about single marks stand beside them already.
     mark_phrases = "(counted from 1)", "marks only"
-    warnings += [FitWarning(text=text) for text in fit.warnings if not any(phrase in text for phrase in mark_phrases)]
+    warnings += [
+        FitWarning(text=text)
+        for text in fit.warnings
+        if not any(phrase in text for phrase in mark_phrases)
+    ]
     return replace(
-        unfitted, fit=fit, residual_um=residual_um, leave_one_out_um=leave_one_out_um, error=error_text,
+        unfitted,
+        fit=fit,
+        residual_um=residual_um,
+        leave_one_out_um=leave_one_out_um,
+        error=error_text,
         warnings=tuple(warnings),
-    )  # fmt: skip
+    )
 
 
 def _points(marks: Sequence[Mark], plane: Plane) -> Floats:
     return np.array([getattr(mark, plane).xy for mark in marks], dtype=np.float64).reshape(-1, 2)
 
 
-def _least_squares(moving: Floats, fixed: Floats, model: str, mirrored: bool | None, **options: Any) -> FittedTransform:
+def _least_squares(
+    moving: Floats, fixed: Floats, model: str, mirrored: bool | None, **options: Any
+) -> FittedTransform:
     options = {"robust": False, "lowest": "similarity", "inspect": False} | options
     return fit_transform(moving, fixed, model=model, mirrored=mirrored, **options)
 
@@ -251,14 +309,24 @@ def _from_few_pairs(moving: Floats, fixed: Floats, mirrored: bool | None) -> tup
 
 
 def _disagreements(
-    pairs: Sequence[Mark], is_rejected: Bools, is_outlier: Bools, residual_um: Floats, leave_one_out_um: Floats
+    pairs: Sequence[Mark],
+    is_rejected: Bools,
+    is_outlier: Bools,
+    residual_um: Floats,
+    leave_one_out_um: Floats,
 ) -> Iterator[FitWarning]:
     for k, mark in enumerate(pairs):
         if is_rejected[k]:
-            text = f"{residual_um[k]:.0f} um off: does not agree with the others, so the fit gives it no weight."
+            text = (
+                f"{residual_um[k]:.0f} um off: does not agree with the others, so the fit gives it"
+                " no weight."
+            )
             yield FitWarning(id=mark.id, text=text)
         elif is_outlier[k]:
-            yield FitWarning(id=mark.id, text=f"Stands out: {leave_one_out_um[k]:.0f} um from where the others put it.")
+            yield FitWarning(
+                id=mark.id,
+                text=f"Stands out: {leave_one_out_um[k]:.0f} um from where the others put it.",
+            )
 
 
 def _coincidence_warnings(pairs: Sequence[Mark], where: Mapping[Plane, str]) -> list[FitWarning]:
@@ -268,5 +336,9 @@ def _coincidence_warnings(pairs: Sequence[Mark], where: Mapping[Plane, str]) -> 
         for mark in (m for m in pairs if m.used):
             earlier = mark_at.setdefault(getattr(mark, plane).xy, mark)
             if earlier is not mark:
-                warnings.append(FitWarning(id=mark.id, text=f"Lies at the same place as {earlier.label} {plane_text}."))
+                warnings.append(
+                    FitWarning(
+                        id=mark.id, text=f"Lies at the same place as {earlier.label} {plane_text}."
+                    )
+                )
     return warnings

@@ -41,15 +41,17 @@ class Journal:
                     lock.acquire(timeout=0)
                 except Timeout as error:
                     raise InUse(
-                        f"{path.parent.parent} is open in another planish view, which may change it. Close that one, "
-                        "or open this one with --read-only."
+                        f"{path.parent.parent} is open in another planish view, which may change"
+                        " it. Close that one, or open this one with --read-only."
                     ) from error
             self._lock = lock
         try:
             try:
                 data = path.read_bytes() if path.exists() else b""
             except OSError as error:
-                raise FileError(f"{path} cannot be read: {os.strerror(error.errno or 0)}.") from error
+                raise FileError(
+                    f"{path} cannot be read: {os.strerror(error.errno or 0)}."
+                ) from error
             self._end_byte = data.rfind(b"\n") + 1
             self.lines = _lines(data[: self._end_byte], path, subject)
             if write and self._end_byte < len(data):
@@ -67,7 +69,9 @@ class Journal:
         if self._lock is None:
             raise FileError(f"{self.path} is read only here. Nothing was changed.")
         is_new = self._end_byte == 0
-        header = json.dumps({"format": FORMAT, "of": self.subject}).encode() + b"\n" if is_new else b""
+        header = (
+            json.dumps({"format": FORMAT, "of": self.subject}).encode() + b"\n" if is_new else b""
+        )
         data = header + line + b"\n"
         try:
             with self.path.open("ab" if is_new else "r+b", buffering=0) as file:
@@ -89,9 +93,12 @@ class Journal:
         except OSError as error:
             fault = write_failure(error, self.path)
             error_type = ResourceError if isinstance(fault, ResourceError) else FileError
-            reason = "the disk is full" if error_type is ResourceError else fault.text.removesuffix(".")
+            reason = (
+                "the disk is full" if error_type is ResourceError else fault.text.removesuffix(".")
+            )
             raise error_type(
-                f"The change could not be saved and was not made: {reason}. Free some space, then do it again."
+                f"The change could not be saved and was not made: {reason}. Free some space, then"
+                " do it again."
             ) from error
         self._end_byte += len(data)
         self.lines.append(line)
@@ -113,14 +120,19 @@ def _lines(data: bytes, path: Path, subject: str) -> list[bytes]:
         return []
     header = _json_object(first_line)
     if header.get("format") != FORMAT:
-        raise FileError(f"{path} is no journal of this planish ({FORMAT!r}). Rename it to begin anew.")
+        raise FileError(
+            f"{path} is no journal of this planish ({FORMAT!r}). Rename it to begin anew."
+        )
     if header.get("of") != subject:
-        raise FileError(f"{path} holds changes of something else than what lies beside it. Rename it to begin anew.")
+        raise FileError(
+            f"{path} holds changes of something else than what lies beside it. Rename it to begin"
+            " anew."
+        )
     for k, line in enumerate(lines, 2):
         if not _json_object(line):
             raise FileError(
-                f"{path} is damaged in line {k} of {len(lines) + 1}. Cut the file before this line to keep the changes "
-                "that were made until then."
+                f"{path} is damaged in line {k} of {len(lines) + 1}. Cut the file before this line"
+                " to keep the changes that were made until then."
             )
     return lines
 

@@ -47,7 +47,9 @@ class Live:
                         self._thread = threading.Thread(target=self._work, name="fits", daemon=True)
                         self._thread.start()
                     if model not in QUICK:
-                        self._lock.wait_for(lambda: not self._fits[layer][2].is_pending, timeout=WAIT_S)
+                        self._lock.wait_for(
+                            lambda: not self._fits[layer][2].is_pending, timeout=WAIT_S
+                        )
             return self._current(layer, marks, model) or quick_fit
 
     def _current(self, layer: str, marks: tuple[Mark, ...], model: str) -> Fitted | None:
@@ -69,7 +71,8 @@ class Live:
                 layer, (marks, model) = self._queue.popitem()
             if model in QUICK:
                 time.sleep(REST_S)
-                if self._current(layer, marks, model) is None:  # something else was clicked meanwhile
+                # Something else was clicked meanwhile.
+                if self._current(layer, marks, model) is None:
                     continue
             try:
                 full_fit = self._fitted(layer, marks, model, quick=False)
@@ -91,31 +94,45 @@ class Live:
         row_of = {mark.id: k for k, mark in enumerate(fitted_marks.pairs)}
         fit = fitted_marks.fit
         return {
-            "version": version, "layer": layer, "model": state.model,
-            "marks": [self._row(mark, fitted_marks, row_of.get(mark.id)) for mark in state.of(layer)],
+            "version": version,
+            "layer": layer,
+            "model": state.model,
+            "marks": [
+                self._row(mark, fitted_marks, row_of.get(mark.id)) for mark in state.of(layer)
+            ],
             "fit": {
                 "model": state.model if fit is None else fit.model,
                 "rms_um": finite_or_none(fit and fit.rms_um),
                 "loo_rms_um": finite_or_none(fit and fit.leave_one_out_rms_um),
                 "follows": fitted_marks.is_pending and state.model not in QUICK,
-                "transform": fit and asdict(fit.transform.similarity),  # lays one picture onto the other
-            } | ({"error": fitted_marks.error} if fitted_marks.error else {}),
+                # Lays one picture onto the other.
+                "transform": fit and asdict(fit.transform.similarity),
+            }
+            | ({"error": fitted_marks.error} if fitted_marks.error else {}),
             "message": fitted_marks.message,
-            "warnings": [warning.model_dump(exclude_none=True) for warning in fitted_marks.warnings],
+            "warnings": [
+                warning.model_dump(exclude_none=True) for warning in fitted_marks.warnings
+            ],
             "corrections": [c.model_dump(mode="json", exclude={"do"}) for c in state.corrections],
             "regions": [r.model_dump(mode="json") for r in state.regions],
             "can_undo": session.can_undo and not session.read_only,
             "can_redo": session.can_redo and not session.read_only,
-        }  # fmt: skip
+        }
 
     def _row(self, mark: Mark, marks_fit: Fitted, k: int | None) -> dict[str, Any]:
         sources = dict.fromkeys(end.source for end in (mark.moving, mark.fixed) if end is not None)
         row: dict[str, Any] = {
-            "id": mark.id, "label": mark.label, "used": mark.used, "source": " and ".join(sources),
-            "moving": mark.moving and mark.moving.xy, "fixed": mark.fixed and mark.fixed.xy,
+            "id": mark.id,
+            "label": mark.label,
+            "used": mark.used,
+            "source": " and ".join(sources),
+            "moving": mark.moving and mark.moving.xy,
+            "fixed": mark.fixed and mark.fixed.xy,
             "residual_um": None if k is None else finite_or_none(marks_fit.residual_um[k]),
-            "leave_one_out_um": None if k is None else finite_or_none(marks_fit.leave_one_out_um[k]),
-        }  # fmt: skip
+            "leave_one_out_um": (
+                None if k is None else finite_or_none(marks_fit.leave_one_out_um[k])
+            ),
+        }
         if k is None:
             side, opposite = PLANES if mark.fixed is None else PLANES[::-1]
             if (prediction := marks_fit.predicted(side, getattr(mark, side).xy)) is not None:

@@ -62,27 +62,46 @@ def get_session(request: Request) -> Response:
     """Give what does not change while the server runs."""
     session = session_of(request)
     marks_checks = (check for check in session.results.checks if check.name == "marks")
-    limits_um = {name: finite_or_none(check.limit) for check in marks_checks for name in check.layers[:1]}
+    limits_um = {
+        name: finite_or_none(check.limit) for check in marks_checks for name in check.layers[:1]
+    }
     layers: list[dict[str, Any]] = []
     for layer in session.layers:
         circles = {
-            plane: np.stack([holes[name].values for name in ("x", "y", "diameter")], axis=1).tolist()
+            plane: (
+                np.stack([holes[name].values for name in ("x", "y", "diameter")], axis=1).tolist()
+            )
             for plane, holes in session.holes(layer).items()
         }
-        layers.append({
-            "name": layer, "to": session.target(layer), "headline": session.results.layer(layer).headline,
-            "holes": circles, "names": session.view_names(layer), "limit_um": limits_um.get(layer),
-            "shown": {
-                plane: dict(zip(("plane", "layer"), session.shown_by(layer, plane), strict=True)) for plane in PLANES
-            },
-        })  # fmt: skip
-    return JSONResponse({
-        "run": session.folder.name, "read_only": session.read_only, "reason": session.reason,
-        "linked": session.results.is_link, "layers": layers, "holes": layers[0]["holes"],
-        "models": RegistrationParams.model_json_schema()["properties"]["model"]["enum"],
-        "export_formats": [{"name": name, "title": FORMATS[name].title} for name in TARGETS],
-        "pictures": [picture.described() for picture in session.pictures],
-    })  # fmt: skip
+        layers.append(
+            {
+                "name": layer,
+                "to": session.target(layer),
+                "headline": session.results.layer(layer).headline,
+                "holes": circles,
+                "names": session.view_names(layer),
+                "limit_um": limits_um.get(layer),
+                "shown": {
+                    plane: dict(
+                        zip(("plane", "layer"), session.shown_by(layer, plane), strict=True)
+                    )
+                    for plane in PLANES
+                },
+            }
+        )
+    return JSONResponse(
+        {
+            "run": session.folder.name,
+            "read_only": session.read_only,
+            "reason": session.reason,
+            "linked": session.results.is_link,
+            "layers": layers,
+            "holes": layers[0]["holes"],
+            "models": RegistrationParams.model_json_schema()["properties"]["model"]["enum"],
+            "export_formats": [{"name": name, "title": FORMATS[name].title} for name in TARGETS],
+            "pictures": [picture.described() for picture in session.pictures],
+        }
+    )
 
 
 def _layer_name(request: Request) -> str:
@@ -102,7 +121,9 @@ async def get_events(request: Request) -> Response:
     async def lines() -> AsyncIterator[bytes]:
         nonlocal new_version
         # From any thread.
-        stop_listening = session.listen(lambda: loop.call_soon_threadsafe(lambda: new_version.set()) and None)
+        stop_listening = session.listen(
+            lambda: loop.call_soon_threadsafe(lambda: new_version.set()) and None
+        )
         try:
             while True:
                 yield json.dumps({"version": session.version}).encode() + b"\n"
@@ -115,7 +136,9 @@ async def get_events(request: Request) -> Response:
     return StreamingResponse(lines(), media_type="application/x-ndjson")
 
 
-def _changing(model: type[_Body], action: Callable[[Request, Any], object]) -> Callable[..., Awaitable[Response]]:
+def _changing(
+    model: type[_Body], action: Callable[[Request, Any], object]
+) -> Callable[..., Awaitable[Response]]:
     """Handle what changes the session: the answer is the state after it, also where it came too late."""
 
     async def handle(request: Request) -> Response:
@@ -156,12 +179,18 @@ def _find_texture(request: Request, body: _TextureBody) -> str:
     session = session_of(request)
     layer = body.layer or session.state.first_layer
     if session.image is None:
-        raise ChangeError("This run is linked. Link it anew by its texture: planish link ... --by texture.")
+        raise ChangeError(
+            "This run is linked. Link it anew by its texture: planish link ... --by texture."
+        )
     holes = session.holes(layer)
     registration = register_texture(
-        read_group(session.folder / MAPS, "maps"), session.image, mirrored=session.mirrored(layer), place=body.place,
-        params=changed(session.study.registration, near=body.near), holes=(holes["moving"], holes["fixed"]),
-    )  # fmt: skip
+        read_group(session.folder / MAPS, "maps"),
+        session.image,
+        mirrored=session.mirrored(layer),
+        place=body.place,
+        params=changed(session.study.registration, near=body.near),
+        holes=(holes["moving"], holes["fixed"]),
+    )
     session.change(Import(layer=layer, marks=pairs_of(registration.marks)), version=body.version)
     return registration.sentence or ""
 
@@ -228,11 +257,21 @@ ROUTES = [
     route("/api/events", get_events),
     route(
         "/api/change",
-        _changing(_ChangeBody, lambda r, body: session_of(r).change(body.change, version=body.version)),
+        _changing(
+            _ChangeBody, lambda r, body: session_of(r).change(body.change, version=body.version)
+        ),
         "POST",
     ),
-    route("/api/undo", _changing(_Body, lambda r, body: session_of(r).undo(version=body.version)), "POST"),
-    route("/api/redo", _changing(_Body, lambda r, body: session_of(r).redo(version=body.version)), "POST"),
+    route(
+        "/api/undo",
+        _changing(_Body, lambda r, body: session_of(r).undo(version=body.version)),
+        "POST",
+    ),
+    route(
+        "/api/redo",
+        _changing(_Body, lambda r, body: session_of(r).redo(version=body.version)),
+        "POST",
+    ),
     route("/api/snap", _changing(_SnapBody, _snap), "POST"),
     route("/api/predict", get_predict),
     route("/api/marks/texture", _changing(_TextureBody, _find_texture), "POST"),

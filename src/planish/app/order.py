@@ -44,15 +44,21 @@ def order_of(session: Session, staging: Path) -> tuple[Study, dict[str, str]]:
     if state.regions != original.regions:
         regions = tuple(
             Region(
-                name=region.name, reason=region.reason, author=region.author,
-                polygons=(tuple(ring_of(np.array(ring)) for ring in (region.polygon, *region.holes)),),
+                name=region.name,
+                reason=region.reason,
+                author=region.author,
+                polygons=(
+                    tuple(ring_of(np.array(ring)) for ring in (region.polygon, *region.holes)),
+                ),
             )
             for region in state.regions
-        )  # fmt: skip
+        )
         if regions:
             file_texts[REGIONS] = geojson_text(Regions(declared=regions))
         study = changed(study, correlate={"regions": str(staging / REGIONS) if regions else None})
-    for name, corrections in changed_corrections(study, original.corrections, state.corrections).items():
+    for name, corrections in changed_corrections(
+        study, original.corrections, state.corrections
+    ).items():
         file_name = f"surface-{name}.json"
         if corrections.stretches:
             file_texts[file_name] = corrections.to_json()
@@ -64,7 +70,9 @@ def order_of(session: Session, staging: Path) -> tuple[Study, dict[str, str]]:
 def _original_run(session: Session) -> tuple[Study, Mapping[str, xr.Dataset]]:
     """Study of a run before any change, and all holes and marks by layer; of a map, those of its link to the image."""
     if session.image_params is None:
-        return session.study, {layer: registration.marks for layer, registration in session.registrations.items()}
+        return session.study, {
+            layer: registration.marks for layer, registration in session.registrations.items()
+        }
     sheet, study = session.study.layers[0], noted_study(session.folder) or session.study
     image_name = next((layer.name for layer in study.layers if layer.image is not None), "image")
     image = LayerParams(name=image_name, image=session.image_params)
@@ -80,7 +88,9 @@ def new_run_folder(run: Path, *, linked: bool) -> Path:
     return free_path(run)
 
 
-def all_marks(marks: Sequence[Mark], run_marks: xr.Dataset, *, default_diameter_um: float) -> xr.Dataset:
+def all_marks(
+    marks: Sequence[Mark], run_marks: xr.Dataset, *, default_diameter_um: float
+) -> xr.Dataset:
     """Marks of a session as files have them, and the holes in which none of them lies: these are masked too.
 
     ``run_marks`` are all marks of the run, matched or not, as ``marks.json`` has them. An end of a mark keeps what it
@@ -89,7 +99,12 @@ def all_marks(marks: Sequence[Mark], run_marks: xr.Dataset, *, default_diameter_
     dataset = dataset_of(marks, about=run_marks.attrs.get("layers", {}))
     labels = [mark.label for mark in marks]
     for side in PLANES:
-        dataset, used_labels = with_holes(dataset, run_marks, side, usual_um=default_diameter_um), {*labels}
-        free_labels = (name for k in itertools.count(1) if (name := f"{side} {k}") not in used_labels)
+        dataset, used_labels = (
+            with_holes(dataset, run_marks, side, usual_um=default_diameter_um),
+            {*labels},
+        )
+        free_labels = (
+            name for k in itertools.count(1) if (name := f"{side} {k}") not in used_labels
+        )
         labels += itertools.islice(free_labels, dataset.sizes["mark"] - len(labels))
     return dataset.assign(label=("mark", np.array(labels, dtype=np.str_)))

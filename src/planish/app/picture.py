@@ -68,7 +68,13 @@ class Codes:
         if values.dtype == np.bool_:
             return values.astype(np.uint16) + np.uint16(1)
         is_valid = np.isfinite(values)
-        codes = np.rint((np.where(is_valid, values.astype(np.float64), self.offset) - self.offset) / self.scale) + 1
+        codes = (
+            np.rint(
+                (np.where(is_valid, values.astype(np.float64), self.offset) - self.offset)
+                / self.scale
+            )
+            + 1
+        )
         return np.where(is_valid, np.clip(codes, 1, LAST_CODE), 0).astype(np.uint16)
 
 
@@ -81,7 +87,8 @@ class PlanePicture:
     name: str  # variable in the store; with the layer before it where several layers have their own
     title: str
     units: str
-    levels: Sequence[xr.DataArray]  # full resolution first, each next half as fine; read when asked for
+    # Full resolution first, each next half as fine; read when asked for.
+    levels: Sequence[xr.DataArray]
     around_zero: bool = False  # whether 0 is in the middle of its colours
     id: str = ""  # by which the page asks for it
 
@@ -134,17 +141,29 @@ class PlanePicture:
         if len(self.levels) == 1:
             return _finite_values([])
         n_windows = _FEW if self._coarse.size else _MANY
-        middles = (np.linspace(0.5, n - 0.5, 2 * n_windows + 1).astype(int)[1::2] for n in self.full.shape)
+        middles = (
+            np.linspace(0.5, n - 0.5, 2 * n_windows + 1).astype(int)[1::2] for n in self.full.shape
+        )
         rows, cols = ((middle // CHUNK * CHUNK).tolist() for middle in middles)
-        return _finite_values([self.full[r : r + _WINDOW, c : c + _WINDOW].values for r in rows for c in cols])
+        return _finite_values(
+            [self.full[r : r + _WINDOW, c : c + _WINDOW].values for r in rows for c in cols]
+        )
 
     def described(self) -> dict[str, Any]:
         """Give what a page has to know."""
         return {
-            **{name: getattr(self, name) for name in ("id", "plane", "layer", "name", "title", "units", "range")},
-            "shape": self.grid.shape, "pixel_um": self.grid.pixel_um, "origin_um": self.grid.origin_um,
-            "levels": len(self.levels), "tile": TILE, "scale": self.codes.scale, "offset": self.codes.offset,
-        }  # fmt: skip
+            **{
+                name: getattr(self, name)
+                for name in ("id", "plane", "layer", "name", "title", "units", "range")
+            },
+            "shape": self.grid.shape,
+            "pixel_um": self.grid.pixel_um,
+            "origin_um": self.grid.origin_um,
+            "levels": len(self.levels),
+            "tile": TILE,
+            "scale": self.codes.scale,
+            "offset": self.codes.offset,
+        }
 
 
 def _finite_values(arrays: Sequence[NDArray[Any]]) -> Floats:
@@ -164,7 +183,9 @@ _LAST_ON_DEMAND = 3  # levels up to this one are made of the window that is aske
 
 def user_cache() -> Path:
     """Folder for what can be made again: that of ``PLANISH_CACHE``, or of the platform."""
-    return Path(os.environ.get("PLANISH_CACHE") or AppDirs("planish", appauthor=False).user_cache_dir)
+    return Path(
+        os.environ.get("PLANISH_CACHE") or AppDirs("planish", appauthor=False).user_cache_dir
+    )
 
 
 def cache_folder(file: Path, *keys: str) -> Path:
@@ -181,24 +202,38 @@ class ComputedLevels:
     ``folder`` is that of :func:`cache_folder`; with ``keep_all`` it keeps the values of a file without windows, too.
     """
 
-    def __init__(self, values: xr.DataArray | LazyArray, folder: Path, *, keep_all: bool = False) -> None:
+    def __init__(
+        self, values: xr.DataArray | LazyArray, folder: Path, *, keep_all: bool = False
+    ) -> None:
         self._values, self._folder, self.dtype = values, folder, np.dtype(values.dtype)
         rows, cols = values.shape
-        self._shapes = [(-(-rows >> k), -(-cols >> k)) for k in range(overview_count((rows, cols)) + 1)]
-        self._cached_levels = {k for k in range(len(self._shapes)) if k > _LAST_ON_DEMAND or (k == 0 and keep_all)}
+        self._shapes = [
+            (-(-rows >> k), -(-cols >> k)) for k in range(overview_count((rows, cols)) + 1)
+        ]
+        self._cached_levels = {
+            k for k in range(len(self._shapes)) if k > _LAST_ON_DEMAND or (k == 0 and keep_all)
+        }
         self._lock = threading.Lock()
         self._arrays: dict[int, NDArray[Any]] = {}
 
     def levels(self) -> list[LazyArray]:
         """One array a level; reading the first coarse one waits until all of them are made."""
-        return [LazyArray(shape, self.dtype, partial(self.read, k)) for k, shape in enumerate(self._shapes)]
+        return [
+            LazyArray(shape, self.dtype, partial(self.read, k))
+            for k, shape in enumerate(self._shapes)
+        ]
 
     def read(self, k: int, where: Where) -> NDArray[Any]:
         """A window of a level."""
         if k in self._cached_levels:
             return np.array(self._level_arrays()[k][where])
-        window = tuple(slice(s.start << k, min(s.stop << k, n)) for s, n in zip(where, self._shapes[0], strict=True))
-        pixels = np.asarray((self._level_arrays()[0] if 0 in self._cached_levels else self._values)[window])
+        window = tuple(
+            slice(s.start << k, min(s.stop << k, n))
+            for s, n in zip(where, self._shapes[0], strict=True)
+        )
+        pixels = np.asarray(
+            (self._level_arrays()[0] if 0 in self._cached_levels else self._values)[window]
+        )
         for _ in range(k):
             pixels = halved_values(pixels)
         return pixels[:: where[0].step or 1, :: where[1].step or 1]
@@ -209,8 +244,12 @@ class ComputedLevels:
                 folder = self._folder if self._folder.is_dir() else self._make()
                 with suppress(OSError):
                     os.utime(folder)
-                self._arrays = {k: np.load(folder / f"{k}.npy", mmap_mode="r") for k in sorted(self._cached_levels)}
-                self._values = self._arrays.get(0, self._values)  # a decoded file need not stay in memory
+                self._arrays = {
+                    k: np.load(folder / f"{k}.npy", mmap_mode="r")
+                    for k in sorted(self._cached_levels)
+                }
+                # a decoded file need not stay in memory.
+                self._values = self._arrays.get(0, self._values)
         return self._arrays
 
     def _make(self) -> Path:
@@ -239,7 +278,9 @@ class ComputedLevels:
 
     def _write(self, folder: Path) -> None:
         level_files = {
-            k: np.lib.format.open_memmap(folder / f"{k}.npy", mode="w+", dtype=self.dtype, shape=self._shapes[k])
+            k: np.lib.format.open_memmap(
+                folder / f"{k}.npy", mode="w+", dtype=self.dtype, shape=self._shapes[k]
+            )
             for k in self._cached_levels
         }
         for tile in map_tiles(self._shapes[0]):
@@ -248,7 +289,9 @@ class ComputedLevels:
                 level_pixels = halved_values(level_pixels) if k else level_pixels
                 if k in level_files:
                     r, c = tile.r0 >> k, tile.c0 >> k
-                    level_files[k][r : r + level_pixels.shape[0], c : c + level_pixels.shape[1]] = level_pixels
+                    level_files[k][r : r + level_pixels.shape[0], c : c + level_pixels.shape[1]] = (
+                        level_pixels
+                    )
         for level_file in level_files.values():
             level_file.flush()
 
@@ -257,7 +300,10 @@ def trim(root: Path, *, keep: Path, most_bytes: int = CACHE_BYTES) -> None:
     """Remove copies that were not used for the longest time until the others take no more than ``most_bytes``."""
     with suppress(OSError):
         folders = sorted({*root.iterdir()} - {keep}, key=lambda folder: folder.stat().st_mtime)
-        sizes = {folder: sum(file.stat().st_size for file in folder.iterdir()) for folder in [*folders, keep]}
+        sizes = {
+            folder: sum(file.stat().st_size for file in folder.iterdir())
+            for folder in [*folders, keep]
+        }
         for folder in folders:
             if sum(sizes.values()) <= most_bytes:
                 return

@@ -13,7 +13,15 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.analyze.compare import is_property
-from planish.app.picture import TILE, ComputedLevels, Plane, PlanePicture, Stored, cache_folder, layer_run
+from planish.app.picture import (
+    TILE,
+    ComputedLevels,
+    Plane,
+    PlanePicture,
+    Stored,
+    cache_folder,
+    layer_run,
+)
 from planish.app.strain import strains
 from planish.core.area import middles, overview_count
 from planish.core.errors import InputError
@@ -67,7 +75,9 @@ class Pictures:
         """All pictures on the pixels of a picture, itself among them."""
         shape, geometry = picture.grid.shape, [*picture.grid.origin_um, *picture.grid.pixel_um]
         candidates = [p for p in self if p.plane == picture.plane and p.grid.shape == shape]
-        return [p for p in candidates if np.allclose([*p.grid.origin_um, *p.grid.pixel_um], geometry)]
+        return [
+            p for p in candidates if np.allclose([*p.grid.origin_um, *p.grid.pixel_um], geometry)
+        ]
 
     def on(self, plane: Plane, layer: str) -> list[PlanePicture]:
         """All pictures of a plane: of a moving one, those of its layer."""
@@ -76,7 +86,11 @@ class Pictures:
     def valid_of(self, *pictures: PlanePicture) -> list[PlanePicture]:
         """The masks that say where values of pictures count."""
         layers = {p.layer for p in pictures}
-        return [p for p in self.on_same_pixels(pictures[0]) if p.layer in layers and p.variable == "valid"]
+        return [
+            p
+            for p in self.on_same_pixels(pictures[0])
+            if p.layer in layers and p.variable == "valid"
+        ]
 
 
 def _of_run(run: Path) -> Iterator[PlanePicture]:
@@ -94,7 +108,9 @@ def _of_run(run: Path) -> Iterator[PlanePicture]:
     if study.is_sheet_on_image:
         yield from group_pictures(run, LINKED, plane="fixed", layer=results.reference.name)
     for layer in () if study.is_sheet_on_image else results.layers:
-        yield from group_pictures(run, f"layers/{layer.name}", plane="fixed", layer=layer.name, prefix=f"{layer.name}/")
+        yield from group_pictures(
+            run, f"layers/{layer.name}", plane="fixed", layer=layer.name, prefix=f"{layer.name}/"
+        )
     yield from group_pictures(run, "refined", plane="fixed", layer="refined", prefix="refined/")
 
 
@@ -102,37 +118,66 @@ def _sheet(run: Path, *, layer: str, prefix: str) -> Iterator[PlanePicture]:
     maps = [*group_pictures(run, "maps", plane="moving", layer=layer, prefix=prefix)]
     yield from maps
     levels_of = {picture.name.removeprefix(prefix): picture.levels for picture in maps}
-    for name, display, levels in strains(run, levels_of) if (run / MAPS / "strain").is_dir() else ():
+    for name, display, levels in (
+        strains(run, levels_of) if (run / MAPS / "strain").is_dir() else ()
+    ):
         yield PlanePicture(
-            plane="moving", layer=layer, name=prefix + name, title=display.title, units=display.units,
-            levels=Stored(levels), around_zero=True,
-        )  # fmt: skip
+            plane="moving",
+            layer=layer,
+            name=prefix + name,
+            title=display.title,
+            units=display.units,
+            levels=Stored(levels),
+            around_zero=True,
+        )
 
 
-def group_pictures(run: Path, group: str, *, plane: Plane, layer: str, prefix: str = "") -> Iterator[PlanePicture]:
+def group_pictures(
+    run: Path, group: str, *, plane: Plane, layer: str, prefix: str = ""
+) -> Iterator[PlanePicture]:
     """The maps of a group of a run: images and properties first, places last."""
     store = run / MAPS
     if not (store / group).is_dir():
         return
-    full, *overviews = (stored_group(store, level) for level in (group, *overviews_of(store, group)))
+    full, *overviews = (
+        stored_group(store, level) for level in (group, *overviews_of(store, group))
+    )
     shape = tuple(full.sizes.values())
     # Codes have no mean: no smaller copies.
-    maps = {str(name): data for name, data in full.data_vars.items() if data.ndim == 2 and data.dtype.kind in "fb"}
+    maps = {
+        str(name): data
+        for name, data in full.data_vars.items()
+        if data.ndim == 2 and data.dtype.kind in "fb"
+    }
     for name in sorted(maps, key=lambda name: _sort_key(maps[name])):
         data = maps[name]
-        levels: Sequence[xr.DataArray] = Stored((data, *(overview[name] for overview in overviews if name in overview)))
+        levels: Sequence[xr.DataArray] = Stored(
+            (data, *(overview[name] for overview in overviews if name in overview))
+        )
         if len(levels) <= overview_count(shape):
-            levels = _on_grids(ComputedLevels(data, cache_folder(store / "zarr.json", group, name)), Grid.of(data))
+            levels = _on_grids(
+                ComputedLevels(data, cache_folder(store / "zarr.json", group, name)), Grid.of(data)
+            )
         yield PlanePicture(
-            plane=plane, layer=layer, name=prefix + name, title=str(data.attrs.get("long_name", name)),
-            units=str(data.attrs.get("units", "")), levels=levels,
-        )  # fmt: skip
+            plane=plane,
+            layer=layer,
+            name=prefix + name,
+            title=str(data.attrs.get("long_name", name)),
+            units=str(data.attrs.get("units", "")),
+            levels=levels,
+        )
 
 
 def _sort_key(data: xr.DataArray) -> tuple[int, str]:
     name = str(data.name)
     is_value = name not in _PLACES
-    is_of_rank = (name == "image", is_property(data), is_value and not name.endswith("_se"), is_value, True)
+    is_of_rank = (
+        name == "image",
+        is_property(data),
+        is_value and not name.endswith("_se"),
+        is_value,
+        True,
+    )
     return is_of_rank.index(True), name
 
 
@@ -150,24 +195,41 @@ def image_picture(params: ImageParams, *, plane: Plane, layer: str, name: str) -
     path, channel = Path(params.path), params.channel
     header = load_picture(path, decode=False)
     pixel_um, _ = agreed_size(
-        across(header.stated), params.pixel_um, file_name=path.name, asked=PIXEL, override=params.override_size,
+        across(header.stated),
+        params.pixel_um,
+        file_name=path.name,
+        asked=PIXEL,
+        override=params.override_size,
         unusual=params.unusual_size,
-    )  # fmt: skip
-    _, title = channel_of(header._replace(values=header.values[:1, :1]), channel, file_name=path.name)
+    )
+    _, title = channel_of(
+        header._replace(values=header.values[:1, :1]), channel, file_name=path.name
+    )
     rows, cols = header.values.shape[:2]
     image_values = _ImageValues(path, channel, (rows, cols))
-    levels = ComputedLevels(image_values, cache_folder(path, "image", channel), keep_all=not is_mapped(path))
+    levels = ComputedLevels(
+        image_values, cache_folder(path, "image", channel), keep_all=not is_mapped(path)
+    )
     return PlanePicture(
-        plane=plane, layer=layer, name=name, title=title, units="1",
+        plane=plane,
+        layer=layer,
+        name=name,
+        title=title,
+        units="1",
         levels=_on_grids(levels, Grid.regular((rows, cols), (pixel_um[0], pixel_um[1]))),
-    )  # fmt: skip
+    )
 
 
 class _ImageValues(LazyArray):
     """One channel of an image file; decoded when a window is read for the first time, where the file is not mapped."""
 
     def __init__(self, path: Path, channel: str, shape: tuple[int, int]) -> None:
-        self._path, self._channel, self.shape, self.dtype = path, channel, shape, np.dtype(np.float32)
+        self._path, self._channel, self.shape, self.dtype = (
+            path,
+            channel,
+            shape,
+            np.dtype(np.float32),
+        )
         self._lock = threading.Lock()
         self._decoded: DecodedPicture | None = None
 
@@ -188,7 +250,11 @@ class Tiles:
 
     def __init__(self, pictures: Pictures, *, most_bytes: int = TILE_BYTES) -> None:
         self.pictures, self._most_bytes = pictures, most_bytes
-        self._lock, self._blocks, self._held_bytes = threading.Lock(), OrderedDict[Key, Future[NDArray[Any]]](), 0
+        self._lock, self._blocks, self._held_bytes = (
+            threading.Lock(),
+            OrderedDict[Key, Future[NDArray[Any]]](),
+            0,
+        )
         self.read_bytes = 0
 
     def tile(self, id: str, level: int, row: int, col: int) -> bytes:
@@ -203,11 +269,16 @@ class Tiles:
         """
         picture = self.pictures[id]
         if not 0 <= level < len(picture.levels):
-            raise InputError(f"{picture.name} has {len(picture.levels)} levels; there is no level {level}.")
+            raise InputError(
+                f"{picture.name} has {len(picture.levels)} levels; there is no level {level}."
+            )
         rows, cols = picture.levels[level].shape
         if not (0 <= row * TILE < rows and 0 <= col * TILE < cols):
             raise InputError(f"Level {level} of {picture.name} has no tile {row}, {col}.")
-        window = slice(row * TILE, min((row + 1) * TILE, rows)), slice(col * TILE, min((col + 1) * TILE, cols))
+        window = (
+            slice(row * TILE, min((row + 1) * TILE, rows)),
+            slice(col * TILE, min((col + 1) * TILE, cols)),
+        )
         codes = np.zeros((TILE, TILE), "<u2")
         window_codes = picture.codes.of(self.window(picture, level, *window))
         codes[: window_codes.shape[0], : window_codes.shape[1]] = window_codes
@@ -215,7 +286,9 @@ class Tiles:
 
     def window(self, picture: PlanePicture, level: int, rows: slice, cols: slice) -> NDArray[Any]:
         """Values of a window of a level."""
-        pixels = np.empty((rows.stop - rows.start, cols.stop - cols.start), picture.levels[level].dtype)
+        pixels = np.empty(
+            (rows.stop - rows.start, cols.stop - cols.start), picture.levels[level].dtype
+        )
         for i in range(rows.start // CHUNK, -(-rows.stop // CHUNK)):
             for j in range(cols.start // CHUNK, -(-cols.stop // CHUNK)):
                 block = self.block(picture, level, i, j)
@@ -232,7 +305,9 @@ class Tiles:
         block_rows, block_cols = rows // CHUNK, cols // CHUNK
         for i, j in {*zip(block_rows.tolist(), block_cols.tolist(), strict=True)}:
             is_in = (block_rows == i) & (block_cols == j)
-            pixels[is_in] = self.block(picture, level, i, j)[rows[is_in] - i * CHUNK, cols[is_in] - j * CHUNK]
+            pixels[is_in] = self.block(picture, level, i, j)[
+                rows[is_in] - i * CHUNK, cols[is_in] - j * CHUNK
+            ]
         return pixels
 
     def block(self, picture: PlanePicture, level: int, i: int, j: int) -> NDArray[Any]:
@@ -256,7 +331,9 @@ class Tiles:
         with self._lock:
             self.read_bytes += block.nbytes
             self._held_bytes += block.nbytes
-            while self._held_bytes > self._most_bytes and (oldest := next(iter(self._blocks))) != key:
+            while (
+                self._held_bytes > self._most_bytes and (oldest := next(iter(self._blocks))) != key
+            ):
                 if self._blocks[oldest].done():
                     self._held_bytes -= self._blocks.pop(oldest).result().nbytes
                 else:
@@ -266,4 +343,6 @@ class Tiles:
 
 def _overlap(window: slice, k: int, length: int) -> tuple[slice, slice]:
     start, stop = max(window.start, k * CHUNK), min(window.stop, k * CHUNK + length)
-    return slice(start - window.start, stop - window.start), slice(start - k * CHUNK, stop - k * CHUNK)
+    return slice(start - window.start, stop - window.start), slice(
+        start - k * CHUNK, stop - k * CHUNK
+    )

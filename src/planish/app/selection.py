@@ -32,29 +32,47 @@ def cursor(tiles: Tiles, picture: PlanePicture, x: float, y: float) -> dict[str,
     """Values at a point of all pictures on the pixels of one, None where missing, and its place in the volume in um."""
     rows, cols, (is_inside,) = _pixels(picture, np.array([[x, y]]), 0)
     pictures = tiles.pictures.on_same_pixels(picture)
-    value_of = {p.id: finite_or_none(tiles.values_at(p, 0, rows, cols)[0]) if is_inside else None for p in pictures}
+    value_of = {
+        p.id: finite_or_none(tiles.values_at(p, 0, rows, cols)[0]) if is_inside else None
+        for p in pictures
+    }
     volume, value_by_variable = None, {(p.layer, p.variable): value_of[p.id] for p in pictures}
-    for layer in dict.fromkeys([picture.layer, *(p.layer for p in pictures)]):  # its own, or the first that has it
+    # Its own, or the first that has it.
+    for layer in dict.fromkeys([picture.layer, *(p.layer for p in pictures)]):
         position = {axis: value_by_variable.get((layer, f"volume_{axis}")) for axis in "xyz"}
         if None not in position.values():
             volume = {"layer": layer} | position
             break
     fields = ("id", "layer", "name", "title", "units")
     return {
-        "x": x, "y": y, "row": int(rows[0]) if is_inside else None, "col": int(cols[0]) if is_inside else None,
-        "values": [{name: getattr(p, name) for name in fields} | {"value": value_of[p.id]} for p in pictures],
+        "x": x,
+        "y": y,
+        "row": int(rows[0]) if is_inside else None,
+        "col": int(cols[0]) if is_inside else None,
+        "values": [
+            {name: getattr(p, name) for name in fields} | {"value": value_of[p.id]}
+            for p in pictures
+        ],
         "volume": volume,
-    }  # fmt: skip
+    }
 
 
-def nearest(tiles: Tiles, picture: PlanePicture, layer: str, place_um: dict[str, float]) -> tuple[float, float] | None:
+def nearest(
+    tiles: Tiles, picture: PlanePicture, layer: str, place_um: dict[str, float]
+) -> tuple[float, float] | None:
     """Where in a plane, (x, y) in um, the sheet of a layer lies nearest to a place along some axes of the volume."""
-    of_layer = {p.variable: p for p in tiles.pictures.on_same_pixels(picture) if p.layer == layer or p.plane == "fixed"}
+    of_layer = {
+        p.variable: p
+        for p in tiles.pictures.on_same_pixels(picture)
+        if p.layer == layer or p.plane == "fixed"
+    }
     maps = [of_layer[f"volume_{axis}"] for axis in place_um if f"volume_{axis}" in of_layer]
     if len(maps) < len(place_um):
         return None
     level, positions_um = _overview(tiles, *maps)
-    distance = sum((um - wanted) ** 2 for um, wanted in zip(positions_um, place_um.values(), strict=True))
+    distance = sum(
+        (um - wanted) ** 2 for um, wanted in zip(positions_um, place_um.values(), strict=True)
+    )
     if not np.isfinite(distance).any():
         return None
     row, col = np.unravel_index(np.nanargmin(distance), np.shape(distance))
@@ -62,7 +80,9 @@ def nearest(tiles: Tiles, picture: PlanePicture, layer: str, place_um: dict[str,
     return float(x_um[col]), float(y_um[row])
 
 
-def profile(tiles: Tiles, pictures: list[PlanePicture], line: tuple[float, float, float, float]) -> dict[str, Any]:
+def profile(
+    tiles: Tiles, pictures: list[PlanePicture], line: tuple[float, float, float, float]
+) -> dict[str, Any]:
     """Values along a line (x0, y0, x1, y1), at ``at_um``, of pixels ``pixel_um`` wide; None in holes."""
     x0, y0, x1, y1 = line
     length_um = math.hypot(x1 - x0, y1 - y0)
@@ -70,10 +90,15 @@ def profile(tiles: Tiles, pictures: list[PlanePicture], line: tuple[float, float
         raise InputError("The line has no length. Give two places: x0, y0, x1, y1 in um.")
     grid_picture = pictures[0]
     pixel_um = min(grid_picture.grid.pixel_um)
-    level = min(max(0, math.ceil(math.log2(length_um / pixel_um / MOST_SAMPLES))), len(grid_picture.levels) - 1)
+    level = min(
+        max(0, math.ceil(math.log2(length_um / pixel_um / MOST_SAMPLES))),
+        len(grid_picture.levels) - 1,
+    )
     step_um = pixel_um * 2**level
     distances_um = np.linspace(0, length_um, min(int(length_um / step_um), 4 * MOST_SAMPLES) + 1)
-    points_um = np.array([x0, y0]) + (distances_um / length_um)[:, None] * np.array([x1 - x0, y1 - y0])
+    points_um = np.array([x0, y0]) + (distances_um / length_um)[:, None] * np.array(
+        [x1 - x0, y1 - y0]
+    )
     rows, cols, is_inside = _pixels(grid_picture, points_um, level)
     lines: list[dict[str, Any]] = []
     for picture in pictures:
@@ -82,11 +107,15 @@ def profile(tiles: Tiles, pictures: list[PlanePicture], line: tuple[float, float
         for mask in tiles.pictures.valid_of(picture):
             values[is_inside] = np.where(tiles.values_at(mask, *at), values[is_inside], np.nan)
         samples = [*map(finite_or_none, values)]
-        lines.append({"id": picture.id, "name": picture.name, "units": picture.units, "values": samples})
+        lines.append(
+            {"id": picture.id, "name": picture.name, "units": picture.units, "values": samples}
+        )
     return {"pixel_um": step_um, "at_um": distances_um.tolist(), "lines": lines}
 
 
-def _pixels(picture: PlanePicture, points_um: Floats, level: int) -> tuple[NDArray[np.intp], NDArray[np.intp], Bools]:
+def _pixels(
+    picture: PlanePicture, points_um: Floats, level: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp], Bools]:
     """Rows and columns of a level's pixels that hold points (n, 2: x, y), and which lie in it; levels share corners."""
     (x0, y0), (dy, dx) = picture.grid.origin_um, picture.grid.pixel_um
     rows = np.floor((points_um[:, 1] - y0) / dy + 0.5).astype(np.intp) >> level
@@ -124,9 +153,14 @@ class Rectangle:
         """Rows and columns of a level of a picture; InputError where it holds none of them."""
         pixels = picture.levels[level]
         (y, x), (dy, dx) = (pixels[dim].values for dim in pixels.dims), picture.grid.pixel_um
-        rows, cols = _pixels_between(y, self.y0, self.y1, dy), _pixels_between(x, self.x0, self.x1, dx)
+        rows, cols = (
+            _pixels_between(y, self.y0, self.y1, dy),
+            _pixels_between(x, self.x0, self.x1, dx),
+        )
         if rows.start >= rows.stop or cols.start >= cols.stop:
-            raise InputError("No pixel lies in this region. Give x0, y0, x1, y1 in um, within the map.")
+            raise InputError(
+                "No pixel lies in this region. Give x0, y0, x1, y1 in um, within the map."
+            )
         return rows, cols
 
 
@@ -134,7 +168,9 @@ class Stopped(Exception):
     """The page does not want the answer any more."""
 
 
-def density(tiles: Tiles, a: PlanePicture, b: PlanePicture, region: Rectangle | None = None) -> dict[str, Any]:
+def density(
+    tiles: Tiles, a: PlanePicture, b: PlanePicture, region: Rectangle | None = None
+) -> dict[str, Any]:
     """Count the points of two pictures in the plane of their values, of pixels of the stated size.
 
     The limits are those of all points, also where only a region is counted; ``beyond`` lie outside of them. ``counts``
@@ -155,13 +191,21 @@ def density(tiles: Tiles, a: PlanePicture, b: PlanePicture, region: Rectangle | 
     n = int(np.count_nonzero(is_valid))
     (a_low, a_high), (b_low, b_high) = limits
     return {
-        "pixel_um": _pixel_um(a, level), "n": n, "beyond": n - int(np.count_nonzero(is_within)), "bins": _BINS,
-        "a_low": a_low, "a_high": a_high, "b_low": b_low, "b_high": b_high,
+        "pixel_um": _pixel_um(a, level),
+        "n": n,
+        "beyond": n - int(np.count_nonzero(is_within)),
+        "bins": _BINS,
+        "a_low": a_low,
+        "a_high": a_high,
+        "b_low": b_low,
+        "b_high": b_high,
         "counts": base64.b64encode(counts.tobytes()).decode("ascii"),
-    }  # fmt: skip
+    }
 
 
-def histogram(tiles: Tiles, picture: PlanePicture, *, holes: xr.Dataset | None = None) -> dict[str, Any]:
+def histogram(
+    tiles: Tiles, picture: PlanePicture, *, holes: xr.Dataset | None = None
+) -> dict[str, Any]:
     """Count the valid values of a picture, of pixels of the stated size; ``range``: the 2nd to the 98th percentile.
 
     A picture without a mask of its own is counted without its ``holes`` and their rims.
@@ -169,23 +213,31 @@ def histogram(tiles: Tiles, picture: PlanePicture, *, holes: xr.Dataset | None =
     level, (values,) = _overview(tiles, picture)
     if holes is not None and not tiles.pictures.valid_of(picture):
         y_um, x_um = (picture.levels[level][dim].values for dim in picture.full.dims)
-        for x, y, diameter in zip(*(holes[name].values for name in ("x", "y", "diameter")), strict=True):
+        for x, y, diameter in zip(
+            *(holes[name].values for name in ("x", "y", "diameter")), strict=True
+        ):
             values[np.hypot(y_um[:, None] - y, x_um - x) < _RIM * diameter] = np.nan
     finite = values[np.isfinite(values)].astype(np.float64)
     low, high = _limits(finite)
     percentiles = np.percentile(finite, [2, 98]).tolist() if finite.size else [0.0, 1.0]
     counts, _ = np.histogram(finite, bins=_BINS, range=(low, high))
     return {
-        "pixel_um": _pixel_um(picture, level), "n": finite.size, "beyond": finite.size - int(counts.sum()), "low": low,
-        "high": high, "range": percentiles, "counts": counts.tolist(),
+        "pixel_um": _pixel_um(picture, level),
+        "n": finite.size,
+        "beyond": finite.size - int(counts.sum()),
+        "low": low,
+        "high": high,
+        "range": percentiles,
+        "counts": counts.tolist(),
         "mean": float(finite.mean()) if finite.size else None,
         "sd": float(finite.std(ddof=1)) if finite.size > 1 else None,
         "median": float(np.median(finite)) if finite.size else None,
-    }  # fmt: skip
+    }
 
 
 def _pixels_between(centres_um: Floats, low_um: float, high_um: float, pixel_um: float) -> slice:
-    slack_um = 1e-6 * pixel_um  # a border through the middle of a pixel takes it in, whatever was rounded
+    # a border through the middle of a pixel takes it in, whatever was rounded.
+    slack_um = 1e-6 * pixel_um
     return slice(
         int(np.searchsorted(centres_um, min(low_um, high_um) - slack_um, "left")),
         int(np.searchsorted(centres_um, max(low_um, high_um) + slack_um, "right")),
@@ -193,9 +245,14 @@ def _pixels_between(centres_um: Floats, low_um: float, high_um: float, pixel_um:
 
 
 def select(
-    tiles: Tiles, a: PlanePicture, b: PlanePicture, *, region: Rectangle | None = None, brushes: Sequence[Brush] = (),
+    tiles: Tiles,
+    a: PlanePicture,
+    b: PlanePicture,
+    *,
+    region: Rectangle | None = None,
+    brushes: Sequence[Brush] = (),
     stop: threading.Event | None = None,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Count what is selected at full resolution; of a region also say how two pictures are correlated in it.
 
     Of picked values nothing is said of r: ``r``, ``n_eff`` and ``interval`` are None. Stopped once ``stop`` is set.
@@ -212,14 +269,29 @@ def select(
             for brush, values in zip(brushes, bands, strict=False):
                 is_selected &= (values >= brush.low) & (values <= brush.high)
             n += int(np.count_nonzero(is_selected))
-        return {"n": n, "pixel_um": pixel_um, "r": None, "n_eff": None, "interval": None, "warnings": []}
-    mask = computed(masks[0], lambda part: np.logical_and.reduce([m[part].values for m in masks])) if masks else None
+        return {
+            "n": n,
+            "pixel_um": pixel_um,
+            "r": None,
+            "n_eff": None,
+            "interval": None,
+            "warnings": [],
+        }
+    mask = (
+        computed(masks[0], lambda part: np.logical_and.reduce([m[part].values for m in masks]))
+        if masks
+        else None
+    )
     # As a run does: its whole map gives its n_eff.
     row = correlate(x, y, mask=mask, pixel_um=pixel_um, most_cells=CELLS)
     return {
-        "n": row.n, "pixel_um": pixel_um, "r": finite_or_none(row.r), "n_eff": finite_or_none(row.n_eff),
-        "interval": row.interval if is_known(row.interval) else None, "warnings": row.warnings,
-    }  # fmt: skip
+        "n": row.n,
+        "pixel_um": pixel_um,
+        "r": finite_or_none(row.r),
+        "n_eff": finite_or_none(row.n_eff),
+        "interval": row.interval if is_known(row.interval) else None,
+        "warnings": row.warnings,
+    }
 
 
 def _read_until(stop: threading.Event, level: xr.DataArray, window: Where) -> NDArray[np.floating]:
@@ -235,7 +307,10 @@ def _overview(tiles: Tiles, *pictures: PlanePicture) -> tuple[int, list[Floats]]
     rows, cols = (slice(0, n) for n in levels[level].shape)
     masks = [tiles.window(p, level, rows, cols) for p in tiles.pictures.valid_of(*pictures)]
     is_valid = np.logical_and.reduce(masks) if masks else True
-    return level, [np.where(is_valid, tiles.window(p, level, rows, cols).astype(np.float64), np.nan) for p in pictures]
+    return level, [
+        np.where(is_valid, tiles.window(p, level, rows, cols).astype(np.float64), np.nan)
+        for p in pictures
+    ]
 
 
 def _limits(values: Floats) -> tuple[float, float]:

@@ -32,8 +32,10 @@ MOST_BYTES = 2_000_000
 
 _TOO_LARGE = f"A request may have {MOST_BYTES} bytes."
 HEADERS = {
-    "content-security-policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
-    "connect-src 'self'; frame-ancestors 'none'",
+    "content-security-policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
+        "connect-src 'self'; frame-ancestors 'none'"
+    ),
     "x-content-type-options": "nosniff",
     "referrer-policy": "no-referrer",
     "cross-origin-resource-policy": "same-origin",
@@ -109,8 +111,12 @@ class Guard:
             raise Refused(421, "This server is not called by that name.")
         # All but the files of the page, and a report, whose address is a secret itself.
         is_data = f"{scope['path']}/".startswith("/api/")
-        if is_data and not hmac.compare_digest(single("authorization").encode(), f"Bearer {self.token}".encode()):
-            raise Refused(401, "The token of this start is missing. Open the address that planish printed.")
+        if is_data and not hmac.compare_digest(
+            single("authorization").encode(), f"Bearer {self.token}".encode()
+        ):
+            raise Refused(
+                401, "The token of this start is missing. Open the address that planish printed."
+            )
         if scope["method"] in ("GET", "HEAD"):
             return
         if scope["method"] != "POST" or not is_data:
@@ -165,8 +171,12 @@ async def _error_response(_request: Request, error: Exception) -> Response:
     status = 409 if isinstance(error, Stale) else 507 if isinstance(error, ResourceError) else 400
     assert isinstance(error, PlanishError)
     places = error.places if isinstance(error, Undecided) else ()
-    described = [{"place": asdict(p.place), "middle_um": p.middle_um, "text": p.sentence} for p in places]
-    return JSONResponse({"error": error.text} | ({"places": described} if described else {}), status)
+    described = [
+        {"place": asdict(p.place), "middle_um": p.middle_um, "text": p.sentence} for p in places
+    ]
+    return JSONResponse(
+        {"error": error.text} | ({"places": described} if described else {}), status
+    )
 
 
 def serve(session: Session, *, host: str, port: int, on_open: Callable[[str], None]) -> None:
@@ -180,20 +190,33 @@ def serve(session: Session, *, host: str, port: int, on_open: Callable[[str], No
         except OSError as error:
             reason = error.strerror or error
             raise FileError(
-                f"Nothing can listen on {host}:{port} ({reason}). Give another --port; 0 takes a free one."
+                f"Nothing can listen on {host}:{port} ({reason}). Give another --port; 0 takes a"
+                " free one."
             ) from error
         with listener:
             bound_port = int(listener.getsockname()[1])
-            app = create_app(session, token=token, hosts=[f"{name}:{bound_port}" for name in _host_names(host)])
+            app = create_app(
+                session, token=token, hosts=[f"{name}:{bound_port}" for name in _host_names(host)]
+            )
             config = uvicorn.Config(
-                app, log_config=None, access_log=False, server_header=False, date_header=False, lifespan="off",
-                proxy_headers=False, timeout_graceful_shutdown=1, ws="none", http="h11", loop="asyncio",
-            )  # fmt: skip
+                app,
+                log_config=None,
+                access_log=False,
+                server_header=False,
+                date_header=False,
+                lifespan="off",
+                proxy_headers=False,
+                timeout_graceful_shutdown=1,
+                ws="none",
+                http="h11",
+                loop="asyncio",
+            )
             logging.getLogger("uvicorn").setLevel(logging.ERROR)
             shown_host = "127.0.0.1" if host in ("127.0.0.1", "localhost", "0.0.0.0") else host
             threading.Thread(target=snap.warm, args=(session,), name="warm", daemon=True).start()
             on_open(f"http://{shown_host}:{bound_port}/#token={token}")
-            with closing(app.state.applying), suppress(KeyboardInterrupt):  # An interrupt is how a server ends.
+            # An interrupt is how a server ends.
+            with closing(app.state.applying), suppress(KeyboardInterrupt):
                 uvicorn.Server(config).run(sockets=[listener])
 
 

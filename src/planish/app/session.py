@@ -83,12 +83,19 @@ class Session:
         params = _image_params(run, image, results)
         subject, journal_name = fingerprint(run / "results.json"), "journal.jsonl"
         if params is not None:
-            image_key = f"{fingerprint(Path(params.path))} {params.model_dump_json(exclude={'path'})}"
+            image_key = (
+                f"{fingerprint(Path(params.path))} {params.model_dump_json(exclude={'path'})}"
+            )
             subject += f" {image_key}"
             journal_name = f"journal-{sha256(image_key.encode()).hexdigest()[:12]}.jsonl"
         names = [layer.name for layer in results.moving]
-        registrations = {moving: Registration.read(run / marks_file(results, moving)) for moving in names}
-        journal_path, reason = run / EDITS / journal_name, "It was opened with --read-only." if read_only else ""
+        registrations = {
+            moving: Registration.read(run / marks_file(results, moving)) for moving in names
+        }
+        journal_path, reason = (
+            run / EDITS / journal_name,
+            "It was opened with --read-only." if read_only else "",
+        )
         try:
             journal = Journal(journal_path, subject=subject, write=not read_only)
         except InUse:
@@ -97,9 +104,14 @@ class Session:
             journal = Journal(journal_path, subject=subject, write=False)
             reason = f"The run cannot be written, so nothing can be changed. {error.text}"
         session = cls(
-            folder=run, study=study, results=results, registrations=registrations, image_params=params,
-            journal=journal, reason=reason,
-        )  # fmt: skip
+            folder=run,
+            study=study,
+            results=results,
+            registrations=registrations,
+            image_params=params,
+            journal=journal,
+            reason=reason,
+        )
         try:
             session._replay()
         except BaseException:
@@ -140,11 +152,19 @@ class Session:
     def where(self, layer: str) -> dict[Plane, str]:
         """Words for both planes in a sentence."""
         names = self.view_names(layer)
-        return WHERE if names["moving"] == "Volume side" else {plane: f"in {name}" for plane, name in names.items()}
+        return (
+            WHERE
+            if names["moving"] == "Volume side"
+            else {plane: f"in {name}" for plane, name in names.items()}
+        )
 
     def mirrored(self, layer: str) -> bool | None:
         """Whether the fixed plane shows the other side of the sheet; None where either hand may fit."""
-        return None if self.study.registration.mirror else self.side_of(layer) != self.side_of(self.target(layer))
+        return (
+            None
+            if self.study.registration.mirror
+            else self.side_of(layer) != self.side_of(self.target(layer))
+        )
 
     def to_face_um(self, layer: str) -> tuple[float, float]:
         """What the link added to the holes of a layer's maps, which run at an angle, to have them at the face."""
@@ -156,7 +176,11 @@ class Session:
     def side_of(self, layer: str) -> Side:
         """Side of the sheet that a layer shows: the top for flat maps, and for an image where nothing is given."""
         images = {params.name: params.image for params in self.study.layers}
-        image = self.image_params if self.image_params is not None and layer == "image" else images.get(layer)
+        image = (
+            self.image_params
+            if self.image_params is not None and layer == "image"
+            else images.get(layer)
+        )
         return "top" if image is None else image.side or "top"
 
     @cached_property
@@ -173,14 +197,22 @@ class Session:
         """All holes that were found in both planes, matched or not: ``x``, ``y``, ``diameter`` in um, covariances."""
         if layer not in self.registrations:
             return self._detected_holes
-        return {plane: holes_of(measured_holes(self.registrations[layer].marks, plane), plane) for plane in PLANES}
+        return {
+            plane: holes_of(measured_holes(self.registrations[layer].marks, plane), plane)
+            for plane in PLANES
+        }
 
     @cached_property
     def _detected_holes(self) -> dict[Plane, xr.Dataset]:
         assert self.image is not None
-        sources: dict[Plane, Any] = {"moving": read_group(self.folder / MAPS, "maps"), "fixed": self.image}
+        sources: dict[Plane, Any] = {
+            "moving": read_group(self.folder / MAPS, "maps"),
+            "fixed": self.image,
+        }
         params, side = self.study.holes, self.side_of("image")
-        return {plane: find_holes(data, params=params, side=side) for plane, data in sources.items()}
+        return {
+            plane: find_holes(data, params=params, side=side) for plane, data in sources.items()
+        }
 
     @property
     def state(self) -> State:
@@ -229,7 +261,10 @@ class Session:
     def _save(self, journal_line: bytes, version: int | None) -> State:
         with self._lock:
             if version is not None and version < self.changed_at:
-                raise Stale("Something was changed in another window meanwhile. The page shows it; do it again.")
+                raise Stale(
+                    "Something was changed in another window meanwhile. The page shows it; do it"
+                    " again."
+                )
             self._step(journal_line, save=True)
             return self.state
 
@@ -256,18 +291,26 @@ class Session:
                 texts = {"name": region.name, "author": region.author, "reason": region.reason}
                 texts["id"] = f"r0-{len(regions) + 1}"
                 regions.append(DrawnRegion(polygon=polygon, holes=tuple(holes), **texts))
-        marks = {layer: pairs_of(registration.marks) for layer, registration in self.registrations.items()}
-        self._states = [State(
-            marks=marks or {self.layers[0]: ()}, model=self.study.registration.model, regions=tuple(regions),
-            corrections=corrections_of(self.study), first_layer=self.layers[0],
-        )]  # fmt: skip
+        marks = {
+            layer: pairs_of(registration.marks)
+            for layer, registration in self.registrations.items()
+        }
+        self._states = [
+            State(
+                marks=marks or {self.layers[0]: ()},
+                model=self.study.registration.model,
+                regions=tuple(regions),
+                corrections=corrections_of(self.study),
+                first_layer=self.layers[0],
+            )
+        ]
         for k, line in enumerate(self.journal.lines, 1):
             try:
                 self._step(line, save=False)
             except ChangeError as error:
                 raise FileError(
-                    f"{self.journal.path} is damaged: its change {k} cannot be made ({error.text}) Cut the file before "
-                    "that line to keep the changes that were made until then."
+                    f"{self.journal.path} is damaged: its change {k} cannot be made ({error.text})"
+                    " Cut the file before that line to keep the changes that were made until then."
                 ) from error
 
     def publish(self) -> None:
@@ -295,10 +338,14 @@ def _image_params(run: Path, image: ImageParams | None, results: Results) -> Ima
     path = None if image is None else Path(image.path)
     if results.is_link:
         if path is not None:
-            raise FileError(f"{run} is linked to an image already. Leave {path.name} out: planish view {run}")
+            raise FileError(
+                f"{run} is linked to an image already. Leave {path.name} out: planish view {run}"
+            )
         return None
     if image is None or path is None:
-        raise FileError(f"{run} holds the map of one sheet. Give the image as well: planish view {run} IMAGE")
+        raise FileError(
+            f"{run} holds the map of one sheet. Give the image as well: planish view {run} IMAGE"
+        )
     if not path.is_file():
         raise FileError(f"{path} is not a file. Give the image of the sheet.")
     options = image.model_dump(exclude_unset=True) | {"path": str(path.resolve())}
@@ -314,16 +361,29 @@ def ends_of(marks: xr.Dataset, plane: str) -> list[End | None]:
     places, ends = model.places_of(marks, plane), list[End | None]()
     for k, (position_um, source) in enumerate(zip(places.um.tolist(), places.source, strict=True)):
         fields: dict[str, Any] = dict(zip("xy", position_um, strict=False)) | {"source": source}
-        fields |= {name: float(number) for name, column in places.extras.items() if np.isfinite(number := column[k])}
+        fields |= {
+            name: float(number)
+            for name, column in places.extras.items()
+            if np.isfinite(number := column[k])
+        }
         ends.append(End(**fields) if np.isfinite(position_um).all() else None)
     return ends
 
 
 def pairs_of(
-    marks: xr.Dataset, moving: str = "moving", fixed: str = "fixed", *, label: Callable[[Any], str] = str
-) -> tuple[Mark, ...]:  # fmt: skip
+    marks: xr.Dataset,
+    moving: str = "moving",
+    fixed: str = "fixed",
+    *,
+    label: Callable[[Any], str] = str,
+) -> tuple[Mark, ...]:
     """Give the marks of a file that lie in both planes."""
-    columns = marks["label"].values, marks["used"].values, ends_of(marks, moving), ends_of(marks, fixed)
+    columns = (
+        marks["label"].values,
+        marks["used"].values,
+        ends_of(marks, moving),
+        ends_of(marks, fixed),
+    )
     return tuple(
         Mark(id=f"m0-{k}", label=label(text), used=bool(used), moving=moving_end, fixed=fixed_end)
         for k, (text, used, moving_end, fixed_end) in enumerate(zip(*columns, strict=True), 1)
@@ -342,7 +402,9 @@ def dataset_of(marks: Sequence[Mark], **options: Any) -> xr.Dataset:
     """Give marks of a session as files have them; ``options`` is for `make_marks`."""
 
     def column(plane: Plane, name: str) -> Floats:
-        return np.array([getattr(getattr(mark, plane), name, None) for mark in marks], dtype=np.float64)
+        return np.array(
+            [getattr(getattr(mark, plane), name, None) for mark in marks], dtype=np.float64
+        )
 
     places = {
         plane: MarkPlaces(
@@ -352,7 +414,9 @@ def dataset_of(marks: Sequence[Mark], **options: Any) -> xr.Dataset:
         )
         for plane in PLANES
     }
-    return make_marks([mark.label for mark in marks], places, used=[mark.used for mark in marks], **options)
+    return make_marks(
+        [mark.label for mark in marks], places, used=[mark.used for mark in marks], **options
+    )
 
 
 def _ring(points: Any) -> tuple[tuple[float, float], ...]:

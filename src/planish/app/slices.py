@@ -63,7 +63,8 @@ class SliceFacts(ResultModel):
     missing: int  # value of voxels that are missing; -1 where there are none
     lines: tuple[str, ...] = ()  # names; float32 each, one value a column of the surfaces
     columns: AxisFacts | None = None  # these columns along ``across``
-    segments: dict[str, int] = Field(default_factory=dict[str, int])  # of each contour of a slice along the sheet
+    # Of each contour of a slice along the sheet.
+    segments: dict[str, int] = Field(default_factory=dict[str, int])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,8 +93,9 @@ class SlicedSheet:
         path = find_place(params.path).path
         if is_section_folder(path):
             raise FileError(
-                f"{path.name} holds serial sections, which are no volume until they are joined. To see slices, import "
-                f"them (planish import {path.name} --through {params.through} --out {path.name}.zarr) and map that."
+                f"{path.name} holds serial sections, which are no volume until they are joined. To"
+                f" see slices, import them (planish import {path.name} --through {params.through}"
+                f" --out {path.name}.zarr) and map that."
             )
         volume = read_volume(params.path, **params.how, memory_bytes=LOOK_BYTES)
         codes = None
@@ -123,10 +125,15 @@ class SlicedSheet:
         return self.surfaces.sizes["y"] if direction == "straight" else self.volume.sizes[direction]
 
     def _slice(
-        self, direction: Direction, index: int, values: NDArray[Any], codes: Codes | None,
-        lines: Mapping[str, Floats] | None = None, contours: Mapping[str, Floats] | None = None,
+        self,
+        direction: Direction,
+        index: int,
+        values: NDArray[Any],
+        codes: Codes | None,
+        lines: Mapping[str, Floats] | None = None,
+        contours: Mapping[str, Floats] | None = None,
         **axes: AxisFacts,
-    ) -> SheetSlice:  # fmt: skip
+    ) -> SheetSlice:
         lines, contours = lines or {}, contours or {}
         if codes is None:
             pixels, scale, offset = values.astype(np.uint16), 1.0, 0.0
@@ -135,17 +142,31 @@ class SlicedSheet:
         normal = self.frame.rows if direction == "straight" else direction
         slices_um = self._columns_um(normal) if direction == "straight" else self.voxels_um(normal)
         facts = SliceFacts(
-            layer=self.name, direction=direction, normal=normal, index=index, at_um=float(slices_um[index]),
-            scale=scale, offset=offset, missing=-1 if codes is None else 0, lines=tuple(lines),
-            segments={name: len(array) for name, array in contours.items()}, **axes,
-        )  # fmt: skip
-        curves, segments = ([array.astype(np.float32) for array in group.values()] for group in (lines, contours))
+            layer=self.name,
+            direction=direction,
+            normal=normal,
+            index=index,
+            at_um=float(slices_um[index]),
+            scale=scale,
+            offset=offset,
+            missing=-1 if codes is None else 0,
+            lines=tuple(lines),
+            segments={name: len(array) for name, array in contours.items()},
+            **axes,
+        )
+        curves, segments = (
+            [array.astype(np.float32) for array in group.values()] for group in (lines, contours)
+        )
         return SheetSlice(facts=facts, pixels=pixels, lines=curves, contours=segments)
 
     def cut(
-        self, direction: Direction, index: int, *, near_um: Near = (None, None),
+        self,
+        direction: Direction,
+        index: int,
+        *,
+        near_um: Near = (None, None),
         corrections: Corrections | None = None,
-    ) -> SheetSlice:  # fmt: skip
+    ) -> SheetSlice:
         """One slice; InputError where there is none.
 
         ``index`` is the voxel along the direction's axis, or the row of the surfaces' columns where it is straightened;
@@ -153,7 +174,9 @@ class SlicedSheet:
         ``corrections`` are seen as ``preview_top`` and ``preview_bottom``.
         """
         if not 0 <= index < self.count(direction):
-            raise InputError(f"There is no slice {index} along {direction}; there are {self.count(direction)}.")
+            raise InputError(
+                f"There is no slice {index} along {direction}; there are {self.count(direction)}."
+            )
         with self._lock:  # decoders of files are not all made for several threads
             if direction == "straight":
                 return self._straight(index, near_um, corrections)
@@ -161,7 +184,9 @@ class SlicedSheet:
                 return self._along(index, near_um)
             return self._across(direction, index, near_um, corrections)
 
-    def _across(self, direction: Axis, index: int, near_um: Near, corrections: Corrections | None) -> SheetSlice:
+    def _across(
+        self, direction: Axis, index: int, near_um: Near, corrections: Corrections | None
+    ) -> SheetSlice:
         frame = self.frame
         axis: Axis = frame.cols if direction == frame.rows else frame.rows
         depth_um = self.voxels_um(frame.through)
@@ -174,24 +199,39 @@ class SlicedSheet:
         columns = self._columns(axis, cols)
         lines = self._lines(axis, profile_index, columns, corrections)
         return self._slice(
-            direction, index, values, self.codes, lines, across=self._edge(axis, cols),
-            down=edge_of(frame.through, depth_um), columns=edge_of(axis, self._columns_um(axis)[columns]),
-        )  # fmt: skip
+            direction,
+            index,
+            values,
+            self.codes,
+            lines,
+            across=self._edge(axis, cols),
+            down=edge_of(frame.through, depth_um),
+            columns=edge_of(axis, self._columns_um(axis)[columns]),
+        )
 
     def _along(self, index: int, near_um: Near) -> SheetSlice:
         frame = self.frame
         axes = frame.cols, frame.rows
-        cols, rows = (_window(self.voxels_um(axis), um) for axis, um in zip(axes, near_um, strict=True))
+        cols, rows = (
+            _window(self.voxels_um(axis), um) for axis, um in zip(axes, near_um, strict=True)
+        )
         box = {frame.rows: rows, frame.cols: cols, frame.through: slice(index, index + 1)}
         values = read_box(self.volume, box)[..., 0]
         height_um = float(self.voxels_um(frame.through)[index])
-        surfaces = self.surfaces.isel(y=self._columns(frame.rows, rows), x=self._columns(frame.cols, cols))
+        surfaces = self.surfaces.isel(
+            y=self._columns(frame.rows, rows), x=self._columns(frame.cols, cols)
+        )
         x, y = surfaces["x"].values, surfaces["y"].values
         contours = {name: contour(surfaces[name].values - height_um, x, y) for name in HEIGHTS}
         return self._slice(
-            frame.through, index, values, self.codes, contours=contours, across=self._edge(frame.cols, cols),
+            frame.through,
+            index,
+            values,
+            self.codes,
+            contours=contours,
+            across=self._edge(frame.cols, cols),
             down=self._edge(frame.rows, rows),
-        )  # fmt: skip
+        )
 
     def _straight(self, index: int, near_um: Near, corrections: Corrections | None) -> SheetSlice:
         frame = self.frame
@@ -200,23 +240,39 @@ class SlicedSheet:
         lines = self._lines(frame.cols, index, window, corrections)
         thickness_um = float(self.surfaces.attrs["thickness_um"])
         voxel_um = abs(float(np.diff(self.voxels_um(frame.through)[:2])[0]))
-        reach = int(np.ceil(1.5 * thickness_um / voxel_um))  # voxels to either side of the centre surface
+        # Voxels to either side of the centre surface.
+        reach = int(np.ceil(1.5 * thickness_um / voxel_um))
         s_um = voxel_um * np.arange(reach, -reach - 1, -1).astype(np.float64)
         values = self._sampled(index, window, lines, s_um)
         halo_rows = int(np.ceil(1.5 * thickness_um / min(pitch(self.surfaces)))) + 2
         first_row = max(index - halo_rows, 0)
-        surfaces = self._surfaces_in(slice(first_row, index + halo_rows + 1), window, (*HEIGHTS, "status"))
+        surfaces = self._surfaces_in(
+            slice(first_row, index + halo_rows + 1), window, (*HEIGHTS, "status")
+        )
         _, faces = meet(surfaces, "normal")
         for name in HEIGHTS:
-            lines[name] = np.zeros(columns_um[window].size) if name == "centre" else faces[name][index - first_row]
-        lines = {name: line for name, line in lines.items() if not name.startswith(("preview", "found"))}
+            lines[name] = (
+                np.zeros(columns_um[window].size)
+                if name == "centre"
+                else faces[name][index - first_row]
+            )
+        lines = {
+            name: line for name, line in lines.items() if not name.startswith(("preview", "found"))
+        }
         finite = values[np.isfinite(values)]
         codes = self.codes or Codes(-1.0, 1.0)
         if self.codes is None and finite.size:
             codes = Codes.between(float(finite.min()), float(finite.max()))
         columns = edge_of(frame.cols, columns_um[window])
         return self._slice(
-            "straight", index, values, codes, lines, across=columns, down=edge_of("height", s_um), columns=columns
+            "straight",
+            index,
+            values,
+            codes,
+            lines,
+            across=columns,
+            down=edge_of("height", s_um),
+            columns=columns,
         )
 
     def _sampled(self, index: int, window: slice, lines: dict[str, Floats], s_um: Floats) -> Floats:
@@ -225,60 +281,102 @@ class SlicedSheet:
 
         frame = self.frame
         centre = lines["place"]
-        normal = {getattr(frame, direction): lines[f"normal_{direction}"] for direction in ("rows", "cols", "through")}
+        normal = {
+            getattr(frame, direction): lines[f"normal_{direction}"]
+            for direction in ("rows", "cols", "through")
+        }
         row_um, cols_um = self._columns_um(frame.rows)[index], self._columns_um(frame.cols)[window]
-        centre_um = {frame.rows: np.full(centre.shape, row_um), frame.cols: cols_um, frame.through: centre}
+        centre_um = {
+            frame.rows: np.full(centre.shape, row_um),
+            frame.cols: cols_um,
+            frame.through: centre,
+        }
         is_sheet = np.isfinite(centre) & np.isfinite(normal[frame.through])
         values = np.full((s_um.size, centre.size), np.nan)
         if not is_sheet.any():
             return values
-        samples_um = {axis: um[is_sheet] + s_um[:, None] * normal[axis][is_sheet] for axis, um in centre_um.items()}
+        samples_um = {
+            axis: um[is_sheet] + s_um[:, None] * normal[axis][is_sheet]
+            for axis, um in centre_um.items()
+        }
         block, positions = voxels_around(self.volume, samples_um)
         block = block.astype(np.float32)
-        values[:, is_sheet] = ndimage.map_coordinates(block, positions, order=1, cval=np.nan, prefilter=False)
+        values[:, is_sheet] = ndimage.map_coordinates(
+            block, positions, order=1, cval=np.nan, prefilter=False
+        )
         return values
 
     def _columns_um(self, axis: str) -> Floats:
-        return np.asarray(self.surfaces["y" if axis == self.frame.rows else "x"].values, dtype=np.float64)
+        return np.asarray(
+            self.surfaces["y" if axis == self.frame.rows else "x"].values, dtype=np.float64
+        )
 
     def _edge(self, axis: Axis, window: slice) -> AxisFacts:
         return edge_of(axis, self.voxels_um(axis)[window])
 
     def _columns(self, axis: str, voxels: slice) -> slice:
-        return slice(voxels.start // self.step, min(-(-voxels.stop // self.step), self._columns_um(axis).size))
+        return slice(
+            voxels.start // self.step,
+            min(-(-voxels.stop // self.step), self._columns_um(axis).size),
+        )
 
-    def _surfaces_in(self, rows: slice, cols: slice, names: Sequence[str] | None = None) -> xr.Dataset:
+    def _surfaces_in(
+        self, rows: slice, cols: slice, names: Sequence[str] | None = None
+    ) -> xr.Dataset:
         all_names = [str(name) for name in self.surfaces.data_vars]
-        names = names or [name for name in all_names if name in _READ_NAMES or name.startswith(_READ_PREFIXES)]
+        names = names or [
+            name for name in all_names if name in _READ_NAMES or name.startswith(_READ_PREFIXES)
+        ]
         return self.surfaces[list(names)].isel(y=rows, x=cols).load()
 
-    def _lines(self, along: str, index: int, columns: slice, corrections: Corrections | None) -> dict[str, Floats]:
+    def _lines(
+        self, along: str, index: int, columns: slice, corrections: Corrections | None
+    ) -> dict[str, Floats]:
         is_row = along == self.frame.cols
         neighbours = slice(max(index - 1, 0), index + 2)
-        neighbourhood = self._surfaces_in(*((neighbours, columns) if is_row else (columns, neighbours)))
+        neighbourhood = self._surfaces_in(
+            *((neighbours, columns) if is_row else (columns, neighbours))
+        )
         profile = neighbourhood.isel({"y" if is_row else "x": index - neighbours.start})
         lines = {name: profile[name].values.astype(np.float64) for name in HEIGHTS}
         centre = self.frame.sign * neighbourhood["centre"].values.astype(np.float64)
         all_normals = directions(slopes_of(centre, pitch(self.surfaces)), "normal")
-        normals = all_normals[index - neighbours.start] if is_row else all_normals[:, index - neighbours.start]
-        lines |= {"place": lines["centre"], "normal_rows": normals[:, 0], "normal_cols": normals[:, 1]}
+        normals = (
+            all_normals[index - neighbours.start]
+            if is_row
+            else all_normals[:, index - neighbours.start]
+        )
+        lines |= {
+            "place": lines["centre"],
+            "normal_rows": normals[:, 0],
+            "normal_cols": normals[:, 1],
+        }
         lines["normal_through"] = self.frame.sign * normals[:, 2]
         names = [str(name) for name in profile.data_vars if str(name).startswith(_READ_PREFIXES)]
         for name in ("thickness_se", "status", *names):
             if name in profile:
                 values = profile[name].values.astype(np.float64)
-                lines[name] = np.where(values == 255, np.nan, values) if name == "found_status" else values
+                lines[name] = (
+                    np.where(values == 255, np.nan, values) if name == "found_status" else values
+                )
         if corrections is not None and corrections.stretches:
-            rows, cols = (slice(index, index + 1), columns) if is_row else (columns, slice(index, index + 1))
+            rows, cols = (
+                (slice(index, index + 1), columns) if is_row else (columns, slice(index, index + 1))
+            )
             lines |= self._preview(rows, cols, corrections)
         return lines
 
     def _preview(self, rows: slice, cols: slice, corrections: Corrections) -> dict[str, Floats]:
-        if (preview := preview_faces(self.surfaces, self.volume, corrections, (rows, cols))) is None:
+        if (
+            preview := preview_faces(self.surfaces, self.volume, corrections, (rows, cols))
+        ) is None:
             return {}
         window, corrected = preview
         measured = uncorrected(self._surfaces_in(rows, cols))
-        overlap = [slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip((rows, cols), window, strict=True)]
+        overlap = [
+            slice(max(a.start, b.start), min(a.stop, b.stop))
+            for a, b in zip((rows, cols), window, strict=True)
+        ]
         target, source = (tuple(map(_relative, overlap, s)) for s in ((rows, cols), window))
         faces: dict[str, Floats] = {}
         for face in ("top", "bottom"):
@@ -308,7 +406,9 @@ def contour(height: Floats, x: Floats, y: Floats) -> Floats:
     if min(height.shape) < 2:
         return np.empty((0, 4))
     masked = np.ma.masked_invalid(height)
-    lines: Any = contour_generator(x, y, masked, line_type=LineType.Separate, corner_mask=False).lines(0.0)
+    lines: Any = contour_generator(
+        x, y, masked, line_type=LineType.Separate, corner_mask=False
+    ).lines(0.0)
     return np.concatenate([np.empty((0, 4)), *(np.hstack([line[:-1], line[1:]]) for line in lines)])
 
 
@@ -320,7 +420,9 @@ def _window(coordinates: Floats, near_um: float | None) -> slice:
     """At most ``WIDEST`` places, around one of them."""
     if coordinates.size <= WIDEST:
         return slice(0, coordinates.size)
-    middle = coordinates.size // 2 if near_um is None else int(np.abs(coordinates - near_um).argmin())
+    middle = (
+        coordinates.size // 2 if near_um is None else int(np.abs(coordinates - near_um).argmin())
+    )
     first = int(np.clip(middle - WIDEST // 2, 0, coordinates.size - WIDEST))
     return slice(first, first + WIDEST)
 
@@ -328,4 +430,6 @@ def _window(coordinates: Floats, near_um: float | None) -> slice:
 def edge_of(name: Literal["z", "y", "x", "height"], coordinates: Floats) -> AxisFacts:
     """Give the edge of a slice along which its pixels have these places."""
     step_um = float(coordinates[1] - coordinates[0]) if coordinates.size > 1 else 1.0
-    return AxisFacts(name=name, first_um=float(coordinates[0]), step_um=step_um, count=coordinates.size)
+    return AxisFacts(
+        name=name, first_um=float(coordinates[0]), step_um=step_um, count=coordinates.size
+    )

@@ -22,23 +22,31 @@ def snapped(session: Session, layer: str, mark: Mark) -> Move:
     ends: dict[Plane, End] = {plane: end for plane in PLANES if (end := getattr(mark, plane))}
     if mark.is_tile:
         raise ChangeError(
-            f"{mark.label} is a tile of texture and no hole: there is nothing to snap it to. Take it out of use if it "
-            "is wrong."
+            f"{mark.label} is a tile of texture and no hole: there is nothing to snap it to. Take"
+            " it out of use if it is wrong."
         )
-    holes = {plane: hole for plane, end in ends.items() if (hole := hole_at(session, layer, plane, end.xy))}
+    holes = {
+        plane: hole
+        for plane, end in ends.items()
+        if (hole := hole_at(session, layer, plane, end.xy))
+    }
     if not holes:
         planes_text = " or ".join(session.where(layer)[plane] for plane in ends)
         low_um, high_um = session.study.holes.hole_um
         raise ChangeError(
-            f"No hole of {low_um:g} to {high_um:g} um was found around {mark.label} {planes_text}. Move the mark "
-            "closer to the middle of the hole, or leave it where it is."
+            f"No hole of {low_um:g} to {high_um:g} um was found around {mark.label} {planes_text}."
+            " Move the mark closer to the middle of the hole, or leave it where it is."
         )
     return Move(layer=layer, id=mark.id, moving=holes.get("moving"), fixed=holes.get("fixed"))
 
 
 def not_snapped(session: Session, layer: str, mark: Mark, move: Move) -> str:
     """Name the end that lies in no hole, where the other one does."""
-    missing = [session.where(layer)[p] for p in PLANES if getattr(mark, p) is not None and getattr(move, p) is None]
+    missing = [
+        session.where(layer)[p]
+        for p in PLANES
+        if getattr(mark, p) is not None and getattr(move, p) is None
+    ]
     return f"{mark.label} was not snapped {missing[0]}: no hole was found there." if missing else ""
 
 
@@ -52,14 +60,18 @@ def warm(session: Session) -> None:
                 _search_holes(session, layer, plane, middle_um)
 
 
-def hole_at(session: Session, layer: str, plane: Plane, point_um: tuple[float, float]) -> End | None:
+def hole_at(
+    session: Session, layer: str, plane: Plane, point_um: tuple[float, float]
+) -> End | None:
     """The hole around a point, with what is known of it; None where there is none."""
     return _nearest_hole(session.holes(layer)[plane], plane, point_um) or _nearest_hole(
         _search_holes(session, layer, plane, point_um), plane, point_um
     )
 
 
-def _nearest_hole(holes: xr.Dataset | None, plane: Plane, point_um: tuple[float, float]) -> End | None:
+def _nearest_hole(
+    holes: xr.Dataset | None, plane: Plane, point_um: tuple[float, float]
+) -> End | None:
     if holes is None or not holes.sizes["mark"]:
         return None
     distance_um = np.hypot(holes["x"].values - point_um[0], holes["y"].values - point_um[1])
@@ -69,7 +81,9 @@ def _nearest_hole(holes: xr.Dataset | None, plane: Plane, point_um: tuple[float,
     return ends_of(marks_of_holes(holes.isel(mark=[k]), layer=plane), plane)[0]
 
 
-def _search_holes(session: Session, layer: str, plane: Plane, point_um: tuple[float, float]) -> xr.Dataset | None:
+def _search_holes(
+    session: Session, layer: str, plane: Plane, point_um: tuple[float, float]
+) -> xr.Dataset | None:
     """Holes in a window around a point, in um of the plane; None where nothing shows holes."""
     params = session.study.holes
     reach_um = 2.0 * params.hole_um[1]  # half a window: holes at its border are left out
@@ -84,7 +98,9 @@ def _search_holes(session: Session, layer: str, plane: Plane, point_um: tuple[fl
         holes = find_holes(image.assign_attrs(pixel_um=list(grid.pixel_um)), params=params)
         x0_um, y0_um = grid.origin_um
     else:
-        holes = find_holes(xr.Dataset(windows), params=params, side=session.side_of(session.target(layer)))
+        holes = find_holes(
+            xr.Dataset(windows), params=params, side=session.side_of(session.target(layer))
+        )
         x0_um, y0_um = session.to_face_um(layer) if plane == "moving" else (0.0, 0.0)
     return holes.assign(x=holes["x"] + x0_um, y=holes["y"] + y0_um)
 
@@ -104,10 +120,13 @@ def _hole_layers(session: Session, layer: str, plane: Plane) -> dict[str, xr.Dat
     return {"image": images[0]} if images else {}
 
 
-def _window(data: xr.DataArray, point_um: tuple[float, float], reach_um: float) -> xr.DataArray | None:
+def _window(
+    data: xr.DataArray, point_um: tuple[float, float], reach_um: float
+) -> xr.DataArray | None:
     grid = Grid.of(data)
     indices = [
-        np.flatnonzero(np.abs(v - c) <= reach_um) for v, c in ((grid.y_um, point_um[1]), (grid.x_um, point_um[0]))
+        np.flatnonzero(np.abs(v - c) <= reach_um)
+        for v, c in ((grid.y_um, point_um[1]), (grid.x_um, point_um[0]))
     ]
     if min(r.size for r in indices) < 8:
         return None

@@ -47,13 +47,21 @@ MOST_POINTS = 40_000
 
 def sheet_run(run: Path, layer: str) -> Path | None:
     """Folder of the run that a layer was flattened in: this one, or one within it; None where it is no sheet."""
-    layer_params = next((params for params in read_study(run / RUN_TOML).layers if params.name == layer), None)
+    layer_params = next(
+        (params for params in read_study(run / RUN_TOML).layers if params.name == layer), None
+    )
     folder = layer_run(run, layer)
-    is_flattened = layer_params is not None and layer_params.kind != "image" and (folder / MAPS / "strain").is_dir()
+    is_flattened = (
+        layer_params is not None
+        and layer_params.kind != "image"
+        and (folder / MAPS / "strain").is_dir()
+    )
     return folder if is_flattened else None
 
 
-def _on_pixels(cells: xr.DataArray, coordinates: tuple[xr.DataArray, xr.DataArray], where: Where) -> NDArray[Any]:
+def _on_pixels(
+    cells: xr.DataArray, coordinates: tuple[xr.DataArray, xr.DataArray], where: Where
+) -> NDArray[Any]:
     """Values of the mesh's cells in which the pixels of a part of a flat map lie; ``coordinates`` are the places."""
     indices: list[NDArray[np.intp]] = []
     is_on_mesh = True
@@ -76,11 +84,19 @@ def strains(
     frame = Frame.of(stored_group(run / MAPS, "surfaces"))
     rows, cols = (coordinates[f"volume_{axis}"] for axis in (frame.rows, frame.cols))
     for name, display in STRAINS.items():
-        if name not in strain or min(strain[name].shape) < 2 or not np.isfinite(strain[name].values).any():
+        if (
+            name not in strain
+            or min(strain[name].shape) < 2
+            or not np.isfinite(strain[name].values).any()
+        ):
             continue
         cells = (display.factor * (strain[name] - display.unstrained)).astype(np.float32)
         pairs = zip(rows, cols, strict=True)
-        yield name, display, [computed(pair[0], partial(_on_pixels, cells, pair), np.float32) for pair in pairs]
+        yield (
+            name,
+            display,
+            [computed(pair[0], partial(_on_pixels, cells, pair), np.float32) for pair in pairs],
+        )
 
 
 def mesh_lines(run: Path) -> tuple[list[list[tuple[float, float]]], int]:
@@ -95,7 +111,11 @@ def mesh_lines(run: Path) -> tuple[list[list[tuple[float, float]]], int]:
     for axis in ("y", "x"):
         columns_um, cells_um = np.asarray(flat[axis].values), np.asarray(strain[axis].values)
         cell_pitch_um = (cells_um[-1] - cells_um[0]) / max(cells_um.size - 1, 1)
-        nodes_um = cells_um[0] - 0.5 * cell_pitch_um + cell_pitch_um * np.arange(0, cells_um.size + 1, line_step)
+        nodes_um = (
+            cells_um[0]
+            - 0.5 * cell_pitch_um
+            + cell_pitch_um * np.arange(0, cells_um.size + 1, line_step)
+        )
         column_pitch_um = (columns_um[-1] - columns_um[0]) / max(columns_um.size - 1, 1)
         indices = np.rint((nodes_um - columns_um[0]) / column_pitch_um)
         nodes.append(np.clip(indices, 0, columns_um.size - 1).astype(np.intp))
@@ -103,11 +123,17 @@ def mesh_lines(run: Path) -> tuple[list[list[tuple[float, float]]], int]:
     for band in bands(flat.sizes["y"]):
         is_in_band = (nodes[0] >= band.start) & (nodes[0] < band.stop)
         for j, name in enumerate(("u", "v")):
-            uv[is_in_band, :, j] = flat[name][band].values[np.ix_(nodes[0][is_in_band] - band.start, nodes[1])]
+            uv[is_in_band, :, j] = flat[name][band].values[
+                np.ix_(nodes[0][is_in_band] - band.start, nodes[1])
+            ]
     lines: list[list[tuple[float, float]]] = []
     for line in (*uv, *uv.transpose(1, 0, 2)):
         is_sheet = np.isfinite(line).all(axis=1)
         run_ends = np.flatnonzero(np.diff(np.concatenate([[0], is_sheet.astype(np.int8), [0]])))
-        segments = (line[first:last] for first, last in run_ends.reshape(-1, 2).tolist() if last - first > 1)
-        lines += [[(round(float(x), 1), round(float(y), 1)) for x, y in segment] for segment in segments]
+        segments = (
+            line[first:last] for first, last in run_ends.reshape(-1, 2).tolist() if last - first > 1
+        )
+        lines += [
+            [(round(float(x), 1), round(float(y), 1)) for x, y in segment] for segment in segments
+        ]
     return lines, line_step

@@ -17,7 +17,17 @@ from starlette.routing import Route
 from planish.app.changes import stretches_of
 from planish.app.picture import PlanePicture
 from planish.app.pictures import Tiles
-from planish.app.selection import Brush, Rectangle, Stopped, cursor, density, histogram, nearest, profile, select
+from planish.app.selection import (
+    Brush,
+    Rectangle,
+    Stopped,
+    cursor,
+    density,
+    histogram,
+    nearest,
+    profile,
+    select,
+)
 from planish.app.session import Session
 from planish.app.slices import SheetSlice, SlicedSheet, edge_of, sheets_of
 from planish.app.strain import SPACE, STRAINS, mesh_lines, sheet_run
@@ -26,7 +36,8 @@ from planish.core.status import Status
 from planish.surface import Corrections, Stretch
 from planish.surface.params import REACH_UM
 
-_ONE_PASS = anyio.CapacityLimiter(1)  # passes over whole maps, one at a time: the other core is for the screen
+# Passes over whole maps, one at a time: the other core is for the screen.
+_ONE_PASS = anyio.CapacityLimiter(1)
 
 
 def get_tile(request: Request) -> Response:
@@ -44,8 +55,14 @@ def get_cursor(request: Request) -> Response:
 
 def get_pixel(request: Request) -> Response:
     """The pixel of a map that shows the sheet nearest to a place in the volume."""
-    place_um = {axis: required_numbers(request, axis, 1)[0] for axis in "xyz" if axis in request.query_params}
-    point = nearest(_tiles(request), _picture(request, "id"), request.query_params.get("layer", ""), place_um)
+    place_um = {
+        axis: required_numbers(request, axis, 1)[0]
+        for axis in "xyz"
+        if axis in request.query_params
+    }
+    point = nearest(
+        _tiles(request), _picture(request, "id"), request.query_params.get("layer", ""), place_um
+    )
     return JSONResponse(point and dict(zip("xy", point, strict=True)))
 
 
@@ -108,7 +125,9 @@ def _picture(request: Request, key: str) -> PlanePicture:
 def _picture_pair(request: Request) -> tuple[PlanePicture, PlanePicture]:
     a, b = _picture(request, "a"), _picture(request, "b")
     if b not in _tiles(request).pictures.on_same_pixels(a):
-        raise InputError(f"{a.name} and {b.name} do not lie on the same pixels. Choose two layers of one plane.")
+        raise InputError(
+            f"{a.name} and {b.name} do not lie on the same pixels. Choose two layers of one plane."
+        )
     return a, b
 
 
@@ -135,7 +154,9 @@ def _numbers(request: Request, key: str, count: int) -> list[float]:
     except ValueError:
         numbers = []
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
-        raise InputError(f"{key} is {text[:40]!r}: {count} number{'s' * (count > 1)} needed, apart by commas.")
+        raise InputError(
+            f"{key} is {text[:40]!r}: {count} number{'s' * (count > 1)} needed, apart by commas."
+        )
     return numbers
 
 
@@ -153,26 +174,49 @@ def get_sheets(request: Request) -> Response:
             sheets.append({"layer": name, "error": error.text})
             continue
         frame, attrs = sheet.frame, sheet.surfaces.attrs
-        voxels_um = {axis: sheet.voxels_um(axis) for axis in "zyx"} | {"straight": sheet.surfaces["y"].values}
-        axes = {name: edge_of("height", um).model_dump(exclude={"name"}) for name, um in voxels_um.items()}
-        sheets.append({
-            "layer": name, "through": frame.through, "top": frame.top, "rows": frame.rows, "cols": frame.cols,
-            "axes": axes, "thickness_um": float(attrs["thickness_um"]), "reach_um": REACH_UM,
-            "correctable": "from_labels" not in attrs and attrs.get("method", "profile") == "profile",
-        })  # fmt: skip
+        voxels_um = {axis: sheet.voxels_um(axis) for axis in "zyx"} | {
+            "straight": sheet.surfaces["y"].values
+        }
+        axes = {
+            name: edge_of("height", um).model_dump(exclude={"name"})
+            for name, um in voxels_um.items()
+        }
+        sheets.append(
+            {
+                "layer": name,
+                "through": frame.through,
+                "top": frame.top,
+                "rows": frame.rows,
+                "cols": frame.cols,
+                "axes": axes,
+                "thickness_um": float(attrs["thickness_um"]),
+                "reach_um": REACH_UM,
+                "correctable": (
+                    "from_labels" not in attrs and attrs.get("method", "profile") == "profile"
+                ),
+            }
+        )
     status_texts = {int(status): status.sentence for status in Status}
     return JSONResponse({"sheets": sheets, "status": status_texts})
 
 
 def get_slice(request: Request) -> Response:
     """One slice: its facts as JSON, pixels of 16 bits, and lines of 32-bit floats."""
-    sheet, direction = _open_sheet(request, request.path_params["layer"]), request.path_params["direction"]
+    sheet, direction = (
+        _open_sheet(request, request.path_params["layer"]),
+        request.path_params["direction"],
+    )
     if direction not in ("z", "y", "x", "straight"):
         raise InputError("Slices run across z, y or x, or are straight.")
     across_um, down_um = (next(iter(_numbers(request, key, 1)), None) for key in ("across", "down"))
     corrections = _shown_corrections(request, sheet.name)
     message = slice_message(
-        sheet.cut(direction, request.path_params["index"], near_um=(across_um, down_um), corrections=corrections)
+        sheet.cut(
+            direction,
+            request.path_params["index"],
+            near_um=(across_um, down_um),
+            corrections=corrections,
+        )
     )
     return Response(message, media_type="application/octet-stream")
 
@@ -202,17 +246,25 @@ def _shown_corrections(request: Request, layer: str) -> Corrections | None:
     saved = stretches_of(session.state.corrections, layer, first_sheet)
     points_text = request.query_params.get("points", "")
     if not points_text:
-        return None if saved == stretches_of(session.first.corrections, layer, first_sheet) else saved
+        return (
+            None if saved == stretches_of(session.first.corrections, layer, first_sheet) else saved
+        )
     if len(points_text) > 4000:
-        raise InputError("There are too many points for one stretch. Save it, and go on with another.")
+        raise InputError(
+            "There are too many points for one stretch. Save it, and go on with another."
+        )
     # What is missing in a point is empty, and refused with it.
     coordinates = ([*text.split(","), "", "", "", ""] for text in points_text.split(";"))
     points = [dict(zip(("z", "y", "x", "face"), point, strict=False)) for point in coordinates]
     (reach_um,) = _numbers(request, "reach", 1) or [0.0]
     try:
-        trial = Stretch.model_validate({"id": "tried", "points": points, "reach_um": reach_um or REACH_UM})
+        trial = Stretch.model_validate(
+            {"id": "tried", "points": points, "reach_um": reach_um or REACH_UM}
+        )
     except ValueError as error:
-        raise InputError("These are not points of a face: z, y, x in um and top or bottom.") from error
+        raise InputError(
+            "These are not points of a face: z, y, x in um and top or bottom."
+        ) from error
     return saved.model_copy(update={"stretches": (*saved.stretches, trial)})
 
 
@@ -223,7 +275,9 @@ def slice_message(sheet_slice: SheetSlice) -> bytes:
     pixels = np.ascontiguousarray(sheet_slice.pixels, dtype="<u2").tobytes()
     blocks = [struct.pack("<I", len(header)), header, pixels, b"\0" * (-len(pixels) % 4)]
     curves = (*sheet_slice.lines, *sheet_slice.contours)
-    return b"".join([*blocks, *(np.ascontiguousarray(curve, dtype="<f4").tobytes() for curve in curves)])
+    return b"".join(
+        [*blocks, *(np.ascontiguousarray(curve, dtype="<f4").tobytes() for curve in curves)]
+    )
 
 
 def flattening(request: Request) -> Response:
@@ -233,13 +287,23 @@ def flattening(request: Request) -> Response:
         return JSONResponse(None)
     ids = {p.variable: p.id for p in session.pictures.on("moving", layer)}
     excluded = {*SPACE, *STRAINS, "valid"}
-    colour_names = [name for name in ids if name not in excluded and not name.startswith(("volume_", "presence"))]
-    preferred = [name for name in (session.results.layer(layer).headline, "thickness", "warp") if name in colour_names]
-    return JSONResponse({
-        "strain": [ids[name] for name in STRAINS if name in ids],
-        "space": [ids[name] for name in SPACE],
-        "colours": [ids[name] for name in dict.fromkeys([*preferred, *colour_names])],
-    })  # fmt: skip
+    colour_names = [
+        name
+        for name in ids
+        if name not in excluded and not name.startswith(("volume_", "presence"))
+    ]
+    preferred = [
+        name
+        for name in (session.results.layer(layer).headline, "thickness", "warp")
+        if name in colour_names
+    ]
+    return JSONResponse(
+        {
+            "strain": [ids[name] for name in STRAINS if name in ids],
+            "space": [ids[name] for name in SPACE],
+            "colours": [ids[name] for name in dict.fromkeys([*preferred, *colour_names])],
+        }
+    )
 
 
 def mesh(request: Request) -> Response:
@@ -255,10 +319,17 @@ def route(path: str, endpoint: Callable[[Request], Any], method: str = "GET") ->
 
 
 ROUTES = [
-    route("/api/tiles/{id}/{level:int}/{row:int}/{col:int}", get_tile), route("/api/cursor", get_cursor),
-    route("/api/pixel", get_pixel), route("/api/profile", get_profile),
-    route("/api/density", lambda r: JSONResponse(density(_tiles(r), *_picture_pair(r), _region(r)))),
-    route("/api/histogram", get_histogram), route("/api/selection", get_selection), route("/api/sheets", get_sheets),
-    route("/api/slices/{layer}/{direction}/{index:int}", get_slice), route("/api/flattening", flattening),
+    route("/api/tiles/{id}/{level:int}/{row:int}/{col:int}", get_tile),
+    route("/api/cursor", get_cursor),
+    route("/api/pixel", get_pixel),
+    route("/api/profile", get_profile),
+    route(
+        "/api/density", lambda r: JSONResponse(density(_tiles(r), *_picture_pair(r), _region(r)))
+    ),
+    route("/api/histogram", get_histogram),
+    route("/api/selection", get_selection),
+    route("/api/sheets", get_sheets),
+    route("/api/slices/{layer}/{direction}/{index:int}", get_slice),
+    route("/api/flattening", flattening),
     route("/api/mesh", mesh),
-]  # fmt: skip
+]

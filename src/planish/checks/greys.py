@@ -19,13 +19,16 @@ from planish.core.typing import Array, Floats, Ints
 from planish.measure.registry import FWHM, Greys
 from planish.surface.learn import POROUS
 
-SPIKE, SHARE = 3.0, 2e-4  # height of the spike over what the histogram leads to; least share of the voxels
+# Height of the spike over what the histogram leads to; least share of the voxels.
+SPIKE, SHARE = 3.0, 2e-4
 _LAST_BIN = 6  # of those that the histogram is continued from
 SHADED = 0.15  # of base - air: change of the base's grey across the sheet
 _WALL = 0.95  # of the greys of a base with pores lie below that of a wall
 _JUMP = 0.1  # of the contrast: moves a face by an eighth of the blur's standard deviation
-_COATING, _ALIKE = 0.25, 0.75  # least contrast of a coating to the base: of the base's to the air, of the other side's
-_RESOLVED = 2.0  # widths of the blur: balls of such chords keep 0.8 of their volume above half of their contrast
+# Least contrast of a coating to the base: of the base's to the air, of the other side's.
+_COATING, _ALIKE = 0.25, 0.75
+# Widths of the blur: balls of such chords keep 0.8 of their volume above half of their contrast.
+_RESOLVED = 2.0
 _EDGE, _DEPTH = 32, 8  # voxels along the edge of a block of air; along the axis through the sheet
 _GAP = 6  # voxels between the sheet and a block
 _LAGS = 12  # voxels
@@ -48,20 +51,32 @@ def clipped_grey(rule: CheckRule, scan: GreyScan) -> Check:
     coating_grey = denser_coating(greys)
     layer, layer_grey = ("base", greys.base) if coating_grey is None else ("coating", coating_grey)
     # So near to the layer's own level, a limit moves it.
-    is_inside = greys.polarity * (end_grey - layer_grey) < greys.noise + 0.02 * abs(layer_grey - greys.air)
-    crowd_text = f"{100 * spike_share:.2g} % of the voxels around the sheet have the grey {end_grey:.5g}"
+    is_inside = greys.polarity * (end_grey - layer_grey) < greys.noise + 0.02 * abs(
+        layer_grey - greys.air
+    )
+    crowd_text = (
+        f"{100 * spike_share:.2g} % of the voxels around the sheet have the grey {end_grey:.5g}"
+    )
     make_check = functools.partial(rule.check, value=spike, limit=SPIKE)
     if not (spike > SPIKE and spike_share > SHARE):
-        sentence = "The grey scale does not end at the sheet: no grey value piles up at the end where the sheet lies."
+        sentence = (
+            "The grey scale does not end at the sheet: no grey value piles up at the end where the"
+            " sheet lies."
+        )
         return make_check("pass", sentence, figures=())
     if not is_inside and spike_share < 0.02:
-        sentence = f"{crowd_text}, where the scale was cut off; the {layer} lies well inside ({layer_grey:.4g})."
+        sentence = (
+            f"{crowd_text}, where the scale was cut off; the {layer} lies well inside"
+            f" ({layer_grey:.4g})."
+        )
         return make_check("pass", sentence, figures=())
     return make_check(
-        "look", f"{crowd_text}, where the scale was cut off, and the {layer} lies at {layer_grey:.4g}: its contrast is "
-        "too low, and its face is displaced.", figures=(PROPERTIES,) if coating_grey is None else rule.figures,
+        "look",
+        f"{crowd_text}, where the scale was cut off, and the {layer} lies at {layer_grey:.4g}: its"
+        " contrast is too low, and its face is displaced.",
+        figures=(PROPERTIES,) if coating_grey is None else rule.figures,
         advice="Export the volume with a wider grey window, or as 16 bit.",
-    )  # fmt: skip
+    )
 
 
 def denser_coating(greys: Greys) -> float | None:
@@ -72,7 +87,8 @@ def denser_coating(greys: Greys) -> float | None:
 
 def clipping(sample: Array, greys: Greys) -> tuple[float, float, float]:
     """Find a spike at the sheet's end of the grey scale: height over what bins beside it suggest, share, grey."""
-    is_integer = sample.dtype.kind != "f"  # Whole numbers are counted once: a large part of a volume is looked at.
+    # Whole numbers are counted once: a large part of a volume is looked at.
+    is_integer = sample.dtype.kind != "f"
     levels, counts = _levels(sample) if is_integer else (sample[np.isfinite(sample)], None)
     if levels.size == 0:
         return 0.0, 0.0, float("nan")
@@ -88,12 +104,16 @@ def clipping(sample: Array, greys: Greys) -> tuple[float, float, float]:
     bins = np.floor(greys.polarity * (end_grey - levels.astype(np.float64)) / width + rounding)
     is_near_end = bins <= _LAST_BIN
     weights = None if counts is None else counts[is_near_end]
-    histogram = np.bincount(bins[is_near_end].astype(np.int64), weights, _LAST_BIN + 1).astype(np.float64)
+    histogram = np.bincount(bins[is_near_end].astype(np.int64), weights, _LAST_BIN + 1).astype(
+        np.float64
+    )
     # Of real numbers, what was cut off lies at one value exactly; the rest of its bin is as wide as the others.
     end_count = float(histogram[0] if is_integer else np.count_nonzero(levels == end_grey))
     other_counts = histogram[1:] + 0.5
     bin_numbers = np.arange(1.0, histogram.size)
-    expected = float(np.exp(np.polyfit(bin_numbers, np.log(other_counts), 1, w=np.sqrt(other_counts))[1]))
+    expected = float(
+        np.exp(np.polyfit(bin_numbers, np.log(other_counts), 1, w=np.sqrt(other_counts))[1])
+    )
     n_voxels = levels.size if counts is None else int(counts.sum())
     return end_count / (expected + 3 * np.sqrt(expected) + 1), end_count / n_voxels, end_grey
 
@@ -112,14 +132,19 @@ def steady_grey(rule: CheckRule, scan: GreyScan) -> Check:
     greys, coating_grey = scan.greys, denser_coating(scan.greys)
     contrast = abs((greys.base if coating_grey is None else coating_grey) - greys.air)
     other_axes = (*scan.assembled_axes, scan.through)
-    jumps = {axis: level_jump(w) / contrast for axis, w in scan.windows.items() if axis not in other_axes}
+    jumps = {
+        axis: level_jump(w) / contrast for axis, w in scan.windows.items() if axis not in other_axes
+    }
     axis, jump_share = max(jumps.items(), key=lambda jump: jump[1], default=("z", 0.0))
     return rule.at_most(
-        jump_share, look=_JUMP,
-        sentence=f"From slice to slice along {axis}, grey levels jump by {100 * jump_share:.1f} % of the contrast "
-        "between air and sheet.",
+        jump_share,
+        look=_JUMP,
+        sentence=(
+            f"From slice to slice along {axis}, grey levels jump by {100 * jump_share:.1f} % of the"
+            " contrast between air and sheet."
+        ),
         advice="Slices were probably scaled one by one. Export all of them with one grey window.",
-    )  # fmt: skip
+    )
 
 
 def level_jump(window: Window) -> float:
@@ -144,10 +169,15 @@ def shading(rule: CheckRule, scan: GreyScan) -> Check:
         spread = np.sqrt(max(mad_sd(grey[is_seen]) ** 2 - greys.single_noise**2, 0.0))
         if spread > POROUS * contrast:
             wall_share = _WALL if greys.polarity > 0 else 1.0 - _WALL
-            contrast, name = abs(float(np.nanquantile(grey[is_seen], wall_share)) - greys.air), "the contrast of a wall"
+            contrast, name = (
+                abs(float(np.nanquantile(grey[is_seen], wall_share)) - greys.air),
+                "the contrast of a wall",
+            )
     if np.count_nonzero(is_seen) < 20 or not contrast > 0:
         return rule.check(
-            "unknown", f"The base is seen in {np.count_nonzero(is_seen)} tiles only, too few to follow its grey."
+            "unknown",
+            f"The base is seen in {np.count_nonzero(is_seen)} tiles only, too few to follow its"
+            " grey.",
         )
     tile_greys, frame = np.nanmedian(grey[is_seen], axis=(1, 2)), Frame.of(scan.measured)
     grey_change, share_limit, shaded_axis = 0.0, SHADED, ""
@@ -164,11 +194,18 @@ def shading(rule: CheckRule, scan: GreyScan) -> Check:
         if not shaded_axis or change_share - max(SHADED, chance_share) > grey_change - share_limit:
             grey_change, share_limit, shaded_axis = change_share, max(SHADED, chance_share), axis
     return rule.at_most(
-        grey_change, look=share_limit, units="share",
-        sentence=f"Along {shaded_axis}, the grey of the base changes by {100 * grey_change:.2g} % of {name} to "
-        "the air.",
-        advice="The beam or the light faded, or the scan is shaded. Correct it by a flat field, or scan again.",
-    )  # fmt: skip
+        grey_change,
+        look=share_limit,
+        units="share",
+        sentence=(
+            f"Along {shaded_axis}, the grey of the base changes by {100 * grey_change:.2g} % of"
+            f" {name} to the air."
+        ),
+        advice=(
+            "The beam or the light faded, or the scan is shaded. Correct it by a flat field, or"
+            " scan again."
+        ),
+    )
 
 
 def coating_grey(rule: CheckRule, scan: GreyScan) -> Check | None:
@@ -180,23 +217,39 @@ def coating_grey(rule: CheckRule, scan: GreyScan) -> Check | None:
     end_grey = float(sample.max() if greys.polarity > 0 else sample.min())
     contrasts = {side: greys.polarity * (level - greys.base) for side, level in levels.items()}
     contrast_ratio = min(contrasts.values()) / max(contrasts.values())
-    faults = [
-        f"The grey of the {side} coating lies beyond all greys of the volume, which end at {end_grey:.4g}."
-        for side, level in levels.items() if greys.polarity * (level - end_grey) > 0
-    ] + [
-        f"On the {side} side no layer shows that is denser than the base."
-        for side in levels if contrasts[side] < _COATING * abs(greys.base - greys.air)
-    ] + [
-        f"One coating has {100 * contrast_ratio:.0f} % of the other's contrast to the base."
-        for _ in range(contrast_ratio < _ALIKE)
-    ]  # fmt: skip
+    faults = (
+        [
+            f"The grey of the {side} coating lies beyond all greys of the volume, which end at"
+            f" {end_grey:.4g}."
+            for side, level in levels.items()
+            if greys.polarity * (level - end_grey) > 0
+        ]
+        + [
+            f"On the {side} side no layer shows that is denser than the base."
+            for side in levels
+            if contrasts[side] < _COATING * abs(greys.base - greys.air)
+        ]
+        + [
+            f"One coating has {100 * contrast_ratio:.0f} % of the other's contrast to the base."
+            for _ in range(contrast_ratio < _ALIKE)
+        ]
+    )
     levels_text = " and ".join(f"{level:.4g} ({side})" for side, level in levels.items())
     return rule.check(
-        "look" if faults else "pass", value=contrast_ratio, limit=_ALIKE, units="share",
-        sentence=" ".join([f"Grey of the coating: {levels_text}; of the base: {greys.base:.4g}.", *faults]),
-        advice="Film, tape or fringes may have been taken for a coating. Look at the slices; crop the volume to the "
-        "sheet, or give --coating-grey." if faults else "",
-    )  # fmt: skip
+        "look" if faults else "pass",
+        value=contrast_ratio,
+        limit=_ALIKE,
+        units="share",
+        sentence=" ".join(
+            [f"Grey of the coating: {levels_text}; of the base: {greys.base:.4g}.", *faults]
+        ),
+        advice=(
+            "Film, tape or fringes may have been taken for a coating. Look at the slices; crop the"
+            " volume to the sheet, or give --coating-grey."
+            if faults
+            else ""
+        ),
+    )
 
 
 def filler(rule: CheckRule, scan: GreyScan) -> Check | None:
@@ -207,21 +260,33 @@ def filler(rule: CheckRule, scan: GreyScan) -> Check | None:
     if (level := scan.measured.attrs.get("filler_grey")) is None:
         level = 0.5 * (greys.base + np.nanmean([greys.coating_top, greys.coating_bottom]))
     columns = (greys.polarity * (scan.core_grey - level) > 0)[core.is_base]
-    labels, _ = ndimage.label(columns, [[0, 0, 0], [1, 1, 1], [0, 0, 0]])  # along each column by itself
+    # Along each column by itself.
+    labels, _ = ndimage.label(columns, [[0, 0, 0], [1, 1, 1], [0, 0, 0]])
     sizes = np.bincount(labels.ravel())
-    sizes[labels[:, [0, -1]]] = sizes[0] = 0  # what reaches the end of a column is coating that has run in
+    # What reaches the end of a column is coating that has run in.
+    sizes[labels[:, [0, -1]]] = sizes[0] = 0
     k = "zyx".index(scan.through)
     depths = core.points.reshape(*core.shape, 3)[core.is_base][..., k]
-    step_um = float(scan.volume.attrs["voxel_um"][k] * np.mean(np.ptp(depths, axis=1)) / (core.shape[2] - 1))
+    step_um = float(
+        scan.volume.attrs["voxel_um"][k] * np.mean(np.ptp(depths, axis=1)) / (core.shape[2] - 1)
+    )
     grain_um = step_um * float(np.median(sizes[sizes > 0])) if sizes.any() else 0.0
     blur_um = FWHM * greys.blur_um
     return rule.at_least(
-        grain_um, look=_RESOLVED * blur_um, units="um",
-        sentence=f"Bright grains in the base measure {grain_um:.2g} um through the sheet; the blur is {blur_um:.3g} um "
-        "wide." if grain_um else "No grain of filler is seen in the base.",
-        advice="Grains below a voxel or below the blur are lost, and with them most of the filler. Scan with smaller "
-        "voxels, or weigh the ash.",
-    )  # fmt: skip
+        grain_um,
+        look=_RESOLVED * blur_um,
+        units="um",
+        sentence=(
+            f"Bright grains in the base measure {grain_um:.2g} um through the sheet; the blur is"
+            f" {blur_um:.3g} um wide."
+            if grain_um
+            else "No grain of filler is seen in the base."
+        ),
+        advice=(
+            "Grains below a voxel or below the blur are lost, and with them most of the filler."
+            " Scan with smaller voxels, or weigh the ash."
+        ),
+    )
 
 
 def blur(rule: CheckRule, scan: GreyScan) -> Check | None:
@@ -232,19 +297,27 @@ def blur(rule: CheckRule, scan: GreyScan) -> Check | None:
     """
     measured = scan.measured
     coatings = [measured[k].values for k in ("coating_top", "coating_bottom") if k in measured]
-    thinnest_um = min((float(np.nanmedian(m)) for m in coatings if np.isfinite(m).any()), default=None)
+    thinnest_um = min(
+        (float(np.nanmedian(m)) for m in coatings if np.isfinite(m).any()), default=None
+    )
     if thinnest_um is None:
         return None
     edge_um, noise_um = FWHM * float(measured.attrs["blur_um"]), noise_width(scan.volume, measured)
     width_um = max(edge_um, noise_um) if np.isfinite(noise_um) else edge_um
     cause_text = "An edge is blurred" if width_um == edge_um else "The noise is smoothed"
     return rule.at_most(
-        width_um / max(thinnest_um, 1e-9), look=1.0, units="of the coating",
-        sentence=f"{cause_text} over {width_um:.3g} um, full width at half maximum; the coating is {thinnest_um:.3g} "
-        "um thick.",
-        advice="Thickness and grey level of a layer that is thinner than the blur cannot be distinguished. Scan with "
-        "smaller voxels, and leave out filters that smooth.",
-    )  # fmt: skip
+        width_um / max(thinnest_um, 1e-9),
+        look=1.0,
+        units="of the coating",
+        sentence=(
+            f"{cause_text} over {width_um:.3g} um, full width at half maximum; the coating is"
+            f" {thinnest_um:.3g} um thick."
+        ),
+        advice=(
+            "Thickness and grey level of a layer that is thinner than the blur cannot be"
+            " distinguished. Scan with smaller voxels, and leave out filters that smooth."
+        ),
+    )
 
 
 def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
@@ -260,25 +333,37 @@ def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
             products = [[np.mean(v[k:] * v[: len(v) - k]) for v in turned] for k in range(_LAGS)]
             block_lags.append(np.mean(products, axis=1))
     # Blocks that hold more than air, such as a part of a film, vary more.
-    lags = np.sum([lags for lags in block_lags if lags[0] < 2 * min(block_lags, key=lambda k: k[0])[0]], axis=0)
+    lags = np.sum(
+        [lags for lags in block_lags if lags[0] < 2 * min(block_lags, key=lambda k: k[0])[0]],
+        axis=0,
+    )
     if not (block_lags and lags[0] > lags[-1]):
         return float("nan")
-    correlation = (lags - lags[-1]) / (lags[0] - lags[-1])  # What goes on farther is no noise but streaks and shading.
+    # What goes on farther is no noise but streaks and shading.
+    correlation = (lags - lags[-1]) / (lags[0] - lags[-1])
     k = int(np.argmax(correlation < 0.5))
     half_width_px = k - (0.5 - correlation[k]) / (correlation[k - 1] - correlation[k])
-    return np.sqrt(2.0) * half_width_px * float(np.cbrt(np.prod([float(v) for v in volume.attrs["voxel_um"]])))
+    return (
+        np.sqrt(2.0)
+        * half_width_px
+        * float(np.cbrt(np.prod([float(v) for v in volume.attrs["voxel_um"]])))
+    )
 
 
 def _air_blocks(volume: xr.DataArray, measured: xr.Dataset) -> Iterator[Floats]:
     """Yield the grey (rows, cols, depth) of blocks above and below the sheet, four along either axis of it."""
     frame = Frame.of(measured)
     rows_um, cols_um, heights = (
-        np.asarray(volume.coords[axis].values, dtype=np.float64) for axis in (frame.rows, frame.cols, frame.through)
+        np.asarray(volume.coords[axis].values, dtype=np.float64)
+        for axis in (frame.rows, frame.cols, frame.through)
     )
     faces = np.stack([measured["top"].values, measured["bottom"].values]).astype(np.float64)
     if min(rows_um.size, cols_um.size) < _EDGE:
         return
-    starts = (np.unique(np.linspace(0, um.size - _EDGE, 6)[1:-1].astype(int)).tolist() for um in (rows_um, cols_um))
+    starts = (
+        np.unique(np.linspace(0, um.size - _EDGE, 6)[1:-1].astype(int)).tolist()
+        for um in (rows_um, cols_um)
+    )
     for row, col in product(*([slice(k, k + _EDGE) for k in side] for side in starts)):
         is_inside = [
             (measured[axis].values >= um[0]) & (measured[axis].values <= um[-1])
@@ -290,8 +375,12 @@ def _air_blocks(volume: xr.DataArray, measured: xr.Dataset) -> Iterator[Floats]:
         low, high = (np.searchsorted(heights, f(block_faces)) for f in (np.nanmin, np.nanmax))
         for start, stop in ((high + _GAP, high + _GAP + _DEPTH), (low - _GAP - _DEPTH, low - _GAP)):
             if start >= 0 and stop <= heights.size:
-                block = volume.isel({frame.through: slice(start, stop), frame.rows: row, frame.cols: col})
-                yield np.array(block.transpose(frame.rows, frame.cols, frame.through).values, dtype=np.float64)
+                block = volume.isel(
+                    {frame.through: slice(start, stop), frame.rows: row, frame.cols: col}
+                )
+                yield np.array(
+                    block.transpose(frame.rows, frame.cols, frame.through).values, dtype=np.float64
+                )
 
 
 # --- of an image -----------------------------------------------------------------------------------------------------
@@ -311,9 +400,17 @@ def clipped_image(rule: CheckRule, image: SheetImage) -> Check:
             if end_share > SPIKE * near_share and end_share > clipped_share:
                 clipped_share, tone = end_share, end_tone
     return rule.at_most(
-        clipped_share, look=0.01, units="share",  # from which on a correlation suffers
-        sentence=f"{100 * clipped_share:.2g} % of the image's pixels on the sheet are as {tone} as its scale allows."
-        if clipped_share > 0.01 else "The image's grey scale does not end within the sheet's greys.",
-        advice="The true grey of these pixels is lost, and r is too weak. Take the image again with another exposure, "
-        "or export it with a wider grey window.",
-    )  # fmt: skip
+        clipped_share,
+        look=0.01,
+        units="share",  # from which on a correlation suffers
+        sentence=(
+            f"{100 * clipped_share:.2g} % of the image's pixels on the sheet are as {tone} as its"
+            " scale allows."
+            if clipped_share > 0.01
+            else "The image's grey scale does not end within the sheet's greys."
+        ),
+        advice=(
+            "The true grey of these pixels is lost, and r is too weak. Take the image again with"
+            " another exposure, or export it with a wider grey window."
+        ),
+    )

@@ -59,20 +59,32 @@ class TextureChecks:
 
 def marks(rule: CheckRule, registered: RegisteredLayer) -> Check:
     """Judge the leave-one-out error of the marks, and whether marks that were left out lie far off."""
-    limit_um = max(0.1 * registered.hole_um, registered.pixel_um)  # marks that were found well agree within that
+    # Marks that were found well agree within that.
+    limit_um = max(0.1 * registered.hole_um, registered.pixel_um)
     loo_um, fit = registered.facts.leave_one_out_rms_um, registered.fit
     if loo_um is None:
         return rule.check(
-            "unknown", units="um", advice="Add marks.",
-            sentence=f"With {registered.facts.matched} marks, none is left to check the registration. "
-            f"{registered.agreement}",
-        )  # fmt: skip
+            "unknown",
+            units="um",
+            advice="Add marks.",
+            sentence=(
+                f"With {registered.facts.matched} marks, none is left to check the registration. "
+                f"{registered.agreement}"
+            ),
+        )
     check = rule.at_most(
-        loo_um, look=limit_um, fail=5.0 * limit_um, units="um", sentence=registered.agreement,
+        loo_um,
+        look=limit_um,
+        fail=5.0 * limit_um,
+        units="um",
+        sentence=registered.agreement,
         advice="That is worse than a tenth of a hole and a pixel. Look at the residual arrows.",
-    )  # fmt: skip
+    )
     # A hole that is badly found is left out now and then; one that lies elsewhere is worth a look.
-    if check.state == "pass" and (np.hypot(*fit.residuals_um[fit.robust_weights < 1.0].T) > limit_um).any():
+    if (
+        check.state == "pass"
+        and (np.hypot(*fit.residuals_um[fit.robust_weights < 1.0].T) > limit_um).any()
+    ):
         advice = "Look at the marks that were left out."
         return check.model_copy(update={"state": "look", "figures": (), "advice": advice})
     return check
@@ -81,20 +93,28 @@ def marks(rule: CheckRule, registered: RegisteredLayer) -> Check:
 def scale(rule: CheckRule, registered: RegisteredLayer) -> Check:
     """Judge whether the calibrations of both layers agree."""
     return rule.at_most(
-        abs(registered.facts.scale - 1), look=0.03, units="share",
+        abs(registered.facts.scale - 1),
+        look=0.03,
+        units="share",
         sentence=f"The marks imply a scale of {registered.facts.scale:.4f}.",
         advice="The calibrations do not agree. Check the voxel and the pixel size.",
-    )  # fmt: skip
+    )
 
 
 def strain(rule: CheckRule, registered: RegisteredLayer) -> Check:
     """Judge the strain of the registration between the marks."""
     largest = registered.fit.strain.largest
     return rule.at_most(
-        largest, look=0.01, units="share",
-        sentence=f"Between the marks, the registration strains the sheet by up to {100 * largest:.2g} %.",
-        advice="Paper strains by less than 1 %. Check the marks there, and the order of the slices.",
-    )  # fmt: skip
+        largest,
+        look=0.01,
+        units="share",
+        sentence=(
+            f"Between the marks, the registration strains the sheet by up to {100 * largest:.2g} %."
+        ),
+        advice=(
+            "Paper strains by less than 1 %. Check the marks there, and the order of the slices."
+        ),
+    )
 
 
 def tilt(rule: CheckRule, registered: RegisteredLayer) -> Check | None:
@@ -108,13 +128,23 @@ def tilt(rule: CheckRule, registered: RegisteredLayer) -> Check | None:
     )
     error_deg = offset_error_um * (angle_deg / max(offset_um, 1e-9) / np.sqrt(2))
     limit_deg = max(1.5, 4.0 * error_deg)  # of holes burnt from above
-    end_text = " from its normal, all to one side" if angle_deg > limit_deg else " from its normal on average"
+    end_text = (
+        " from its normal, all to one side"
+        if angle_deg > limit_deg
+        else " from its normal on average"
+    )
     return rule.at_most(
-        angle_deg, look=limit_deg, units="deg",
-        sentence=f"The holes run through the sheet at {angle_deg:.2g} ± {error_deg:.1g}°{end_text}.",
-        advice="Either the laser was not perpendicular to the sheet, or slices drift sideways through the volume, and "
-        "then places and thicknesses are wrong. Ask how the holes were burnt.",
-    )  # fmt: skip
+        angle_deg,
+        look=limit_deg,
+        units="deg",
+        sentence=(
+            f"The holes run through the sheet at {angle_deg:.2g} ± {error_deg:.1g}°{end_text}."
+        ),
+        advice=(
+            "Either the laser was not perpendicular to the sheet, or slices drift sideways through"
+            " the volume, and then places and thicknesses are wrong. Ask how the holes were burnt."
+        ),
+    )
 
 
 def machine_direction(rule: CheckRule, registered: RegisteredLayer) -> Check | None:
@@ -125,18 +155,26 @@ def machine_direction(rule: CheckRule, registered: RegisteredLayer) -> Check | N
         return None
     difference_deg = abs((stated_deg - carried_deg + 90.0) % 180.0 - 90.0)
     return rule.at_most(
-        difference_deg, look=10.0, units="deg",
-        sentence=f"The machine directions of {registered.layer} and {registered.facts.to} differ by "
-        f"{difference_deg:.1f}°.",
+        difference_deg,
+        look=10.0,
+        units="deg",
+        sentence=(
+            f"The machine directions of {registered.layer} and {registered.facts.to} differ by "
+            f"{difference_deg:.1f}°."
+        ),
         advice="One of them is wrong, or the marks were matched wrongly.",
-    )  # fmt: skip
+    )
 
 
 def holes_of_layer(rule: CheckRule, detected: DetectedHoles) -> Check:
     """Judge how many holes were found and what was rejected; a look where places were not measured."""
     attrs, hole_count = detected.holes.attrs, detected.holes.sizes["mark"]
     rejected: dict[str, int] = attrs.get("not_taken", {})
-    rejected_texts = [f"{rejected[name]} {reason_text}" for name, reason_text in REASONS.items() if rejected.get(name)]
+    rejected_texts = [
+        f"{rejected[name]} {reason_text}"
+        for name, reason_text in REASONS.items()
+        if rejected.get(name)
+    ]
     rejected_text = f"; seen and not taken: {', '.join(rejected_texts)}" if rejected_texts else ""
     sentence = f"{hole_count} {'hole' if hole_count == 1 else 'holes'} found{rejected_text}."
     n_not_measured, n_openings = rejected.get("not_measured", 0), int(attrs.get("openings", 0))
@@ -144,16 +182,26 @@ def holes_of_layer(rule: CheckRule, detected: DetectedHoles) -> Check:
     n_doubtful = n_openings if n_openings > max(1, 0.25 * (hole_count + n_openings)) else 0
     if n_openings:
         openings = (
-            "1 opening as large as a hole is" if n_openings == 1 else f"{n_openings} openings as large as holes are"
+            "1 opening as large as a hole is"
+            if n_openings == 1
+            else f"{n_openings} openings as large as holes are"
         )
         sentence += f" {openings} not round enough to be one."
     check = rule.at_most(
-        n_not_measured + n_doubtful, look=0, sentence=sentence,
+        n_not_measured + n_doubtful,
+        look=0,
+        sentence=sentence,
         figures=rule.figures if n_doubtful else rule.figures[:1],
-        advice="Look at the maps there: a stretched or torn hole says that slices or voxel sizes are wrong."
-        if n_doubtful else
-        "More places look like holes than fit into the area. Give a closer range of diameters (--hole-um).",
-    )  # fmt: skip
+        advice=(
+            "Look at the maps there: a stretched or torn hole says that slices or voxel sizes are"
+            " wrong."
+            if n_doubtful
+            else (
+                "More places look like holes than fit into the area. Give a closer range of"
+                " diameters (--hole-um)."
+            )
+        ),
+    )
     return check.model_copy(update={"name": rule.name.replace("NAME", detected.layer)})
 
 
@@ -166,20 +214,27 @@ def common_field(rule: CheckRule, layer: LayerFacts) -> Check | None:
         return None
     share, reference = layer.share_of_reference or 0.0, layer.registration.path[-1]
     return rule.at_least(
-        share, look=0.05, units="share",
-        sentence=f"{100 * share:.1f} % of {with_article(reference)} shows {with_article(layer.name)}.",
+        share,
+        look=0.05,
+        units="share",
+        sentence=(
+            f"{100 * share:.1f} % of {with_article(reference)} shows {with_article(layer.name)}."
+        ),
         advice="Give the part of the reference that shows the specimen.",
-    )  # fmt: skip
+    )
 
 
 def holes_without_partner(rule: CheckRule, linked: HolesOnSheet) -> Check:
     """Judge the holes of a reference without a partner: the sheet has a hole there, too, or is not measured."""
     grid, thickness, marks = Grid.of(linked.sheet), linked.sheet["thickness"], linked.marks
-    unpaired = marks.isel(mark=np.flatnonzero(np.isfinite(marks["fixed_x"]) & ~np.isfinite(marks["moving_x"])))
+    unpaired = marks.isel(
+        mark=np.flatnonzero(np.isfinite(marks["fixed_x"]) & ~np.isfinite(marks["moving_x"]))
+    )
     whole_labels: list[str] = []
     circles = zip(*(unpaired[f"fixed_{k}"].values for k in ("x", "y", "diameter")), strict=True)
     for label, (x, y, diameter) in zip(unpaired["label"].values, circles, strict=True):
-        dy, dx, core_um = grid.y_um - y, grid.x_um - x, 0.35 * diameter  # The middle of a hole, where no sheet is.
+        # The middle of a hole, where no sheet is.
+        dy, dx, core_um = grid.y_um - y, grid.x_um - x, 0.35 * diameter
         rows, cols = (np.flatnonzero(np.abs(offset) < core_um) for offset in (dy, dx))
         is_inside = np.hypot(dy[rows][:, None], dx[cols]) < core_um
         if not is_inside.any():
@@ -187,25 +242,38 @@ def holes_without_partner(rule: CheckRule, linked: HolesOnSheet) -> Check:
         core_thickness = thickness[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1].values
         if np.isfinite(core_thickness)[is_inside].mean() > 0.7:
             whole_labels.append(str(label))
-    n_unpaired, layer, reference = unpaired.sizes["mark"], with_article(linked.layer), with_article(linked.reference)
-    text = f"{n_unpaired} holes of {reference} have no partner, and none of them lies where {layer} is intact."
+    n_unpaired, layer, reference = (
+        unpaired.sizes["mark"],
+        with_article(linked.layer),
+        with_article(linked.reference),
+    )
+    text = (
+        f"{n_unpaired} holes of {reference} have no partner, and none of them lies where {layer} is"
+        " intact."
+    )
     if whole_labels:
         verb = "lies" if len(whole_labels) == 1 else "lie"
         text = f"{', '.join(whole_labels)} of {reference} {verb} where {layer} has no hole."
     elif n_unpaired == 0:
         text = f"Every hole of {reference} has a partner."
     return rule.at_most(
-        len(whole_labels), look=0, sentence=text,
-        advice="Either that is not a hole, or the two are not aligned there. Look at both, and at the order and "
-        "spacing of the slices.",
-    )  # fmt: skip
+        len(whole_labels),
+        look=0,
+        sentence=text,
+        advice=(
+            "Either that is not a hole, or the two are not aligned there. Look at both, and at the"
+            " order and spacing of the slices."
+        ),
+    )
 
 
 def linked_area(rule: CheckRule, area: LinkedArea) -> Check:
     """Judge whether enough of what the reference shows of the sheet is valid."""
     share = area.share_valid_away_from_holes
     return rule.at_least(
-        share, look=0.5, units="share",
+        share,
+        look=0.5,
+        units="share",
         sentence=f"{100 * share:.0f} % of the sheet that the image shows away from holes is valid.",
         advice="The linked maps are mostly blank. Look at the slices and the column status.",
-    )  # fmt: skip
+    )

@@ -35,7 +35,8 @@ class ScannedSheet:
     volume: xr.DataArray
     measured: xr.Dataset
     through: Axis
-    assembled_axes: tuple[Axis, ...]  # axes along which planish put the slices together, or along which they are labels
+    # Axes along which planish put the slices together, or along which they are labels.
+    assembled_axes: tuple[Axis, ...]
     windows: dict[Axis, Window]
     voxel_count: float  # through the sheet, along its normal
 
@@ -52,23 +53,32 @@ class GreyScan(ScannedSheet):
 
 def read_scan(
     volume: xr.DataArray, measured: xr.Dataset, *, sections: bool, labels: bool, threads: int | None
-) -> ScannedSheet:  # fmt: skip
+) -> ScannedSheet:
     """Read what the checks need, in one pass; parameters as of :func:`planish.checks.check_scan`."""
     through = Frame.of(measured).through
     all_axes: tuple[Axis, ...] = ("z", "y", "x")
     heights = np.asarray(volume.coords[through].values, dtype=np.float64)
     faces = np.stack([measured["top"].values, measured["bottom"].values])
-    low, high = np.clip(np.searchsorted(heights, [np.nanmin(faces), np.nanmax(faces)]), 0, heights.size - 1)
+    low, high = np.clip(
+        np.searchsorted(heights, [np.nanmin(faces), np.nanmax(faces)]), 0, heights.size - 1
+    )
     greys, core = (None, None) if labels else (Greys.of(measured), core_places(volume, measured))
     reading = read_windows(
-        volume, through=through, sheet_slices=(int(low), int(high)), points=None if core is None else core.points,
-        fill_grey=0.0 if greys is None else greys.air, threads=threads,
-    )  # fmt: skip
+        volume,
+        through=through,
+        sheet_slices=(int(low), int(high)),
+        points=None if core is None else core.points,
+        fill_grey=0.0 if greys is None else greys.air,
+        threads=threads,
+    )
     fields: dict[str, Any] = {
-        "volume": volume, "measured": measured, "through": through,
+        "volume": volume,
+        "measured": measured,
+        "through": through,
         "assembled_axes": all_axes if labels else all_axes[:1] if sections else (),
-        "windows": {window.axis: window for window in reading.windows}, "voxel_count": voxels_through(volume, measured),
-    }  # fmt: skip
+        "windows": {window.axis: window for window in reading.windows},
+        "voxel_count": voxels_through(volume, measured),
+    }
     if greys is None or core is None:
         return ScannedSheet(**fields)
     grey = np.where(core.is_base[..., None], reading.grey.reshape(core.shape), np.float32(np.nan))
@@ -81,11 +91,14 @@ def voxels_through(volume: xr.DataArray, measured: xr.Dataset) -> float:
     voxel_um = dict(zip("zyx", (float(v) for v in volume.attrs["voxel_um"]), strict=True))
     thickness_um = float(np.nanmedian(np.abs(measured["top"].values - measured["bottom"].values)))
     slopes = (
-        np.nanmedian(np.abs(np.gradient(measured["centre"].values, p, axis=i))) for i, p in enumerate(pitch(measured))
+        np.nanmedian(np.abs(np.gradient(measured["centre"].values, p, axis=i)))
+        for i, p in enumerate(pitch(measured))
     )
     cosine = 1 / np.sqrt(1 + sum(float(s) ** 2 for s in slopes))
     # Along the normal, the voxel is as long as its sides let it be.
-    normal_um = cosine * voxel_um[frame.through] + (1 - cosine) * max(voxel_um[frame.rows], voxel_um[frame.cols])
+    normal_um = cosine * voxel_um[frame.through] + (1 - cosine) * max(
+        voxel_um[frame.rows], voxel_um[frame.cols]
+    )
     return thickness_um * cosine / normal_um
 
 
@@ -98,11 +111,15 @@ def core_places(volume: xr.DataArray, measured: xr.Dataset) -> Core:
     step_um = float(volume.attrs["voxel_um"]["zyx".index(frame.through)])
     thickness = float(np.nanmedian(np.abs(high - low)[has_base])) if has_base.any() else 0.0
     # Within 2.5 widths of the blur it mixes in what lies beside the base.
-    margin = float(np.clip(2.5 * float(measured.attrs["blur_um"]) / max(thickness, step_um), 0.2, 0.45))
+    margin = float(
+        np.clip(2.5 * float(measured.attrs["blur_um"]) / max(thickness, step_um), 0.2, 0.45)
+    )
     depths = int(np.clip(np.ceil((1 - 2 * margin) * thickness / step_um), 9, 48))
     heights = np.asarray(volume.coords[frame.through].values, dtype=np.float64)
     # Millions of places: two bytes each way are enough for most volumes.
-    points = np.empty((*r.shape, depths, 3), dtype=np.int16 if max(volume.shape) < 2**15 else np.int32)
+    points = np.empty(
+        (*r.shape, depths, 3), dtype=np.int16 if max(volume.shape) < 2**15 else np.int32
+    )
     for dim, axis, columns in (("y", frame.rows, r), ("x", frame.cols, c)):
         axis_um = np.asarray(volume.coords[axis].values, dtype=np.float64)
         axis_step = axis_um[1] - axis_um[0] if axis_um.size > 1 else 1.0
@@ -114,12 +131,16 @@ def core_places(volume: xr.DataArray, measured: xr.Dataset) -> Core:
         depth_index = np.rint((height - heights[0]) / step_um).astype(np.int32)
         points[..., k, "zyx".index(frame.through)] = np.clip(depth_index, 0, heights.size - 1)
     points[~is_base] = 0
-    return Core(points=points.reshape(-1, 3), shape=(*r.shape, depths), is_base=is_base, tiles=tiles)
+    return Core(
+        points=points.reshape(-1, 3), shape=(*r.shape, depths), is_base=is_base, tiles=tiles
+    )
 
 
 def _base_end(measured: xr.Dataset, side: str) -> Floats:
     """Give the height of the interface of a side; of its face where the interface is missing."""
-    interface, face = (measured[name].values.astype(np.float64) for name in (f"interface_{side}", side))
+    interface, face = (
+        measured[name].values.astype(np.float64) for name in (f"interface_{side}", side)
+    )
     is_coated = np.isfinite(interface[measured["status"].values == 0]).any()
     return np.where(np.isfinite(interface), interface, face) if is_coated else face
 
@@ -129,11 +150,19 @@ def _tile_columns(shape: tuple[int, ...], pitch_um: Pair) -> tuple[Ints, Ints, t
     columns: list[Ints] = []  # (tiles, columns) along one axis, 7 at most
     for n, step_um in zip(shape, pitch_um, strict=True):
         tile_edge = max(round(TILE_UM / step_um), 1)
-        offsets = np.unique(np.linspace(0, tile_edge - 1, min(tile_edge, 7)).round().astype(np.intp))
-        columns.append(np.minimum(np.arange(max(n // tile_edge, 1))[:, None] * tile_edge + offsets, n - 1))
+        offsets = np.unique(
+            np.linspace(0, tile_edge - 1, min(tile_edge, 7)).round().astype(np.intp)
+        )
+        columns.append(
+            np.minimum(np.arange(max(n // tile_edge, 1))[:, None] * tile_edge + offsets, n - 1)
+        )
     rows, cols = columns
     row, col = np.divmod(np.arange(len(rows) * len(cols)), len(cols))
     # Of a large sheet squares of tiles, so that what lies side by side is seen side by side.
     is_chosen = (row // _SQUARE + col // _SQUARE) % -(-row.size // _TILES) == 0
     row, col = row[is_chosen], col[is_chosen]
-    return np.repeat(rows[row], cols.shape[1], axis=1), np.tile(cols[col], rows.shape[1]), (row, col)
+    return (
+        np.repeat(rows[row], cols.shape[1], axis=1),
+        np.tile(cols[col], rows.shape[1]),
+        (row, col),
+    )

@@ -21,7 +21,8 @@ from planish.surface import Corrections
 _BRIGHT_SHARE = 0.10  # of the tiles
 # Tiles side by side: pores of right sheets open 5 % of all, but 8 at most together; a gap of 300 um opens 19.
 _SPLIT_TILES = 12
-_LEAST_VOXELS = 5.0  # 114 um are measured of 80 um with 2 voxels, 130 of 120 um with 3; with 4 it is right
+# 114 um are measured of 80 um with 2 voxels, 130 of 120 um with 3; with 4 it is right.
+_LEAST_VOXELS = 5.0
 _COARSE = 10  # cells across the median of what lies around a particle
 _LEAST_MM2 = 0.1  # measured
 
@@ -42,12 +43,22 @@ def coverage(rule: CheckRule, sheet: MeasuredSheet) -> Check:
     surfaces = sheet.facts.surfaces
     # Rims of holes are left out on purpose, and beside a small specimen is air: what counts is the rest.
     air_share = min(surfaces.empty_share or 0.0, surfaces.shares["no_sheet"])
-    measured_share = surfaces.shares["measured"] / max(1.0 - surfaces.shares["rim"] - air_share, 1e-9)
+    measured_share = surfaces.shares["measured"] / max(
+        1.0 - surfaces.shares["rim"] - air_share, 1e-9
+    )
     return rule.at_least(
-        measured_share, look=0.5, units="share",
-        sentence=f"{100 * measured_share:.0f} % of the columns with a sheet, away from rims, are measured.",
-        advice="The maps are mostly blank, and what is left may not stand for the sheet. Look at the slices.",
-    )  # fmt: skip
+        measured_share,
+        look=0.5,
+        units="share",
+        sentence=(
+            f"{100 * measured_share:.0f} % of the columns with a sheet, away from rims, are"
+            " measured."
+        ),
+        advice=(
+            "The maps are mostly blank, and what is left may not stand for the sheet. Look at the"
+            " slices."
+        ),
+    )
 
 
 def missing_voxels(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
@@ -55,39 +66,61 @@ def missing_voxels(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
     if (share := sheet.facts.surfaces.missing_share) is None:
         return None
     return rule.at_most(
-        share, look=0.05, units="share",
+        share,
+        look=0.05,
+        units="share",
         sentence=f"{100 * share:.1f} % of the voxels are NaN or infinite.",
-        advice="Columns with such voxels near a face are not measured. Export the volume without them.",
-    )  # fmt: skip
+        advice=(
+            "Columns with such voxels near a face are not measured. Export the volume without them."
+        ),
+    )
 
 
 def film(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
     """Name film or tape beside the sheet: what was left out, and what touches and was measured; None for neither."""
     covers = {side: float(sheet.measured.attrs.get(f"cover_{side}_um", 0.0)) for side in SIDES}
-    if covers_text := " and ".join(f"on the {side} side some {um:.0f} um" for side, um in covers.items() if um):
+    if covers_text := " and ".join(
+        f"on the {side} side some {um:.0f} um" for side, um in covers.items() if um
+    ):
         return rule.check(
-            "fail", f"An even layer covers a brighter one, {covers_text} thick: tape, film or a mount that touches.",
-            value=max(covers.values()), limit=0.0, units="um",
-            advice="It is measured as if it were the sheet's: thickness and coatings are wrong there. Take it off, or "
-            "fill it with the grey of the air, and scan or map again.",
-        )  # fmt: skip
+            "fail",
+            f"An even layer covers a brighter one, {covers_text} thick: tape, film or a mount that"
+            " touches.",
+            value=max(covers.values()),
+            limit=0.0,
+            units="um",
+            advice=(
+                "It is measured as if it were the sheet's: thickness and coatings are wrong there."
+                " Take it off, or fill it with the grey of the air, and scan or map again."
+            ),
+        )
     if not (beside_text := sheet.measured.attrs.get("beside")):
         return None
     gap_um = float(sheet.measured.attrs["beside_gap_um"])
     return rule.at_least(
-        gap_um, look=2.5 * float(sheet.measured.attrs["blur_um"]), units="um",
+        gap_um,
+        look=2.5 * float(sheet.measured.attrs["blur_um"]),
+        units="um",
         sentence=f"Beside the sheet lies something flat that was left out: {beside_text}.",
-        advice="The blur reaches across the air between them: look at the slices, and crop the volume to the sheet.",
-    )  # fmt: skip
+        advice=(
+            "The blur reaches across the air between them: look at the slices, and crop the volume"
+            " to the sheet."
+        ),
+    )
 
 
 def fold_over(rule: CheckRule, sheet: MeasuredSheet) -> Check:
     """Judge whether the flattened mesh is folded."""
     folded = sheet.facts.flatten.folded_cells
     return rule.at_most(
-        folded, look=0, sentence=f"{folded} cells of the flattened mesh are folded.",
-        advice="They are marked invalid. Look at the centre surface there: the sheet is folded, or a face was lost.",
-    )  # fmt: skip
+        folded,
+        look=0,
+        sentence=f"{folded} cells of the flattened mesh are folded.",
+        advice=(
+            "They are marked invalid. Look at the centre surface there: the sheet is folded, or a"
+            " face was lost."
+        ),
+    )
 
 
 def alignment(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
@@ -95,24 +128,39 @@ def alignment(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
     if (sections := sheet.facts.sections) is None:
         return None
     return rule.at_most(
-        sections.not_aligned / sections.count, look=0.05, units="share",
-        sentence=f"{sections.count - sections.not_aligned} of {sections.count} sections fit their neighbours.",
-        advice="The others are torn, blurred, or not of this sheet, and count as missing. Look at them, and at the "
-        "order of the files.",
-    )  # fmt: skip
+        sections.not_aligned / sections.count,
+        look=0.05,
+        units="share",
+        sentence=(
+            f"{sections.count - sections.not_aligned} of {sections.count} sections fit their"
+            " neighbours."
+        ),
+        advice=(
+            "The others are torn, blurred, or not of this sheet, and count as missing. Look at"
+            " them, and at the order of the files."
+        ),
+    )
 
 
 def cutoff(rule: CheckRule, sheet: MeasuredSheet) -> Check:
     """Judge the cut-off of the centre surface: the stated one wherever it was measured."""
     attrs = sheet.measured.attrs
-    bridged_share, cutoff_um = float(attrs.get("bridged_off_rims_share", 0.0)), float(attrs["cutoff_um"])
+    bridged_share, cutoff_um = (
+        float(attrs.get("bridged_off_rims_share", 0.0)),
+        float(attrs["cutoff_um"]),
+    )
     return rule.at_most(
-        bridged_share, look=0.02,
-        sentence=f"The centre surface has the stated cut-off of {cutoff_um:g} um in {100 * (1 - bridged_share):.1f} % "
-        "of the columns away from holes and rims"
+        bridged_share,
+        look=0.02,
+        sentence=(
+            f"The centre surface has the stated cut-off of {cutoff_um:g} um in"
+            f" {100 * (1 - bridged_share):.1f} % of the columns away from holes and rims"
+        )
         + (", and twice or four times as much in the alternatives." if bridged_share > 0 else "."),
-        advice="Choose a longer --cutoff-um, or a smaller --rim-um if the rims take the sheet away.",
-    )  # fmt: skip
+        advice=(
+            "Choose a longer --cutoff-um, or a smaller --rim-um if the rims take the sheet away."
+        ),
+    )
 
 
 def corrections(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
@@ -124,14 +172,20 @@ def corrections(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
     n_points = sum(len(stretch.points) for stretch in stretches)
     flags = np.maximum(*(surfaces[f"correction_{face}"].values for face in SIDES))
     n_measured = max(int(np.count_nonzero(surfaces["status"].values == Status.MEASURED)), 1)
-    n_drawn, n_interpolated = (int(np.count_nonzero(flags >= flag)) for flag in (1, 2))  # the flags of the maps
+    # The flags of the maps.
+    n_drawn, n_interpolated = (int(np.count_nonzero(flags >= flag)) for flag in (1, 2))
     return rule.at_most(
-        n_drawn / n_measured, look=0.1,
-        sentence=f"Faces of {n_drawn} columns ({100 * n_drawn / n_measured:.2g} % of the sheet) were drawn to "
-        f"{n_points} points of {len(stretches)} corrections by hand; {n_interpolated} of them show no edge there and "
-        "are interpolated.",
-        advice="Search the surfaces with other options (--sheet-grey, --seed-um) rather than by hand.",
-    )  # fmt: skip
+        n_drawn / n_measured,
+        look=0.1,
+        sentence=(
+            f"Faces of {n_drawn} columns ({100 * n_drawn / n_measured:.2g} % of the sheet) were"
+            f" drawn to {n_points} points of {len(stretches)} corrections by hand; {n_interpolated}"
+            " of them show no edge there and are interpolated."
+        ),
+        advice=(
+            "Search the surfaces with other options (--sheet-grey, --seed-um) rather than by hand."
+        ),
+    )
 
 
 # --- of a scan -------------------------------------------------------------------------------------------------------
@@ -142,21 +196,27 @@ def hand(rule: CheckRule, scan: ScannedSheet) -> Check | None:
     if not (axes := scan.volume.attrs.get("hand")):
         return None
     return rule.check(
-        "look", f"The axes of the volume make a left-handed system ({axes}): its slices and maps are a mirror "
-        "image of the specimen.",
+        "look",
+        f"The axes of the volume make a left-handed system ({axes}): its slices and maps are a"
+        " mirror image of the specimen.",
         advice="Flip one axis where you export the volume, and map it again.",
-    )  # fmt: skip
+    )
 
 
 def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
     """Judge whether a coating, or air, lies inside the base."""
     greys, core, profiles = scan.greys, scan.core, scan.core_grey
     if not scan.voxel_count >= _LEAST_VOXELS:
-        return rule.check("unknown", "There are too few voxels across the sheet to tell one sheet from two.")
+        return rule.check(
+            "unknown", "There are too few voxels across the sheet to tell one sheet from two."
+        )
     # In a tile a few columns side by side may lie in one pore.
     is_seen = np.isfinite(profiles).all(axis=2).sum(axis=1) >= max(5, 1 / 3 * core.shape[1])
     if np.count_nonzero(is_seen) < 10:
-        few_text = f"The base is seen in {np.count_nonzero(is_seen)} tiles of {TILE_UM:g} um only, too few to tell one"
+        few_text = (
+            f"The base is seen in {np.count_nonzero(is_seen)} tiles of {TILE_UM:g} um only, too few"
+            " to tell one"
+        )
         return rule.check("unknown", f"{few_text} sheet from two.")
     profiles = profiles[is_seen]
     root_n = np.sqrt(np.isfinite(profiles).sum(axis=1))
@@ -165,11 +225,14 @@ def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
     mean_grey = float(np.median(mean))
     inwards = np.copysign(1.0, mean_grey - greys.air)
     doubt = 3.0 * np.nanstd(profiles, axis=1, dtype=np.float64) / root_n
-    is_dark = ((inwards * (mean_grey - mean) - doubt) / abs(mean_grey - greys.air)).max(axis=1) > 0.4
+    is_dark = ((inwards * (mean_grey - mean) - doubt) / abs(mean_grey - greys.air)).max(
+        axis=1
+    ) > 0.4
     row, col = (numbers[is_seen][is_dark] for numbers in core.tiles)
     dark_tiles = np.zeros((row.max(initial=0) + 1, col.max(initial=0) + 1), bool)
     dark_tiles[row, col] = True
-    n_dark = int(np.bincount(ndimage.label(dark_tiles)[0].ravel())[1:].max(initial=0))  # side by side
+    # Side by side.
+    n_dark = int(np.bincount(ndimage.label(dark_tiles)[0].ravel())[1:].max(initial=0))
     median_profiles = np.nanmedian(profiles, axis=1)
     # 3 standard errors of the median of a tile's columns: 1.86 is 1.4826 of the median deviation, 1.253 of the median.
     profiles -= median_profiles[:, None]
@@ -178,33 +241,54 @@ def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
     base_grey = float(np.median(median))
     # A second sheet whose coatings lie in the middle may be learnt as base; what is brighter is then told by the air.
     coating_grey = denser_coating(greys)
-    coating_contrast = (2 * base_grey - greys.air if coating_grey is None else coating_grey) - base_grey
-    bright_share = float(np.mean(((median - base_grey - uncertainty) / coating_contrast).max(axis=1) > 0.5))
+    coating_contrast = (
+        2 * base_grey - greys.air if coating_grey is None else coating_grey
+    ) - base_grey
+    bright_share = float(
+        np.mean(((median - base_grey - uncertainty) / coating_contrast).max(axis=1) > 0.5)
+    )
     if bright_share > _BRIGHT_SHARE:
         return rule.check(
-            "fail", value=bright_share, limit=_BRIGHT_SHARE, units="share",
-            sentence=f"In {100 * bright_share:.0f} % of the sheet something as dense as a coating lies in the middle "
-            "of the base: a second sheet lies on the first.",
+            "fail",
+            value=bright_share,
+            limit=_BRIGHT_SHARE,
+            units="share",
+            sentence=(
+                f"In {100 * bright_share:.0f} % of the sheet something as dense as a coating lies"
+                " in the middle of the base: a second sheet lies on the first."
+            ),
             advice="Crop the volume to one sheet, or choose it with --seed-um.",
-        )  # fmt: skip
+        )
     split_text = ": it is split, or two sheets lie on each other."
     end_text = split_text if n_dark >= _SPLIT_TILES else ". No second sheet was found."
     return rule.at_most(
-        n_dark, fail=_SPLIT_TILES - 1, units="tiles",
-        sentence=f"Tiles of {TILE_UM:g} um with air inside the base: {n_dark} side by side at most{end_text}",
+        n_dark,
+        fail=_SPLIT_TILES - 1,
+        units="tiles",
+        sentence=(
+            f"Tiles of {TILE_UM:g} um with air inside the base: {n_dark} side by side at"
+            f" most{end_text}"
+        ),
         advice="Look at the slices. Crop the volume to one intact sheet.",
-    )  # fmt: skip
+    )
 
 
 def voxels_through(rule: CheckRule, scan: ScannedSheet) -> Check:
     """Judge whether the sheet is thick enough for the voxels along its normal."""
     is_thin = scan.voxel_count < _LEAST_VOXELS
-    thinner_text = " It may be thinner: sheets of 2 or 3 voxels are measured too thick." if is_thin else ""
+    thinner_text = (
+        " It may be thinner: sheets of 2 or 3 voxels are measured too thick." if is_thin else ""
+    )
     return rule.at_least(
-        scan.voxel_count, look=_LEAST_VOXELS, units="voxels",
+        scan.voxel_count,
+        look=_LEAST_VOXELS,
+        units="voxels",
         sentence=f"The sheet is {scan.voxel_count:.1f} voxels thick.{thinner_text}",
-        advice="Scan with smaller voxels: five through the sheet are needed, and two through a coating.",
-    )  # fmt: skip
+        advice=(
+            "Scan with smaller voxels: five through the sheet are needed, and two through a"
+            " coating."
+        ),
+    )
 
 
 def dust(rule: CheckRule, scan: ScannedSheet, *, side: Side) -> Check | None:
@@ -219,11 +303,15 @@ def dust(rule: CheckRule, scan: ScannedSheet, *, side: Side) -> Check | None:
         return None
     covered_percent = 100 * float(particles.mask.sum()) / max(int(np.isfinite(coating).sum()), 1)
     return rule.at_most(
-        particles.per_mm2, look=1.0, units="1/mm2",
-        sentence=f"{particles.n_particles} particles stick out of the {side} coating, {particles.per_mm2:.2g} per mm², "
-        f"on {covered_percent:.2g} % of it.",
+        particles.per_mm2,
+        look=1.0,
+        units="1/mm2",
+        sentence=(
+            f"{particles.n_particles} particles stick out of the {side} coating,"
+            f" {particles.per_mm2:.2g} per mm², on {covered_percent:.2g} % of it."
+        ),
         advice="Blow the specimen clean and scan it again, or leave the particles out of the map.",
-    )  # fmt: skip
+    )
 
 
 class Particles(NamedTuple):
@@ -259,12 +347,21 @@ def _median_around(coating: Floats, pitch_um: Pair) -> Floats:
     cell_edges = [max(round(300.0 / _COARSE / p), 1) for p in pitch_um]
     cell_counts = [max(n // e, 1) for n, e in zip(coating.shape, cell_edges, strict=True)]
     cropped = coating[: cell_counts[0] * cell_edges[0], : cell_counts[1] * cell_edges[1]]
-    shape = (cell_counts[0], min(cell_edges[0], coating.shape[0]), cell_counts[1], min(cell_edges[1], coating.shape[1]))
+    shape = (
+        cell_counts[0],
+        min(cell_edges[0], coating.shape[0]),
+        cell_counts[1],
+        min(cell_edges[1], coating.shape[1]),
+    )
     cells = cropped.reshape(shape).transpose(0, 2, 1, 3).reshape(cell_counts[0], cell_counts[1], -1)
     medians = np.full(cells.shape[:2], np.nan)
     is_measured = np.isfinite(cells).any(axis=2)
     medians[is_measured] = np.nanmedian(cells[is_measured], axis=1)
     medians[~is_measured] = np.nanmedian(medians) if is_measured.any() else 0.0
     coarse = ndimage.median_filter(medians, size=_COARSE, mode="nearest")
-    coordinates = [(np.arange(n) + 0.5) / e - 0.5 for n, e in zip(coating.shape, cell_edges, strict=True)]
-    return ndimage.map_coordinates(coarse, np.meshgrid(*coordinates, indexing="ij"), order=1, mode="nearest")
+    coordinates = [
+        (np.arange(n) + 0.5) / e - 0.5 for n, e in zip(coating.shape, cell_edges, strict=True)
+    ]
+    return ndimage.map_coordinates(
+        coarse, np.meshgrid(*coordinates, indexing="ij"), order=1, mode="nearest"
+    )

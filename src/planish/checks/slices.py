@@ -24,19 +24,28 @@ Kind = Literal["exchanged", "moved", "repeated", "filled", "foreign", "empty", "
 
 # Largest values on some 80 axes of right volumes, measured and synthetic: .70, 1.51, 1.06, 1.24, .82.
 ALIKE, FILLED, EXCHANGED, FOREIGN, JUMP = 1.0, 2.0, 1.2, 2.0, 0.9
-_SIGMA = 4.0  # standard errors by which a statistic stands out as well: matters where a window is small
-_EMPTY, _FULL = 0.05, 0.5  # of the usual spread of a slice's greys: it shows next to nothing; it shows the body
+# Standard errors by which a statistic stands out as well: matters where a window is small.
+_SIGMA = 4.0
+# Of the usual spread of a slice's greys: it shows next to nothing; it shows the body.
+_EMPTY, _FULL = 0.05, 0.5
 _COPY = 0.5  # of the difference of neighbours: that of a slice and its copy with noise of its own
 _FITS = 1.3  # times the difference of neighbours: a slice fits there
-_GAINS = 0.08  # of the usual spread: levels jump by 0.04 of it in right scans, by 0.19 with gains of 3 % a section
+# Of the usual spread: levels jump by 0.04 of it in right scans, by 0.19 with gains of 3 % a
+# section.
+_GAINS = 0.08
 _AROUND = 5  # slices on either side that show how bright a slice ought to be
 _RUN = 10  # slices that are filled, or nearly the same, at most
 _ADVICE = {
     "order": "Check the numbers of the files: sort them, and read the stack again.",
     "repeated": "Take the copies out of the stack, or put the right slices in their place.",
     "filled": "Put the measured slices in their place if there are any.",
-    "foreign": "Look at these slices; put the right ones in their place, or read the stack without them.",
-    "jump": "Compare the number of slices with the scanner's log; give the missing ones or map either part alone.",
+    "foreign": (
+        "Look at these slices; put the right ones in their place, or read the stack without them."
+    ),
+    "jump": (
+        "Compare the number of slices with the scanner's log; give the missing ones or map either"
+        " part alone."
+    ),
 }
 
 
@@ -66,13 +75,21 @@ def slice_order(rule: CheckRule, scan: ScannedSheet, *, axis: Axis) -> Check:
     ``fail`` where out of order, ``look`` where repeated, filled, foreign, empty or missing; the value counts these.
     """
     window = scan.windows[axis]
-    faults = find_faults(window, assembled=axis in scan.assembled_axes, levelled=axis != scan.through)
+    faults = find_faults(
+        window, assembled=axis in scan.assembled_axes, levelled=axis != scan.through
+    )
     if not faults:
         return rule.check(
-            "pass", value=0.0, limit=0.0, units="slices", figures=(),
-            sentence=f"None of {len(window.blocks)} slices along {axis} is seen to be exchanged, repeated, filled or "
-            "missing.",
-        )  # fmt: skip
+            "pass",
+            value=0.0,
+            limit=0.0,
+            units="slices",
+            figures=(),
+            sentence=(
+                f"None of {len(window.blocks)} slices along {axis} is seen to be exchanged,"
+                " repeated, filled or missing."
+            ),
+        )
     kinds = [f.kind for f in faults]
     order_faults = [f for f in faults if f.kind in ("exchanged", "moved")]
     listed_faults = order_faults or faults
@@ -80,31 +97,41 @@ def slice_order(rule: CheckRule, scan: ScannedSheet, *, axis: Axis) -> Check:
     if len(listed_faults) > 4:
         sentences.append(f"{len(listed_faults) - 4} more such places.")
     if n_unlisted := len(faults) - len(listed_faults):
-        sentences.append(f"{n_unlisted} other {'fault' if n_unlisted == 1 else 'faults'} along the same axis.")
-    is_grave = order_faults or axis == scan.through  # heights that are wrong displace on every slope
+        sentences.append(
+            f"{n_unlisted} other {'fault' if n_unlisted == 1 else 'faults'} along the same axis."
+        )
+    # Heights that are wrong displace on every slope.
+    is_grave = order_faults or axis == scan.through
     commonest_kind = max(dict.fromkeys(kinds), key=kinds.count)
     return rule.check(
-        "fail" if order_faults else "look", value=float(sum(1 if f.kind == "jump" else f.count for f in faults)),
-        limit=0.0, units="slices", sentence=" ".join(sentences) + " Slices count from 0.",
-        advice=_ADVICE["order" if order_faults else "foreign" if commonest_kind == "empty" else commonest_kind],
+        "fail" if order_faults else "look",
+        value=float(sum(1 if f.kind == "jump" else f.count for f in faults)),
+        limit=0.0,
+        units="slices",
+        sentence=" ".join(sentences) + " Slices count from 0.",
+        advice=_ADVICE[
+            "order" if order_faults else "foreign" if commonest_kind == "empty" else commonest_kind
+        ],
         figures=(
             CORRELATION,
             *([POSITION] if is_grave or {*kinds} & {"repeated", "jump"} else []),
             *([PROPERTIES] if is_grave or {*kinds} & {"filled", "foreign", "empty"} else []),
         ),
-    )  # fmt: skip
+    )
 
 
 def _sentence(f: Fault, axis: Axis) -> str:
     is_plural = f.count > 1
-    slices_text = f"{f'Slices {f.first}-{f.last}' if is_plural else f'Slice {f.first}'} along {axis}"
+    slices_text = (
+        f"{f'Slices {f.first}-{f.last}' if is_plural else f'Slice {f.first}'} along {axis}"
+    )
     match f.kind:
         case "exchanged":
             return f"Slices {f.first} and {f.last} along {axis} are exchanged."
         case "moved":
             return (
-                f"Slices along {axis} are not in order: slice {f.first} does not follow {f.first - 1}, "
-                f"and slice {f.other} fits there."
+                f"Slices along {axis} are not in order: slice {f.first} does not follow"
+                f" {f.first - 1}, and slice {f.other} fits there."
             )
         case "repeated":
             assert f.other is not None
@@ -113,16 +140,22 @@ def _sentence(f: Fault, axis: Axis) -> str:
             source = f"{f.other}-{f.other + f.count - 1}" if is_block else f"{f.other}"
             return f"{slices_text} {'are copies' if is_plural else 'is a copy'} of {source}."
         case "filled":
-            return f"{slices_text} {'are means' if is_plural else 'is the mean'} of the neighbours, not measured."
+            return (
+                f"{slices_text} {'are means' if is_plural else 'is the mean'} of the neighbours,"
+                " not measured."
+            )
         case "foreign":
             return f"{slices_text} does not fit between its neighbours."
         case "empty":
-            return f"{slices_text} {'show' if is_plural else 'shows'} nothing, while the neighbours do."
+            return (
+                f"{slices_text} {'show' if is_plural else 'shows'} nothing, while the"
+                " neighbours do."
+            )
         case "jump":
             count_text = "several" if math.isnan(f.steps) else f"some {max(round(f.steps), 1)}"
             return (
-                f"Between slices {f.first} and {f.last} along {axis} the specimen changes as if {count_text} "
-                f"{'slice was' if count_text == 'some 1' else 'slices were'} missing."
+                f"Between slices {f.first} and {f.last} along {axis} the specimen changes as if"
+                f" {count_text} {'slice was' if count_text == 'some 1' else 'slices were'} missing."
             )
 
 
@@ -135,7 +168,11 @@ def find_faults(window: Window, *, assembled: bool = False, levelled: bool = Tru
     """
     # Slice by slice: in double precision, all of them would be twice as large as what is looked at.
     slice_sd = np.array([row.std(dtype=np.float64) for row in window.blocks])
-    is_visible = slice_sd > _EMPTY * float(np.median(slice_sd[slice_sd > 0])) if slice_sd.any() else slice_sd > 0
+    is_visible = (
+        slice_sd > _EMPTY * float(np.median(slice_sd[slice_sd > 0]))
+        if slice_sd.any()
+        else slice_sd > 0
+    )
     visible_slices = np.flatnonzero(is_visible)
     if visible_slices.size < 8:
         return []
@@ -152,8 +189,12 @@ def find_faults(window: Window, *, assembled: bool = False, levelled: bool = Tru
         if assembled:  # between sections there are gaps, which are known
             stack.faults = [f for f in stack.faults if f.kind != "jump"]
     n = window.first + a
-    numbered_faults = [replace(f, first=f.first + n, last=f.last + n, other=None if f.other is None else f.other + n)
-             for f in stack.faults]  # fmt: skip
+    numbered_faults = [
+        replace(
+            f, first=f.first + n, last=f.last + n, other=None if f.other is None else f.other + n
+        )
+        for f in stack.faults
+    ]
     return sorted(numbered_faults, key=lambda f: f.first)
 
 
@@ -161,15 +202,24 @@ class _Stack:
     """The slices of a window from the first to the last that shows anything."""
 
     def __init__(
-        self, window: Window, first: int, stop: int, is_visible: Bools, slice_sd: Floats, *, levelled: bool
-    ) -> None:  # fmt: skip
+        self,
+        window: Window,
+        first: int,
+        stop: int,
+        is_visible: Bools,
+        slice_sd: Floats,
+        *,
+        levelled: bool,
+    ) -> None:
         self.stored: Array = window.blocks[first:stop]  # (slices, blocks)
         self.s = _levelled(self.stored, slice_sd) if levelled else self.stored
         self.d1, self.d2 = _differences(self.s, 1), _differences(self.s, 2)
         # Means over voxels: within a block a gain changes next to nothing of how slices differ.
         square, product = window.square[first : stop - 1], window.product[first : stop - 2]
         self.square = square + self.d1 - _differences(self.stored, 1)
-        self.bend = (square[:-1] + square[1:] - 2 * product) / 4 + _bends(self.s) - _bends(self.stored)
+        self.bend = (
+            (square[:-1] + square[1:] - 2 * product) / 4 + _bends(self.s) - _bends(self.stored)
+        )
         # Whether a slice shows anything; and neither it nor a neighbour has a fault that was found.
         self.is_visible, self.is_good, self.slice_sd = is_visible, is_visible.copy(), slice_sd
         self.faults: list[Fault] = []
@@ -184,21 +234,36 @@ class _Stack:
 
     def scatter(self, k: Ints) -> Floats:
         """Relative standard error of ``d1`` at ``k``."""
-        fourth = np.array([_square(np.subtract(self.s[i + 1], self.s[i], dtype=np.float64) ** 2, 0.0) for i in k])
-        return np.sqrt(np.maximum(fourth / np.maximum(self.d1[k] ** 2, 1e-300) - 1, 0) / self.s.shape[1])
+        fourth = np.array(
+            [_square(np.subtract(self.s[i + 1], self.s[i], dtype=np.float64) ** 2, 0.0) for i in k]
+        )
+        return np.sqrt(
+            np.maximum(fourth / np.maximum(self.d1[k] ** 2, 1e-300) - 1, 0) / self.s.shape[1]
+        )
 
     def all_good(self, k: Ints, first_offset: int, last_offset: int) -> Bools:
         """Tell for each ``k`` if slices ``k + low`` to ``k + high`` are all good."""
-        return np.logical_and.reduce([self.is_good[k + i] for i in range(first_offset, last_offset + 1)])
+        return np.logical_and.reduce(
+            [self.is_good[k + i] for i in range(first_offset, last_offset + 1)]
+        )
 
 
 def _levelled(stored: Array, slice_sd: Floats) -> NDArray[np.float32]:
-    def around(values: Floats) -> Floats:  # without single slices that are unlike the others, and without steps
-        return ndimage.uniform_filter1d(ndimage.median_filter(values, 2 * _AROUND + 1, mode="nearest"), _AROUND)
+    # Without single slices that are unlike the others, and without steps.
+    def around(values: Floats) -> Floats:
+        return ndimage.uniform_filter1d(
+            ndimage.median_filter(values, 2 * _AROUND + 1, mode="nearest"), _AROUND
+        )
 
     mean = np.array([row.mean(dtype=np.float64) for row in stored])
-    gain, offset = around(slice_sd) / np.maximum(slice_sd, _EMPTY * np.median(slice_sd)), around(mean)
-    return np.array([g * (row - m) + o for row, g, m, o in zip(stored, gain, mean, offset, strict=True)], np.float32)
+    gain, offset = (
+        around(slice_sd) / np.maximum(slice_sd, _EMPTY * np.median(slice_sd)),
+        around(mean),
+    )
+    return np.array(
+        [g * (row - m) + o for row, g, m, o in zip(stored, gain, mean, offset, strict=True)],
+        np.float32,
+    )
 
 
 def _bends(s: Array) -> Floats:
@@ -259,7 +324,9 @@ def _copies(t: _Stack) -> Iterator[Fault]:
     while k < len(t.s):
         last = k
         if lag[k]:
-            while lag[last + 1] and (k - lag[k] == last + 1 - lag[last + 1] or lag[last + 1] == lag[k]):
+            while lag[last + 1] and (
+                k - lag[k] == last + 1 - lag[last + 1] or lag[last + 1] == lag[k]
+            ):
                 last += 1
             yield Fault(kind="repeated", first=k, last=last, other=k - int(lag[k]))
         k = last + 1
@@ -267,7 +334,9 @@ def _copies(t: _Stack) -> Iterator[Fault]:
 
 def _exchanged(t: _Stack) -> Iterator[Fault]:
     k = np.arange(1, t.d1.size - 1)
-    ratio = np.minimum(t.d1[k - 1], t.d1[k + 1]) / np.maximum(np.maximum(t.d2[k - 1], t.d2[k]), 1e-300)
+    ratio = np.minimum(t.d1[k - 1], t.d1[k + 1]) / np.maximum(
+        np.maximum(t.d2[k - 1], t.d2[k]), 1e-300
+    )
     limit = np.maximum(EXCHANGED, 1 + _SIGMA * t.scatter(k))
     is_exchanged = ratio > limit
     # Where pair after pair is exchanged, the first of one pair is next to the last of the other.
@@ -290,7 +359,10 @@ def _dips(curve: Floats, is_good: Bools, slices: int, depth: float) -> list[tupl
     while k < curve.size - 1:
         for last in range(k, min(k + _RUN, curve.size - 1)):
             limit = curve[k : last + 1].max() + depth
-            if min(curve[k - 1], curve[last + 1]) > limit and np.median(curve[max(k - 12, 0) : last + 13]) > limit:
+            if (
+                min(curve[k - 1], curve[last + 1]) > limit
+                and np.median(curve[max(k - 12, 0) : last + 13]) > limit
+            ):
                 if not is_good[k - 1 : last + 1 + slices].all():
                     continue
                 dips.append((k, last))
@@ -309,7 +381,9 @@ def _filled(t: _Stack) -> Iterator[Fault]:
     """Slices that are the mean of their neighbours, or lie on a straight line between two."""
     for a, b in _dips(_log(t.bend), t.is_good, 3, FILLED):
         # Otherwise all of them are copies.
-        if float((np.subtract(t.s[b + 2], t.s[a], dtype=np.float64) ** 2).mean()) > _COPY * t.usual_difference(a):
+        if float(
+            (np.subtract(t.s[b + 2], t.s[a], dtype=np.float64) ** 2).mean()
+        ) > _COPY * t.usual_difference(a):
             yield Fault(kind="filled", first=a + 1, last=b + 1)
 
 
@@ -326,7 +400,12 @@ def _far_copies(t: _Stack) -> Iterator[Fault]:
         usual = min(t.usual_difference(k - 1), t.usual_difference(source))
         if differences.min() < _COPY * usual:
             is_copy = _differences(t.s[source : k + 64], k - source) < _COPY * usual
-            yield Fault(kind="repeated", first=k, last=k + int(np.argmin(np.append(is_copy, False))) - 1, other=source)
+            yield Fault(
+                kind="repeated",
+                first=k,
+                last=k + int(np.argmin(np.append(is_copy, False))) - 1,
+                other=source,
+            )
 
 
 def _jumps(t: _Stack) -> Iterable[Fault]:
@@ -339,7 +418,10 @@ def _jumps(t: _Stack) -> Iterable[Fault]:
     for index in k[(rise > limit) & t.all_good(k, -1, 2)].tolist():
         # Of the squared difference: a jump beyond it in the sorted greys is an edge of the sheet, no fault.
         largest_ratio = 0.5 if rise[index - 1] > 1.2 else 0.3
-        if t.is_good[index] and _square(np.sort(t.s[index]), np.sort(t.s[index + 1])) < largest_ratio * t.d1[index]:
+        if (
+            t.is_good[index]
+            and _square(np.sort(t.s[index]), np.sort(t.s[index + 1])) < largest_ratio * t.d1[index]
+        ):
             faults.append(_jump(t, index))
             t.is_good[faults[-1].first : faults[-1].last + 1] = False
     return faults
@@ -355,12 +437,21 @@ def _jump(t: _Stack, k: int) -> Fault:
     if differences[nearest] < min(_FITS * usual, 0.6 * t.d1[k]):
         # That slice is at an end of the stack, or does not continue a neighbour of its own.
         usual_difference = np.median(t.d1[max(nearest - 4, 0) : nearest + 4])
-        if nearest in (0, t.d1.size) or max(t.d1[nearest - 1], t.d1[nearest]) > 1.3 * usual_difference:
+        if (
+            nearest in (0, t.d1.size)
+            or max(t.d1[nearest - 1], t.d1[nearest]) > 1.3 * usual_difference
+        ):
             return Fault(kind="moved", first=k + 1, last=k + 1, other=nearest)
     # Slices by which the body goes on too far: as far apart slices beside the jump must be to differ as much.
-    segments, jump_difference, previous_median = (t.s[max(k - 40, 0) : k + 1], t.s[k + 1 : k + 42]), float(t.d1[k]), 0.0
+    segments, jump_difference, previous_median = (
+        (t.s[max(k - 40, 0) : k + 1], t.s[k + 1 : k + 42]),
+        float(t.d1[k]),
+        0.0,
+    )
     for lag in range(1, 21):
-        lag_differences = [_differences(segment, lag) for segment in segments if len(segment) > lag + 2]
+        lag_differences = [
+            _differences(segment, lag) for segment in segments if len(segment) > lag + 2
+        ]
         median = float(np.median(np.concatenate(lag_differences))) if lag_differences else 0.0
         if median >= jump_difference:
             steps = lag - (median - jump_difference) / max(median - previous_median, 1e-300) - 1.0

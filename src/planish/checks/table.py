@@ -16,7 +16,15 @@ from planish.checks.slices import slice_order
 from planish.checks.through_scale import RegisteredSheet
 from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, CheckRule, trust_of
 from planish.core.threads import map_threads
-from planish.results import ComparisonRow, CorrelationRow, ExpectedError, LayerFacts, LinkedArea, PropertyFacts, Results
+from planish.results import (
+    ComparisonRow,
+    CorrelationRow,
+    ExpectedError,
+    LayerFacts,
+    LinkedArea,
+    PropertyFacts,
+    Results,
+)
 
 Figure = TypeVar("Figure", CorrelationRow, ComparisonRow, PropertyFacts, ExpectedError)
 _ALL = (PROPERTIES, POSITION, CORRELATION)
@@ -38,8 +46,15 @@ CHECKS = (
     CheckRule("slices along z", ScannedSheet, _ALL, partial(slice_order, axis="z")),
     CheckRule("slices along y", ScannedSheet, _ALL, partial(slice_order, axis="y")),
     CheckRule("slices along x", ScannedSheet, _ALL, partial(slice_order, axis="x")),
-    CheckRule("clipped grey", GreyScan, ("coating_top", "coating_bottom", *_BASE), greys.clipped_grey),
-    CheckRule("grey of the coating", GreyScan, ("coating_top", "coating_bottom", *_BASE), greys.coating_grey),
+    CheckRule(
+        "clipped grey", GreyScan, ("coating_top", "coating_bottom", *_BASE), greys.clipped_grey
+    ),
+    CheckRule(
+        "grey of the coating",
+        GreyScan,
+        ("coating_top", "coating_bottom", *_BASE),
+        greys.coating_grey,
+    ),
     CheckRule("filler", GreyScan, ("filler", "filler_weight"), greys.filler),
     CheckRule("grey of the slices", GreyScan, (PROPERTIES,), greys.steady_grey),
     CheckRule("grey across the sheet", GreyScan, (PROPERTIES,), greys.shading),
@@ -47,21 +62,48 @@ CHECKS = (
     CheckRule("blur of the scan", GreyScan, (PROPERTIES, POSITION), greys.blur),
     CheckRule("voxels through the sheet", ScannedSheet, _THICKNESSES, sheets.voxels_through),
     CheckRule("dust, top", ScannedSheet, ("coating_top", *_BASE), partial(sheets.dust, side="top")),
-    CheckRule("dust, bottom", ScannedSheet, ("coating_bottom", *_BASE), partial(sheets.dust, side="bottom")),
+    CheckRule(
+        "dust, bottom",
+        ScannedSheet,
+        ("coating_bottom", *_BASE),
+        partial(sheets.dust, side="bottom"),
+    ),
     # planish link: from a registration
     CheckRule("scale through the sheet", RegisteredSheet, _ALL, through_scale.scale_by_marks),
     CheckRule("marks", RegisteredLayer, (POSITION,), registration.marks),
     CheckRule("scale", RegisteredLayer, (PROPERTIES, POSITION), registration.scale),
-    CheckRule("strain of the registration", RegisteredLayer, (POSITION, PROPERTIES), registration.strain),
+    CheckRule(
+        "strain of the registration", RegisteredLayer, (POSITION, PROPERTIES), registration.strain
+    ),
     CheckRule("tilt of the holes", RegisteredLayer, (POSITION, PROPERTIES), registration.tilt),
     CheckRule("machine direction", RegisteredLayer, (POSITION,), registration.machine_direction),
-    CheckRule("holes in NAME", DetectedHoles, (POSITION, PROPERTIES, CORRELATION), registration.holes_of_layer),
+    CheckRule(
+        "holes in NAME",
+        DetectedHoles,
+        (POSITION, PROPERTIES, CORRELATION),
+        registration.holes_of_layer,
+    ),
     # planish link: from the layers on one grid
     CheckRule("common field", LayerFacts, (CORRELATION,), registration.common_field),
-    CheckRule("holes without partner", HolesOnSheet, (POSITION, CORRELATION), registration.holes_without_partner),
+    CheckRule(
+        "holes without partner",
+        HolesOnSheet,
+        (POSITION, CORRELATION),
+        registration.holes_without_partner,
+    ),
     CheckRule("clipped image", SheetImage, (CORRELATION,), greys.clipped_image),
-    CheckRule("side and specimen", TextureChecks, (*_SIDES, POSITION, CORRELATION), lambda _, textures: textures.side),
-    CheckRule("position by texture", TextureChecks, (POSITION, CORRELATION), lambda _, textures: textures.position),
+    CheckRule(
+        "side and specimen",
+        TextureChecks,
+        (*_SIDES, POSITION, CORRELATION),
+        lambda _, textures: textures.side,
+    ),
+    CheckRule(
+        "position by texture",
+        TextureChecks,
+        (POSITION, CORRELATION),
+        lambda _, textures: textures.position,
+    ),
     CheckRule("linked area", LinkedArea, (CORRELATION,), registration.linked_area),
 )
 """Rows in the order of the results, each a :class:`planish.core.checks.CheckRule`."""
@@ -80,9 +122,13 @@ def for_layers(checks: Iterable[Check], *layers: str) -> list[Check]:
 
 
 def check_scan(
-    volume: xr.DataArray, measured: xr.Dataset, *, sections: bool = False, labels: bool = False,
+    volume: xr.DataArray,
+    measured: xr.Dataset,
+    *,
+    sections: bool = False,
+    labels: bool = False,
     threads: int | None = None,
-) -> tuple[Check, ...]:  # fmt: skip
+) -> tuple[Check, ...]:
     """Check a volume and the sheet that was measured in it.
 
     Parameters
@@ -93,7 +139,9 @@ def check_scan(
     labels : bool; whether voxels are labels, which have no grey scale
     threads : int, optional; no result depends on it
     """
-    return tuple(run_checks(read_scan(volume, measured, sections=sections, labels=labels, threads=threads)))
+    return tuple(
+        run_checks(read_scan(volume, measured, sections=sections, labels=labels, threads=threads))
+    )
 
 
 def check_holes(holes: xr.Dataset) -> Check:
@@ -114,23 +162,36 @@ def apply_checks(results: Results) -> Results:
     checks = results.checks
     if all(check.state in ("pass", "unknown") for check in checks):
         return results
-    rows, layer_names = rows_with_trust(results.correlations, checks), [layer.name for layer in results.layers]
-    withheld_pairs = {(row.a, row.a_map, row.b, row.b_map) for row in rows if row.trust == "withheld"}
-    return results.model_copy(update={
-        "layers": tuple(_layer_with_trust(layer, checks) for layer in results.layers),
-        "correlations": rows,
-        "comparison": tuple(
-            _marked(row, checks, layer_names, row.property, POSITION, CORRELATION) for row in results.comparison
-        ),
-        "evidence": tuple(e for e in results.evidence if (e.a, e.a_map, e.b, e.b_map) not in withheld_pairs),
-    })  # fmt: skip
+    rows, layer_names = (
+        rows_with_trust(results.correlations, checks),
+        [layer.name for layer in results.layers],
+    )
+    withheld_pairs = {
+        (row.a, row.a_map, row.b, row.b_map) for row in rows if row.trust == "withheld"
+    }
+    return results.model_copy(
+        update={
+            "layers": tuple(_layer_with_trust(layer, checks) for layer in results.layers),
+            "correlations": rows,
+            "comparison": tuple(
+                _marked(row, checks, layer_names, row.property, POSITION, CORRELATION)
+                for row in results.comparison
+            ),
+            "evidence": tuple(
+                e for e in results.evidence if (e.a, e.a_map, e.b, e.b_map) not in withheld_pairs
+            ),
+        }
+    )
 
 
-def rows_with_trust(rows: Iterable[CorrelationRow], checks: Sequence[Check]) -> tuple[CorrelationRow, ...]:
+def rows_with_trust(
+    rows: Iterable[CorrelationRow], checks: Sequence[Check]
+) -> tuple[CorrelationRow, ...]:
     """The same correlations, each marked by the checks that concern it."""
     return tuple(
-        _marked(row, checks, (row.a, row.b), row.a_map, row.b_map, POSITION, CORRELATION) for row in rows
-    )  # fmt: skip
+        _marked(row, checks, (row.a, row.b), row.a_map, row.b_map, POSITION, CORRELATION)
+        for row in rows
+    )
 
 
 def _layer_with_trust(layer: LayerFacts, checks: Sequence[Check]) -> LayerFacts:
@@ -148,7 +209,9 @@ def _layer_with_trust(layer: LayerFacts, checks: Sequence[Check]) -> LayerFacts:
     return layer.model_copy(update=updates)
 
 
-def _marked(figure: Figure, checks: Sequence[Check], layers: Sequence[str], *figures: str) -> Figure:
+def _marked(
+    figure: Figure, checks: Sequence[Check], layers: Sequence[str], *figures: str
+) -> Figure:
     """Give a figure of some layers its trust, and take its numbers where they are withheld."""
     trust = trust_of(checks, layers, figures)
     blank_fields = dict.fromkeys(figure.WITHHELD) if trust == "withheld" else {}

@@ -19,8 +19,8 @@ _BEYOND = 3.0  # errors
 _CLEARLY = 9.2  # variances: one explanation is a hundred times as likely as the other
 _BLOCKS = 6
 _ADVICE = (
-    "Check the voxel size along {axis} (--voxel-um with --override-size), and that of the image in both directions. "
-    "Thicknesses and places are wrong where it is."
+    "Check the voxel size along {axis} (--voxel-um with --override-size), and that of the image in"
+    " both directions. Thicknesses and places are wrong where it is."
 )
 
 
@@ -49,7 +49,9 @@ class SlopeScale:
     @property
     def excludes_one(self) -> bool:
         """Whether thickness and slope exclude a scale of 1."""
-        return self.error <= _UNCERTAIN and abs(self.scale - 1) > _BEYOND * np.hypot(self.error, _NATURAL)
+        return self.error <= _UNCERTAIN and abs(self.scale - 1) > _BEYOND * np.hypot(
+            self.error, _NATURAL
+        )
 
     def __str__(self) -> str:
         """Scale and error."""
@@ -76,17 +78,24 @@ def scale_from_thickness(measured: xr.Dataset) -> SlopeScale:
     tile_number = (rows[:, None] * (cols[-1] + 1) + cols)[is_good]
     n_tiles = (rows[-1] + 1) * (cols[-1] + 1)
     count = np.bincount(tile_number, minlength=n_tiles)
-    y, m2 = (np.bincount(tile_number, k[is_good], minlength=n_tiles) for k in (response, slope_squared))
+    y, m2 = (
+        np.bincount(tile_number, k[is_good], minlength=n_tiles) for k in (response, slope_squared)
+    )
     is_used = count >= 0.5 * tiles[0] * tiles[1]
     if np.count_nonzero(is_used) < 4 * _BLOCKS:
         return SlopeScale(1.0, np.inf)
     y, m2 = y[is_used] / count[is_used], m2[is_used] / count[is_used]
-    positions = np.stack(np.divmod(np.flatnonzero(is_used), cols[-1] + 1), axis=1) / [rows[-1] + 1, cols[-1] + 1]
+    positions = np.stack(np.divmod(np.flatnonzero(is_used), cols[-1] + 1), axis=1) / [
+        rows[-1] + 1,
+        cols[-1] + 1,
+    ]
     block = np.floor(positions * _BLOCKS) @ [_BLOCKS, 1]
     design = np.column_stack([np.ones(y.size), m2, positions - positions.mean(axis=0)])
     scale_squared = _ratio(design, y)
     leave_one_out = np.array([_ratio(design[block != k], y[block != k]) for k in np.unique(block)])
-    spread = np.sqrt((leave_one_out.size - 1) * np.mean((leave_one_out - leave_one_out.mean()) ** 2))
+    spread = np.sqrt(
+        (leave_one_out.size - 1) * np.mean((leave_one_out - leave_one_out.mean()) ** 2)
+    )
     if not (np.isfinite(scale_squared) and np.isfinite(spread)):
         return SlopeScale(1.0, np.inf)
     scale = float(np.sqrt(max(scale_squared, 0.0)))
@@ -99,17 +108,23 @@ def scale_by_thickness(rule: CheckRule, sheet: MeasuredSheet | RegisteredSheet) 
     axis, stated_um = _spacing(sheet)
     if slope.error > _UNCERTAIN:
         return rule.check(
-            "unknown", value=slope.scale if np.isfinite(slope.error) else None,
-            sentence=f"The sheet is too flat, or its thickness too uneven, to say from it whether the voxel spacing of "
-            f"{stated_um:.4g} um along {axis} is right; marks can say more.",
-        )  # fmt: skip
+            "unknown",
+            value=slope.scale if np.isfinite(slope.error) else None,
+            sentence=(
+                "The sheet is too flat, or its thickness too uneven, to say from it whether the"
+                f" voxel spacing of {stated_um:.4g} um along {axis} is right; marks can say more."
+            ),
+        )
     return rule.check(
-        "look" if slope.excludes_one else "pass", value=slope.scale,
+        "look" if slope.excludes_one else "pass",
+        value=slope.scale,
         limit=_limit(slope.scale, float(np.hypot(slope.error, _NATURAL))),
-        sentence=f"The thickness depends on the slope as if the voxel spacing along {axis} were {slope} times the "
-        f"stated one of {stated_um:.4g} um.",
+        sentence=(
+            f"The thickness depends on the slope as if the voxel spacing along {axis} were {slope}"
+            f" times the stated one of {stated_um:.4g} um."
+        ),
         advice=_ADVICE.format(axis=axis) if slope.excludes_one else "",
-    )  # fmt: skip
+    )
 
 
 def scale_by_marks(rule: CheckRule, sheet: RegisteredSheet) -> Check:
@@ -120,7 +135,9 @@ def scale_by_marks(rule: CheckRule, sheet: RegisteredSheet) -> Check:
     return judge_marks(rule, sheet, marks, scale_from_thickness(sheet.measured))
 
 
-def judge_marks(rule: CheckRule, sheet: RegisteredSheet, marks: ThroughScale, slope: SlopeScale) -> Check:
+def judge_marks(
+    rule: CheckRule, sheet: RegisteredSheet, marks: ThroughScale, slope: SlopeScale
+) -> Check:
     """Say what marks and thickness mean for the spacing along the axis through a sheet."""
     axis, stated_um = _spacing(sheet)
     # The centre surface is smoothed, and which surface is neutral is not known.
@@ -131,13 +148,18 @@ def judge_marks(rule: CheckRule, sheet: RegisteredSheet, marks: ThroughScale, sl
             return scale_by_thickness(rule, sheet)
         times_text = f"{marks.scale:.2g} ± {scale_error:.2g}" if np.isfinite(marks.error) else "any"
         return rule.check(
-            "unknown", value=marks.scale,
-            sentence=f"The sheet is too flat, or its {marks.marks} marks too few or too uncertain, to say whether the "
-            f"voxel spacing of {stated_um:.4g} um along {axis} is right: they agree with {times_text} times that.",
-        )  # fmt: skip
+            "unknown",
+            value=marks.scale,
+            sentence=(
+                f"The sheet is too flat, or its {marks.marks} marks too few or too uncertain, to"
+                f" say whether the voxel spacing of {stated_um:.4g} um along {axis} is right: they"
+                f" agree with {times_text} times that."
+            ),
+        )
     sentence = (
-        f"The marks imply a voxel spacing along {axis} that is {marks.scale:.3g} ± {scale_error:.2g} times the "
-        f"stated one: {marks.scale * stated_um:.3g} um for {stated_um:.4g}."
+        f"The marks imply a voxel spacing along {axis} that is {marks.scale:.3g} ±"
+        f" {scale_error:.2g} times the stated one: {marks.scale * stated_um:.3g} um for"
+        f" {stated_um:.4g}."
     )
     state: State = "pass"
     if is_off:
@@ -146,14 +168,19 @@ def judge_marks(rule: CheckRule, sheet: RegisteredSheet, marks: ThroughScale, sl
     if is_off and sheet.either:
         state, sentence = "look", f"{sentence} The other sheet's may be wrong as well."
     return rule.check(
-        state, sentence, value=marks.scale, limit=_limit(marks.scale, scale_error),
+        state,
+        sentence,
+        value=marks.scale,
+        limit=_limit(marks.scale, scale_error),
         advice=_ADVICE.format(axis=axis) if is_off else "",
-    )  # fmt: skip
+    )
 
 
 def _explained(marks: ThroughScale, slope: SlopeScale) -> tuple[State, str]:
     """Whether it is the spacing or a stretch along the slope, and what speaks for it."""
-    do_agree = abs(slope.scale - marks.scale) < _BEYOND * np.hypot(slope.error, max(marks.error, _NATURAL))
+    do_agree = abs(slope.scale - marks.scale) < _BEYOND * np.hypot(
+        slope.error, max(marks.error, _NATURAL)
+    )
     if slope.excludes_one and do_agree:
         return "fail", f" Thickness against slope implies the same ({slope})."
     # Paper does not strain by more than 1 %, and pixels that are not square are seldom: that counts ten to one.
@@ -161,8 +188,13 @@ def _explained(marks: ThroughScale, slope: SlopeScale) -> tuple[State, str]:
     if is_clear and marks.without_any > _CLEARLY / 2:
         return "fail", " A stretch of the sheet explains it less well."
     than_text = "better" if marks.over_stretch < -_CLEARLY else "as well"
-    stretch_text = f"a stretch by {100 * marks.stretch:.2g} % along {marks.stretch_deg:.0f}° of the flat map"
-    return "look", f" But {stretch_text} explains it {than_text}, as pixels that are not square make it."
+    stretch_text = (
+        f"a stretch by {100 * marks.stretch:.2g} % along {marks.stretch_deg:.0f}° of the flat map"
+    )
+    return (
+        "look",
+        f" But {stretch_text} explains it {than_text}, as pixels that are not square make it.",
+    )
 
 
 def estimate(sheet: RegisteredSheet) -> ThroughScale | None:

@@ -38,7 +38,9 @@ def window_of(slices: Array, axis: Axis = "z", first: int = 0) -> Window:
     part = np.ascontiguousarray(slices, dtype=np.float32)
     sums = _sums(part)
     voxels = part.shape[1] * part.shape[2]
-    return Window(axis=axis, first=first, square=sums[0] / voxels, product=sums[1] / voxels, blocks=sums[2])
+    return Window(
+        axis=axis, first=first, square=sums[0] / voxels, product=sums[1] / voxels, blocks=sums[2]
+    )
 
 
 class WindowReading(NamedTuple):
@@ -46,13 +48,19 @@ class WindowReading(NamedTuple):
 
     windows: tuple[Window, ...]
     sample: Array  # greys as stored, of a part of the voxels around the sheet
-    grey: NDArray[np.float32]  # (points,): at the places asked for, NaN for those outside of all windows
+    # (points,): at the places asked for, NaN for those outside of all windows.
+    grey: NDArray[np.float32]
 
 
 def read_windows(
-    volume: xr.DataArray, *, through: Axis, sheet_slices: tuple[int, int], points: Places | None = None,
-    fill_grey: float = 0.0, threads: int | None = None,
-) -> WindowReading:  # fmt: skip
+    volume: xr.DataArray,
+    *,
+    through: Axis,
+    sheet_slices: tuple[int, int],
+    points: Places | None = None,
+    fill_grey: float = 0.0,
+    threads: int | None = None,
+) -> WindowReading:
     """Read a window along each of a volume's three axes (z, y, x).
 
     A lazy volume is read in parts along z, whole chunks of the file where it has some; the sums do not depend on
@@ -60,18 +68,26 @@ def read_windows(
     voxels (z, y, x) whose grey is asked for. ``fill_grey`` takes the place of NaN.
     """
     axes: tuple[Axis, ...] = ("z", "y", "x")
-    boxes: dict[Axis, dict[str, slice]] = {axis: _place(volume, axis, through, sheet_slices) for axis in axes}
+    boxes: dict[Axis, dict[str, slice]] = {
+        axis: _place(volume, axis, through, sheet_slices) for axis in axes
+    }
     points = np.empty((0, 3), np.int32) if points is None else points
     wanted = _by_window(points, list(boxes.values()))
-    z_range = slice(min(p["z"].start for p in boxes.values()), max(p["z"].stop for p in boxes.values()))
+    z_range = slice(
+        min(p["z"].start for p in boxes.values()), max(p["z"].stop for p in boxes.values())
+    )
 
     def read(piece: slice, axis: Axis, indices: Index, z: Places) -> _Part | None:
         part = indices[slice(*np.searchsorted(z, [piece.start, piece.stop]))]
-        return _read_part(volume, axis, boxes[axis], piece, points, part, fill_grey, is_sampled=axis != through)
+        return _read_part(
+            volume, axis, boxes[axis], piece, points, part, fill_grey, is_sampled=axis != through
+        )
 
     pieces = _pieces(volume, boxes, z_range)
     jobs: list[tuple[slice, Axis, Index, Places]] = [
-        (k, axis, indices, z) for k in pieces for axis, (indices, z) in zip(axes, wanted, strict=True)
+        (k, axis, indices, z)
+        for k in pieces
+        for axis, (indices, z) in zip(axes, wanted, strict=True)
     ]
     parts = map_threads(read, *zip(*jobs, strict=True), number=threads)
     grey = np.full(len(points), np.nan, np.float32)
@@ -113,9 +129,16 @@ class _Part(NamedTuple):
 
 
 def _read_part(
-    volume: xr.DataArray, axis: Axis, window_box: dict[str, slice], piece: slice, points: Places, wanted: Index,
-    fill_grey: float, *, is_sampled: bool,
-) -> _Part | None:  # fmt: skip
+    volume: xr.DataArray,
+    axis: Axis,
+    window_box: dict[str, slice],
+    piece: slice,
+    points: Places,
+    wanted: Index,
+    fill_grey: float,
+    *,
+    is_sampled: bool,
+) -> _Part | None:
     """Read the slices ``piece`` along z of a window at ``window_box``, with the points ``wanted``; None if outside."""
     start, stop = max(piece.start, window_box["z"].start), min(piece.stop, window_box["z"].stop)
     if stop <= start:
@@ -132,7 +155,9 @@ def _read_part(
         greys = np.asarray(volume.isel(cut_box).values)
         is_here = (places[:, k] >= cut.start) & (places[:, k] < cut.stop)
         indices = wanted[is_here]
-        z, y, x = (places[is_here] - np.array([cut_box[name].start for name in "zyx"], places.dtype)).T
+        z, y, x = (
+            places[is_here] - np.array([cut_box[name].start for name in "zyx"], places.dtype)
+        ).T
         grey = greys[z, y, x].astype(np.float32)
         sample = (greys[::3, ::3, ::3] if is_sampled else greys[:0]).ravel()  # for a histogram
         if last_slices is not None:
@@ -156,20 +181,36 @@ def _cuts(volume: xr.DataArray, piece_box: dict[str, slice], axis: Axis) -> list
     return [slice(k, min(k + size, stop)) for k in range(start, stop, size)]
 
 
-def _place(volume: xr.DataArray, axis: Axis, through: Axis, sheet_slices: tuple[int, int]) -> dict[str, slice]:
-    sheet_range = slice(max(sheet_slices[0] - 4, 0), min(sheet_slices[1] + 5, volume.sizes[through]))
+def _place(
+    volume: xr.DataArray, axis: Axis, through: Axis, sheet_slices: tuple[int, int]
+) -> dict[str, slice]:
+    sheet_range = slice(
+        max(sheet_slices[0] - 4, 0), min(sheet_slices[1] + 5, volume.sizes[through])
+    )
     # Some 90 000 voxels of a slice are looked at.
-    widest = _EDGE if axis == through else int(np.clip(90_000 // (sheet_range.stop - sheet_range.start), 60, 2 * _EDGE))
+    widest = (
+        _EDGE
+        if axis == through
+        else int(np.clip(90_000 // (sheet_range.stop - sheet_range.start), 60, 2 * _EDGE))
+    )
     window_box: dict[str, slice] = {}
     for k, n in zip("zyx", volume.shape, strict=True):  # the middle, in whole blocks
         edge = min(widest, n) // BLOCK * BLOCK or n
         window_box[k] = slice((n - edge) // 2, (n - edge) // 2 + edge)
-    return window_box | ({} if axis == through else {axis: slice(0, volume.sizes[axis])}) | {through: sheet_range}
+    return (
+        window_box
+        | ({} if axis == through else {axis: slice(0, volume.sizes[axis])})
+        | {through: sheet_range}
+    )
 
 
-def _pieces(volume: xr.DataArray, boxes: dict[Axis, dict[str, slice]], z_range: slice) -> list[slice]:
+def _pieces(
+    volume: xr.DataArray, boxes: dict[Axis, dict[str, slice]], z_range: slice
+) -> list[slice]:
     """Cut along z: blocks are whole, chunks of the file are read once where memory allows."""
-    largest = max(np.prod([s.stop - s.start for k, s in p.items() if k != "z"]) for p in boxes.values())
+    largest = max(
+        np.prod([s.stop - s.start for k, s in p.items() if k != "z"]) for p in boxes.values()
+    )
     chunk = chunks_of(volume)
     unit = math.lcm(BLOCK, chunk[0])
     size = max(int(WINDOW_BYTES / (4 * largest)) // unit, 1) * unit
@@ -193,7 +234,11 @@ def _sums(part: NDArray[np.float32], n_before: int = 0) -> Sums:
     square, product = np.zeros(max(n - 1, 0)), np.zeros(max(n - 2, 0))
     sums = np.zeros((n - n_before, rows // edge, cols // edge))
     _kernels.add_slices(part, edge, n_before, square, product, sums)
-    return square[max(n_before - 1, 0) :], product, (sums / edge**2).reshape(n - n_before, -1).astype(np.float32)
+    return (
+        square[max(n_before - 1, 0) :],
+        product,
+        (sums / edge**2).reshape(n - n_before, -1).astype(np.float32),
+    )
 
 
 def _joined(axis: Axis, window_box: dict[str, slice], sums: list[Sums]) -> Window:
@@ -209,8 +254,14 @@ def _joined(axis: Axis, window_box: dict[str, slice], sums: list[Sums]) -> Windo
     blocks, n_copied = np.empty(shape, dtype=np.float32), 0
     while sums:
         part = sums.pop(0)[2]  # a part goes as soon as it is copied
-        blocks[(slice(None),) * axis_index + (slice(n_copied, n_copied + part.shape[axis_index]),)] = part
+        blocks[
+            (slice(None),) * axis_index + (slice(n_copied, n_copied + part.shape[axis_index]),)
+        ] = part
         n_copied += part.shape[axis_index]
     return Window(
-        axis=axis, first=window_box[axis].start, square=square / voxels, product=product / voxels, blocks=blocks
-    )  # fmt: skip
+        axis=axis,
+        first=window_box[axis].start,
+        square=square / voxels,
+        product=product / voxels,
+        blocks=blocks,
+    )

@@ -18,7 +18,23 @@ from planish.core.text import plain_numbers, printable
 if TYPE_CHECKING:
     from rich.console import Console
 
-_UNITS = ("um", "um2", "mm", "mm2", "deg", "%", "s", "min", "h", "MB", "GB", "voxels", "pixels", "columns", "marks")
+_UNITS = (
+    "um",
+    "um2",
+    "mm",
+    "mm2",
+    "deg",
+    "%",
+    "s",
+    "min",
+    "h",
+    "MB",
+    "GB",
+    "voxels",
+    "pixels",
+    "columns",
+    "marks",
+)
 _WITH_UNIT = re.compile(rf"(?<=\d) (?=(?:{'|'.join(_UNITS)})(?![\w/]))")
 _NUMBER = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
 _GLUE = "\N{NO-BREAK SPACE}"
@@ -53,9 +69,14 @@ def console(*, err: bool = False, width: int | None = None) -> Console:
     from rich.console import Console
 
     return Console(
-        stderr=err, width=width, highlight=False, markup=False, emoji=False, no_color=plain() or None,
+        stderr=err,
+        width=width,
+        highlight=False,
+        markup=False,
+        emoji=False,
+        no_color=plain() or None,
         color_system=None if plain() else "auto",
-    )  # fmt: skip
+    )
 
 
 def letters() -> bool:
@@ -91,9 +112,15 @@ def wrapped(text: str, width: int) -> str:
     for line in text.split("\n"):
         indent = line[: len(line) - len(line.lstrip())]
         lines += textwrap.wrap(
-            _WITH_UNIT.sub(_GLUE, line), max(width, _LEAST_WIDTH), initial_indent="", subsequent_indent=f"{indent}  ",
-            break_long_words=False, break_on_hyphens=False, replace_whitespace=False, drop_whitespace=True,
-        ) or [""]  # fmt: skip
+            _WITH_UNIT.sub(_GLUE, line),
+            max(width, _LEAST_WIDTH),
+            initial_indent="",
+            subsequent_indent=f"{indent}  ",
+            break_long_words=False,
+            break_on_hyphens=False,
+            replace_whitespace=False,
+            drop_whitespace=True,
+        ) or [""]
     return "\n".join(lines).replace(_GLUE, " ")
 
 
@@ -111,7 +138,9 @@ def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> 
         return
     from rich.table import Table
 
-    grid = Table(title=title, title_justify="left", box=None, pad_edge=False, padding=(0, _GAP, 0, 0))
+    grid = Table(
+        title=title, title_justify="left", box=None, pad_edge=False, padding=(0, _GAP, 0, 0)
+    )
     for k, name in enumerate(columns):
         grid.add_column(name, justify="left" if k == 0 else "right", no_wrap=True)
     for row in rows:
@@ -125,13 +154,23 @@ def stacked(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], w
     unit_column = columns.index("unit") if "unit" in columns else None
     for row in rows:
         lines += wrapped(row[0], width).split("\n")
-        numeric = [k for k, heading in enumerate(columns) if _NUMBER.fullmatch(row[k]) and heading not in _UNITLESS]
+        numeric = [
+            k
+            for k, heading in enumerate(columns)
+            if _NUMBER.fullmatch(row[k]) and heading not in _UNITLESS
+        ]
         for k, (heading, cell) in enumerate(zip(columns, row, strict=True)):
             if k == 0 or not cell or (k == unit_column and numeric):
                 continue
             name, _, heading_unit = heading.rpartition(" ")
             has_unit = bool(name) and heading_unit in _UNITS and heading not in _UNITLESS
-            unit = heading_unit if has_unit else row[unit_column] if unit_column is not None and k in numeric else ""
+            unit = (
+                heading_unit
+                if has_unit
+                else row[unit_column]
+                if unit_column is not None and k in numeric
+                else ""
+            )
             text = f"{cell} {unit}" if unit not in ("", "1") and cell != "-" else cell
             lines += wrapped(f"  {name if has_unit else heading}  {text}", width).split("\n")
     return "\n".join(lines)

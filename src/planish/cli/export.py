@@ -7,7 +7,16 @@ from typing import Any
 import click
 
 from planish.cli.console import print_json, sentence, warn
-from planish.cli.options import PATH, build_params, existing, json_option, options, out_option, verb, wrong_usage
+from planish.cli.options import (
+    PATH,
+    build_params,
+    existing,
+    json_option,
+    options,
+    out_option,
+    verb,
+    wrong_usage,
+)
 from planish.exports import FORMATS, ExportParams
 from planish.io.params import ImageParams
 from planish.run.compute import Compute
@@ -37,13 +46,21 @@ def export(run: Path, out: Path, as_json: bool, **values: Any) -> None:
 
     params, compute = build_params(ExportParams, values), build_params(Compute, values)
     with stages(20) as progress, wrong_usage():
-        files = export_run(run, out, compute=compute, progress=progress, **params.model_dump(exclude_unset=True))
+        files = export_run(
+            run, out, compute=compute, progress=progress, **params.model_dump(exclude_unset=True)
+        )
     if as_json:
         print_json({"out": str(out), "format": params.to, "files": [str(path) for path in files]})
         return
     file_format = FORMATS[params.to]
-    missing_text = "" if file_format.missing == "–" else f"; missing values: {file_format.missing.replace('`', '')}"
-    click.echo(f"{out}: {file_format.title}, {len(files)} file{'s' * (len(files) > 1)}{missing_text}")
+    missing_text = (
+        ""
+        if file_format.missing == "–"
+        else f"; missing values: {file_format.missing.replace('`', '')}"
+    )
+    click.echo(
+        f"{out}: {file_format.title}, {len(files)} file{'s' * (len(files) > 1)}{missing_text}"
+    )
     if file_format.note:
         click.echo(file_format.note, err=True)
 
@@ -77,7 +94,10 @@ def explore(run: Path, out: Path, as_json: bool, **values: Any) -> None:
 @existing("run")
 @click.argument("image", type=PATH, required=False)
 @click.option(
-    "--port", type=click.IntRange(0, 65535), default=0, help="Port to serve on; a free one where 0.  [default: 0]"
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=0,
+    help="Port to serve on; a free one where 0.  [default: 0]",
 )
 @click.option("--no-browser", is_flag=True, help="Print the address only, and open no browser.")
 @click.option("--read-only", is_flag=True, help="Look only: nothing can be changed.")
@@ -87,13 +107,24 @@ def explore(run: Path, out: Path, as_json: bool, **values: Any) -> None:
     metavar="ADDRESS",
     help="Address to serve on; others than this machine need --expose.",
 )
-@click.option("--expose", is_flag=True, help="Serve to other machines, over a connection that is not encrypted.")
+@click.option(
+    "--expose",
+    is_flag=True,
+    help="Serve to other machines, over a connection that is not encrypted.",
+)
 @options(ImageParams, "Image", only=("pixel_um", "channel", "side"))
 @json_option
 def view(
-    run: Path, image: Path | None, port: int, no_browser: bool, read_only: bool, host: str, expose: bool, as_json: bool,
+    run: Path,
+    image: Path | None,
+    port: int,
+    no_browser: bool,
+    read_only: bool,
+    host: str,
+    expose: bool,
+    as_json: bool,
     **values: Any,
-) -> None:  # fmt: skip
+) -> None:
     """Open RUN in the browser: check its marks, surfaces and maps, correct them, and apply that to a new run.
 
     RUN is the folder of a link. Where a link was refused at the marks, give the maps that it kept, OUT-map, and IMAGE,
@@ -105,8 +136,9 @@ def view(
     is_local = host in ("127.0.0.1", "localhost")
     if not is_local and not expose:
         raise click.UsageError(
-            f"--host {host} lets other machines on the network see and change this run, over a connection that is not "
-            "encrypted. Give --expose as well if you mean it; for one other machine, an ssh tunnel is safer."
+            f"--host {host} lets other machines on the network see and change this run, over a"
+            " connection that is not encrypted. Give --expose as well if you mean it; for one"
+            " other machine, an ssh tunnel is safer."
         )
     image_params = None if image is None else build_params(ImageParams, values, path=str(image))
     session = Session.open(run, image_params, read_only=read_only)
@@ -118,8 +150,8 @@ def view(
             warn(f"read only. {session.reason}")
         if not is_local:
             warn(
-                f"exposed on {host}: whoever gets this address, token included, sees this run's maps and marks and can "
-                "change them; nothing is encrypted."
+                f"exposed on {host}: whoever gets this address, token included, sees this run's"
+                " maps and marks and can change them; nothing is encrypted."
             )
         if not no_browser:
             click.launch(url)

@@ -16,9 +16,15 @@ from planish.io.params import VolumeParams
 from planish.run.compute import Compute, engine
 
 
-@verb("planish info volume.tif", "planish info volume.tif --picture look.png", "planish info run --json")
+@verb(
+    "planish info volume.tif",
+    "planish info volume.tif --picture look.png",
+    "planish info run --json",
+)
 @existing("path")
-@click.option("--picture", type=PATH, metavar="PNG", help="Draw the middle sections into this file.")
+@click.option(
+    "--picture", type=PATH, metavar="PNG", help="Draw the middle sections into this file."
+)
 @json_option
 def info(path: Path, picture: Path | None, as_json: bool) -> None:
     """Say what PATH holds: shape, type, voxel or pixel size and its source, grey values, what looks wrong.
@@ -36,10 +42,17 @@ def info(path: Path, picture: Path | None, as_json: bool) -> None:
 
         open_results(path)  # says what is wrong with it
     sections: list[Section] = []
-    has_drawing = not as_json and sys.stdout.isatty() and (sys.stdout.encoding or "").lower().startswith("utf")
+    has_drawing = (
+        not as_json
+        and sys.stdout.isatty()
+        and (sys.stdout.encoding or "").lower().startswith("utf")
+    )
     if facts_of_run is None:
         needs_look = picture is not None or has_drawing
-        facts = describe(path, look=(lambda values: sections.extend(middle_sections(values))) if needs_look else None)
+        facts = describe(
+            path,
+            look=(lambda values: sections.extend(middle_sections(values))) if needs_look else None,
+        )
         lines = fact_lines(facts)
         if has_drawing and len(sections) > 1:
             lines += as_text(best_section(sections, facts["through"]))
@@ -48,7 +61,8 @@ def info(path: Path, picture: Path | None, as_json: bool) -> None:
     if picture is not None:
         if not sections:
             raise FileError(
-                f"There is nothing of {find_place(path).name} to draw: give a volume or an image that can be looked at."
+                f"There is nothing of {find_place(path).name} to draw: give a volume or an image"
+                " that can be looked at."
             )
         write_picture(sections, picture)
     if as_json:
@@ -57,16 +71,35 @@ def info(path: Path, picture: Path | None, as_json: bool) -> None:
         click.echo(printable("\n".join(lines)))
 
 
-@verb("planish import scan/ --out sheet.zarr", "planish import sections/ --out sheet.zarr --through y", name="import")
+@verb(
+    "planish import scan/ --out sheet.zarr",
+    "planish import sections/ --out sheet.zarr --through y",
+    name="import",
+)
 @existing("volume")
 @out_option("Store to make, such as sheet.zarr; it must not exist.")
 @options(
-    VolumeParams, "Volume",
-    only=("voxel_um", "override_size", "unusual_size", "through", "channel", "fixed_rows", "fixed_cols"),
-)  # fmt: skip
+    VolumeParams,
+    "Volume",
+    only=(
+        "voxel_um",
+        "override_size",
+        "unusual_size",
+        "through",
+        "channel",
+        "fixed_rows",
+        "fixed_cols",
+    ),
+)
 @options(CorrectParams, "Corrections")
 @options(Compute, "Resources", only=("memory_bytes", "scheduler"))
-@click.option("--ome", type=click.Choice(["0.5", "0.4"]), default="0.5", show_default=True, help="Version of OME-Zarr.")
+@click.option(
+    "--ome",
+    type=click.Choice(["0.5", "0.4"]),
+    default="0.5",
+    show_default=True,
+    help="Version of OME-Zarr.",
+)
 def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) -> None:
     """Bring VOLUME into a working store: chunked, in several resolutions, with checksums.
 
@@ -83,8 +116,12 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
     params = build_params(VolumeParams, values, path=str(volume.absolute()))
     correct = build_params(CorrectParams, values)
     if correct != CorrectParams() and not correct.asked:
-        raise click.UsageError("--rotation-axis and -centre-um belong to --correct-rings and --correct-cupping.")
-    record_path, picture_path = (out.with_name(f"{out.stem}.corrections.{suffix}") for suffix in ("json", "png"))
+        raise click.UsageError(
+            "--rotation-axis and -centre-um belong to --correct-rings and --correct-cupping."
+        )
+    record_path, picture_path = (
+        out.with_name(f"{out.stem}.corrections.{suffix}") for suffix in ("json", "png")
+    )
     correction = None
     with stages(2) as progress:
         scan = read_whole(params, compute, progress)
@@ -93,20 +130,30 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
 
             refuse_existing(record_path, picture_path)
             correction = correct_volume(
-                scan, params=correct, memory_bytes=compute.volume_bytes,
+                scan,
+                params=correct,
+                memory_bytes=compute.volume_bytes,
                 progress=lambda step, share_text: progress("correct", f"{step}, {share_text}"),
-            )  # fmt: skip
+            )
             for sentence in correction.record.sentences:
                 click.echo(sentence)
             if clipped_share := correction.record.clipped:
                 percent = f"{100 * clipped_share:.2g} %"
-                click.echo(f"{percent} of the voxels left the range of {scan.dtype} and were clipped.")
+                click.echo(
+                    f"{percent} of the voxels left the range of {scan.dtype} and were clipped."
+                )
         with engine(compute) as workers:
             write_store(
-                scan if correction is None else correction.volume, out, memory_bytes=compute.block_bytes, ome=ome,
-                executor=workers.executor, workers=workers.at_once,
-                progress=lambda step, n_done, n_blocks: progress(step, f"block {n_done} of {n_blocks}"),
-            )  # fmt: skip
+                scan if correction is None else correction.volume,
+                out,
+                memory_bytes=compute.block_bytes,
+                ome=ome,
+                executor=workers.executor,
+                workers=workers.at_once,
+                progress=lambda step, n_done, n_blocks: progress(
+                    step, f"block {n_done} of {n_blocks}"
+                ),
+            )
     if correction is not None:
         from planish.correct import write_picture
 
@@ -114,7 +161,9 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
             text = json.dumps(correction.record.to_json(), indent=2)
             record_path.write_text(f"{text}\n", encoding="utf-8", newline="\n")
         except OSError as error:
-            raise FileError(f"{record_path} cannot be written: {error.strerror}. The store itself is whole.") from error
+            raise FileError(
+                f"{record_path} cannot be written: {error.strerror}. The store itself is whole."
+            ) from error
         if correction.before is not None:
             write_picture(correction, scan, picture_path)
     click.echo(f"{out}: {' x '.join(map(str, scan.shape))} voxels")
@@ -126,4 +175,8 @@ def properties() -> None:
     from planish.cli.console import table
     from planish.measure import registered
 
-    table("Properties", ("name", "unit", ""), [(p.name, p.units, p.long_name) for p in registered().values()])
+    table(
+        "Properties",
+        ("name", "unit", ""),
+        [(p.name, p.units, p.long_name) for p in registered().values()],
+    )

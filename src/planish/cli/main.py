@@ -24,13 +24,33 @@ from planish.core.errors import FileError, PlanishError
 from planish.core.text import printable
 
 _MODULES = {
-    "link": "runs", "map": "runs", "demo": "runs", "run": "runs", "info": "files", "import": "files",
-    "properties": "files", "surface": "stages", "measure": "stages", "flatten": "stages", "resample": "stages",
-    "holes": "stages", "register": "stages", "correlate": "stages", "report": "stages", "marks": "marks",
-    "specimen": "validate", "validate": "validate", "export": "export", "doctor": "setup",
-    "completion": "setup", "new": "runs", "study": "series", "compare": "series", "view": "export",
+    "link": "runs",
+    "map": "runs",
+    "demo": "runs",
+    "run": "runs",
+    "info": "files",
+    "import": "files",
+    "properties": "files",
+    "surface": "stages",
+    "measure": "stages",
+    "flatten": "stages",
+    "resample": "stages",
+    "holes": "stages",
+    "register": "stages",
+    "correlate": "stages",
+    "report": "stages",
+    "marks": "marks",
+    "specimen": "validate",
+    "validate": "validate",
+    "export": "export",
+    "doctor": "setup",
+    "completion": "setup",
+    "new": "runs",
+    "study": "series",
+    "compare": "series",
+    "view": "export",
     "explore": "export",
-}  # fmt: skip
+}
 """Verb -> module of this package that holds it, as ``verb``, ``verb_`` where the name is taken."""
 
 
@@ -46,18 +66,27 @@ class LazyGroup(click.Group):
         if cmd_name not in _MODULES:
             return None
         module = import_module(f"planish.cli.{_MODULES[cmd_name]}")
-        return cast("click.Command", getattr(module, f"{cmd_name}_", None) or getattr(module, cmd_name))
+        return cast(
+            "click.Command", getattr(module, f"{cmd_name}_", None) or getattr(module, cmd_name)
+        )
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
         """List the verbs with what their docstrings say; importing them all would take longer than all else."""
         folder, docstrings = Path(__file__).parent, dict[str, str | None]()
         for module in set(_MODULES.values()):
             tree = ast.parse((folder / f"{module}.py").read_text(encoding="utf-8"))
-            docstrings |= {f.name: ast.get_docstring(f) for f in tree.body if isinstance(f, ast.FunctionDef)}
-        verbs = [click.Command(name, help=docstrings.get(f"{name}_") or docstrings[name]) for name in _MODULES]
+            docstrings |= {
+                f.name: ast.get_docstring(f) for f in tree.body if isinstance(f, ast.FunctionDef)
+            }
+        verbs = [
+            click.Command(name, help=docstrings.get(f"{name}_") or docstrings[name])
+            for name in _MODULES
+        ]
         limit = formatter.width - 6 - max(map(len, _MODULES))
         with formatter.section("Commands"):
-            formatter.write_dl([(verb.name or "", verb.get_short_help_str(limit)) for verb in verbs])
+            formatter.write_dl(
+                [(verb.name or "", verb.get_short_help_str(limit)) for verb in verbs]
+            )
 
 
 _START_TEXT = """\
@@ -91,17 +120,20 @@ def planish(context: click.Context) -> None:
     """
     if context.invoked_subcommand is None:
         click.echo(_START_TEXT.format(version=__version__), nl=False, err=True)
-        context.exit(2)  # wrong usage: a script whose arguments got lost must not take it for a success
+        # Wrong usage: a script whose arguments got lost must not take it for a success.
+        context.exit(2)
 
 
 def main(args: list[str] | None = None) -> None:
     """Run the command line and end the process with its exit code."""
     arguments = sys.argv[1:] if args is None else args
     prepare_streams()
-    gc.set_threshold(50_000)  # imports and compiled functions make many small objects, and hardly any is garbage
+    # Imports and compiled functions make many small objects, and hardly any is garbage.
+    gc.set_threshold(50_000)
     if os.environ.get("_PLANISH_COMPLETE", "").startswith("powershell"):
         import_module("planish.cli.setup")  # click knows the other shells by itself
-    logging.getLogger("asyncio").setLevel(logging.CRITICAL)  # of zarr, about reads that a damaged chunk cut short
+    # Of zarr, about reads that a damaged chunk cut short.
+    logging.getLogger("asyncio").setLevel(logging.CRITICAL)
     try:
         code = planish.main(args=arguments, prog_name="planish", standalone_mode=False)
     except click.exceptions.Exit as error:
@@ -131,9 +163,13 @@ def _as_planish_error(error: Exception) -> PlanishError:
     fault = as_sentence(error, "the results", remedy)
     if fault is error or fault.exit_code != PlanishError.exit_code:
         return fault
-    with tempfile.NamedTemporaryFile("w", prefix="planish-", suffix=".log", delete=False, encoding="utf-8") as log:
+    with tempfile.NamedTemporaryFile(
+        "w", prefix="planish-", suffix=".log", delete=False, encoding="utf-8"
+    ) as log:
         log.write(f"planish {__version__}\n")
         log.write("".join(traceback.format_exception(error)))
     return PlanishError(
-        fault.text.replace("Please report it", f"The details are in {Path(log.name)}; please report them")
+        fault.text.replace(
+            "Please report it", f"The details are in {Path(log.name)}; please report them"
+        )
     )

@@ -9,7 +9,17 @@ import click
 from pydantic import Field
 
 from planish.cli.console import print_json, table, warn
-from planish.cli.options import PATH, Option, Value, Verb, build_params, existing, json_option, options, out_option
+from planish.cli.options import (
+    PATH,
+    Option,
+    Value,
+    Verb,
+    build_params,
+    existing,
+    json_option,
+    options,
+    out_option,
+)
 from planish.core.files import write_whole
 from planish.design.params import DesignParams, ImagingParams, StageParams
 from planish.marks.exchange.formats import FORMATS, TARGETS, target_of
@@ -23,7 +33,9 @@ _PAIR = tuple[float, float]
 _SIZES = Value(Annotated[tuple[float, ...], Field(min_length=1, max_length=3)], "SIZE|Y,X|Z,Y,X")
 _ORIGIN = Value(_PAIR, "X,Y")
 _BY_NAME = ", ".join(
-    f"{' or '.join(FORMATS[name].suffixes)} {FORMATS[name].title}" for name in TARGETS if FORMATS[name].suffixes
+    f"{' or '.join(FORMATS[name].suffixes)} {FORMATS[name].title}"
+    for name in TARGETS
+    if FORMATS[name].suffixes
 )
 
 
@@ -35,7 +47,11 @@ def marks() -> None:
 @marks.command(cls=Verb)
 @options(DesignParams, "Pattern")
 @click.option(
-    "--holes-per-cm2", type=_POSITIVE, cls=Option, group="Pattern", help="Number of holes per area of the field."
+    "--holes-per-cm2",
+    type=_POSITIVE,
+    cls=Option,
+    group="Pattern",
+    help="Number of holes per area of the field.",
 )
 @options(StageParams, "Stage program")
 @options(ImagingParams, "Predicted error")
@@ -63,10 +79,16 @@ def design(out: Path, as_json: bool, holes_per_cm2: float | None, **values: Any)
         files, program, error = write_design(pattern, rules, folder, stage=stage, imaging=imaging)
     if as_json:
         facts = {
-            "out": str(out), "files": list(files), "holes": len(pattern.holes), **_rule_facts(rules),
-            "fle_um": error.fle_um, "error_centre_um": error.centre_um, "error_corner_um": error.corner_um,
-            "time_s": program.time_s, "path_um": program.length_um,
-        }  # fmt: skip
+            "out": str(out),
+            "files": list(files),
+            "holes": len(pattern.holes),
+            **_rule_facts(rules),
+            "fle_um": error.fle_um,
+            "error_centre_um": error.centre_um,
+            "error_corner_um": error.corner_um,
+            "time_s": program.time_s,
+            "path_um": program.length_um,
+        }
         print_json(facts)
         return
     _show(pattern, rules)
@@ -77,10 +99,14 @@ def design(out: Path, as_json: bool, holes_per_cm2: float | None, **values: Any)
 
 @marks.command()
 @existing("pattern")
-@click.option("--field-um", type=Value(_PAIR, "W,H"), help="Field in the middle of a table's holes.")
+@click.option(
+    "--field-um", type=Value(_PAIR, "W,H"), help="Field in the middle of a table's holes."
+)
 @click.option("--diameter-um", type=_POSITIVE, help="Diameter of a table's holes.")
 @json_option
-def check(pattern: Path, field_um: tuple[float, float] | None, diameter_um: float | None, as_json: bool) -> int:
+def check(
+    pattern: Path, field_um: tuple[float, float] | None, diameter_um: float | None, as_json: bool
+) -> int:
     """Check a PATTERN by the rules of the design: a pattern.json, or a table with x_um and y_um.
 
     Ends with 4 when a rule is broken.
@@ -92,7 +118,11 @@ def check(pattern: Path, field_um: tuple[float, float] | None, diameter_um: floa
     hole_pattern = read_pattern(pattern, field_um=field_um, diameter_um=diameter_um)
     rules, error = check_pattern(hole_pattern), predict(hole_pattern)
     if as_json:
-        facts = {"holes": len(hole_pattern.holes), **_rule_facts(rules), "error_corner_um": error.corner_um}
+        facts = {
+            "holes": len(hole_pattern.holes),
+            **_rule_facts(rules),
+            "error_corner_um": error.corner_um,
+        }
         print_json(facts)
     else:
         _show(hole_pattern, rules)
@@ -106,13 +136,20 @@ def check(pattern: Path, field_um: tuple[float, float] | None, diameter_um: floa
 @marks.command()
 @existing("program")
 @options(StageParams, "Options", only=("range_um",))
-@click.option("--pulse-most-s", type=_POSITIVE, default=0.05, show_default=True, help="Longest pulse allowed.")
+@click.option(
+    "--pulse-most-s", type=_POSITIVE, default=0.05, show_default=True, help="Longest pulse allowed."
+)
 @click.option("--pattern", type=PATH, help="Compare the shots with this pattern.json or table.")
 @out_option("Picture of the path to make: .png, .svg or .pdf.", required=False)
 @json_option
 def simulate(
-    program: Path, pulse_most_s: float, pattern: Path | None, out: Path | None, as_json: bool, **values: Any
-) -> int:  # fmt: skip
+    program: Path,
+    pulse_most_s: float,
+    pattern: Path | None,
+    out: Path | None,
+    as_json: bool,
+    **values: Any,
+) -> int:
     """Run a stage PROGRAM dry: what it fires and how long it takes; refuse what is not safe.
 
     Ends with 4 when the shots are not those of --pattern.
@@ -134,13 +171,18 @@ def simulate(
 
         holes_um = read_pattern(pattern).points_um
         if len(holes_um) != len(shots_um):
-            difference = f"the program fires {len(shots_um)} shots, the pattern has {len(holes_um)} holes."
+            difference = (
+                f"the program fires {len(shots_um)} shots, the pattern has {len(holes_um)} holes."
+            )
         else:
             distance_um = np.hypot(*(shots_um[:, None] - holes_um[None]).transpose(2, 0, 1))
-            worst_um = max(float(distance_um.min(axis=0).max()), float(distance_um.min(axis=1).max()))
+            worst_um = max(
+                float(distance_um.min(axis=0).max()), float(distance_um.min(axis=1).max())
+            )
             if worst_um > 0.001:  # um: a program states positions to 0.0005
                 difference = (
-                    f"a hole of the pattern is {worst_um:.3f} um from the nearest shot; write the program again."
+                    f"a hole of the pattern is {worst_um:.3f} um from the nearest shot; write the"
+                    " program again."
                 )
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -150,9 +192,13 @@ def simulate(
         write_whole(out, picture)
     if as_json:
         facts = {
-            "shots": len(shots_um), "pulse_s": sorted(set(run.pulse_s.tolist())), "time_s": run.time_s,
-            "path_um": run.length_um, "fired_um": shots_um.tolist(), "difference": difference,
-        }  # fmt: skip
+            "shots": len(shots_um),
+            "pulse_s": sorted(set(run.pulse_s.tolist())),
+            "time_s": run.time_s,
+            "path_um": run.length_um,
+            "fired_um": shots_um.tolist(),
+            "difference": difference,
+        }
         print_json(facts)
     else:
         click.echo(f"{program}: {run.sentence()}" + ("" if out is None else f"; {out}"))
@@ -168,7 +214,14 @@ def _show(pattern: Pattern, rules: tuple[Rule, ...]) -> None:
     rows: list[tuple[str, ...]] = []
     for rule in rules:
         measured = f"{rule.value:.4g} {rule.unit}".strip()
-        rows.append((rule.name, measured, f"{rule.sense} {rule.limit:g}", "kept" if rule.passed else "BROKEN"))
+        rows.append(
+            (
+                rule.name,
+                measured,
+                f"{rule.sense} {rule.limit:g}",
+                "kept" if rule.passed else "BROKEN",
+            )
+        )
     title = f"{pattern.name}: {len(pattern.holes)} holes of {pattern.diameter_um:g} um"
     table(title, ("rule", "measured", "limit", ""), rows)
 
@@ -180,25 +233,47 @@ def _rule_facts(rules: tuple[Rule, ...]) -> dict[str, list[dict[str, Any]]]:
 
 @marks.command()
 @click.argument("files", nargs=-1, required=True, type=PATH, metavar="IN [IN2] OUT")
-@click.option("--to", type=click.Choice(TARGETS), help=f"Format of OUT; where not given, by its name: {_BY_NAME}.")
-@click.option("--moving-pixel-um", type=_SIZES, help="Pixel size of the moving layer, where a file counts in pixels.")
+@click.option(
+    "--to",
+    type=click.Choice(TARGETS),
+    help=f"Format of OUT; where not given, by its name: {_BY_NAME}.",
+)
+@click.option(
+    "--moving-pixel-um",
+    type=_SIZES,
+    help="Pixel size of the moving layer, where a file counts in pixels.",
+)
 @click.option("--fixed-pixel-um", type=_SIZES, help="The same for the fixed layer.")
 @click.option(
-    "--moving-origin-um", type=_ORIGIN,
-    help="Place of the moving layer's first pixel, from which other programs count; 0,0 where not given.",
-)  # fmt: skip
+    "--moving-origin-um",
+    type=_ORIGIN,
+    help=(
+        "Place of the moving layer's first pixel, from which other programs count; 0,0 where not"
+        " given."
+    ),
+)
 @click.option("--fixed-origin-um", type=_ORIGIN, help="The same for the fixed layer.")
 @click.option(
-    "--unit", type=_UNITS, help="Unit of IN where it states none: BigWarp and ImageJ um, elastix mm if not given."
+    "--unit",
+    type=_UNITS,
+    help="Unit of IN where it states none: BigWarp and ImageJ um, elastix mm if not given.",
 )
-@click.option("--out-unit", type=_UNITS, help="Unit of OUT for BigWarp (um if not given) and elastix (mm).")
+@click.option(
+    "--out-unit", type=_UNITS, help="Unit of OUT for BigWarp (um if not given) and elastix (mm)."
+)
 @click.option("--swap", is_flag=True, help="The moving image of IN is the fixed one here.")
 @click.option("--swap-out", is_flag=True, help="The fixed layer is to be the moving image of OUT.")
 @json_option
 def convert(
-    files: tuple[Path, ...], to: str | None, unit: Literal["um", "mm", "pixel"] | None,
-    out_unit: Literal["um", "mm", "pixel"] | None, swap: bool, swap_out: bool, as_json: bool, **options: Any,
-) -> None:  # fmt: skip
+    files: tuple[Path, ...],
+    to: str | None,
+    unit: Literal["um", "mm", "pixel"] | None,
+    out_unit: Literal["um", "mm", "pixel"] | None,
+    swap: bool,
+    swap_out: bool,
+    as_json: bool,
+    **options: Any,
+) -> None:
     """Convert marks from one program's file into another's.
 
     IN is a file of planish, BigWarp, elastix, 3D Slicer, MATLAB or ImageJ, recognised by its content. Where it
@@ -211,23 +286,40 @@ def convert(
         raise click.UsageError("Give IN and OUT, or IN, IN2 and OUT.")
     *sources, out = files
     out_format = to or target_of(out)
-    layer_pixels = {k: LayerPixels(options[f"{k}_pixel_um"], options[f"{k}_origin_um"]) for k in ("moving", "fixed")}
+    layer_pixels = {
+        k: LayerPixels(options[f"{k}_pixel_um"], options[f"{k}_origin_um"])
+        for k in ("moving", "fixed")
+    }
     marks = read_any(*sources, **layer_pixels, unit=unit, swap=swap)
     out_files = write_any(marks, out, to=out_format, **layer_pixels, unit=out_unit, swap=swap_out)
     layers, source = layer_names(marks), marks.attrs["read_from"]
     n_used, out_names = int(marks["used"].values.sum()), [str(path) for path in out_files]
     if as_json:
         counts = {"marks": marks.sizes["mark"], "used": n_used}
-        print_json({"read": source, **counts, "layers": layers, "format": out_format, "files": out_names})
+        print_json(
+            {"read": source, **counts, "layers": layers, "format": out_format, "files": out_names}
+        )
         return
-    click.echo(f"{', '.join(out_names)}: {marks.sizes['mark']} marks ({n_used} used) in {', '.join(layers)}")
+    click.echo(
+        f"{', '.join(out_names)}: {marks.sizes['mark']} marks ({n_used} used) in"
+        f" {', '.join(layers)}"
+    )
     if not source["stated"] and unit is None:
         title = FORMATS[source["format"]].title
-        click.echo(f"{title} states no unit; the positions were taken as {source['unit']} (--unit).", err=True)
+        click.echo(
+            f"{title} states no unit; the positions were taken as {source['unit']} (--unit).",
+            err=True,
+        )
     for layer in layers if FORMATS[out_format].unit is not None else ():
         origin = about_layer(marks, layer).get("origin_um", {"x": 0.0, "y": 0.0})
         if any(origin.values()):
-            origin_text = f"{origin['x']:g},{origin['y']:g} um; give that as its origin when they are read again."
+            origin_text = (
+                f"{origin['x']:g},{origin['y']:g} um; give that as its origin when they are read"
+                " again."
+            )
             click.echo(f"{layer}: positions count from its first pixel, at {origin_text}", err=True)
     if out_format == "elastix":
-        click.echo("elastix: -mp the moving, -fp the fixed points; its transforms take fixed to moving.", err=True)
+        click.echo(
+            "elastix: -mp the moving, -fp the fixed points; its transforms take fixed to moving.",
+            err=True,
+        )

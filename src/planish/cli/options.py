@@ -13,7 +13,17 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from planish.core.errors import StudyError
-from planish.core.options import Params, Shown, flag_of, kinds_of, options_of, params_of, put_options, unit_of, words_in
+from planish.core.options import (
+    Params,
+    Shown,
+    flag_of,
+    kinds_of,
+    options_of,
+    params_of,
+    put_options,
+    unit_of,
+    words_in,
+)
 
 Command = Callable[..., Any]
 P = TypeVar("P", bound=Params)
@@ -23,7 +33,9 @@ PATH = click.Path(path_type=Path)
 class Verb(click.Command):
     """A command whose help shows its options in groups and ends with examples."""
 
-    def __init__(self, *args: Any, examples: Sequence[str] = (), can_resume: bool = False, **kwargs: Any) -> None:
+    def __init__(
+        self, *args: Any, examples: Sequence[str] = (), can_resume: bool = False, **kwargs: Any
+    ) -> None:
         super().__init__(*args, **kwargs)
         self.examples, self.can_resume = tuple(examples), can_resume
 
@@ -47,7 +59,11 @@ class Verb(click.Command):
         from planish.io.run_folder import refuse_existing, refuse_inside
 
         if isinstance(out := ctx.params.get("out"), Path):
-            inputs = [value for name, value in ctx.params.items() if name != "out" and isinstance(value, Path)]
+            inputs = [
+                value
+                for name, value in ctx.params.items()
+                if name != "out" and isinstance(value, Path)
+            ]
             refuse_inside(out, inputs)
             if not self.can_resume:
                 refuse_existing(out)
@@ -70,21 +86,36 @@ class Value(click.ParamType[Any]):
 
     name = "value"
 
-    def __init__(self, field_type: Any, metavar: str | None = None, *, repeat: bool = False) -> None:
+    def __init__(
+        self, field_type: Any, metavar: str | None = None, *, repeat: bool = False
+    ) -> None:
         self.adapter, self.can_repeat = TypeAdapter[Any](field_type), repeat
         types = kinds_of(field_type)
         tuples = [get_args(t) for t in types if get_origin(t) is tuple]
         self.n_values = len(tuples[0]) if tuples else 0
         self.is_any_count = any(arguments[1:] == (...,) for arguments in tuples)
         self.words = [str(word) for t in types if get_origin(t) is Literal for word in get_args(t)]
-        number_word = ["N,..."] if tuples else ["NUMBER"] if float in types else ["INTEGER"] if int in types else []
+        number_word = (
+            ["N,..."]
+            if tuples
+            else ["NUMBER"]
+            if float in types
+            else ["INTEGER"]
+            if int in types
+            else []
+        )
         self.metavar = metavar or "|".join([*self.words, *number_word]) or "TEXT"
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:  # noqa: ARG002
         """Show what is expected in the help."""
         return self.metavar
 
-    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem[str]]:  # noqa: ARG002
+    def shell_complete(
+        self,
+        ctx: click.Context,  # noqa: ARG002
+        param: click.Parameter,  # noqa: ARG002
+        incomplete: str,
+    ) -> list[CompletionItem[str]]:
         """Words that begin with what was typed."""
         return [CompletionItem(word) for word in self.words if word.startswith(incomplete)]
 
@@ -100,11 +131,15 @@ class Value(click.ParamType[Any]):
         try:
             return self.adapter.validate_python(texts)
         except ValidationError as error:
-            reasons = "; ".join(dict.fromkeys(e["msg"].removeprefix("Value error, ") for e in error.errors()))
+            reasons = "; ".join(
+                dict.fromkeys(e["msg"].removeprefix("Value error, ") for e in error.errors())
+            )
             self.fail(f"{value!r} is not {self.metavar}: {reasons}.", param, ctx)
 
 
-def options(model: type[Params], group: str, *, only: Sequence[str] = (), without: Sequence[str] = ()) -> Command:
+def options(
+    model: type[Params], group: str, *, only: Sequence[str] = (), without: Sequence[str] = ()
+) -> Command:
     """Give a command options of a model for :func:`build_params`, all or some, under the heading ``group``."""
     decorators: list[Command] = []
     for name, field, option_display in options_of(model):
@@ -126,7 +161,11 @@ def _none_if_empty(_context: Any, _option: Any, values: tuple[str, ...]) -> tupl
 
 def _option(name: str, field: FieldInfo, option_display: Shown, group: str) -> Command:
     types = kinds_of(field.annotation)
-    settings: dict[str, Any] = {"help": field.description, "group": group, "required": field.is_required()}
+    settings: dict[str, Any] = {
+        "help": field.description,
+        "group": group,
+        "required": field.is_required(),
+    }
     option = partial(click.option, *option_display.flags, cls=Option)
     if types == [bool] or _is_params(types[0]):
         return option(is_flag=True, default=None, **settings)
@@ -136,22 +175,39 @@ def _option(name: str, field: FieldInfo, option_display: Shown, group: str) -> C
         texts = (f"{value:.7g}" if isinstance(value, float) else str(value) for value in values)
         settings["help"] += f"  [default: {','.join(texts)}]"
     if types == [tuple[str, ...]]:
-        return option(multiple=True, metavar=option_display.metavar, callback=_none_if_empty, **settings)
+        return option(
+            multiple=True, metavar=option_display.metavar, callback=_none_if_empty, **settings
+        )
     if len(types) == 1 and get_origin(types[0]) is Literal:
         return option(type=click.Choice([str(word) for word in get_args(types[0])]), **settings)
     metavar = (unit_of(name) or "").upper() or None if types == [float] else None
-    value_type = Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation  # pyright: ignore
-    return option(type=Value(value_type, option_display.metavar or metavar, repeat=option_display.repeat), **settings)
+    value_type = (
+        Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation
+    )  # pyright: ignore
+    return option(
+        type=Value(value_type, option_display.metavar or metavar, repeat=option_display.repeat),
+        **settings,
+    )
 
 
-def given_options(values: Mapping[str, Any], tables_of: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
+def given_options(
+    values: Mapping[str, Any], tables_of: Mapping[str, tuple[str, ...]]
+) -> dict[str, Any]:
     """Collect the options that the command line gives, of those with a place, in the tables where they stand."""
-    given_values = {name: value for name in tables_of if (value := values.get(name)) is not None and value is not False}
+    given_values = {
+        name: value
+        for name in tables_of
+        if (value := values.get(name)) is not None and value is not False
+    }
     for name in given_values:
-        switch = next((other for other, table in tables_of.items() if table == tables_of[name][:-1]), name)
+        switch = next(
+            (other for other, table in tables_of.items() if table == tables_of[name][:-1]), name
+        )
         if switch not in given_values:
             flag, switch_flag = flag_of(name), flag_of(switch)
-            raise click.UsageError(f"{flag} is an option of {switch_flag}: give {switch_flag} as well.")
+            raise click.UsageError(
+                f"{flag} is an option of {switch_flag}: give {switch_flag} as well."
+            )
     tables: dict[str, Any] = {}
     put_options(tables, tables_of, given_values)
     return tables
@@ -181,9 +237,13 @@ def stack(*decorators: Command) -> Command:
     return decorate
 
 
-strict_option = click.option("--strict", is_flag=True, help="Exit with 4 also where a check asks for a look.")
+strict_option = click.option(
+    "--strict", is_flag=True, help="Exit with 4 also where a check asks for a look."
+)
 figures_option = click.option(
-    "--figures", is_flag=True, help="Also write each figure of the page as SVG, and its data as CSV, into figures/."
+    "--figures",
+    is_flag=True,
+    help="Also write each figure of the page as SVG, and its data as CSV, into figures/.",
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 

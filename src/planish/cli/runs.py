@@ -46,17 +46,28 @@ property_options = options(MeasureParams, "Properties")
 hole_options = options(HoleParams, "Marks and registration")
 compute_options = options(Compute, "Resources")
 _run_options = stack(
-    volume_options, surface_options, property_options, options(FlattenParams, "Flattening"),
-    options(AboutParams, "Page"), compute_options, figures_option, strict_option, json_option,
-)  # fmt: skip
+    volume_options,
+    surface_options,
+    property_options,
+    options(FlattenParams, "Flattening"),
+    options(AboutParams, "Page"),
+    compute_options,
+    figures_option,
+    strict_option,
+    json_option,
+)
 _folder_option = out_option("Folder to make; a new one where not given.", required=False)
 
 
 def _set_option(text: str) -> Command:
-    return click.option("--set", "changes", multiple=True, metavar="[LAYER.]SECTION.NAME=VALUE", help=text)
+    return click.option(
+        "--set", "changes", multiple=True, metavar="[LAYER.]SECTION.NAME=VALUE", help=text
+    )
 
 
-def study_from(layers: tuple[str | Path, ...], values: dict[str, Any], *, chain: bool = False) -> Study:
+def study_from(
+    layers: tuple[str | Path, ...], values: dict[str, Any], *, chain: bool = False
+) -> Study:
     """Build a study from the command line; what is wrong with it is wrong usage."""
     from planish.run.build import study_of, words_of
     from planish.run.study import with_paths
@@ -67,7 +78,12 @@ def study_from(layers: tuple[str | Path, ...], values: dict[str, Any], *, chain:
 
 
 def _run_and_show(
-    study: Study, out: Path, values: dict[str, Any], *, changes: tuple[str, ...] = (), old_run: Path | None = None
+    study: Study,
+    out: Path,
+    values: dict[str, Any],
+    *,
+    changes: tuple[str, ...] = (),
+    old_run: Path | None = None,
 ) -> int:
     from planish.run import run_study
     from planish.run.study import with_values
@@ -77,7 +93,9 @@ def _run_and_show(
     left = TimeLeft(expected_stages(study)) if animated() else None
     with stages(8 + 3 * len(study.layers), left) as progress:
         compute, figures = build_params(Compute, values), values.get("figures", False)
-        run = run_study(study, out, progress=progress, compute=compute, old=old_run, figures=figures)
+        run = run_study(
+            study, out, progress=progress, compute=compute, old=old_run, figures=figures
+        )
     return finish(run, out, as_json=values["as_json"], strict=values["strict"])
 
 
@@ -92,14 +110,20 @@ def _run_and_show(
 @options(RegistrationParams, "Marks and registration")
 @options(CorrelateParams, "Correlation")
 @click.option(
-    "--chain", is_flag=True, cls=Option, group="Marks and registration",
+    "--chain",
+    is_flag=True,
+    cls=Option,
+    group="Marks and registration",
     help="Register each layer to the next one, and carry it on from there.",
-)  # fmt: skip
+)
 @_set_option(
-    "Set a parameter of one layer, such as large.image.pixel_um=5.3,5.3 for the layer large=PATH; may be given again."
+    "Set a parameter of one layer, such as large.image.pixel_um=5.3,5.3 for the layer large=PATH;"
+    " may be given again."
 )
 @_run_options
-def link(layers: tuple[str, ...], out: Path, chain: bool, changes: tuple[str, ...], **values: Any) -> int:
+def link(
+    layers: tuple[str, ...], out: Path, chain: bool, changes: tuple[str, ...], **values: Any
+) -> int:
     """Link layers of one specimen to the last of them: all maps on its pixels, correlation, report.
 
     A layer is a volume (TIFF stack, folder of slices or sections, store), the folder of a run that planish made of one,
@@ -111,7 +135,9 @@ def link(layers: tuple[str, ...], out: Path, chain: bool, changes: tuple[str, ..
     them; --set gives one layer another value.
     """
     if len(layers) < 2:
-        raise click.UsageError("Something to link it to is missing: give two layers or more, the reference last.")
+        raise click.UsageError(
+            "Something to link it to is missing: give two layers or more, the reference last."
+        )
     return _run_and_show(study_from(layers, values, chain=chain), out, values, changes=changes)
 
 
@@ -136,8 +162,9 @@ def map_(volume: Path, out: Path, **values: Any) -> int:
 @existing("study")
 @_folder_option
 @_set_option(
-    "Change a parameter, such as registration.model=affine, or of one layer sheet.surface.cutoff_um=600; may be "
-    "given again. Stages whose parameters stay are taken from the run beside STUDY."
+    "Change a parameter, such as registration.model=affine, or of one layer"
+    " sheet.surface.cutoff_um=600; may be given again. Stages whose parameters stay are taken from"
+    " the run beside STUDY."
 )
 @compute_options
 @strict_option
@@ -161,7 +188,9 @@ def run(study: Path, out: Path | None, changes: tuple[str, ...], **values: Any) 
         values["figures"] = (old_run / FIGURES).is_dir()
     out_folder = out or free_path(default_out)
     try:
-        code = _run_and_show(parsed, out_folder, values, changes=changes, old_run=old_run if changes else None)
+        code = _run_and_show(
+            parsed, out_folder, values, changes=changes, old_run=old_run if changes else None
+        )
     except PlanishError as error:
         raise type(error)(in_study_words(error.text)) from error
     if old_run is not None and not changes:
@@ -179,9 +208,17 @@ def _compare(old_run: Path, new_run: Path) -> None:
     if not (old_run / "results.json").is_file():
         return
     # Not the hidden note of maps that outlived a refused link, which says what was asked; nor changes in the browser.
-    paths = [p.relative_to(root) for root in (old_run, new_run) for p in root.rglob("*") if p.is_file()]
-    paths = [p for p in paths if not p.name.startswith(".") and (p.parts[0] != EDITS or p.name in EDITS_APPLIED)]
-    _, differing, unmatched = filecmp.cmpfiles(old_run, new_run, {p.as_posix() for p in paths}, shallow=False)
+    paths = [
+        p.relative_to(root) for root in (old_run, new_run) for p in root.rglob("*") if p.is_file()
+    ]
+    paths = [
+        p
+        for p in paths
+        if not p.name.startswith(".") and (p.parts[0] != EDITS or p.name in EDITS_APPLIED)
+    ]
+    _, differing, unmatched = filecmp.cmpfiles(
+        old_run, new_run, {p.as_posix() for p in paths}, shallow=False
+    )
     differing_names = sorted([*differing, *unmatched])
     # Files of the store, of which a map has many, as a count and their groups.
     store_paths = [Path(name).parts for name in differing_names if name.startswith(f"{MAPS}/")]
@@ -217,7 +254,11 @@ def demo(out: Path | None, seed: int, **values: Any) -> int:
     return _run_and_show(study_from((files.volume, files.image), {}), folder / "run", values)
 
 
-@verb("planish new study.toml volume.tif image.tif", "planish new study.toml scan/", "planish run study.toml")
+@verb(
+    "planish new study.toml volume.tif image.tif",
+    "planish new study.toml scan/",
+    "planish run study.toml",
+)
 @existing("study")
 @existing("volume")
 @click.argument("image", required=False, type=PATH)

@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from planish.cli.console import sentence, table, warn
-from planish.cli.options import PATH, Option, build_params, existing, json_option, options, out_option, verb
+from planish.cli.options import (
+    PATH,
+    Option,
+    build_params,
+    existing,
+    json_option,
+    options,
+    out_option,
+    verb,
+)
 from planish.core.facts import is_known
 from planish.core.numbers import in_ascii
 from planish.run.compute import Compute
@@ -21,7 +30,12 @@ if TYPE_CHECKING:
     from planish.series import PlannedSpecimen, SeriesState
     from planish.series_results import Member, SeriesResults
 
-_STATE_TEXTS = {"whole": "linked", "withheld": "a check failed", "refused": "refused", "damaged": "not done"}
+_STATE_TEXTS = {
+    "whole": "linked",
+    "withheld": "a check failed",
+    "refused": "refused",
+    "damaged": "not done",
+}
 
 
 @verb(
@@ -34,31 +48,64 @@ _STATE_TEXTS = {"whole": "linked", "withheld": "a check failed", "refused": "ref
 @existing("specimens")
 @out_option("Folder of the series; one that 'planish study' made is continued.")
 @click.option(
-    "--set", "changes", multiple=True, metavar="SECTION.NAME=VALUE",
+    "--set",
+    "changes",
+    multiple=True,
+    metavar="SECTION.NAME=VALUE",
     help="Set an option of all specimens, such as volume.through=y; may be given again.",
-)  # fmt: skip
+)
 @click.option(
-    "--jobs", type=click.IntRange(1, 64), default=1, show_default=True, metavar="N", cls=Option, group="Resources",
+    "--jobs",
+    type=click.IntRange(1, 64),
+    default=1,
+    show_default=True,
+    metavar="N",
+    cls=Option,
+    group="Resources",
     help="Specimens that are processed at a time; memory and threads are shared out among them.",
-)  # fmt: skip
+)
 @options(Compute, "Resources")
-@click.option("--dry-run", is_flag=True, help="Say what would be done, how long it takes and how much it needs; exit.")
 @click.option(
-    "--watch", type=click.Path(path_type=Path, file_okay=False, exists=True), metavar="FOLDER",
-    help="Take new scans of FOLDER as they appear, until Ctrl-C; [watch] in the study says how volume and image pair.",
-)  # fmt: skip
+    "--dry-run",
+    is_flag=True,
+    help="Say what would be done, how long it takes and how much it needs; exit.",
+)
 @click.option(
-    "--settle", type=click.FloatRange(0), default=30.0, show_default=True, metavar="SECONDS",
+    "--watch",
+    type=click.Path(path_type=Path, file_okay=False, exists=True),
+    metavar="FOLDER",
+    help=(
+        "Take new scans of FOLDER as they appear, until Ctrl-C; [watch] in the study says how"
+        " volume and image pair."
+    ),
+)
+@click.option(
+    "--settle",
+    type=click.FloatRange(0),
+    default=30.0,
+    show_default=True,
+    metavar="SECONDS",
     help="With --watch: a file is taken when it has not changed for this long.",
-)  # fmt: skip
+)
 @click.option(
-    "--idle", type=click.FloatRange(0), metavar="SECONDS", help="With --watch: end when nothing came for this long."
+    "--idle",
+    type=click.FloatRange(0),
+    metavar="SECONDS",
+    help="With --watch: end when nothing came for this long.",
 )
 @json_option
 def study(
-    specimens: Path, out: Path, changes: tuple[str, ...], jobs: int, dry_run: bool, watch: Path | None,
-    settle: float, idle: float | None, as_json: bool, **values: Any,
-) -> int:  # fmt: skip
+    specimens: Path,
+    out: Path,
+    changes: tuple[str, ...],
+    jobs: int,
+    dry_run: bool,
+    watch: Path | None,
+    settle: float,
+    idle: float | None,
+    as_json: bool,
+    **values: Any,
+) -> int:
     """Link all SPECIMENS, and say what they say together.
 
     SPECIMENS is a CSV table with the columns volume and image (or layers), one row a specimen, or a study file of
@@ -82,11 +129,23 @@ def study(
     if dry_run:
         return _dry_run(SeriesState(out, plan), plan.specimens, compute, jobs)
     members: dict[str, Member] = {}
-    progress_lines, start_s, is_interrupted = _ProgressLines(len(plan.specimens)), time.monotonic(), False
+    progress_lines, start_s, is_interrupted = (
+        _ProgressLines(len(plan.specimens)),
+        time.monotonic(),
+        False,
+    )
     with series_folder(out):
         new_scans = watched(plan, watch, settle_s=settle, idle_s=idle, tell=warn) if watch else None
         try:
-            run_series(plan, out, compute=compute, jobs=jobs, tell=progress_lines, members=members, coming=new_scans)
+            run_series(
+                plan,
+                out,
+                compute=compute,
+                jobs=jobs,
+                tell=progress_lines,
+                members=members,
+                coming=new_scans,
+            )
         except KeyboardInterrupt:
             is_interrupted = not watch  # a watch has no other end
         finished = list(members.values())
@@ -94,8 +153,12 @@ def study(
     if as_json:
         click.echo(results.to_json(), nl=False)
     counts = Counter(member.state for member in finished)
-    states_text = ", ".join(f"{counts[state]} {text}" for state, text in _STATE_TEXTS.items() if counts[state])
-    click.echo(f"{len(finished)} specimens: {states_text}; {time.monotonic() - start_s:.0f} s", err=True)
+    states_text = ", ".join(
+        f"{counts[state]} {text}" for state, text in _STATE_TEXTS.items() if counts[state]
+    )
+    click.echo(
+        f"{len(finished)} specimens: {states_text}; {time.monotonic() - start_s:.0f} s", err=True
+    )
     for member in finished:
         if member.state not in ("whole", "open"):
             warn(f"{member.name}: {_STATE_TEXTS[member.state]}: {member.message}")
@@ -118,7 +181,12 @@ class _ProgressLines:
     """Lines as specimens are done, with the time that is left."""
 
     def __init__(self, n_specimens: int) -> None:
-        self.n_specimens, self.n_done, self.n_run, self.start_s = n_specimens, 0, 0, time.monotonic()
+        self.n_specimens, self.n_done, self.n_run, self.start_s = (
+            n_specimens,
+            0,
+            0,
+            time.monotonic(),
+        )
 
     def __call__(self, member: Member, seconds: float | None) -> None:
         """Say what became of a specimen; one that was done before took no time."""
@@ -131,12 +199,18 @@ class _ProgressLines:
             state_text = f"{state_text} in {seconds:.0f} s"
             if self.n_specimens > self.n_done:
                 seconds_each = (time.monotonic() - self.start_s) / self.n_run
-                remaining_text = f", about {_duration((self.n_specimens - self.n_done) * seconds_each)} left"
+                remaining_text = (
+                    f", about {_duration((self.n_specimens - self.n_done) * seconds_each)} left"
+                )
         total_text = f"/{self.n_specimens}" if self.n_specimens else ""
-        sentence(f"[{self.n_done}{total_text}] {member.name}: {state_text}{remaining_text}", err=True)
+        sentence(
+            f"[{self.n_done}{total_text}] {member.name}: {state_text}{remaining_text}", err=True
+        )
 
 
-def _dry_run(state: SeriesState, specimens: Sequence[PlannedSpecimen], compute: Compute, jobs: int) -> int:
+def _dry_run(
+    state: SeriesState, specimens: Sequence[PlannedSpecimen], compute: Compute, jobs: int
+) -> int:
     """A table of what would be done; nothing is written."""
     estimates = [(specimen, state.estimate(specimen, compute)) for specimen in specimens]
     rows: list[tuple[str, ...]] = []
@@ -165,7 +239,9 @@ def _duration(seconds: float) -> str:
 _CLOSE_R = 0.995  # r of which more decimals are written
 
 
-def _margin(_context: click.Context, _parameter: click.Parameter, assignments: tuple[str, ...]) -> dict[str, float]:
+def _margin(
+    _context: click.Context, _parameter: click.Parameter, assignments: tuple[str, ...]
+) -> dict[str, float]:
     margins: dict[str, float] = {}
     for assignment in assignments:
         name, _, number = assignment.partition("=")
@@ -175,7 +251,8 @@ def _margin(_context: click.Context, _parameter: click.Parameter, assignments: t
             margin = 0.0
         if not name.strip() or not 0 < margin < float("inf"):
             raise click.BadParameter(
-                f"{assignment!r} is no margin. Write MAP=UM, MAP.sd=UM, MAP.thin_share=SHARE or r=NUMBER, above 0."
+                f"{assignment!r} is no margin. Write MAP=UM, MAP.sd=UM, MAP.thin_share=SHARE or"
+                " r=NUMBER, above 0."
             )
         margins[name.strip()] = margin
     return margins
@@ -188,18 +265,35 @@ def _margin(_context: click.Context, _parameter: click.Parameter, assignments: t
 )
 @click.argument("runs", nargs=-1, type=PATH)
 @click.option(
-    "--table", "file", type=PATH, metavar="CSV",
-    help="Factors of the runs: a column run (or name) and paper, sheet, field, treatment, side or any other.",
-)  # fmt: skip
+    "--table",
+    "file",
+    type=PATH,
+    metavar="CSV",
+    help=(
+        "Factors of the runs: a column run (or name) and paper, sheet, field, treatment, side or"
+        " any other."
+    ),
+)
 @options(Declared, "What is compared")
 @click.option(
-    "--margin", multiple=True, callback=_margin, metavar="MAP=UM",
-    help="Largest difference that does not matter: of MAP's mean, or MAP.sd, MAP.thin_share, r; repeatable.",
-)  # fmt: skip
+    "--margin",
+    multiple=True,
+    callback=_margin,
+    metavar="MAP=UM",
+    help=(
+        "Largest difference that does not matter: of MAP's mean, or MAP.sd, MAP.thin_share, r;"
+        " repeatable."
+    ),
+)
 @out_option("Folder to make for the page and its tables; it must not exist.", required=False)
 @json_option
 def compare(
-    runs: tuple[Path, ...], file: Path | None, margin: dict[str, float], out: Path | None, as_json: bool, **values: Any
+    runs: tuple[Path, ...],
+    file: Path | None,
+    margin: dict[str, float],
+    out: Path | None,
+    as_json: bool,
+    **values: Any,
 ) -> int:
     """Compare RUNS: of each its figures, then means over sheets, differences with intervals, pooled r.
 
@@ -215,7 +309,9 @@ def compare(
 
     declared = build_params(Declared, values, margin=margin)
     if declared.compare is not None and file is None:
-        raise click.UsageError("--by compares the levels of a factor, which come from a table: give --table as well.")
+        raise click.UsageError(
+            "--by compares the levels of a factor, which come from a table: give --table as well."
+        )
     if file is None and len(runs) < 2:
         raise click.UsageError("Give two runs or more, or --table with a column run.")
     home = (Path.cwd() if out is None else out.absolute().parent).resolve()
@@ -256,13 +352,26 @@ def _show(results: SeriesResults) -> None:
         if specimen.cells:
             cells = [_cell_text(specimen.cells[k], q.what) for k, q in enumerate(quantities)]
         factors = [specimen.member.factors.get(factor, "") for factor in results.factors]
-        rows.append([specimen.member.name, *factors, specimen.light or specimen.member.state, *cells])
+        rows.append(
+            [specimen.member.name, *factors, specimen.light or specimen.member.state, *cells]
+        )
     table("Specimens (sd: standard deviation; *: takes part in no mean)", columns, rows)
     means: list[list[str]] = []
     for group in sorted(results.groups, key=lambda group: group.quantity):
         q = quantities[group.quantity]
-        numbers = _number_text(group.mean, q.what), group.reason or _interval_text(group.interval, q.what)
-        means.append([in_ascii(q.title), words.label(group.group), str(group.sheets), str(group.fields), *numbers])
+        numbers = (
+            _number_text(group.mean, q.what),
+            group.reason or _interval_text(group.interval, q.what),
+        )
+        means.append(
+            [
+                in_ascii(q.title),
+                words.label(group.group),
+                str(group.sheets),
+                str(group.fields),
+                *numbers,
+            ]
+        )
     if means:
         table("Means over sheets", ("", "group", "sheets", "fields", "mean", "95 %"), means)
     if results.differences:
@@ -274,18 +383,26 @@ def _show(results: SeriesResults) -> None:
             numbers = _number_text(d.difference, q.what), _interval_text(d.interval, q.what), p
             levels = f"{within}{d.levels[1]} - {d.levels[0]}"
             differences.append([in_ascii(q.title), levels, *numbers, words.verdict(d)])
-        table("Differences (p after Holm)", ("", "levels", "difference", "95 %", "p", ""), differences)
+        table(
+            "Differences (p after Holm)", ("", "levels", "difference", "95 %", "p", ""), differences
+        )
     for pair in results.instruments:
         bias, limits = _number_text(pair.bias, "mean"), _interval_text(pair.limits, "mean")
         sentence(
-            f"{pair.specimen}: {pair.b} less {pair.a}, {pair.map}: bias {bias} {pair.unit}, limits {limits} "
-            f"{pair.unit}. {pair.sentence}".rstrip()
+            f"{pair.specimen}: {pair.b} less {pair.a}, {pair.map}: bias {bias} {pair.unit}, limits"
+            f" {limits} {pair.unit}. {pair.sentence}".rstrip()
         )
     sentence(in_ascii(words.lead(results)))
 
 
 def _number_text(value: float | None, statistic: str) -> str:
-    digits = 4 if statistic == "thin_share" else 5 if statistic == "r" and abs(value or 0.0) > _CLOSE_R else 3
+    digits = (
+        4
+        if statistic == "thin_share"
+        else 5
+        if statistic == "r" and abs(value or 0.0) > _CLOSE_R
+        else 3
+    )
     return "-" if value is None or not is_known(value) else f"{value:.{digits}f}"
 
 

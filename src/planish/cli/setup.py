@@ -8,7 +8,12 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import click
-from click.shell_completion import CompletionItem, ShellComplete, add_completion_class, get_completion_class
+from click.shell_completion import (
+    CompletionItem,
+    ShellComplete,
+    add_completion_class,
+    get_completion_class,
+)
 
 from planish.cli.console import print_json, sentence
 from planish.cli.options import verb
@@ -29,15 +34,21 @@ def doctor(as_json: bool) -> int:
 
     versions = describe_installation()
     if not as_json:
-        click.echo(f"planish {versions['planish']}, Python {versions['python']}, {versions['system']}")
+        click.echo(
+            f"planish {versions['planish']}, Python {versions['python']}, {versions['system']}"
+        )
     checks = list(check_installation())
     faulty = [check for check in checks if check.state in ("look", "fail")]
     if as_json:
-        records = [check.model_dump(include={"name", "state", "sentence", "advice"}) for check in checks]
+        records = [
+            check.model_dump(include={"name", "state", "sentence", "advice"}) for check in checks
+        ]
         print_json({**versions, "well": not faulty, "checks": records})
     else:
         for check in checks:
-            sentence(f"{_STATE_TEXTS[check.state]:<8}{check.name}: {check.sentence} {check.advice}".rstrip())
+            sentence(
+                f"{_STATE_TEXTS[check.state]:<8}{check.name}: {check.sentence} {check.advice}".rstrip()
+            )
         names = ", ".join(check.name for check in faulty)
         click.echo(f"Not well: {names}." if faulty else "All is well.")
     return 4 if faulty else 0
@@ -51,7 +62,9 @@ class PowerShellComplete(ShellComplete):
     """Completion for PowerShell, which completes names of files by itself where the program gives nothing."""
 
     name: ClassVar[str] = "powershell"
-    source_template: ClassVar[str] = (files("planish.cli") / "completion.ps1").read_text(encoding="utf-8")
+    source_template: ClassVar[str] = (files("planish.cli") / "completion.ps1").read_text(
+        encoding="utf-8"
+    )
 
     def get_completion_args(self) -> tuple[list[str], str]:
         """Words of the command line before the cursor, and the one at it."""
@@ -74,12 +87,15 @@ def script_of(shell: str) -> str:
     completer = get_completion_class(shell)
     assert completer is not None
     # Not the method of the class for bash, which starts bash to look at its version.
-    return ShellComplete.source(completer(planish, {}, "planish", "_PLANISH_COMPLETE"))  # the name is click's rule
+    # The name is click's rule.
+    return ShellComplete.source(completer(planish, {}, "planish", "_PLANISH_COMPLETE"))
 
 
 @verb("planish completion bash --install", "planish completion powershell >> $PROFILE")
 @click.argument("shell", type=click.Choice(SHELLS))
-@click.option("--install", is_flag=True, help="Write it into your own place for SHELL, and say where.")
+@click.option(
+    "--install", is_flag=True, help="Write it into your own place for SHELL, and say where."
+)
 def completion(shell: str, install: bool) -> None:
     """Print the script with which SHELL completes commands and options of planish, or install it.
 
@@ -103,10 +119,15 @@ def install_script(shell: str) -> list[str]:
     elif shell == "powershell":
         profile = _profile()
         script = profile.with_name("planish.completion.ps1")
-        line = f'. "$PSScriptRoot/{script.name}"'  # beside the profile: no letters that an old code page lacks
+        # Beside the profile: no letters that an old code page lacks.
+        line = f'. "$PSScriptRoot/{script.name}"'
     else:
         script = data_folder / f"completion.{shell}"
-        profile = Path(os.environ.get("ZDOTDIR") or home) / ".zshrc" if shell == "zsh" else home / ".bashrc"
+        profile = (
+            Path(os.environ.get("ZDOTDIR") or home) / ".zshrc"
+            if shell == "zsh"
+            else home / ".bashrc"
+        )
         line = f'source "{script}"'
         if shell == "zsh":  # compdef is known after compinit only
             line = f"autoload -Uz compinit && compinit && {line}"
@@ -117,7 +138,8 @@ def install_script(shell: str) -> list[str]:
         report_lines.append(f"{script}: written")
         if profile is not None:
             content = profile.read_bytes() if profile.is_file() else b""
-            encoding = "utf-16-le" if content.startswith(b"\xff\xfe") else "utf-8"  # as PowerShell 5 writes its files
+            # As PowerShell 5 writes its files.
+            encoding = "utf-16-le" if content.startswith(b"\xff\xfe") else "utf-8"
             text = content.decode(encoding, errors="replace")
             if line in text.splitlines():
                 report_lines.append(f"{profile}: has the line already")
@@ -128,8 +150,8 @@ def install_script(shell: str) -> list[str]:
                 report_lines.append(f"{profile}: one line added: {line}")
     except OSError as error:
         raise FileError(
-            f"{error.filename or script} cannot be written: {error.strerror}. Print the script with 'planish "
-            f"completion {shell}' and put it where {shell} reads it."
+            f"{error.filename or script} cannot be written: {error.strerror}. Print the script with"
+            f" 'planish completion {shell}' and put it where {shell} reads it."
         ) from error
     return [*report_lines, "Open a new terminal; the Tab key then completes commands and options."]
 
@@ -137,12 +159,18 @@ def install_script(shell: str) -> list[str]:
 def _profile() -> Path:
     """The file that PowerShell reads at its start, as it says itself: documents may lie on a server."""
     for executable in filter(None, map(shutil.which, ("pwsh", "powershell"))):
-        command = [executable, "-NoProfile", "-NonInteractive", "-Command", "$PROFILE.CurrentUserCurrentHost"]
+        command = [
+            executable,
+            "-NoProfile",
+            "-NonInteractive",
+            "-Command",
+            "$PROFILE.CurrentUserCurrentHost",
+        ]
         reply = subprocess.run(command, capture_output=True, check=False, timeout=60)
         text = reply.stdout.decode("utf-8", errors="replace").strip()
         if reply.returncode == 0 and text:
             return Path(text)
     raise FileError(
-        "PowerShell is not on the search path, so its profile is not known. Write the script there yourself: planish "
-        "completion powershell >> $PROFILE"
+        "PowerShell is not on the search path, so its profile is not known. Write the script there"
+        " yourself: planish completion powershell >> $PROFILE"
     )

@@ -47,9 +47,18 @@ def stages(total: int, left: TimeLeft | None = None) -> Generator[Tell]:
     if not animated():
         yield lambda stage, detail: click.echo(f"{stage}: {printable(detail)}", err=True)
         return
-    spinner, amount = "dots" if letters() else "line", rich.MofNCompleteColumn() if left is None else _LeftColumn(left)
+    spinner, amount = (
+        "dots" if letters() else "line",
+        rich.MofNCompleteColumn() if left is None else _LeftColumn(left),
+    )
     name = rich.TextColumn("{task.description}", markup=False)
-    columns = (rich.SpinnerColumn(spinner), name, amount, rich.BarColumn(), rich.TimeElapsedColumn())
+    columns = (
+        rich.SpinnerColumn(spinner),
+        name,
+        amount,
+        rich.BarColumn(),
+        rich.TimeElapsedColumn(),
+    )
     with rich.Progress(*columns, console=console(err=True), transient=True) as bar:
         task = bar.add_task("start", total=total)
 
@@ -67,7 +76,9 @@ def stages(total: int, left: TimeLeft | None = None) -> Generator[Tell]:
 
 def number(value: float | None, digits: int = 3) -> str:
     """Write a number, or a dash where there is none."""
-    return f"{round(value, digits) + 0.0:.{digits}f}" if value is not None and is_known(value) else "-"
+    return (
+        f"{round(value, digits) + 0.0:.{digits}f}" if value is not None and is_known(value) else "-"
+    )
 
 
 def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:
@@ -83,8 +94,14 @@ def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:
             _registration(layer)
         if results.comparison:
             if any(not r.n for r in results.comparison):
-                sentence("Points that are larger than what both show have no correlation and are left out.")
-            names, prop = {r.registration for r in results.comparison}, results.comparison[0].property
+                sentence(
+                    "Points that are larger than what both show have no correlation and are left"
+                    " out."
+                )
+            names, prop = (
+                {r.registration for r in results.comparison},
+                results.comparison[0].property,
+            )
             title = f"{results.reference.name} against {prop}, where all {len(names)} have values"
             correlations(title, [(r.registration, r) for r in results.comparison if r.n])
         elif results.correlations:
@@ -97,7 +114,11 @@ def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:
     states: tuple[State, ...] = ("fail", "look", "unknown")
     for state in states:
         for check in results.checks_in(state):
-            name = f"{check.name} ({' and '.join(check.layers)})" if has_several_layers and check.layers else check.name
+            name = (
+                f"{check.name} ({' and '.join(check.layers)})"
+                if has_several_layers and check.layers
+                else check.name
+            )
             warn(f"{state}: {name}: {check.sentence} {check.advice}".rstrip())
     return exit_code(results, strict=strict)
 
@@ -111,12 +132,18 @@ def _properties(name: str, sheet: SheetFacts) -> None:
     rows: list[tuple[str, ...]] = []
     for key, p in sheet.properties.items():
         label = key if p.trust == "ok" else f"{key} ({p.trust})"
-        rows.append((label, p.units, *(number(v, 2) for v in (p.mean, p.sd, p.p5, p.p95)), str(p.n)))
-    table(f"Properties of the {name} along its normals", ("", "unit", "mean", "sd", "p5", "p95", "columns"), rows)
+        rows.append(
+            (label, p.units, *(number(v, 2) for v in (p.mean, p.sd, p.p5, p.p95)), str(p.n))
+        )
+    table(
+        f"Properties of the {name} along its normals",
+        ("", "unit", "mean", "sd", "p5", "p95", "columns"),
+        rows,
+    )
     f = sheet.flatten
     sentence(
-        f"flattened: {f.sentence} Edge strain {100 * (f.edge_strain_p95 or 0):.3f} % (p95); points moved by up to "
-        f"{number(f.largest_move_um, 0)} um."
+        f"flattened: {f.sentence} Edge strain {100 * (f.edge_strain_p95 or 0):.3f} % (p95); points"
+        f" moved by up to {number(f.largest_move_um, 0)} um."
     )
 
 
@@ -130,9 +157,9 @@ def _registration(layer: LayerFacts) -> None:
         error_text = f", expected error {number(expected.median_um, 2)} um (median{trust})"
         notes += [] if expected.shares is None else [expected.shares.sentence]
     sentence(
-        f"{layer.name} to {r.to}: {r.matched} marks used, residual {r.rms_um:.2f} um rms, leave-one-out "
-        f"{number(r.leave_one_out_rms_um, 2)} um{error_text}; {r.model}, scale {r.scale:.4f}, rotation "
-        f"{r.rotation_deg:.2f} deg{', mirrored' if r.mirrored else ''}"
+        f"{layer.name} to {r.to}: {r.matched} marks used, residual {r.rms_um:.2f} um rms,"
+        f" leave-one-out {number(r.leave_one_out_rms_um, 2)} um{error_text}; {r.model}, scale"
+        f" {r.scale:.4f}, rotation {r.rotation_deg:.2f} deg{', mirrored' if r.mirrored else ''}"
     )
     if r.source in ("texture", "both") and r.match_sentence:
         notes = (r.match_sentence, *notes)
@@ -152,10 +179,19 @@ def correlations(title: str, rows: Sequence[tuple[str, CorrelationRow | Comparis
         digits = 2 if high - low >= 0.02 else 4  # of a narrow one more: two decimals hide it
         interval = f"{low:.{digits}f} to {high:.{digits}f}" if is_known(row.interval) else "-"
         slope = f"{row.slope:.4g}" if is_known(row.slope) else "-"
-        figures = number(row.n_eff, 0), number(row.r), interval, number(row.r2), slope, number(rms_um, 1)
+        figures = (
+            number(row.n_eff, 0),
+            number(row.r),
+            interval,
+            number(row.r2),
+            slope,
+            number(rms_um, 1),
+        )
         cells.append((label, f"{row.point_um:g}", str(row.n), *figures))
     names = ("", "point um", "n", "n_eff", "r", "95 %", "r2", "slope", "marks um")
-    n_columns = len(names) if any(getattr(row, "marks_rms_um", None) for _, row in rows) else len(names) - 1
+    n_columns = (
+        len(names) if any(getattr(row, "marks_rms_um", None) for _, row in rows) else len(names) - 1
+    )
     table(title, names[:n_columns], [row[:n_columns] for row in cells])
 
 
@@ -166,26 +202,50 @@ def run_facts(path: Path) -> dict[str, Any] | None:
     try:
         results: dict[str, Any] = json.loads((path / "results.json").read_text(encoding="utf-8"))
         version = str(results["planish"])
-        is_old, repeat_text = version.startswith("0.1."), "'planish run' repeats it with this version."
+        is_old, repeat_text = (
+            version.startswith("0.1."),
+            "'planish run' repeats it with this version.",
+        )
         checks_key = next(key for key in ("checks", "gates", "quality") if key in results)
         checks: list[dict[str, Any]] = results[checks_key]
-        states = {state: [str(c["name"]) for c in checks if c.get("state") == state] for state in ("fail", "look")}
+        states = {
+            state: [str(c["name"]) for c in checks if c.get("state") == state]
+            for state in ("fail", "look")
+        }
         states["fail"] += [str(c["name"]) for c in checks if c.get("passed") is False]
         if not is_old or "layers" in results:
-            inputs = {str(layer["name"]): str(layer["source"]["name"]) for layer in results["layers"]}
+            inputs = {
+                str(layer["name"]): str(layer["source"]["name"]) for layer in results["layers"]
+            }
         else:
             inputs = {str(k): str(v["name"]) for k, v in results["inputs"].items()}
         warning = None
         if is_old:
-            warning = f"made by planish 0.1.0: the errors stated in it are about 1.5 times too small; {repeat_text}"
+            warning = (
+                "made by planish 0.1.0: the errors stated in it are about 1.5 times too small;"
+                f" {repeat_text}"
+            )
         elif checks_key == "gates":
             warning = f"made by planish {version}: its results have an older format; {repeat_text}"
         return {
             "kind": "run of " + ("one volume" if len(inputs) == 1 else f"{len(inputs)} layers"),
-            "file_name": path.absolute().name, "inputs": inputs, "checks": len(checks), **states,
-            "planish": version, "code": str(results.get("code", "")), "warning": warning,
-        }  # fmt: skip
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, StopIteration):
+            "file_name": path.absolute().name,
+            "inputs": inputs,
+            "checks": len(checks),
+            **states,
+            "planish": version,
+            "code": str(results.get("code", "")),
+            "warning": warning,
+        }
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        RecursionError,
+        StopIteration,
+    ):
         return None
 
 
@@ -195,7 +255,8 @@ def run_lines(facts: dict[str, Any]) -> list[str]:
         f"{facts['file_name']}: {facts['kind']}, planish {facts['planish']}",
         *([facts["warning"]] if facts["warning"] else []),
         *(f"{name}: {file}" for name, file in facts["inputs"].items()),
-        f"checks: {facts['checks']}" + "".join(f"; {k}: {', '.join(facts[k])}" for k in ("fail", "look") if facts[k]),
+        f"checks: {facts['checks']}"
+        + "".join(f"; {k}: {', '.join(facts[k])}" for k in ("fail", "look") if facts[k]),
     ]
 
 
@@ -210,7 +271,10 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:
     element = "pixel" if facts["kind"] == "image" else "voxel"
     if facts["size_um"]:
         size, extent = (" x ".join(f"{v:.6g}" for v in facts[k]) for k in ("size_um", "extent_um"))
-        lines += [f"{element} size: {size} um ({axes}), from {facts['size_source']}", f"extent: {extent} um"]
+        lines += [
+            f"{element} size: {size} um ({axes}), from {facts['size_source']}",
+            f"extent: {extent} um",
+        ]
     else:
         lines.append(f"{element} size: not stated")
     if facts["min"] is not None:
@@ -228,12 +292,15 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:
         lines.append(f"sheet: across {facts['through']}, along which the grey changes most{option}")
     if "link_bytes" in facts:
         memory, time = f"{enough_gb(facts['link_bytes'])} GB", duration(facts["link_seconds"])
-        lines.append(f"planish link: about {memory} of memory, and {time} after the volume was mapped")
+        lines.append(
+            f"planish link: about {memory} of memory, and {time} after the volume was mapped"
+        )
     if "run_bytes" in facts:
         memory, seconds = f"{enough_gb(facts['run_bytes'])} GB", facts["run_seconds"]
         lines.append(
-            f"planish map: {memory} of memory, or less with wider columns; {duration(seconds)} to "
-            f"{duration(2 * seconds)} on two processors, and some minutes more the first time, to compile"
+            f"planish map: {memory} of memory, or less with wider columns; {duration(seconds)} to"
+            f" {duration(2 * seconds)} on two processors, and some minutes more the first time, to"
+            " compile"
         )
     for name, value in (facts.get("metadata") or {}).items():
         text = ", ".join(f"{k} {v}" for k, v in value.items()) if isinstance(value, dict) else value  # type: ignore[reportUnknownVariableType]

@@ -62,11 +62,16 @@ def _read(path: Path, group: str, command: str) -> xr.Dataset:
 
     groups = open_tree(path / "maps.zarr" if (path / "maps.zarr").is_dir() else path)
     if group not in groups:
-        raise FileError(f"{path} has no {group}; it holds {', '.join(sorted(groups))}. Give what {command} wrote.")
+        raise FileError(
+            f"{path} has no {group}; it holds {', '.join(sorted(groups))}. Give what {command}"
+            " wrote."
+        )
     return groups[group]
 
 
-def _volume(path: Path, values: dict[str, Any], **store_params: Any) -> tuple[xr.DataArray, VolumeParams, Compute]:
+def _volume(
+    path: Path, values: dict[str, Any], **store_params: Any
+) -> tuple[xr.DataArray, VolumeParams, Compute]:
     """A volume of any kind, how it lies, and what may be used; ``store_params`` is what a store says of it."""
     from planish.run.volume import read_sheet_volume
 
@@ -82,7 +87,10 @@ def _image(path: Path, values: dict[str, Any]) -> tuple[xr.DataArray, ImageParam
     return read_image(path, **params.how), params
 
 
-@verb("planish surface volume.tif -o surfaces.zarr", "planish surface scan/ -o s.zarr --through y --voxel-um 1.37")
+@verb(
+    "planish surface volume.tif -o surfaces.zarr",
+    "planish surface scan/ -o s.zarr --through y --voxel-um 1.37",
+)
 @existing("volume")
 @out_option(_STORE)
 @volume_options
@@ -97,7 +105,10 @@ def surface(volume: Path, out: Path, **values: Any) -> None:
     layer = LayerParams(name="sheet", volume=params, surface=build_params(SurfaceParams, values))
     surfaces = search_sheet(data, layer, compute=compute)
     share = float((surfaces["status"].values == 0).mean())
-    summary = f"sheet of {surfaces.attrs['thickness_um']:.2f} um, {100 * share:.0f} % of the columns measured"
+    summary = (
+        f"sheet of {surfaces.attrs['thickness_um']:.2f} um, {100 * share:.0f} % of the columns"
+        " measured"
+    )
     # 'planish measure' finds the grey values again.
     surfaces = surfaces.assign_attrs({_VOLUME: params.model_dump_json(exclude_none=True)})
     _write(out, {"surfaces": surfaces}, summary)
@@ -109,7 +120,9 @@ def surface(volume: Path, out: Path, **values: Any) -> None:
 )
 @existing("surfaces")
 @out_option(_STORE)
-@click.option("--volume", "path", help="Volume of the surfaces, where it lies elsewhere now.", **_ONE_FILE)
+@click.option(
+    "--volume", "path", help="Volume of the surfaces, where it lies elsewhere now.", **_ONE_FILE
+)
 @volume_options
 @property_options
 @compute_options
@@ -124,14 +137,20 @@ def measure(surfaces: Path, out: Path, path: Path | None, **values: Any) -> None
     if path is None and store_params:
         path = Path(store_params.pop("path"))
         if not find_place(path).path.exists():
-            raise FileError(f"The volume of {surfaces}, {path}, is not there any more. Give its place with --volume.")
+            raise FileError(
+                f"The volume of {surfaces}, {path}, is not there any more. Give its place with"
+                " --volume."
+            )
     volume = None if path is None else _volume(path, values, **store_params)[0]
     measured = measure_properties(data, volume=volume, params=build_params(MeasureParams, values))
     mean = float(measured["thickness"].mean())
     _write(out, {"surfaces": measured}, f"mean thickness {mean:.2f} um along the normals")
 
 
-@verb("planish flatten surfaces.zarr -o flat.zarr", "planish flatten surfaces.zarr -o flat.zarr --method relaxation")
+@verb(
+    "planish flatten surfaces.zarr -o flat.zarr",
+    "planish flatten surfaces.zarr -o flat.zarr --method relaxation",
+)
 @existing("surfaces")
 @out_option(_STORE)
 @options(FlattenParams, "Flattening", without=("map_um",))
@@ -143,33 +162,47 @@ def flatten(surfaces: Path, out: Path, **values: Any) -> int:
         _read(surfaces, "surfaces", "'planish surface'"), params=build_params(FlattenParams, values)
     )
     q = flattened.quality
-    summary = f"{q.sentence} Edge strain {100 * (q.edge_strain_p95 or 0):.3f} % (p95), {q.folded_cells} folded cells"
+    summary = (
+        f"{q.sentence} Edge strain {100 * (q.edge_strain_p95 or 0):.3f} % (p95), {q.folded_cells}"
+        " folded cells"
+    )
     _write(out, {"flat": flattened.flat, "strain": flattened.strain}, summary)
     return 4 if q.folded_cells else 0
 
 
 @verb(
     "planish resample measured.zarr flat.zarr -o maps.zarr",
-    "planish resample measured.zarr flat.zarr -o linked.zarr --onto image.tif --registration marks.json",
+    "planish resample measured.zarr flat.zarr -o linked.zarr --onto image.tif --registration"
+    " marks.json",
 )
 @existing("measured")
 @existing("flat")
 @out_option(_STORE)
 @options(FlattenParams, "Flattening", only=("map_um",))
 @click.option(
-    "--onto", "reference", help="Image whose pixels the maps are brought onto; needs --registration.", **_ONE_FILE
+    "--onto",
+    "reference",
+    help="Image whose pixels the maps are brought onto; needs --registration.",
+    **_ONE_FILE,
 )
 @click.option("--registration", help="marks.json of 'planish register' or of a run.", **_ONE_FILE)
 @image_options
 def resample(
-    measured: Path, flat: Path, out: Path, reference: Path | None, registration: Path | None, **values: Any
-) -> None:  # fmt: skip
+    measured: Path,
+    flat: Path,
+    out: Path,
+    reference: Path | None,
+    registration: Path | None,
+    **values: Any,
+) -> None:
     """Bring the MEASURED properties onto a regular grid of the FLAT sheet, or onto the pixels of an image."""
     from planish.analyze.image_values import compared_image
     from planish.run import Registration, resample_maps
 
     if (reference is None) != (registration is None):
-        raise click.UsageError("--onto and --registration belong together: give both, or neither for flat maps.")
+        raise click.UsageError(
+            "--onto and --registration belong together: give both, or neither for flat maps."
+        )
     data = _read(measured, "surfaces", "'planish measure'")
     coordinates = _read(flat, "flat", "'planish flatten'")
     map_um = build_params(FlattenParams, values).map_um
@@ -178,12 +211,21 @@ def resample(
         _write(out, {"maps": maps}, f"{maps.sizes['u']} x {maps.sizes['v']} pixels")
         return
     image = compared_image(*_image(reference, values))
-    linked = resample_maps(data, coordinates, onto=image, registration=Registration.read(registration))
+    linked = resample_maps(
+        data, coordinates, onto=image, registration=Registration.read(registration)
+    )
     share = float(linked["valid"].values.mean())
-    _write(out, {"linked": linked}, f"{linked.sizes['x']} x {linked.sizes['y']} pixels, {100 * share:.0f} % valid")
+    _write(
+        out,
+        {"linked": linked},
+        f"{linked.sizes['x']} x {linked.sizes['y']} pixels, {100 * share:.0f} % valid",
+    )
 
 
-@verb("planish holes image.tif -o image-holes.json", "planish holes maps.zarr -o sheet-holes.json --image-side bottom")
+@verb(
+    "planish holes image.tif -o image-holes.json",
+    "planish holes maps.zarr -o sheet-holes.json --image-side bottom",
+)
 @existing("image")
 @out_option("JSON file to make; a table for reading, .csv, is made beside it.")
 @options(ImageParams, "Image", without=("dark_grey", "white_grey", "screen_um"))
@@ -198,7 +240,9 @@ def holes(image: Path, out: Path, **values: Any) -> None:
     files = (out,) if out.suffix.lower() == ".csv" else (out, out.with_suffix(".csv"))
     refuse_existing(*files)
     side = build_params(ImageParams, values, path=str(image)).side or "top"
-    picture = _read(image, "maps", "'planish resample'") if image.is_dir() else _image(image, values)[0]
+    picture = (
+        _read(image, "maps", "'planish resample'") if image.is_dir() else _image(image, values)[0]
+    )
     detected = find_holes(picture, params=build_params(HoleParams, values), side=side)
     for path in files:
         write_holes(detected, path)
@@ -228,14 +272,17 @@ def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
     refuse_existing(table)
     if params.by == "both":
         raise click.UsageError(
-            "--by both needs maps and holes in one: use planish link. Give --by holes or texture here."
+            "--by both needs maps and holes in one: use planish link. Give --by holes or texture"
+            " here."
         )
     if params.by == "texture":
         layers = [
-            _read(p, "maps", "'planish resample'") if p.is_dir() else _image(p, values)[0] for p in (moving, fixed)
+            _read(p, "maps", "'planish resample'") if p.is_dir() else _image(p, values)[0]
+            for p in (moving, fixed)
         ]
         side = build_params(ImageParams, values, path=str(fixed)).side
-        is_of_sheet = moving.is_dir() != fixed.is_dir()  # a sheet and an image, of whichever side where none is given
+        # a sheet and an image, of whichever side where none is given.
+        is_of_sheet = moving.is_dir() != fixed.is_dir()
         is_mirrored = None if is_of_sheet and side is None else side == "bottom"
         registration = register_texture(layers[0], layers[1], params=params, mirrored=is_mirrored)
     else:
@@ -243,15 +290,30 @@ def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
     registration.save(out)
     write_marks(registration.pairs(), table)
     fit = registration.fit
-    for sentence in (registration.sentence, registration.design, fit.sentence, registration.agreement(), *fit.warnings):
+    for sentence in (
+        registration.sentence,
+        registration.design,
+        fit.sentence,
+        registration.agreement(),
+        *fit.warnings,
+    ):
         if sentence:
             click.echo(sentence)
-    click.echo(f"{out}: {len(fit.moving)} pairs, residual {fit.rms_um:.2f} um rms, scale {fit.transform.scale:.4f}")
+    click.echo(
+        f"{out}: {len(fit.moving)} pairs, residual {fit.rms_um:.2f} um rms, scale"
+        f" {fit.transform.scale:.4f}"
+    )
 
 
 @verb("planish correlate linked.zarr", "planish correlate run --property base_thickness --json")
 @existing("linked")
-@click.option("--property", "names", multiple=True, metavar="NAME", help="Maps to compare; all where not given.")
+@click.option(
+    "--property",
+    "names",
+    multiple=True,
+    metavar="NAME",
+    help="Maps to compare; all where not given.",
+)
 @options(CorrelateParams, "Correlation", only=("point_um", "regions"))
 @json_option
 def correlate(linked: Path, names: tuple[str, ...], as_json: bool, **values: Any) -> int:
@@ -267,7 +329,9 @@ def correlate(linked: Path, names: tuple[str, ...], as_json: bool, **values: Any
 
     data = _read(linked, "linked", "'planish resample --onto' or 'planish link'")
     if missing := [name for name in names if name not in data]:
-        raise InputError(f"{linked} has no map {missing[0]!r}; it holds {', '.join(map(str, data.data_vars))}.")
+        raise InputError(
+            f"{linked} has no map {missing[0]!r}; it holds {', '.join(map(str, data.data_vars))}."
+        )
     correlated = correlate_maps(data, params=build_params(CorrelateParams, values))
     code = 0
     if is_run(linked):

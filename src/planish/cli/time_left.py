@@ -9,16 +9,24 @@ from planish.core.durations import LINK_SECONDS, SHEET_SECONDS, WRITE_SECONDS, S
 from planish.core.errors import PlanishError
 from planish.run.study import LayerParams, Study
 
-Stage = tuple[str, float]  # its name, or that of a step of tiles within it, and its expected seconds
+# Its name, or that of a step of tiles within it, and its expected seconds.
+Stage = tuple[str, float]
 Clock = Callable[[], float]
-_SLOWNESS = time.process_time() / 0.5  # seconds of the first imports, by those where times are right
+# Seconds of the first imports, by those where times are right.
+_SLOWNESS = time.process_time() / 0.5
 
 
 class TimeLeft:
     """Follows a run through its expected stages; ``slowness`` is a first guess of their scale."""
 
-    def __init__(self, stages: Sequence[Stage], clock: Clock = time.monotonic, slowness: float = _SLOWNESS) -> None:
-        self._names, self._seconds, self._clock = [n for n, _ in stages], [s for _, s in stages], clock
+    def __init__(
+        self, stages: Sequence[Stage], clock: Clock = time.monotonic, slowness: float = _SLOWNESS
+    ) -> None:
+        self._names, self._seconds, self._clock = (
+            [n for n, _ in stages],
+            [s for _, s in stages],
+            clock,
+        )
         self._total, self._at, self._share = sum(self._seconds), -1, 0.0
         self._start = self._entered = clock()
         self._rate = self._guess = slowness
@@ -44,11 +52,14 @@ class TimeLeft:
         self._rate = self._rate_at(self._passed(), self._clock())
 
     def _rate_at(self, passed: float, now: float) -> float:
-        known = 0.05 * self._total  # at first the guess counts more than the few seconds that passed
+        # At first the guess counts more than the few seconds that passed.
+        known = 0.05 * self._total
         return (now - self._start + known * self._guess) / (passed + known)
 
     def _passed(self) -> float:
-        return sum(self._seconds[: max(self._at, 0)]) + self._share * (self._seconds[self._at] if self._at >= 0 else 0)
+        return sum(self._seconds[: max(self._at, 0)]) + self._share * (
+            self._seconds[self._at] if self._at >= 0 else 0
+        )
 
     @property
     def seconds(self) -> float:
@@ -56,7 +67,8 @@ class TimeLeft:
         total, passed, rate, now = sum(self._seconds), self._passed(), self._rate, self._clock()
         if self._at >= 0 and not self._share:  # no tiles say how far the stage is
             passed += min((now - self._entered) / rate, 0.9 * self._seconds[self._at])
-            rate = max(rate, (rate + self._rate_at(passed, now)) / 2)  # a stage takes longer than expected
+            # a stage takes longer than expected.
+            rate = max(rate, (rate + self._rate_at(passed, now)) / 2)
         return rate * max(total - passed, 0.0)
 
     @property

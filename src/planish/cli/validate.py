@@ -37,8 +37,14 @@ def specimen(out: Path | None, listed: bool, **values: Any) -> int:
     if listed:
         from planish.synthetic import NUISANCES, PRESETS
 
-        table("Papers", ("name", "what it is"), [(name, title) for name, (title, _) in PRESETS.items()])
-        table("Nuisances", ("name", "what it is"), [(name, n.title) for name, n in NUISANCES.items()])
+        table(
+            "Papers",
+            ("name", "what it is"),
+            [(name, title) for name, (title, _) in PRESETS.items()],
+        )
+        table(
+            "Nuisances", ("name", "what it is"), [(name, n.title) for name, n in NUISANCES.items()]
+        )
         return 0
     if out is None:
         raise click.UsageError("Missing option '--out' / '-o': the folder to make.")
@@ -47,34 +53,63 @@ def specimen(out: Path | None, listed: bool, **values: Any) -> int:
     from planish.synthetic import write_specimen
 
     with new_folder(out) as folder:
-        write_specimen(specimen_options, folder, progress=lambda name: click.echo(f"write: {name}", err=True))
+        write_specimen(
+            specimen_options, folder, progress=lambda name: click.echo(f"write: {name}", err=True)
+        )
     click.echo(f"specimen: {out}", err=True)
     if specimen_options.size == "T0":
-        click.echo("Its 3 holes are too few for 'planish link': take --size T1 or larger for that.", err=True)
+        click.echo(
+            "Its 3 holes are too few for 'planish link': take --size T1 or larger for that.",
+            err=True,
+        )
     return 0
 
 
 @click.command()
 @click.option(
-    "--scenario", "scenarios", multiple=True, metavar="NAME|FILE",
-    help=f"What is made and measured, of --list or a TOML file; repeatable. {_DEFAULT} where not given.",
-)  # fmt: skip
-@click.option("--seeds", type=click.IntRange(min=1), help="Number of specimens; the scenario's own where not given.")
+    "--scenario",
+    "scenarios",
+    multiple=True,
+    metavar="NAME|FILE",
+    help=(
+        f"What is made and measured, of --list or a TOML file; repeatable. {_DEFAULT} where not"
+        " given."
+    ),
+)
 @click.option(
-    "--like", type=PATH, metavar="RUN",
+    "--seeds",
+    type=click.IntRange(min=1),
+    help="Number of specimens; the scenario's own where not given.",
+)
+@click.option(
+    "--like",
+    type=PATH,
+    metavar="RUN",
     help="Make specimens like those of a run: its paper, warp, voxels, blur and noise.",
-)  # fmt: skip
-@click.option("--sensitivity", "alone", is_flag=True, help="Also run with each nuisance alone: which stage suffers.")
+)
+@click.option(
+    "--sensitivity",
+    "alone",
+    is_flag=True,
+    help="Also run with each nuisance alone: which stage suffers.",
+)
 @out_option(
-    "Folder to make for certificate.html, .md and .json, one in it for each of several scenarios.", required=False
+    "Folder to make for certificate.html, .md and .json, one in it for each of several scenarios.",
+    required=False,
 )
 @click.option("--list", "listed", is_flag=True, help="Name the scenarios and exit.")
 @options(Compute, "Resources")
 @json_option
 def validate(
-    scenarios: tuple[str, ...], seeds: int | None, like: Path | None, alone: bool, out: Path | None, listed: bool,
-    as_json: bool, **values: Any,
-) -> int:  # fmt: skip
+    scenarios: tuple[str, ...],
+    seeds: int | None,
+    like: Path | None,
+    alone: bool,
+    out: Path | None,
+    listed: bool,
+    as_json: bool,
+    **values: Any,
+) -> int:
     """Calibrate planish: make specimens with known answers, run on their files, report the error of every stage.
 
     Prints an error ledger in um against the truth. Ends with 4 when a limit of the scenario is missed.
@@ -93,7 +128,11 @@ def validate(
         if as_json:
             print_json(rows)
         else:
-            table("Scenarios", ("name", "title", "seeds"), [tuple(map(str, row.values())) for row in rows])
+            table(
+                "Scenarios",
+                ("name", "title", "seeds"),
+                [tuple(map(str, row.values())) for row in rows],
+            )
         return 0
     # All of them are read before the first is run: a wrong name should not cost the time of the others.
     selected, notes = [read_scenario(name) for name in scenarios or (_DEFAULT,)], ()
@@ -105,7 +144,9 @@ def validate(
         from planish.validate.specimen_template import like_run
 
         if any(scenario.kind != "line" for scenario in selected):
-            raise click.UsageError("--like is for scenarios that run the whole line, not for a mesh or a pair.")
+            raise click.UsageError(
+                "--like is for scenarios that run the whole line, not for a mesh or a pair."
+            )
         template = like_run(like)
         for note in template.notes:
             click.echo(note, err=True)
@@ -118,12 +159,16 @@ def validate(
     results: list[tuple[Certificate, Sensitivity | None]] = []
     for scenario in selected:
         certificate = replace(run_scenario(scenario, seeds, **settings), notes=notes)
-        nuisances = sensitivity(scenario, 1, **settings) if alone and scenario.kind == "line" else None
+        nuisances = (
+            sensitivity(scenario, 1, **settings) if alone and scenario.kind == "line" else None
+        )
         results.append((certificate, nuisances))
         if not as_json:
             _show(certificate, nuisances)
     if as_json:
-        certificates = [tables.as_json(certificate, nuisances) for certificate, nuisances in results]
+        certificates = [
+            tables.as_json(certificate, nuisances) for certificate, nuisances in results
+        ]
         print_json(certificates[0] if len(certificates) == 1 else certificates)
     if out is not None:
         with new_folder(out) as folder:
@@ -133,7 +178,9 @@ def validate(
                 write_json(place / "certificate.json", tables.as_json(certificate, nuisances))
                 text = tables.markdown(certificate, nuisances)
                 (place / "certificate.md").write_text(text, encoding="utf-8", newline="\n")
-                write_whole(place / "certificate.html", render_page(certificate, nuisances).encode())
+                write_whole(
+                    place / "certificate.html", render_page(certificate, nuisances).encode()
+                )
         click.echo(f"certificate: {out}", err=True)
     return 0 if all(certificate.passed for certificate, _ in results) else 4
 
@@ -148,7 +195,16 @@ def _show(certificate: Certificate, nuisances: Sensitivity | None) -> None:
         for sentence in tables.sensitivity_sentences(nuisances):
             click.echo(in_ascii(sentence))
     click.echo(in_ascii(f"{tables.verdict(certificate)} {tables.summary(certificate)}"))
-    faults = [f"seed {e.seed}: {fault}" for e in certificate.entries for fault in (e.refusal, *e.failed) if fault]
-    faults += [in_ascii(tables.limit_sentence(line)) for line in certificate.lines().values() if line.met is False]
+    faults = [
+        f"seed {e.seed}: {fault}"
+        for e in certificate.entries
+        for fault in (e.refusal, *e.failed)
+        if fault
+    ]
+    faults += [
+        in_ascii(tables.limit_sentence(line))
+        for line in certificate.lines().values()
+        if line.met is False
+    ]
     for fault in faults:
         warn(fault)

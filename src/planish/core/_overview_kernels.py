@@ -20,7 +20,9 @@ def halve_values(values, out):
             c, d = np.float64(values[low, 2 * j]), np.float64(values[low, 2 * j + 1])
             p, q = np.isfinite(a), np.isfinite(b)
             r, s = pair and np.isfinite(c), pair and np.isfinite(d)
-            total = 0.0 + (a if p else 0.0) + (b if q else 0.0) + (c if r else 0.0) + (d if s else 0.0)
+            total = (
+                0.0 + (a if p else 0.0) + (b if q else 0.0) + (c if r else 0.0) + (d if s else 0.0)
+            )
             count = p + q + r + s
             out[i, j] = total / count if count else np.nan
         if cols % 2:
@@ -59,5 +61,7 @@ def halve_voxels(values, out, whole):
             c, d = values[k1, 2 * i], values[k1, i1]
             for j in range(out.shape[2]):
                 p, q = 2 * j, min(2 * j + 1, cols - 1)
-                total = (np.float64(a[p]) + a[q] + b[p] + b[q]) + (np.float64(c[p]) + c[q] + d[p] + d[q])
+                total = (np.float64(a[p]) + a[q] + b[p] + b[q]) + (
+                    np.float64(c[p]) + c[q] + d[p] + d[q]
+                )
                 out[k, i, j] = np.floor(total / 8.0 + 0.5) if whole else total / 8.0

@@ -21,7 +21,9 @@ class AreaMeans:
     """
 
     def __init__(self, shape: tuple[int, int], factor: Pair, *, least_share: float = 0.5) -> None:
-        self._row_overlap, self._col_overlap = (_overlap(n, f) for n, f in zip(shape, factor, strict=True))
+        self._row_overlap, self._col_overlap = (
+            _overlap(n, f) for n, f in zip(shape, factor, strict=True)
+        )
         self._is_identity = factor == (1, 1)  # a cell is a pixel
         self._least_weight = least_share * factor[0] * factor[1] - 1e-9
         self._weight = np.zeros((self._row_overlap.shape[0], self._col_overlap.shape[0]))
@@ -61,7 +63,7 @@ def area_mean(values: Rows, factor: Pair, *, least_share: float = 0.5) -> Floats
 
 def common_means(
     maps: Sequence[Rows], factor: Pair, *, masks: Sequence[Rows] = (), least_share: float = 0.5
-) -> list[Floats]:  # fmt: skip
+) -> list[Floats]:
     """Means of maps on one grid over the pixels that have a value in all of them and where all masks are true."""
     area_means = AreaMeans((maps[0].shape[0], maps[0].shape[1]), factor, least_share=least_share)
     for rows, bands in read_bands(*maps, *masks):
@@ -108,9 +110,18 @@ def overview_count(shape: tuple[int, ...], *, most_px: int = OVERVIEW_PX) -> int
 
 def halved(maps: xr.Dataset) -> xr.Dataset:
     """Maps with pixels twice as wide; the last row and column of an odd number stand for themselves."""
-    names = [str(name) for name, data in maps.data_vars.items() if data.ndim == 2 and data.dtype.kind in "fb"]
-    coords = {str(dim): (dim, middles(maps[dim].values), maps[dim].attrs) for dim in maps[names].dims}
-    variables = {name: (maps[name].dims, halved_values(maps[name].values), maps[name].attrs) for name in names}
+    names = [
+        str(name)
+        for name, data in maps.data_vars.items()
+        if data.ndim == 2 and data.dtype.kind in "fb"
+    ]
+    coords = {
+        str(dim): (dim, middles(maps[dim].values), maps[dim].attrs) for dim in maps[names].dims
+    }
+    variables = {
+        name: (maps[name].dims, halved_values(maps[name].values), maps[name].attrs)
+        for name in names
+    }
     return xr.Dataset(variables, coords=coords, attrs=maps.attrs)
 
 

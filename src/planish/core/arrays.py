@@ -14,7 +14,10 @@ from planish.core.errors import InputError, SizeError, VolumeError
 from planish.core.numbers import TOLERANCE, agree
 
 _UM = ("um", "µm", "μm", "micrometer", "micrometre", "micron")
-_CURES = {"b": "Give the grey values that it was made from.", "c": "Give their magnitude: abs(array)."}
+_CURES = {
+    "b": "Give the grey values that it was made from.",
+    "c": "Give their magnitude: abs(array).",
+}
 
 
 class ArrayKind(NamedTuple):
@@ -48,7 +51,9 @@ def check_image(image: object, call_format: str) -> tuple[float, ...]:
     return _checked_size(image, IMAGE, call_format)
 
 
-def check_dataset(data: object, *variables: str, expected: str, source: str, call_format: str) -> None:
+def check_dataset(
+    data: object, *variables: str, expected: str, source: str, call_format: str
+) -> None:
     """Refuse what is no Dataset with the variables that are needed; ``source`` is the call that gives one."""
     if not isinstance(data, xr.Dataset) or any(name not in data for name in variables):
         raise not_taken(data, expected, call_format.format(source), call_format)
@@ -71,12 +76,15 @@ def check_values(array: Any, kind: ArrayKind, dims: Sequence[str]) -> None:
         if sorted(dims) == sorted(kind.axes):
             fix = f"array.transpose({', '.join(map(repr, kind.axes))})"
         raise VolumeError(
-            f"{kind.with_article.capitalize()} has the axes ({', '.join(kind.axes)}), and an array of "
-            f"{' x '.join(map(str, array.shape))} with ({', '.join(dims)}) was given. Write {fix}."
+            f"{kind.with_article.capitalize()} has the axes ({', '.join(kind.axes)}), and an array"
+            f" of {' x '.join(map(str, array.shape))} with ({', '.join(dims)}) was given. Write"
+            f" {fix}."
         )
     if array.dtype.kind not in "uif" or array.dtype.itemsize > 8:
         fix = _CURES.get(array.dtype.kind, 'Convert them: astype("float32").')
-        raise VolumeError(f"The {kind.name} has {array.dtype} values; needed are integers or real numbers. {fix}")
+        raise VolumeError(
+            f"The {kind.name} has {array.dtype} values; needed are integers or real numbers. {fix}"
+        )
 
 
 def step_um(array: xr.DataArray, axis: str) -> float | None:
@@ -86,18 +94,26 @@ def step_um(array: xr.DataArray, axis: str) -> float | None:
     unit, values = array[axis].attrs.get("units", "um"), array[axis].values
     fault_text, fix = "", f"array.assign_coords({axis}=...)"
     if unit not in _UM or values.dtype.kind not in "uif":
-        fault_text = f"are {f'in {unit}' if unit not in _UM else f'{values.dtype} values'}; needed are lengths in um"
+        fault_text = (
+            f"are {f'in {unit}' if unit not in _UM else f'{values.dtype} values'}; needed are"
+            " lengths in um"
+        )
     else:
         steps = np.diff(values.astype(np.float64))
         if steps.max() < 0:
-            fault_text, fix = "descend; needed are ascending ones", f"array.isel({axis}=slice(None, None, -1))"
+            fault_text, fix = (
+                "descend; needed are ascending ones",
+                f"array.isel({axis}=slice(None, None, -1))",
+            )
         elif not np.abs(steps - steps.mean()).max() <= TOLERANCE * steps.mean():
             fault_text = (
-                f"are not regular: their steps are {steps.min():.4g} to {steps.max():.4g} um; needed is one size"
+                f"are not regular: their steps are {steps.min():.4g} to {steps.max():.4g} um;"
+                " needed is one size"
             )
     if fault_text:
         raise SizeError(
-            f"The coordinates along {axis} {fault_text}. Write {fix}, or drop them: array.drop_vars({axis!r})."
+            f"The coordinates along {axis} {fault_text}. Write {fix}, or drop them:"
+            f" array.drop_vars({axis!r})."
         )
     return float(np.diff(values.astype(np.float64)).mean())
 
@@ -121,7 +137,9 @@ def described(value: object) -> str:
         return f"a DataArray with the dims ({', '.join(map(str, value.dims))})"
     if isinstance(shape := getattr(value, "shape", None), tuple):
         return f"an array ({type_name}) of {' x '.join(map(str, shape)) or 'no'} values"
-    return "None" if value is None else f"{'an' if type_name[0] in 'AEIOUaeiou' else 'a'} {type_name}"
+    return (
+        "None" if value is None else f"{'an' if type_name[0] in 'AEIOUaeiou' else 'a'} {type_name}"
+    )
 
 
 def not_taken(value: object, expected: str, fix: str, call_format: str) -> InputError:
@@ -137,8 +155,11 @@ def _checked_size(array: object, kind: ArrayKind, call_format: str) -> tuple[flo
     check_values(array, kind, [str(name) for name in array.dims])
     stated_um: Sequence[float] | None = array.attrs.get(kind.size_attribute)
     steps = [step_um(array, axis) for axis in kind.axes]
-    is_sized = (  # An image may be known by its size alone; faces are heights along the coordinates of a volume.
-        None not in steps if stated_um is None else kind is IMAGE or all(axis in array.coords for axis in kind.axes)
+    # An image may be known by its size alone; faces are heights along the coordinates of a volume.
+    is_sized = (
+        None not in steps
+        if stated_um is None
+        else kind is IMAGE or all(axis in array.coords for axis in kind.axes)
     )
     if not is_sized:
         raise SizeError(f"The {kind.name} has no size along its axes. Write {fix}.")
@@ -146,10 +167,13 @@ def _checked_size(array: object, kind: ArrayKind, call_format: str) -> tuple[flo
         return tuple(step or 1.0 for step in steps)
     size_um = tuple(float(step or stated) for step, stated in zip(steps, stated_um, strict=True))
     if not all(map(agree, size_um, stated_um)):
-        step_text, stated_text = (", ".join(f"{size:.6g}" for size in sizes) for sizes in (size_um, stated_um))
+        step_text, stated_text = (
+            ", ".join(f"{size:.6g}" for size in sizes) for sizes in (size_um, stated_um)
+        )
         raise SizeError(
-            f"The {kind.name} contradicts itself: its coordinates have steps of {step_text} um "
-            f"({', '.join(kind.axes)}), its attribute {kind.size_attribute} says {stated_text}. If the coordinates are "
-            f"right, write pl.{kind.name}({kind.name}, {kind.size_attribute}=({step_text}))."
+            f"The {kind.name} contradicts itself: its coordinates have steps of {step_text} um"
+            f" ({', '.join(kind.axes)}), its attribute {kind.size_attribute} says {stated_text}. If"
+            f" the coordinates are right, write pl.{kind.name}({kind.name},"
+            f" {kind.size_attribute}=({step_text}))."
         )
     return tuple(map(float, stated_um))

@@ -30,13 +30,20 @@ def band_of(pixels: Rows, rows: slice) -> NDArray[Any]:
 def read_bands(*maps: Rows) -> Iterator[tuple[slice, list[NDArray[Any]]]]:
     """Rows of maps on one grid, and the maps there, band by band; the next band is read while one is worked on."""
     parts = [*bands(maps[0].shape[0])]
-    yield from zip(parts, read_ahead(lambda rows: [band_of(pixels, rows) for pixels in maps], parts), strict=True)
+    yield from zip(
+        parts,
+        read_ahead(lambda rows: [band_of(pixels, rows) for pixels in maps], parts),
+        strict=True,
+    )
 
 
 def any_finite(pixels: Rows, where: Rows | None = None) -> bool:
     """Return True if a map has a value where ``where`` is true."""
     bands_of_maps = read_bands(*_given(pixels, where))
-    return any(np.logical_and.reduce([np.isfinite(values), *masks]).any() for _, (values, *masks) in bands_of_maps)
+    return any(
+        np.logical_and.reduce([np.isfinite(values), *masks]).any()
+        for _, (values, *masks) in bands_of_maps
+    )
 
 
 def rms_of(pixels: Rows, where: Rows | None = None) -> float | None:
@@ -44,7 +51,10 @@ def rms_of(pixels: Rows, where: Rows | None = None) -> float | None:
     count, square_sum = 0, 0.0
     for _, (values, *masks) in read_bands(*_given(pixels, where)):
         values = values[np.logical_and.reduce([np.isfinite(values), *masks])]
-        count, square_sum = count + values.size, square_sum + float(np.sum(values.astype(np.float64) ** 2))
+        count, square_sum = (
+            count + values.size,
+            square_sum + float(np.sum(values.astype(np.float64) ** 2)),
+        )
     return float(np.sqrt(square_sum / count)) if count else None
 
 
@@ -59,4 +69,7 @@ def thinned(*maps: Rows) -> tuple[int, list[NDArray[Any]]]:
     if k == 1:
         return 1, [np.asarray(pixels) for pixels in maps]
     # The band's own rows, so that a stored map is read chunk by chunk and once.
-    return k, [np.concatenate([band_of(pixels, b)[-b.start % k :: k, ::k] for b in bands(rows)]) for pixels in maps]
+    return k, [
+        np.concatenate([band_of(pixels, b)[-b.start % k :: k, ::k] for b in bands(rows)])
+        for pixels in maps
+    ]

@@ -33,7 +33,8 @@ class Check(ResultModel):
     units: str = Field(default="", description="Of value and limit; 'share' for a part of 1.")
     advice: str = Field(default="", description="What to do; empty where nothing has to be done.")
     figures: tuple[str, ...] = Field(
-        default=(), description="What it concerns: names of maps, or properties, position, correlation."
+        default=(),
+        description="What it concerns: names of maps, or properties, position, correlation.",
     )
     layers: tuple[str, ...] = Field(default=(), description="Layers that it is about.")
 
@@ -45,23 +46,38 @@ class CheckRule:
     name: str  # of the check
     stage: type  # of a run, by the class of what it gives to judge
     figures: tuple[str, ...]  # that the check concerns, where the function names no others
-    judge: Callable[[CheckRule, Any], Check | None]  # takes the rule and what is judged; None where there is nothing
+    # Takes the rule and what is judged; None where there is nothing.
+    judge: Callable[[CheckRule, Any], Check | None]
 
     def __call__(self, subject: Any) -> Check | None:
         """Judge a subject."""
         return self.judge(self, subject)
 
     def check(
-        self, state: State, sentence: str, *, advice: str = "", figures: tuple[str, ...] | None = None, **fields: Any
+        self,
+        state: State,
+        sentence: str,
+        *,
+        advice: str = "",
+        figures: tuple[str, ...] | None = None,
+        **fields: Any,
     ) -> Check:
         """Make a check of this name; ``figures`` are those of the rule where not given."""
         figures = self.figures if figures is None else figures
-        return Check(name=self.name, state=state, sentence=sentence, advice=advice, figures=figures, **fields)
+        return Check(
+            name=self.name, state=state, sentence=sentence, advice=advice, figures=figures, **fields
+        )
 
     def at_most(
-        self, value: float, *, look: float | None = None, fail: float | None = None, sentence: str, advice: str = "",
+        self,
+        value: float,
+        *,
+        look: float | None = None,
+        fail: float | None = None,
+        sentence: str,
+        advice: str = "",
         **fields: Any,
-    ) -> Check:  # fmt: skip
+    ) -> Check:
         """Judge a value that should be small; advice is dropped where it passes. NaN passes nothing and is a look."""
         look_limit = fail if look is None else look
         state: State = "pass"
@@ -73,19 +89,29 @@ class CheckRule:
         advice = "" if state == "pass" else advice
         return self.check(state, sentence, value=float(value), limit=limit, advice=advice, **fields)
 
-    def at_least(self, value: float, *, look: float, sentence: str, advice: str, units: str) -> Check:
+    def at_least(
+        self, value: float, *, look: float, sentence: str, advice: str, units: str
+    ) -> Check:
         """Judge a value that should be large."""
         state: State = "pass" if value >= look else "look"
         advice = "" if state == "pass" else advice
-        return self.check(state, sentence, value=float(value), limit=look, units=units, advice=advice)
+        return self.check(
+            state, sentence, value=float(value), limit=look, units=units, advice=advice
+        )
 
 
-def concerned(checks: Iterable[Check], layers: Iterable[str], figures: Iterable[str]) -> list[Check]:
+def concerned(
+    checks: Iterable[Check], layers: Iterable[str], figures: Iterable[str]
+) -> list[Check]:
     """The checks about one of ``layers`` that concern one of ``figures``; ``properties`` are all maps of a sheet."""
     wanted_figures, layer_names = {*figures}, {*layers}
     if wanted_figures - {POSITION, CORRELATION}:
         wanted_figures.add(PROPERTIES)
-    return [c for c in checks if wanted_figures & {*c.figures} and (not c.layers or layer_names & {*c.layers})]
+    return [
+        c
+        for c in checks
+        if wanted_figures & {*c.figures} and (not c.layers or layer_names & {*c.layers})
+    ]
 
 
 def trust_of(checks: Iterable[Check], layers: Iterable[str], figures: Iterable[str]) -> Trust:

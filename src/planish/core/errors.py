@@ -26,10 +26,16 @@ import re
 from planish.core.text import plain_numbers
 
 # Options without a value, of those that a call in Python may be told to give.
-SWITCHES = frozenset({"as-seen", "chain", "mirror", "mottle", "override-size", "printed", "unusual-size"})
-_COMMAND = r"\b(?:planish|pip|dask) [a-z](?:[^.;'\n]|\.(?=[^\s']))*"  # up to the end of its sentence, or its quote
-_ENDS = r"(?=[.,;:)]|$| as well| is not possible)"  # what follows a word that is a value and no part of the sentence
-_WORD = rf"[zyx]|top|bottom|high|low|[a-z]+(?:_[a-z]+)+|(?!out\b|instead\b|first\b)[a-z][a-z-]*{_ENDS}"
+SWITCHES = frozenset(
+    {"as-seen", "chain", "mirror", "mottle", "override-size", "printed", "unusual-size"}
+)
+# Up to the end of its sentence, or its quote.
+_COMMAND = r"\b(?:planish|pip|dask) [a-z](?:[^.;'\n]|\.(?=[^\s']))*"
+# What follows a word that is a value and no part of the sentence.
+_ENDS = r"(?=[.,;:)]|$| as well| is not possible)"
+_WORD = (
+    rf"[zyx]|top|bottom|high|low|[a-z]+(?:_[a-z]+)+|(?!out\b|instead\b|first\b)[a-z][a-z-]*{_ENDS}"
+)
 _VALUE = rf"\d[\d.,]*(?<=\d)[A-Z]*|[A-Z]+(?:,[A-Z]+)*|(?:{_WORD})(?:, (?:{_WORD}))*(?=:)|{_WORD}"
 _BARE = re.compile(r"[A-Z]+|[\d.]+")  # a placeholder, a number: without quotes
 _FLAG = re.compile(rf"{_COMMAND}|(?<![\w-])--([a-z][a-z0-9-]*)(?:[ =]({_VALUE})(?![\w-]))?(:?)")
@@ -52,8 +58,14 @@ def _keyword(match: re.Match[str]) -> str:
     if value is None:  # of a faulty value the name alone is said
         return f"{name}:" if match[3] else f"{name}={'True' if match[1] in SWITCHES else ''}"
     values = [value_text.strip() for value_text in value.split(",")]
-    literals = [value_text if _BARE.fullmatch(value_text) else f'"{value_text}"' for value_text in values]
-    return f"{name}=({', '.join(literals)}){match[3]}" if len(literals) > 1 else f"{name}={literals[0]}{match[3]}"
+    literals = [
+        value_text if _BARE.fullmatch(value_text) else f'"{value_text}"' for value_text in values
+    ]
+    return (
+        f"{name}=({', '.join(literals)}){match[3]}"
+        if len(literals) > 1
+        else f"{name}={literals[0]}{match[3]}"
+    )
 
 
 class PlanishError(Exception):
@@ -129,5 +141,7 @@ def check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
     """Raise InputError where a keyword has none of the words that are possible."""
     if isinstance(value, str) and value in choices:
         return
-    choices_text = " or ".join(", ".join(map(repr, group)) for group in (choices[:-1], choices[-1:]) if group)
+    choices_text = " or ".join(
+        ", ".join(map(repr, group)) for group in (choices[:-1], choices[-1:]) if group
+    )
     raise InputError(f"{name}={value!r} is not possible; needed is {choices_text}.")

@@ -21,7 +21,9 @@ def _finite(value: Any) -> Any:
 
 
 def _all_finite(values: Any) -> Any:
-    return None if values is None or not all(map(math.isfinite, values)) else tuple(map(float, values))
+    return (
+        None if values is None or not all(map(math.isfinite, values)) else tuple(map(float, values))
+    )
 
 
 Number = Annotated[float | None, BeforeValidator(_finite)]
@@ -30,7 +32,9 @@ KnownPair = Annotated[Pair | None, BeforeValidator(_all_finite)]
 
 def is_known(value: float | Pair | None) -> bool:
     """Whether a number is given and finite, or both ends of an interval are."""
-    return value is not None and all(map(math.isfinite, value if isinstance(value, tuple) else (value,)))
+    return value is not None and all(
+        map(math.isfinite, value if isinstance(value, tuple) else (value,))
+    )
 
 
 def _one_nan(value: Any) -> Any:
@@ -47,13 +51,25 @@ def _null(value: Any) -> Any:
 
 
 _NULL = {"type": "null"}
-_PAIR = {"type": "array", "maxItems": 2, "minItems": 2, "prefixItems": [{"type": "number"}, {"type": "number"}]}
-Value = Annotated[  # A number that may be missing: NaN in memory; null in JSON, as is one that is infinite.
-    float, BeforeValidator(_one_nan), PlainSerializer(_null), WithJsonSchema({"anyOf": [{"type": "number"}, _NULL]})
+_PAIR = {
+    "type": "array",
+    "maxItems": 2,
+    "minItems": 2,
+    "prefixItems": [{"type": "number"}, {"type": "number"}],
+}
+# A number that may be missing: NaN in memory; null in JSON, as is one that is infinite.
+Value = Annotated[
+    float,
+    BeforeValidator(_one_nan),
+    PlainSerializer(_null),
+    WithJsonSchema({"anyOf": [{"type": "number"}, _NULL]}),
 ]
 # Two numbers, such as the ends of an interval, that may be missing: null in JSON unless both are finite.
 Interval = Annotated[
-    Pair, BeforeValidator(_nan_pair), PlainSerializer(_null), WithJsonSchema({"anyOf": [_PAIR, _NULL]})
+    Pair,
+    BeforeValidator(_nan_pair),
+    PlainSerializer(_null),
+    WithJsonSchema({"anyOf": [_PAIR, _NULL]}),
 ]
 # A number, or an interval, that stands beside a result in memory and in no file.
 Unsaved = Annotated[SkipJsonSchema[Value], Field(exclude=True)]
@@ -70,20 +86,27 @@ Side = Literal["top", "bottom"]
 """Side of a sheet."""
 
 SIDES: tuple[Side, ...] = ("top", "bottom")
-Trust = Literal["ok", "doubtful", "withheld"]  # what the checks leave of a figure; numbers that are withheld are None
+# What the checks leave of a figure; numbers that are withheld are None.
+Trust = Literal["ok", "doubtful", "withheld"]
 
 
 class ResultModel(BaseModel):
     """A frozen part of the results."""
 
     model_config = ConfigDict(
-        arbitrary_types_allowed=True, extra="forbid", frozen=True, protected_namespaces=(), validate_default=True
+        arbitrary_types_allowed=True,
+        extra="forbid",
+        frozen=True,
+        protected_namespaces=(),
+        validate_default=True,
     )
 
     @classmethod
     def holding(cls, *models: ResultModel, **fields: Any) -> Self:
         """Make a model of those that it extends, without what they do not save, and of what they lack."""
-        saved_fields = {k: v for model in models for k, v in model if not type(model).model_fields[k].exclude}
+        saved_fields = {
+            k: v for model in models for k, v in model if not type(model).model_fields[k].exclude
+        }
         return cls(**saved_fields | fields)
 
 
@@ -96,15 +119,21 @@ class InputFile(ResultModel):
     bytes: int = Field(description="Size of the file or of all files.")
     sha256: str = Field(description="Hash of the bytes, which tells this input from every other.")
     size_um: tuple[float, ...] = Field(description="Voxel size (z, y, x) or pixel size (y, x).")
-    size_source: str = Field(description="Where the size was taken from, such as a log or an option.")
+    size_source: str = Field(
+        description="Where the size was taken from, such as a log or an option."
+    )
 
 
 class ThinFacts(ResultModel):
     """Shares of a coating that are thinner than some limits."""
 
     thinner_than_um: tuple[float, ...] = Field(description="Limits of the thickness.")
-    share: tuple[Number, ...] = Field(description="Share of the area that is thinner, for each limit.")
-    support_um: float = Field(description="Size of the region that one value of the thickness stands for.")
+    share: tuple[Number, ...] = Field(
+        description="Share of the area that is thinner, for each limit."
+    )
+    support_um: float = Field(
+        description="Size of the region that one value of the thickness stands for."
+    )
     warning: str | None = Field(description="Set where the noise alone makes columns thin.")
 
 
@@ -127,11 +156,17 @@ class TwoSidesFacts(ResultModel):
     """Top against bottom."""
 
     coating_difference_um: Number = optional("Mean coating of the top less that of the bottom.")
-    coating_sd_ratio: Number = optional("Standard deviation of the top's coating over that of the bottom's.")
+    coating_sd_ratio: Number = optional(
+        "Standard deviation of the top's coating over that of the bottom's."
+    )
     coating_correlation: Number = optional("r of both coatings.")
     coating_n: int | None = optional("Columns with both coatings.")
-    topography_difference_um: Number = optional("Mean topography of the top less that of the bottom.")
-    topography_sd_ratio: Number = optional("Standard deviation of the top's topography over that of the bottom's.")
+    topography_difference_um: Number = optional(
+        "Mean topography of the top less that of the bottom."
+    )
+    topography_sd_ratio: Number = optional(
+        "Standard deviation of the top's topography over that of the bottom's."
+    )
     topography_correlation: Number = optional("r of both topographies, outward heights.")
     topography_n: int | None = optional("Columns with both topographies.")
 
@@ -140,7 +175,9 @@ class ProfileFacts(ResultModel):
     """Mean of some properties over the depth of the base, 0 at the bottom interface and 1 at the top one."""
 
     depth: tuple[float, ...] = Field(description="Middle of each layer of the base.")
-    values: dict[str, tuple[Number, ...]] = Field(description="Mean of each property in each layer.")
+    values: dict[str, tuple[Number, ...]] = Field(
+        description="Mean of each property in each layer."
+    )
 
 
 class SheetNumbers(ResultModel):
@@ -149,7 +186,9 @@ class SheetNumbers(ResultModel):
     thin: dict[Side, ThinFacts] = Field(description="Thin and bare shares of the coating, by side.")
     roughness: dict[Side, RoughnessFacts] = Field(description="Roughness of the face, by side.")
     two_sides: TwoSidesFacts = Field(description="Top against bottom.")
-    profiles: ProfileFacts | None = optional("Porosity and filler over the depth, where their maps were measured.")
+    profiles: ProfileFacts | None = optional(
+        "Porosity and filler over the depth, where their maps were measured."
+    )
 
 
 class HoleTiltFacts(ResultModel):
@@ -163,10 +202,13 @@ class HoleTiltFacts(ResultModel):
     offset_um: tuple[Number, Number] = Field(
         description="Median offset from the top's rims to the bottom's, along x and y."
     )
-    offset_spread_um: tuple[Number, Number] = Field(description="Robust standard deviation of it from hole to hole.")
+    offset_spread_um: tuple[Number, Number] = Field(
+        description="Robust standard deviation of it from hole to hole."
+    )
     offset_error_um: tuple[Number, Number] = Field(description="Standard error of the median.")
     to_face_um: tuple[float, float] = Field(
-        default=(0.0, 0.0), description="What was added to the places in the layer to have them at the face."
+        default=(0.0, 0.0),
+        description="What was added to the places in the layer to have them at the face.",
     )
     tilt_deg: tuple[Number, Number] | None = optional("The same offset as an angle, along x and y.")
     side: Side = Field(description="Side whose rims were used.")

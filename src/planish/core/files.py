@@ -60,19 +60,26 @@ def refuse_name(path: PurePath, names: list[str], *, windows: bool = os.name == 
     """Raise FileError for the first of the names that cannot be."""
     for name in names:
         if name and (fault := fault_of_name(name, windows=windows)):
-            raise FileError(f"{path} cannot be written: {fault}. Choose another name than {name!r}.")
+            raise FileError(
+                f"{path} cannot be written: {fault}. Choose another name than {name!r}."
+            )
 
 
 def check_length(folder: PurePath, *, longest: int | None = None) -> None:
     """Raise FileError if files in a run folder (absolute) had longer paths than the system takes, or ``longest``."""
     longest = longest_path() if longest is None else longest
     # While it is written it stands in a hidden folder of twice its name.
-    needed = len(str(folder.parent)) + 2 * len(folder.name) + len("/..work/..01234567.partial/") + DEEPEST_PATH_LENGTH
+    needed = (
+        len(str(folder.parent))
+        + 2 * len(folder.name)
+        + len("/..work/..01234567.partial/")
+        + DEEPEST_PATH_LENGTH
+    )
     if longest is not None and needed > longest:
         raise FileError(
-            f"{folder} is too deep: its files would have paths of up to {needed} characters, and Windows takes "
-            f"{longest}. Write to a shorter path such as C:\\data\\{folder.name}, or let Windows take long paths "
-            "(docs/how-to/windows.md)."
+            f"{folder} is too deep: its files would have paths of up to {needed} characters, and"
+            f" Windows takes {longest}. Write to a shorter path such as C:\\data\\{folder.name}, or"
+            " let Windows take long paths (docs/how-to/windows.md)."
         )
 
 
@@ -85,7 +92,8 @@ def longest_path() -> int | None:
 
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-_CUT_SHORT = re.compile(r"\d+ requested and \d+ written")  # numpy's words where the system gives no reason
+# Numpy's words where the system gives no reason.
+_CUT_SHORT = re.compile(r"\d+ requested and \d+ written")
 
 
 def write_whole(path: Path, data: bytes, *, over: bool = False) -> None:
@@ -114,7 +122,9 @@ def new_file(
             with partial.open("rb+") as file:
                 os.fsync(file.fileno())
             if not over and (path.exists() or path.is_symlink()):
-                raise FileError(f"{path} is already there; nothing is overwritten. Choose another name.")
+                raise FileError(
+                    f"{path} is already there; nothing is overwritten. Choose another name."
+                )
             move(partial, path, over=over)
         finally:
             with suppress(OSError):  # held open; the error that matters is the first
@@ -144,7 +154,9 @@ def write_failure(error: OSError, path: Path, *, needed: int | None = None) -> F
     """The error that says what to do about a failed write."""
     if error.errno in _FULL or (error.errno is None and _CUT_SHORT.search(str(error))):
         return disk_full(path, needed)
-    return FileError(f"{path} cannot be written: {os.strerror(error.errno) if error.errno else error}.")
+    return FileError(
+        f"{path} cannot be written: {os.strerror(error.errno) if error.errno else error}."
+    )
 
 
 def as_sentence(error: Exception, written_path: str, remedy: str) -> PlanishError:
@@ -155,7 +167,10 @@ def as_sentence(error: Exception, written_path: str, remedy: str) -> PlanishErro
         return ResourceError(f"The memory is used up. {remedy}")
     if isinstance(error, OSError):
         return write_failure(error, Path(error.filename or written_path))
-    return PlanishError(f"A fault in planish: {type(error).__name__}: {error}. Nothing was written. Please report it.")
+    return PlanishError(
+        f"A fault in planish: {type(error).__name__}: {error}. Nothing was written. Please"
+        " report it."
+    )
 
 
 def move(source: Path, target: Path, *, over: bool = False) -> None:
@@ -175,15 +190,17 @@ def delete(path: Path) -> None:
 
 def _retry(action: Callable[[], object], path: Path) -> None:
     """Do something with a file, again for some seconds while it is refused."""
-    for wait in (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, None):  # seconds, for what another program holds open
+    # Seconds, for what another program holds open.
+    for wait in (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, None):
         try:
             action()
         except PermissionError as error:
             if wait is None:
                 raise FileError(
-                    f"{path} cannot be written: another program has it or its folder open, or you may not write "
-                    "there. Close programs that show this folder, pause virus scanner or synchronisation for it, or "
-                    "choose a folder of your own; then give the same command again."
+                    f"{path} cannot be written: another program has it or its folder open, or you"
+                    " may not write there. Close programs that show this folder, pause virus"
+                    " scanner or synchronisation for it, or choose a folder of your own; then give"
+                    " the same command again."
                 ) from error
             time.sleep(wait)
         else:
@@ -200,6 +217,6 @@ def disk_full(path: Path, needed: int | None = None) -> DiskFull:
     free_text = f"{shutil.disk_usage(folder).free / 1e6:.0f} MB are free in {folder}"
     needed_text = "" if needed is None else f"; it takes about {max(needed / 1e6, 1):.0f} MB"
     return DiskFull(
-        f"The disk is full while writing {path}: {free_text}{needed_text}. Nothing was kept of it. Free some space, or "
-        "give --out on another disk."
+        f"The disk is full while writing {path}: {free_text}{needed_text}. Nothing was kept of it."
+        " Free some space, or give --out on another disk."
     )

@@ -77,18 +77,27 @@ class Frame:
         return cls(through=data.attrs.get("through", "z"), top=data.attrs.get("top_side", "high"))
 
     @classmethod
-    def asked(cls, volume: xr.DataArray, frame: Frame | None, through: Axis | None, top: End | None) -> Frame:
+    def asked(
+        cls, volume: xr.DataArray, frame: Frame | None, through: Axis | None, top: End | None
+    ) -> Frame:
         """The frame of a call: as given, in one piece or in words, or as the volume says.
 
         InputError if it is given twice, or as something else.
         """
-        keywords = {name: value for name, value in (("through", through), ("top", top)) if value is not None}
+        keywords = {
+            name: value for name, value in (("through", through), ("top", top)) if value is not None
+        }
         if frame is None:
             return replace(cls.of(volume), **keywords)
         if not isinstance(frame, cls):  # pyright: ignore[reportUnnecessaryIsInstance]
-            raise InputError(f'frame={frame!r} is no frame. Write through="y", or frame=pl.Frame(through="y").')
+            raise InputError(
+                f'frame={frame!r} is no frame. Write through="y", or frame=pl.Frame(through="y").'
+            )
         if keywords:
-            raise InputError(f"frame= and {' and '.join(f'{name}=' for name in keywords)} say the same. Leave one out.")
+            raise InputError(
+                f"frame= and {' and '.join(f'{name}=' for name in keywords)} say the same. Leave"
+                " one out."
+            )
         return frame
 
 
@@ -104,14 +113,23 @@ def likely_through(values: NDArray[Any] | LazyArray | xr.Variable) -> Axis | Non
     slice_indices = np.unique(np.linspace(0, values.shape[0] - 1, 24).astype(int))
     steps = [max(1, n // 200) for n in values.shape[1:]]
     starts = height * np.linspace(0, values.shape[1] // height - 1, 3).astype(int)
-    bands = [slice(k, k + height) for k in starts] if depth > 1 and 6 * height < values.shape[1] else [slice(None)]
+    bands = (
+        [slice(k, k + height) for k in starts]
+        if depth > 1 and 6 * height < values.shape[1]
+        else [slice(None)]
+    )
     planes: list[NDArray[Any]] = []
     for layer in np.unique(slice_indices // depth):
         indices = slice_indices[slice_indices // depth == layer]
-        parts = [np.asarray(values[indices[0] : indices[-1] + 1, band])[indices - indices[0]] for band in bands]
+        parts = [
+            np.asarray(values[indices[0] : indices[-1] + 1, band])[indices - indices[0]]
+            for band in bands
+        ]
         planes += [*np.concatenate([part[:, :: steps[0], :: steps[1]] for part in parts], axis=1)]
     sample: NDArray[np.float64] = np.stack(planes).astype(np.float64)
-    sample[~np.isfinite(sample)] = np.nanmean(sample[np.isfinite(sample)]) if np.isfinite(sample).any() else 0.0
+    sample[~np.isfinite(sample)] = (
+        np.nanmean(sample[np.isfinite(sample)]) if np.isfinite(sample).any() else 0.0
+    )
     variances = [float(sample.mean(axis=tuple({0, 1, 2} - {k})).var()) for k in range(3)]
     order = np.argsort(variances)[::-1]
     # The second axis may have this share of the variance along the first.
@@ -123,4 +141,8 @@ def likely_through(values: NDArray[Any] | LazyArray | xr.Variable) -> Axis | Non
 def other_axis(volume: xr.DataArray, through: str) -> str:
     """Name the axis that looks like the sheet's normal, where another one was given."""
     axis = likely_through(volume.variable)
-    return "" if axis in (None, through) else f"The grey changes most along {axis}: try --through {axis}."
+    return (
+        ""
+        if axis in (None, through)
+        else f"The grey changes most along {axis}: try --through {axis}."
+    )

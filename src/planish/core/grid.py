@@ -20,10 +20,13 @@ class Grid:
 
     y_um: Floats  # (rows,), where the middles of the pixels lie
     x_um: Floats  # (cols,)
-    step_um: Pair | None = None  # pitch of rows and columns; from the first two coordinates where None
+    # Pitch of rows and columns; from the first two coordinates where None.
+    step_um: Pair | None = None
 
     @classmethod
-    def regular(cls, shape: tuple[int, int], pixel_um: float | Pair, origin_um: Pair = (0.0, 0.0)) -> Grid:
+    def regular(
+        cls, shape: tuple[int, int], pixel_um: float | Pair, origin_um: Pair = (0.0, 0.0)
+    ) -> Grid:
         """Return a grid of ``shape`` whose first pixel has its middle at ``origin_um``, (x, y)."""
         row_um, col_um = (pixel_um, pixel_um) if isinstance(pixel_um, int | float) else pixel_um
         down, across = (np.arange(n, dtype=np.float64) for n in shape)
@@ -52,7 +55,8 @@ class Grid:
             return self.step_um
         if min(self.shape) < 2:
             raise SizeError(
-                f"The reference has {self.shape[0]} x {self.shape[1]} pixels; 2 x 2 are needed to lay a layer onto it."
+                f"The reference has {self.shape[0]} x {self.shape[1]} pixels; 2 x 2 are needed to"
+                " lay a layer onto it."
             )
         return float(self.y_um[1] - self.y_um[0]), float(self.x_um[1] - self.x_um[0])
 
@@ -78,8 +82,8 @@ def check_same_grid(first: xr.Dataset, second: xr.Dataset) -> None:
         a, b = first[axis].values, second[axis].values
         if a.shape != b.shape or not np.allclose(a, b, rtol=0, atol=1e-6):
             raise SurfaceError(
-                f"The two stores stand on different columns: {a.size} and {b.size} along {axis}. Make both from the "
-                "same surfaces."
+                f"The two stores stand on different columns: {a.size} and {b.size} along {axis}."
+                " Make both from the same surfaces."
             )
 
 
@@ -89,7 +93,9 @@ def filled(field: Floats) -> Floats:
 
     values, is_missing = field.copy(), ~np.isfinite(field)
     if is_missing.any() and not is_missing.all():
-        nearest = ndimage.distance_transform_edt(is_missing, return_distances=False, return_indices=True)
+        nearest = ndimage.distance_transform_edt(
+            is_missing, return_distances=False, return_indices=True
+        )
         values[is_missing] = field[tuple(index[is_missing] for index in nearest)]
     return values
 

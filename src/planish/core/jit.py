@@ -25,7 +25,10 @@ class Locator:
     """Tells numba where the code of a function of this package lies."""
 
     def __init__(self, folder: str, function: Any, file: Path) -> None:
-        self.folder, self.line = Path(folder) / ".".join(file.parent.parts), function.__code__.co_firstlineno
+        self.folder, self.line = (
+            Path(folder) / ".".join(file.parent.parts),
+            function.__code__.co_firstlineno,
+        )
 
     @classmethod
     def from_function(cls, function: Any, file: str) -> "Locator | None":
@@ -60,9 +63,15 @@ def cache_folder(numba_dir: str) -> str:
     """
     user_folder = Path(AppDirs("numba", appauthor=False).user_cache_dir)
     # The user's folder is relative where there is no home.
-    base_folders = [*([Path(numba_dir)] if numba_dir else []), *([user_folder] if user_folder.is_absolute() else [])]
+    base_folders = [
+        *([Path(numba_dir)] if numba_dir else []),
+        *([user_folder] if user_folder.is_absolute() else []),
+    ]
     for base_folder in base_folders:
-        folder = base_folder / f"planish-{hash_sources('_*kernels.py')}-{numba.__version__}-{np.__version__}"
+        folder = (
+            base_folder
+            / f"planish-{hash_sources('_*kernels.py')}-{numba.__version__}-{np.__version__}"
+        )
         try:
             folder.mkdir(parents=True, exist_ok=True)
             tempfile.TemporaryFile(dir=folder).close()

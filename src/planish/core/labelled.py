@@ -13,9 +13,13 @@ from planish.core.lazy import LazyArray, Where
 
 
 def labelled(
-    values: NDArray[Any] | LazyArray, dims: Sequence[str], size_um: Sequence[float], *, name: str,
+    values: NDArray[Any] | LazyArray,
+    dims: Sequence[str],
+    size_um: Sequence[float],
+    *,
+    name: str,
     attrs: Mapping[str, Any],
-) -> xr.DataArray:  # fmt: skip
+) -> xr.DataArray:
     """Give an array coordinates in um: place i of an axis has its centre at i × size.
 
     A :class:`LazyArray` stays one: ``isel`` moves borders, ``values`` reads; ``encoding`` says how it is best read.
@@ -24,7 +28,9 @@ def labelled(
         axis: (axis, np.arange(n) * um, {"units": "um"})
         for axis, n, um in zip(dims, values.shape, size_um, strict=True)
     }
-    array = xr.DataArray(xr.Variable(tuple(dims), variable_data(values)), coords=coords, name=name, attrs=attrs)
+    array = xr.DataArray(
+        xr.Variable(tuple(dims), variable_data(values)), coords=coords, name=name, attrs=attrs
+    )
     if isinstance(values, LazyArray):
         array.encoding.update(chunks=values.chunks, whole_slices=values.whole_slices)
     return array
@@ -35,10 +41,16 @@ def chunks_of(volume: xr.DataArray) -> tuple[int, ...]:
     return volume.encoding.get("chunks") or (1, 1, 1)
 
 
-def computed(like: xr.DataArray, read: Callable[[Where], NDArray[Any]], dtype: Any = None) -> xr.DataArray:
+def computed(
+    like: xr.DataArray, read: Callable[[Where], NDArray[Any]], dtype: Any = None
+) -> xr.DataArray:
     """Give the same array with other values, of which ``read`` gives the part that is asked for."""
     values = LazyArray(like.shape, np.dtype(dtype or like.dtype), read)
-    array = xr.DataArray(xr.Variable(like.dims, variable_data(values), like.attrs), coords=like.coords, name=like.name)
+    array = xr.DataArray(
+        xr.Variable(like.dims, variable_data(values), like.attrs),
+        coords=like.coords,
+        name=like.name,
+    )
     array.encoding.update(like.encoding)
     return array
 
@@ -55,7 +67,9 @@ class _Backend(BackendArray):
         self.values, self.shape, self.dtype = values, values.shape, values.dtype
 
     def __getitem__(self, key: Any) -> NDArray[Any]:
-        return explicit_indexing_adapter(key, self.shape, IndexingSupport.BASIC, self.values.__getitem__)
+        return explicit_indexing_adapter(
+            key, self.shape, IndexingSupport.BASIC, self.values.__getitem__
+        )
 
 
 def variable_data(values: NDArray[Any] | LazyArray) -> Any:

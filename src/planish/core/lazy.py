@@ -19,7 +19,9 @@ class LazyArray:
     chunks: tuple[int, ...] | None = None  # what is decoded together, where the file is chunked
     whole_slices: bool = False  # whether a few rows of a slice cost as much as all of them
 
-    def __init__(self, shape: tuple[int, ...], dtype: np.dtype[Any], read: Callable[[Where], NDArray[Any]]) -> None:
+    def __init__(
+        self, shape: tuple[int, ...], dtype: np.dtype[Any], read: Callable[[Where], NDArray[Any]]
+    ) -> None:
         self.shape, self.dtype, self._read = shape, dtype, read
 
     @property
@@ -45,7 +47,11 @@ class LazyArray:
         keys = key if isinstance(key, tuple) else (key,)
         if Ellipsis in keys:
             ellipsis_axis = keys.index(Ellipsis)
-            keys = keys[:ellipsis_axis] + (slice(None),) * (len(self.shape) - len(keys) + 1) + keys[ellipsis_axis + 1 :]
+            keys = (
+                keys[:ellipsis_axis]
+                + (slice(None),) * (len(self.shape) - len(keys) + 1)
+                + keys[ellipsis_axis + 1 :]
+            )
         keys += (slice(None),) * (len(self.shape) - len(keys))
         slices: list[slice] = []
         part_keys: list[Any] = []
@@ -53,7 +59,11 @@ class LazyArray:
             if isinstance(axis_key, slice):
                 indices = range(length)[axis_key]
                 ordered = indices if indices.step > 0 else indices[::-1]
-                slices.append(slice(ordered.start, ordered[-1] + 1 if ordered else ordered.start, ordered.step))
+                slices.append(
+                    slice(
+                        ordered.start, ordered[-1] + 1 if ordered else ordered.start, ordered.step
+                    )
+                )
                 part_keys.append(slice(None, None, 1 if indices.step > 0 else -1))
             else:
                 index = range(length)[int(axis_key)]
@@ -64,8 +74,14 @@ class LazyArray:
             part = self.read(tuple(slices)) if all(shape) else np.empty(shape, self.dtype)
             chosen = part[tuple(part_keys)]
             # A view would keep the whole file mapped, or the slice that it was cut from.
-            is_copy = chosen.base is None or (chosen.base is part and part.base is None and chosen.size == part.size)
-            return np.ascontiguousarray(chosen, self.dtype) if is_copy else np.array(chosen, dtype=self.dtype)
+            is_copy = chosen.base is None or (
+                chosen.base is part and part.base is None and chosen.size == part.size
+            )
+            return (
+                np.ascontiguousarray(chosen, self.dtype)
+                if is_copy
+                else np.array(chosen, dtype=self.dtype)
+            )
 
 
 class ReadOnDemand(Mapping[str, T]):

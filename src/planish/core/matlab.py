@@ -16,18 +16,47 @@ import numpy as np
 from numpy.typing import NDArray
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-_HEADER_BYTES = 2048  # bytes in which flags, shape, name and the tag of the values of any variable lie
+# Bytes in which flags, shape, name and the tag of the values of any variable lie.
+_HEADER_BYTES = 2048
 _MOST_AXES, _LONGEST_NAME = 32, 512
 _COMPRESSED, _MATRIX, _UINT32, _INT32, _INT8 = 15, 14, 6, 5, 1
-_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+_TYPES = {
+    1: "i1",
+    2: "u1",
+    3: "i2",
+    4: "u2",
+    5: "i4",
+    6: "u4",
+    7: "f4",
+    9: "f8",
+    12: "i8",
+    13: "u8",
+}
 _SIZES_4 = (8, 4, 4, 2, 2, 1)
 _CLASSES = (
-    "cell", "struct", "object", "char", "sparse", "double", "single", "int8", "uint8", "int16", "uint16", "int32",
-    "uint32", "int64", "uint64", "function", "opaque",
-)  # fmt: skip
+    "cell",
+    "struct",
+    "object",
+    "char",
+    "sparse",
+    "double",
+    "single",
+    "int8",
+    "uint8",
+    "int16",
+    "uint16",
+    "int32",
+    "uint32",
+    "int64",
+    "uint64",
+    "function",
+    "opaque",
+)
 NUMBERS = {  # Classes of real numbers and their types.
-    "double": np.dtype("f8"), "single": np.dtype("f4"), **{name: np.dtype(name) for name in _CLASSES if "int" in name}
-}  # fmt: skip
+    "double": np.dtype("f8"),
+    "single": np.dtype("f4"),
+    **{name: np.dtype(name) for name in _CLASSES if "int" in name},
+}
 
 _COMPLEX, _LOGICAL = 0x08, 0x02
 
@@ -73,7 +102,15 @@ def variables(file: BinaryIO) -> list[Variable]:
         return list(_variables_new(file))
     try:
         return list(_variables_5(file, head[126:128]) if is_version_5(head) else _variables_4(file))
-    except (struct.error, zlib.error, ValueError, TypeError, IndexError, OverflowError, MemoryError) as error:
+    except (
+        struct.error,
+        zlib.error,
+        ValueError,
+        TypeError,
+        IndexError,
+        OverflowError,
+        MemoryError,
+    ) as error:
         raise Damaged(str(error) or type(error).__name__) from error
 
 
@@ -92,7 +129,9 @@ def values(file: BinaryIO, variable: Variable) -> NDArray[Any]:
 
     file.seek(0)
     try:
-        array: NDArray[Any] = loadmat(cast("Any", file), variable_names=[variable.name])[variable.name]
+        array: NDArray[Any] = loadmat(cast("Any", file), variable_names=[variable.name])[
+            variable.name
+        ]
     except (OSError, zlib.error, ValueError, TypeError, KeyError, OverflowError) as error:
         raise Damaged(f"the values of {variable.name} cannot be read: {error}") from error
     if array.shape != variable.shape:
@@ -110,12 +149,28 @@ def _variables_new(file: BinaryIO) -> Iterator[Variable]:
             if not isinstance(root.get(key, getlink=True), h5py.HardLink):
                 continue
             member: Any = root[key]
-            if not isinstance(member, h5py.Dataset) or member.external or member.is_virtual or member.shape is None:
-                yield Variable(name=str(key), shape=(), kind="struct" if isinstance(member, h5py.Group) else "opaque")
+            if (
+                not isinstance(member, h5py.Dataset)
+                or member.external
+                or member.is_virtual
+                or member.shape is None
+            ):
+                yield Variable(
+                    name=str(key),
+                    shape=(),
+                    kind="struct" if isinstance(member, h5py.Group) else "opaque",
+                )
                 continue
             class_name: Any = member.attrs.get("MATLAB_class", b"")
-            kind = class_name.decode(errors="replace") if isinstance(class_name, bytes) else str(class_name)
-            kind = kind or next((name for name, dtype in NUMBERS.items() if dtype == member.dtype), str(member.dtype))
+            kind = (
+                class_name.decode(errors="replace")
+                if isinstance(class_name, bytes)
+                else str(class_name)
+            )
+            kind = kind or next(
+                (name for name, dtype in NUMBERS.items() if dtype == member.dtype),
+                str(member.dtype),
+            )
             is_real = member.dtype.kind in "uif" and kind in NUMBERS
             shape = tuple(int(n) for n in member.shape[::-1])
             yield Variable(name=str(key), shape=shape, kind=kind, real=is_real)
@@ -131,7 +186,9 @@ def _variables_5(file: BinaryIO, endian_mark: bytes) -> Iterator[Variable]:
         if offset + 8 + size > file_bytes:
             raise Damaged("a variable is longer than the file")
         if element_type == _COMPRESSED:
-            header = zlib.decompressobj().decompress(file.read(min(size, 4 * _HEADER_BYTES)), _HEADER_BYTES)
+            header = zlib.decompressobj().decompress(
+                file.read(min(size, 4 * _HEADER_BYTES)), _HEADER_BYTES
+            )
         elif element_type == _MATRIX:
             file.seek(offset)
             header = file.read(min(8 + size, _HEADER_BYTES))
@@ -171,12 +228,17 @@ def _variable_5(header: bytes, byte_order: str) -> Variable | None:
     if class_name not in NUMBERS or not math.prod(shape):
         return Variable(name=name, shape=shape, kind=class_name, real=class_name in NUMBERS)
     element_type, _, size, _ = _element(header, offset, byte_order)
-    if element_type not in _TYPES or size != math.prod(shape) * np.dtype(_TYPES[element_type]).itemsize:
+    if (
+        element_type not in _TYPES
+        or size != math.prod(shape) * np.dtype(_TYPES[element_type]).itemsize
+    ):
         raise Damaged(f"a variable of shape {shape} holds {size} bytes of type {element_type}")
     if size > matrix_bytes:
         raise Damaged("the values of a variable are longer than the variable")
     number_flags = (flags >> 8) & (_COMPLEX | _LOGICAL)
-    class_name = class_name if not number_flags else "complex" if number_flags & _COMPLEX else "logical"
+    class_name = (
+        class_name if not number_flags else "complex" if number_flags & _COMPLEX else "logical"
+    )
     return Variable(name=name, shape=shape, kind=class_name, real=not number_flags)
 
 
@@ -200,12 +262,24 @@ def _variables_4(file: BinaryIO) -> Iterator[Variable]:
         byte_order = "<" if 0 <= struct.unpack_from("<i", header)[0] < 1000 else ">"
         type_code, rows, columns, imaginary, name_bytes = struct.unpack(f"{byte_order}5i", header)
         machine, precision, matrix_class = type_code // 1000, type_code // 10 % 10, type_code % 10
-        is_invalid = machine != (byte_order == ">") or type_code // 100 % 10 or precision > 5 or matrix_class > 2
-        if is_invalid or min(rows, columns) < 0 or imaginary not in (0, 1) or not 0 < name_bytes < 1000:
+        is_invalid = (
+            machine != (byte_order == ">")
+            or type_code // 100 % 10
+            or precision > 5
+            or matrix_class > 2
+        )
+        if (
+            is_invalid
+            or min(rows, columns) < 0
+            or imaginary not in (0, 1)
+            or not 0 < name_bytes < 1000
+        ):
             raise Damaged("it does not begin as a MATLAB file")
         name = file.read(name_bytes).rstrip(b"\0").decode("ascii", "replace")
         offset += 20 + name_bytes + rows * columns * _SIZES_4[precision] * (1 + imaginary)
         if offset > file_bytes:
             raise Damaged("it ends early")
         class_name = ("double", "char", "sparse")[matrix_class] if not imaginary else "complex"
-        yield Variable(name=name, shape=(rows, columns), kind=class_name, real=class_name == "double")
+        yield Variable(
+            name=name, shape=(rows, columns), kind=class_name, real=class_name == "double"
+        )

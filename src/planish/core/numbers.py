@@ -7,11 +7,32 @@ from planish.core.facts import Pair, is_known
 from planish.core.text import plain_numbers
 
 NONE = "–"
-_UNITS = {"um": "µm", "um2": "µm²", "g/m2": "g/m²", "g/cm3": "g/cm³", "1/mm2": "1/mm²", "deg": "°", "1": ""}
+_UNITS = {
+    "um": "µm",
+    "um2": "µm²",
+    "g/m2": "g/m²",
+    "g/cm3": "g/cm³",
+    "1/mm2": "1/mm²",
+    "deg": "°",
+    "1": "",
+}
 _SPACE = "\u202f"  # narrow, and no line break: between a number and its unit, and between thousands
 _NARROW_WIDTH = 0.02  # width of an interval of r, below which two decimals hide it
-_MICROMETRES, _DEGREES, _MINUS = re.compile(r" um\b"), re.compile(r" deg\b"), re.compile(r"(?<=[ (])-(?=\d)")
-_ASCII_FORMS = {"−": "-", _SPACE: " ", "–": "-", "≤": "<=", "≥": ">=", "µm": "um", "±": "+-", "²": "2"}
+_MICROMETRES, _DEGREES, _MINUS = (
+    re.compile(r" um\b"),
+    re.compile(r" deg\b"),
+    re.compile(r"(?<=[ (])-(?=\d)"),
+)
+_ASCII_FORMS = {
+    "−": "-",
+    _SPACE: " ",
+    "–": "-",
+    "≤": "<=",
+    "≥": ">=",
+    "µm": "um",
+    "±": "+-",
+    "²": "2",
+}
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 MOST_DECIMALS = 5
 TOLERANCE = 0.01  # sizes that differ by more than this share are different sizes; less is rounding
@@ -36,7 +57,8 @@ def number(value: float | None, digits: int = 3) -> str:
     if exponent < -4:
         mantissa = f"{value / 10.0**exponent:.{max(digits - 1, 0)}f}"
         return _signed(f"{mantissa}·10") + str(exponent).translate(_SUPERSCRIPTS)
-    rounded = round(value, max(digits - 1 - exponent, 0))  # Rounding may add a digit: 0.9996 to three digits is 1.00.
+    # Rounding may add a digit: 0.9996 to three digits is 1.00.
+    rounded = round(value, max(digits - 1 - exponent, 0))
     exponent = math.floor(math.log10(abs(rounded))) if rounded else exponent
     return _signed(f"{rounded:,.{max(digits - 1 - exponent, 0)}f}")
 
@@ -66,7 +88,11 @@ def count(value: int | None) -> str:
 
 def percent(share: float | None, digits: int = 3) -> str:
     """Write a share as per cent."""
-    return NONE if share is None or not math.isfinite(share) else f"{number(100 * share, digits)}{_SPACE}%"
+    return (
+        NONE
+        if share is None or not math.isfinite(share)
+        else f"{number(100 * share, digits)}{_SPACE}%"
+    )
 
 
 def unit(name: str) -> str:
@@ -103,7 +129,11 @@ def axis_label(title: str, units: str) -> str:
 
 def interval_text(limits: Pair | None, decimals: int = 2) -> str:
     """Write both ends of an interval; a dash where there is none."""
-    return " to ".join(fixed(end, decimals) for end in limits) if limits is not None and is_known(limits) else NONE
+    return (
+        " to ".join(fixed(end, decimals) for end in limits)
+        if limits is not None and is_known(limits)
+        else NONE
+    )
 
 
 def with_article(layer: str) -> str:
@@ -144,7 +174,11 @@ def capital(text: str) -> str:
 def decimals_of_r(limits: tuple[float, float] | None) -> int:
     """Decimals of an r within limits: two, and more where they are close to each other."""
     width = 1.0 if limits is None or not all(map(math.isfinite, limits)) else limits[1] - limits[0]
-    return min(max(2, 1 - math.floor(math.log10(width))), MOST_DECIMALS) if 0 < width < _NARROW_WIDTH else 2
+    return (
+        min(max(2, 1 - math.floor(math.log10(width))), MOST_DECIMALS)
+        if 0 < width < _NARROW_WIDTH
+        else 2
+    )
 
 
 def in_ascii(text: str) -> str:

@@ -38,8 +38,8 @@ def params_of(model: type[P], options: P | Mapping[str, Any] | None, call_name: 
         return options or model()
     if not isinstance(options, Mapping):
         raise StudyError(
-            f"{call_name} takes options as {model.__name__} or as a dict, and {options!r} was given. Its options are "
-            f"{', '.join(model.model_fields)}."
+            f"{call_name} takes options as {model.__name__} or as a dict, and {options!r} was"
+            f" given. Its options are {', '.join(model.model_fields)}."
         )
     from planish.core.parameter_faults import fault_texts
 
@@ -49,7 +49,10 @@ def params_of(model: type[P], options: P | Mapping[str, Any] | None, call_name: 
         return model.model_validate(tables)
     except ValidationError as error:
         faults_text = "; ".join(fault_texts(error, model, as_flags(paths_by_word)))
-        prefix, suffix = f"{call_name}: " if call_name else "", "" if faults_text.endswith("?") else "."
+        prefix, suffix = (
+            f"{call_name}: " if call_name else "",
+            "" if faults_text.endswith("?") else ".",
+        )
         raise StudyError(f"{prefix}{faults_text}{suffix}") from error
 
 
@@ -67,16 +70,23 @@ class Shown:
 
 
 def option(
-    default: Any = ..., *, help: str, cli: str | None = "", metavar: str | None = None, repeat: bool = False,
+    default: Any = ...,
+    *,
+    help: str,
+    cli: str | None = "",
+    metavar: str | None = None,
+    repeat: bool = False,
     **limits: Any,
-) -> Any:  # fmt: skip
+) -> Any:
     """Make a field of a :class:`Params` model; without a default it is required.
 
     ``help`` is one sentence: what it is, with its unit and when it is needed. ``cli`` is the flag of the command line,
     such as ``"--property"``: made of the field's name where empty, none where None; ``metavar`` and ``repeat`` as in
     :class:`Shown`. ``limits`` are ``gt``, ``ge``, ``lt``, ``le``, ``min_length`` ..., as for :func:`pydantic.Field`.
     """
-    extra: Any = None if cli is None else {"planish": {"flags": cli, "metavar": metavar, "repeat": repeat}}
+    extra: Any = (
+        None if cli is None else {"planish": {"flags": cli, "metavar": metavar, "repeat": repeat}}
+    )
     return Field(default, description=help, json_schema_extra=extra, **limits)
 
 
@@ -86,7 +96,11 @@ def options_of(model: type[Params]) -> Iterator[tuple[str, FieldInfo, Shown]]:
         extra: Any = field.json_schema_extra
         if extra is not None:
             appearance = extra["planish"]
-            yield name, field, Shown(**appearance | {"flags": (appearance["flags"] or flag_of(name),)})
+            yield (
+                name,
+                field,
+                Shown(**appearance | {"flags": (appearance["flags"] or flag_of(name),)}),
+            )
 
 
 def words_in(model: type[Params], *outer_names: str) -> dict[str, tuple[str, ...]]:
@@ -105,7 +119,9 @@ def flag_of(word: str) -> str:
     return f"--{word.replace('_', '-')}"
 
 
-def as_flags(paths_by_word: Mapping[str, tuple[str, ...]]) -> Callable[[tuple[str | int, ...]], tuple[Any, None]]:
+def as_flags(
+    paths_by_word: Mapping[str, tuple[str, ...]],
+) -> Callable[[tuple[str | int, ...]], tuple[Any, None]]:
     """Name the places of mistakes by flags; as they are where the command line has none."""
     flags = {path: flag_of(word) for word, path in paths_by_word.items()}
 
@@ -129,7 +145,9 @@ def put_options(
         table = tables
         for outer_name in outer_names:
             table = table.setdefault(outer_name, {})
-        if value is True and any(path[:-1] == (*outer_names, name) for path in paths_by_word.values()):
+        if value is True and any(
+            path[:-1] == (*outer_names, name) for path in paths_by_word.values()
+        ):
             table.setdefault(name, {})  # options of their own, which this word switches on
         elif table.get(name) is not None:
             duplicates.append(word)
@@ -165,5 +183,9 @@ def models_in(annotation: Any) -> Sequence[type[BaseModel]]:
     """Models that a field may hold, as they are, optional, or several of them."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
-    arguments = get_args(annotation) if get_origin(annotation) in (Union, UnionType, Annotated, tuple, list) else ()
+    arguments = (
+        get_args(annotation)
+        if get_origin(annotation) in (Union, UnionType, Annotated, tuple, list)
+        else ()
+    )
     return [model for argument in arguments for model in models_in(argument)]

@@ -11,7 +11,8 @@ from pydantic import BaseModel, ValidationError
 
 from planish.core.options import models_in
 
-Key = tuple[str | int, ...]  # a key with the tables around it; the tables of an array are numbered from 0
+# a key with the tables around it; the tables of an array are numbered from 0.
+Key = tuple[str | int, ...]
 
 
 class KeyLines(NamedTuple):
@@ -38,9 +39,14 @@ def key_lines(text: str) -> KeyLines:
         if (names := _key_names(statement)) is None:  # a value that goes on
             continue
         if statement.lstrip().startswith("["):
-            key = table_key = _table_key(names, table_counts, is_array=statement.lstrip().startswith("[["))
+            key = table_key = _table_key(
+                names, table_counts, is_array=statement.lstrip().startswith("[[")
+            )
         else:  # names end at the first sign that is not within quotes
-            parsed = (_key_names(f"{statement[: sign.start()]}= 1") for sign in re.finditer("=", statement))
+            parsed = (
+                _key_names(f"{statement[: sign.start()]}= 1")
+                for sign in re.finditer("=", statement)
+            )
             key = (*table_key, *next(filter(None, parsed), ()))
         for k in range(1, len(key) + 1):
             lines.setdefault(key[:k], first_line)
@@ -78,13 +84,28 @@ PlaceOf = Callable[[Key], tuple[Key, int | None]]
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _ALIKE = 0.6  # of difflib: the share of letters that two names have in common
 _ADVICE = (
-    (re.compile(r"^[^'#]*\"[^\"\n]*\\[^\"\n]*\"", re.MULTILINE), ("Unescaped", "Invalid hex", "escape"),
-     "A path with \\ stands in single quotes: 'C:\\data\\volume.tif'. Or write it with /."),
-    (re.compile(r""), ("Cannot overwrite", "Cannot declare"), "A key or a table may be given once."),
-    (re.compile(r"=\s*-?\d+,\d"), (), "Numbers have a decimal point, several stand in brackets: [3.0, 1.5, 1.5]."),
-    (re.compile(r"=\s*[A-Za-z/\\]"), ("Invalid value",), "Words and paths stand in quotes; true and false do not."),
+    (
+        re.compile(r"^[^'#]*\"[^\"\n]*\\[^\"\n]*\"", re.MULTILINE),
+        ("Unescaped", "Invalid hex", "escape"),
+        "A path with \\ stands in single quotes: 'C:\\data\\volume.tif'. Or write it with /.",
+    ),
+    (
+        re.compile(r""),
+        ("Cannot overwrite", "Cannot declare"),
+        "A key or a table may be given once.",
+    ),
+    (
+        re.compile(r"=\s*-?\d+,\d"),
+        (),
+        "Numbers have a decimal point, several stand in brackets: [3.0, 1.5, 1.5].",
+    ),
+    (
+        re.compile(r"=\s*[A-Za-z/\\]"),
+        ("Invalid value",),
+        "Words and paths stand in quotes; true and false do not.",
+    ),
     (re.compile(r"^\s*[^\[#\n=]+$", re.MULTILINE), ("after a key",), "A line reads key = value."),
-)  # fmt: skip
+)
 
 
 def toml_fault(error: tomllib.TOMLDecodeError | RecursionError, text: str) -> str:
@@ -96,14 +117,21 @@ def toml_fault(error: tomllib.TOMLDecodeError | RecursionError, text: str) -> st
         return f"{error_text}."
     line = lines[int(position[1]) - 1]
     advice = next(
-        (f" {advice_text}" for pattern, triggers, advice_text in _ADVICE
-         if pattern.search(line) and (not triggers or any(trigger in error_text for trigger in triggers))), ""
-    )  # fmt: skip
+        (
+            f" {advice_text}"
+            for pattern, triggers, advice_text in _ADVICE
+            if pattern.search(line)
+            and (not triggers or any(trigger in error_text for trigger in triggers))
+        ),
+        "",
+    )
     reason = error_text[: position.start()].strip()
     return f"line {position[1]}, column {position[2]}: {reason}: {line.strip()[:80]}.{advice}"
 
 
-def fault_texts(error: ValidationError, model: type[BaseModel], place: PlaceOf = lambda loc: (loc, None)) -> list[str]:
+def fault_texts(
+    error: ValidationError, model: type[BaseModel], place: PlaceOf = lambda loc: (loc, None)
+) -> list[str]:
     """Name every mistake that a validation found: ``line 7, volume.thruogh: unknown; did you mean through?``.
 
     Names that are possible are taken from ``model``; ``place`` gives key and line in the file.
@@ -114,11 +142,15 @@ def fault_texts(error: ValidationError, model: type[BaseModel], place: PlaceOf =
         # The place of a value without the kinds that it may have, which pydantic names behind it.
         loc = tuple(name for name in fault["loc"] if isinstance(name, int) or _NAME.fullmatch(name))
         key, line = place(loc)
-        if key in reported_keys and key:  # of a value that may be of several kinds, the first kind says enough
+        # Of a value that may be of several kinds, the first kind says enough.
+        if key in reported_keys and key:
             continue
         reported_keys.add(key)
         line_text = f"line {line}" if line is not None else ""
-        texts = (", ".join(filter(None, (line_text, ".".join(map(str, key))))), _fault_text(fault, loc, model))
+        texts = (
+            ", ".join(filter(None, (line_text, ".".join(map(str, key))))),
+            _fault_text(fault, loc, model),
+        )
         sentences.append((line or 0, ": ".join(filter(None, texts))))
     return [text for _, text in sorted(sentences, key=lambda sentence: sentence[0])]
 
@@ -134,18 +166,27 @@ def _fault_text(fault: Any, loc: Key, model: type[BaseModel]) -> str:
         return f"{value!r} is not possible; needed are values in brackets, such as [1.5, 1.5]"
     if fault["type"] == "literal_error":
         expected = str(fault["ctx"]["expected"])
-        matches = difflib.get_close_matches(str(value).casefold(), re.findall(r"'([^']*)'", expected), 1, _ALIKE)
+        matches = difflib.get_close_matches(
+            str(value).casefold(), re.findall(r"'([^']*)'", expected), 1, _ALIKE
+        )
         suggestion = f"; did you mean {matches[0]!r}?" if matches else "."
         return f"{value!r} is not possible; needed is {expected}{suggestion}".removesuffix(".")
-    return f"{message} (found {value!r})" if isinstance(value, str | int | float | bool) else message
+    return (
+        f"{message} (found {value!r})" if isinstance(value, str | int | float | bool) else message
+    )
 
 
 def _unknown_text(name: str, table: Key, model: type[BaseModel]) -> str:
     """Say that a name is unknown: the closest one of its table, or the table that has it."""
     names_by_table = dict(_tables_of(model, ()))
-    models: Sequence[type[BaseModel]] = [model]  # A place has names of fields, numbers, and names of alternatives.
+    # A place has names of fields, numbers, and names of alternatives.
+    models: Sequence[type[BaseModel]] = [model]
     for name_of_table in (key for key in table if isinstance(key, str)):
-        fields = [model.model_fields[name_of_table] for model in models if name_of_table in model.model_fields]
+        fields = [
+            model.model_fields[name_of_table]
+            for model in models
+            if name_of_table in model.model_fields
+        ]
         models = [inner for field in fields for inner in models_in(field.annotation)] or models
     possible_names = [field for m in models for field in m.model_fields]
     possible_names += [] if table else [path[0] for path in names_by_table if path]
@@ -154,18 +195,30 @@ def _unknown_text(name: str, table: Key, model: type[BaseModel]) -> str:
         return f"unknown; did you mean {matches[0]}?"
     owners = [path for path, fields in names_by_table.items() if name in fields and path]
     if not owners:
-        close = difflib.get_close_matches(name, sorted(set(chain(*names_by_table.values()))), 1, 0.8)
-        owners = [path for path, fields in names_by_table.items() if close and close[0] in fields and path]
+        close = difflib.get_close_matches(
+            name, sorted(set(chain(*names_by_table.values()))), 1, 0.8
+        )
+        owners = [
+            path for path, fields in names_by_table.items() if close and close[0] in fields and path
+        ]
         name = close[0] if owners else name
     if owners:
         tables = " or ".join(f"[{'.'.join(path)}]" for path in owners)
         return f"unknown here; {name} belongs to {tables}"
-    return f"unknown; there {'is' if len(possible_names) == 1 else 'are'} {', '.join(sorted(set(possible_names))[:30])}"
+    return (
+        f"unknown; there {'is' if len(possible_names) == 1 else 'are'}"
+        f" {', '.join(sorted(set(possible_names))[:30])}"
+    )
 
 
-def _tables_of(model: type[BaseModel], path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], list[str]]]:
+def _tables_of(
+    model: type[BaseModel], path: tuple[str, ...]
+) -> Iterator[tuple[tuple[str, ...], list[str]]]:
     """All tables of a model, each with the names in it; those of an array stand where the array does."""
-    yield path, [name for name, field in model.model_fields.items() if not models_in(field.annotation)]
+    yield (
+        path,
+        [name for name, field in model.model_fields.items() if not models_in(field.annotation)],
+    )
     for name, field in model.model_fields.items():
         is_array = get_origin(field.annotation) in (tuple, list)
         for inner_model in models_in(field.annotation):

@@ -10,14 +10,18 @@ from numpy.typing import ArrayLike
 from planish.core.typing import Floats
 
 
-def layer_over(backing: ArrayLike, scattering: ArrayLike, absorption: ArrayLike, weight: ArrayLike) -> Floats:
+def layer_over(
+    backing: ArrayLike, scattering: ArrayLike, absorption: ArrayLike, weight: ArrayLike
+) -> Floats:
     """Reflectance of a layer over a backing; all arguments broadcast.
 
     ``R = [1 - Rg (a - b coth(b s W))] / [a - Rg + b coth(b s W)]`` with ``a = (s + k) / s`` and ``b^2 = a^2 - 1``,
     multiplied by ``tanh(b s W) / b``: nothing is divided by ``s``, ``k`` or ``W``, which may be 0, nor overflows in
     thick layers. Neither coefficient, s and k, is negative; the weight is finite, in units of one over theirs.
     """
-    below, s, k, w = (np.asarray(a, dtype=np.float64) for a in (backing, scattering, absorption, weight))
+    below, s, k, w = (
+        np.asarray(a, dtype=np.float64) for a in (backing, scattering, absorption, weight)
+    )
     rate = np.sqrt(k * (k + 2 * s))  # b s
     depth = rate * w
     thin = depth < 1e-8  # there tanh(x) / x is 1 to the last digit

@@ -17,13 +17,19 @@ def mad_sd(values: NDArray[np.floating[Any]], centre: float | None = None) -> fl
     finite = values[np.isfinite(values)]
     if finite.size == 0:
         return float("nan")
-    return MAD_TO_SD * float(np.median(np.abs(finite - (np.median(finite) if centre is None else centre))))
+    return MAD_TO_SD * float(
+        np.median(np.abs(finite - (np.median(finite) if centre is None else centre)))
+    )
 
 
 def percentiles(values: NDArray[np.floating[Any]], *percents: float) -> tuple[float, ...]:
     """Percentiles of the finite values; NaN where there is none."""
     finite = values[np.isfinite(values)]
-    return tuple(map(float, np.percentile(finite, percents))) if finite.size else (float("nan"),) * len(percents)
+    return (
+        tuple(map(float, np.percentile(finite, percents)))
+        if finite.size
+        else (float("nan"),) * len(percents)
+    )
 
 
 def otsu_borders(cum_count: Floats, cum_grey: Floats, classes: int) -> tuple[int, ...]:

@@ -13,7 +13,9 @@ PACKAGE = Path(__file__).resolve().parents[1]  # folder of the package
 def hash_sources(pattern: str = "*.py") -> str:
     """Give the first 16 hex digits of a hash of the package's files, their names and bytes."""
     digest = hashlib.sha256()
-    for name, path in sorted((path.relative_to(PACKAGE).as_posix(), path) for path in PACKAGE.rglob(pattern)):
+    for name, path in sorted(
+        (path.relative_to(PACKAGE).as_posix(), path) for path in PACKAGE.rglob(pattern)
+    ):
         content = path.read_bytes()
         digest.update(f"{name}\n{len(content)}\n".encode() + content)
     return digest.hexdigest()[:16]

@@ -60,7 +60,8 @@ def read_bytes(path: str | Path, *, what: str = "table", most_bytes: int = LARGE
         raise FileError(f"{file_path} cannot be read: {reason}. Check the path.") from error
     if len(content) > most_bytes:
         raise FileError(
-            f"{file_path.name} is larger than {most_bytes // 10**6} MB and no {what}. Check that it is the right file."
+            f"{file_path.name} is larger than {most_bytes // 10**6} MB and no {what}. Check that it"
+            " is the right file."
         )
     return content
 
@@ -73,13 +74,19 @@ def decode_text(data: bytes, name: str, *, what: str = "table") -> str:
     except UnicodeDecodeError as error:
         raise FileError(f"{name} is no text in UTF-8. Save the {what} as text in UTF-8.") from error
     if "\0" in text:
-        raise FileError(f"{name} holds binary data and is no {what}. Check that it is the right file.")
+        raise FileError(
+            f"{name} holds binary data and is no {what}. Check that it is the right file."
+        )
     return text
 
 
 def split_rows(text: str) -> Rows:
     """Rows of a text, whether the first of them is a header or not; cells without blanks at their ends."""
-    lines = [(line_number, line.strip()) for line_number, line in enumerate(text.splitlines(), 1) if line.strip()]
+    lines = [
+        (line_number, line.strip())
+        for line_number, line in enumerate(text.splitlines(), 1)
+        if line.strip()
+    ]
     comments = [line.lstrip("#").strip() for _, line in lines if line.startswith("#")]
     table_lines = [(line_number, line) for line_number, line in lines if not line.startswith("#")]
     delimiter = max(",;\t", key=table_lines[0][1].count) if table_lines else ","
@@ -164,22 +171,35 @@ def parse_table(
     header = [cell.lower() for cell in header_row.cells]
     faults: list[str] = []
     if missing := [column for column in needed if column not in header]:
-        faults.append(f"columns missing: {', '.join(missing)} (found {', '.join(header)[:120]}). {advice.rstrip('.')}")
+        faults.append(
+            f"columns missing: {', '.join(missing)} (found {', '.join(header)[:120]})."
+            f" {advice.rstrip('.')}"
+        )
     if duplicates := sorted({column for column in header if column and header.count(column) > 1}):
         faults.append(f"columns given twice: {', '.join(duplicates)}")
     faults += content.faults
     ragged_rows = [row for row in body_rows if len(row.cells) != len(header)]
-    faults += [f"row {row.line} has {len(row.cells)} columns, the header {len(header)}" for row in ragged_rows]
+    faults += [
+        f"row {row.line} has {len(row.cells)} columns, the header {len(header)}"
+        for row in ragged_rows
+    ]
     if content.delimiter == "," and any(len(row.cells) > len(header) for row in ragged_rows):
         faults[-1] += " (decimal commas need semicolons between the columns)"
     rows = [row for row in body_rows if len(row.cells) == len(header)]
     return CsvTable(
-        name=name, header=header, rows=rows, comments=content.comments, error=error,
-        decimal_comma=content.delimiter != ",", faults=faults,
-    )  # fmt: skip
+        name=name,
+        header=header,
+        rows=rows,
+        comments=content.comments,
+        error=error,
+        decimal_comma=content.delimiter != ",",
+        faults=faults,
+    )
 
 
-def raise_faults(name: str, faults: Sequence[str], remedy: str, *, error: type[PlanishError]) -> None:
+def raise_faults(
+    name: str, faults: Sequence[str], remedy: str, *, error: type[PlanishError]
+) -> None:
     """Raise all faults as one message; nothing where there is none."""
     if faults:
         remainder = f"; and {len(faults) - MOST_FAULTS} more" if len(faults) > MOST_FAULTS else ""
@@ -202,14 +222,23 @@ def model_faults(error: ValidationError, key_prefix: Sequence[str] = ()) -> list
     faults = error.errors(include_url=False, include_input=False, include_context=False)
     fault_keys = [".".join(map(str, (*key_prefix, *fault["loc"]))) for fault in faults]
     messages = [str(fault["msg"]).removeprefix("Value error, ") for fault in faults]
-    return [f"{key}: {message}" if key else message for key, message in zip(fault_keys, messages, strict=True)]
+    return [
+        f"{key}: {message}" if key else message
+        for key, message in zip(fault_keys, messages, strict=True)
+    ]
 
 
-def table_text(header: Sequence[str], rows: Iterable[Sequence[Any]], *, quote_all: bool = False) -> str:
+def table_text(
+    header: Sequence[str], rows: Iterable[Sequence[Any]], *, quote_all: bool = False
+) -> str:
     """Text of a table, lines ending with a line feed; floats are written so that they read back to the same number."""
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n", quoting=csv.QUOTE_ALL if quote_all else csv.QUOTE_MINIMAL)
+    writer = csv.writer(
+        text, lineterminator="\n", quoting=csv.QUOTE_ALL if quote_all else csv.QUOTE_MINIMAL
+    )
     if header:
         writer.writerow(header)
-    writer.writerows([repr(float(c)) if isinstance(c, (float, np.floating)) else c for c in row] for row in rows)
+    writer.writerows(
+        [repr(float(c)) if isinstance(c, (float, np.floating)) else c for c in row] for row in rows
+    )
     return text.getvalue()

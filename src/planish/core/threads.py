@@ -50,7 +50,9 @@ def thread_pool(number: int | None = None) -> Generator[Executor]:
         pool.shutdown(cancel_futures=True)
 
 
-def map_threads(work: Callable[..., T], *items: Iterable[Any], number: int | None = None) -> list[T]:
+def map_threads(
+    work: Callable[..., T], *items: Iterable[Any], number: int | None = None
+) -> list[T]:
     """Call ``work`` on every item and return what it gives, in order."""
     with thread_pool(number) as pool:
         return list(pool.map(work, *items))
@@ -76,23 +78,35 @@ def available() -> int:
     setting = os.environ.get("PYTHON_CPU_COUNT", "")
     if setting.isdigit() and int(setting) > 0:
         return int(setting)
-    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    count = (
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    )
     return max(1, min([count, *_quotas(Path("/proc/self/cgroup"), Path("/sys/fs/cgroup"))]))
 
 
-def control_groups(controller: str, membership_file: Path, groups_folder: Path) -> Iterator[tuple[Path, bool]]:
+def control_groups(
+    controller: str, membership_file: Path, groups_folder: Path
+) -> Iterator[tuple[Path, bool]]:
     """Folders of the control groups of the process, outwards (containers, batch systems); True for version 1."""
     try:
         lines = membership_file.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         return
-    for _, controllers, group_path in (line.split(":", 2) for line in lines if line.count(":") >= 2):
+    for _, controllers, group_path in (
+        line.split(":", 2) for line in lines if line.count(":") >= 2
+    ):
         if controllers and controller not in controllers.split(","):
             continue
         # Inside a container the path may be the one outside: the group's own files then lie at the top.
         folder = Path(group_path.lstrip("/"))
-        for root in (groups_folder / controller, groups_folder / controllers) if controllers else (groups_folder,):
-            yield from ((root / subfolder, bool(controllers)) for subfolder in (folder, *folder.parents))
+        for root in (
+            (groups_folder / controller, groups_folder / controllers)
+            if controllers
+            else (groups_folder,)
+        ):
+            yield from (
+                (root / subfolder, bool(controllers)) for subfolder in (folder, *folder.parents)
+            )
 
 
 def _quotas(membership_file: Path, groups_folder: Path) -> list[int]:
@@ -100,7 +114,9 @@ def _quotas(membership_file: Path, groups_folder: Path) -> list[int]:
     for folder, is_version_1 in control_groups("cpu", membership_file, groups_folder):
         file_names = ("cpu.cfs_quota_us", "cpu.cfs_period_us") if is_version_1 else ("cpu.max",)
         with suppress(OSError, ValueError):  # not there, or "max"
-            contents = [(folder / name).read_text(encoding="ascii", errors="replace") for name in file_names]
+            contents = [
+                (folder / name).read_text(encoding="ascii", errors="replace") for name in file_names
+            ]
             limit, period = map(int, " ".join(contents).split())
             if limit > 0 and period > 0:
                 quotas.append(-(-limit // period))
@@ -120,7 +136,11 @@ def _limited_libraries(count: int) -> Generator[None]:
         tiff.MAXWORKERS = tiff.MAXIOWORKERS = count
     config: Any = getattr(sys.modules.get("zarr"), "config", None)
     try:
-        with config.set({"threading.max_workers": count, "async.concurrency": count}) if config else nullcontext():
+        with (
+            config.set({"threading.max_workers": count, "async.concurrency": count})
+            if config
+            else nullcontext()
+        ):
             yield
     finally:
         for name, value in previous_values.items():

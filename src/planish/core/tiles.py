@@ -80,11 +80,13 @@ def tiles_of(shape: tuple[int, int], size: tuple[int, int]) -> list[Tile]:
 class Engine:
     """Threads, memory or cluster that tiles are worked on with; no result depends on it."""
 
-    threads: int | None = None  # local ones; as :func:`planish.core.threads.count_threads` says where not given
+    # Local ones; as :func:`planish.core.threads.count_threads` says where not given.
+    threads: int | None = None
     memory_bytes: int = 2**31  # what the tiles that are in memory at the same time may take
     executor: Executor | None = None  # another one than local threads, such as that of a cluster
     workers: int | None = None  # tiles that this executor works on at a time
-    folder: Path | None = None  # for the results of single tiles: what a run finds there it does not work out again
+    # For the results of single tiles: what a run finds there it does not work out again.
+    folder: Path | None = None
 
     @property
     def at_once(self) -> int:
@@ -92,7 +94,11 @@ class Engine:
         return count_threads(self.threads) if self.executor is None else self.workers or 1
 
     def map(
-        self, step: str, work: Callable[[Job, Tile], Result], job: Callable[[Tile], Job], tiles: Sequence[Tile]
+        self,
+        step: str,
+        work: Callable[[Job, Tile], Result],
+        job: Callable[[Tile], Job],
+        tiles: Sequence[Tile],
     ) -> Iterator[tuple[Tile, Result]]:
         """Give every tile and its result, in the order of ``tiles``; ``step`` names the results that are kept.
 
@@ -119,13 +125,25 @@ class Engine:
                 move(partial_path, result_path, over=True)
             return tile, result
 
-        with thread_pool(self.threads) if self.executor is None else nullcontext(self.executor) as pool:
+        with (
+            thread_pool(self.threads) if self.executor is None else nullcontext(self.executor)
+        ) as pool:
             try:
                 for tile in tiles:
                     path = self._result_path(step, tile)
                     is_stored = path is not None and path.is_file()
-                    waiting.append((tile, np.load(path) if path and is_stored else pool.submit(work, job(tile), tile)))
-                    if len(waiting) >= self.at_once + 2:  # Two wait for their turn, beside those that are worked on.
+                    waiting.append(
+                        (
+                            tile,
+                            (
+                                np.load(path)
+                                if path and is_stored
+                                else pool.submit(work, job(tile), tile)
+                            ),
+                        )
+                    )
+                    # Two wait for their turn, beside those that are worked on.
+                    if len(waiting) >= self.at_once + 2:
                         yield take()
                 while waiting:
                     yield take()
@@ -136,4 +154,8 @@ class Engine:
 
     def _result_path(self, step: str, tile: Tile) -> Path | None:
         # Named by what it covers: with another memory or number of threads the tiles are others.
-        return None if self.folder is None else self.folder / step / ("-".join(map(str, tile)) + ".npy")
+        return (
+            None
+            if self.folder is None
+            else self.folder / step / ("-".join(map(str, tile)) + ".npy")
+        )

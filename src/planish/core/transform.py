@@ -17,7 +17,8 @@ class Similarity:
     """A map ``p -> scale * R(rotation) * M * p + shift`` of points ``(x, y)`` in um."""
 
     scale: float = 1.0  # ratio of lengths, target over source; positive
-    rotation_rad: float = 0.0  # turns the x axis towards the y axis (clockwise on screen, where y runs down)
+    # Turns the x axis towards the y axis (clockwise on screen, where y runs down).
+    rotation_rad: float = 0.0
     shift_um: Pair = (0.0, 0.0)  # ``(x, y)`` of the image of the origin
     mirrored: bool = False  # whether the source's x axis is reversed first (``M = diag(-1, 1)``)
 
@@ -124,7 +125,9 @@ class Affine(NearSimilarity):
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Transform points of shape ``(..., 2)``, in um; NaN stays NaN."""
-        return (np.asarray(points, dtype=np.float64) - self.source) @ self.matrix().T + np.asarray(self.target)
+        return (np.asarray(points, dtype=np.float64) - self.source) @ self.matrix().T + np.asarray(
+            self.target
+        )
 
     def jacobian(self, points: ArrayLike) -> Floats:
         """Derivatives of the image at points ``(..., 2)``: ``(..., 2, 2)``."""
@@ -147,7 +150,9 @@ class Projective(NearSimilarity):
     the marks on either side, in um, and the sizes their rms distances from it.
     """
 
-    homography: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+    homography: tuple[
+        tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]
+    ]
     source: Pair
     target: Pair
     source_size: float
@@ -182,8 +187,11 @@ class Projective(NearSimilarity):
         inverse_matrix *= np.sign(inverse_matrix[2] @ (a / c, b / c, 1.0))
         return Projective(
             homography=tuple((float(r[0]), float(r[1]), float(r[2])) for r in inverse_matrix),  # pyright: ignore[reportArgumentType]
-            source=self.target, target=self.source, source_size=self.target_size, target_size=self.source_size,
-        )  # fmt: skip
+            source=self.target,
+            target=self.source,
+            source_size=self.target_size,
+            target_size=self.source_size,
+        )
 
 
 Transform = Similarity | NearSimilarity  # what every fitted transformation is

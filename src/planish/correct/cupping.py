@@ -9,7 +9,17 @@ import numpy as np
 
 from planish.core.typing import Bools, Floats, Pair
 from planish.correct.params import Cupping, Trend
-from planish.correct.sums import BASE, BRIGHT, COARSE, GREYS, MATERIALS, Counts, Levels, Sums, Turning
+from planish.correct.sums import (
+    BASE,
+    BRIGHT,
+    COARSE,
+    GREYS,
+    MATERIALS,
+    Counts,
+    Levels,
+    Sums,
+    Turning,
+)
 
 _LEAST_RADII = 8
 _CLEAR = 3.0  # standard errors
@@ -53,16 +63,24 @@ def find_cupping(
     voxel_counts = histograms.sum(axis=(0, 2, 3))
     radius_bins = np.flatnonzero(voxel_counts > 0.002 * max(int(voxel_counts.max()), 1))
     # The largest radius at which there is some sheet.
-    reach_um = float((radius_bins[-1] + 1) * turning.farthest_um / COARSE) if radius_bins.size >= _LEAST_RADII else 0.0
+    reach_um = (
+        float((radius_bins[-1] + 1) * turning.farthest_um / COARSE)
+        if radius_bins.size >= _LEAST_RADII
+        else 0.0
+    )
     radius_um = (np.arange(COARSE) + 0.5) * turning.farthest_um / COARSE
     # Mean height of the rings over the sheet's voxels at each radius of the histogram.
     sheet_counts = sums.count[:, :, BASE:].sum(axis=(0, 1, 2)).astype(np.float64)
     bin_radius_um = (np.arange(rings.size) + 0.5) * turning.step_um
-    coarse_bin = np.minimum((bin_radius_um / turning.farthest_um * COARSE).astype(np.int64), COARSE - 1)
+    coarse_bin = np.minimum(
+        (bin_radius_um / turning.farthest_um * COARSE).astype(np.int64), COARSE - 1
+    )
     weights = np.maximum(np.bincount(coarse_bin, sheet_counts, COARSE), 1.0)
     offset = np.bincount(coarse_bin, sheet_counts * rings, COARSE) / weights
     materials = (BASE, BRIGHT) if reach_um > 0 else ()
-    all_fits = {m: _fit_material(histograms, m, levels, radius_um / reach_um, offset) for m in materials}
+    all_fits = {
+        m: _fit_material(histograms, m, levels, radius_um / reach_um, offset) for m in materials
+    }
     fits = {m: fit for m, fit in all_fits.items() if fit is not None}
     trends = tuple(Trend(material=MATERIALS[m], before=f.percent, se=f.se) for m, f in fits.items())
     if not fits:
@@ -70,11 +88,28 @@ def find_cupping(
     shared, is_agreed = _join_materials([*fits.values()])
     losses = ", ".join(f"{t.material} {t.before:.1f} +- {t.se:.1f} %" for t in trends)
     if not is_agreed:
-        return None, trends, f"Cupping: base and coating contradict each other ({losses}), nothing was corrected."
+        return (
+            None,
+            trends,
+            f"Cupping: base and coating contradict each other ({losses}), nothing was corrected.",
+        )
     if abs(shared.percent) < max(_CLEAR * shared.se, _LOWEST):
-        return None, trends, f"Cupping: no trend against the radius beyond its error ({losses}), nothing was corrected."
-    cupping = Cupping(percent=shared.percent, se=shared.se, powers=(shared.coefficient,), reach_um=reach_um)
-    return cupping, trends, f"Cupping: {shared.percent:.1f} +- {shared.se:.1f} % in the middle corrected ({losses})."
+        return (
+            None,
+            trends,
+            (
+                f"Cupping: no trend against the radius beyond its error ({losses}), nothing was"
+                " corrected."
+            ),
+        )
+    cupping = Cupping(
+        percent=shared.percent, se=shared.se, powers=(shared.coefficient,), reach_um=reach_um
+    )
+    return (
+        cupping,
+        trends,
+        f"Cupping: {shared.percent:.1f} +- {shared.se:.1f} % in the middle corrected ({losses}).",
+    )
 
 
 def middle_factor(sums: Sums, turning: Turning, cupping: Cupping) -> float:
@@ -85,7 +120,9 @@ def middle_factor(sums: Sums, turning: Turning, cupping: Cupping) -> float:
     return float(np.sum(voxel_counts * factors) / max(voxel_counts.sum(), 1.0))
 
 
-def _fit_material(histograms: Counts, material: int, levels: Levels, share: Floats, offset: Floats) -> _Fit | None:
+def _fit_material(
+    histograms: Counts, material: int, levels: Levels, share: Floats, offset: Floats
+) -> _Fit | None:
     """Fit the factor of one material; None where there are too few of its voxels."""
     if material == BRIGHT and not np.isfinite(levels.middle):
         return None
@@ -95,7 +132,9 @@ def _fit_material(histograms: Counts, material: int, levels: Levels, share: Floa
     full_fit = _fit_coefficients(total_histogram, limits, share, offset)
     omitted_histograms = histograms if full_fit else ()
     jackknife_fits = [
-        fit for h in omitted_histograms if (fit := _fit_coefficients(total_histogram - h, limits, share, offset))
+        fit
+        for h in omitted_histograms
+        if (fit := _fit_coefficients(total_histogram - h, limits, share, offset))
     ]
     if full_fit is None or len(jackknife_fits) < 3:
         return None
@@ -106,7 +145,10 @@ def _fit_material(histograms: Counts, material: int, levels: Levels, share: Floa
     if np.count_nonzero(is_valid) >= 2:
         # A true cupping is the same at every depth; a coating that is thinner in the middle is not. Depths do not err
         # alike by chance only: what they scatter beyond the jackknife is an error of their mean.
-        losses, se = 100.0 * depth_coefficients[is_valid], 100.0 * _jackknife_errors(replicates[:, is_valid])
+        losses, se = (
+            100.0 * depth_coefficients[is_valid],
+            100.0 * _jackknife_errors(replicates[:, is_valid]),
+        )
         variance = np.maximum(se, 1e-3) ** 2
         w = 1.0 / variance
         mean_loss = float(np.sum(w * losses) / w.sum())
@@ -115,12 +157,16 @@ def _fit_material(histograms: Counts, material: int, levels: Levels, share: Floa
     return _Fit(coefficient, _loss_percent(coefficient), loss_se)
 
 
-def _fit_coefficients(histogram: Counts, limits: Pair, share: Floats, offset: Floats) -> tuple[float, Floats] | None:
+def _fit_coefficients(
+    histogram: Counts, limits: Pair, share: Floats, offset: Floats
+) -> tuple[float, Floats] | None:
     """Fit 1 + p share² to the grey, less ``offset``, of a material at each depth; give p, and p of each depth alone."""
     low, high = limits
     row_counts = histogram.reshape(-1, histogram.shape[-1]).astype(np.float64)
     row_sums = row_counts * (GREYS[:-1] + 0.5 * (GREYS[1] - GREYS[0]))
-    running_counts, running_sums = (np.pad(np.cumsum(r, axis=1), ((0, 0), (1, 0))) for r in (row_counts, row_sums))
+    running_counts, running_sums = (
+        np.pad(np.cumsum(r, axis=1), ((0, 0), (1, 0))) for r in (row_counts, row_sums)
+    )
     n_depths = histogram.shape[1]
     t, offset = np.repeat(np.minimum(share, 1.0) ** 2, n_depths), np.repeat(offset, n_depths)
     depth = np.tile(np.arange(n_depths), COARSE)
@@ -128,13 +174,23 @@ def _fit_coefficients(histogram: Counts, limits: Pair, share: Floats, offset: Fl
     border_grey = (low if np.isfinite(low) else high) * np.ones(len(row_counts))
     depth_counts = lower_counts = np.bincount(depth, running_counts[:, -1])
     if np.isfinite(border_grey[0]):
-        lower_counts = np.bincount(depth, _sum_between(running_counts, -np.inf * border_grey, border_grey))
-    is_mixed = np.minimum(lower_counts, depth_counts - lower_counts) > 0.05 * depth_counts  # share of one material
+        lower_counts = np.bincount(
+            depth, _sum_between(running_counts, -np.inf * border_grey, border_grey)
+        )
+    # Share of one material.
+    is_mixed = np.minimum(lower_counts, depth_counts - lower_counts) > 0.05 * depth_counts
     coefficient = 0.0
-    is_used, grey, n = np.zeros(len(row_counts), bool), np.zeros(len(row_counts)), np.zeros(len(row_counts))
+    is_used, grey, n = (
+        np.zeros(len(row_counts), bool),
+        np.zeros(len(row_counts)),
+        np.zeros(len(row_counts)),
+    )
     for _ in range(40):  # of sorting and fitting
         factors = 1.0 + coefficient * t
-        n, grey = (_sum_between(r, *(g * factors + offset for g in limits)) for r in (running_counts, running_sums))
+        n, grey = (
+            _sum_between(r, *(g * factors + offset for g in limits))
+            for r in (running_counts, running_sums)
+        )
         grey = grey / np.maximum(n, 1.0) - offset
         # A depth has to be there at many radii, or its level cannot be separated from the trend.
         is_used = (n > 0.02 * n.max()) & ~is_mixed[depth]
@@ -145,14 +201,20 @@ def _fit_coefficients(histogram: Counts, limits: Pair, share: Floats, offset: Fl
         level /= np.maximum(np.bincount(depth, np.where(is_used, n, 0.0), n_depths), 1.0)
         if level[depth[is_used]].min() <= 0:
             return None
-        step = _coefficient_step(level, depth[is_used], factors[is_used], t[is_used], grey[is_used], n[is_used])
+        step = _coefficient_step(
+            level, depth[is_used], factors[is_used], t[is_used], grey[is_used], n[is_used]
+        )
         coefficient = min(max(coefficient + step, -0.5), 1.0)
         if abs(step) < 1e-5:
             break
-    return coefficient, np.array([_depth_coefficient(t, grey, n, is_used & (depth == d)) for d in range(n_depths)])
+    return coefficient, np.array(
+        [_depth_coefficient(t, grey, n, is_used & (depth == d)) for d in range(n_depths)]
+    )
 
 
-def _coefficient_step(level: Floats, depth: Counts, factors: Floats, t: Floats, grey: Floats, n: Floats) -> float:
+def _coefficient_step(
+    level: Floats, depth: Counts, factors: Floats, t: Floats, grey: Floats, n: Floats
+) -> float:
     # grey = (level + its change) (factor + change of the coefficient t), to first order. A second power costs more in
     # noise than a beam hardened by a sheet of paper has.
     design = np.zeros((grey.size, level.size + 1))
@@ -189,7 +251,8 @@ def _join_materials(fits: list[_Fit]) -> tuple[_Fit, bool]:
     if not other_fits or other_fits[0].se > 3.0 * max(surest_fit.se, 0.3):
         return surest_fit, True
     a, b = fits
-    if abs(a.percent - b.percent) <= 3.0 * float(np.hypot(a.se, b.se)):  # standard errors by which they may differ
+    # Standard errors by which they may differ.
+    if abs(a.percent - b.percent) <= 3.0 * float(np.hypot(a.se, b.se)):
         w = 1.0 / np.maximum([a.se, b.se], 1e-3) ** 2
         coefficient = float((w[0] * a.coefficient + w[1] * b.coefficient) / w.sum())
         return _Fit(coefficient, _loss_percent(coefficient), float(1.0 / np.sqrt(w.sum()))), True

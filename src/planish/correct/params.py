@@ -13,24 +13,35 @@ class CorrectParams(Params):
     """Which artefacts are corrected, and around which axis the specimen was turned."""
 
     rings: bool = option(
-        False, cli="--correct-rings", help="Micro-CT: correct rings around the axis of rotation that exceed the noise."
+        False,
+        cli="--correct-rings",
+        help="Micro-CT: correct rings around the axis of rotation that exceed the noise.",
     )
     cupping: bool = option(
         False,
         cli="--correct-cupping",
-        help="Micro-CT: correct the loss of the sheet's grey towards the centre, which beam hardening causes.",
+        help=(
+            "Micro-CT: correct the loss of the sheet's grey towards the centre, which beam"
+            " hardening causes."
+        ),
     )
     axis: Axis = option(
         "z",
         cli="--rotation-axis",
-        help="Axis of rotation of the scan; z is the axis along which the slices of a file are stacked.",
+        help=(
+            "Axis of rotation of the scan; z is the axis along which the slices of a file are"
+            " stacked."
+        ),
     )
     centre_um: tuple[float, float] | None = option(
         None,
         cli="--rotation-centre-um",
         metavar="A,B",
-        help="Position of the axis of rotation along the two other axes, in the order z, y, x, in um from the first "
-        "voxel; the middle of the field where not given. Needed for a cropped volume.",
+        help=(
+            "Position of the axis of rotation along the two other axes, in the order z, y, x, in um"
+            " from the first voxel; the middle of the field where not given. Needed for a cropped"
+            " volume."
+        ),
     )
 
     @property
@@ -47,9 +58,14 @@ class RingArtefact(ResultModel):
     height: float = Field(description="In grey; negative where the ring is darker.")
     share: float = Field(description="The height as a share of the sheet's contrast to air.")
     share_se: float = Field(description="Standard error of the share.")
-    share_after: float = Field(default=float("nan"), description="What is left at this radius after the correction.")
+    share_after: float = Field(
+        default=float("nan"), description="What is left at this radius after the correction."
+    )
     least: float = Field(
-        default=1.0, description="Least factor on the height along the axis; 1 where it does not vary beyond its noise."
+        default=1.0,
+        description=(
+            "Least factor on the height along the axis; 1 where it does not vary beyond its noise."
+        ),
     )
     most: float = Field(default=1.0, description="Largest such factor.")
 
@@ -59,7 +75,9 @@ class Trend(ResultModel):
 
     material: str = Field(description="``base`` or ``coating``.")
     before: float = Field(
-        description="In per cent of the material's grey above air; positive where the middle is fainter."
+        description=(
+            "In per cent of the material's grey above air; positive where the middle is fainter."
+        )
     )
     se: float = Field(description="Standard error of one of them.")
     after: float | None = optional("The same after the correction.")
@@ -70,28 +88,41 @@ class Cupping(ResultModel):
 
     percent: float = Field(description="Loss in the middle against the sheet's largest radius.")
     se: float = Field(description="Standard error of that.")
-    powers: tuple[float, ...] = Field(description="One factor, on (radius / reach)², relative to the middle.")
-    reach_um: float = Field(description="Largest radius at which there is sheet; beyond it the factor stays.")
+    powers: tuple[float, ...] = Field(
+        description="One factor, on (radius / reach)², relative to the middle."
+    )
+    reach_um: float = Field(
+        description="Largest radius at which there is sheet; beyond it the factor stays."
+    )
 
 
 class CorrectionRecord(ResultModel):
     """What was found, and what was changed."""
 
     axis: Axis = Field(description="Axis of rotation.")
-    centre_um: tuple[float, float] = Field(description="Where it stands along the two other axes, in array order.")
+    centre_um: tuple[float, float] = Field(
+        description="Where it stands along the two other axes, in array order."
+    )
     asked: tuple[str, ...] = Field(description="``rings``, ``cupping``.")
     air: float | None = optional("Grey of the air; None where no sheet stands out.")
     sheet: float | None = optional("Grey of the sheet; None where none stands out.")
     rings: tuple[RingArtefact, ...] = Field(default=(), description="Those that were corrected.")
     ring_limit: float | None = optional(
-        "Median over the radii of the height that would have been found, as a share of the contrast."
+        "Median over the radii of the height that would have been found, as a share of the"
+        " contrast."
     )
     cupping: Cupping | None = optional("None where nothing was corrected.")
-    trends: tuple[Trend, ...] = Field(default=(), description="Of each material against the radius, before and after.")
-    clipped: float = Field(default=0.0, description="Share of voxels that left the range of their type.")
+    trends: tuple[Trend, ...] = Field(
+        default=(), description="Of each material against the radius, before and after."
+    )
+    clipped: float = Field(
+        default=0.0, description="Share of voxels that left the range of their type."
+    )
     slices: int = Field(default=0, description="Slices looked at.")
     length: int = Field(default=0, description="Slices there are.")
-    sentences: tuple[str, ...] = Field(default=(), description="What was done or not done, and why.")
+    sentences: tuple[str, ...] = Field(
+        default=(), description="What was done or not done, and why."
+    )
 
     @property
     def changes(self) -> bool:

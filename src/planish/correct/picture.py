@@ -39,7 +39,10 @@ def write_picture(corrected: Corrected, before: xr.DataArray, path: Path) -> Non
     FileError
         If the file cannot be written, or no sheet was found, so that there is nothing to draw.
     """
-    record, sums = corrected.record, [s for s in (corrected.before, corrected.after) if s is not None]
+    record, sums = (
+        corrected.record,
+        [s for s in (corrected.before, corrected.after) if s is not None],
+    )
     if not sums or record.air is None or record.sheet is None:
         raise FileError(f"{path} was not drawn: no sheet stands out from the air.")
     turning, air, contrast = corrected.turning, record.air, record.sheet - record.air
@@ -52,21 +55,41 @@ def write_picture(corrected: Corrected, before: xr.DataArray, path: Path) -> Non
     with style.context("default"), style.context(_STYLE):
         figure = Figure(figsize=(_WIDTH, total), dpi=_DPI, facecolor="white")
         FigureCanvasAgg(figure)
-        _draw_profiles(_add_axes(figure, total, 0.75, 0.35, _WIDTH - 1.1, 2.35), corrected, sums, air, contrast)
-        titles = (f"Slice {turning.shape[0] // 2} across {turning.axis}, before", "after", "before minus after")
+        _draw_profiles(
+            _add_axes(figure, total, 0.75, 0.35, _WIDTH - 1.1, 2.35), corrected, sums, air, contrast
+        )
+        titles = (
+            f"Slice {turning.shape[0] // 2} across {turning.axis}, before",
+            "after",
+            "before minus after",
+        )
         for k, (title, picture) in enumerate(zip(titles, pictures, strict=True)):
-            corner_in = (0.15 + k * (width + 0.25), 3.55) if tall else (0.75, 3.5 + k * (height + 0.4))
+            corner_in = (
+                (0.15 + k * (width + 0.25), 3.55) if tall else (0.75, 3.5 + k * (height + 0.4))
+            )
             axes = _add_axes(figure, total, *corner_in, width, height)
             if k == 2:
                 # NaN, where the pictures share no voxel, is not the larger one.
                 limit = max(0.005 * contrast, *percentiles(np.abs(picture), 99.8))
-                title += f": blue to red is -{limit:.3g} to {limit:.3g}, {100 * limit / contrast:.1f} % of the contrast"
+                title += (
+                    f": blue to red is -{limit:.3g} to {limit:.3g}, {100 * limit / contrast:.1f} %"
+                    " of the contrast"
+                )
                 _draw_slice(axes, picture, title, cols, "RdBu_r", (-limit, limit))
             else:
-                _draw_slice(axes, picture, title, cols, "gray", (air - 0.25 * contrast, record.sheet + 0.35 * contrast))
+                _draw_slice(
+                    axes,
+                    picture,
+                    title,
+                    cols,
+                    "gray",
+                    (air - 0.25 * contrast, record.sheet + 0.35 * contrast),
+                )
         pixel_buffer = io.BytesIO()
         figure.savefig(pixel_buffer, format="rgba")
-    image = Image.frombytes("RGBA", figure.canvas.get_width_height(), pixel_buffer.getvalue()).convert("RGB")
+    image = Image.frombytes(
+        "RGBA", figure.canvas.get_width_height(), pixel_buffer.getvalue()
+    ).convert("RGB")
     try:
         image.save(path, format="PNG", optimize=True)
     except OSError as error:
@@ -75,23 +98,36 @@ def write_picture(corrected: Corrected, before: xr.DataArray, path: Path) -> Non
         ) from error
 
 
-def _add_axes(figure: Figure, figure_height: float, x: float, y: float, width: float, height: float) -> Axes:
-    return figure.add_axes((x / _WIDTH, 1 - (y + height) / figure_height, width / _WIDTH, height / figure_height))
+def _add_axes(
+    figure: Figure, figure_height: float, x: float, y: float, width: float, height: float
+) -> Axes:
+    return figure.add_axes(
+        (x / _WIDTH, 1 - (y + height) / figure_height, width / _WIDTH, height / figure_height)
+    )
 
 
-def _middle_slices(after: xr.DataArray, before: xr.DataArray, turning: Turning) -> tuple[Floats, Floats, Floats]:
+def _middle_slices(
+    after: xr.DataArray, before: xr.DataArray, turning: Turning
+) -> tuple[Floats, Floats, Floats]:
     """Middle slice across the axis, before, after and their difference, at most so fine as the figure."""
     slice_index = {turning.axis: turning.shape[0] // 2}
-    planes = [np.asarray(v.isel(slice_index).transpose(*turning.plane).values, np.float64) for v in (before, after)]
+    planes = [
+        np.asarray(v.isel(slice_index).transpose(*turning.plane).values, np.float64)
+        for v in (before, after)
+    ]
     step = max(1.0, max(planes[0].shape) / 1200)
     a, b = (area_mean(v, (step, step)) if step > 1 else v for v in planes)
     return a, b, a - b
 
 
-def _draw_profiles(axes: Axes, corrected: Corrected, stage_sums: list[Sums], air: float, contrast: float) -> None:
+def _draw_profiles(
+    axes: Axes, corrected: Corrected, stage_sums: list[Sums], air: float, contrast: float
+) -> None:
     record, turning = corrected.record, corrected.turning
     radius = (np.arange(turning.bins) + 0.5) * turning.step_um
-    for stage, (colour, stage_name) in zip(stage_sums, ((_BEFORE, "before"), (_AFTER, "after")), strict=False):
+    for stage, (colour, stage_name) in zip(
+        stage_sums, ((_BEFORE, "before"), (_AFTER, "after")), strict=False
+    ):
         # Mean grey (material, bin) above air, as if every depth were as frequent at every radius; NaN for few voxels.
         voxel_counts, grey_sums = stage.count.sum(axis=(0, 1)), stage.total.sum(axis=(0, 1))
         material_level = stage.level[:, 1] / np.maximum(stage.level[:, 0], 1)
@@ -103,7 +139,9 @@ def _draw_profiles(axes: Axes, corrected: Corrected, stage_sums: list[Sums], air
             if valid_bins.size and stage_name == "before":
                 line_end = (radius[valid_bins[-1]], grey[valid_bins[-1]])
                 text_style: dict[str, Any] = {"va": "center", "color": _INK, "fontsize": 8}
-                axes.annotate(MATERIALS[m], line_end, xytext=(4, 0), textcoords="offset points", **text_style)
+                axes.annotate(
+                    MATERIALS[m], line_end, xytext=(4, 0), textcoords="offset points", **text_style
+                )
     for ring in record.rings:
         axes.axvline(ring.radius_um, color="#999999", lw=0.6, ls=":", zorder=0)
     axes.set_xlabel(f"Radius about {turning.axis} in um (dotted: rings corrected)")
@@ -114,16 +152,33 @@ def _draw_profiles(axes: Axes, corrected: Corrected, stage_sums: list[Sums], air
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _draw_slice(axes: Axes, picture: Floats, title: str, width_um: float, colour_map: str, grey_limits: Pair) -> None:
-    axes.imshow(picture, colour_map, interpolation="nearest", aspect="auto", vmin=grey_limits[0], vmax=grey_limits[1])
+def _draw_slice(
+    axes: Axes, picture: Floats, title: str, width_um: float, colour_map: str, grey_limits: Pair
+) -> None:
+    axes.imshow(
+        picture,
+        colour_map,
+        interpolation="nearest",
+        aspect="auto",
+        vmin=grey_limits[0],
+        vmax=grey_limits[1],
+    )
     axes.set_title(title, loc="left", fontsize=8, color=_INK, pad=3)
     axes.set_xticks([])
     axes.set_yticks([])
     length_um = round_step(0.2 * width_um)
     x, y = (0.02, 0.02 + length_um / width_um), (0.06, 0.06)
     for colour, line_width in (("white", 4.5), (_INK, 2.5)):
-        axes.plot(x, y, color=colour, lw=line_width, transform=axes.transAxes, solid_capstyle="butt")
+        axes.plot(
+            x, y, color=colour, lw=line_width, transform=axes.transAxes, solid_capstyle="butt"
+        )
     axes.text(
-        0.02, 0.11, f"{length_um:g} um", transform=axes.transAxes, fontsize=8, va="bottom", color=_INK,
+        0.02,
+        0.11,
+        f"{length_um:g} um",
+        transform=axes.transAxes,
+        fontsize=8,
+        va="bottom",
+        color=_INK,
         bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0, "alpha": 0.8},
-    )  # fmt: skip
+    )

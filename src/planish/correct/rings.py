@@ -36,7 +36,11 @@ class RingFit(NamedTuple):
     def limit(self) -> float:
         """Median of the heights that would have been found, as a share of the contrast."""
         is_valid = np.isfinite(self.error)
-        return float(np.median(np.maximum(_CLEAR * self.error[is_valid], _LOWEST))) if is_valid.any() else float("nan")
+        return (
+            float(np.median(np.maximum(_CLEAR * self.error[is_valid], _LOWEST)))
+            if is_valid.any()
+            else float("nan")
+        )
 
     @property
     def mean(self) -> Floats:
@@ -45,8 +49,16 @@ class RingFit(NamedTuple):
 
     def tables(self, blocks: Floats, slice_numbers: NDArray[np.intp]) -> Floats:
         """Height (slice, bin) as a share of the contrast; between the middles of blocks it varies linearly."""
-        factors = np.stack([np.interp(slice_numbers, blocks, f) for f in self.factors]) if len(self.factors) else None
-        return np.zeros((slice_numbers.size, self.profile.size)) if factors is None else factors.T @ self.shapes
+        factors = (
+            np.stack([np.interp(slice_numbers, blocks, f) for f in self.factors])
+            if len(self.factors)
+            else None
+        )
+        return (
+            np.zeros((slice_numbers.size, self.profile.size))
+            if factors is None
+            else factors.T @ self.shapes
+        )
 
 
 def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:
@@ -57,7 +69,8 @@ def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:
     residual = weight = np.zeros((0, 0, 0, bins))
     profile = error = heights
     intervals: list[slice] = []
-    for share in (0.5, 0.2, 0.1, 0.0):  # of the highest ring: what is lower waits for the next round
+    # Of the highest ring: what is lower waits for the next round.
+    for share in (0.5, 0.2, 0.1, 0.0):
         residual, weight = _residuals(sums, heights)
         profile, error = _robust_mean(residual, weight)
         profile[:_INNERMOST] = error[:_INNERMOST] = np.nan
@@ -68,8 +81,12 @@ def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:
     shapes: list[Floats] = []
     factors: list[Floats] = []
     rings: list[RingArtefact] = []
-    blocks = [_robust_mean(r, w) for r, w in zip(residual, weight, strict=True)] if intervals else []
-    materials = [_robust_mean(residual[:, :, m], weight[:, :, m]) for m in range(3)] if intervals else []
+    blocks = (
+        [_robust_mean(r, w) for r, w in zip(residual, weight, strict=True)] if intervals else []
+    )
+    materials = (
+        [_robust_mean(residual[:, :, m], weight[:, :, m]) for m in range(3)] if intervals else []
+    )
     for ring_bins in intervals:
         ring = profile[ring_bins]
         material_factors = [_height_factor(ring, p[ring_bins], e[ring_bins]) for p, e in materials]
@@ -87,7 +104,9 @@ def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:
         rings.append(
             RingArtefact(
                 radius_um=(crest + 0.5) * turning.step_um,
-                width_um=float(np.count_nonzero(np.abs(ring) >= 0.5 * abs(height)) * turning.step_um),
+                width_um=float(
+                    np.count_nonzero(np.abs(ring) >= 0.5 * abs(height)) * turning.step_um
+                ),
                 height=height * contrast,
                 share=height,
                 share_se=float(error[crest]),
@@ -110,7 +129,9 @@ def remaining_rings(before: RingFit, after: RingFit) -> tuple[RingArtefact, ...]
     for ring, shape in zip(before.rings, before.shapes, strict=True):
         is_ring = (shape != 0) & np.isfinite(after.profile)
         norm = float(np.sum(shape[is_ring] ** 2))
-        factor = float(np.sum(shape[is_ring] * after.profile[is_ring])) / norm if norm else float("nan")
+        factor = (
+            float(np.sum(shape[is_ring] * after.profile[is_ring])) / norm if norm else float("nan")
+        )
         remaining.append(ring.model_copy(update={"share_after": ring.share * factor}))
     return tuple(remaining)
 
@@ -129,14 +150,19 @@ def _residuals(sums: Sums, rings: Floats) -> tuple[Floats, Floats]:
         span = slice(valid_bins[0], valid_bins[-1] + 1)
         mean_grey = np.interp(np.arange(span.start, span.stop), valid_bins, mean[cell][valid_bins])
         ring_free = mean_grey - rings[span]
-        trend = ndimage.uniform_filter1d(ndimage.median_filter(ring_free, _WINDOW, mode="nearest"), _AFTERWARDS)
+        trend = ndimage.uniform_filter1d(
+            ndimage.median_filter(ring_free, _WINDOW, mode="nearest"), _AFTERWARDS
+        )
         residual[cell][span] = np.where(is_measured[cell][span], mean_grey - trend, np.nan)
     weight = np.zeros(mean.shape)
     for m in range(mean.shape[2]):
         is_valid = np.isfinite(residual[:, :, m])
         if is_valid.any():
             # Per voxel, as its mean really scatters: the texture of fibres makes neighbours alike.
-            variance = float(np.median(residual[:, :, m][is_valid] ** 2 * count[:, :, m][is_valid])) / _CHI2
+            variance = (
+                float(np.median(residual[:, :, m][is_valid] ** 2 * count[:, :, m][is_valid]))
+                / _CHI2
+            )
             weight[:, :, m] = np.where(is_valid, count[:, :, m], 0.0) / max(variance, 1e-6)
     return np.nan_to_num(residual), weight
 
@@ -146,16 +172,25 @@ def _robust_mean(residual: Floats, weight: Floats) -> tuple[Floats, Floats]:
     residual, weight = (a.reshape(-1, a.shape[-1]) for a in (residual, weight))
     weight_sum = weight.sum(axis=0)
     # Parts of circles that have to agree, counted by their weight.
-    n_parts = np.divide(weight_sum**2, np.sum(weight**2, axis=0), out=np.zeros_like(weight_sum), where=weight_sum > 0)
+    n_parts = np.divide(
+        weight_sum**2,
+        np.sum(weight**2, axis=0),
+        out=np.zeros_like(weight_sum),
+        where=weight_sum > 0,
+    )
     has_enough = n_parts >= min(4.0, 0.6 * len(weight))
     mean = _weighted_median(residual, weight)
     robust_weight = weight
     for _ in range(5):
         scaled_residual = np.abs(residual - mean) * np.sqrt(weight)
         # The scatter of the parts, but no less than that of their voxels.
-        scale = np.maximum(_weighted_median(scaled_residual, (weight > 0).astype(np.float64)) / np.sqrt(_CHI2), 1.0)
+        scale = np.maximum(
+            _weighted_median(scaled_residual, (weight > 0).astype(np.float64)) / np.sqrt(_CHI2), 1.0
+        )
         robust_weight = weight * np.minimum(1.0, 2.0 * scale / np.maximum(scaled_residual, 1e-12))
-        mean = np.sum(robust_weight * residual, axis=0) / np.maximum(robust_weight.sum(axis=0), 1e-12)
+        mean = np.sum(robust_weight * residual, axis=0) / np.maximum(
+            robust_weight.sum(axis=0), 1e-12
+        )
     weight_sum = np.maximum(robust_weight.sum(axis=0), 1e-12)
     scatter = np.sqrt(np.sum((robust_weight * (residual - mean)) ** 2, axis=0)) / weight_sum
     error = np.maximum(scatter, 1.0 / np.sqrt(weight_sum))
@@ -170,7 +205,9 @@ def _weighted_median(values: Floats, weight: Floats) -> Floats:
     order = np.argsort(values, axis=0, kind="stable")
     running_weight = np.cumsum(np.take_along_axis(weight, order, axis=0), axis=0)
     median_index = np.argmax(running_weight >= 0.5 * running_weight[-1], axis=0)
-    return np.take_along_axis(np.take_along_axis(values, order, axis=0), median_index[None], axis=0)[0]
+    return np.take_along_axis(
+        np.take_along_axis(values, order, axis=0), median_index[None], axis=0
+    )[0]
 
 
 def _intervals(profile: Floats, error: Floats, share: float) -> list[slice]:
@@ -178,7 +215,9 @@ def _intervals(profile: Floats, error: Floats, share: float) -> list[slice]:
     height = np.nan_to_num(profile)
     clarity = np.where(np.isfinite(error), np.abs(height) / np.nan_to_num(error, nan=1.0), 0.0)
     # What fills one bin only is no ring: its neighbours have to show it too.
-    ratio = ndimage.uniform_filter1d(np.where(clarity > 0, height, 0.0), 3) / np.where(clarity > 0, height, 1.0)
+    ratio = ndimage.uniform_filter1d(np.where(clarity > 0, height, 0.0), 3) / np.where(
+        clarity > 0, height, 1.0
+    )
     clarity = np.minimum(clarity, ratio * clarity * np.sqrt(3.0))
     clear = (clarity > _CLEAR) & (np.abs(height) > _LOWEST)
     highest = float(np.abs(height[clear]).max(initial=0.0))
@@ -199,18 +238,26 @@ def _height_factor(shape: Floats, profile: Floats, error: Floats) -> tuple[float
     is_valid = np.isfinite(profile) & np.isfinite(error)
     w = shape[is_valid] / error[is_valid] ** 2
     precision = float(np.sum(w * shape[is_valid]))
-    return (float(np.sum(w * profile[is_valid])) / precision, precision) if is_valid.any() else (1.0, 0.0)
+    return (
+        (float(np.sum(w * profile[is_valid])) / precision, precision)
+        if is_valid.any()
+        else (1.0, 0.0)
+    )
 
 
 def _block_factors(shape: Floats, block_profiles: list[tuple[Floats, Floats]]) -> Floats:
     """Factor on a ring's height in each block; 1 everywhere where the blocks differ by no more than their errors."""
     factor, precision = np.array([_height_factor(shape, *block) for block in block_profiles]).T
-    variance = np.divide(1.0, precision, out=np.full(len(block_profiles), np.inf), where=precision > 0)
+    variance = np.divide(
+        1.0, precision, out=np.full(len(block_profiles), np.inf), where=precision > 0
+    )
     is_valid = np.isfinite(variance)
     n = int(np.count_nonzero(is_valid))
     squared_excess = (factor[is_valid] - 1.0) ** 2
     if n < 2 or float(np.sum(squared_excess / variance[is_valid])) < n + 4.0 * np.sqrt(2.0 * n):
         return np.ones(len(block_profiles))
     between_variance = max(float(np.mean(squared_excess - variance[is_valid])), 0.0)
-    shrinkage = np.where(is_valid, between_variance / (between_variance + np.where(is_valid, variance, 1.0)), 0.0)
+    shrinkage = np.where(
+        is_valid, between_variance / (between_variance + np.where(is_valid, variance, 1.0)), 0.0
+    )
     return 1.0 + shrinkage * (factor - 1.0)

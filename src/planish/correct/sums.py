@@ -41,7 +41,9 @@ class Levels(NamedTuple):
 def smoothed(plane: NDArray[Any]) -> NDArray[np.float32]:
     """Smooth a slice; what is not finite counts as 0 and has to be masked."""
     # Then a single voxel shows its material in spite of the noise.
-    return ndimage.gaussian_filter(np.nan_to_num(plane.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0), 1.5)
+    return ndimage.gaussian_filter(
+        np.nan_to_num(plane.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0), 1.5
+    )
 
 
 def missing(plane: NDArray[Any], padding: float) -> Bools:
@@ -54,7 +56,9 @@ def missing(plane: NDArray[Any], padding: float) -> Bools:
 
 def find_levels(slices: list[NDArray[Any]], radius: Floats) -> Levels | None:
     """Find the greys in some slices; None where no sheet stands out from the air."""
-    lowest = min((float(np.nanmin(s)) for s in slices if np.isfinite(s).any()), default=float("nan"))
+    lowest = min(
+        (float(np.nanmin(s)) for s in slices if np.isfinite(s).any()), default=float("nan")
+    )
     padding = _padding(slices, lowest, radius)
     levels = _estimate_levels(np.concatenate([smoothed(s)[~missing(s, padding)] for s in slices]))
     if levels is None:
@@ -99,7 +103,9 @@ def _estimate_levels(greys: NDArray[np.float32]) -> Levels | None:
     dark_greys, sheet_greys = greys[greys <= split], greys[greys > split]
     dark_median = float(np.median(dark_greys))  # The mean of what lies near the median.
     air_reach = max(3 * MAD_TO_SD * float(np.median(np.abs(dark_greys - dark_median))), 1e-6)
-    air = float(np.mean(dark_greys[np.abs(dark_greys - dark_median) <= air_reach], dtype=np.float64))
+    air = float(
+        np.mean(dark_greys[np.abs(dark_greys - dark_median) <= air_reach], dtype=np.float64)
+    )
     base_greys, bright_greys = sheet_greys[sheet_greys <= middle], sheet_greys[sheet_greys > middle]
     if not bright_greys.size or not base_greys.size:
         return None
@@ -108,11 +114,14 @@ def _estimate_levels(greys: NDArray[np.float32]) -> Levels | None:
     if bright_level - base_level < 0.25 * (base_level - air):
         middle, base_level = np.inf, float(np.median(sheet_greys))
         bright_level = base_level
-    if bright_level - air < max(6.0 * mad_sd(dark_greys, air), 1e-9):  # scatters of the smoothed air
+    # Scatters of the smoothed air.
+    if bright_level - air < max(6.0 * mad_sd(dark_greys, air), 1e-9):
         return None
     # The lower border lies half way: a border between classes is drawn towards the wider one.
     split = 0.5 * (air + base_level)
-    return Levels(air=air, sheet=bright_level, split=split, middle=middle, padding=np.nan, air_cut=False)
+    return Levels(
+        air=air, sheet=bright_level, split=split, middle=middle, padding=np.nan, air_cut=False
+    )
 
 
 SECTORS = 16  # parts of a turn: a ring shows in all of them, a structure of the sheet does not
@@ -166,31 +175,40 @@ class Turning(NamedTuple):
         return r[:, None], c[None, :]
 
 
-def make_turning(volume: xr.DataArray, axis: Axis, centre_um: tuple[float, float] | None) -> Turning:
+def make_turning(
+    volume: xr.DataArray, axis: Axis, centre_um: tuple[float, float] | None
+) -> Turning:
     """Place the axis of rotation; in the middle of the field where ``centre_um`` is None."""
     if "voxel_um" not in volume.attrs:
-        raise SizeError("The volume has no voxel size ('voxel_um'). Read it with read_volume, which asks for one.")
+        raise SizeError(
+            "The volume has no voxel size ('voxel_um'). Read it with read_volume, which asks for"
+            " one."
+        )
     size = dict(zip("zyx", map(float, volume.attrs["voxel_um"]), strict=True))
     frame = Frame(through=axis)
     a, b = frame.rows, frame.cols
     shape, pitch = (volume.sizes[axis], volume.sizes[a], volume.sizes[b]), (size[a], size[b])
     if shape[0] < _LEAST_LENGTH:
         raise VolumeError(
-            f"The volume has {shape[0]} voxel(s) along {axis}, the axis of rotation; at least {_LEAST_LENGTH} are "
-            "needed to separate a ring from the sheet. Give the whole stack, or another axis with --rotation-axis."
+            f"The volume has {shape[0]} voxel(s) along {axis}, the axis of rotation; at least"
+            f" {_LEAST_LENGTH} are needed to separate a ring from the sheet. Give the whole stack,"
+            " or another axis with --rotation-axis."
         )
     if min(shape[1:]) < _LEAST_PLANE:
         raise VolumeError(
-            f"The volume has {shape[1]} x {shape[2]} voxels along {a} and {b}, across the axis of rotation; at least "
-            f"{_LEAST_PLANE} are needed. Give the whole stack, or another --rotation-axis."
+            f"The volume has {shape[1]} x {shape[2]} voxels along {a} and {b}, across the axis of"
+            f" rotation; at least {_LEAST_PLANE} are needed. Give the whole stack, or another"
+            " --rotation-axis."
         )
     extent_um = ((shape[1] - 1) * pitch[0], (shape[2] - 1) * pitch[1])
     centre = (0.5 * extent_um[0], 0.5 * extent_um[1]) if centre_um is None else centre_um
     for name, position_um, end_um in zip((a, b), centre, extent_um, strict=True):
-        if not -0.5 * end_um <= position_um <= 1.5 * end_um:  # An axis further outside is taken for a mistake.
+        # An axis further outside is taken for a mistake.
+        if not -0.5 * end_um <= position_um <= 1.5 * end_um:
             raise InputError(
-                f"The axis of rotation would stand at {name} = {position_um:g} um; the field runs from 0 to {end_um:g} "
-                f"um. Give --rotation-centre-um as {a},{b} in um from the first voxel."
+                f"The axis of rotation would stand at {name} = {position_um:g} um; the field runs"
+                f" from 0 to {end_um:g} um. Give --rotation-centre-um as {a},{b} in um from the"
+                " first voxel."
             )
     return Turning(axis=axis, centre_um=centre, pitch_um=pitch, shape=shape)
 
@@ -229,10 +247,16 @@ def slices_of(
 ) -> Iterator[tuple[int, Slice]]:
     """Give (number, slice across the axis) in order; every so many where the volume is large."""
     length, rows, cols = turning.shape
-    stride = max(1, -(-length * rows * cols // _MOST)) if max_slices is None else max(1, length // max_slices)
+    stride = (
+        max(1, -(-length * rows * cols // _MOST))
+        if max_slices is None
+        else max(1, length // max_slices)
+    )
     numbers = range(stride // 2, length, stride)
     # A slab is in memory, and the one after it while that is read.
-    slab_length = max(1, min(int(memory_bytes / (3 * rows * cols * volume.dtype.itemsize)), len(numbers)))
+    slab_length = max(
+        1, min(int(memory_bytes / (3 * rows * cols * volume.dtype.itemsize)), len(numbers))
+    )
     for start in range(0, len(numbers), slab_length):
         slab_numbers = numbers[start : start + slab_length]
         span = slice(slab_numbers[0], slab_numbers[-1] + 1, stride)
@@ -241,14 +265,18 @@ def slices_of(
             yield number, np.ascontiguousarray(plane)
 
 
-def take_sums(slices: Iterator[tuple[int, Slice]], turning: Turning, levels: Levels, *, threads: int) -> Sums:
+def take_sums(
+    slices: Iterator[tuple[int, Slice]], turning: Turning, levels: Levels, *, threads: int
+) -> Sums:
     """Add up all slices."""
     length = turning.shape[0]
     blocks = int(np.clip(length // _LEAST_BLOCK, 1, _BLOCKS))
     offsets_um = turning.offsets_um(*(np.arange(n) for n in turning.shape[1:]))
     radius = np.hypot(*offsets_um)
     # Parts of the turn begin at the axes of the array.
-    sectors = np.minimum((np.arctan2(*offsets_um) / (2 * np.pi) % 1.0 * SECTORS).astype(np.int64), SECTORS - 1)
+    sectors = np.minimum(
+        (np.arctan2(*offsets_um) / (2 * np.pi) % 1.0 * SECTORS).astype(np.int64), SECTORS - 1
+    )
     radius_bins = (radius / turning.step_um).astype(np.int64)
     coarse_bins = np.minimum((radius / turning.farthest_um * COARSE).astype(np.int64), COARSE - 1)
     quarters = sectors * QUARTERS // SECTORS
@@ -278,7 +306,13 @@ def take_sums(slices: Iterator[tuple[int, Slice]], turning: Turning, levels: Lev
 
 
 def _add_to_rings(
-    sums: Sums, block: int, grey: Counts, label: Labels, depth: Counts, radius_bins: Counts, sectors: Counts
+    sums: Sums,
+    block: int,
+    grey: Counts,
+    label: Labels,
+    depth: Counts,
+    radius_bins: Counts,
+    sectors: Counts,
 ) -> None:
     # Near the axis a circle runs along the layers of a sheet. A layer is as bright as it is everywhere at its depth,
     # and so leaves nothing; a ring does. Sums of whole numbers are exact in double precision.
@@ -286,25 +320,33 @@ def _add_to_rings(
     greys, material = grey[is_classified], label[is_classified].astype(np.int64) - 1
     n_depths = _DEEPEST + 1
     layer, n_layers = material * n_depths + depth[is_classified], len(MATERIALS) * n_depths
-    layer_counts, layer_sums = np.bincount(layer, minlength=n_layers), np.bincount(layer, greys, n_layers)
+    layer_counts, layer_sums = (
+        np.bincount(layer, minlength=n_layers),
+        np.bincount(layer, greys, n_layers),
+    )
     sums.level[:, 0] += layer_counts.reshape(-1, n_depths).sum(axis=1)
     sums.level[:, 1] += layer_sums.reshape(-1, n_depths).sum(axis=1).astype(np.int64)
     has_enough = layer_counts[layer] >= 32  # voxels of a material at one depth, for its mean grey
     layer_mean = np.rint(layer_sums / np.maximum(layer_counts, 1)).astype(np.int64)
     shape, size = sums.count[block].shape, sums.count[block].size
-    cells = np.ravel_multi_index((sectors[is_classified], material, radius_bins[is_classified]), shape)[has_enough]
+    cells = np.ravel_multi_index(
+        (sectors[is_classified], material, radius_bins[is_classified]), shape
+    )[has_enough]
     sums.count[block] += np.bincount(cells, minlength=size).reshape(shape)
     cell_sums = np.bincount(cells, (greys - layer_mean[layer])[has_enough], size)
     sums.total[block] += cell_sums.astype(np.int64).reshape(shape)
 
 
-def _classify(numbered_slice: tuple[int, Slice], levels: Levels) -> tuple[int, Counts, Labels, Counts]:
+def _classify(
+    numbered_slice: tuple[int, Slice], levels: Levels
+) -> tuple[int, Counts, Labels, Counts]:
     """Number, grey above air in whole numbers, material of each voxel well inside one, and its depth below the face."""
     # The material comes from the smoothed slice, with wide limits: a ring of some per cent does not choose its voxels.
     number, plane = numbered_slice
     smoothed_plane, is_missing = smoothed(plane), missing(plane, levels.padding)
     is_solid = (smoothed_plane > levels.split) & ~is_missing
-    is_air = (np.abs(smoothed_plane - levels.air) < 0.15 * levels.contrast) & ~is_missing  # by so much it may be off
+    # By so much it may be off.
+    is_air = (np.abs(smoothed_plane - levels.air) < 0.15 * levels.contrast) & ~is_missing
     depth = np.zeros(plane.shape, np.int64)
     label = np.zeros(plane.shape, np.uint8)
     for mask in (is_solid,) if levels.air_cut else (is_solid, is_air):
@@ -315,6 +357,8 @@ def _classify(numbered_slice: tuple[int, Slice], levels: Levels) -> tuple[int, C
         depth[is_inside] = np.minimum(distance[is_inside], _DEEPEST)
         solid_label = np.where(smoothed_plane[is_inside] > levels.middle, 1 + BRIGHT, 1 + BASE)
         label[is_inside] = 1 + AIR if mask is is_air else solid_label
-    contrast_share = (np.nan_to_num(plane.astype(np.float64), posinf=0.0, neginf=0.0) - levels.air) / levels.contrast
+    contrast_share = (
+        np.nan_to_num(plane.astype(np.float64), posinf=0.0, neginf=0.0) - levels.air
+    ) / levels.contrast
     grey = np.rint(np.clip(contrast_share, GREYS[0], GREYS[-1]) * UNIT).astype(np.int64)
     return number, grey, label, depth

@@ -17,7 +17,16 @@ from planish.core.typing import Floats
 from planish.correct.cupping import factor, find_cupping, middle_factor
 from planish.correct.params import CorrectionRecord, CorrectParams, Cupping
 from planish.correct.rings import RingFit, find_rings, remaining_rings
-from planish.correct.sums import Levels, Slice, Sums, Turning, find_levels, make_turning, slices_of, take_sums
+from planish.correct.sums import (
+    Levels,
+    Slice,
+    Sums,
+    Turning,
+    find_levels,
+    make_turning,
+    slices_of,
+    take_sums,
+)
 
 Progress = Callable[[str, str], None]
 
@@ -36,24 +45,38 @@ class Change(NamedTuple):
     mean_factor: float
 
     def apply(
-        self, values: NDArray[Any], along: NDArray[np.intp], rows: NDArray[np.intp], cols: NDArray[np.intp]
+        self,
+        values: NDArray[Any],
+        along: NDArray[np.intp],
+        rows: NDArray[np.intp],
+        cols: NDArray[np.intp],
     ) -> tuple[NDArray[Any], int]:
         """Correct a block (along, rows, cols) with its places in the array; return it and how many were clipped."""
         radius = np.hypot(*self.turning.offsets_um(rows, cols))
         cupping_factor = np.ones(radius.shape)
         if self.cupping is not None:
-            cupping_factor = factor(self.cupping.powers, radius / self.cupping.reach_um) / self.mean_factor
+            cupping_factor = (
+                factor(self.cupping.powers, radius / self.cupping.reach_um) / self.mean_factor
+            )
         last = self.turning.bins - 1
         bin_position = np.clip(radius / self.turning.step_um - 0.5, 0.0, last)
         lower_bin = np.minimum(bin_position.astype(np.intp), last - 1)
         weight = bin_position - lower_bin
-        tables = None if self.rings is None else self.levels.contrast * self.rings.tables(self.blocks, along)
+        tables = (
+            None
+            if self.rings is None
+            else self.levels.contrast * self.rings.tables(self.blocks, along)
+        )
         is_integer, air = values.dtype.kind in "ui", self.levels.air
         limits = np.iinfo(values.dtype) if is_integer else np.finfo(values.dtype)
         out, clipped = np.empty_like(values), 0
         for k, plane in enumerate(values):
             grey = plane.astype(np.float64)
-            ring = 0.0 if tables is None else tables[k, lower_bin] * (1.0 - weight) + tables[k, lower_bin + 1] * weight
+            ring = (
+                0.0
+                if tables is None
+                else tables[k, lower_bin] * (1.0 - weight) + tables[k, lower_bin + 1] * weight
+            )
             corrected = air + (grey - ring - air) / cupping_factor
             corrected = np.rint(corrected) if is_integer else corrected
             limited = np.clip(corrected, float(limits.min), float(limits.max))
@@ -125,18 +148,25 @@ def correct_volume(
     grey stays; it says nothing about which radius shows the true grey.
     """
     if not params.asked:
-        raise InputError("Neither rings nor cupping is asked for. Give --correct-rings, --correct-cupping or both.")
+        raise InputError(
+            "Neither rings nor cupping is asked for. Give --correct-rings, --correct-cupping or"
+            " both."
+        )
     if volume.attrs.get("sections") is not None:
         raise InputError(
-            "The volume was made from photographs of sections, which have neither rings nor cupping. Leave out "
-            "--correct-rings and --correct-cupping."
+            "The volume was made from photographs of sections, which have neither rings nor"
+            " cupping. Leave out --correct-rings and --correct-cupping."
         )
     turning = make_turning(volume, params.axis, params.centre_um)
     length, (rows, cols) = turning.shape[0], (np.arange(n) for n in turning.shape[1:])
-    record = CorrectionRecord(axis=params.axis, centre_um=turning.centre_um, asked=params.asked, length=length)
+    record = CorrectionRecord(
+        axis=params.axis, centre_um=turning.centre_um, asked=params.asked, length=length
+    )
     slices = partial(slices_of, volume, turning, memory_bytes=memory_bytes)
     # A first look at some slices.
-    levels = find_levels([values for _, values in slices(max_slices=24)], np.hypot(*turning.offsets_um(rows, cols)))
+    levels = find_levels(
+        [values for _, values in slices(max_slices=24)], np.hypot(*turning.offsets_um(rows, cols))
+    )
     if levels is None:
         sentences = ("No sheet stands out from the air: nothing was corrected.",)
         record = record.model_copy(update={"sentences": sentences})
@@ -153,7 +183,9 @@ def correct_volume(
     if not record.changes:
         trends = tuple(t.model_copy(update={"after": t.before}) for t in record.trends)
         record = record.model_copy(update={"trends": trends})
-        return Corrected(volume=_with_record(volume, record), record=record, turning=turning, before=before)
+        return Corrected(
+            volume=_with_record(volume, record), record=record, turning=turning, before=before
+        )
     clipped = [0, 0]
 
     def changed() -> Iterator[tuple[int, Slice]]:
@@ -165,15 +197,23 @@ def correct_volume(
 
     after = sums(changed(), "what is left")
     rings_after = find_rings(after, turning, levels.contrast)
-    losses_after = {t.material: t.before for t in find_cupping(after, turning, levels, rings_after.mean)[1]}
+    losses_after = {
+        t.material: t.before for t in find_cupping(after, turning, levels, rings_after.mean)[1]
+    }
     changes = {
         "rings": () if change.rings is None else remaining_rings(change.rings, rings_after),
-        "trends": tuple(t.model_copy(update={"after": losses_after.get(t.material)}) for t in record.trends),
+        "trends": tuple(
+            t.model_copy(update={"after": losses_after.get(t.material)}) for t in record.trends
+        ),
         "clipped": clipped[0] / clipped[1],
     }
     record = record.model_copy(update=changes)
-    corrected = _with_record(computed(volume, partial(_read_corrected, volume.variable, change)), record)
-    return Corrected(volume=corrected, record=record, turning=turning, before=before, after=after, change=change)
+    corrected = _with_record(
+        computed(volume, partial(_read_corrected, volume.variable, change)), record
+    )
+    return Corrected(
+        volume=corrected, record=record, turning=turning, before=before, after=after, change=change
+    )
 
 
 def _with_record(volume: xr.DataArray, record: CorrectionRecord) -> xr.DataArray:
@@ -188,17 +228,27 @@ def _find_change(
     cupping, trends, cupping_text = find_cupping(sums_before, turning, levels, ring_fit.mean)
     if "rings" in record.asked:
         record = record.model_copy(update={"rings": ring_fit.rings, "ring_limit": ring_fit.limit})
-        limit_text = f"one of {100 * ring_fit.limit:.1f} % of the sheet's contrast would have been found"
+        limit_text = (
+            f"one of {100 * ring_fit.limit:.1f} % of the sheet's contrast would have been found"
+        )
         sentence = f"Rings: no rings above noise ({limit_text}), nothing was corrected."
         if ring_fit.rings:
             highest_percent = 100 * max(abs(r.share) for r in ring_fit.rings)
-            sentence = f"Rings: {len(ring_fit.rings)} corrected, the highest {highest_percent:.1f} % of the contrast."
+            sentence = (
+                f"Rings: {len(ring_fit.rings)} corrected, the highest {highest_percent:.1f} % of"
+                " the contrast."
+            )
         sentences.append(sentence)
     if "cupping" in record.asked:
         sentences.append(cupping_text)
     else:
         cupping = None
-    found = {"slices": sums_before.slices, "cupping": cupping, "trends": trends, "sentences": tuple(sentences)}
+    found = {
+        "slices": sums_before.slices,
+        "cupping": cupping,
+        "trends": trends,
+        "sentences": tuple(sentences),
+    }
     record = record.model_copy(update=found)
     change = Change(
         turning=turning,

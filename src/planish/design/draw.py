@@ -25,7 +25,34 @@ from planish.design.rules import Rule
 INK, SOFT, FAINT, ACCENT, GROUND = "#22292f", "#66707a", "#c9ced3", "#b3402a", "#eef4f8"
 BURNT = "#e8c9b8"
 ASIDE = 226.0  # where the right column begins
-_SCALES = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.75, 1, 1.5, 2, 2.5, 3, 4, 5, 6, 7, 8, 10, 12, 15, 20, 25, 30, 40, 50)
+_SCALES = (
+    0.1,
+    0.15,
+    0.2,
+    0.25,
+    0.3,
+    0.4,
+    0.5,
+    0.75,
+    1,
+    1.5,
+    2,
+    2.5,
+    3,
+    4,
+    5,
+    6,
+    7,
+    8,
+    10,
+    12,
+    15,
+    20,
+    25,
+    30,
+    40,
+    50,
+)
 _STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 8,
@@ -52,8 +79,12 @@ class Page:
 
     width, height = 297.0, 210.0
 
-    def __init__(self, title: str, subtitle: str, low_um: Point, size_um: Point, *, note: str = "") -> None:
-        self.figure = Figure(figsize=(self.width / 25.4, self.height / 25.4), dpi=150, facecolor="white")
+    def __init__(
+        self, title: str, subtitle: str, low_um: Point, size_um: Point, *, note: str = ""
+    ) -> None:
+        self.figure = Figure(
+            figsize=(self.width / 25.4, self.height / 25.4), dpi=150, facecolor="white"
+        )
         self.text(12, 13, title, fontsize=14, fontweight="bold")
         self.text(12, 19.5, subtitle, color=SOFT, fontsize=9)
         room_mm, plan_size = np.array([180.0, 148.0]), np.asarray(size_um)
@@ -68,10 +99,17 @@ class Page:
         self.figure.add_artist(Line2D([line_x, line_x], [0.05, 0.85], color=FAINT, lw=0.6))
         self.bottom = 38.0
 
-    def add_plan(self, x_mm: float, y_mm: float, low_um: Point, size_um: Point, scale: float) -> Axes:
+    def add_plan(
+        self, x_mm: float, y_mm: float, low_um: Point, size_um: Point, scale: float
+    ) -> Axes:
         """Add bare axes in um that show ``size_um`` from ``low_um`` on, magnified ``scale`` times."""
         width_mm, height_mm = (scale * side / 1000 for side in size_um)
-        box = (x_mm / self.width, 1 - (y_mm + height_mm) / self.height, width_mm / self.width, height_mm / self.height)
+        box = (
+            x_mm / self.width,
+            1 - (y_mm + height_mm) / self.height,
+            width_mm / self.width,
+            height_mm / self.height,
+        )
         (x, y), (width_um, height_um) = low_um, size_um
         axes = self.figure.add_axes(box, xlim=(x, x + width_um), ylim=(y, y + height_um))
         axes.set_axis_off()
@@ -81,7 +119,9 @@ class Page:
         """Write, from the base line on."""
         self.figure.text(x_mm / self.width, 1 - y_mm / self.height, text, va="baseline", **options)
 
-    def aside(self, title: str, rows: Sequence[tuple[str, str]] = (), notes: Sequence[str] = ()) -> None:
+    def aside(
+        self, title: str, rows: Sequence[tuple[str, str]] = (), notes: Sequence[str] = ()
+    ) -> None:
         """Write names with their values, and notes, under a title; the next part of the column stands below."""
         self.text(ASIDE, self.bottom, title, fontweight="bold", fontsize=9)
         self.bottom += 6
@@ -98,7 +138,14 @@ class Page:
         """Draw a round length of at most ``max_mm`` millimetres of paper."""
         length_mm = round_step(max_mm / scale)
         axes = self.add_plan(x_mm, y_mm, (0, 0), (1000 * length_mm, 1000 / scale), scale)
-        axes.plot([0, 1000 * length_mm], [500 / scale] * 2, color=INK, lw=2, solid_capstyle="butt", clip_on=False)
+        axes.plot(
+            [0, 1000 * length_mm],
+            [500 / scale] * 2,
+            color=INK,
+            lw=2,
+            solid_capstyle="butt",
+            clip_on=False,
+        )
         self.text(x_mm + length_mm * scale + 2, y_mm + 1.4, f"{length_mm:g} mm", fontsize=8)
 
 
@@ -106,19 +153,29 @@ def encode(pages: Sequence[Page], kind: str, title: str = "", *, dpi: float = 15
     """Render a page as ``svg`` or ``png``, or pages as one ``pdf``."""
     buffer = io.BytesIO()
     if kind == "pdf":
-        metadata = {"Title": title, "Creator": "planish", "Producer": "planish", "CreationDate": None}
+        metadata = {
+            "Title": title,
+            "Creator": "planish",
+            "Producer": "planish",
+            "CreationDate": None,
+        }
         with PdfPages(buffer, metadata=metadata) as pdf:
             for page in pages:
                 pdf.savefig(page.figure)
     else:
-        metadata = {"Date": None, "Creator": "planish"} if kind == "svg" else {"Software": "planish"}
+        metadata = (
+            {"Date": None, "Creator": "planish"} if kind == "svg" else {"Software": "planish"}
+        )
         pages[0].figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
     return buffer.getvalue()
 
 
 def drawing_page(pattern: Pattern) -> Page:
     """Draw a pattern as the laser sees it, y up: magnified with its pitches and numbers, and in its true size."""
-    subtitle = f"{len(pattern.holes)} holes around a field of {_size(pattern.field_um)} mm; as the laser sees it"
+    subtitle = (
+        f"{len(pattern.holes)} holes around a field of {_size(pattern.field_um)} mm; as the laser"
+        " sees it"
+    )
     view, (x, y) = pattern.view_um, pattern.origin_um
     page = Page(f"Laser holes: {pattern.name}", subtitle, (x, y), view, note="; pitches in mm")
     axes, mm = page.plan, 1000 / page.scale  # um of the sheet for one mm of paper
@@ -126,7 +183,14 @@ def drawing_page(pattern: Pattern) -> Page:
     _box(axes, (x, y), view, edgecolor=SOFT, ls=(0, (5, 3)))
     field_low, corner = pattern.field_low_um, pattern.frame_low_um
     field_text = f"field {_size(pattern.field_um)} mm\nno hole reaches into it"
-    _write(axes, field_low + np.array(pattern.field_um) / 2, field_text, color=SOFT, fontsize=9, linespacing=1.6)
+    _write(
+        axes,
+        field_low + np.array(pattern.field_um) / 2,
+        field_text,
+        color=SOFT,
+        fontsize=9,
+        linespacing=1.6,
+    )
     _numbers(axes, pattern.points_um, pattern.labels, pattern.frame_low_um, pattern.frame_um)
     for dx, dy, name in ((1, 0, "x"), (0, 1, "y")):
         arrow_end = (x + 11 * mm * dx, y + 11 * mm * dy)
@@ -136,10 +200,15 @@ def drawing_page(pattern: Pattern) -> Page:
         _pitches(axes, pattern, 4.2 * mm + pattern.border_um)
         axes.plot(*corner[:, None], "o", ms=7, mfc="none", mec=ACCENT, mew=0.9, clip_on=False)
         axes.annotate(
-            "no hole in this corner:\nit shows the orientation", (corner[0], corner[1]),
-            (field_low[0] + 13 * mm, field_low[1] + 13 * mm), color=ACCENT, fontsize=7.5, ha="left", va="bottom",
+            "no hole in this corner:\nit shows the orientation",
+            (corner[0], corner[1]),
+            (field_low[0] + 13 * mm, field_low[1] + 13 * mm),
+            color=ACCENT,
+            fontsize=7.5,
+            ha="left",
+            va="bottom",
             arrowprops={"arrowstyle": "-", "color": ACCENT, "lw": 0.6, "shrinkB": 5},
-        )  # fmt: skip
+        )
     rows = [
         ("layout", f"{pattern.layout}, seed {pattern.seed}"),
         ("hole", f"{pattern.diameter_um:g} µm"),
@@ -150,7 +219,11 @@ def drawing_page(pattern: Pattern) -> Page:
         ("least spacing", f"{pattern.spacing_um:g} µm"),
         ("to be imaged", f"{_size(view)} mm"),
     ]
-    page.aside("To burn", rows, ("dashed: what both instruments", "have to image; dark: the hole;", "brown: its rim"))
+    page.aside(
+        "To burn",
+        rows,
+        ("dashed: what both instruments", "have to image; dark: the hole;", "brown: its rim"),
+    )
     if view[0] <= 62_000 and view[1] <= 95_000:
         page.aside("True size (print without fitting)")
         _holes(page.add_plan(ASIDE, page.bottom - 12, (x, y), view, 1.0), pattern, FAINT)
@@ -158,9 +231,14 @@ def drawing_page(pattern: Pattern) -> Page:
     return page
 
 
-def error_page(pattern: Pattern, predicted: Predicted, imaging: ImagingParams, rules: Sequence[Rule]) -> Page:
+def error_page(
+    pattern: Pattern, predicted: Predicted, imaging: ImagingParams, rules: Sequence[Rule]
+) -> Page:
     """Draw the predicted error over the field, with its numbers and the rules."""
-    subtitle = "rms distance between a point of one map and the same point of the other, by the marks alone; similarity"
+    subtitle = (
+        "rms distance between a point of one map and the same point of the other, by the marks"
+        " alone; similarity"
+    )
     page = Page("Predicted error of the registration", subtitle, pattern.origin_um, pattern.view_um)
     _error_map(page, pattern, predicted)
     _box(page.plan, pattern.field_low_um, pattern.field_um, edgecolor=SOFT)
@@ -168,14 +246,30 @@ def error_page(pattern: Pattern, predicted: Predicted, imaging: ImagingParams, r
     page.plan.plot(*pattern.points_um.T, "o", ms=3.5, mfc="white", mec=INK, mew=0.8, clip_on=False)
     field_points = predicted.field_um
     worst = field_points[1 + int(np.argmax(predicted.at(field_points[1:])))]
-    text_box = {"boxstyle": "round,pad=0.3", "facecolor": "white", "edgecolor": "none", "alpha": 0.9}
-    marked_points = ((field_points[0], predicted.centre_um, "middle"), (worst, predicted.corner_um, "worst corner"))
+    text_box = {
+        "boxstyle": "round,pad=0.3",
+        "facecolor": "white",
+        "edgecolor": "none",
+        "alpha": 0.9,
+    }
+    marked_points = (
+        (field_points[0], predicted.centre_um, "middle"),
+        (worst, predicted.corner_um, "worst corner"),
+    )
     for point, error_um, name in marked_points:
         page.plan.plot(*point[:, None], "+", ms=9, mew=1.4, color=ACCENT, clip_on=False)
         x, y = np.sign(field_points[0] - point)
         alignment = ("center", "left", "right")[int(x)]
         error_text = f"{name}: {error_um:.2f} µm"
-        _write(page.plan, point, error_text, (10 * x, 12 * (y or -1)), ha=alignment, fontsize=8.5, bbox=text_box)
+        _write(
+            page.plan,
+            point,
+            error_text,
+            (10 * x, 12 * (y or -1)),
+            ha=alignment,
+            fontsize=8.5,
+            bbox=text_box,
+        )
     rows = [
         ("one hole", f"{predicted.fle_um:.2f} µm rms"),
         ("holes N", f"{len(predicted.holes_um)}"),
@@ -190,7 +284,10 @@ def error_page(pattern: Pattern, predicted: Predicted, imaging: ImagingParams, r
     page.aside("Error", rows, ("error² = hole² / N · (1 + r² / f²),", "r from the holes' centroid"))
     rows.clear()
     for rule in rules:
-        sign_text, decimals = "≥" if rule.sense == "at least" else "≤", 0 if rule.unit in ("um", "holes") else 2
+        sign_text, decimals = (
+            "≥" if rule.sense == "at least" else "≤",
+            0 if rule.unit in ("um", "holes") else 2,
+        )
         value_text = f"{rule.value:.{decimals}f} {rule.unit.replace('um', 'µm')}".strip()
         rows.append((rule.name, f"{value_text}  {sign_text} {rule.limit:.4g}"))
     page.aside("Rules", rows)
@@ -219,7 +316,9 @@ def _error_map(page: Page, pattern: Pattern, predicted: Predicted) -> None:
     contours = axes.contour(x_um, y_um, error_um, levels=levels, colors="white", linewidths=0.6)
     axes.clabel(contours, fmt="%.2f", fontsize=7)
     plan_box = axes.get_position()
-    bar_axes = page.figure.add_axes((plan_box.x1 + 4 / page.width, plan_box.y0, 3.5 / page.width, plan_box.height))
+    bar_axes = page.figure.add_axes(
+        (plan_box.x1 + 4 / page.width, plan_box.y0, 3.5 / page.width, plan_box.height)
+    )
     colour_bar = page.figure.colorbar(image, cax=bar_axes)
     colour_bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
     colour_bar.ax.set_title("µm", fontsize=8)
@@ -247,9 +346,14 @@ def path_page(run: DryRun, *, title: str = "Path of the stage") -> Page:
     pulse_texts = sorted({f"{1000 * pulse_s:g}" for pulse_s in run.pulse_s})
     x_range, y_range = (f"{um.min() / 1000:g} to {um.max() / 1000:g} mm" for um in path_um.T)
     rows = [
-        ("shots", str(len(shots_um))), ("pulse", f"{', '.join(pulse_texts[:3])} ms"), ("laser off", f"≥ {pause_text}"),
-        ("path", f"{run.length_um / 1000:.1f} mm"), ("time", f"{run.time_s:.1f} s"), ("x", x_range), ("y", y_range),
-    ]  # fmt: skip
+        ("shots", str(len(shots_um))),
+        ("pulse", f"{', '.join(pulse_texts[:3])} ms"),
+        ("laser off", f"≥ {pause_text}"),
+        ("path", f"{run.length_um / 1000:.1f} mm"),
+        ("time", f"{run.time_s:.1f} s"),
+        ("x", x_range),
+        ("y", y_range),
+    ]
     page.aside("Dry run", rows, ("time without acceleration",))
     return page
 
@@ -258,7 +362,11 @@ def _holes(axes: Axes, pattern: Pattern, edge: str) -> None:
     _box(axes, pattern.field_low_um, pattern.field_um, fill=True, facecolor=GROUND, edgecolor=edge)
     for place in pattern.points_um:
         for radius, colour in ((pattern.burnt_um, BURNT), (0.5 * pattern.diameter_um, INK)):
-            axes.add_patch(Circle((place[0], place[1]), radius, facecolor=colour, edgecolor="none", clip_on=False))
+            axes.add_patch(
+                Circle(
+                    (place[0], place[1]), radius, facecolor=colour, edgecolor="none", clip_on=False
+                )
+            )
 
 
 def _numbers(axes: Axes, points: Floats, labels: Sequence[str], low: Floats, size: Floats) -> None:
@@ -278,21 +386,40 @@ def _pitches(axes: Axes, pattern: Pattern, distance: float) -> None:
         text_level = side_level + (distance if is_far else -distance)
         for a, b in pairwise(positions):
             middle = ((a + b) / 2, text_level) if axis == 0 else (text_level, (a + b) / 2)
-            _write(axes, middle, f"{(b - a) / 1000:.2f}", fontsize=6, color=SOFT, rotation=90 * axis)
+            _write(
+                axes, middle, f"{(b - a) / 1000:.2f}", fontsize=6, color=SOFT, rotation=90 * axis
+            )
 
 
 def _write(axes: Axes, place: Point, text: str, offset_pt: Point = (0, 0), **options: Any) -> None:
-    annotation: dict[str, Any] = {"ha": "center", "va": "center", "annotation_clip": False, **options}
-    axes.annotate(text, (place[0], place[1]), (offset_pt[0], offset_pt[1]), textcoords="offset points", **annotation)
+    annotation: dict[str, Any] = {
+        "ha": "center",
+        "va": "center",
+        "annotation_clip": False,
+        **options,
+    }
+    axes.annotate(
+        text,
+        (place[0], place[1]),
+        (offset_pt[0], offset_pt[1]),
+        textcoords="offset points",
+        **annotation,
+    )
 
 
 def _arrow(axes: Axes, start: Point, end: Point, **options: Any) -> None:
     arrow_style = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 0, "mutation_scale": 8, **options}
-    axes.annotate("", (end[0], end[1]), (start[0], start[1]), annotation_clip=False, arrowprops=arrow_style)
+    axes.annotate(
+        "", (end[0], end[1]), (start[0], start[1]), annotation_clip=False, arrowprops=arrow_style
+    )
 
 
 def _box(axes: Axes, low: Point, size: Point, **options: Any) -> None:
-    axes.add_patch(Rectangle((low[0], low[1]), *size, **{"fill": False, "clip_on": False, "lw": 0.5, **options}))
+    axes.add_patch(
+        Rectangle(
+            (low[0], low[1]), *size, **{"fill": False, "clip_on": False, "lw": 0.5, **options}
+        )
+    )
 
 
 def _size(size_um: Point) -> str:
@@ -333,7 +460,10 @@ def write_design(
     stage, imaging = stage or StageParams(), imaging or ImagingParams()
     program = stage_program(pattern, stage)
     # The pulse that is asked for here is meant; a program from elsewhere is held to the usual length.
-    run, predicted = dry_run(program, stage, pulse_s=max(0.05, pattern.pulse_s)), predict(pattern, imaging)
+    run, predicted = (
+        dry_run(program, stage, pulse_s=max(0.05, pattern.pulse_s)),
+        predict(pattern, imaging),
+    )
     files: dict[str, bytes] = {
         "pattern.json": pattern.to_json().encode(),
         "holes.csv": holes_csv(pattern).encode(),
@@ -342,7 +472,11 @@ def write_design(
         "program.gcode": program.encode("ascii"),
     }
     with house_style():
-        pages = [drawing_page(pattern), error_page(pattern, predicted, imaging, rules), path_page(run)]
+        pages = [
+            drawing_page(pattern),
+            error_page(pattern, predicted, imaging, rules),
+            path_page(run),
+        ]
         files["drawing.svg"] = encode(pages, "svg")
         for name, page in zip(("drawing", "predicted_error", "path"), pages, strict=True):
             files[f"{name}.png"] = encode([page], "png", dpi=72 if name == "drawing" else 150)

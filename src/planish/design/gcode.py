@@ -23,7 +23,9 @@ def stage_program(pattern: Pattern, stage: StageParams | None = None) -> str:
     """Write the program that burns a pattern, on a short path from the stage's origin and back to it."""
     stage = stage or StageParams()
     is_m3 = stage.pulse_code == "m3"
-    on, off, codes_text = ("M3", "M5", "M3 and M5") if is_m3 else ("M64 P0", "M65 P0", "M64 P0, M65 P0")
+    on, off, codes_text = (
+        ("M3", "M5", "M3 and M5") if is_m3 else ("M64 P0", "M65 P0", "M64 P0, M65 P0")
+    )
     if stage.power is not None:
         on = f"M3 S{_plain(stage.power, 3)}"
     points, origin = pattern.points_um, pattern.origin_um
@@ -34,12 +36,20 @@ def stage_program(pattern: Pattern, stage: StageParams | None = None) -> str:
         f"; planish stage program, {ascii_only(pattern.name)}",
         f"; {len(points)} holes, layout {pattern.layout}, seed {pattern.seed}",
         "; positions in mm, absolute, x to the right and y up as the laser sees the sheet",
-        f"; origin {home_move.removeprefix('G0 ')}, lower left corner of what is used: {view_text} mm",
+        (
+            f"; origin {home_move.removeprefix('G0 ')}, lower left corner of what is used:"
+            f" {view_text} mm"
+        ),
         f"; field {field_text} mm, without holes",
-        f"; hole {pattern.diameter_um:g} um, pulse {pattern.pulse_s:g} s, pause {pattern.pause_s:g} s; "
-        "G4 P is in seconds",
+        (
+            f"; hole {pattern.diameter_um:g} um, pulse {pattern.pulse_s:g} s, pause"
+            f" {pattern.pause_s:g} s; G4 P is in seconds"
+        ),
         f"; speed {stage.speed_mm_min:g} mm/min; laser: {codes_text}",
-        "; try it with the laser off first: a controller that takes P as milliseconds fires too short",
+        (
+            "; try it with the laser off first: a controller that takes P as milliseconds fires too"
+            " short"
+        ),
         "G21",
         "G90",
         f"F{_plain(stage.speed_mm_min, 3)}",
@@ -104,13 +114,39 @@ def pattern_dxf(pattern: Pattern) -> str:
     # Colour numbers: 1 red, 3 green, 5 blue, 7 black or white, 8 grey.
     layer_colours = {"HOLES": 1, "BURNT": 8, "FIELD": 3, "VIEW": 8, "NUMBERS": 7, "ORIGIN": 5}
     groups: Groups = [
-        (999, f"planish hole pattern, {ascii_only(pattern.name)}: mm, x right, y up as the laser sees the sheet"),
-        (0, "SECTION"), (2, "HEADER"), (9, "$ACADVER"), (1, "AC1009"), (9, "$EXTMIN"), *_point(10, x0, y0),
-        (9, "$EXTMAX"), *_point(10, x0 + width, y0 + height), (0, "ENDSEC"),
-        (0, "SECTION"), (2, "TABLES"), (0, "TABLE"), (2, "LTYPE"), (70, 1), (0, "LTYPE"), (2, "CONTINUOUS"), (70, 64),
-        (3, "Solid line"), (72, 65), (73, 0), (40, "0.0"), (0, "ENDTAB"),
-        (0, "TABLE"), (2, "LAYER"), (70, len(layer_colours)),
-    ]  # fmt: skip
+        (
+            999,
+            (
+                f"planish hole pattern, {ascii_only(pattern.name)}: mm, x right, y up as the laser"
+                " sees the sheet"
+            ),
+        ),
+        (0, "SECTION"),
+        (2, "HEADER"),
+        (9, "$ACADVER"),
+        (1, "AC1009"),
+        (9, "$EXTMIN"),
+        *_point(10, x0, y0),
+        (9, "$EXTMAX"),
+        *_point(10, x0 + width, y0 + height),
+        (0, "ENDSEC"),
+        (0, "SECTION"),
+        (2, "TABLES"),
+        (0, "TABLE"),
+        (2, "LTYPE"),
+        (70, 1),
+        (0, "LTYPE"),
+        (2, "CONTINUOUS"),
+        (70, 64),
+        (3, "Solid line"),
+        (72, 65),
+        (73, 0),
+        (40, "0.0"),
+        (0, "ENDTAB"),
+        (0, "TABLE"),
+        (2, "LAYER"),
+        (70, len(layer_colours)),
+    ]
     for name, colour in layer_colours.items():
         groups += [(0, "LAYER"), (2, name), (70, 64), (62, colour), (6, "CONTINUOUS")]
     groups += [(0, "ENDTAB"), (0, "ENDSEC"), (0, "SECTION"), (2, "ENTITIES")]
@@ -128,13 +164,21 @@ def pattern_dxf(pattern: Pattern) -> str:
     ):
         for start, end in pairwise(corners):
             groups += [(0, "LINE"), (8, layer), *_point(10, *start), *_point(11, *end)]
-    groups += _text("ORIGIN", x0 + arm, y0, diameter, "x") + _text("ORIGIN", x0, y0 + arm, diameter, "y")
+    groups += _text("ORIGIN", x0 + arm, y0, diameter, "x") + _text(
+        "ORIGIN", x0, y0 + arm, diameter, "y"
+    )
     groups += [(0, "ENDSEC"), (0, "EOF")]
     return "".join(f"{code:3d}\n{value}\n" for code, value in groups)
 
 
 def _text(layer: str, x_um: float, y_um: float, height_um: float, text: str) -> Groups:
-    return [(0, "TEXT"), (8, layer), *_point(10, x_um, y_um), (40, _mm(height_um)), (1, ascii_only(text))]
+    return [
+        (0, "TEXT"),
+        (8, layer),
+        *_point(10, x_um, y_um),
+        (40, _mm(height_um)),
+        (1, ascii_only(text)),
+    ]
 
 
 def _point(code: int, x_um: float, y_um: float) -> Groups:
@@ -148,9 +192,18 @@ def _mm(value_um: float, least: int = 1) -> str:
 
 _WORD = re.compile(r"\s*([A-Z])\s*([+-]?(?:\d+\.?\d*|\.\d+))\s*")
 _COMMANDS = {  # Commands, and the words that may stand beside them.
-    "G0": "XYF", "G1": "XYF", "G4": "P", "G21": "", "G90": "",
-    "M2": "", "M3": "S", "M5": "", "M30": "", "M64": "P", "M65": "P",
-}  # fmt: skip
+    "G0": "XYF",
+    "G1": "XYF",
+    "G4": "P",
+    "G21": "",
+    "G90": "",
+    "M2": "",
+    "M3": "S",
+    "M5": "",
+    "M30": "",
+    "M64": "P",
+    "M65": "P",
+}
 _KNOWN = f"{', '.join(_COMMANDS)} with X, Y, F, P, S"
 _OFF = {"M3": "M5", "M64": "M65"}
 
@@ -158,14 +211,20 @@ _OFF = {"M3": "M5", "M64": "M65"}
 class DryRun(ResultModel):
     """Shots, path and times of a program."""
 
-    fired_um: Floats = Field(description="(n, 2): positions of the shots in the order in which they are fired.")
+    fired_um: Floats = Field(
+        description="(n, 2): positions of the shots in the order in which they are fired."
+    )
     pulse_s: Floats = Field(description="(n,): how long the laser is on at each.")
-    path_um: Floats = Field(description="(m, 2): corners of the path, from the first position the program names.")
+    path_um: Floats = Field(
+        description="(m, 2): corners of the path, from the first position the program names."
+    )
     least_pause_s: float = Field(
         description="Shortest time that the laser is off between two shots; NaN for a single shot."
     )
     time_s: float = Field(
-        description="Moves at the speed of the program and all waits; the stage's acceleration adds to it."
+        description=(
+            "Moves at the speed of the program and all waits; the stage's acceleration adds to it."
+        )
     )
 
     @property
@@ -179,8 +238,8 @@ class DryRun(ResultModel):
         if np.ptp(self.pulse_s) > 1e-9:
             pulses += f" to {1000 * self.pulse_s.max():g}"
         return (
-            f"{len(self.fired_um)} shots of {pulses} ms, path {self.length_um / 1000:.1f} mm, {self.time_s:.1f} s "
-            "without the stage's acceleration"
+            f"{len(self.fired_um)} shots of {pulses} ms, path {self.length_um / 1000:.1f} mm,"
+            f" {self.time_s:.1f} s without the stage's acceleration"
         )
 
 
@@ -211,11 +270,17 @@ def dry_run(program: str, stage: StageParams | None = None, *, pulse_s: float = 
                 f"Line {number} of the program ({line.strip()[:60]!r}) is refused: {error.text}."
             ) from error
     if machine.on_command:
-        raise MarkError("The program stops with the laser on. Add the command that switches it off, and M2.")
+        raise MarkError(
+            "The program stops with the laser on. Add the command that switches it off, and M2."
+        )
     if not machine.executed & {"M2", "M30"}:
-        raise MarkError("The program has no end, M2 or M30; it may have been cut off. Write it again.")
+        raise MarkError(
+            "The program has no end, M2 or M30; it may have been cut off. Write it again."
+        )
     if not machine.shots_um:
-        raise MarkError("The program fires no shot. Give a stage program of 'planish marks design'.")
+        raise MarkError(
+            "The program fires no shot. Give a stage program of 'planish marks design'."
+        )
     return DryRun(
         fired_um=np.array(machine.shots_um),
         pulse_s=np.array(machine.pulses_s),
@@ -246,7 +311,8 @@ class _Machine:
             raise MarkError("the program goes on after its end; remove what follows M2")
         if foreign_text := _WORD.sub("", text):
             raise MarkError(f"{foreign_text[:20]!r} is not in the dialect ({_KNOWN})")
-        words = [(letter, float(number)) for letter, number in _WORD.findall(text) if letter != "N"]  # of a line
+        # Of a line.
+        words = [(letter, float(number)) for letter, number in _WORD.findall(text) if letter != "N"]
         commands = [f"{letter}{number:g}" for letter, number in words if letter in "GM"]
         arguments = {letter: number for letter, number in words if letter not in "GM"}
         if unknown_commands := [command for command in commands if command not in _COMMANDS]:
@@ -258,7 +324,9 @@ class _Machine:
         # After the first move a position without a command is one, too.
         if not commands and self.executed & {"G0", "G1"}:
             commands = ["G0"] if arguments.keys() & {"X", "Y"} else []
-        allowed_letters = "".join(_COMMANDS[command] for command in commands) or "F" * (not commands)
+        allowed_letters = "".join(_COMMANDS[command] for command in commands) or "F" * (
+            not commands
+        )
         if useless_letters := [letter for letter in arguments if letter not in allowed_letters]:
             raise MarkError(f"{useless_letters[0]} has no meaning here")
         if arguments.get("F", 1.0) <= 0:
@@ -282,8 +350,8 @@ class _Machine:
             self.laser_on_s += seconds
             if self.on_command and self.laser_on_s > self.longest_pulse_s + 1e-12:
                 raise MarkError(
-                    f"a pulse of {self.laser_on_s:g} s is longer than {self.longest_pulse_s:g} s and would burn the "
-                    "sheet; P is in seconds"
+                    f"a pulse of {self.laser_on_s:g} s is longer than {self.longest_pulse_s:g} s"
+                    " and would burn the sheet; P is in seconds"
                 )
         elif command in ("M64", "M65") and "P" not in arguments:
             raise MarkError(f"{command} needs the number P of the output")
@@ -299,7 +367,8 @@ class _Machine:
             self.on_command, self.laser_on_s = command, 0.0
             self.switched_s.append(self.clock_s)
             self.shots_um.append((x, y))
-        elif command in _OFF.values() and self.on_command:  # a program may make sure that the laser is off
+        # a program may make sure that the laser is off.
+        elif command in _OFF.values() and self.on_command:
             if _OFF[self.on_command] != command:
                 raise MarkError(f"{command} does not switch off what {self.on_command} switched on")
             if self.laser_on_s <= 0:
@@ -319,8 +388,8 @@ class _Machine:
             target_um = 1000 * arguments.get(letter, math.nan)
             if target_um < low - 1e-3 or target_um > high + 1e-3:
                 raise MarkError(
-                    f"{letter} {target_um / 1000:g} mm is out of the stage's range, {low / 1000:g} to {high / 1000:g} "
-                    "mm; move the origin or give the stage's own range"
+                    f"{letter} {target_um / 1000:g} mm is out of the stage's range, {low / 1000:g}"
+                    f" to {high / 1000:g} mm; move the origin or give the stage's own range"
                 )
             if letter in arguments:
                 self.position_um[letter] = target_um

@@ -53,10 +53,15 @@ class Pattern(BaseModel):
     field_um: tuple[PositiveFloat, PositiveFloat] = Field(
         description="Region whose maps are compared, (width, height)."
     )
-    margin_um: Pair = Field(description="From the field's edge to the centres of the holes, (x, y).")
+    margin_um: Pair = Field(
+        description="From the field's edge to the centres of the holes, (x, y)."
+    )
     border_um: float = Field(description="From the centres to the end of the view.")
     origin_um: Pair = Field(
-        description="The view's lower left corner in stage coordinates, (x, y); the stage program ends there."
+        description=(
+            "The view's lower left corner in stage coordinates, (x, y); the stage program ends"
+            " there."
+        )
     )
     spacing_um: float = Field(description="Least distance of two holes that was asked for.")
     diameter_um: PositiveFloat = Field(description="Nominal diameter of a hole.")
@@ -64,18 +69,24 @@ class Pattern(BaseModel):
     pulse_s: PositiveFloat = Field(description="Length of the laser's pulse.")
     pause_s: NonNegativeFloat = Field(description="The rest after a pulse.")
     seed: int
-    holes: tuple[PatternHole, ...] = Field(default=(), min_length=3, description="Centres in stage coordinates.")
+    holes: tuple[PatternHole, ...] = Field(
+        default=(), min_length=3, description="Centres in stage coordinates."
+    )
 
     def with_holes(self, points_um: Floats, lines: Sequence[str]) -> Self:
         """Return the pattern with other holes, (n, 2) in stage coordinates, numbered from 1."""
         numbered = enumerate(zip(*points_um.T.tolist(), lines, strict=True), 1)
-        holes = tuple(PatternHole(label=str(k), x_um=x, y_um=y, line=line) for k, (x, y, line) in numbered)
+        holes = tuple(
+            PatternHole(label=str(k), x_um=x, y_um=y, line=line) for k, (x, y, line) in numbered
+        )
         return self.model_copy(update={"holes": holes})
 
     @property
     def points_um(self) -> Floats:
         """Centres as an array (n, 2), stage coordinates."""
-        return np.array([(hole.x_um, hole.y_um) for hole in self.holes], dtype=np.float64).reshape(-1, 2)
+        return np.array([(hole.x_um, hole.y_um) for hole in self.holes], dtype=np.float64).reshape(
+            -1, 2
+        )
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -129,15 +140,19 @@ class Pattern(BaseModel):
             raise MarkError(f"This JSON holds no '{FORMAT}'. {advice}")
         if content.get("version") != VERSION:
             raise MarkError(
-                f"The pattern has version {content.get('version')!r}; this planish reads version {VERSION}. Design it "
-                "again, or use the planish that wrote it."
+                f"The pattern has version {content.get('version')!r}; this planish reads version"
+                f" {VERSION}. Design it again, or use the planish that wrote it."
             )
         with naming_faults("The pattern", "Design it again.", error=MarkError):
             return cls.model_validate({"holes": []} | content)
 
 
 def own_pattern(
-    points_um: ArrayLike, *, name: str = "own", field_um: Pair | None = None, diameter_um: float | None = None
+    points_um: ArrayLike,
+    *,
+    name: str = "own",
+    field_um: Pair | None = None,
+    diameter_um: float | None = None,
 ) -> Pattern:
     """Make a pattern of holes that somebody else has placed, so that the same rules can be applied.
 
@@ -160,13 +175,23 @@ def own_pattern(
         raise MarkError(f"{len(points)} holes are no pattern. Give 12 or more, around the field.")
     size = np.ptp(points, axis=0)
     if min(size) <= 0:
-        raise MarkError("All holes have the same x or the same y; such a line encloses no field. Place them around it.")
+        raise MarkError(
+            "All holes have the same x or the same y; such a line encloses no field. Place them"
+            " around it."
+        )
     field = np.array(field_um or np.maximum(size - 2 * (0.5 * diameter + burn["rim_um"]), 1.0))
     border = BORDER_DIAMETERS * diameter
     blank = Pattern(
-        name=name, layout="own", field_um=field.tolist(), margin_um=((size - field) / 2).tolist(), border_um=border,
-        origin_um=(points.min(axis=0) - border).tolist(), spacing_um=3 * diameter, seed=0, **burn,
-    )  # fmt: skip
+        name=name,
+        layout="own",
+        field_um=field.tolist(),
+        margin_um=((size - field) / 2).tolist(),
+        border_um=border,
+        origin_um=(points.min(axis=0) - border).tolist(),
+        spacing_um=3 * diameter,
+        seed=0,
+        **burn,
+    )
     return blank.with_holes(points, ("own",) * len(points))
 
 
@@ -179,12 +204,18 @@ def holes_csv(pattern: Pattern, *, imaged: bool = False) -> str:
         Positions as in an image of the laser's side, from its upper left corner with y down, instead of the stage's.
     """
     rows: list[list[str]] = []
-    for label, (x, y) in zip(pattern.labels, pattern.imaged_um if imaged else pattern.points_um, strict=True):
-        rows.append([label, *(f"{um:.6f}".rstrip("0").rstrip(".") for um in (x, y, pattern.diameter_um))])
+    for label, (x, y) in zip(
+        pattern.labels, pattern.imaged_um if imaged else pattern.points_um, strict=True
+    ):
+        rows.append(
+            [label, *(f"{um:.6f}".rstrip("0").rstrip(".") for um in (x, y, pattern.diameter_um))]
+        )
     return table_text(_COLUMNS, rows)
 
 
-def read_pattern(path: str | Path, *, field_um: Pair | None = None, diameter_um: float | None = None) -> Pattern:
+def read_pattern(
+    path: str | Path, *, field_um: Pair | None = None, diameter_um: float | None = None
+) -> Pattern:
     """Read a pattern: the JSON of a design, or a CSV table of anybody's holes.
 
     Parameters
@@ -207,7 +238,8 @@ def read_pattern(path: str | Path, *, field_um: Pair | None = None, diameter_um:
     if text.lstrip().startswith("{"):
         if field_um is not None or diameter_um is not None:
             raise MarkError(
-                f"{file_path.name} states its field and diameter itself; they can be given for a CSV table only."
+                f"{file_path.name} states its field and diameter itself; they can be given for a"
+                " CSV table only."
             )
         return Pattern.from_json(text)
     table = parse_table(text, file_path.name, needed=_COLUMNS[1:3], error=MarkError)
@@ -217,8 +249,12 @@ def read_pattern(path: str | Path, *, field_um: Pair | None = None, diameter_um:
     if diameter_um is None and has_diameter and len(columns):
         diameter_um = float(np.median(columns[:, 2]))
     if diameter_um is not None and not 10 <= diameter_um <= 2000:
-        raise MarkError(f"{file_path.name}: a diameter of {diameter_um:g} um; 10 to 2000 um are possible.")
-    return own_pattern(columns[:, :2], name=file_path.stem, field_um=field_um, diameter_um=diameter_um)
+        raise MarkError(
+            f"{file_path.name}: a diameter of {diameter_um:g} um; 10 to 2000 um are possible."
+        )
+    return own_pattern(
+        columns[:, :2], name=file_path.stem, field_um=field_um, diameter_um=diameter_um
+    )
 
 
 # Ratio of the error that 95 % stay below to the rms, where both axes err alike and independently.
@@ -233,14 +269,18 @@ class Predicted(ResultModel):
     694-702, https://doi.org/10.1109/42.736021; with a free scale the second term of two dimensions doubles).
     """
 
-    fle_um: float = Field(description="Error of one hole's position in one map against the other, rms in the plane.")
+    fle_um: float = Field(
+        description="Error of one hole's position in one map against the other, rms in the plane."
+    )
     holes_um: Floats = Field(description="(n, 2), stage coordinates.")
     field_um: Floats = Field(description="Middle and corners of the field, (5, 2).")
 
     @property
     def radius_um(self) -> float:
         """Rms distance of the holes from their centroid."""
-        return float(np.sqrt(np.mean(np.sum((self.holes_um - self.holes_um.mean(axis=0)) ** 2, axis=1))))
+        return float(
+            np.sqrt(np.mean(np.sum((self.holes_um - self.holes_um.mean(axis=0)) ** 2, axis=1)))
+        )
 
     @property
     def centre_um(self) -> float:
@@ -255,13 +295,16 @@ class Predicted(ResultModel):
     def at(self, points_um: ArrayLike) -> Floats:
         """Predict the rms error, in um, at points (..., 2) in stage coordinates."""
         r2 = np.sum((np.asarray(points_um) - self.holes_um.mean(axis=0)) ** 2, axis=-1)
-        return np.asarray(self.fle_um / np.sqrt(len(self.holes_um)) * np.sqrt(1 + r2 / self.radius_um**2))
+        return np.asarray(
+            self.fle_um / np.sqrt(len(self.holes_um)) * np.sqrt(1 + r2 / self.radius_um**2)
+        )
 
     def sentence(self) -> str:
         """Write the error in a line."""
         return (
-            f"predicted error: {self.centre_um:.2f} um rms in the middle of the field, {self.corner_um:.2f} um in its "
-            f"worst corner (95 % below {P95 * self.corner_um:.2f} um), from {self.fle_um:.2f} um for a hole"
+            f"predicted error: {self.centre_um:.2f} um rms in the middle of the field,"
+            f" {self.corner_um:.2f} um in its worst corner (95 % below {P95 * self.corner_um:.2f}"
+            f" um), from {self.fle_um:.2f} um for a hole"
         )
 
 
@@ -281,5 +324,8 @@ def hole_error_um(diameter_um: float, imaging: ImagingParams | None = None) -> f
 def predict(pattern: Pattern, imaging: ImagingParams | None = None) -> Predicted:
     """Predict the error of a registration by a similarity over the pattern's field."""
     fle_um = hole_error_um(pattern.diameter_um, imaging)
-    field_points = np.array([[0.5, 0.5], [0, 0], [1, 0], [1, 1], [0, 1]]) * pattern.field_um + pattern.field_low_um
+    field_points = (
+        np.array([[0.5, 0.5], [0, 0], [1, 0], [1, 1], [0, 1]]) * pattern.field_um
+        + pattern.field_low_um
+    )
     return Predicted(fle_um=fle_um, holes_um=pattern.points_um, field_um=field_points)

@@ -28,7 +28,13 @@ STEP_UM = 50.0
 
 
 def _place_side(
-    blank: Pattern, side: int, n_steps: int, n_holes: int, rate: float, used: set[int], rng: np.random.Generator
+    blank: Pattern,
+    side: int,
+    n_steps: int,
+    n_holes: int,
+    rate: float,
+    used: set[int],
+    rng: np.random.Generator,
 ) -> Steps | None:
     """Place ``n_holes`` holes between the corners of a side and give them with those in the corners; None if none fit.
 
@@ -36,18 +42,25 @@ def _place_side(
     """
     spacing_steps = int(np.ceil(blank.spacing_um / STEP_UM - 1e-9))
     marker_steps = max(spacing_steps, int(np.ceil(MARKER_DIAMETERS * blank.diameter_um / STEP_UM)))
-    has_start, has_end = int(side != 0), int(side != 3)  # The corner between the last side and the first stays empty.
+    # The corner between the last side and the first stays empty.
+    has_start, has_end = int(side != 0), int(side != 3)
     low_step = spacing_steps if has_start else marker_steps
     high_step = n_steps - (spacing_steps if has_end else marker_steps)
     for _ in range(1 if rate else 6):
         if rate:
             pitches = 1 + rate * np.arange(n_holes + 1) / n_holes
-            inner_positions = np.round(n_steps * np.cumsum(pitches) / pitches.sum()).astype(np.int64)[None, :-1]
+            inner_positions = np.round(n_steps * np.cumsum(pitches) / pitches.sum()).astype(
+                np.int64
+            )[None, :-1]
         else:
             inner_positions = _draw_positions(blank, side, low_step, n_holes, rng)
-        positions = np.pad(inner_positions, [(0, 0), (has_start, has_end)], constant_values=(0, n_steps))
+        positions = np.pad(
+            inner_positions, [(0, 0), (has_start, has_end)], constant_values=(0, n_steps)
+        )
         is_spaced = np.all(np.diff(positions, axis=1) >= spacing_steps, axis=1)
-        positions = positions[is_spaced & (inner_positions[:, 0] >= low_step) & (inner_positions[:, -1] <= high_step)]
+        positions = positions[
+            is_spaced & (inner_positions[:, 0] >= low_step) & (inner_positions[:, -1] <= high_step)
+        ]
         distances = _distances(positions)
         if not rate:
             is_golomb = np.all(np.diff(np.sort(distances, axis=1), axis=1) > 0, axis=1)
@@ -59,7 +72,9 @@ def _place_side(
     return None
 
 
-def _draw_positions(blank: Pattern, side: int, low_step: int, n_holes: int, rng: np.random.Generator) -> Steps:
+def _draw_positions(
+    blank: Pattern, side: int, low_step: int, n_holes: int, rng: np.random.Generator
+) -> Steps:
     """Draw sorted positions (4000, count) of which at least four survive every crop that keeps the side.
 
     A window of 70 % of the view slides along the side. The holes in the middle 40 % are always in it; each other hole
@@ -70,10 +85,15 @@ def _draw_positions(blank: Pattern, side: int, low_step: int, n_holes: int, rng:
     window_steps, edge_steps = 0.7 * view_steps, 0.3 * view_steps
     n_middle = min(n_holes, max(8 - n_holes, n_holes % 2))
     pair_shape = (4000, (n_holes - n_middle) // 2)
-    start_positions = rng.uniform(low_step, max(edge_steps - border_steps, low_step + 1), pair_shape)
+    start_positions = rng.uniform(
+        low_step, max(edge_steps - border_steps, low_step + 1), pair_shape
+    )
     gaps = rng.uniform(0, 0.4, pair_shape) ** 2 * view_steps
     end_positions = start_positions + (window_steps - 2 * radius - 1) - gaps
-    middle_low, middle_high = edge_steps - border_steps + radius, window_steps - border_steps - radius
+    middle_low, middle_high = (
+        edge_steps - border_steps + radius,
+        window_steps - border_steps - radius,
+    )
     middle_positions = rng.uniform(middle_low, max(middle_high, middle_low + 1), (4000, n_middle))
     positions = np.concatenate([start_positions, end_positions, middle_positions], axis=1)
     return np.sort(np.round(positions).astype(np.int64), axis=1)
@@ -116,7 +136,9 @@ def design_pattern(params: DesignParams) -> Design:
     blanks = [_blank_pattern(params)]  # the margin as it is given, or wider and wider
     if params.margin_um is None:
         margins = (min(blanks[0].margin_um) + extra_um for extra_um in range(250, 3001, 250))
-        blanks += [_blank_pattern(params.model_copy(update={"margin_um": margin})) for margin in margins]
+        blanks += [
+            _blank_pattern(params.model_copy(update={"margin_um": margin})) for margin in margins
+        ]
     hole_counts = (params.holes,) if params.holes is not None else _COUNTS[params.layout]
     reasons: dict[int, str] = {}
     for blank in blanks:
@@ -125,7 +147,9 @@ def design_pattern(params: DesignParams) -> Design:
             if not isinstance(design, str):
                 return design
             reasons[hole_count] = design
-        if not any("rule 'area'" in reason or "rule 'spacing'" in reason for reason in reasons.values()):
+        if not any(
+            "rule 'area'" in reason or "rule 'spacing'" in reason for reason in reasons.values()
+        ):
             break
     size_text = " x ".join(f"{v / 1000:g}" for v in params.field_um)
     layout_text = " The layout 'coded' takes less room." if params.layout == "line" else ""
@@ -134,14 +158,27 @@ def design_pattern(params: DesignParams) -> Design:
 
 
 def _blank_pattern(params: DesignParams) -> Pattern:
-    min_spacing_um, rim_reach_um = SPACING_DIAMETERS * params.diameter_um, 0.5 * params.diameter_um + params.rim_um
+    min_spacing_um, rim_reach_um = (
+        SPACING_DIAMETERS * params.diameter_um,
+        0.5 * params.diameter_um + params.rim_um,
+    )
     spacing_um = params.spacing_um if params.spacing_um is not None else max(500.0, min_spacing_um)
-    margin = params.margin_um if params.margin_um is not None else max(1.5 * params.diameter_um, rim_reach_um)
+    margin = (
+        params.margin_um
+        if params.margin_um is not None
+        else max(1.5 * params.diameter_um, rim_reach_um)
+    )
     faults: list[str] = []
     if spacing_um < min_spacing_um:
-        faults.append(f"a spacing of {spacing_um:g} um; the burnt zones touch below 3 diameters, {min_spacing_um:g} um")
+        faults.append(
+            f"a spacing of {spacing_um:g} um; the burnt zones touch below 3 diameters,"
+            f" {min_spacing_um:g} um"
+        )
     if margin < rim_reach_um:
-        faults.append(f"a margin of {margin:g} um; the burnt rims reach into the field below {rim_reach_um:g} um")
+        faults.append(
+            f"a margin of {margin:g} um; the burnt rims reach into the field below"
+            f" {rim_reach_um:g} um"
+        )
     if faults:
         raise MarkError(f"No pattern can be planned with {'; '.join(faults)}. Give a larger one.")
     # Opposite corners lie whole steps apart, so the margins take up what the field leaves over.
@@ -176,7 +213,9 @@ def _search(blank: Pattern, hole_count: int, rng: np.random.Generator) -> Design
             if broken:
                 break
         if not broken:
-            rival_share = max(rule.value for rule in rules if rule.sense == "at most" and not rule.unit)
+            rival_share = max(
+                rule.value for rule in rules if rule.sense == "at most" and not rule.unit
+            )
             code_misfit = next(rule.value for rule in rules if rule.name == "code")
             candidates.append(((round(rival_share, 6), -code_misfit), (pattern, rules)))
             if len(candidates) == 6:
@@ -184,16 +223,22 @@ def _search(blank: Pattern, hole_count: int, rng: np.random.Generator) -> Design
         elif not fewest_broken or len(broken) < len(fewest_broken):
             fewest_broken = broken
         # No other draw is better with these rules.
-        if n_searched == 25 or {"count", "spacing", "around"} & {rule.name for rule in fewest_broken}:
+        if n_searched == 25 or {"count", "spacing", "around"} & {
+            rule.name for rule in fewest_broken
+        }:
             break
     if candidates:
         return min(candidates, key=lambda entry: entry[0])[1]
     if not fewest_broken:
         return (
-            f"rule 'spacing': {hole_count} holes do not fit with {blank.spacing_um:g} um between any two: take fewer "
-            "or smaller holes, a larger field, or a smaller --spacing-um."
+            f"rule 'spacing': {hole_count} holes do not fit with {blank.spacing_um:g} um between"
+            " any two: take fewer or smaller holes, a larger field, or a smaller --spacing-um."
         )
-    return f"With {hole_count} holes, " + "; ".join(f"{rule.sentence()}: {rule.remedy}" for rule in fewest_broken) + "."
+    return (
+        f"With {hole_count} holes, "
+        + "; ".join(f"{rule.sentence()}: {rule.remedy}" for rule in fewest_broken)
+        + "."
+    )
 
 
 def _draw_pattern(blank: Pattern, hole_count: int, rng: np.random.Generator) -> Pattern | None:

@@ -49,7 +49,9 @@ def self_motions(points_um: Floats) -> Motions:
     bases = np.tile(base_pairs[repeated_numbers], (2, 1))
     goals = np.concatenate([goal_pairs, goal_pairs[:, ::-1]])
     index = _HoleIndex(points_um)
-    hits, kinds = zip(*(_motion_hits(z, bases, goals, index, mirrored) for mirrored in (False, True)), strict=True)
+    hits, kinds = zip(
+        *(_motion_hits(z, bases, goals, index, mirrored) for mirrored in (False, True)), strict=True
+    )
     return Motions(np.concatenate(hits), np.concatenate(kinds))
 
 
@@ -57,7 +59,8 @@ class _HoleIndex:
     """The hole within the tolerance of a point: a table of cells, or a tree where the table would be large."""
 
     def __init__(self, points_um: Floats) -> None:
-        self.n, self.reach = len(points_um), 1.5 * TOLERANCE_UM  # Two holes fix the motion, and each may be off.
+        # Two holes fix the motion, and each may be off.
+        self.n, self.reach = len(points_um), 1.5 * TOLERANCE_UM
         self.z = np.append(points_um[:, 0] + 1j * points_um[:, 1], np.inf)
         self.tree = cKDTree(points_um)
         nearest = float(np.min(np.asarray(self.tree.query(points_um, k=2)[0])[:, 1]))
@@ -67,12 +70,17 @@ class _HoleIndex:
         if self.cell < self.reach / 4:
             return
         self.low = points_um.min(axis=0) - self.reach - 2 * self.cell
-        shape = np.ceil((points_um.max(axis=0) + self.reach - self.low) / self.cell).astype(np.intp) + 2
+        shape = (
+            np.ceil((points_um.max(axis=0) + self.reach - self.low) / self.cell).astype(np.intp) + 2
+        )
         if shape.prod() > 4_000_000:
             return
         self.table = np.full(shape, self.n, dtype=np.int16)
         for k, point in enumerate(points_um):
-            first, last = (((point + d - self.low) / self.cell).astype(np.intp) for d in (-self.reach, self.reach))
+            first, last = (
+                ((point + d - self.low) / self.cell).astype(np.intp)
+                for d in (-self.reach, self.reach)
+            )
             self.table[first[0] : last[0] + 1, first[1] : last[1] + 1] = k
 
     def holes_at(self, points: NDArray[np.complex128]) -> Ints:
@@ -83,16 +91,24 @@ class _HoleIndex:
             return np.asarray(hole_numbers, dtype=np.intp).reshape(points.shape)
         x, y = (  # Far outside is cut off to the table's border, which is empty.
             np.clip((coordinate - table_low) / self.cell, 0, n - 1).astype(np.intp)
-            for coordinate, table_low, n in zip((points.real, points.imag), self.low, self.table.shape, strict=True)
+            for coordinate, table_low, n in zip(
+                (points.real, points.imag), self.low, self.table.shape, strict=True
+            )
         )
         holes = self.table[x, y].astype(np.intp).ravel()
         candidates = np.flatnonzero(holes < self.n)
-        holes[candidates[np.abs(points.ravel()[candidates] - self.z[holes[candidates]]) > self.reach]] = self.n
+        holes[
+            candidates[np.abs(points.ravel()[candidates] - self.z[holes[candidates]]) > self.reach]
+        ] = self.n
         return holes.reshape(points.shape)
 
 
 def _motion_hits(
-    z: NDArray[np.complex128], base_pairs: Ints, goal_pairs: Ints, hole_index: _HoleIndex, mirrored: bool
+    z: NDArray[np.complex128],
+    base_pairs: Ints,
+    goal_pairs: Ints,
+    hole_index: _HoleIndex,
+    mirrored: bool,
 ) -> tuple[Bools, NDArray[np.str_]]:
     source = np.conj(z) if mirrored else z
     is_motion = source[base_pairs[:, 1]] != source[base_pairs[:, 0]]
@@ -108,7 +124,9 @@ def _motion_hits(
     turn_deg = np.abs(np.degrees(np.angle(alpha)))
     is_hit &= ~((turn_deg < _TURN_DEG)[:, None] & (holes == np.arange(len(z))))
     is_half_turn, is_quarter_turn = turn_deg >= 180 - _TURN_DEG, np.abs(turn_deg - 90) <= _TURN_DEG
-    return is_hit, np.select([is_half_turn, is_quarter_turn], ["half turn", "quarter turn"], "shift")
+    return is_hit, np.select(
+        [is_half_turn, is_quarter_turn], ["half turn", "quarter turn"], "shift"
+    )
 
 
 def perimeter_order(points_um: Floats) -> Ints:
@@ -116,7 +134,9 @@ def perimeter_order(points_um: Floats) -> Ints:
     x, y = (points_um - points_um.min(axis=0)).T
     width, height = np.ptp(points_um, axis=0)
     nearest_side = np.argmin([y, width - x, height - y, x], axis=0)
-    perimeter_um = np.choose(nearest_side, [x, width + y, 2 * width + height - x, 2 * (width + height) - y])
+    perimeter_um = np.choose(
+        nearest_side, [x, width + y, 2 * width + height - x, 2 * (width + height) - y]
+    )
     return np.argsort(perimeter_um, kind="stable")
 
 
@@ -156,27 +176,39 @@ _MEET = "share of the holes that meet holes when the pattern is"
 _RULES: dict[str, tuple[Sense, str, str, str]] = {
     "count": ("at least", "holes", "holes of the pattern", "burn more holes"),
     "around": (
-        "at most", "holes", "holes whose burnt rim reaches into the field",
+        "at most",
+        "holes",
+        "holes whose burnt rim reaches into the field",
         "move them outwards, or give a smaller field or a larger margin",
     ),
     "radius": (
-        "at least", "", "rms distance from the holes' centroid, as a share of the field's diagonal",
+        "at least",
+        "",
+        "rms distance from the holes' centroid, as a share of the field's diagonal",
         "put more holes near the corners, widen the margin, or take another number of holes",
     ),
     "spacing": (
-        "at least", "um", "least distance of two holes; burnt zones must not touch",
+        "at least",
+        "um",
+        "least distance of two holes; burnt zones must not touch",
         "take fewer or smaller holes, or a larger field",
     ),
     "area": (
-        "at most", "%", "area of holes and rims, as a share of the view's",
+        "at most",
+        "%",
+        "area of holes and rims, as a share of the view's",
         "take fewer or smaller holes, a larger field, or a larger margin",
     ),
     "marker": (
-        "at least", "um", "how much farther one corner of the frame is from its nearest hole than the others",
+        "at least",
+        "um",
+        "how much farther one corner of the frame is from its nearest hole than the others",
         "put holes into three corners of the frame and end the last line short of the fourth",
     ),
     "crop": (
-        "at least", "holes", "whole holes left when 30 % of width and height are cut off at up to three sides",
+        "at least",
+        "holes",
+        "whole holes left when 30 % of width and height are cut off at up to three sides",
         "take more holes, 20 or more, and spread them along all four sides",
     ),
     "code": ("at least", "um", "misfit of any 4 consecutive holes with any other 4", _REMEDY),
@@ -184,8 +216,13 @@ _RULES: dict[str, tuple[Sense, str, str, str]] = {
     "quarter turn": ("at most", "", f"{_MEET} turned by about 90 degrees", _REMEDY),
     "mirror": ("at most", "", f"{_MEET} turned over, about any axis", _REMEDY),
     "shift": ("at most", "", f"{_MEET} shifted, scaled by 3 % or turned by another angle", _REMEDY),
-    "crop told apart": ("at most", "", "share of the holes left by the worst crop that meet holes elsewhere", _REMEDY),
-}  # fmt: skip
+    "crop told apart": (
+        "at most",
+        "",
+        "share of the holes left by the worst crop that meet holes elsewhere",
+        _REMEDY,
+    ),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,12 +243,19 @@ class Rule:
         if not np.isfinite(self.value):
             return self.sense == "at least" and self.value > 0
         slack = 1e-9 * max(abs(self.limit), 1.0)
-        return self.value >= self.limit - slack if self.sense == "at least" else self.value <= self.limit + slack
+        return (
+            self.value >= self.limit - slack
+            if self.sense == "at least"
+            else self.value <= self.limit + slack
+        )
 
     def sentence(self) -> str:
         """Write what was measured and what is needed."""
         unit = f" {self.unit}" if self.unit else ""
-        return f"rule '{self.name}' ({self.meaning}): {self.value:.3g}{unit}, {self.sense} {self.limit:.3g}{unit}"
+        return (
+            f"rule '{self.name}' ({self.meaning}): {self.value:.3g}{unit}, {self.sense}"
+            f" {self.limit:.3g}{unit}"
+        )
 
 
 def check_pattern(pattern: Pattern) -> tuple[Rule, ...]:
@@ -224,7 +268,8 @@ def check_pattern(pattern: Pattern) -> tuple[Rule, ...]:
     """
     if len(pattern.holes) > MOST_HOLES:
         raise MarkError(
-            f"{len(pattern.holes)} holes are more than the {MOST_HOLES} that are checked; 20 to 40 are enough."
+            f"{len(pattern.holes)} holes are more than the {MOST_HOLES} that are checked; 20 to 40"
+            " are enough."
         )
     return (*simple_rules(pattern), *code_rules(pattern), *matching_rules(pattern))
 
@@ -247,7 +292,9 @@ def simple_rules(pattern: Pattern) -> tuple[Rule, ...]:
         _rule("radius", rms_radius_um / float(np.hypot(*field)), 0.4),
         _rule("spacing", least_spacing_um, max(SPACING_DIAMETERS * diameter, pattern.spacing_um)),
         area_rule(pattern, len(points)),
-        _rule("marker", float(corner_distances[3] - corner_distances[2]), MARKER_DIAMETERS * diameter),
+        _rule(
+            "marker", float(corner_distances[3] - corner_distances[2]), MARKER_DIAMETERS * diameter
+        ),
         _rule("crop", int(crops(pattern).sum(axis=1).min()), 4),
     )
 
@@ -287,7 +334,8 @@ def crops(pattern: Pattern) -> Bools:
     points, radius = pattern.points_um - pattern.origin_um, 0.5 * pattern.diameter_um
     lows, highs = (points - radius).T, (points + radius).T
     survivors: list[Bools] = []
-    for depth_axis, side_axis in ((0, 1), (1, 0)):  # the side that the crop keeps lies along the second direction
+    # The side that the crop keeps lies along the second direction.
+    for depth_axis, side_axis in ((0, 1), (1, 0)):
         view_um, low, high = pattern.view_um[side_axis], lows[side_axis], highs[side_axis]
         window_um, depth_um = (1 - CROP) * view_um, (1 - CROP) * pattern.view_um[depth_axis]
         starts_um = np.concatenate([low + 1e-3, high - window_um - 1e-3, [0.0, CROP * view_um]])

@@ -27,7 +27,8 @@ class ExportHistory:
     planish: str  #: version that made the run
     exported_by: str  #: version that exports it
     study_sha256: str  #: of ``run.toml``
-    inputs: tuple[Mapping[str, Any], ...]  #: of each layer its name, the name of its file, and the file's SHA-256
+    # : of each layer its name, the name of its file, and the file's SHA-256.
+    inputs: tuple[Mapping[str, Any], ...]
 
     def json(self, **more: Any) -> str:
         """Return it as JSON, with what else is to be known of a file: one line of ASCII, always the same."""
@@ -79,8 +80,13 @@ class Maps:
     def pixel_um(self) -> tuple[float, float]:
         """Pitch of rows and columns, without the rounding of their coordinates; SizeError where there is none."""
         if min(self.shape) < 2:
-            raise SizeError(f"The maps have {self.shape[0]} x {self.shape[1]} pixels; 2 x 2 are needed for a size.")
-        return tuple(exact((coords_um[-1] - coords_um[0]) / (coords_um.size - 1)) for coords_um in self.at_um)  # type: ignore[return-value]
+            raise SizeError(
+                f"The maps have {self.shape[0]} x {self.shape[1]} pixels; 2 x 2 are needed for a"
+                " size."
+            )
+        return tuple(
+            exact((coords_um[-1] - coords_um[0]) / (coords_um.size - 1)) for coords_um in self.at_um
+        )  # type: ignore[return-value]
 
     @property
     def origin_um(self) -> tuple[float, float]:
@@ -121,7 +127,9 @@ class Maps:
         with thread_pool() as pool:
 
             def read_rows(rows: slice) -> Future[NDArray[Any]]:
-                return pool.submit(lambda: np.ascontiguousarray(band_of(pixels, rows), dtype=target))
+                return pool.submit(
+                    lambda: np.ascontiguousarray(band_of(pixels, rows), dtype=target)
+                )
 
             next_band = read_rows(row_slices[0])
             for rows, next_rows in zip(row_slices, [*row_slices[1:], None], strict=True):
@@ -134,7 +142,9 @@ class Maps:
 def percentile_limits(pixels: NDArray[np.float32]) -> tuple[float, float]:
     """1st and 99th percentile of a map, between which it is shown first; 0 to 1 where it has no value."""
     finite = pixels[np.isfinite(pixels)].astype(np.float64)
-    low, high = (float(v) for v in np.percentile(finite, (1.0, 99.0))) if finite.size else (0.0, 1.0)
+    low, high = (
+        (float(v) for v in np.percentile(finite, (1.0, 99.0))) if finite.size else (0.0, 1.0)
+    )
     return low, high if high > low else low + 1.0
 
 

@@ -16,7 +16,14 @@ from planish.core.options import flag_of, params_of
 from planish.core.threads import limit_threads
 from planish.exports import run_contents
 from planish.exports.content import Maps
-from planish.exports.formats import FORMATS, ExportFormat, ExportParams, formats_with, is_file, writer_of
+from planish.exports.formats import (
+    FORMATS,
+    ExportFormat,
+    ExportParams,
+    formats_with,
+    is_file,
+    writer_of,
+)
 from planish.exports.meshes import SURFACES, Surface, steps_of
 from planish.exports.run_contents import IMAGE, STRAIGHTENED, checked_names
 from planish.io.run_folder import new_folder, refuse_existing, refuse_inside
@@ -46,16 +53,23 @@ class ExportRequest:
     def write(self, content: object, path: Path) -> None:
         """Write a content of the format."""
         history = run_contents.history_of(self.run)
-        if isinstance(content, xr.DataArray) and self.file_format.is_folder:  # the working store of a volume
+        # The working store of a volume.
+        if isinstance(content, xr.DataArray) and self.file_format.is_folder:
             facts = {str(key): value for key, value in content.attrs.items() if key != "voxel_um"}
             volume = content.assign_attrs(history=history.json(**facts))
             write_store(volume, path, memory_bytes=self.compute.block_bytes)
             return
         # A map of so few pixels is read once more for the limits between which it is shown first.
-        if isinstance(content, Maps) and self.file_format.shows_limits and math.prod(content.shape) <= 2**22:
+        if (
+            isinstance(content, Maps)
+            and self.file_format.shows_limits
+            and math.prod(content.shape) <= 2**22
+        ):
             # A map shares its limits with the other side of the sheet, and those of an image are of what is valid.
             group = self.run.groups[content.group].assign(content.data.data_vars)
-            content = replace(content, scales={name: run_contents.scale_of(group, name) for name in content.names})
+            content = replace(
+                content, scales={name: run_contents.scale_of(group, name) for name in content.names}
+            )
         writer_of(self.params.to)(content, path, history, self.params)
 
 
@@ -71,7 +85,9 @@ def _output_files(request: ExportRequest) -> list[OutputFile]:
     group, file_format = request.params.group, request.file_format
     if "surface" in file_format.holds:
         if group not in (None, "surfaces"):
-            raise InputError(f"{file_format.title} holds surfaces, and --group says {group}. Leave --group out.")
+            raise InputError(
+                f"{file_format.title} holds surfaces, and --group says {group}. Leave --group out."
+            )
         return _surfaces(request)
     if ("marks" in file_format.holds or "registration" in file_format.holds) and not (
         "maps" in file_format.holds and group in request.run.groups
@@ -85,13 +101,13 @@ def _check_size(request: ExportRequest, count: int, size_text: str, remedy_text:
     file_format, allowed_bytes = request.file_format, request.compute.for_work
     if file_format.most is not None and count > file_format.most:
         raise ResourceError(
-            f"{file_format.title} is written of at most {file_format.most / 1e6:.0f} million {file_format.counts}; "
-            f"there are {size_text}. {remedy_text}"
+            f"{file_format.title} is written of at most {file_format.most / 1e6:.0f} million"
+            f" {file_format.counts}; there are {size_text}. {remedy_text}"
         )
     if count * file_format.byte_cost > allowed_bytes:
         raise ResourceError(
-            f"{file_format.title} of {size_text} takes {count * file_format.byte_cost / 1e9:.1f} GB of memory, "
-            f"{allowed_bytes / 1e9:.1f} GB are allowed. Allow more with --memory."
+            f"{file_format.title} of {size_text} takes {count * file_format.byte_cost / 1e9:.1f} GB"
+            f" of memory, {allowed_bytes / 1e9:.1f} GB are allowed. Allow more with --memory."
         )
 
 
@@ -104,19 +120,32 @@ def _maps(request: ExportRequest) -> list[OutputFile]:
         image_bytes, memory_bytes = 8 * height * width, request.compute.for_work
         if image_bytes > memory_bytes:
             raise ResourceError(
-                f"The image on the flat sheet takes {image_bytes / 1e9:.1f} GB of memory, "
-                f"{memory_bytes / 1e9:.1f} GB are allowed. Allow more with --memory, or choose other maps with --map."
+                f"The image on the flat sheet takes {image_bytes / 1e9:.1f} GB of memory,"
+                f" {memory_bytes / 1e9:.1f} GB are allowed. Allow more with --memory, or choose"
+                " other maps with --map."
             )
-    levels = {} if store is None else {name: run_contents.map_levels(store, group, name) for name in names}
+    levels = (
+        {}
+        if store is None
+        else {name: run_contents.map_levels(store, group, name) for name in names}
+    )
     maps = Maps(data=run_contents.maps_of(run, group, names), group=group, levels=levels)
     rows, cols = maps.shape
-    _check_size(request, rows * cols, f"{rows} x {cols}", "Write them as tiff, txt or netcdf, which have no limit.")
+    _check_size(
+        request,
+        rows * cols,
+        f"{rows} x {cols}",
+        "Write them as tiff, txt or netcdf, which have no limit.",
+    )
     if file_format.apart and not request.is_single_file:
-        return [OutputFile([f"{name}{file_format.suffixes[0]}"], maps.only(name), name) for name in names]
+        return [
+            OutputFile([f"{name}{file_format.suffixes[0]}"], maps.only(name), name)
+            for name in names
+        ]
     if not file_format.stack and len(names) > 1:
         raise StudyError(
-            f"{out.name} holds one map, and {len(names)} are asked for. Choose one with --map, or give a folder. The "
-            f"group {group} holds {', '.join(names)}."
+            f"{out.name} holds one map, and {len(names)} are asked for. Choose one with --map, or"
+            f" give a folder. The group {group} holds {', '.join(names)}."
         )
     maps_text = ", ".join(names) if len(names) < 5 else f"{len(names)} maps"
     return [OutputFile([f"{group.rsplit('/', 1)[-1]}{file_format.suffixes[0]}"], maps, maps_text)]
@@ -125,11 +154,19 @@ def _maps(request: ExportRequest) -> list[OutputFile]:
 def _straightened(request: ExportRequest) -> list[OutputFile]:
     params, file_format = request.params, request.file_format
     if "volume" not in file_format.holds:
-        format_names = ", ".join(name for name, other_format in FORMATS.items() if "volume" in other_format.holds)
-        raise InputError(f"The straightened volume is written as {format_names}, not as {params.to}.")
+        format_names = ", ".join(
+            name for name, other_format in FORMATS.items() if "volume" in other_format.holds
+        )
+        raise InputError(
+            f"The straightened volume is written as {format_names}, not as {params.to}."
+        )
     if params.maps:
-        raise StudyError("The straightened volume holds grey values, and --map chooses maps. Leave --map out.")
-    volume = run_contents.straightened_volume(request.run, params.depth_um, request.compute, request.progress)
+        raise StudyError(
+            "The straightened volume holds grey values, and --map chooses maps. Leave --map out."
+        )
+    volume = run_contents.straightened_volume(
+        request.run, params.depth_um, request.compute, request.progress
+    )
     voxel_text = " x ".join(f"{v:g}" for v in volume.attrs["voxel_um"])
     size_text = f"{' x '.join(map(str, volume.shape))} voxels of {voxel_text} um"
     return [OutputFile([f"{STRAIGHTENED}{file_format.suffixes[0]}"], volume, size_text)]
@@ -140,66 +177,102 @@ def _surfaces(request: ExportRequest) -> list[OutputFile]:
     facts = run_contents.sheet_facts(run)
     if facts is None:
         raise InputError(
-            "The run holds no surfaces of one sheet. Give the run of the volume itself, in layers/NAME where several "
-            "were linked."
+            "The run holds no surfaces of one sheet. Give the run of the volume itself, in"
+            " layers/NAME where several were linked."
         )
     surfaces = run.groups["surfaces"]
-    names = [str(k) for k, v in surfaces.data_vars.items() if v.ndim == 2 and v.dtype.kind in "fiub"]
-    measured = [name for name in SURFACES if name in surfaces and bool(np.isfinite(surfaces[name].values).any())]
+    names = [
+        str(k) for k, v in surfaces.data_vars.items() if v.ndim == 2 and v.dtype.kind in "fiub"
+    ]
+    measured = [
+        name
+        for name in SURFACES
+        if name in surfaces and bool(np.isfinite(surfaces[name].values).any())
+    ]
     requested = checked_names(params.maps, names, "surfaces")
     surface_names = [name for name in requested if name in SURFACES] or measured
     # The properties where no map is named, the headline of the sheet first.
-    property_names = [k for k, variable in surfaces.data_vars.items() if is_property(variable) and k not in SURFACES]
+    property_names = [
+        k
+        for k, variable in surfaces.data_vars.items()
+        if is_property(variable) and k not in SURFACES
+    ]
     maps = tuple(name for name in requested if name not in SURFACES) or tuple(
         sorted(map(str, property_names), key=lambda name: (name != facts.headline, name))
     )
     if unmeasured := [name for name in surface_names if name not in measured]:
-        raise InputError(f"The sheet has no {' and no '.join(unmeasured)}; it has {', '.join(measured)}.")
+        raise InputError(
+            f"The sheet has no {' and no '.join(unmeasured)}; it has {', '.join(measured)}."
+        )
     if request.is_single_file and len(surface_names) > 1:
         raise StudyError(
-            f"{request.out.name} holds one surface, and there are {len(surface_names)}. Choose one of "
-            f"{', '.join(surface_names)} with --map, or give a folder."
+            f"{request.out.name} holds one surface, and there are {len(surface_names)}. Choose one"
+            f" of {', '.join(surface_names)} with --map, or give a folder."
         )
     columns = surfaces[[*surface_names, *maps]]
-    (rows, cols), (row_step, col_step) = (columns.sizes["y"], columns.sizes["x"]), steps_of(columns, params.mesh_um)
+    (rows, cols), (row_step, col_step) = (
+        (columns.sizes["y"], columns.sizes["x"]),
+        steps_of(columns, params.mesh_um),
+    )
     n_nodes = -(-rows // row_step) * -(-cols // col_step)
-    _check_size(request, n_nodes, f"{n_nodes / 1e6:.1f} million", "Give a larger --mesh-um, such as four columns.")
+    _check_size(
+        request,
+        n_nodes,
+        f"{n_nodes / 1e6:.1f} million",
+        "Give a larger --mesh-um, such as four columns.",
+    )
     scales = {name: run_contents.scale_of(columns, name) for name in maps[:1]}
 
     return [
-        OutputFile([f"{name}{request.file_format.suffixes[0]}"], Surface(columns, name, maps, scales), name)
+        OutputFile(
+            [f"{name}{request.file_format.suffixes[0]}"], Surface(columns, name, maps, scales), name
+        )
         for name in surface_names
     ]
 
 
 def _registrations(request: ExportRequest) -> list[OutputFile]:
     if request.params.maps:
-        raise StudyError(f"{request.file_format.title} holds a registration, and --map chooses maps. Leave --map out.")
+        raise StudyError(
+            f"{request.file_format.title} holds a registration, and --map chooses maps. Leave --map"
+            " out."
+        )
     layers = run_contents.registered_layers(request.run, request.params.group)
     if request.is_single_file and len(layers) > 1:
         names = ", ".join(layer.name for layer in layers)
         raise StudyError(
-            f"{request.out.name} holds one registration, and there are {len(layers)}. Choose one of {names} with "
-            "--group, or give a folder."
+            f"{request.out.name} holds one registration, and there are {len(layers)}. Choose one of"
+            f" {names} with --group, or give a folder."
         )
     file_format, files = request.file_format, list[OutputFile]()
     for layer in layers:
         pair = run_contents.transforms_of(request.run, layer)
         if "marks" in file_format.holds:
-            contents: dict[str, object] = {pair.forward.name: run_contents.landmarks(request.run, layer)}
+            contents: dict[str, object] = {
+                pair.forward.name: run_contents.landmarks(request.run, layer)
+            }
         elif file_format.apart:
-            contents = {t.name: t for t in (pair.forward, *([] if request.is_single_file else [pair.back]))}
+            contents = {
+                t.name: t for t in (pair.forward, *([] if request.is_single_file else [pair.back]))
+            }
         else:
             contents = {pair.forward.name: pair}
         endings = file_format.endings_of(affine=pair.forward.exact)
-        files += [OutputFile([f"{name}{end}" for end in endings], content, name) for name, content in contents.items()]
+        files += [
+            OutputFile([f"{name}{end}" for end in endings], content, name)
+            for name, content in contents.items()
+        ]
     return files
 
 
 def export(
-    run: Run | str | Path, out: str | Path, *, compute: Compute | None = None, progress: Progress = silent,
+    run: Run | str | Path,
+    out: str | Path,
+    *,
+    compute: Compute | None = None,
+    progress: Progress = silent,
     **options: Any,
-) -> list[Path]:  # fmt: skip
+) -> list[Path]:
     """Write what a run holds as files of another program.
 
     Parameters
@@ -237,9 +310,13 @@ def export(
     ``pl.export("run", "coating.tif", to="tiff", maps=["coating_top", "image"])``
     """
     params = params_of(ExportParams, options)
-    for name in dict.fromkeys(name for file_format in FORMATS.values() for name in file_format.options):
+    for name in dict.fromkeys(
+        name for file_format in FORMATS.values() for name in file_format.options
+    ):
         if name in params.model_fields_set and name not in FORMATS[params.to].options:
-            raise StudyError(f"{flag_of(name)} is for {formats_with(name)}, and --to says {params.to}.")
+            raise StudyError(
+                f"{flag_of(name)} is for {formats_with(name)}, and --to says {params.to}."
+            )
     if params.depth_um is not None and params.group != STRAIGHTENED:
         raise StudyError(f"--depth-um is for --group {STRAIGHTENED}.")
     file_format, compute, out = FORMATS[params.to], compute or Compute(), Path(out)
@@ -258,7 +335,9 @@ def export(
             if params.maps or params.group is not None:
                 raise StudyError("An RO-Crate holds the whole run. Leave --map and --group out.")
             if run.folder is None:
-                raise FileError("The run stands in no folder. Save it first: give out to link or map_sheet.")
+                raise FileError(
+                    "The run stands in no folder. Save it first: give out to link or map_sheet."
+                )
             files = [OutputFile([], run.folder, str(run.folder))]
         else:
             files = _output_files(request)

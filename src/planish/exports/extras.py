@@ -35,15 +35,24 @@ def write_netcdf(maps: Maps, path: Path, history: ExportHistory, _params: Export
             dtype = plain_type(maps.data[name].dtype)
             fill_value: Any = dtype.type(np.nan) if dtype.kind == "f" else None
             # Every value is written: filling the space before would write it twice.
-            dataset = file.create_variable(name, maps.dims, dtype, fillvalue=fill_value, fill_time="never")
+            dataset = file.create_variable(
+                name, maps.dims, dtype, fillvalue=fill_value, fill_time="never"
+            )
             for rows, band in maps.bands(name):
                 dataset[rows] = band
             units, attrs = maps.units[name], maps.data[name].attrs
-            dataset.attrs.update({"long_name": maps.titles[name], "units": udunits.get(units, units)})
+            dataset.attrs.update(
+                {"long_name": maps.titles[name], "units": udunits.get(units, units)}
+            )
             if maps.data[name].dtype.kind == "b":
-                dataset.attrs.update({"flag_values": np.array([0, 1], np.uint8), "flag_meanings": "false true"})
+                dataset.attrs.update(
+                    {"flag_values": np.array([0, 1], np.uint8), "flag_meanings": "false true"}
+                )
             elif "flag_values" in attrs:
-                flag_values, flag_meanings = np.asarray(attrs["flag_values"]).astype(dtype), str(attrs["flag_meanings"])
+                flag_values, flag_meanings = (
+                    np.asarray(attrs["flag_values"]).astype(dtype),
+                    str(attrs["flag_meanings"]),
+                )
                 dataset.attrs.update({"flag_values": flag_values, "flag_meanings": flag_meanings})
         file.attrs.update(
             {
@@ -73,7 +82,9 @@ def write_gwyddion(maps: Maps, path: Path, history: ExportHistory, _params: Expo
     }
     for k, name in enumerate(maps.names):
         # Gwyddion takes units without prefix and chooses the prefix itself.
-        si_unit, si_factor = {"um": ("m", 1e-6), "1": ("", 1.0)}.get(maps.units[name], (maps.units[name], 1.0))
+        si_unit, si_factor = {"um": ("m", 1e-6), "1": ("", 1.0)}.get(
+            maps.units[name], (maps.units[name], 1.0)
+        )
         pixels = np.concatenate([band for _, band in maps.bands(name, np.float64)])
         is_missing = ~np.isfinite(pixels)
         pixels[is_missing] = 0.0 if is_missing.all() else float(pixels[~is_missing].mean())
@@ -82,9 +93,14 @@ def write_gwyddion(maps: Maps, path: Path, history: ExportHistory, _params: Expo
         data_fields += [("mask", is_missing.astype(np.float64), "")] if is_missing.any() else []
         for field_key, values, unit in data_fields:
             file[f"/{k}/{field_key}"] = GwyDataField(
-                values, si_unit_xy=GwySIUnit(unitstr="m"), si_unit_z=GwySIUnit(unitstr=unit), **extent_m
+                values,
+                si_unit_xy=GwySIUnit(unitstr="m"),
+                si_unit_z=GwySIUnit(unitstr=unit),
+                **extent_m,
             )
-        file[f"/{k}/meta"] = GwyContainer({"name": name, "planish": history.json(**maps.facts() | {"missing": "mask"})})
+        file[f"/{k}/meta"] = GwyContainer(
+            {"name": name, "planish": history.json(**maps.facts() | {"missing": "mask"})}
+        )
         file[f"/{k}/data/visible"] = True
     with path.open("wb") as stream:
         file.tofile(stream)
@@ -102,20 +118,42 @@ def write_crate(run: Path, path: Path, history: ExportHistory, _params: ExportPa
         raise InputError(f"{run} is an RO-Crate already.")
     crate: Any = ROCrate(version="1.1")
     crate.name = f"{run.absolute().name}: a run of planish"
-    crate.description = "Maps of a sheet from a volume, and their link to other layers, made by planish."
+    crate.description = (
+        "Maps of a sheet from a volume, and their link to other layers, made by planish."
+    )
     crate.root_dataset["datePublished"] = (
         f"{datetime.fromtimestamp((run / 'results.json').stat().st_mtime, UTC):%Y-%m-%d}"
     )
-    files = [_add(crate, entry) for entry in sorted(run.iterdir()) if not entry.name.startswith(".")]
+    files = [
+        _add(crate, entry) for entry in sorted(run.iterdir()) if not entry.name.startswith(".")
+    ]
     program = _entity(
-        crate, "#planish", "SoftwareApplication", name="planish", softwareVersion=history.planish,
+        crate,
+        "#planish",
+        "SoftwareApplication",
+        name="planish",
+        softwareVersion=history.planish,
         description="Links the 3D structure of a paper sheet to a 2D image of it.",
-    )  # fmt: skip
+    )
     inputs = [
-        _entity(crate, f"#input-{layer['layer']}", "CreativeWork", name=layer["name"], sha256=layer["sha256"])
+        _entity(
+            crate,
+            f"#input-{layer['layer']}",
+            "CreativeWork",
+            name=layer["name"],
+            sha256=layer["sha256"],
+        )
         for layer in history.inputs
     ]
-    action = _entity(crate, "#run", "CreateAction", name="planish run", instrument=program, object=inputs, result=files)
+    action = _entity(
+        crate,
+        "#run",
+        "CreateAction",
+        name="planish run",
+        instrument=program,
+        object=inputs,
+        result=files,
+    )
     crate.root_dataset["mentions"] = [action]
     crate.write(str(path))
 
@@ -149,5 +187,9 @@ def _add(crate: Any, entry: Path) -> Any:
         ".geojson": "application/geo+json",
     }.get(entry.suffix, "application/octet-stream")
     sha256 = hashlib.sha256(entry.read_bytes()).hexdigest()
-    properties |= {"contentSize": str(entry.stat().st_size), "sha256": sha256, "encodingFormat": mime_type}
+    properties |= {
+        "contentSize": str(entry.stat().st_size),
+        "sha256": sha256,
+        "encodingFormat": mime_type,
+    }
     return crate.add_file(str(entry), name, properties=properties)

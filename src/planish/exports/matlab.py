@@ -30,7 +30,9 @@ def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) 
     size (y, x), ``units`` and ``titles`` structures with the maps' names, ``history`` a text. Maps are (rows, columns);
     truth values are logical. ResourceError where version 5 was asked for, and the maps take 2 GB or more.
     """
-    metadata: dict[str, Any] = {f"{axis}_um": um[None, :] for axis, um in zip(maps.dims, maps.at_um, strict=True)}
+    metadata: dict[str, Any] = {
+        f"{axis}_um": um[None, :] for axis, um in zip(maps.dims, maps.at_um, strict=True)
+    }
     metadata |= {
         "pixel_um": np.array([maps.pixel_um]),
         "units": maps.units,
@@ -39,9 +41,21 @@ def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) 
     }
     version = chosen_version(maps, params)
     if version == "5":
-        map_arrays = {name: np.concatenate([band for _, band in maps.bands(name)]) for name in maps.names}
-        pixels = {n: p.astype(np.bool_) if maps.data[n].dtype.kind == "b" else p for n, p in map_arrays.items()}
-        io.savemat(str(path), pixels | metadata, appendmat=False, format="5", oned_as="row", long_field_names=True)
+        map_arrays = {
+            name: np.concatenate([band for _, band in maps.bands(name)]) for name in maps.names
+        }
+        pixels = {
+            n: p.astype(np.bool_) if maps.data[n].dtype.kind == "b" else p
+            for n, p in map_arrays.items()
+        }
+        io.savemat(
+            str(path),
+            pixels | metadata,
+            appendmat=False,
+            format="5",
+            oned_as="row",
+            long_field_names=True,
+        )
         version, header_end = "5.0", b""
     else:
         with h5py.File(path, "w", userblock_size=_HEAD, libver="earliest") as file:
@@ -50,18 +64,25 @@ def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) 
             for name, variable in metadata.items():
                 _put(file, name, variable)
         header_end = (b"\0" * 8 + b"\x00\x02IM").ljust(_HEAD - _TEXT, b"\0")
-    header_start = f"MATLAB {version} MAT-file, written by {history.program}".encode("ascii").ljust(_TEXT)[:_TEXT]
+    header_start = f"MATLAB {version} MAT-file, written by {history.program}".encode("ascii").ljust(
+        _TEXT
+    )[:_TEXT]
     with path.open("rb+") as file:
         file.write(header_start + header_end)
 
 
 def chosen_version(maps: Maps, params: ExportParams) -> str:
     """Choose the version in which maps are written; ResourceError where the one that was asked for cannot hold them."""
-    maps_bytes = sum(plain_type(maps.data[name].dtype).itemsize for name in maps.names) * maps.shape[0] * maps.shape[1]
+    maps_bytes = (
+        sum(plain_type(maps.data[name].dtype).itemsize for name in maps.names)
+        * maps.shape[0]
+        * maps.shape[1]
+    )
     if params.mat_version == "5" and maps_bytes > MOST_5:
         raise ResourceError(
-            f"The maps take {maps_bytes / 1e9:.1f} GB, and a MATLAB file of version 5 holds 2 GB. Leave out "
-            "--mat-version, choose fewer maps with --map, or give a folder for a file each."
+            f"The maps take {maps_bytes / 1e9:.1f} GB, and a MATLAB file of version 5 holds 2 GB."
+            " Leave out --mat-version, choose fewer maps with --map, or give a folder for a file"
+            " each."
         )
     return params.mat_version or ("5" if maps_bytes <= WHOLE_BYTES else "7.3")
 
@@ -71,7 +92,9 @@ def _put_map(file: h5py.File, maps: Maps, name: str) -> None:
     dtype, (rows, cols) = plain_type(maps.data[name].dtype), maps.shape
     # As many columns in each chunk: what reaches beyond the map is written, too.
     chunk = (-(-cols // -(-cols // _CHUNK)), min(_CHUNK, rows))
-    dataset = file.create_dataset(name, shape=(cols, rows), dtype=dtype, chunks=chunk, fill_time="never")
+    dataset = file.create_dataset(
+        name, shape=(cols, rows), dtype=dtype, chunks=chunk, fill_time="never"
+    )
     first_cols = range(0, cols, chunk[0])
     with thread_pool() as pool:
         for rows_of_band, band in maps.bands(name):
@@ -101,7 +124,9 @@ def _put(group: h5py.Group, name: str, variable: Any) -> None:
         utf16 = np.frombuffer(variable.encode("utf-16-le"), dtype="<u2")
         _set_class(group.create_dataset(name, data=utf16[:, None]), "char", int_decode=2)
     else:
-        _set_class(group.create_dataset(name, data=np.asarray(variable, dtype=np.float64).T), "double")
+        _set_class(
+            group.create_dataset(name, data=np.asarray(variable, dtype=np.float64).T), "double"
+        )
 
 
 def _set_class(dataset: h5py.Dataset, name: str, *, int_decode: int | None = None) -> None:

@@ -26,7 +26,8 @@ SURFACES = ("top", "bottom", "interface_top", "interface_bottom", "centre")
 class Surface:
     """A surface of the sheet and what it carries."""
 
-    data: xr.Dataset  #: heights and maps (y, x) on the columns of the volume, in um; the frame in its attributes
+    # : heights and maps (y, x) on the columns of the volume, in um; the frame in its attributes.
+    data: xr.Dataset
     name: str  #: one of `SURFACES`
     maps: tuple[str, ...]  #: that its nodes carry; the first is their colour where there is one
     scales: Mapping[str, Scale]  #: limits and colours of maps, by name
@@ -38,7 +39,8 @@ class SurfaceMesh:
 
     points: NDArray[np.float32]  # (n, 3): x, y, z in um
     quads: NDArray[np.int32]  # (m, 4): nodes of each cell, anticlockwise as seen from outside
-    maps: dict[str, NDArray[np.float32]]  # (n,), by name and unit (``coating_top_um``); NaN is missing
+    # (n,), by name and unit (``coating_top_um``); NaN is missing.
+    maps: dict[str, NDArray[np.float32]]
     colours: NDArray[np.uint8] | None  # (n, 3): red, green, blue of the first map
     description: str  # what places and colours are, in one line
 
@@ -50,15 +52,25 @@ def write_ply(surface: Surface, path: Path, history: ExportHistory, params: Expo
     if mesh.colours is not None:
         columns |= zip(("red", "green", "blue"), mesh.colours.T, strict=True)
     columns |= mesh.maps
-    nodes = np.rec.fromarrays(columns.values(), [(k, column.dtype.newbyteorder("<")) for k, column in columns.items()])
+    nodes = np.rec.fromarrays(
+        columns.values(), [(k, column.dtype.newbyteorder("<")) for k, column in columns.items()]
+    )
     faces = np.empty(len(mesh.quads), dtype=[("count", "u1"), ("nodes", "<i4", (4,))])
     faces["count"], faces["nodes"] = 4, mesh.quads
     header_lines = [
-        "ply", "format binary_little_endian 1.0", f"comment {mesh.description}", f"comment {history.json()}",
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment {mesh.description}",
+        f"comment {history.json()}",
         f"element vertex {len(nodes)}",
-        *(f"property {'uchar' if column.dtype == np.uint8 else 'float'} {k}" for k, column in columns.items()),
-        f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header",
-    ]  # fmt: skip
+        *(
+            f"property {'uchar' if column.dtype == np.uint8 else 'float'} {k}"
+            for k, column in columns.items()
+        ),
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        "end_header",
+    ]
     with path.open("wb") as file:
         file.write(("\n".join(header_lines) + "\n").encode("ascii"))
         file.write(nodes.data)
@@ -70,7 +82,10 @@ def write_obj(surface: Surface, path: Path, history: ExportHistory, params: Expo
     mesh = mesh_of(surface, params)
     node_values, node_format = mesh.points.astype(np.float64), "v %.9g %.9g %.9g"
     if mesh.colours is not None:
-        node_values, node_format = np.column_stack([node_values, mesh.colours / 255.0]), f"{node_format} %.4f %.4f %.4f"
+        node_values, node_format = (
+            np.column_stack([node_values, mesh.colours / 255.0]),
+            f"{node_format} %.4f %.4f %.4f",
+        )
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write(f"# {mesh.description}\n# {history.json()}\no {surface.name}\n")
         for table, row_format in ((node_values, node_format), (mesh.quads + 1, "f %d %d %d %d")):
@@ -86,17 +101,25 @@ def write_stl(surface: Surface, path: Path, history: ExportHistory, params: Expo
     """
     mesh = mesh_of(surface, params)
     corners = mesh.quads[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
-    triangles = np.zeros(len(corners), [("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("colour", "<u2")])
+    triangles = np.zeros(
+        len(corners), [("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("colour", "<u2")]
+    )
     vertices = mesh.points[corners]
-    normals = np.cross(vertices[:, 1] - vertices[:, 0], vertices[:, 2] - vertices[:, 0]).astype(np.float64)
+    normals = np.cross(vertices[:, 1] - vertices[:, 0], vertices[:, 2] - vertices[:, 0]).astype(
+        np.float64
+    )
     norms = np.linalg.norm(normals, axis=1, keepdims=True)
     triangles["normal"] = normals / np.where(norms > 0, norms, 1.0)
     triangles["corners"] = vertices
     if mesh.colours is not None:
         # Five bits each, blue the lowest; the sixteenth says that they hold.
-        red, green, blue = np.rint(mesh.colours[corners].mean(axis=1) / 255 * 31).astype(np.uint16).T
+        red, green, blue = (
+            np.rint(mesh.colours[corners].mean(axis=1) / 255 * 31).astype(np.uint16).T
+        )
         triangles["colour"] = 1 << 15 | red << 10 | green << 5 | blue
-    header = f"{history.program}, {surface.name}, um, study {history.study_sha256[:16]}".encode("ascii", "replace")
+    header = f"{history.program}, {surface.name}, um, study {history.study_sha256[:16]}".encode(
+        "ascii", "replace"
+    )
     with path.open("wb") as file:
         file.write(header[:80].ljust(80))
         file.write(len(triangles).to_bytes(4, "little"))
@@ -108,12 +131,14 @@ def write_vtu(surface: Surface, path: Path, history: ExportHistory, params: Expo
     mesh = mesh_of(surface, params)
     n_cells = len(mesh.quads)
     active_scalars = f" Scalars={quoteattr(next(iter(mesh.maps)))}" if mesh.maps else ""
-    comment = f"{mesh.description} {history.json()}".replace("--", "- -")  # two dashes would end a comment
+    # Two dashes would end a comment.
+    comment = f"{mesh.description} {history.json()}".replace("--", "- -")
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write(
-            f'<?xml version="1.0"?>\n<!-- {escape(comment)} -->\n'
-            '<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" header_type="UInt64">\n'
-            f'<UnstructuredGrid><Piece NumberOfPoints="{len(mesh.points)}" NumberOfCells="{n_cells}">\n<Points>\n'
+            f'<?xml version="1.0"?>\n<!-- {escape(comment)} -->\n<VTKFile type="UnstructuredGrid"'
+            ' version="1.0" byte_order="LittleEndian"'
+            f' header_type="UInt64">\n<UnstructuredGrid><Piece NumberOfPoints="{len(mesh.points)}"'
+            f' NumberOfCells="{n_cells}">\n<Points>\n'
         )
         _write_vtk_array(file, "Points", mesh.points)
         file.write("</Points>\n<Cells>\n")
@@ -129,7 +154,9 @@ def write_vtu(surface: Surface, path: Path, history: ExportHistory, params: Expo
 def _write_vtk_array(file: IO[str], name: str, array: NDArray[Any]) -> None:
     vtk_type = {"f4": "Float32", "i4": "Int32", "i8": "Int64", "u1": "UInt8"}[array.dtype.str[1:]]
     components_attr = ' NumberOfComponents="3"' if name == "Points" else ""
-    file.write(f'<DataArray type="{vtk_type}" Name={quoteattr(name)}{components_attr} format="binary">\n')
+    file.write(
+        f'<DataArray type="{vtk_type}" Name={quoteattr(name)}{components_attr} format="binary">\n'
+    )
     data_bytes = np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes()
     file.write(base64.b64encode(len(data_bytes).to_bytes(8, "little") + data_bytes).decode("ascii"))
     file.write("\n</DataArray>\n")
@@ -143,36 +170,62 @@ def mesh_of(surface: Surface, params: ExportParams) -> SurfaceMesh:
     heights = nodes[surface.name].values
     is_node = np.isfinite(heights)
     node_index = np.cumsum(is_node.ravel()).reshape(is_node.shape) - 1
-    corners = [(slice(None, -1), slice(None, -1)), (slice(None, -1), slice(1, None)),
-               (slice(1, None), slice(1, None)), (slice(1, None), slice(None, -1))]  # fmt: skip
+    corners = [
+        (slice(None, -1), slice(None, -1)),
+        (slice(None, -1), slice(1, None)),
+        (slice(1, None), slice(1, None)),
+        (slice(1, None), slice(None, -1)),
+    ]
     is_cell = np.all([is_node[corner] for corner in corners], axis=0)
     if not is_cell.any():
         raise StudyError(
-            f"The surface {surface.name} has no cell at these nodes: {int(is_node.sum())} nodes are known. Give a "
-            "smaller --mesh-um, or another surface."
+            f"The surface {surface.name} has no cell at these nodes: {int(is_node.sum())} nodes are"
+            " known. Give a smaller --mesh-um, or another surface."
         )
     quads = np.stack([node_index[corner][is_cell] for corner in corners], axis=1).astype(np.int32)
-    coords_um = {frame.rows: nodes["y"].values[:, None], frame.cols: nodes["x"].values[None, :], frame.through: heights}
-    points = np.stack([np.broadcast_to(coords_um[axis], is_node.shape)[is_node] for axis in "xyz"], axis=1)
+    coords_um = {
+        frame.rows: nodes["y"].values[:, None],
+        frame.cols: nodes["x"].values[None, :],
+        frame.through: heights,
+    }
+    points = np.stack(
+        [np.broadcast_to(coords_um[axis], is_node.shape)[is_node] for axis in "xyz"], axis=1
+    )
     if params.as_seen:
         points[:, 1] *= -1
     # Cells of (row, col), (row, col + 1) ... have to run anticlockwise as seen from outside of the sheet.
     unit_vectors = dict(zip("xyz", np.eye(3), strict=True))
-    outward_normal = unit_vectors[frame.through] * frame.sign * (-1 if surface.name.endswith("bottom") else 1)
-    if (float(np.cross(unit_vectors[frame.cols], unit_vectors[frame.rows]) @ outward_normal) > 0) == params.as_seen:
+    outward_normal = (
+        unit_vectors[frame.through] * frame.sign * (-1 if surface.name.endswith("bottom") else 1)
+    )
+    if (
+        float(np.cross(unit_vectors[frame.cols], unit_vectors[frame.rows]) @ outward_normal) > 0
+    ) == params.as_seen:
         quads = quads[:, ::-1]
-    maps = {column_of(n, units_of(nodes[n])): nodes[n].values[is_node].astype(np.float32) for n in surface.maps}
-    axes_text = "y of the volume with its sign turned" if params.as_seen else "x, y, z of the volume"
+    maps = {
+        column_of(n, units_of(nodes[n])): nodes[n].values[is_node].astype(np.float32)
+        for n in surface.maps
+    }
+    axes_text = (
+        "y of the volume with its sign turned" if params.as_seen else "x, y, z of the volume"
+    )
     about, colours = f"surface {surface.name}; um; {axes_text}", None
     for colour_map in surface.maps[:1]:
         from planish.exports.picture import colormap_of  # matplotlib is needed for colours alone
 
         scale = surface.scales[colour_map]
-        colour_fraction = (nodes[colour_map].values[is_node].astype(np.float64) - scale.low) / (scale.high - scale.low)
+        colour_fraction = (nodes[colour_map].values[is_node].astype(np.float64) - scale.low) / (
+            scale.high - scale.low
+        )
         colours = colormap_of(scale)(np.clip(colour_fraction, 0, 1), bytes=True)[:, :3]
-        colours = np.where(np.isfinite(colour_fraction)[:, None], colours, (212, 214, 216)).astype(np.uint8)
+        colours = np.where(np.isfinite(colour_fraction)[:, None], colours, (212, 214, 216)).astype(
+            np.uint8
+        )
         units = units_of(nodes[colour_map])
-        about += f"; colour: {colour_map} from {scale.low:.6g} to {scale.high:.6g}{f' {units}' if units != '1' else ''}"
+        about += (
+            f"; colour: {colour_map} from {scale.low:.6g} to"
+            f" {scale.high:.6g}{f' {units}' if units != '1' else ''}"
+        )
     points, quads = np.ascontiguousarray(points, np.float32), np.ascontiguousarray(quads)
     return SurfaceMesh(points, quads, maps, colours, about)
 
@@ -183,5 +236,8 @@ def steps_of(columns: xr.Dataset, mesh_um: float | None) -> tuple[int, int]:
         return 1, 1
     pitches = pitch(columns)
     if mesh_um < 0.999 * max(pitches):
-        raise StudyError(f"--mesh-um {mesh_um:g} is less than a column of {max(pitches):g} um. Give a multiple of it.")
+        raise StudyError(
+            f"--mesh-um {mesh_um:g} is less than a column of {max(pitches):g} um. Give a multiple"
+            " of it."
+        )
     return max(1, round(mesh_um / pitches[0])), max(1, round(mesh_um / pitches[1]))

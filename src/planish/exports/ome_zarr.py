@@ -29,12 +29,17 @@ def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams)
     channel_dims = (len(names),) if has_channels else ()
     arrays: list[Any] = [
         group.create_array(
-            str(level), shape=(*channel_dims, *shape), dtype=np.float32,
-            chunks=(*(1 for _ in channel_dims), *(min(n, BAND) for n in shape)), fill_value=np.nan, compressors=CODECS,
-            dimension_names=[*("c" for _ in channel_dims), "y", "x"], config={"write_empty_chunks": True},
+            str(level),
+            shape=(*channel_dims, *shape),
+            dtype=np.float32,
+            chunks=(*(1 for _ in channel_dims), *(min(n, BAND) for n in shape)),
+            fill_value=np.nan,
+            compressors=CODECS,
+            dimension_names=[*("c" for _ in channel_dims), "y", "x"],
+            config={"write_empty_chunks": True},
         )
         for level, shape in enumerate(shapes)
-    ]  # fmt: skip
+    ]
     windows: list[dict[str, float]] = []
     for k, name in enumerate(names):
         channel = (k,) if has_channels else ()
@@ -56,35 +61,63 @@ def _window(overview: NDArray[np.float32]) -> dict[str, float]:
     return {"min": extremes[0], "max": extremes[1], "start": low, "end": high}
 
 
-def _copied(path: Path, run_folders: Sequence[Path], n_levels: int, channel: tuple[int, ...]) -> bool:
+def _copied(
+    path: Path, run_folders: Sequence[Path], n_levels: int, channel: tuple[int, ...]
+) -> bool:
     """Copy the chunks of a map and its overviews; False, and nothing is done, where they are not those of the image."""
     image_folders = [path / str(k) for k in range(n_levels)]
-    if len(run_folders) != n_levels or not all(_alike(*pair) for pair in zip(run_folders, image_folders, strict=True)):
+    if len(run_folders) != n_levels or not all(
+        _alike(*pair) for pair in zip(run_folders, image_folders, strict=True)
+    ):
         return False
     for run_folder, image_folder in zip(run_folders, image_folders, strict=True):
         channel_folder = image_folder.joinpath("c", *map(str, channel))
-        shutil.copytree(run_folder / "c", channel_folder, copy_function=shutil.copyfile, dirs_exist_ok=True)
+        shutil.copytree(
+            run_folder / "c", channel_folder, copy_function=shutil.copyfile, dirs_exist_ok=True
+        )
     return True
 
 
 def _alike(source: Path, target: Path) -> bool:
     """Tell whether two arrays differ in nothing but a first axis, so that their chunks have the same bytes."""
-    metadata = [json.loads((path / "zarr.json").read_text(encoding="utf-8")) for path in (source, target)]
+    metadata = [
+        json.loads((path / "zarr.json").read_text(encoding="utf-8")) for path in (source, target)
+    ]
     keys = ("data_type", "codecs", "chunk_key_encoding", "fill_value")
     encodings = [[array_metadata.get(key) for key in keys] for array_metadata in metadata]
-    chunks = [array_metadata["chunk_grid"]["configuration"]["chunk_shape"][-2:] for array_metadata in metadata]
-    return encodings[0] == encodings[1] and chunks[0] == chunks[1] and metadata[0]["shape"] == metadata[1]["shape"][-2:]
+    chunks = [
+        array_metadata["chunk_grid"]["configuration"]["chunk_shape"][-2:]
+        for array_metadata in metadata
+    ]
+    return (
+        encodings[0] == encodings[1]
+        and chunks[0] == chunks[1]
+        and metadata[0]["shape"] == metadata[1]["shape"][-2:]
+    )
 
 
-def _attributes(maps: Maps, windows: list[dict[str, float]], n_levels: int, history: ExportHistory) -> dict[str, Any]:
+def _attributes(
+    maps: Maps, windows: list[dict[str, float]], n_levels: int, history: ExportHistory
+) -> dict[str, Any]:
     names = maps.names
     name, axes = (maps.group, "cyx") if len(names) > 1 else (names[0], "yx")
-    multiscales = multiscale(name, axes, maps.pixel_um, maps.origin_um, n_levels, kind="mean of 2 x 2 known pixels")
+    multiscales = multiscale(
+        name, axes, maps.pixel_um, maps.origin_um, n_levels, kind="mean of 2 x 2 known pixels"
+    )
     channels = [
-        {"label": f"{name} ({units})", "color": "FFFFFF", "active": name == names[0], "window": window}
+        {
+            "label": f"{name} ({units})",
+            "color": "FFFFFF",
+            "active": name == names[0],
+            "window": window,
+        }
         for (name, units), window in zip(maps.units.items(), windows, strict=True)
     ]
     return {
         "ome": {"version": "0.5", "multiscales": [multiscales], "omero": {"channels": channels}},
-        "planish": {"history": history.json(**maps.facts()), "units": maps.units, "titles": maps.titles},
+        "planish": {
+            "history": history.json(**maps.facts()),
+            "units": maps.units,
+            "titles": maps.titles,
+        },
     }

@@ -25,12 +25,24 @@ _DPI = 200
 _LEFT, _TOP, _RIGHT, _BELOW = 180, 84, 260, 160  # pixels around the map
 _INK, _SOFT = "#22292f", "#66707a"
 _STYLE: dict[str, Any] = {
-    "font.family": "sans-serif", "font.sans-serif": ["DejaVu Sans"], "font.size": 8.5, "svg.fonttype": "none",
-    "svg.hashsalt": "planish", "text.parse_math": False, "text.color": _INK, "axes.edgecolor": _SOFT,
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 8.5,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "planish",
+    "text.parse_math": False,
+    "text.color": _INK,
+    "axes.edgecolor": _SOFT,
     "axes.labelcolor": _INK,
-    "xtick.color": _SOFT, "ytick.color": _SOFT, "xtick.labelcolor": _INK, "ytick.labelcolor": _INK,
-    "axes.linewidth": 0.6, "xtick.major.width": 0.6, "ytick.major.width": 0.6, "axes.unicode_minus": True,
-}  # fmt: skip
+    "xtick.color": _SOFT,
+    "ytick.color": _SOFT,
+    "xtick.labelcolor": _INK,
+    "ytick.labelcolor": _INK,
+    "axes.linewidth": 0.6,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "axes.unicode_minus": True,
+}
 
 
 def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) -> None:
@@ -39,7 +51,11 @@ def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) 
     pixels, reduction = _reduced(maps, name)
     scale = maps.scales.get(name) or Scale(*percentile_limits(pixels))
     note = history.json(**maps.facts(), map=name, low=scale.low, high=scale.high, reduced=reduction)
-    program_fields = {"Software": history.program} if params.to == "png" else {"Date": None, "Creator": history.program}
+    program_fields = (
+        {"Software": history.program}
+        if params.to == "png"
+        else {"Date": None, "Creator": history.program}
+    )
     metadata = program_fields | {"Title": maps.titles[name], "Description": note}
     with style.context(["default", _STYLE]), path.open("wb") as file:  # whatever the user has set
         _figure(maps, pixels, reduction, scale).savefig(file, format=params.to, metadata=metadata)
@@ -72,23 +88,37 @@ def _figure(maps: Maps, pixels: NDArray[np.float32], reduction: float, scale: Sc
 
     def box(x: float, y: float, w: float, h: float) -> Any:
         """Axes at pixels from the upper left corner."""
-        return figure.add_axes((x / size_px[0], 1 - (y + h) / size_px[1], w / size_px[0], h / size_px[1]))
+        return figure.add_axes(
+            (x / size_px[0], 1 - (y + h) / size_px[1], w / size_px[0], h / size_px[1])
+        )
 
     x0, y0 = x0 - dx_um / 2, y0 - dy_um / 2
     extent = (x0, x0 + cols * dx_um * reduction, y0 + rows * dy_um * reduction, y0)
     map_axes = box(_LEFT, _TOP, width_px, height_px)
     map_image = map_axes.imshow(
-        np.ma.masked_invalid(pixels), cmap=colormap_of(scale), vmin=scale.low, vmax=scale.high, extent=extent,
-        interpolation="nearest", aspect="auto",
-    )  # fmt: skip
+        np.ma.masked_invalid(pixels),
+        cmap=colormap_of(scale),
+        vmin=scale.low,
+        vmax=scale.high,
+        extent=extent,
+        interpolation="nearest",
+        aspect="auto",
+    )
     map_axes.locator_params(nbins=max(3, min(9, width_px // 160)), axis="x")
     map_axes.locator_params(nbins=max(3, min(9, height_px // 110)), axis="y")
     map_axes.set(xlabel=f"{maps.dims[1]} / µm", ylabel=f"{maps.dims[0]} / µm")
-    colour_bar = figure.colorbar(map_image, cax=box(_LEFT + width_px + 40, _TOP, 36, max(height_px, 300)))
+    colour_bar = figure.colorbar(
+        map_image, cax=box(_LEFT + width_px + 40, _TOP, 36, max(height_px, 300))
+    )
     colour_bar.outline.set_linewidth(0.6)  # pyright: ignore
     colour_bar.set_label(unit(maps.units[name]))
     figure.text(
-        _LEFT / size_px[0], 1 - 0.6 * _TOP / size_px[1], maps.titles[name], fontsize=10, fontweight="bold", va="center"
+        _LEFT / size_px[0],
+        1 - 0.6 * _TOP / size_px[1],
+        maps.titles[name],
+        fontsize=10,
+        fontweight="bold",
+        va="center",
     )
     map_um = cols * dx_um * reduction
     length_um = round_step(map_um / 4)

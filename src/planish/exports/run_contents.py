@@ -53,20 +53,31 @@ def history_of(run: Run) -> ExportHistory:
 
 def map_group(run: Run, name: str | None) -> str:
     """Choose the group of maps: as named, or the linked maps, or those of the sheet; InputError where there is none."""
-    layer_groups = [group for group in run.groups if group.startswith("layers/") and group.count("/") == 1]
-    map_groups = [k for k in ("linked", "maps", "refined", "surfaces", "flat") if k in run.groups] + layer_groups
+    layer_groups = [
+        group for group in run.groups if group.startswith("layers/") and group.count("/") == 1
+    ]
+    map_groups = [
+        k for k in ("linked", "maps", "refined", "surfaces", "flat") if k in run.groups
+    ] + layer_groups
     group = name or next((group for group in ("linked", "maps") if group in map_groups), None)
     if group is None:
-        raise InputError(f"The run holds the maps of several layers. Choose one with --group: {', '.join(map_groups)}.")
+        raise InputError(
+            "The run holds the maps of several layers. Choose one with --group:"
+            f" {', '.join(map_groups)}."
+        )
     if group not in map_groups:
         suggestion = likely(group, [*map_groups, STRAIGHTENED])
-        raise InputError(f"The run has no group {group!r}; it holds {', '.join(map_groups)}.{suggestion}")
+        raise InputError(
+            f"The run has no group {group!r}; it holds {', '.join(map_groups)}.{suggestion}"
+        )
     return group
 
 
 def map_names(run: Run, group: str, requested: Sequence[str]) -> list[str]:
     """Choose the maps of a group: all where none is named, and the image on the flat sheet."""
-    names = [str(name) for name, variable in run.groups[group].data_vars.items() if variable.ndim == 2]
+    names = [
+        str(name) for name, variable in run.groups[group].data_vars.items() if variable.ndim == 2
+    ]
     if group == "maps" and "linked" in run.groups and len(run.results.moving) == 1:
         names.append(IMAGE)
     return checked_names(requested, names, f"group {group}") or names
@@ -75,7 +86,8 @@ def map_names(run: Run, group: str, requested: Sequence[str]) -> list[str]:
 def maps_of(run: Run, group: str, names: Sequence[str]) -> xr.Dataset:
     """Maps of a group in the order of their names, the image on the flat sheet among those of the sheet."""
     maps = run.groups[group]
-    if IMAGE in names and IMAGE not in maps:  # means over areas where it is finer, through the marks
+    # Means over areas where it is finer, through the marks.
+    if IMAGE in names and IMAGE not in maps:
         image = run.groups["linked"][IMAGE].compute()
         # Seen from its fixed layer, a fit takes an image there back to the moving one.
         reversed_fit = SimpleNamespace(inverse=run.registrations[run.results.moving[0].name].fit)
@@ -96,7 +108,8 @@ def scale_of(maps: xr.Dataset, name: str) -> Scale:
     """Give limits and colours of a map, those of the page: both sides of the sheet share theirs."""
     other_side = partner_of(name, [str(key) for key in maps.data_vars])
     pooled_maps = [maps[name]] if other_side is None else [maps[name], maps[other_side]]
-    is_masked = name == IMAGE and "valid" in maps  # the holes of an image would take most of the colours
+    # The holes of an image would take most of the colours.
+    is_masked = name == IMAGE and "valid" in maps
     _, samples = thinned(*pooled_maps, *([maps["valid"]] if is_masked else []))
     if is_masked:
         samples = [np.where(samples[1], samples[0], np.nan)]
@@ -118,15 +131,20 @@ def straightened_volume(
     facts = sheet_facts(run)
     if facts is None or "maps" not in run.groups:
         raise InputError(
-            "The straightened volume needs the surfaces of one sheet, and this run holds none. Give the run of "
-            "the volume itself, in layers/NAME where several were linked."
+            "The straightened volume needs the surfaces of one sheet, and this run holds none. Give"
+            " the run of the volume itself, in layers/NAME where several were linked."
         )
     volume, _ = read_sheet_volume(volume_params(run, facts, progress), compute, progress)
     volume_coords = run.groups["maps"][[f"volume_{axis}" for axis in "xyz"]]
     params = _mapped_layer(run, facts.name).properties
-    straightened_grey = straightened(volume, run.groups["surfaces"], volume_coords, params=params, depth_um=depth_um)
+    straightened_grey = straightened(
+        volume, run.groups["surfaces"], volume_coords, params=params, depth_um=depth_um
+    )
     return straightened_grey.assign_attrs(
-        group=STRAIGHTENED, file_name=facts.source.name, normal="z, up to the top", flat="y is v, x is u"
+        group=STRAIGHTENED,
+        file_name=facts.source.name,
+        normal="z, up to the top",
+        flat="y is v, x is u",
     )
 
 
@@ -137,14 +155,14 @@ def volume_params(run: Run, facts: LayerFacts, progress: Progress) -> VolumePara
     path = find_place(params.path).path
     if not path.exists():
         raise FileError(
-            f"The volume {facts.source.name} of this run is needed, and {path} is not there. Put it back, or write "
-            "where it is now into run.toml, under [layers.volume], as path."
+            f"The volume {facts.source.name} of this run is needed, and {path} is not there. Put it"
+            " back, or write where it is now into run.toml, under [layers.volume], as path."
         )
     progress("read", facts.source.name)
     if fingerprint(params.path) != facts.source.sha256:
         raise FileError(
-            f"{path} is another file than the one that was mapped: its SHA-256 is not that in results.json. Put "
-            "the volume of this run there."
+            f"{path} is another file than the one that was mapped: its SHA-256 is not that in"
+            " results.json. Put the volume of this run there."
         )
     return params
 
@@ -155,7 +173,11 @@ def sheet_run(run: Run, name: str) -> Run | None:
     if facts is not None and facts.name == name:
         return run
     folders = [run.folder / "layers" / name] if run.folder is not None else []
-    folders += [Path(layer.run) for layer in run.study.layers if layer.name == name and layer.run is not None]
+    folders += [
+        Path(layer.run)
+        for layer in run.study.layers
+        if layer.name == name and layer.run is not None
+    ]
     runs = (open_run(folder) for folder in folders if (folder / MAPS / "zarr.json").is_file())
     return next((other for other in runs if sheet_facts(other) is not None), None)
 
@@ -166,7 +188,10 @@ def _mapped_layer(run: Run, name: str) -> LayerParams:
         return layer
     path = Path(layer.run) / RUN_TOML
     if not path.is_file():
-        raise FileError(f"The volume of this run stands in the run {layer.run}, which is not there. Put it back.")
+        raise FileError(
+            f"The volume of this run stands in the run {layer.run}, which is not there. Put it"
+            " back."
+        )
     return next(layer for layer in read_study(path).layers if layer.volume is not None)
 
 
@@ -174,12 +199,15 @@ def registered_layers(run: Run, group: str | None) -> list[LayerFacts]:
     """Choose the moving layers with a registration: all, or the one of a name; InputError where there is none."""
     moving = list(run.results.moving)
     if not moving:
-        raise InputError("The run is that of one sheet: nothing is registered. Give a run of 'planish link'.")
+        raise InputError(
+            "The run is that of one sheet: nothing is registered. Give a run of 'planish link'."
+        )
     names = [layer.name for layer in moving]
     moving_name = None if group in (None, "linked") else str(group).removeprefix("layers/")
     if moving_name is not None and moving_name not in names:
         raise InputError(
-            f"No layer {moving_name!r} is registered; there are {', '.join(names)}.{likely(moving_name, names)}"
+            f"No layer {moving_name!r} is registered; there are"
+            f" {', '.join(names)}.{likely(moving_name, names)}"
         )
     return [layer for layer in moving if moving_name in (None, layer.name)]
 
@@ -195,7 +223,8 @@ def transforms_of(run: Run, layer: LayerFacts) -> TransformPair:
     affine = Affine(linear=((a, b), (c, d)), source=(x, y), target=(target_x, target_y))
     is_affine = isinstance(transform, Similarity | Affine)
     moving, fixed = (
-        grid_of(run, name) or _grid_around(marks) for name, marks in ((layer.name, fit.moving), (target, fit.fixed))
+        grid_of(run, name) or _grid_around(marks)
+        for name, marks in ((layer.name, fit.moving), (target, fit.fixed))
     )
     return TransformPair(
         DirectedTransform(layer.name, target, fit, moving, affine, is_affine),
@@ -233,7 +262,8 @@ def checked_names(requested: Sequence[str], names: Sequence[str], place_text: st
     for name in requested:
         if name not in names:
             raise InputError(
-                f"There is no map {name!r} in the {place_text}.{likely(name, names)} It holds {', '.join(names)}."
+                f"There is no map {name!r} in the {place_text}.{likely(name, names)} It holds"
+                f" {', '.join(names)}."
             )
     return list(dict.fromkeys(requested))
 
@@ -241,7 +271,12 @@ def checked_names(requested: Sequence[str], names: Sequence[str], place_text: st
 def _grid_around(marks: np.ndarray) -> Grid:
     low_um, high_um = marks.min(axis=0), marks.max(axis=0)
     extent_um = float((high_um - low_um).max())
-    margin_um = 0.3 * extent_um  # how far a layer whose pixels are not known may reach beyond its marks
+    # How far a layer whose pixels are not known may reach beyond its marks.
+    margin_um = 0.3 * extent_um
     pixel_um = max(extent_um / 2000, 1e-6)
-    cols, rows = (int(n) for n in np.ceil((high_um - low_um + 2 * margin_um) / pixel_um).astype(int) + 1)
-    return Grid.regular((rows, cols), pixel_um, (float(low_um[0] - margin_um), float(low_um[1] - margin_um)))
+    cols, rows = (
+        int(n) for n in np.ceil((high_um - low_um + 2 * margin_um) / pixel_um).astype(int) + 1
+    )
+    return Grid.regular(
+        (rows, cols), pixel_um, (float(low_um[0] - margin_um), float(low_um[1] - margin_um))
+    )

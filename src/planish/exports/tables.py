@@ -34,7 +34,9 @@ def write_matrix(maps: Maps, path: Path, history: ExportHistory, _params: Export
         for _, band in maps.bands(name, np.float32):
             rows_at_once = max(1, TEXT_VALUES // band.shape[1])
             for start in range(0, len(band), rows_at_once):
-                file.writelines("\t".join(row) + "\n" for row in _texts(band[start : start + rows_at_once]))
+                file.writelines(
+                    "\t".join(row) + "\n" for row in _texts(band[start : start + rows_at_once])
+                )
 
 
 def write_points(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) -> None:
@@ -47,8 +49,8 @@ def write_points(maps: Maps, path: Path, history: ExportHistory, params: ExportP
     point_um = params.point_um or 0.0
     if point_um and point_um < max(maps.pixel_um) * (1 - 1e-9):
         raise StudyError(
-            f"A point of {point_um:g} um is smaller than a pixel of {max(maps.pixel_um):g} um. Give a larger "
-            "--point-um, or 0 for every pixel."
+            f"A point of {point_um:g} um is smaller than a pixel of {max(maps.pixel_um):g} um. Give"
+            " a larger --point-um, or 0 for every pixel."
         )
     y, x = maps.dims
     names = [name for name in maps.names if name != "valid" or not point_um]
@@ -69,7 +71,9 @@ def _pixels(maps: Maps, names: list[str]) -> Iterator[Floats]:
     property_indices = [k for k, name in enumerate(names) if name != "valid"] or slice(None)
     for start in range(0, rows, rows_at_once):
         rows_slice = slice(start, min(start + rows_at_once, rows))
-        values = np.stack([band_of(maps.data[name], rows_slice).astype(np.float64) for name in names])
+        values = np.stack(
+            [band_of(maps.data[name], rows_slice).astype(np.float64) for name in names]
+        )
         has_value = np.isfinite(values[property_indices]).any(axis=0)
         coords_um = np.stack(np.broadcast_arrays(x[None, :], y[rows_slice, None]))
         yield np.concatenate([coords_um[:, has_value], values[:, has_value]])

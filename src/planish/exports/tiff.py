@@ -25,7 +25,9 @@ MOST = 2**32 - 2**20
 """Bytes of the values of a TIFF for ImageJ."""
 
 
-def write_imagej(content: Maps | xr.DataArray, path: Path, history: ExportHistory, _params: ExportParams) -> None:
+def write_imagej(
+    content: Maps | xr.DataArray, path: Path, history: ExportHistory, _params: ExportParams
+) -> None:
     """Write maps (channels), or a volume (z, y, x), in one file for ImageJ.
 
     ImageJ reads the unit from the description and the pixel size from the resolution, which is a fraction: sizes with
@@ -40,12 +42,22 @@ def write_imagej(content: Maps | xr.DataArray, path: Path, history: ExportHistor
             f"These values take {stack_bytes / 1e9:.1f} GB, and a TIFF for ImageJ holds 4 GB. Give "
             f"--to ome-tiff, {remedy_text}."
         )
-    metadata: dict[str, Any] = {"axes": stack.axes, "unit": "um", "Info": history.json(**stack.facts)}
+    metadata: dict[str, Any] = {
+        "axes": stack.axes,
+        "unit": "um",
+        "Info": history.json(**stack.facts),
+    }
     if isinstance(content, Maps):
-        if all(name in content.scales for name in content.names):  # limits between which maps are shown at first
-            limits = [limit for n in content.names for limit in (content.scales[n].low, content.scales[n].high)]
+        # Limits between which maps are shown at first.
+        if all(name in content.scales for name in content.names):
+            limits = [
+                limit
+                for n in content.names
+                for limit in (content.scales[n].low, content.scales[n].high)
+            ]
             metadata |= {"min": limits[0], "max": limits[1]}
-            if len(content.names) > 1:  # ImageJ takes the ranges of up to seven channels; of more, one for all
+            # ImageJ takes the ranges of up to seven channels; of more, one for all.
+            if len(content.names) > 1:
                 metadata["Ranges"] = limits
         metadata["Labels"] = stack.labels
         if len(stack.labels) > 1:
@@ -57,7 +69,9 @@ def write_imagej(content: Maps | xr.DataArray, path: Path, history: ExportHistor
     stack.write(path, history, imagej=True, ome=False, resolution=resolution, metadata=metadata)
 
 
-def write_ome(content: Maps | xr.DataArray, path: Path, history: ExportHistory, _params: ExportParams) -> None:
+def write_ome(
+    content: Maps | xr.DataArray, path: Path, history: ExportHistory, _params: ExportParams
+) -> None:
     """Write maps (channels), or a volume (z, y, x), in one OME-TIFF; its identifier is a hash of what it says."""
     stack = _Stack.of(content)
     description = history.json(**stack.facts)
@@ -65,7 +79,9 @@ def write_ome(content: Maps | xr.DataArray, path: Path, history: ExportHistory, 
         "axes": stack.axes,
         "Creator": history.program,
         "Description": description,
-        "UUID": f"urn:uuid:{uuid.UUID(bytes=hashlib.sha256(description.encode()).digest()[:16], version=5)}",
+        "UUID": (
+            f"urn:uuid:{uuid.UUID(bytes=hashlib.sha256(description.encode()).digest()[:16], version=5)}"
+        ),
     }
     for axis, pitch in zip("XYZ", stack.pixel_um[::-1], strict=False):
         metadata |= {f"PhysicalSize{axis}": pitch, f"PhysicalSize{axis}Unit": "µm"}
@@ -115,13 +131,25 @@ class _Stack:
             )
         coords_um = [content[dim].values for dim in content.dims]
         first_um = tuple(exact(axis_um[0]) for axis_um in coords_um)
-        pixel_um = tuple(exact((axis_um[-1] - axis_um[0]) / max(axis_um.size - 1, 1)) for axis_um in coords_um)
+        pixel_um = tuple(
+            exact((axis_um[-1] - axis_um[0]) / max(axis_um.size - 1, 1)) for axis_um in coords_um
+        )
         facts = {str(key): value for key, value in content.attrs.items() if key != "voxel_um"}
-        facts |= {"axes": "".join(map(str, content.dims)), "voxel_um": list(pixel_um), "first_voxel_um": list(first_um)}
+        facts |= {
+            "axes": "".join(map(str, content.dims)),
+            "voxel_um": list(pixel_um),
+            "first_voxel_um": list(first_um),
+        }
         return cls(
-            content=content, axes="ZYX", dtype=dtype, shape=tuple(content.shape), pixel_um=pixel_um, origin_um=first_um,
-            labels=[], facts=facts | {"missing": "NaN"},
-        )  # fmt: skip
+            content=content,
+            axes="ZYX",
+            dtype=dtype,
+            shape=tuple(content.shape),
+            pixel_um=pixel_um,
+            origin_um=first_um,
+            labels=[],
+            facts=facts | {"missing": "NaN"},
+        )
 
     def parts(self) -> Iterator[tuple[int, int, NDArray[Any]]]:
         """Give plane, first row, and values (rows, cols) of each part."""
@@ -133,16 +161,23 @@ class _Stack:
         n_slices, n_rows, n_cols = self.content.shape
         rows_at_once = max(1, STACK_BYTES // (4 * n_slices * n_cols))
         for first_row in range(0, n_rows, rows_at_once):
-            slab = np.asarray(self.content[:, first_row : first_row + rows_at_once, :].values, dtype=self.dtype)
+            slab = np.asarray(
+                self.content[:, first_row : first_row + rows_at_once, :].values, dtype=self.dtype
+            )
             for k in range(n_slices):
                 yield k, first_row, slab[k]
 
     def write(self, path: Path, history: ExportHistory, **options: Any) -> None:
         """Lay out a file of uncompressed planes, one behind the other, and put the values into it."""
         tifffile.imwrite(
-            path, shape=self.shape, dtype=self.dtype, byteorder="<", photometric="minisblack",
-            software=history.program, **options,
-        )  # fmt: skip
+            path,
+            shape=self.shape,
+            dtype=self.dtype,
+            byteorder="<",
+            photometric="minisblack",
+            software=history.program,
+            **options,
+        )
         with tifffile.TiffFile(path) as file:
             data_offset = file.series[0].dataoffset
         assert data_offset is not None  # the planes are contiguous

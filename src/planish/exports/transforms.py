@@ -17,7 +17,11 @@ from planish.exports.content import ExportHistory, Maps, plain_type
 from planish.exports.formats import ExportParams
 from planish.marks.exchange import write_any
 
-_CORNERS = [(rows, cols) for rows in (slice(None, -1), slice(1, None)) for cols in (slice(None, -1), slice(1, None))]
+_CORNERS = [
+    (rows, cols)
+    for rows in (slice(None, -1), slice(1, None))
+    for cols in (slice(None, -1), slice(1, None))
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +30,8 @@ class DirectedTransform:
 
     source: str
     target: str
-    function: Callable[[Floats], Floats]  #: takes points (..., 2), (x, y) in um, of the source to the target, or NaN
+    # : takes points (..., 2), (x, y) in um, of the source to the target, or NaN.
+    function: Callable[[Floats], Floats]
     grid: Grid  #: pixels of the source
     affine: Affine  #: the affine map that is closest at the middle of the marks
     exact: bool  #: whether the affine map is all of it
@@ -63,7 +68,10 @@ class DisplacementField:
 
     def facts(self) -> dict[str, float]:
         """Errors of the field, for the history."""
-        return {"largest_error_um": float(f"{self.error_um:.3g}"), "nodes_by_affine_map": self.n_filled}
+        return {
+            "largest_error_um": float(f"{self.error_um:.3g}"),
+            "nodes_by_affine_map": self.n_filled,
+        }
 
 
 def displacement(transform: DirectedTransform) -> DisplacementField:
@@ -76,17 +84,24 @@ def before_affine(transform: DirectedTransform) -> DisplacementField:
     return _sampled(transform, transform.affine, transform.affine.inverse.matrix())
 
 
-def _sampled(transform: DirectedTransform, near: Callable[[Floats], Floats], factor: Floats) -> DisplacementField:
+def _sampled(
+    transform: DirectedTransform, near: Callable[[Floats], Floats], factor: Floats
+) -> DisplacementField:
     """Sample ``factor @ (function - near)`` as coarsely as it may be."""
     pixel_um = np.array(transform.grid.pixel_um[::-1])
     size_um = np.array(transform.grid.shape[::-1]) * pixel_um
-    margin_um = 0.1 * float(size_um.max())  # of the layer's longer side: the field reaches so far beyond it
+    # Of the layer's longer side: the field reaches so far beyond it.
+    margin_um = 0.1 * float(size_um.max())
     low_um = np.array(transform.grid.origin_um) - 0.5 * pixel_um - margin_um
     length_um = size_um + 2 * margin_um
-    pitch_um = 64 * float(np.sqrt(pixel_um.prod()))  # at most so many pixels of the layer between nodes
+    # At most so many pixels of the layer between nodes.
+    pitch_um = 64 * float(np.sqrt(pixel_um.prod()))
 
     def nodes(node_shift: float, n_nodes: Ints) -> Floats:
-        axes = [low_um[k] + pitch_um * (np.arange(n_nodes[k] - (node_shift > 0)) + node_shift) for k in (0, 1)]
+        axes = [
+            low_um[k] + pitch_um * (np.arange(n_nodes[k] - (node_shift > 0)) + node_shift)
+            for k in (0, 1)
+        ]
         return np.stack(np.meshgrid(*axes), axis=-1)
 
     def offsets(points: Floats) -> tuple[Floats, Bools]:
@@ -104,7 +119,9 @@ def _sampled(transform: DirectedTransform, near: Callable[[Floats], Floats], fac
         for corner in _CORNERS:
             interpolated += 0.25 * vectors[corner]
             is_inside &= has_image[corner]
-        is_inside &= ((centres >= low_um + margin_um) & (centres <= low_um + length_um - margin_um)).all(axis=-1)
+        is_inside &= (
+            (centres >= low_um + margin_um) & (centres <= low_um + length_um - margin_um)
+        ).all(axis=-1)
         errors_um = np.linalg.norm(interpolated - sampled, axis=-1)[is_inside]
         error_um = float(errors_um.max()) if errors_um.size else 0.0
         # In the middle between nodes it may err by so much. An affine map needs no finer grid.
@@ -112,13 +129,17 @@ def _sampled(transform: DirectedTransform, near: Callable[[Floats], Floats], fac
             break
         pitch_um /= 2
     n_filled = int(np.count_nonzero(~has_image))
-    return DisplacementField(vectors @ factor.T, (float(low_um[0]), float(low_um[1])), pitch_um, error_um, n_filled)
+    return DisplacementField(
+        vectors @ factor.T, (float(low_um[0]), float(low_um[1])), pitch_um, error_um, n_filled
+    )
 
 
 UNITS = {"um": 1.0, "mm": 1e-3}
 
 
-def write_itk(transform: DirectedTransform, path: Path, history: ExportHistory, params: ExportParams) -> None:
+def write_itk(
+    transform: DirectedTransform, path: Path, history: ExportHistory, params: ExportParams
+) -> None:
     """Write an affine transform as text, or a composite of one with a displacement field before it.
 
     A composite applies its last transform first. Points are those of planish, x and y in the unit asked for; images
@@ -134,8 +155,20 @@ def write_itk(transform: DirectedTransform, path: Path, history: ExportHistory, 
         field = before_affine(transform)
         field_facts = field.facts()
         rows, cols = field.shape
-        geometry = [cols, rows, *(per_um * v for v in (*field.origin_um, field.pitch_um, field.pitch_um)), 1, 0, 0, 1]
-        field_part = ("DisplacementFieldTransform_double_2_2", (field.vectors * per_um).ravel(), geometry)
+        geometry = [
+            cols,
+            rows,
+            *(per_um * v for v in (*field.origin_um, field.pitch_um, field.pitch_um)),
+            1,
+            0,
+            0,
+            1,
+        ]
+        field_part = (
+            "DisplacementFieldTransform_double_2_2",
+            (field.vectors * per_um).ravel(),
+            geometry,
+        )
         transforms = [("CompositeTransform_double_2_2", [], []), *transforms, field_part]
     lines = ["#Insight Transform File V1.0", f"#{transform.name}: {history.json(**field_facts)}"]
     for k, (class_name, *number_lists) in enumerate(transforms):
@@ -143,12 +176,15 @@ def write_itk(transform: DirectedTransform, path: Path, history: ExportHistory, 
         if not class_name.startswith("Composite"):
             texts = (" ".join(f"{float(v):.12g}" for v in values) for values in number_lists)
             lines += [
-                f"{keyword}: {text}" for keyword, text in zip(("Parameters", "FixedParameters"), texts, strict=True)
+                f"{keyword}: {text}"
+                for keyword, text in zip(("Parameters", "FixedParameters"), texts, strict=True)
             ]
     _write_lines(path, lines)
 
 
-def write_elastix(transform: DirectedTransform, path: Path, history: ExportHistory, params: ExportParams) -> None:
+def write_elastix(
+    transform: DirectedTransform, path: Path, history: ExportHistory, params: ExportParams
+) -> None:
     """Write transform parameters for ``transformix -tp``; a field before the affine map stands in ``NAME_local.txt``.
 
     elastix takes fixed points to moving ones: ``image_to_sheet.txt`` brings maps onto the image, and points of the
@@ -156,7 +192,11 @@ def write_elastix(transform: DirectedTransform, path: Path, history: ExportHisto
     """
     per_um = UNITS[params.unit]
     # The image that transformix makes lies on the pixels of the source.
-    (rows, cols), (x, y), (dy_um, dx_um) = transform.grid.shape, transform.grid.origin_um, transform.grid.pixel_um
+    (rows, cols), (x, y), (dy_um, dx_um) = (
+        transform.grid.shape,
+        transform.grid.origin_um,
+        transform.grid.pixel_um,
+    )
     raster = {
         "Size": [cols, rows],
         "Index": [0, 0],
@@ -172,25 +212,42 @@ def write_elastix(transform: DirectedTransform, path: Path, history: ExportHisto
         initial_file = f"{transform.name}_local.txt"
         coefficients = np.moveaxis(field.vectors, -1, 0).ravel() * per_um
         bspline = _elastix_parameters("BSplineTransform", coefficients, "NoInitialTransform") | {
-            "GridSize": field.shape[::-1], "GridIndex": [0, 0],
-            "GridSpacing": [field.pitch_um * per_um] * 2, "GridOrigin": [v * per_um for v in field.origin_um],
-            "GridDirection": [1, 0, 0, 1], "BSplineTransformSplineOrder": [1], "UseCyclicTransform": ["false"],
-        }  # fmt: skip
-        _write_elastix_file(path.with_name(initial_file), note + history.json(**field.facts()), bspline | raster)
+            "GridSize": field.shape[::-1],
+            "GridIndex": [0, 0],
+            "GridSpacing": [field.pitch_um * per_um] * 2,
+            "GridOrigin": [v * per_um for v in field.origin_um],
+            "GridDirection": [1, 0, 0, 1],
+            "BSplineTransformSplineOrder": [1],
+            "UseCyclicTransform": ["false"],
+        }
+        _write_elastix_file(
+            path.with_name(initial_file), note + history.json(**field.facts()), bspline | raster
+        )
     matrix_and_shift, center = _affine_parameters(transform, per_um)
-    affine = _elastix_parameters("AffineTransform", matrix_and_shift, initial_file) | {"CenterOfRotationPoint": center}
-    resampling = {  # beside the image stands -1e30: elastix reads no NaN, and 0 would be taken for a measurement
-        "ResampleInterpolator": ["FinalBSplineInterpolator"], "FinalBSplineInterpolationOrder": [1],
-        "Resampler": ["DefaultResampler"], "DefaultPixelValue": [-1e30], "ResultImageFormat": ["nrrd"],
-        "ResultImagePixelType": ["float"], "CompressResultImage": ["false"],
-    }  # fmt: skip
+    affine = _elastix_parameters("AffineTransform", matrix_and_shift, initial_file) | {
+        "CenterOfRotationPoint": center
+    }
+    # Beside the image stands -1e30: elastix reads no NaN, and 0 would be taken for a measurement.
+    resampling = {
+        "ResampleInterpolator": ["FinalBSplineInterpolator"],
+        "FinalBSplineInterpolationOrder": [1],
+        "Resampler": ["DefaultResampler"],
+        "DefaultPixelValue": [-1e30],
+        "ResultImageFormat": ["nrrd"],
+        "ResultImagePixelType": ["float"],
+        "CompressResultImage": ["false"],
+    }
     _write_elastix_file(path, note + history.json(), affine | raster | resampling)
 
 
-def write_zarr(pair: TransformPair, path: Path, history: ExportHistory, _params: ExportParams) -> None:
+def write_zarr(
+    pair: TransformPair, path: Path, history: ExportHistory, _params: ExportParams
+) -> None:
     """Write a group for each direction: ``displacement_x`` and ``displacement_y`` (y, x) in um."""
     root = zarr.open_group(path, mode="w-", zarr_format=3)
-    root.attrs.update({"format": "planish displacement 1", "model": pair.model, "history": history.json()})
+    root.attrs.update(
+        {"format": "planish displacement 1", "model": pair.model, "history": history.json()}
+    )
     for transform in (pair.forward, pair.back):
         source, target = transform.source, transform.target
         field = displacement(transform)
@@ -198,25 +255,35 @@ def write_zarr(pair: TransformPair, path: Path, history: ExportHistory, _params:
         group.attrs.update({"source": source, "target": target} | field.facts())
         arrays: dict[str, tuple[Any, tuple[str, ...], str]] = {}
         for k, axis in ((1, "y"), (0, "x")):
-            coords_um = field.origin_um[k] + field.pitch_um * np.arange(field.shape[1 - k], dtype=np.float64)
+            coords_um = field.origin_um[k] + field.pitch_um * np.arange(
+                field.shape[1 - k], dtype=np.float64
+            )
             arrays[axis] = (coords_um, (axis,), f"{axis} of {source}")
         for k, axis in enumerate("xy"):
             long_name = f"{axis} of {target} minus {axis} of {source}"
             arrays[f"displacement_{axis}"] = (field.vectors[..., k], ("y", "x"), long_name)
         for name, (values, dims, long_name) in arrays.items():
-            array = group.create_array(name, shape=values.shape, dtype=values.dtype, dimension_names=dims)
+            array = group.create_array(
+                name, shape=values.shape, dtype=values.dtype, dimension_names=dims
+            )
             array[...] = values
             array.attrs.update({"units": "um", "long_name": long_name})
 
 
-def write_landmarks(marks: xr.Dataset, path: Path, _history: ExportHistory, _params: ExportParams) -> None:
+def write_landmarks(
+    marks: xr.Dataset, path: Path, _history: ExportHistory, _params: ExportParams
+) -> None:
     """Write marks as landmarks of BigWarp."""
     write_any(marks, path, to="bigwarp")
 
 
-def _affine_parameters(transform: DirectedTransform, per_um: float) -> tuple[list[float], list[float]]:
+def _affine_parameters(
+    transform: DirectedTransform, per_um: float
+) -> tuple[list[float], list[float]]:
     """Matrix and shift of the affine map, and the point around which it turns; ``scale`` turns um into its unit."""
-    source, target = (np.array(point) * per_um for point in (transform.affine.source, transform.affine.target))
+    source, target = (
+        np.array(point) * per_um for point in (transform.affine.source, transform.affine.target)
+    )
     return [*transform.affine.matrix().ravel(), *(target - source)], list(source)
 
 
@@ -224,15 +291,21 @@ def _elastix_parameters(
     class_name: str, parameters: Sequence[float] | np.ndarray, first_file: str
 ) -> dict[str, Sequence[object]]:
     return {
-        "Transform": [class_name], "NumberOfParameters": [len(parameters)],
+        "Transform": [class_name],
+        "NumberOfParameters": [len(parameters)],
         "TransformParameters": [float(v) for v in parameters],
-        "InitialTransformParametersFileName": [first_file], "HowToCombineTransforms": ["Compose"],
-        "FixedImageDimension": [2], "MovingImageDimension": [2], "FixedInternalImagePixelType": ["float"],
+        "InitialTransformParametersFileName": [first_file],
+        "HowToCombineTransforms": ["Compose"],
+        "FixedImageDimension": [2],
+        "MovingImageDimension": [2],
+        "FixedInternalImagePixelType": ["float"],
         "MovingInternalImagePixelType": ["float"],
-    }  # fmt: skip
+    }
 
 
-def _write_elastix_file(path: Path, note_text: str, parameters: Mapping[str, Sequence[object]]) -> None:
+def _write_elastix_file(
+    path: Path, note_text: str, parameters: Mapping[str, Sequence[object]]
+) -> None:
     lines = [note_text]
     for name, values in parameters.items():
         value_texts = [f'"{v}"' if isinstance(v, str) else f"{v:.12g}" for v in values]  # type: ignore[str-format]
@@ -244,7 +317,9 @@ def _write_lines(path: Path, lines: Iterable[str]) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 
 
-def write_nrrd(content: DirectedTransform | Maps, path: Path, history: ExportHistory, params: ExportParams) -> None:
+def write_nrrd(
+    content: DirectedTransform | Maps, path: Path, history: ExportHistory, params: ExportParams
+) -> None:
     """Write one map, or the displacement (x, y) of every node of a field, beside which other programs take 0."""
     unit = params.unit
     if isinstance(content, DirectedTransform):
@@ -256,7 +331,12 @@ def write_nrrd(content: DirectedTransform | Maps, path: Path, history: ExportHis
         blocks: Iterable[NDArray[Any]] = [field.vectors * UNITS[unit]]
     else:
         (name,) = content.names
-        title, dtype, components, shape = content.titles[name], plain_type(content.data[name].dtype), [], content.shape
+        title, dtype, components, shape = (
+            content.titles[name],
+            plain_type(content.data[name].dtype),
+            [],
+            content.shape,
+        )
         (y, x), (dy_um, dx_um) = content.origin_um, content.pixel_um
         key_values = {"value_unit": content.units[name], "planish": history.json(**content.facts())}
         blocks = (band for _, band in content.bands(name))
@@ -264,13 +344,20 @@ def write_nrrd(content: DirectedTransform | Maps, path: Path, history: ExportHis
     axis_sizes = [*("2" for _ in components), str(shape[1]), str(shape[0])]
     nrrd_type = {"float32": "float", "float64": "double"}.get(dtype.name, dtype.name)
     header_lines = [
-        "NRRD0005", f"content: {title}", f"type: {nrrd_type}", f"dimension: {len(axis_sizes)}",
-        "space dimension: 2", f"sizes: {' '.join(axis_sizes)}",
+        "NRRD0005",
+        f"content: {title}",
+        f"type: {nrrd_type}",
+        f"dimension: {len(axis_sizes)}",
+        "space dimension: 2",
+        f"sizes: {' '.join(axis_sizes)}",
         f"space directions: {'none ' * len(components)}({dx_um},0) (0,{dy_um})",
-        f"kinds: {' '.join([*components, 'domain', 'domain'])}", "endian: little", "encoding: raw",
-        f'space units: "{unit}" "{unit}"', f"space origin: ({x},{y})",
+        f"kinds: {' '.join([*components, 'domain', 'domain'])}",
+        "endian: little",
+        "encoding: raw",
+        f'space units: "{unit}" "{unit}"',
+        f"space origin: ({x},{y})",
         *(f"{key}:={text}" for key, text in key_values.items()),
-    ]  # fmt: skip
+    ]
     with path.open("wb") as file:
         file.write(("\n".join(header_lines) + "\n\n").encode())
         for block in blocks:

@@ -47,13 +47,25 @@ def _pulls(x, y, i, stiff, ua, va, ub, vb, t0, t1, t2, t3, n):
     k0, k1, k2, k3 = stiff[0, s], stiff[1, s], stiff[2, s], stiff[3, s]
     for j in range(n):
         dx, dy = xa[j + 1] - xa[j], ya[j + 1] - ya[j]
-        t0[j] = k0[j] * (dx * (ua[j + 1] - ua[j]) + dy * (va[j + 1] - va[j])) / (dx * dx + dy * dy + _TINY)
+        t0[j] = (
+            k0[j]
+            * (dx * (ua[j + 1] - ua[j]) + dy * (va[j + 1] - va[j]))
+            / (dx * dx + dy * dy + _TINY)
+        )
         dx, dy = xb[j] - xa[j], yb[j] - ya[j]
         t1[j] = k1[j] * (dx * (ub[j] - ua[j]) + dy * (vb[j] - va[j])) / (dx * dx + dy * dy + _TINY)
         dx, dy = xb[j + 1] - xa[j], yb[j + 1] - ya[j]
-        t2[j] = k2[j] * (dx * (ub[j + 1] - ua[j]) + dy * (vb[j + 1] - va[j])) / (dx * dx + dy * dy + _TINY)
+        t2[j] = (
+            k2[j]
+            * (dx * (ub[j + 1] - ua[j]) + dy * (vb[j + 1] - va[j]))
+            / (dx * dx + dy * dy + _TINY)
+        )
         dx, dy = xb[j] - xa[j + 1], yb[j] - ya[j + 1]
-        t3[j] = k3[j] * (dx * (ub[j] - ua[j + 1]) + dy * (vb[j] - va[j + 1])) / (dx * dx + dy * dy + _TINY)
+        t3[j] = (
+            k3[j]
+            * (dx * (ub[j] - ua[j + 1]) + dy * (vb[j] - va[j + 1]))
+            / (dx * dx + dy * dy + _TINY)
+        )
 
 
 @njit(**_INNER)
@@ -63,15 +75,25 @@ def _collect(x, y, i, t0, t1, t2, t3, p1, p2, p3, gx, gy, n):
     for j in range(1, n + 1):
         a, b = xb[j], yb[j]
         gx[j] = (
-            t0[j] * (xb[j + 1] - a) + t0[j - 1] * (xb[j - 1] - a) + t1[j] * (xc[j] - a) + p1[j] * (xa[j] - a)
-            + t2[j] * (xc[j + 1] - a) + p2[j - 1] * (xa[j - 1] - a)
-            + t3[j - 1] * (xc[j - 1] - a) + p3[j] * (xa[j + 1] - a)
-        )  # fmt: skip
+            t0[j] * (xb[j + 1] - a)
+            + t0[j - 1] * (xb[j - 1] - a)
+            + t1[j] * (xc[j] - a)
+            + p1[j] * (xa[j] - a)
+            + t2[j] * (xc[j + 1] - a)
+            + p2[j - 1] * (xa[j - 1] - a)
+            + t3[j - 1] * (xc[j - 1] - a)
+            + p3[j] * (xa[j + 1] - a)
+        )
         gy[j] = (
-            t0[j] * (yb[j + 1] - b) + t0[j - 1] * (yb[j - 1] - b) + t1[j] * (yc[j] - b) + p1[j] * (ya[j] - b)
-            + t2[j] * (yc[j + 1] - b) + p2[j - 1] * (ya[j - 1] - b)
-            + t3[j - 1] * (yc[j - 1] - b) + p3[j] * (ya[j + 1] - b)
-        )  # fmt: skip
+            t0[j] * (yb[j + 1] - b)
+            + t0[j - 1] * (yb[j - 1] - b)
+            + t1[j] * (yc[j] - b)
+            + p1[j] * (ya[j] - b)
+            + t2[j] * (yc[j + 1] - b)
+            + p2[j - 1] * (ya[j - 1] - b)
+            + t3[j - 1] * (yc[j - 1] - b)
+            + p3[j] * (ya[j + 1] - b)
+        )
 
 
 @njit(**_INNER_SUMS)
@@ -214,7 +236,18 @@ def smooth(kind, near, stiff, ease, force, coarse, move, edge, first, weight, n,
     """
     x, y = near[0], near[1]
     b = np.zeros((10, near.shape[2]), dtype=np.float32)
-    t0, t1, t2, t3, p1, p2, p3, gx, gy, buffer = b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7], b[8], b[9]
+    t0, t1, t2, t3, p1, p2, p3, gx, gy, buffer = (
+        b[0],
+        b[1],
+        b[2],
+        b[3],
+        b[4],
+        b[5],
+        b[6],
+        b[7],
+        b[8],
+        b[9],
+    )
     # The rows beyond the border belong to other threads (or to the padding): made ready in copies of our own.
     above_u, above_v, below_u, below_v = edge[0, 0], edge[1, 0], edge[0, 1], edge[1, 1]
     ua, va = above_u, above_v
@@ -255,7 +288,21 @@ def restrict(near, stiff, force, move, coarse_force, n, coarse_n, r0, r1):
     # Fine rows of the coarse row r0 - 1 + 1: from the odd one above it to the odd one below.
     start = max(1, 2 * (r0 - 1))
     for i in range(start - 1, min(rows, 2 * (r1 - 1)) + 1):
-        _pulls(x, y, i, stiff, move[0, i], move[1, i], move[0, i + 1], move[1, i + 1], t0, t1, t2, t3, n + 1)
+        _pulls(
+            x,
+            y,
+            i,
+            stiff,
+            move[0, i],
+            move[1, i],
+            move[0, i + 1],
+            move[1, i + 1],
+            t0,
+            t1,
+            t2,
+            t3,
+            n + 1,
+        )
         if i >= start:
             _collect(x, y, i, t0, t1, t2, t3, p1, p2, p3, gx, gy, n)
             f, g = force[0, i], force[1, i]
@@ -335,7 +382,9 @@ def survey(xy, rest, stiff, side, sums, n, r0, r1):
 
 
 @njit(**_SETTINGS)
-def descend(near, stiff, ease, force, move, alone, cols, last, inverse, row, col, first, second, once):
+def descend(
+    near, stiff, ease, force, move, alone, cols, last, inverse, row, col, first, second, once
+):
     """One V-cycle over levels small enough for one thread: corrects ``move[0]`` for ``force[0]``.
 
     The first seven are tuples over the levels, finest first. The coarsest level, number ``last``, is solved by
@@ -346,7 +395,15 @@ def descend(near, stiff, ease, force, move, alone, cols, last, inverse, row, col
         fixed = near[k], stiff[k], ease[k], force[k]
         smooth(_NEW, *fixed, move[k], move[k], alone[k], first, second, cols[k], _FIRST, rows + 1)
         restrict(
-            near[k], stiff[k], force[k], move[k], force[k + 1], cols[k], cols[k + 1], _FIRST, near[k + 1].shape[1] - 1
+            near[k],
+            stiff[k],
+            force[k],
+            move[k],
+            force[k + 1],
+            cols[k],
+            cols[k + 1],
+            _FIRST,
+            near[k + 1].shape[1] - 1,
         )
     f, u = force[last], move[last]
     for a in range(row.size):
@@ -359,4 +416,15 @@ def descend(near, stiff, ease, force, move, alone, cols, last, inverse, row, col
     for k in range(last - 1, -1, -1):
         rows = near[k].shape[1] - 2
         fixed = near[k], stiff[k], ease[k], force[k]
-        smooth(_CORRECTED, *fixed, move[k + 1], move[k], alone[k], once, once, cols[k], _FIRST, rows + 1)
+        smooth(
+            _CORRECTED,
+            *fixed,
+            move[k + 1],
+            move[k],
+            alone[k],
+            once,
+            once,
+            cols[k],
+            _FIRST,
+            rows + 1,
+        )

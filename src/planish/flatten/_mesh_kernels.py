@@ -62,8 +62,16 @@ def _bend(a, b, c, out, n):
         o0[j] = nx * (rx + lx) + ny * (ry + ly) + nz * (rz + lz)
         o1[j] = nx * (dx + ux) + ny * (dy + uy) + nz * (dz + uz)
         x, y, z = 2 * x, 2 * y, 2 * z
-        o2[j] = nx * (cx[j + 1] + ax[j - 1] - x) + ny * (cy[j + 1] + ay[j - 1] - y) + nz * (cz[j + 1] + az[j - 1] - z)
-        o3[j] = nx * (cx[j - 1] + ax[j + 1] - x) + ny * (cy[j - 1] + ay[j + 1] - y) + nz * (cz[j - 1] + az[j + 1] - z)
+        o2[j] = (
+            nx * (cx[j + 1] + ax[j - 1] - x)
+            + ny * (cy[j + 1] + ay[j - 1] - y)
+            + nz * (cz[j + 1] + az[j - 1] - z)
+        )
+        o3[j] = (
+            nx * (cx[j - 1] + ax[j + 1] - x)
+            + ny * (cy[j - 1] + ay[j + 1] - y)
+            + nz * (cz[j - 1] + az[j + 1] - z)
+        )
 
 
 @njit(**_INNER)
@@ -135,7 +143,11 @@ def rest_lengths(points, scale, arc, rest, counts, r0, r1):
     n = points.shape[1]
     # Row i of the padded arrays is row i - 1 of the points, and its springs lead to row i of them. Rings of rows: the
     # points up to i + 2, their bends up to i + 1, and the mended bends up to i.
-    rows, bends, mended = np.empty((8, 3, n + 2)), np.full((4, 4, n + 2), np.nan), np.empty((2, 4, n + 2))
+    rows, bends, mended = (
+        np.empty((8, 3, n + 2)),
+        np.full((4, 4, n + 2), np.nan),
+        np.empty((2, 4, n + 2)),
+    )
     p = q = mended[0]
     for i in range(r0 - 5, r1):
         _load(points, scale, i + 2, rows[(i + 2) % 8], n)
@@ -148,11 +160,14 @@ def rest_lengths(points, scale, arc, rest, counts, r0, r1):
             continue
         here, there = rows[(i - 1) % 8], rows[i % 8]
         left = 0.0
-        for family in range(4):  # one call for all: each would be compiled into this function once more
+        # One call for all: each would be compiled into this function once more.
+        for family in range(4):
             at, to = 1 if family == 3 else 0, 1 if family == 0 or family == 2 else 0
             _chords(here, here if family == 0 else there, at, to, rest[family, i], n)
             if arc:
-                left += _arcs(p[family], p[0] if family == 0 else q[family], at, to, rest[family, i], n)
+                left += _arcs(
+                    p[family], p[0] if family == 0 else q[family], at, to, rest[family, i], n
+                )
         springs = 0
         for family in range(4):
             for j in range(1, n + 1):
@@ -257,7 +272,9 @@ def interpolate(coarse, xy, near, n, coarse_n, gaps, r0, r1):
                 if gaps or j == 0 or j + 3 > coarse_n:
                     place[2 * j + 2] = _between(line[j], line[j + 1], line[j + 2], line[j + 3])
                 else:
-                    place[2 * j + 2] = 0.5625 * (line[j + 1] + line[j + 2]) - 0.0625 * (line[j] + line[j + 3])
+                    place[2 * j + 2] = 0.5625 * (line[j + 1] + line[j + 2]) - 0.0625 * (
+                        line[j] + line[j + 3]
+                    )
             for j in range(1, n + 1):
                 short[j] = place[j]
 

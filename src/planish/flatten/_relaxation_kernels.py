@@ -45,13 +45,33 @@ def set_force(x, rest, stiff, f):
     largest = np.zeros(cols)
     for i in range(1, rows - 1):
         here, above = pulls[i % 2], pulls[1 - i % 2]
-        for family in range(4):  # one call for all: each would be compiled into this function once more
-            at, to, row = 1 if family == 3 else 0, 1 if family == 0 or family == 2 else 0, i if family == 0 else i + 1
-            _pull(x[0, i, at:], x[1, i, at:], x[0, row, to:], x[1, row, to:], rest[family, i], stiff[family, i], n,
-                  here[family, 0], here[family, 1], energy)  # fmt: skip
+        # One call for all: each would be compiled into this function once more.
+        for family in range(4):
+            at, to, row = (
+                1 if family == 3 else 0,
+                1 if family == 0 or family == 2 else 0,
+                i if family == 0 else i + 1,
+            )
+            _pull(
+                x[0, i, at:],
+                x[1, i, at:],
+                x[0, row, to:],
+                x[1, row, to:],
+                rest[family, i],
+                stiff[family, i],
+                n,
+                here[family, 0],
+                here[family, 1],
+                energy,
+            )
         for axis in range(2):
             out = f[axis, i]
-            right, down, falling, rising = here[0, axis], here[1, axis], here[2, axis], here[3, axis]
+            right, down, falling, rising = (
+                here[0, axis],
+                here[1, axis],
+                here[2, axis],
+                here[3, axis],
+            )
             down_, falling_, rising_ = above[1, axis], above[2, axis], above[3, axis]
             for j in range(1, n):
                 out[j] = (right[j] - right[j - 1]) + (down[j] - down_[j])
@@ -81,8 +101,19 @@ def mix(v, keep, f, push, side, out):
                 fastest[j] = max(fastest[j], square)
                 total[j] += sqrt(square)
         if i > 1:  # the row above now has both of its neighbours
-            _steepen(out[0, i - 2], out[0, i - 1], out[0, i], out[1, i - 2], out[1, i - 1], out[1, i],
-                     side[0, i - 1], side[1, i - 1], side[2, i - 1], side[3, i - 1], steep)  # fmt: skip
+            _steepen(
+                out[0, i - 2],
+                out[0, i - 1],
+                out[0, i],
+                out[1, i - 2],
+                out[1, i - 1],
+                out[1, i],
+                side[0, i - 1],
+                side[1, i - 1],
+                side[2, i - 1],
+                side[3, i - 1],
+                steep,
+            )
     return sqrt(steep.max()), sqrt(fastest.max()), total.sum()
 
 

@@ -10,16 +10,23 @@ from planish.flatten.distortion import node_blocks
 
 # Views of the nodes: corners a, b, c and a, c, d of all cells, counted around the cell from the upper left.
 _LOW, _HIGH = slice(-1), slice(1, None)
-_HALVES = (((_LOW, _LOW), (_LOW, _HIGH), (_HIGH, _HIGH)), ((_LOW, _LOW), (_HIGH, _HIGH), (_HIGH, _LOW)))
+_HALVES = (
+    ((_LOW, _LOW), (_LOW, _HIGH), (_HIGH, _HIGH)),
+    ((_LOW, _LOW), (_HIGH, _HIGH), (_HIGH, _LOW)),
+)
 _LIMIT = 0.005  # in-plane strain beyond which paper cockles or yields
 
 
 class CurvatureVerdict(ResultModel):
     """Whether the surface can be flat at all."""
 
-    patch_um: float = Field(description="Half the side of the patch over which the curvature is averaged.")
+    patch_um: float = Field(
+        description="Half the side of the patch over which the curvature is averaged."
+    )
     limit: float = Field(description="Strain that paper carries.")
-    share: Value = Field(description="Share of the surface on which a patch needs more strain than that to be flat.")
+    share: Value = Field(
+        description="Share of the surface on which a patch needs more strain than that to be flat."
+    )
     largest: Value = Field(description="Largest strain that a patch needs.")
     verdict: str = Field(description="The same in a sentence.")
 
@@ -29,13 +36,17 @@ class CurvatureCheck(CurvatureVerdict):
 
     curvature: Floats = Field(
         exclude=True,
-        description="Gaussian curvature averaged over a patch about each node, 1/um2; NaN where less than half of the "
-        "patch is known.",
+        description=(
+            "Gaussian curvature averaged over a patch about each node, 1/um2; NaN where less than"
+            " half of the patch is known."
+        ),
     )
     strain: Floats = Field(
         exclude=True,
-        description="In-plane strain by which a patch of that curvature has to be stretched and squeezed to be flat, "
-        "abs(curvature) patch_um^2 / 16.",
+        description=(
+            "In-plane strain by which a patch of that curvature has to be stretched and squeezed to"
+            " be flat, abs(curvature) patch_um^2 / 16."
+        ),
     )
 
 
@@ -68,7 +79,9 @@ def curvature_check(points: Floats, *, patch_um: float = 1000.0) -> CurvatureChe
     curvature = np.full(inside.shape, np.nan)
     if inside.any():
         lengths = (np.linalg.norm(np.diff(points, axis=axis), axis=-1) for axis in (0, 1))
-        pitch = [float(np.median(k)) if k.size else np.inf for k in (e[np.isfinite(e)] for e in lengths)]
+        pitch = [
+            float(np.median(k)) if k.size else np.inf for k in (e[np.isfinite(e)] for e in lengths)
+        ]
         # Weights rise smoothly from 0 beside the nodes without a full turn to 1 a third of the half-side from them.
         distance_um = ndimage.distance_transform_edt(np.pad(inside, 1), sampling=pitch)[1:-1, 1:-1]
         ramp = np.minimum(distance_um / (patch_um * (1 / 3)), 1.0)
@@ -88,9 +101,14 @@ def curvature_check(points: Floats, *, patch_um: float = 1000.0) -> CurvatureChe
         share_above = float(area[strain > _LIMIT].sum() / area[has_strain].sum())
         largest = float(strain[has_strain].max())
     return CurvatureCheck(
-        curvature=curvature, strain=strain, patch_um=patch_um, limit=_LIMIT, share=share_above, largest=largest,
+        curvature=curvature,
+        strain=strain,
+        patch_um=patch_um,
+        limit=_LIMIT,
+        share=share_above,
+        largest=largest,
         verdict=_verdict(patch_um, share_above, largest),
-    )  # fmt: skip
+    )
 
 
 def _verdict(patch_um: float, share_above: float, largest: float) -> str:
@@ -100,13 +118,13 @@ def _verdict(patch_um: float, share_above: float, largest: float) -> str:
         return f"The curvature cannot be judged: the surface is smaller than {patch}."
     if share_above == 0:
         return (
-            f"The surface can be a sheet of paper: to be flat, {patch} has to be strained by {strain} or less, "
-            f"and paper carries {limit}."
+            f"The surface can be a sheet of paper: to be flat, {patch} has to be strained by"
+            f" {strain} or less, and paper carries {limit}."
         )
     return (
-        f"On {100 * share_above:.3g} % of the surface {patch} would have to be strained by more than {limit}, by up "
-        f"to {strain}, to be flat, and paper does not carry that: look for slices that drift or jitter, and for "
-        "errors of the segmentation."
+        f"On {100 * share_above:.3g} % of the surface {patch} would have to be strained by more"
+        f" than {limit}, by up to {strain}, to be flat, and paper does not carry that: look for"
+        " slices that drift or jitter, and for errors of the segmentation."
     )
 
 
@@ -129,7 +147,8 @@ def _deficit_and_area(points: Floats) -> tuple[Floats, Floats]:
             for k in (p, q, r):
                 block_area[k] += twice_area / 6
     angle_deficit = 2 * np.pi - angles
-    angle_deficit[[0, -1]] = angle_deficit[:, [0, -1]] = np.nan  # Nodes of the outline have no full turn.
+    # Nodes of the outline have no full turn.
+    angle_deficit[[0, -1]] = angle_deficit[:, [0, -1]] = np.nan
     area[np.isnan(angle_deficit)] = np.nan
     return angle_deficit, area
 

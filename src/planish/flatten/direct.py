@@ -38,7 +38,13 @@ class Network(NamedTuple):
         stiff = level.inside(np.broadcast_to(level.stiff, level.rest.shape))
         family, rows, cols = np.nonzero(rest > 0)
         first, second = (number[rows + step[family, 0], cols + step[family, 1]] for step in _ENDS)
-        return cls(mask, first, second, rest[family, rows, cols], stiff[family, rows, cols].astype(np.float64))
+        return cls(
+            mask,
+            first,
+            second,
+            rest[family, rows, cols],
+            stiff[family, rows, cols].astype(np.float64),
+        )
 
     def energy(self, uv: Floats) -> float:
         """Sum over the springs of k (l - L)^2 for the places ``uv`` (nodes, 2)."""
@@ -52,9 +58,13 @@ class Network(NamedTuple):
         lengths = np.maximum(np.linalg.norm(vectors, axis=1), 1e-150)
         pull = vectors * (self.stiff * (1 - self.rest / lengths))[:, None]
         return np.stack(
-            [np.bincount(self.first, p, len(uv)) - np.bincount(self.second, p, len(uv)) for p in pull.T],
-            axis=1, dtype=np.float64,
-        )  # fmt: skip
+            [
+                np.bincount(self.first, p, len(uv)) - np.bincount(self.second, p, len(uv))
+                for p in pull.T
+            ],
+            axis=1,
+            dtype=np.float64,
+        )
 
     def matrix(self, uv: Floats, *, exact: bool) -> sparse.csc_array:
         """Half the second derivative of the energy, (2 nodes, 2 nodes), node by node (u, v).
@@ -63,12 +73,17 @@ class Network(NamedTuple):
         that of compressed ones would make the matrix indefinite.
         """
         d, transverse_share = self._directions(uv, exact)
-        block = self.stiff * (d.T[:, None] * d.T * (1 - transverse_share) + np.eye(2)[..., None] * transverse_share)
+        block = self.stiff * (
+            d.T[:, None] * d.T * (1 - transverse_share) + np.eye(2)[..., None] * transverse_share
+        )
         # For both axes of either end, the four pairs of ends: (2, 2, 4, springs).
         values = block[:, :, None] * np.array([1.0, 1.0, -1.0, -1.0])[:, None]
         ends = np.stack([self.first, self.second, self.first, self.second])
         other_ends = np.stack([self.first, self.second, self.second, self.first])
-        row, col = 2 * ends + np.arange(2)[:, None, None, None], 2 * other_ends + np.arange(2)[:, None, None]
+        row, col = (
+            2 * ends + np.arange(2)[:, None, None, None],
+            2 * other_ends + np.arange(2)[:, None, None],
+        )
         indices = (np.broadcast_to(k, values.shape).ravel() for k in (row, col))
         size = 2 * len(uv)
         stiffness = sparse.coo_array((values.ravel(), tuple(indices)), (size, size))
@@ -91,7 +106,9 @@ class Network(NamedTuple):
         """Unit vectors of the springs, and the share of their stiffness that acts across them."""
         vectors = uv[self.second] - uv[self.first]
         lengths = np.maximum(np.linalg.norm(vectors, axis=1), 1e-150)
-        transverse_share = np.maximum(1 - self.rest / lengths, 0.0) if exact else np.zeros_like(lengths)
+        transverse_share = (
+            np.maximum(1 - self.rest / lengths, 0.0) if exact else np.zeros_like(lengths)
+        )
         return vectors / lengths[:, None], transverse_share
 
 

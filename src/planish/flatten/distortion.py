@@ -15,7 +15,9 @@ from planish.core.typing import Bools, Floats, Ints
 # half 0 is (a, b, c), half 1 is (a, c, d). Edge k of a half runs from its corner k to its corner k + 1.
 _CORNERS = np.array([[[0, 0], [0, 1], [1, 1]], [[0, 0], [1, 1], [1, 0]]], dtype=np.intp)
 # Behind each edge of each half: rows down, columns across, and which half.
-_BEHIND = np.array([[[-1, 0, 1], [0, 1, 1], [0, 0, 1]], [[0, 0, 0], [1, 0, 0], [0, -1, 0]]], dtype=np.intp)
+_BEHIND = np.array(
+    [[[-1, 0, 1], [0, 1, 1], [0, 0, 1]], [[0, 0, 0], [1, 0, 0], [0, -1, 0]]], dtype=np.intp
+)
 
 
 class MeshPoints(NamedTuple):
@@ -29,7 +31,9 @@ class MeshPoints(NamedTuple):
     def on(self, nodes: Floats) -> Floats:
         """Interpolate ``nodes`` (rows, cols, k) at the places: (n, k)."""
         corner = _CORNERS[self.half]
-        corner_values = nodes[self.row[:, None] + corner[..., 0], self.col[:, None] + corner[..., 1]]
+        corner_values = nodes[
+            self.row[:, None] + corner[..., 0], self.col[:, None] + corner[..., 1]
+        ]
         return np.einsum("nc,nck->nk", self.weights, corner_values)
 
 
@@ -43,7 +47,9 @@ class GeodesicError(ResultModel):
     dropped: int = Field(description="Lines that leave it through a hole or the outline.")
 
 
-def geodesic_error(points: Floats, uv: Floats, *, rng: np.random.Generator, pairs: int = 1000) -> GeodesicError:
+def geodesic_error(
+    points: Floats, uv: Floats, *, rng: np.random.Generator, pairs: int = 1000
+) -> GeodesicError:
     """Compare the lengths of straight lines in the plane with the lengths of the same lines on the surface.
 
     Parameters
@@ -71,7 +77,9 @@ def geodesic_error(points: Floats, uv: Floats, *, rng: np.random.Generator, pair
         flat, space = trace_lines(points, uv, *(random_places(whole, pairs, rng) for _ in range(2)))
         error = np.abs(flat[space > 0] / space[space > 0] - 1)
     p50, p95, largest = percentiles(error, 50, 95, 100)
-    return GeodesicError(p50=p50, p95=p95, largest=largest, used=error.size, dropped=pairs - error.size)
+    return GeodesicError(
+        p50=p50, p95=p95, largest=largest, used=error.size, dropped=pairs - error.size
+    )
 
 
 def whole_cells(points: Floats, uv: Floats) -> Bools:
@@ -110,7 +118,9 @@ def random_places(whole: Bools, count: int, rng: np.random.Generator) -> MeshPoi
     return MeshPoints(row=row, col=col, half=half, weights=rng.dirichlet(np.ones(3), size=count))
 
 
-def trace_lines(points: Floats, uv: Floats, start: MeshPoints, end: MeshPoints) -> tuple[Floats, Floats]:
+def trace_lines(
+    points: Floats, uv: Floats, start: MeshPoints, end: MeshPoints
+) -> tuple[Floats, Floats]:
     """Trace straight lines of the plane through the triangles of the mesh, from inside of one to inside of another.
 
     Gives the lengths (n,) in the plane and on the surface, um; the latter is NaN where a line leaves the sheet. All
@@ -142,7 +152,9 @@ def trace_lines(points: Floats, uv: Floats, start: MeshPoints, end: MeshPoints) 
         line = triangles[:, 0]
         start_turned = (origin[line], vector[line], is_turned[line])
         exits, triangles, has_exit = _leave_triangles(points, uv, triangles, *start_turned)
-        positions = np.column_stack([exits, positions[:, 3] + np.linalg.norm(exits - positions[:, :3], axis=1)])
+        positions = np.column_stack(
+            [exits, positions[:, 3] + np.linalg.norm(exits - positions[:, :3], axis=1)]
+        )
         is_on_sheet = has_exit & is_cell[triangles[:, 1] + 1, triangles[:, 2] + 1]
         triangles, positions = triangles[is_on_sheet], positions[is_on_sheet]
     return flat_um, space_um
@@ -152,7 +164,8 @@ def _leave_triangles(
     points: Floats, uv: Floats, triangles: Ints, origin: Floats, vector: Floats, is_turned: Bools
 ) -> tuple[Floats, Ints, Bools]:
     """Give the points (n, 3) at which lines leave their triangles, the triangles behind, and which cross an edge."""
-    line, row, col, half = triangles.T  # Those that are turned began in a triangle that is turned over.
+    # Those that are turned began in a triangle that is turned over.
+    line, row, col, half = triangles.T
     corner = row[:, None] + _CORNERS[half, :, 0], col[:, None] + _CORNERS[half, :, 1]
     x, y = np.moveaxis(uv[corner] - origin[:, None], -1, 0)
     side = vector[:, :1] * y - vector[:, 1:] * x
@@ -160,11 +173,16 @@ def _leave_triangles(
     is_exit_edge = is_right & ~is_right[:, [1, 2, 0]]
     edge = np.argmax(is_exit_edge, axis=1)
     begin_corner, end_corner = ((np.arange(line.size), (edge + k) % 3) for k in (0, 1))
-    has_exit = is_exit_edge.any(axis=1)  # not so where a line starts so close to an edge that rounding put it outside
+    # Not so where a line starts so close to an edge that rounding put it outside.
+    has_exit = is_exit_edge.any(axis=1)
     exit_share = side[begin_corner] / np.where(has_exit, side[begin_corner] - side[end_corner], 1.0)
     a, b = points[corner][begin_corner], points[corner][end_corner]
     down, across, half = _BEHIND[half, edge].T
-    return a + exit_share[:, None] * (b - a), np.stack([line, row + down, col + across, half], axis=1), has_exit
+    return (
+        a + exit_share[:, None] * (b - a),
+        np.stack([line, row + down, col + across, half], axis=1),
+        has_exit,
+    )
 
 
 _BLOCK = 100_000  # nodes worked on at a time, so that scratch arrays stay small beside the mesh
@@ -188,10 +206,14 @@ class Distortion(ResultModel):
     axial_v: Spread = Field(description="Strain of the cells' edges along its columns.")
     shear: Spread = Field(description="Change of the angle between both, rad.")
     cells: int = Field(description="Cells with four known corners.")
-    inverted_cells: int = Field(description="Cells with a triangle whose flat area is not above zero.")
+    inverted_cells: int = Field(
+        description="Cells with a triangle whose flat area is not above zero."
+    )
     boundary_space_um: Value = Field(description="Length of all borders in space.")
     boundary_flat_um: Value = Field(description="Length of all borders in the plane.")
-    growth_percent: Value = Field(description="Scale from the projection to the flat sheet, less 1.")
+    growth_percent: Value = Field(
+        description="Scale from the projection to the flat sheet, less 1."
+    )
     growth_anisotropy_percent: Value = Field(
         description="How much more the sheet grows in one direction than across it."
     )
@@ -199,11 +221,15 @@ class Distortion(ResultModel):
         description="Direction in the projection in which it grows most, from x towards y."
     )
     displacement_median_um: Value = Field(
-        description="Median distance from the projection to the flat place, after turning and shifting."
+        description=(
+            "Median distance from the projection to the flat place, after turning and shifting."
+        )
     )
     displacement_p95_um: Value = Field(description="95th percentile of that distance.")
     displacement_max_um: Value = Field(description="Largest such distance.")
-    geodesics: GeodesicError | None = Field(description="Lengths of random lines, flat against along the surface.")
+    geodesics: GeodesicError | None = Field(
+        description="Lengths of random lines, flat against along the surface."
+    )
 
 
 def measure_distortion(
@@ -233,14 +259,22 @@ def measure_distortion(
     median, p95, largest = percentiles(displacements, 50, 95, 100)
     in_space, in_plane = boundary_lengths(points, uv)
     return Distortion(
-        area=_spread(strain["area_ratio"].values - 1), axial_u=_spread(strain["axial_u"].values),
-        axial_v=_spread(strain["axial_v"].values), shear=_spread(strain["shear"].values),
-        cells=int(np.count_nonzero(np.isfinite(area))), inverted_cells=int(np.count_nonzero(area <= 0)),
-        boundary_space_um=in_space, boundary_flat_um=in_plane, growth_percent=100 * (scale - 1),
-        growth_anisotropy_percent=100 * (scale_ratio - 1), growth_direction_deg=direction,
-        displacement_median_um=median, displacement_p95_um=p95, displacement_max_um=largest,
+        area=_spread(strain["area_ratio"].values - 1),
+        axial_u=_spread(strain["axial_u"].values),
+        axial_v=_spread(strain["axial_v"].values),
+        shear=_spread(strain["shear"].values),
+        cells=int(np.count_nonzero(np.isfinite(area))),
+        inverted_cells=int(np.count_nonzero(area <= 0)),
+        boundary_space_um=in_space,
+        boundary_flat_um=in_plane,
+        growth_percent=100 * (scale - 1),
+        growth_anisotropy_percent=100 * (scale_ratio - 1),
+        growth_direction_deg=direction,
+        displacement_median_um=median,
+        displacement_p95_um=p95,
+        displacement_max_um=largest,
         geodesics=geodesic_error(points, uv, rng=rng),
-    )  # fmt: skip
+    )
 
 
 def edge_strain(points: Floats, uv: Floats) -> tuple[Floats, Floats]:
@@ -257,7 +291,9 @@ def edge_strain(points: Floats, uv: Floats) -> tuple[Floats, Floats]:
         Flat length over length in space, minus one; NaN where an end is missing.
     """
     return tuple(  # type: ignore[return-value]
-        np.linalg.norm(np.diff(uv, axis=axis), axis=-1) / np.linalg.norm(np.diff(points, axis=axis), axis=-1) - 1
+        np.linalg.norm(np.diff(uv, axis=axis), axis=-1)
+        / np.linalg.norm(np.diff(points, axis=axis), axis=-1)
+        - 1
         for axis in (1, 0)
     )
 
@@ -289,7 +325,9 @@ def cell_strain(points: Floats, uv: Floats) -> xr.Dataset:
     (Hirn et al. 2009, section 2.3.1).
     """
     blocks = [_block_strain(points[nodes], uv[nodes]) for nodes in node_blocks(points)]
-    return xr.Dataset({name: (("row", "col"), np.concatenate([b[name] for b in blocks])) for name in blocks[0]})
+    return xr.Dataset(
+        {name: (("row", "col"), np.concatenate([b[name] for b in blocks])) for name in blocks[0]}
+    )
 
 
 def node_blocks(points: Floats) -> Iterator[slice]:
@@ -317,7 +355,9 @@ def boundary_lengths(points: Floats, uv: Floats) -> tuple[float, float]:
 def _block_strain(points: Floats, uv: Floats) -> dict[str, Floats]:
     across, down = _cell_edges(points)
     (au, av), (du, dv) = (np.moveaxis(e, -1, 0) for e in _cell_edges(uv))
-    g11, g12, g22 = (np.einsum("ijk,ijk->ij", p, q) for p, q in ((across, across), (across, down), (down, down)))
+    g11, g12, g22 = (
+        np.einsum("ijk,ijk->ij", p, q) for p, q in ((across, across), (across, down), (down, down))
+    )
     with np.errstate(divide="ignore", invalid="ignore"):
         side = np.sqrt(g11)
         height = np.sqrt(np.maximum(g22 - g12 * g12 / g11, 0.0))  # of the cell over its edge across
@@ -326,16 +366,24 @@ def _block_strain(points: Floats, uv: Floats) -> dict[str, Floats]:
         # from the parts that turn and scale alike and those that do not.
         j11, j21 = au / side, av / side
         j12, j22 = (du - au * g12 / g11) / height, (dv - av * g12 / g11) / height
-        conformal, anticonformal = np.hypot(j11 + j22, j21 - j12) / 2, np.hypot(j11 - j22, j21 + j12) / 2
+        conformal, anticonformal = (
+            np.hypot(j11 + j22, j21 - j12) / 2,
+            np.hypot(j11 - j22, j21 + j12) / 2,
+        )
         high, low = conformal + anticonformal, np.abs(conformal - anticonformal)
         area = au * dv - av * du
         return {
-            "stretch_max": high, "stretch_min": low, "area_ratio": high * low, "axial_u": np.hypot(au, av) / side - 1,
+            "stretch_max": high,
+            "stretch_min": low,
+            "area_ratio": high * low,
+            "axial_u": np.hypot(au, av) / side - 1,
             "axial_v": np.hypot(du, dv) / np.sqrt(g22) - 1,
             "shear": np.arctan2(side * height, g12) - np.arctan2(np.abs(area), au * du + av * dv),
-            "signed_area": np.where(np.isfinite(g11), 0.5 * np.minimum(*triangle_areas(uv)), np.nan),
+            "signed_area": np.where(
+                np.isfinite(g11), 0.5 * np.minimum(*triangle_areas(uv)), np.nan
+            ),
             "anisotropy": high / low,
-        }  # fmt: skip
+        }
 
 
 def _cell_edges(nodes: Floats) -> tuple[Floats, Floats]:
@@ -346,7 +394,13 @@ def _cell_edges(nodes: Floats) -> tuple[Floats, Floats]:
 def _spread(values: Floats) -> Spread:
     field_names = ("median", "p5", "p95", "p95_abs", "max_abs")
     return Spread(
-        **dict(zip(field_names, percentiles(values, 50, 5, 95) + percentiles(np.abs(values), 95, 100), strict=True))
+        **dict(
+            zip(
+                field_names,
+                percentiles(values, 50, 5, 95) + percentiles(np.abs(values), 95, 100),
+                strict=True,
+            )
+        )
     )
 
 
@@ -359,11 +413,18 @@ def _against_projection(points: Floats, uv: Floats) -> tuple[float, float, float
         return np.nan, np.nan, np.nan, np.zeros(len(a))
     a, b = a - a.mean(axis=0), b - b.mean(axis=0)
     scatter, cross = a.T @ a, b.T @ a
-    scale = float(np.hypot(cross[0, 0] + cross[1, 1], cross[1, 0] - cross[0, 1]) / np.trace(scatter))
+    scale = float(
+        np.hypot(cross[0, 0] + cross[1, 1], cross[1, 0] - cross[0, 1]) / np.trace(scatter)
+    )
     rotation = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
     cos, sin = np.cos(rotation), np.sin(rotation)
     residuals = np.linalg.norm(b - a @ np.array([[cos, sin], [-sin, cos]]), axis=1)
     if np.linalg.cond(scatter) > 1e12:  # a sheet on edge: its projection is a line
         return scale, np.nan, np.nan, residuals
     _, size, axes = np.linalg.svd(cross @ np.linalg.inv(scatter))
-    return scale, float(size[0] / size[1]), float(np.degrees(np.arctan2(axes[0, 1], axes[0, 0])) % 180), residuals
+    return (
+        scale,
+        float(size[0] / size[1]),
+        float(np.degrees(np.arctan2(axes[0, 1], axes[0, 0])) % 180),
+        residuals,
+    )

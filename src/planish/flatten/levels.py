@@ -73,7 +73,9 @@ class Level:
 
     def open(self) -> None:
         """Make the arrays of the solver; ``xy`` and ``near`` have no values yet except in the padding."""
-        self.xy, self.near = (bordered(self.rows, self.cols, dtype) for dtype in (np.float64, np.float32))
+        self.xy, self.near = (
+            bordered(self.rows, self.cols, dtype) for dtype in (np.float64, np.float32)
+        )
         self.move, self.force = (padded(2, self.rows, self.cols, np.float32) for _ in range(2))
         self.ease = padded(1, self.rows, self.cols, np.float32)[0]
         self.sums = np.zeros((self.rows + 2, 2))
@@ -98,7 +100,9 @@ class Level:
         return self.inside(is_held)
 
 
-def of_springs(nodes: NDArray[Any], pair: Callable[[Any, Any], Any], out: NDArray[Any]) -> NDArray[Any]:
+def of_springs(
+    nodes: NDArray[Any], pair: Callable[[Any, Any], Any], out: NDArray[Any]
+) -> NDArray[Any]:
     """Set ``out`` (4, rows, cols) to ``pair`` of the two ends of each spring."""
     out[0, :, :-1] = pair(nodes[:, :-1], nodes[:, 1:])
     out[1, :-1] = pair(nodes[:-1], nodes[1:])
@@ -125,20 +129,24 @@ def mean_pitch(points: Floats) -> float:
         rows, cols = (max(1, n // n_lines) for n in points.shape[:2])
         with np.errstate(invalid="ignore", over="ignore"):
             vectors = [np.diff(points[::rows], axis=1), np.diff(points[:, ::cols], axis=0)]
-            lengths = np.concatenate([np.sqrt(np.sum(vector * vector, axis=-1)).ravel() for vector in vectors])
+            lengths = np.concatenate(
+                [np.sqrt(np.sum(vector * vector, axis=-1)).ravel() for vector in vectors]
+            )
         lengths = lengths[np.isfinite(lengths)]
         if lengths.size > 1000:
             break
     pitch = float(lengths.mean()) if lengths.size else 0.0
     if not np.isfinite(pitch) or pitch <= 0:
         raise CannotFlatten(
-            "No two neighbours of the mesh have a distance. Give a grid of points (rows, cols, 3) in um, in which "
-            "neighbours in the grid are neighbours in the sheet."
+            "No two neighbours of the mesh have a distance. Give a grid of points (rows, cols, 3)"
+            " in um, in which neighbours in the grid are neighbours in the sheet."
         )
     return pitch
 
 
-def make_springs(points: Floats, pitch: float, rest: Literal["arc", "chord"], team: Team) -> tuple[Level, int, float]:
+def make_springs(
+    points: Floats, pitch: float, rest: Literal["arc", "chord"], team: Team
+) -> tuple[Level, int, float]:
     """Tie the nodes of ``points`` (rows, cols, 3) to their neighbours; each spring is stored once.
 
     Gives a level with rest lengths in pitches and stiffness 1, the number of springs, and the share of them that kept
@@ -150,9 +158,15 @@ def make_springs(points: Floats, pitch: float, rest: Literal["arc", "chord"], te
     team.run(rest_lengths, parts, points, 1 / pitch, rest == "arc", lengths, spring_counts)
     springs, n_straight = spring_counts.sum(axis=0)
     if springs == 0:
-        raise CannotFlatten("No two neighbours of the mesh are known. Fill the gaps or use a coarser mesh.")
+        raise CannotFlatten(
+            "No two neighbours of the mesh are known. Fill the gaps or use a coarser mesh."
+        )
     ones = np.ones((4, 1, lengths.shape[2]), np.float32)
-    return Level(rows, cols, parts, lengths, ones), int(springs), n_straight / springs if rest == "arc" else np.nan
+    return (
+        Level(rows, cols, parts, lengths, ones),
+        int(springs),
+        n_straight / springs if rest == "arc" else np.nan,
+    )
 
 
 def stiffen(level: Level, weights: Floats) -> None:
@@ -169,8 +183,11 @@ def loose_nodes(is_node: Bools) -> tuple[Bools, NDArray[np.intp]]:
     A cell with three corners is stiff, and so are cells that share an edge; everything else can turn freely. The
     largest stiff part is the sheet. Gives the known nodes outside of it, and the number of cells of every stiff part.
     """
-    corners = sum(is_node[i : i + is_node.shape[0] - 1, j : j + is_node.shape[1] - 1].astype(np.int8)
-                  for i in (0, 1) for j in (0, 1))  # fmt: skip
+    corners = sum(
+        is_node[i : i + is_node.shape[0] - 1, j : j + is_node.shape[1] - 1].astype(np.int8)
+        for i in (0, 1)
+        for j in (0, 1)
+    )
     # Cells at odd places and the edges between them; a path may pass an edge whose two nodes are known.
     passable = np.zeros((2 * is_node.shape[0] - 1, 2 * is_node.shape[1] - 1), dtype=bool)
     passable[1::2, 1::2] = corners >= 3
@@ -187,7 +204,9 @@ def loose_nodes(is_node: Bools) -> tuple[Bools, NDArray[np.intp]]:
     return is_node & ~is_held, sizes[sizes > 0]
 
 
-def impute_nodes(points: Floats, weights: Floats | None, is_trusted: Bools, is_missing: Bools) -> tuple[Floats, Floats]:
+def impute_nodes(
+    points: Floats, weights: Floats | None, is_trusted: Bools, is_missing: Bools
+) -> tuple[Floats, Floats]:
     """Lay the missing nodes of ``points`` so that rows and columns bend least, and give them next to no weight.
 
     Least sum of squared second differences along rows and columns, to which trusted neighbours up to two nodes away
@@ -197,7 +216,9 @@ def impute_nodes(points: Floats, weights: Floats | None, is_trusted: Bools, is_m
     points = np.where(is_trusted[..., None], points, np.nan)
     if not is_missing.any():
         return points, weights
-    is_near = ndimage.binary_dilation(is_missing, structure=np.ones((3, 3), dtype=bool), iterations=2)
+    is_near = ndimage.binary_dilation(
+        is_missing, structure=np.ones((3, 3), dtype=bool), iterations=2
+    )
     is_local = is_missing | (is_trusted & is_near)
     rows, cols = np.nonzero(is_local)
     n_nodes = rows.size
@@ -207,21 +228,29 @@ def impute_nodes(points: Floats, weights: Floats | None, is_trusted: Bools, is_m
     def differences(coefficients: tuple[float, ...]) -> sparse.csr_array:
         """Sums of as many nodes in a row or a column, with these coefficients, wherever all of them take part."""
         order = len(coefficients)
-        runs = [[n[k : len(n) + 1 + k - order].ravel() for k in range(order)] for n in (node_number, node_number.T)]
+        runs = [
+            [n[k : len(n) + 1 + k - order].ravel() for k in range(order)]
+            for n in (node_number, node_number.T)
+        ]
         nodes = np.concatenate([np.stack(run) for run in runs], axis=1)
         nodes = nodes[:, (nodes >= 0).all(axis=0)]
         indices = (np.tile(np.arange(nodes.shape[1]), order), nodes.ravel())
-        return sparse.csr_array((np.repeat(coefficients, nodes.shape[1]), indices), shape=(nodes.shape[1], n_nodes))
+        return sparse.csr_array(
+            (np.repeat(coefficients, nodes.shape[1]), indices), shape=(nodes.shape[1], n_nodes)
+        )
 
     diff2 = differences((1.0, -2.0, 1.0))
-    diff1 = differences((1.0, -1.0))  # A faint pull towards the neighbours settles what no second difference reaches.
+    # A faint pull towards the neighbours settles what no second difference reaches.
+    diff1 = differences((1.0, -1.0))
     is_free = is_missing[is_local]
     # The pull acts on the deviation from a plane, which leaves linear maps alone.
     fixed_points = points[is_local][~is_free]
     plane_basis = np.stack([np.ones(n_nodes), rows, cols], axis=1)
     plane = plane_basis @ np.linalg.lstsq(plane_basis[~is_free], fixed_points, rcond=None)[0]
     matrix = (diff2.T @ diff2 + 1e-8 * (diff1.T @ diff1)).tocsc()
-    solve = splu((matrix[is_free][:, is_free] + 1e-14 * sparse.eye_array(int(is_free.sum()))).tocsc()).solve
+    solve = splu(
+        (matrix[is_free][:, is_free] + 1e-14 * sparse.eye_array(int(is_free.sum()))).tocsc()
+    ).solve
     deviations = solve(-(matrix[is_free][:, ~is_free] @ (fixed_points - plane[~is_free])))
     points[is_missing] = plane[is_free] + deviations
     # Stiff enough to hold a loose corner, too weak to steer the sheet.

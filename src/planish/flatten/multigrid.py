@@ -14,7 +14,16 @@ from scipy import ndimage
 
 from planish.core.status import Outcome
 from planish.core.typing import Floats
-from planish.flatten._kernels import FAR, advance, descend, forces, prepare, restrict, smooth, survey
+from planish.flatten._kernels import (
+    FAR,
+    advance,
+    descend,
+    forces,
+    prepare,
+    restrict,
+    smooth,
+    survey,
+)
 from planish.flatten._mesh_kernels import hold_open, interpolate
 from planish.flatten.direct import Network, StiffnessSolver, relax_exactly
 from planish.flatten.levels import Level, Single, Team, halve
@@ -57,13 +66,17 @@ def _dot(a: Single, b: Single) -> float:
 class Multigrid:
     """Relaxation of a hierarchy of meshes."""
 
-    def __init__(self, finest: Level, team: Team, *, gaps: bool, side: float, guarded: bool) -> None:
+    def __init__(
+        self, finest: Level, team: Team, *, gaps: bool, side: float, guarded: bool
+    ) -> None:
         self.levels = [finest]
         while min(self.levels[-1].rows, self.levels[-1].cols) > 5:
             self.levels.append(halve(self.levels[-1], team))
         self.team, self.gaps, self.side, self.guarded = team, gaps, side, guarded
         self.history: list[Step] = []
-        self.rate = 0.1  # share of the excess energy that a cycle is expected to leave, before one has been observed
+        # Share of the excess energy that a cycle is expected to leave, before one has been
+        # observed.
+        self.rate = 0.1
         self._corrects_twice, self._is_rough = True, False
         # From here on a level is the work of one thread.
         alone = (k for k, level in enumerate(self.levels) if k and len(level.parts) == 1)
@@ -77,7 +90,16 @@ class Multigrid:
             coarse, fine = self.levels[k + 1], self.levels[k]
             coarse.drop_springs()
             fine.open()
-            self.team.run(interpolate, fine.parts, coarse.xy, fine.xy, fine.near, fine.cols, coarse.cols, self.gaps)
+            self.team.run(
+                interpolate,
+                fine.parts,
+                coarse.xy,
+                fine.xy,
+                fine.near,
+                fine.cols,
+                coarse.cols,
+                self.gaps,
+            )
             if self.gaps:
                 is_gone = ~fine.nodes
                 fine.inside(fine.xy)[:, is_gone] = fine.inside(fine.near)[:, is_gone] = FAR
@@ -89,7 +111,9 @@ class Multigrid:
     def _start(self, level: Level) -> None:
         """Relax the coarsest mesh exactly, from the mean rest lengths between columns and rows."""
         coordinates: list[Floats] = []
-        for lengths, axis, count in zip(level.inside(level.rest), (0, 1), (level.cols, level.rows), strict=False):
+        for lengths, axis, count in zip(
+            level.inside(level.rest), (0, 1), (level.cols, level.rows), strict=False
+        ):
             is_spring = lengths > 0
             mean_lengths = lengths.sum(axis=axis) / np.maximum(is_spring.sum(axis=axis), 1)
             typical_length = lengths[is_spring].mean() if is_spring.any() else 1.0
@@ -99,7 +123,9 @@ class Multigrid:
         self._network = Network.of(level)
         is_node = self._network.mask
         grid = np.stack(np.meshgrid(self.side * coordinates[0], coordinates[1]), axis=-1)
-        uv = relax_exactly(self._network, grid[is_node], tolerance=1e-10 if len(self.levels) == 1 else 0.3)
+        uv = relax_exactly(
+            self._network, grid[is_node], tolerance=1e-10 if len(self.levels) == 1 else 0.3
+        )
         for node_positions in (level.inside(level.xy), level.inside(level.near)):
             node_positions[:] = FAR
             node_positions[:, is_node] = uv.T
@@ -113,7 +139,8 @@ class Multigrid:
         count = level.rows * level.cols
         gains: list[float] = []
         slow_steps = 0
-        previous: tuple[Single, Single, float] | None = None  # forces, move and their product at the step before
+        # Forces, move and their product at the step before.
+        previous: tuple[Single, Single, float] | None = None
         for step in range(300):
             energy = self.balance(level)
             is_smoothing_only = k == 0 and step == 0 and self._is_rough
@@ -143,21 +170,34 @@ class Multigrid:
             if not np.isfinite(gain):
                 return Outcome.NOT_FINITE
             if step == 0:
-                self._is_rough = gain > 0.02 * energy  # The next finer level is then taken as rough, too.
+                # The next finer level is then taken as rough, too.
+                self._is_rough = gain > 0.02 * energy
             if is_smoothing_only:
                 continue
             gains.append(gain)
             if len(gains) > 1:
                 # One lucky step is no proof where progress is slow.
-                ratios = [b / a if a else 1.0 for a, b in itertools.pairwise(gains[-4 if slow_steps else -2 :])]
+                ratios = [
+                    b / a if a else 1.0
+                    for a, b in itertools.pairwise(gains[-4 if slow_steps else -2 :])
+                ]
                 self.rate = float(np.clip(max(ratios), 0.01, 0.95))
             # Excess of energy and, as its square root, distance from the minimum: the steps to come, summed.
             excess_energy, root_rate = gain * self.rate / (1 - self.rate), np.sqrt(self.rate)
             distance = np.sqrt(square_move / count) * (root_rate / (1 - root_rate))
             if excess_energy <= tolerance * energy or distance <= _STILL:
-                return Outcome.RESTED if wanted_gain <= max(100 * tolerance * energy, gain) else Outcome.HELD_OPEN
+                return (
+                    Outcome.RESTED
+                    if wanted_gain <= max(100 * tolerance * energy, gain)
+                    else Outcome.HELD_OPEN
+                )
             slow_steps += slow_steps > 0 or (len(gains) > 1 and gain > _SLOW * gains[-2])
-            if slow_steps and slow_steps % 4 == 0 and not self.guarded and count_folds(level, self.team, self.side)[1]:
+            if (
+                slow_steps
+                and slow_steps % 4 == 0
+                and not self.guarded
+                and count_folds(level, self.team, self.side)[1]
+            ):
                 return Outcome.FOLDED
         return Outcome.OUT_OF_STEPS
 
@@ -175,7 +215,17 @@ class Multigrid:
         wanted_gain = _dot(level.force, level.move)
         move_share = np.ones(level.move.shape[1:], np.float32)
         for _ in range(_HALVINGS):
-            if not hold_open(level.xy, level.rest, level.move, move_share, OPEN, self.side, level.cols, 1, level.rows):
+            if not hold_open(
+                level.xy,
+                level.rest,
+                level.move,
+                move_share,
+                OPEN,
+                self.side,
+                level.cols,
+                1,
+                level.rows,
+            ):
                 break
             # What is next to a node that is held back may not run into it.
             np.minimum(move_share, 2 * ndimage.minimum_filter(move_share, size=3), out=move_share)
@@ -194,12 +244,30 @@ class Multigrid:
 
     def balance(self, level: Level) -> float:
         """Set the forces of a level and give its energy."""
-        self.team.run(forces, level.parts, level.xy, level.rest, level.stiff, level.force, level.sums, level.cols)
+        self.team.run(
+            forces,
+            level.parts,
+            level.xy,
+            level.rest,
+            level.stiff,
+            level.force,
+            level.sums,
+            level.cols,
+        )
         return float(level.sums[1 : level.rows + 1, 0].sum())
 
     def advance(self, level: Level) -> tuple[float, float]:
         """Move the nodes; give force times move and the squared move, summed over the nodes."""
-        self.team.run(advance, level.parts, level.xy, level.near, level.move, level.force, level.sums, level.cols)
+        self.team.run(
+            advance,
+            level.parts,
+            level.xy,
+            level.near,
+            level.move,
+            level.force,
+            level.sums,
+            level.cols,
+        )
         work, square_move = level.sums[1 : level.rows + 1].sum(axis=0)
         return float(work), float(square_move)
 
@@ -212,7 +280,9 @@ class Multigrid:
             n_coarser = len(self.levels) - 1 - k
             descent_levels = [*self.levels[k:], *self.levels[-1:] * (7 - n_coarser)]
             array_names = ("near", "stiff", "ease", "force", "move", "alone", "cols")
-            arrays = (tuple(getattr(level, name) for level in descent_levels) for name in array_names)
+            arrays = (
+                tuple(getattr(level, name) for level in descent_levels) for name in array_names
+            )
             node_indices = (1 + index for index in np.nonzero(self._network.mask))
             descend(*arrays, n_coarser, self._exact.inverse, *node_indices, *_TWICE, _ONCE)
             return
@@ -224,19 +294,42 @@ class Multigrid:
         coarse = self.levels[k + 1]
         self._smooth(0, level, level, *_TWICE)
         for _ in range(2 if depth == 1 and self._corrects_twice else 1):
-            self.team.run(restrict, coarse.parts, level.near, level.stiff, level.force, level.move, coarse.force,
-                          level.cols, coarse.cols)  # fmt: skip
+            self.team.run(
+                restrict,
+                coarse.parts,
+                level.near,
+                level.stiff,
+                level.force,
+                level.move,
+                coarse.force,
+                level.cols,
+                coarse.cols,
+            )
             self._cycle(k + 1, depth + 1)
             self._smooth(1, level, coarse, _ONCE, _ONCE)
 
-    def _smooth(self, kind: int, level: Level, coarse: Level, first: np.float32, weight: np.float32) -> None:
-        shared_args = (kind, level.near, level.stiff, level.ease, level.force, coarse.move, level.move)
+    def _smooth(
+        self, kind: int, level: Level, coarse: Level, first: np.float32, weight: np.float32
+    ) -> None:
+        shared_args = (
+            kind,
+            level.near,
+            level.stiff,
+            level.ease,
+            level.force,
+            coarse.move,
+            level.move,
+        )
         borders = [level.alone]
         if len(level.parts) > 1:
             # Rows that two threads share are copied before either of them moves its own.
             borders = [np.ascontiguousarray(level.move[:, [r0 - 1, r1]]) for r0, r1 in level.parts]
-        call_args = [(*shared_args, border_rows, first, weight, level.cols) for border_rows in borders]
-        self.team.each(smooth, [(*args, *rows) for args, rows in zip(call_args, level.parts, strict=True)])
+        call_args = [
+            (*shared_args, border_rows, first, weight, level.cols) for border_rows in borders
+        ]
+        self.team.each(
+            smooth, [(*args, *rows) for args, rows in zip(call_args, level.parts, strict=True)]
+        )
 
 
 def count_folds(level: Level, team: Team, side: float) -> tuple[float, int]:

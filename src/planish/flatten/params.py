@@ -9,21 +9,33 @@ class FlattenParams(Params):
     """How the centre surface is flattened, and the pixel of the flat maps."""
 
     mesh_um: float | None = option(
-        None, gt=0, help="Pitch of the spring mesh in um; four columns, or more for large sheets, where not given."
+        None,
+        gt=0,
+        help=(
+            "Pitch of the spring mesh in um; four columns, or more for large sheets, where not"
+            " given."
+        ),
     )
     method: Literal["multigrid", "relaxation"] = option(
         "multigrid",
-        help="multigrid: straight to the least spring energy; relaxation: the damped motion of Hirn et al. (2009).",
+        help=(
+            "multigrid: straight to the least spring energy; relaxation: the damped motion of Hirn"
+            " et al. (2009)."
+        ),
     )
     neutral: Literal["base", "faces"] | None = option(
         None,
-        help="Surface that stays unstrained where the sheet is bent: the middle of the base, or the mean of the faces; "
-        "base where not given and both interfaces are measured.",
+        help=(
+            "Surface that stays unstrained where the sheet is bent: the middle of the base, or the"
+            " mean of the faces; base where not given and both interfaces are measured."
+        ),
     )
     rest: Literal["arc", "chord"] = option(
         "arc",
-        help="Rest lengths of the springs: along the curved surface, or straight through space as in Hirn et al. "
-        "(2009).",
+        help=(
+            "Rest lengths of the springs: along the curved surface, or straight through space as in"
+            " Hirn et al. (2009)."
+        ),
     )
     map_um: float | None = option(
         None, gt=0, help="Pixel of the flat maps in um; the volume's columns where not given."

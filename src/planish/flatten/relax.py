@@ -14,7 +14,16 @@ from planish.core.typing import Bools, Floats
 from planish.flatten._kernels import GONE
 from planish.flatten._mesh_kernels import lay_down, moments
 from planish.flatten.distortion import folded_cells
-from planish.flatten.levels import TRUSTED, Level, Team, impute_nodes, loose_nodes, make_springs, mean_pitch, stiffen
+from planish.flatten.levels import (
+    TRUSTED,
+    Level,
+    Team,
+    impute_nodes,
+    loose_nodes,
+    make_springs,
+    mean_pitch,
+    stiffen,
+)
 from planish.flatten.multigrid import OPEN, Multigrid, Step, count_folds
 from planish.flatten.relaxation import RelaxationParams, relax_dynamically
 
@@ -27,38 +36,61 @@ class Relaxed(ResultModel):
     """A relaxed mesh and how it got there."""
 
     uv: Floats = Field(
-        description="(rows, cols, 2): flat coordinates (u, v) in the unit of the points; NaN where there is no sheet."
+        description=(
+            "(rows, cols, 2): flat coordinates (u, v) in the unit of the points; NaN where there is"
+            " no sheet."
+        )
     )
     energy: float = Field(
-        description="Sum over the springs of k (l - L)^2 in that unit squared, k being 1 or the lower weight of the "
-        "two ends."
+        description=(
+            "Sum over the springs of k (l - L)^2 in that unit squared, k being 1 or the lower"
+            " weight of the two ends."
+        )
     )
     springs: int = Field(description="Number of the springs.")
     outcome: Outcome = Field(description="How it ended.")
-    steps: int = Field(description="Of ``relaxation``: steps in time; of ``multigrid``: steps on the finest mesh.")
+    steps: int = Field(
+        description="Of ``relaxation``: steps in time; of ``multigrid``: steps on the finest mesh."
+    )
     history: tuple[Step, ...] = Field(
-        description="All steps, those on the coarser meshes of ``multigrid`` included, in mean pitches."
+        description=(
+            "All steps, those on the coarser meshes of ``multigrid`` included, in mean pitches."
+        )
     )
     folded: Bools = Field(
-        description="(rows - 1, cols - 1): cells with a triangle whose signed area is not above zero, and those that "
-        "are held open at next to none."
+        description=(
+            "(rows - 1, cols - 1): cells with a triangle whose signed area is not above zero, and"
+            " those that are held open at next to none."
+        )
     )
     imputed: Bools = Field(
-        description="(rows, cols): nodes of little weight, which were laid where the others suggest: their places are "
-        "no measurement."
+        description=(
+            "(rows, cols): nodes of little weight, which were laid where the others suggest: their"
+            " places are no measurement."
+        )
     )
     straight_share: float = Field(
-        description="Share of the springs that kept their chord because the curvature of the surface is not certain "
-        'there; NaN for ``rest="chord"``.'
+        description=(
+            "Share of the springs that kept their chord because the curvature of the surface is not"
+            ' certain there; NaN for ``rest="chord"``.'
+        )
     )
     pitch: float = Field(description="Mean distance of neighbours along rows and columns.")
-    dropped: Bools = Field(description="(rows, cols): nodes of specks beside the sheet, which were left out.")
+    dropped: Bools = Field(
+        description="(rows, cols): nodes of specks beside the sheet, which were left out."
+    )
 
 
 def relax_grid(
-    points: Floats, *, method: Method | RelaxationParams = "multigrid", rest: Rest = "arc", start: Floats | None = None,
-    weights: Floats | None = None, tolerance: float = 1e-6, least_share: float = 0.02,
-) -> Relaxed:  # fmt: skip
+    points: Floats,
+    *,
+    method: Method | RelaxationParams = "multigrid",
+    rest: Rest = "arc",
+    start: Floats | None = None,
+    weights: Floats | None = None,
+    tolerance: float = 1e-6,
+    least_share: float = 0.02,
+) -> Relaxed:
     """Flatten a grid of points in space.
 
     Parameters
@@ -121,7 +153,10 @@ def relax_grid(
         else:
             steps, outcome, history = _relaxation(level, points, target[..., :2] / pitch, method)
         if is_brace is not None:
-            stiffen(level, np.where(is_brace, 0.0, np.ones(is_brace.shape) if weights is None else weights))
+            stiffen(
+                level,
+                np.where(is_brace, 0.0, np.ones(is_brace.shape) if weights is None else weights),
+            )
         energy, n_folded = count_folds(level, team, side)
         level.drop_springs()
         uv = _lay_on_target(level, target, pitch, team)
@@ -135,18 +170,36 @@ def relax_grid(
     if folded.any() and outcome is Outcome.RESTED:
         outcome = Outcome.FOLDED
     return Relaxed(
-        uv=uv, energy=energy * pitch * pitch, springs=springs, outcome=outcome, steps=steps, history=history,
-        folded=folded, imputed=imputed, straight_share=straight_share, pitch=pitch, dropped=dropped,
-    )  # fmt: skip
+        uv=uv,
+        energy=energy * pitch * pitch,
+        springs=springs,
+        outcome=outcome,
+        steps=steps,
+        history=history,
+        folded=folded,
+        imputed=imputed,
+        straight_share=straight_share,
+        pitch=pitch,
+        dropped=dropped,
+    )
 
 
 def _check(
-    points: Floats, start: Floats | None, weights: Floats | None, tolerance: float, least_share: float, *,
-    method: object, rest: object,
-) -> None:  # fmt: skip
+    points: Floats,
+    start: Floats | None,
+    weights: Floats | None,
+    tolerance: float,
+    least_share: float,
+    *,
+    method: object,
+    rest: object,
+) -> None:
     """Refuse arguments that do not fit, all faults in one message."""
     if points.ndim != 3 or points.shape[2] != 3:
-        raise CannotFlatten(f"Points of shape {points.shape} were given; needed is a grid (rows, cols, 3) of x, y, z.")
+        raise CannotFlatten(
+            f"Points of shape {points.shape} were given; needed is a grid (rows, cols, 3) of x,"
+            " y, z."
+        )
     rows, cols = shape = points.shape[:2]
     faults: list[str] = []
     if method not in ("multigrid", "relaxation") and not isinstance(method, RelaxationParams):
@@ -154,11 +207,19 @@ def _check(
     if rest not in ("arc", "chord"):
         faults.append(f"rest is {rest!r}, needed is 'arc' or 'chord'")
     if min(shape) < 2:
-        faults.append(f"the mesh has {rows} rows and {cols} columns, at least 2 of both are needed: use a finer mesh")
+        faults.append(
+            f"the mesh has {rows} rows and {cols} columns, at least 2 of both are needed: use a"
+            " finer mesh"
+        )
     if start is not None and np.shape(start) != (*shape, 2):
         faults.append(f"the start has the shape {np.shape(start)}, needed is {(*shape, 2)}")
-    elif start is not None and not np.isfinite(np.asarray(start)[np.isfinite(points).all(axis=-1)]).all():
-        faults.append("the start is not finite at nodes of the sheet: give a place for each of them")
+    elif (
+        start is not None
+        and not np.isfinite(np.asarray(start)[np.isfinite(points).all(axis=-1)]).all()
+    ):
+        faults.append(
+            "the start is not finite at nodes of the sheet: give a place for each of them"
+        )
     if weights is not None and np.shape(weights) != shape:
         faults.append(f"the weights have the shape {np.shape(weights)}, needed is {shape}")
     if not 0 < tolerance < 1:
@@ -185,30 +246,38 @@ def _brace(points: Floats, weights: Floats | None) -> tuple[Floats, Floats | Non
     is_node = np.asarray(np.isfinite(points).all(axis=-1))
     n = np.count_nonzero(is_node)
     if n < 4:
-        raise CannotFlatten(f"The mesh has {n} nodes; at least 2 rows and 2 columns are needed. Use a finer mesh.")
+        raise CannotFlatten(
+            f"The mesh has {n} nodes; at least 2 rows and 2 columns are needed. Use a finer mesh."
+        )
     labels, n_pieces = ndimage.label(is_node, structure=np.ones((3, 3)))
     if n_pieces > 1:
-        sized_pieces = zip(np.bincount(labels.ravel())[1:], ndimage.find_objects(labels), strict=True)
+        sized_pieces = zip(
+            np.bincount(labels.ravel())[1:], ndimage.find_objects(labels), strict=True
+        )
         piece_texts = [
-            f"{size} nodes in rows {rows.start}-{rows.stop - 1} and columns {cols.start}-{cols.stop - 1}"
+            f"{size} nodes in rows {rows.start}-{rows.stop - 1} and columns"
+            f" {cols.start}-{cols.stop - 1}"
             for size, (rows, cols) in sorted(sized_pieces, key=lambda piece: -piece[0])
         ]
         raise CannotFlatten(
-            f"The sheet falls into {n_pieces} unconnected pieces: {_first_six(piece_texts)}. Their distance in the "
-            "plane is not known: flatten each of them by itself, or drop the smaller ones with least_share."
+            f"The sheet falls into {n_pieces} unconnected pieces: {_first_six(piece_texts)}. Their"
+            " distance in the plane is not known: flatten each of them by itself, or drop the"
+            " smaller ones with least_share."
         )
     is_loose, sizes = loose_nodes(is_node)
     sizes = sizes[sizes > 0.02 * sizes.sum()]
     if sizes.size != 1:
         sizes_text = _first_six([str(size) for size in np.sort(sizes)[::-1]])
         raise CannotFlatten(
-            f"The sheet falls into {sizes.size} pieces of {sizes_text} cells that hang together by single nodes at "
-            "most. How they are turned against each other is not known: cut them apart there, and flatten each by "
-            "itself."
+            f"The sheet falls into {sizes.size} pieces of {sizes_text} cells that hang together by"
+            " single nodes at most. How they are turned against each other is not known: cut them"
+            " apart there, and flatten each by itself."
         )
     if not is_loose.any():
         return points, weights, None
-    is_brace = ~is_node & ndimage.binary_dilation(is_loose, structure=np.ones((3, 3), dtype=bool), iterations=2)
+    is_brace = ~is_node & ndimage.binary_dilation(
+        is_loose, structure=np.ones((3, 3), dtype=bool), iterations=2
+    )
     return (*impute_nodes(points, weights, is_node, is_brace), is_brace)
 
 
@@ -219,14 +288,20 @@ def _first_six(texts: list[str]) -> str:
 def _impute_doubtful(points: Floats, weights: Floats) -> tuple[Floats, Floats | None, Bools]:
     """Impute the nodes of little weight; give points, the weights if they differ, and the nodes that are imputed."""
     is_node = np.isfinite(points).all(axis=-1)
-    if not (np.isfinite(weights[is_node]).all() and (weights[is_node] >= 0).all() and (weights[is_node] > 0).any()):
-        raise CannotFlatten("A weight is negative or not finite, or all are 0. Give a confidence from 0 upwards.")
+    if not (
+        np.isfinite(weights[is_node]).all()
+        and (weights[is_node] >= 0).all()
+        and (weights[is_node] > 0).any()
+    ):
+        raise CannotFlatten(
+            "A weight is negative or not finite, or all are 0. Give a confidence from 0 upwards."
+        )
     is_doubtful = is_node & (weights < TRUSTED * np.median(weights[is_node & (weights > 0)]))
     n_trusted = np.count_nonzero(is_node & ~is_doubtful)
     if n_trusted < 4:
         raise CannotFlatten(
-            f"{n_trusted} nodes have more than a tenth of the median weight, at least 4 are needed. Give the nodes "
-            "that were measured a higher weight."
+            f"{n_trusted} nodes have more than a tenth of the median weight, at least 4 are needed."
+            " Give the nodes that were measured a higher weight."
         )
     if is_doubtful.any():
         return (*impute_nodes(points, weights, is_node & ~is_doubtful, is_doubtful), is_doubtful)
@@ -251,12 +326,17 @@ def _multigrid(level: Level, side: float, team: Team, tolerance: float, *, gaps:
         solver = Multigrid(level, team, gaps=gaps, side=side, guarded=guarded)
         outcome = solver.run(tolerance)
         history += solver.history
-        if outcome in (Outcome.RESTED, Outcome.OUT_OF_STEPS) and count_folds(level, team, side)[1] == 0:
+        if (
+            outcome in (Outcome.RESTED, Outcome.OUT_OF_STEPS)
+            and count_folds(level, team, side)[1] == 0
+        ):
             break
     return sum(step.nodes == level.rows * level.cols for step in history), outcome, tuple(history)
 
 
-def _relaxation(level: Level, points: Floats, start: Floats, method: Method | RelaxationParams) -> Run:
+def _relaxation(
+    level: Level, points: Floats, start: Floats, method: Method | RelaxationParams
+) -> Run:
     """Relax by the damped motion of Hirn et al. (2009), from the places ``start`` in pitches."""
     start = np.where(np.isfinite(points).all(axis=-1, keepdims=True), start, np.nan)
     params = method if isinstance(method, RelaxationParams) else RelaxationParams()
@@ -264,17 +344,27 @@ def _relaxation(level: Level, points: Floats, start: Floats, method: Method | Re
     stiffness = level.inside(np.broadcast_to(level.stiff, level.rest.shape)).astype(np.float64)
     relaxation = relax_dynamically(start, rest, stiffness=stiffness, params=params)
     level.open()
-    level.inside(level.xy)[:] = np.where(np.isfinite(relaxation.uv), relaxation.uv, 10 * GONE).transpose(2, 0, 1)
+    level.inside(level.xy)[:] = np.where(
+        np.isfinite(relaxation.uv), relaxation.uv, 10 * GONE
+    ).transpose(2, 0, 1)
     n_nodes, motion = int(np.isfinite(relaxation.uv[..., 0]).sum()), relaxation.history
     moves = zip(motion.energy, motion.mean_speed * motion.dt, strict=True)
-    return relaxation.steps, relaxation.outcome, tuple(Step(n_nodes, energy, np.nan, move) for energy, move in moves)
+    return (
+        relaxation.steps,
+        relaxation.outcome,
+        tuple(Step(n_nodes, energy, np.nan, move) for energy, move in moves),
+    )
 
 
 def _lay_on_target(level: Level, target: Floats, pitch: float, team: Team) -> Floats:
     row_sums = np.zeros((level.rows + 2, 7))
     team.run(moments, level.parts, target, 1 / pitch, level.xy, row_sums)
     n_nodes, u, v, p, q, sum_dot, sum_cross = row_sums.sum(axis=0)
-    angle = np.arctan2(sum_cross - (u * q - v * p) / n_nodes, sum_dot - (u * p + v * q) / n_nodes) if n_nodes else 0.0
+    angle = (
+        np.arctan2(sum_cross - (u * q - v * p) / n_nodes, sum_dot - (u * p + v * q) / n_nodes)
+        if n_nodes
+        else 0.0
+    )
     cos, sin = float(np.cos(angle)), float(np.sin(angle))
     n_nodes = max(n_nodes, 1.0)
     shift = (p - cos * u + sin * v) / n_nodes, (q - sin * u - cos * v) / n_nodes

@@ -37,7 +37,8 @@ class RelaxationParams:
     stop: Literal["first", "sustained", "residual"] = "sustained"
     a: float = 1e-2  #: Eq. (4); a strain of 1 % in one step
     b: float = 0.2  #: Eq. (5): ``c > max |grad v| / b``
-    c_min: float = 0.02  #: Eq. (5); critical for the slowest mode of 314 nodes a side; wider meshes creep
+    # : Eq. (5); critical for the slowest mode of 314 nodes a side; wider meshes creep.
+    c_min: float = 0.02
     #: Share to which the damping falls in a step at most: one calm step does not free the mesh; not in the paper.
     c_fall: float = 0.97
     dt_max: float = 0.3  #: Eq. (4)
@@ -45,9 +46,11 @@ class RelaxationParams:
     mean_speed: float = 1e-3  #: Eq. (6)
     #: Largest force at rest, in stiffness times pitch; only for ``stop="residual"``; a hundredth of the speed's limit.
     residual: float = 1e-5
-    most_steps: int = 50_000  #: a mesh of 128 x 96 nodes takes 2000 to 3000; the number grows with the longer side
+    # : a mesh of 128 x 96 nodes takes 2000 to 3000; the number grows with the longer side.
+    most_steps: int = 50_000
     fixed_dt: float = 0.0025  #: for ``control="fixed"``; ``feedback`` starts with it
-    fixed_c: float = 0.02  #: for ``control="fixed"``; forward Euler is stable for ``fixed_dt < fixed_c / 8`` only
+    # : for ``control="fixed"``; forward Euler is stable for ``fixed_dt < fixed_c / 8`` only.
+    fixed_c: float = 0.02
 
 
 class MotionHistory(NamedTuple):
@@ -83,7 +86,11 @@ class Relaxation:
 
 
 def relax_dynamically(
-    start: Floats, rest: Floats, *, stiffness: Floats | None = None, params: RelaxationParams | None = None
+    start: Floats,
+    rest: Floats,
+    *,
+    stiffness: Floats | None = None,
+    params: RelaxationParams | None = None,
 ) -> Relaxation:
     """Let a spring mesh swing to rest in the plane.
 
@@ -113,18 +120,31 @@ def relax_dynamically(
     start = np.asarray(start, dtype=np.float64)
     rest = np.asarray(rest, dtype=np.float64)
     stiff = np.ones_like(rest) if stiffness is None else np.asarray(stiffness, dtype=np.float64)
-    if start.ndim != 3 or start.shape[2] != 2 or rest.shape != (4, *start.shape[:2]) or stiff.shape != rest.shape:
+    if (
+        start.ndim != 3
+        or start.shape[2] != 2
+        or rest.shape != (4, *start.shape[:2])
+        or stiff.shape != rest.shape
+    ):
         raise CannotFlatten(
-            f"Nodes {start.shape}, rest lengths {rest.shape} and stiffness {stiff.shape} do not fit together; needed "
-            f"are (rows, cols, 2) and twice (4, rows, cols). Make all of them from one mesh."
+            f"Nodes {start.shape}, rest lengths {rest.shape} and stiffness {stiff.shape} do not fit"
+            " together; needed are (rows, cols, 2) and twice (4, rows, cols). Make all of them"
+            " from one mesh."
         )
     is_node: Bools = np.asarray(np.isfinite(start).all(axis=-1))
-    tied = of_springs(is_node, np.logical_and, np.zeros(rest.shape, bool)) & np.isfinite(rest) & np.isfinite(stiff)
+    tied = (
+        of_springs(is_node, np.logical_and, np.zeros(rest.shape, bool))
+        & np.isfinite(rest)
+        & np.isfinite(stiff)
+    )
     unit = float(np.max(stiff, where=tied, initial=0.0)) or 1.0
     x = _framed(np.where(is_node[..., None], start, 0.0).transpose(2, 0, 1))
     springs = _framed(np.where(tied, rest, 0.0)), _framed(np.where(tied, stiff / unit, 0.0))
-    with np.errstate(invalid="ignore", over="ignore"):  # a mesh that leaves the finite numbers is an outcome
-        outcome, energy, log = _motion(x, springs, _framed(is_node.astype(np.float64)), params or RelaxationParams())
+    # a mesh that leaves the finite numbers is an outcome.
+    with np.errstate(invalid="ignore", over="ignore"):
+        outcome, energy, log = _motion(
+            x, springs, _framed(is_node.astype(np.float64)), params or RelaxationParams()
+        )
         uv = np.where(is_node[..., None], x[:, 1:-1, 1:-1].transpose(1, 2, 0), np.nan)
         side = np.sign(np.nansum(triangle_areas(start)))
         inverted = int(np.count_nonzero(folded_cells(start, uv, side=side)))
@@ -132,13 +152,24 @@ def relax_dynamically(
         outcome = Outcome.FOLDED
     log[:, 4] *= unit
     history = MotionHistory(np.arange(1.0, len(log) + 1), *log.T)
-    return Relaxation(uv=uv, energy=energy * unit, outcome=outcome, steps=len(log), history=history, inverted=inverted)
+    return Relaxation(
+        uv=uv,
+        energy=energy * unit,
+        outcome=outcome,
+        steps=len(log),
+        history=history,
+        inverted=inverted,
+    )
 
 
-def _motion(x: Floats, springs: Springs, mask: Floats, p: RelaxationParams) -> tuple[Outcome, float, Floats]:
+def _motion(
+    x: Floats, springs: Springs, mask: Floats, p: RelaxationParams
+) -> tuple[Outcome, float, Floats]:
     """Move ``x`` (2, rows + 2, cols + 2) until it rests; give the energy, and time step, damping ... of each step."""
     # Weights of the differences to the neighbours right, left, below and above (4, rows + 2, cols + 2).
-    right, left, below, above = (np.roll(mask, shift, axis) for shift, axis in ((-1, 1), (1, 1), (-1, 0), (1, 0)))
+    right, left, below, above = (
+        np.roll(mask, shift, axis) for shift, axis in ((-1, 1), (1, 1), (-1, 0), (1, 0))
+    )
     opposite_pairs = ((right, left), (left, right), (below, above), (above, below))
     weights = np.stack([mask * side * (1.0 - 0.5 * opposite) for side, opposite in opposite_pairs])
     nodes, period = np.count_nonzero(mask), 2.0 * (max(mask.shape) - 2)
@@ -199,10 +230,14 @@ def _motion(x: Floats, springs: Springs, mask: Floats, p: RelaxationParams) -> t
     return outcome, energy, np.array(step_log).reshape(-1, 5)
 
 
-def _runge_kutta(x: Floats, v: Floats, f: Floats, springs: Springs, dt: float, c: float) -> tuple[Floats, Floats]:
+def _runge_kutta(
+    x: Floats, v: Floats, f: Floats, springs: Springs, dt: float, c: float
+) -> tuple[Floats, Floats]:
     """Places and velocities after ``dt`` by the classical method of fourth order; ``f``, the force, is overwritten."""
     stage_x, stage_v, new_x, new_v = x, v, x, v
-    for stage, (weight, stage_dt) in enumerate(((dt / 6, dt / 2), (dt / 3, dt / 2), (dt / 3, dt), (dt / 6, 0.0))):
+    for stage, (weight, stage_dt) in enumerate(
+        ((dt / 6, dt / 2), (dt / 3, dt / 2), (dt / 3, dt), (dt / 6, 0.0))
+    ):
         if stage > 0:
             set_force(stage_x, *springs, f)
         acceleration = f - c * stage_v

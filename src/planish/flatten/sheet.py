@@ -36,17 +36,25 @@ class FlatteningQuality(ResultModel):
     folded_cells: int = Field(
         description="Cells that the springs would fold and that are held open; they are not valid."
     )
-    edge_strain_p95: Value = Field(description="95th percentile of the absolute strain of the springs.")
+    edge_strain_p95: Value = Field(
+        description="95th percentile of the absolute strain of the springs."
+    )
     edge_strain_max: Value = Field(description="Largest absolute strain of a spring.")
     method: str = Field(description="multigrid or relaxation.")
-    neutral: Neutral = Field(default="faces", description="Surface that was taken to stay unstrained.")
+    neutral: Neutral = Field(
+        default="faces", description="Surface that was taken to stay unstrained."
+    )
     springs: int = Field(description="Number of springs.")
     straight_share: Value = Field(
-        description="Share of the springs measured straight through space, as the surface is rough there."
+        description=(
+            "Share of the springs measured straight through space, as the surface is rough there."
+        )
     )
     distortion: Distortion = Field(description="Strain, lengths and growth.")
     curvature: CurvatureVerdict = Field(description="Whether the surface can be flat at all.")
-    largest_move_um: Value = Field(description="Largest distance of a column from its projected place.")
+    largest_move_um: Value = Field(
+        description="Largest distance of a column from its projected place."
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,21 +96,27 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
         If the centre surface is too small or falls into pieces, or the middle of the base is asked for and not known.
     """
     check_dataset(
-        surfaces, "centre", expected="surfaces", source="pl.find_surfaces(volume)", call_format="pl.flatten_sheet({})"
+        surfaces,
+        "centre",
+        expected="surfaces",
+        source="pl.find_surfaces(volume)",
+        call_format="pl.flatten_sheet({})",
     )
     params = params_of(FlattenParams, params, "pl.flatten_sheet")
     frame = Frame.of(surfaces)
     has_base = "base_middle" in surfaces
     if params.neutral == "base" and not has_base:
         raise CannotFlatten(
-            "The middle of the base is asked for (--neutral base), and its interfaces with the coatings were not found "
-            "on both sides. Leave --neutral out."
+            "The middle of the base is asked for (--neutral base), and its interfaces with the"
+            " coatings were not found on both sides. Leave --neutral out."
         )
     neutral = params.neutral or ("base" if has_base and "method" not in surfaces.attrs else "faces")
     mesh = sheet_mesh(surfaces, params.mesh_um)
     points = mesh.points if neutral == "faces" else mesh.raised(surfaces["base_middle"].values)
     relaxed = relax_grid(points, method=params.method, rest=params.rest, weights=mesh.weights)
-    flat = _flat_columns(surfaces, mesh, relaxed, frame).assign_attrs(neutral=neutral, rest=params.rest)
+    flat = _flat_columns(surfaces, mesh, relaxed, frame).assign_attrs(
+        neutral=neutral, rest=params.rest
+    )
     strain = cell_strain(points, relaxed.uv).assign_coords(
         y=("row", 0.5 * (mesh.y_um[1:] + mesh.y_um[:-1]), {"units": "um"}),
         x=("col", 0.5 * (mesh.x_um[1:] + mesh.x_um[:-1]), {"units": "um"}),
@@ -110,17 +124,33 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
     # The same lines in the same sheet every time.
     distortion = measure_distortion(points, relaxed.uv, rng=np.random.default_rng(0), strain=strain)
     curvature = curvature_check(points)
-    strain["gaussian_curvature"] = (("row", "col"), _at_cells(curvature.curvature), {"units": "1/um2"})
+    strain["gaussian_curvature"] = (
+        ("row", "col"),
+        _at_cells(curvature.curvature),
+        {"units": "1/um2"},
+    )
     strain["needed_strain"] = (("row", "col"), _at_cells(curvature.strain))
-    edge_strains = np.concatenate([np.abs(e[np.isfinite(e)]) for e in edge_strain(points, relaxed.uv)])
+    edge_strains = np.concatenate(
+        [np.abs(e[np.isfinite(e)]) for e in edge_strain(points, relaxed.uv)]
+    )
     moves = np.hypot(*(flat[axis].values - flat[f"projected_{axis}"].values for axis in "uv"))
     quality = FlatteningQuality(
-        outcome=relaxed.outcome.name, sentence=relaxed.outcome.value, steps=relaxed.steps, energy_um2=relaxed.energy,
-        mesh_um=mesh.pitch_um, folded_cells=int(np.count_nonzero(relaxed.folded)),
-        edge_strain_p95=float(np.percentile(edge_strains, 95)), edge_strain_max=float(edge_strains.max()),
-        method=params.method, neutral=neutral, springs=relaxed.springs, straight_share=relaxed.straight_share,
-        distortion=distortion, curvature=CurvatureVerdict.holding(curvature), largest_move_um=float(np.nanmax(moves)),
-    )  # fmt: skip
+        outcome=relaxed.outcome.name,
+        sentence=relaxed.outcome.value,
+        steps=relaxed.steps,
+        energy_um2=relaxed.energy,
+        mesh_um=mesh.pitch_um,
+        folded_cells=int(np.count_nonzero(relaxed.folded)),
+        edge_strain_p95=float(np.percentile(edge_strains, 95)),
+        edge_strain_max=float(edge_strains.max()),
+        method=params.method,
+        neutral=neutral,
+        springs=relaxed.springs,
+        straight_share=relaxed.straight_share,
+        distortion=distortion,
+        curvature=CurvatureVerdict.holding(curvature),
+        largest_move_um=float(np.nanmax(moves)),
+    )
     return Flattened(flat=flat, strain=strain.assign(_progress(relaxed)), quality=quality)
 
 
@@ -143,11 +173,18 @@ class SheetMesh(NamedTuple):
 
     def raised(self, offset: NDArray[np.floating]) -> Floats:
         """Nodes moved along the normals onto the surface that lies ``offset`` (y, x) above, vertically, in um."""
-        node_offset = np.where(np.isfinite(self.points[..., 2]), offset[np.ix_(self.rows, self.cols)], np.nan)
+        node_offset = np.where(
+            np.isfinite(self.points[..., 2]), offset[np.ix_(self.rows, self.cols)], np.nan
+        )
         order = 2 if min(node_offset.shape) > 2 else 1
-        down, across = np.gradient(filled(self.points[..., 2]), self.y_um, self.x_um, edge_order=order)
+        down, across = np.gradient(
+            filled(self.points[..., 2]), self.y_um, self.x_um, edge_order=order
+        )
         normals = np.stack([-across, -down, np.ones(node_offset.shape)], axis=-1)
-        return self.points + normals * (np.nan_to_num(node_offset) / (1 + down**2 + across**2))[..., None]
+        return (
+            self.points
+            + normals * (np.nan_to_num(node_offset) / (1 + down**2 + across**2))[..., None]
+        )
 
 
 def sheet_mesh(surfaces: xr.Dataset, mesh_um: float | None) -> SheetMesh:
@@ -157,7 +194,8 @@ def sheet_mesh(surfaces: xr.Dataset, mesh_um: float | None) -> SheetMesh:
     pitch_um = pitch(surfaces)
     area_um2 = np.count_nonzero(is_sheet) * pitch_um[0] * pitch_um[1]
     wanted_um = mesh_um or max(4 * max(pitch_um), np.sqrt(area_um2 / _MOST_NODES))
-    row_step, col_step = (  # Columns per mesh cell, along rows and columns, so that cells are about square.
+    # Columns per mesh cell, along rows and columns, so that cells are about square.
+    row_step, col_step = (
         int(np.clip(round(wanted_um / step_um), 1, max(1, (n - 1) // 2)))
         for step_um, n in zip(pitch_um, centre.shape, strict=True)
     )
@@ -167,12 +205,20 @@ def sheet_mesh(surfaces: xr.Dataset, mesh_um: float | None) -> SheetMesh:
     points = np.stack([mesh_x, mesh_y, height], axis=-1)
     points[~_largest_piece(np.isfinite(height))] = np.nan
     return SheetMesh(
-        rows=rows, cols=cols, y_um=y[rows], x_um=x[cols], pitch_um=row_step * pitch_um[0], is_sheet=is_sheet,
-        points=points, weights=node_weights(surfaces, rows, cols),
-    )  # fmt: skip
+        rows=rows,
+        cols=cols,
+        y_um=y[rows],
+        x_um=x[cols],
+        pitch_um=row_step * pitch_um[0],
+        is_sheet=is_sheet,
+        points=points,
+        weights=node_weights(surfaces, rows, cols),
+    )
 
 
-def node_weights(surfaces: xr.Dataset, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> Floats | None:
+def node_weights(
+    surfaces: xr.Dataset, rows: NDArray[np.intp], cols: NDArray[np.intp]
+) -> Floats | None:
     """Weights of the mesh's nodes, less where the centre surface was bridged; None where the surfaces do not tell."""
     if "status" not in surfaces:
         return None
@@ -186,11 +232,17 @@ def _at_cells(nodes: Floats) -> Floats:
 
 def _progress(relaxed: Relaxed) -> dict[str, tuple[str, Floats, dict[str, str]]]:
     """History of the solver over ``step``: nodes of the mesh, energy, and the mean move of a node in the step."""
-    step_table = np.array([(step.nodes, step.energy, step.move) for step in relaxed.history], dtype=np.float64)
+    step_table = np.array(
+        [(step.nodes, step.energy, step.move) for step in relaxed.history], dtype=np.float64
+    )
     nodes, energy, mean_move = step_table.reshape(-1, 3).T
     return {
         "step_nodes": ("step", nodes, {"long_name": "Nodes of the mesh"}),
-        "step_energy": ("step", energy * relaxed.pitch**2, {"units": "um2", "long_name": "Spring energy"}),
+        "step_energy": (
+            "step",
+            energy * relaxed.pitch**2,
+            {"units": "um2", "long_name": "Spring energy"},
+        ),
         "step_move": ("step", mean_move * relaxed.pitch, {"units": "um", "long_name": "Mean move"}),
     }
 
@@ -212,14 +264,18 @@ def _mesh_indices(n_columns: int, step: int) -> NDArray[np.intp]:
     return np.append(indices[:-1] if is_sliver else indices, n_columns - 1)
 
 
-def _flat_columns(surfaces: xr.Dataset, mesh: SheetMesh, relaxed: Relaxed, frame: Frame) -> xr.Dataset:
+def _flat_columns(
+    surfaces: xr.Dataset, mesh: SheetMesh, relaxed: Relaxed, frame: Frame
+) -> xr.Dataset:
     """Carry every column of the sheet along with the mesh; NaN in its folded cells."""
     rows, cols = mesh.rows, mesh.cols
     y, x = np.meshgrid(surfaces["y"].values, surfaces["x"].values, indexing="ij")
     # Bilinear between the nodes of the mesh, filled by the nearest node outside.
     r = np.interp(np.arange(x.shape[0]), rows, np.arange(rows.size))[:, None]
     c = np.interp(np.arange(x.shape[1]), cols, np.arange(cols.size))[None, :]
-    u_moves, v_moves = (bilinear(filled(relaxed.uv[..., i] - mesh.points[..., i]), r, c) for i in range(2))
+    u_moves, v_moves = (
+        bilinear(filled(relaxed.uv[..., i] - mesh.points[..., i]), r, c) for i in range(2)
+    )
     is_valid = mesh.is_sheet.copy()
     for i, j in zip(*np.nonzero(relaxed.folded), strict=True):
         is_valid[rows[i] : rows[i + 1] + 1, cols[j] : cols[j + 1] + 1] = False
@@ -232,7 +288,11 @@ def _flat_columns(surfaces: xr.Dataset, mesh: SheetMesh, relaxed: Relaxed, frame
     }
     return xr.Dataset(
         {
-            name: (("y", "x"), np.where(is_valid, values, np.nan), {"units": "um", "long_name": title})
+            name: (
+                ("y", "x"),
+                np.where(is_valid, values, np.nan),
+                {"units": "um", "long_name": title},
+            )
             for name, (values, title) in values_and_titles.items()
         },
         coords=surfaces.coords,

@@ -20,9 +20,12 @@ _MOST_NODES = 40_000
 
 
 def flat_moves(
-    surfaces: xr.Dataset, others: Mapping[str, NDArray[np.floating]], *, neutral: NDArray[np.floating] | float = 0.0,
+    surfaces: xr.Dataset,
+    others: Mapping[str, NDArray[np.floating]],
+    *,
+    neutral: NDArray[np.floating] | float = 0.0,
     rest: Rest = "arc",
-) -> xr.Dataset:  # fmt: skip
+) -> xr.Dataset:
     """Moves of every place of the sheet in the plane when other surfaces are flattened instead of the neutral one.
 
     All are flattened on one mesh, coarser than that of the maps: what the mesh itself does is the same for all.
@@ -45,11 +48,16 @@ def flat_moves(
     mesh = sheet_mesh(surfaces, max(float(np.sqrt(area / _MOST_NODES)), 4 * abs(y[1] - y[0])))
     base = np.broadcast_to(np.asarray(neutral, dtype=np.float64), centre.shape)
     neutral_uv, *other_uvs = (
-        relax_grid(mesh.raised(offset), rest=rest, weights=mesh.weights).uv for offset in (base, *others.values())
+        relax_grid(mesh.raised(offset), rest=rest, weights=mesh.weights).uv
+        for offset in (base, *others.values())
     )
     axis_signs = (-1.0 if Frame.of(surfaces).mirrored else 1.0, 1.0)
     moves = {
-        f"{name}_{axis}": (("y", "x"), filled(axis_signs[k] * (uv - neutral_uv)[..., k]), {"units": "um"})
+        f"{name}_{axis}": (
+            ("y", "x"),
+            filled(axis_signs[k] * (uv - neutral_uv)[..., k]),
+            {"units": "um"},
+        )
         for name, uv in zip(others, other_uvs, strict=True)
         for k, axis in enumerate("uv")
     }
@@ -86,7 +94,11 @@ def places_when_scaled(
     # The moves are differences of two flattenings, smooth over the 400 um of the centre surface.
     wanted_um = mesh_um or max(min(50.0, np.sqrt(area / 5_000)), np.sqrt(area / 100_000))
     rows, cols = (
-        np.unique(np.linspace(0, n - 1, max(3, round((n - 1) * step_um / wanted_um) + 1)).round().astype(np.intp))
+        np.unique(
+            np.linspace(0, n - 1, max(3, round((n - 1) * step_um / wanted_um) + 1))
+            .round()
+            .astype(np.intp)
+        )
         for n, step_um in zip(is_sheet.shape, pitch_um, strict=True)
     )
     mesh_nodes = np.ix_(rows, cols)
@@ -97,7 +109,9 @@ def places_when_scaled(
     uv_by_scale: dict[float, Floats] = {}
     for scale in (0.4, 0.55, 0.75, 1.0, 1.25, 1.5, 1.8, 2.15, 2.5):
         with suppress(CannotFlatten):
-            uv = relax_grid(np.stack([across, down, scale * height], axis=-1), weights=weights).uv[is_node]
+            uv = relax_grid(np.stack([across, down, scale * height], axis=-1), weights=weights).uv[
+                is_node
+            ]
             if np.isfinite(uv).all():
                 uv_by_scale[scale] = uv
     if 1.0 not in uv_by_scale:
@@ -105,5 +119,7 @@ def places_when_scaled(
     moves = np.stack([uv - uv_by_scale[1.0] for uv in uv_by_scale.values()], axis=1)
     moves[..., 0] *= -1.0 if Frame.of(surfaces).mirrored else 1.0
     flat_points = np.stack([flat[k].values[mesh_nodes][is_node] for k in "uv"], axis=1)
-    shifts = LinearNDInterpolator(flat_points, moves.reshape(len(flat_points), -1))(points).reshape(len(points), -1, 2)
+    shifts = LinearNDInterpolator(flat_points, moves.reshape(len(flat_points), -1))(points).reshape(
+        len(points), -1, 2
+    )
     return np.array(list(uv_by_scale)), points + np.moveaxis(shifts, 1, 0)

@@ -8,7 +8,16 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.core.arrays import IMAGE, VOLUME, ArrayKind, check_values, conversion_call, described, not_taken, step_um
+from planish.core.arrays import (
+    IMAGE,
+    VOLUME,
+    ArrayKind,
+    check_values,
+    conversion_call,
+    described,
+    not_taken,
+    step_um,
+)
 from planish.core.errors import VolumeError, check_choice
 from planish.core.facts import SIDES, Side
 from planish.core.frame import Axis, End, Frame
@@ -69,8 +78,14 @@ def volume(
         values = stored_data.astype(dtype)
     else:
         values = _lazy(raster.variable, dtype)
-    attrs = {"full_scale": full_scale(raster.dtype, 64), "long_name": "Grey value"} | raster.attrs | frame.lies()
-    return _labelled(values, raster, VOLUME, voxel_um, attrs, override=override_size, unusual=unusual_size)
+    attrs = (
+        {"full_scale": full_scale(raster.dtype, 64), "long_name": "Grey value"}
+        | raster.attrs
+        | frame.lies()
+    )
+    return _labelled(
+        values, raster, VOLUME, voxel_um, attrs, override=override_size, unusual=unusual_size
+    )
 
 
 def image(
@@ -113,17 +128,26 @@ def image(
     picture = DecodedPicture(values=stored_values, colour=colour, bits=64, stated=(), orientation=1)
     values, long_name = pick_channel(picture, channel, file_name="The array")
     attrs = {
-        "full_scale": full_scale(stored_values.dtype, 64), "channel": channel, "stored_dtype": str(stored_values.dtype),
-        "orientation": 1, "long_name": long_name, **raster.attrs, **({} if side is None else {"side": side}),
-    }  # fmt: skip
-    return _labelled(values, raster, IMAGE, pixel_um, attrs, override=override_size, unusual=unusual_size)
+        "full_scale": full_scale(stored_values.dtype, 64),
+        "channel": channel,
+        "stored_dtype": str(stored_values.dtype),
+        "orientation": 1,
+        "long_name": long_name,
+        **raster.attrs,
+        **({} if side is None else {"side": side}),
+    }
+    return _labelled(
+        values, raster, IMAGE, pixel_um, attrs, override=override_size, unusual=unusual_size
+    )
 
 
 def _lazy(source: Any, dtype: np.dtype[Any]) -> LazyArray:
     """An array of another library, of which parts are read as they are asked for."""
     array = LazyArray(tuple(map(int, source.shape)), dtype, partial(_read_part, source, dtype))
     # Those of dask hold the size of each chunk.
-    chunks: Any = getattr(source, "chunks", None) or getattr(source, "encoding", {}).get("chunks") or ()
+    chunks: Any = (
+        getattr(source, "chunks", None) or getattr(source, "encoding", {}).get("chunks") or ()
+    )
     array.chunks = tuple(max(edge) if isinstance(edge, tuple) else edge for edge in chunks) or None
     return array
 
@@ -134,25 +158,41 @@ def _read_part(source: Any, dtype: np.dtype[Any], where: Where) -> NDArray[Any]:
 
 def _array(array: Any, kind: ArrayKind) -> xr.DataArray:
     """An array with names for its axes, not read; an image may have one more, its colours."""
-    if not isinstance(getattr(array, "dtype", None), np.dtype) or isinstance(array, np.ma.MaskedArray):
+    if not isinstance(getattr(array, "dtype", None), np.dtype) or isinstance(
+        array, np.ma.MaskedArray
+    ):
         instead_text = conversion_call(array, kind)
         if not isinstance(array, str | Path | xr.Dataset):
-            instead_text = instead_text.replace("array", "np.asarray(array)") + ", with NaN for what is masked"
+            instead_text = (
+                instead_text.replace("array", "np.asarray(array)") + ", with NaN for what is masked"
+            )
         raise not_taken(array, "an array", instead_text, f"pl.{kind.name}(")
     raster: Any = array
     if not isinstance(array, xr.DataArray):
-        stored_data = array if isinstance(array, np.ndarray) else _lazy(array, array.dtype.newbyteorder("="))
-        raster = xr.DataArray(xr.Variable([f"dim_{k}" for k in range(len(array.shape))], variable_data(stored_data)))
-        raster.encoding |= {"chunks": stored_data.chunks} if isinstance(stored_data, LazyArray) else {}
-    dims, has_colour = [str(name) for name in raster.dims], kind is IMAGE and raster.shape[2:] in ((3,), (4,))
+        stored_data = (
+            array if isinstance(array, np.ndarray) else _lazy(array, array.dtype.newbyteorder("="))
+        )
+        raster = xr.DataArray(
+            xr.Variable([f"dim_{k}" for k in range(len(array.shape))], variable_data(stored_data))
+        )
+        raster.encoding |= (
+            {"chunks": stored_data.chunks} if isinstance(stored_data, LazyArray) else {}
+        )
+    dims, has_colour = (
+        [str(name) for name in raster.dims],
+        kind is IMAGE and raster.shape[2:] in ((3,), (4,)),
+    )
     if set(kind.axes) < set(dims) or sorted(dims) == sorted(kind.axes):
         raster = raster.transpose(*kind.axes, ...)
-    elif all(name.startswith("dim_") for name in dims) and len(dims) == len(kind.axes) + has_colour:  # names of no axis
+    # Names of no axis.
+    elif all(name.startswith("dim_") for name in dims) and len(dims) == len(kind.axes) + has_colour:
         raster = raster.rename(dict(zip(raster.dims, (*kind.axes, "colour"), strict=False)))
     dims = [str(name) for name in raster.dims]
     check_values(raster, kind, dims[:2] if has_colour else dims)
     if min(raster.shape) < (2 if kind is VOLUME else 1):
-        raise VolumeError(f"The {kind.name} is cut off: {described(array)} was given. Give the whole stack.")
+        raise VolumeError(
+            f"The {kind.name} is cut off: {described(array)} was given. Give the whole stack."
+        )
     return raster
 
 
@@ -169,14 +209,26 @@ def _labelled(
     """The values with the size that coordinates, attribute and call agree on, beginning where they did."""
     steps = {axis: None if override else step_um(raster, axis) for axis in kind.axes}
     # Without a unit they may count voxels: they have to fit a size that is given, and are none by themselves.
-    unitless = [axis for axis, step in steps.items() if step is not None and "units" not in raster[axis].attrs]
-    stated_um = tuple(None if size_um is None and axis in unitless else step for axis, step in steps.items())
-    stated = Stated("its coordinate grid", stated_um, "coordinates without a unit" if unitless else "")
+    unitless = [
+        axis
+        for axis, step in steps.items()
+        if step is not None and "units" not in raster[axis].attrs
+    ]
+    stated_um = tuple(
+        None if size_um is None and axis in unitless else step for axis, step in steps.items()
+    )
+    stated = Stated(
+        "its coordinate grid", stated_um, "coordinates without a unit" if unitless else ""
+    )
     if size_um is None and not any(stated_um) and kind.size_attribute in raster.attrs:
-        stated = Stated(f"its attribute {kind.size_attribute}", tuple(raster.attrs[kind.size_attribute]))
+        stated = Stated(
+            f"its attribute {kind.size_attribute}", tuple(raster.attrs[kind.size_attribute])
+        )
     size_kind = VOXEL if kind is VOLUME else PIXEL
     name = f"The {kind.name}"
-    size, source = agreed_size([stated], size_um, file_name=name, asked=size_kind, override=override, unusual=unusual)
+    size, source = agreed_size(
+        [stated], size_um, file_name=name, asked=size_kind, override=override, unusual=unusual
+    )
     path = getattr(raster.variable._data, "filename", None)  # pyright: ignore  of a memory map
     file_name = Path(path).name if path else str(raster.name or "array")
     attrs = {"file_name": file_name, "file_bytes": raster.nbytes, **attrs, "units": "1"}

@@ -17,8 +17,9 @@ from planish.io.tiff import damaged
 
 LONGEST_NIFTI = 540  # bytes of the header of version 2
 MIRRORED = (
-    "By its affine the axes of {} make a left-handed system: as a stack of slices it is a mirror image of the "
-    "specimen. Flip one axis where you export it, or the sheet will lie on its image like its own reflection."
+    "By its affine the axes of {} make a left-handed system: as a stack of slices it is a mirror"
+    " image of the specimen. Flip one axis where you export it, or the sheet will lie on its image"
+    " like its own reflection."
 )
 
 
@@ -29,7 +30,12 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
 
 
 def _header_of(
-    path: Path, extents: tuple[int, ...], axes: tuple[int, ...], dtype: np.dtype[Any], offset: int, stated: Stated
+    path: Path,
+    extents: tuple[int, ...],
+    axes: tuple[int, ...],
+    dtype: np.dtype[Any],
+    offset: int,
+    stated: Stated,
 ) -> Header:
     """Header of values that begin at a byte of a file, which may be packed as a whole."""
     packing, shape = packing_of(path), tuple(extents[axis] for axis in axes)
@@ -62,7 +68,9 @@ def _load_nifti(path: Path) -> LoadedVolume:
         scale = partial(_scaled, slope=slope, intercept=intercept)
         values = ViewArray(values, range(3), scale, np.dtype(np.float32))
     hand_attrs = {"hand": "left, by the affine"} if is_mirrored else {}
-    return header.volume(values, attrs=hand_attrs, notes=[MIRRORED.format(path.name)] if is_mirrored else [])
+    return header.volume(
+        values, attrs=hand_attrs, notes=[MIRRORED.format(path.name)] if is_mirrored else []
+    )
 
 
 def _nifti_header(head: bytes, path: Path) -> tuple[Any, int]:
@@ -73,7 +81,10 @@ def _nifti_header(head: bytes, path: Path) -> tuple[Any, int]:
     if head[:4] in (LONGEST_NIFTI.to_bytes(4, "little"), LONGEST_NIFTI.to_bytes(4, "big")):
         header_class, n_bytes, magic = Nifti2Header, LONGEST_NIFTI, head[4:7]
     if magic in (b"ni1", b"ni2"):
-        raise FileError(f"{path.name} has its values in another file (.img). Save it as one file, .nii or .nii.gz.")
+        raise FileError(
+            f"{path.name} has its values in another file (.img). Save it as one file, .nii or"
+            " .nii.gz."
+        )
     if len(head) < n_bytes or magic not in (b"n+1", b"n+2"):
         raise FileError(f"{path.name} is no NIfTI file. Check its name, or export it again.")
     with reading(path):
@@ -85,7 +96,8 @@ def _scaled(values: NDArray[Any], *, slope: float, intercept: float) -> NDArray[
 
 
 HEADER_BYTES = 1024
-IMOD_STAMP, IMOD_AT = 1146047817, 40  # where it stands in extra2, the next number says whether bytes are signed
+# Where it stands in extra2, the next number says whether bytes are signed.
+IMOD_STAMP, IMOD_AT = 1146047817, 40
 
 
 def _load_mrc(path: Path) -> LoadedVolume:
@@ -93,7 +105,9 @@ def _load_mrc(path: Path) -> LoadedVolume:
     extents = tuple(int(fields[name]) for name in ("nx", "ny", "nz"))
     extended_bytes = int(fields["nsymbt"])
     if min(extents) < 1 or extended_bytes < 0:
-        raise damaged(path, f"its sizes are {extents}, its extended header has {extended_bytes} bytes")
+        raise damaged(
+            path, f"its sizes are {extents}, its extended header has {extended_bytes} bytes"
+        )
     axes = axes_of(extents, "", path)
     offset, dtype = HEADER_BYTES + extended_bytes, _type_of(fields, path)
     header = _header_of(path, extents, axes, dtype, offset, _stated(fields, axes))
@@ -106,7 +120,9 @@ def _mrc_header(head: bytes, path: Path) -> Any:
     if len(head) == HEADER_BYTES:
         for byte_order in ("<", ">"):
             fields = np.frombuffer(head, dtypes.HEADER_DTYPE.newbyteorder(byte_order))[0]
-            if 0 <= int(fields["mode"]) < 128 and all(0 < int(fields[name]) < 2**24 for name in ("nx", "ny", "nz")):
+            if 0 <= int(fields["mode"]) < 128 and all(
+                0 < int(fields[name]) < 2**24 for name in ("nx", "ny", "nz")
+            ):
                 return fields
     raise FileError(f"{path.name} is no MRC file. Check its name, or export it again.")
 
@@ -121,8 +137,12 @@ def _type_of(fields: Any, path: Path) -> np.dtype[Any]:
     except ValueError:
         dtype = np.dtype(np.void)
     if dtype.kind not in "iuf":
-        raise VolumeError(f"{path.name} has values of the mode {mode}. Export it with whole or real numbers.")
-    stamp, flags = np.frombuffer(fields["extra2"].tobytes(), np.dtype(np.int32).newbyteorder(byte_order), 2, IMOD_AT)
+        raise VolumeError(
+            f"{path.name} has values of the mode {mode}. Export it with whole or real numbers."
+        )
+    stamp, flags = np.frombuffer(
+        fields["extra2"].tobytes(), np.dtype(np.int32).newbyteorder(byte_order), 2, IMOD_AT
+    )
     if mode == 0 and stamp == IMOD_STAMP and not flags & 1:
         dtype = np.dtype(np.uint8)
     return dtype.newbyteorder(byte_order)
@@ -136,6 +156,10 @@ def _stated(fields: Any, axes: tuple[int, ...]) -> Stated:
         n_intervals = int(fields[f"m{axis}"]) if axis else 0
         cell_lengths.append(float(fields["cella"][axis]) / n_intervals if n_intervals > 0 else None)
     if all(length in (0.0, 1.0) for length in cell_lengths):
-        note_text = "1 Angstrom is what programs write when they do not know" if cell_lengths[0] else "it is 0"
+        note_text = (
+            "1 Angstrom is what programs write when they do not know"
+            if cell_lengths[0]
+            else "it is 0"
+        )
         return Stated("the MRC cell", (None, None, None), note_text)
     return stated_in("the MRC cell", cell_lengths, ["angstrom"] * 3, axes)

@@ -38,18 +38,28 @@ class VolumeFormat(NamedTuple):
     name: str
     module: str  # of this package
     suffixes: tuple[str, ...] = ()  # ends of the names of its files or folders, in small letters
-    marker_files: tuple[str, ...] = ()  # names of files that mark a folder of this format, whatever its own name
+    # Names of files that mark a folder of this format, whatever its own name.
+    marker_files: tuple[str, ...] = ()
     has_parts: bool = False  # whether ``path:part`` chooses one volume of several
 
 
 FORMATS = (  # The first line that fits is taken, so longer suffixes stand before shorter ones.
     VolumeFormat("raw with a header", "header_volume", (".toml", ".raw", ".vol")),
-    VolumeFormat("OME-Zarr", "zarr_volume", (".zarr",), ("zarr.json", ".zgroup", ".zarray"), has_parts=True),
+    VolumeFormat(
+        "OME-Zarr", "zarr_volume", (".zarr",), ("zarr.json", ".zgroup", ".zarray"), has_parts=True
+    ),
     VolumeFormat("NRRD", "header_volume", (".nrrd", ".nhdr")),
     VolumeFormat("MetaImage", "header_volume", (".mha", ".mhd")),
-    VolumeFormat("HDF5 or NeXus", "hdf5_volume", (".h5", ".hdf5", ".hdf", ".he5", ".nxs", ".nx"), has_parts=True),
+    VolumeFormat(
+        "HDF5 or NeXus",
+        "hdf5_volume",
+        (".h5", ".hdf5", ".hdf", ".he5", ".nxs", ".nx"),
+        has_parts=True,
+    ),
     VolumeFormat("NIfTI", "binary_volume", (".nii", ".nii.gz")),
-    VolumeFormat("MRC", "binary_volume", (".mrc", ".rec", ".st", ".ali", ".map", ".mrc.gz", ".mrc.bz2")),
+    VolumeFormat(
+        "MRC", "binary_volume", (".mrc", ".rec", ".st", ".ali", ".map", ".mrc.gz", ".mrc.bz2")
+    ),
     VolumeFormat("MATLAB", "matlab_volume", (".mat",), has_parts=True),
 )
 TIFF = VolumeFormat("TIFF", "tiff_volume", (".tif", ".tiff", ".btf", ".tf8"))
@@ -88,7 +98,10 @@ def find_place(path: str | Path) -> Place:
     """
     text = str(path)
     if printable(text) != text:
-        raise FileError(f"The name {printable(text)} holds what is no text. Results hold names: give it another.")
+        raise FileError(
+            f"The name {printable(text)} holds what is no text. Results hold names: give it"
+            " another."
+        )
     if not exists(Path(text)):
         for colon in range(len(text) - 1, 0, -1):
             path_text = text[:colon]
@@ -112,13 +125,18 @@ def format_of(place: Place) -> VolumeFormat:
     """Find the format by the name, or for folders by what lies in them; everything else is an image file."""
     path = place.path
     name, is_folder = path.name.lower(), path.is_dir()
-    candidates = [f for f in FORMATS if name.endswith(f.suffixes) and is_folder == bool(f.marker_files)]
+    candidates = [
+        f for f in FORMATS if name.endswith(f.suffixes) and is_folder == bool(f.marker_files)
+    ]
     if is_folder:
-        candidates += [f for f in FORMATS if any((path / marker).is_file() for marker in f.marker_files)]
+        candidates += [
+            f for f in FORMATS if any((path / marker).is_file() for marker in f.marker_files)
+        ]
     file_format = (*candidates, SLICES if is_folder else TIFF)[0]
     if place.part and not file_format.has_parts:
         raise FileError(
-            f"{path.name} is {file_format.name}, in which {place.part!r} chooses nothing. Leave out ':{place.part}'."
+            f"{path.name} is {file_format.name}, in which {place.part!r} chooses nothing. Leave out"
+            f" ':{place.part}'."
         )
     return file_format
 
@@ -136,7 +154,8 @@ def extra(module: str, path: Path) -> ModuleType:
             return importlib.import_module(module)
     except ImportError as error:
         raise FileError(
-            f'{path.name} needs the library {module}, which is not installed. Run: pip install "planish[formats]"'
+            f"{path.name} needs the library {module}, which is not installed. Run: pip install"
+            ' "planish[formats]"'
         ) from error
 
 
@@ -166,12 +185,18 @@ def full_scale(dtype: np.dtype[Any], bits: int) -> int | None:
 def check_type(dtype: np.dtype[Any], path: Path) -> None:
     """Refuse values that are no grey values."""
     if dtype.kind == "b":
-        raise VolumeError(f"{path.name} has black and white only (1 bit). Give the grey values it was made from.")
+        raise VolumeError(
+            f"{path.name} has black and white only (1 bit). Give the grey values it was made from."
+        )
     if dtype.kind not in "uif" or dtype.itemsize > 8:
-        raise VolumeError(f"{path.name} has {dtype} values. Needed are integers or real numbers up to 64 bits.")
+        raise VolumeError(
+            f"{path.name} has {dtype} values. Needed are integers or real numbers up to 64 bits."
+        )
 
 
-def referenced_file(folder: Path, name: str, path: Path, *, base_folder: Path | None = None) -> Path:
+def referenced_file(
+    folder: Path, name: str, path: Path, *, base_folder: Path | None = None
+) -> Path:
     """Path of a file that another file names, which has to lie in the same folder or below."""
     target = (base_folder or folder) / name
     try:
@@ -180,11 +205,14 @@ def referenced_file(folder: Path, name: str, path: Path, *, base_folder: Path | 
         is_within = False
     if not is_within:
         raise FileError(
-            f"{path.name} takes data from {name!r}, outside its folder, which planish does not open. Put the files "
-            "into one folder and name them without a path."
+            f"{path.name} takes data from {name!r}, outside its folder, which planish does not"
+            " open. Put the files into one folder and name them without a path."
         )
     if not target.is_file():
-        raise FileError(f"{path.name} takes data from {name!r}, which does not exist. Put it beside {path.name}.")
+        raise FileError(
+            f"{path.name} takes data from {name!r}, which does not exist. Put it beside"
+            f" {path.name}."
+        )
     return target
 
 
@@ -192,7 +220,9 @@ def describe_volumes(volumes: Sequence[tuple[str, tuple[int, ...], str]], name: 
     """List the volumes (name, shape, type) of a file, and say how one is chosen."""
     if not volumes:
         return ADVICE
-    volumes_text = ", ".join(f"{volume} ({size_words(shape)} {dtype})" for volume, shape, dtype in volumes[:8])
+    volumes_text = ", ".join(
+        f"{volume} ({size_words(shape)} {dtype})" for volume, shape, dtype in volumes[:8]
+    )
     more_text = f" and {len(volumes) - 8} more" if len(volumes) > 8 else ""
     return f"Its volumes are {volumes_text}{more_text}: choose one as {name}:{volumes[0][0]}."
 
@@ -209,7 +239,10 @@ def check_channel(channel: str | None) -> str | None:
     """Return the name of a channel in small letters."""
     word = None if channel is None else channel.strip().casefold()
     if word not in (None, *CHANNELS):
-        raise InputError(f"{channel!r} is no channel of a volume. Choose {', '.join(CHANNELS)} with --volume-channel.")
+        raise InputError(
+            f"{channel!r} is no channel of a volume. Choose {', '.join(CHANNELS)} with"
+            " --volume-channel."
+        )
     return word
 
 
@@ -226,14 +259,24 @@ def colour_attrs(channel: str | None, path: Path, *, in_colour: bool) -> dict[st
     """Attributes of a volume whose files are in colour; a choice of colours is refused where they are not."""
     if not in_colour:
         if channel not in (None, "luminance"):
-            raise InputError(f"{path.name} is grey, so it has no {channel}. Leave --volume-channel out.")
+            raise InputError(
+                f"{path.name} is grey, so it has no {channel}. Leave --volume-channel out."
+            )
         return {}
-    choice_text = "no channel was chosen, so luminance is" if channel is None else f"the channel chosen is {channel}"
+    choice_text = (
+        "no channel was chosen, so luminance is"
+        if channel is None
+        else f"the channel chosen is {channel}"
+    )
     return {"channel": channel or "luminance", "colour": f"The files are in colour; {choice_text}."}
 
 
 def check_chunks(
-    positions: Iterable[tuple[int, ...]], shape: tuple[int, ...], chunk: tuple[int, ...], *, name: str
+    positions: Iterable[tuple[int, ...]],
+    shape: tuple[int, ...],
+    chunk: tuple[int, ...],
+    *,
+    name: str,
 ) -> tuple[str, ...]:
     """Compare the chunks of an array with those it should have.
 
@@ -241,7 +284,11 @@ def check_chunks(
     sample. A whole layer of the array without any is a copy that was cut off, or a wrong shape.
     """
     grid = tuple(-(-n // c) for n, c in zip(shape, chunk, strict=True))
-    stored = [p for p in positions if len(p) == len(grid) and all(0 <= i < n for i, n in zip(p, grid, strict=True))]
+    stored = [
+        p
+        for p in positions
+        if len(p) == len(grid) and all(0 <= i < n for i, n in zip(p, grid, strict=True))
+    ]
     total = math.prod(grid)
     loss = f"{total - len(stored)} of its {total} chunks are not stored"
     names = "tczyx"[-len(grid) :] if len(grid) <= 5 else range(len(grid))
@@ -250,8 +297,9 @@ def check_chunks(
         if len(stored_indices) < n:
             missing = c * next(p for p in range(n) if p not in stored_indices)
             raise FileError(
-                f"{name} has no values for {names[axis]} {missing} to {min(missing + c, shape[axis]) - 1}: {loss}. "
-                "It is cut off, or its shape is wrong: copy or export it again."
+                f"{name} has no values for {names[axis]} {missing} to"
+                f" {min(missing + c, shape[axis]) - 1}: {loss}. It is cut off, or its shape is"
+                " wrong: copy or export it again."
             )
     if len(stored) == total:
         return ()

@@ -59,13 +59,18 @@ def reading(path: Path) -> Generator[None]:
     except PlanishError:
         raise
     except MemoryError as error:
-        raise ResourceError(f"{path.name} does not fit into the memory. Crop or bin it, or add memory.") from error
+        raise ResourceError(
+            f"{path.name} does not fit into the memory. Crop or bin it, or add memory."
+        ) from error
     except PermissionError as error:
-        raise FileError(f"{path.name} may not be read. Give yourself the right to read it.") from error
+        raise FileError(
+            f"{path.name} may not be read. Give yourself the right to read it."
+        ) from error
     except Exception as error:  # broken files make the decoders raise almost every type there is
         reason = " ".join(str(error).split())[:160] or type(error).__name__
         raise FileError(
-            f"{path.name} cannot be decoded ({reason}). It is damaged or of a rare kind: copy or export it again."
+            f"{path.name} cannot be decoded ({reason}). It is damaged or of a rare kind: copy or"
+            " export it again."
         ) from error
 
 
@@ -93,8 +98,8 @@ def check_blown_up(path: Path, *, decoded_bytes: int, stored_bytes: int) -> None
     # Deflate ends at 1032, LZW at about 1400, noisy scans far below. Small images do no harm: constant ones pass.
     if decoded_bytes > 16 * 2**20 and decoded_bytes > 2000 * stored_bytes:
         raise FileError(
-            f"{path.name} claims {decoded_bytes} bytes of image in {stored_bytes} stored bytes, more than 2000 to 1. "
-            "It is damaged: copy or export it again."
+            f"{path.name} claims {decoded_bytes} bytes of image in {stored_bytes} stored bytes,"
+            " more than 2000 to 1. It is damaged: copy or export it again."
         )
 
 
@@ -103,8 +108,9 @@ def check_memory(path: Path, *, needed_bytes: int, limit_bytes: int | None) -> N
     limit = memory_limit(limit_bytes)
     if needed_bytes > limit:
         raise ResourceError(
-            f"{path.name} needs {needed_bytes / 2**30:.3g} GiB of memory, {limit / 2**30:.3g} GiB may be used. "
-            "Crop or bin it, or store a volume uncompressed as one BigTIFF, which is read in place."
+            f"{path.name} needs {needed_bytes / 2**30:.3g} GiB of memory, {limit / 2**30:.3g} GiB"
+            " may be used. Crop or bin it, or store a volume uncompressed as one BigTIFF, which is"
+            " read in place."
         )
 
 
@@ -117,7 +123,9 @@ def default_memory_limit() -> int:
     """Bytes that one file may fill: three quarters of the memory that is free, or can be freed."""
     available_bytes = 0
     with suppress(OSError):
-        for line in Path("/proc/meminfo").read_text(encoding="ascii", errors="replace").splitlines():
+        for line in (
+            Path("/proc/meminfo").read_text(encoding="ascii", errors="replace").splitlines()
+        ):
             if line.startswith("MemAvailable:"):
                 available_bytes = int(line.split()[1]) * 1024
     if not available_bytes and os.name == "nt":
@@ -134,9 +142,13 @@ class _MemoryStatus(ctypes.Structure):
     """MEMORYSTATUSEX of sysinfoapi.h."""
 
     _fields_ = (
-        ("length", ctypes.c_uint32), ("load", ctypes.c_uint32),
-        *((name, ctypes.c_uint64) for name in ("all", "available", "all_page", "page", "all_own", "own", "extended")),
-    )  # fmt: skip
+        ("length", ctypes.c_uint32),
+        ("load", ctypes.c_uint32),
+        *(
+            (name, ctypes.c_uint64)
+            for name in ("all", "available", "all_page", "page", "all_own", "own", "extended")
+        ),
+    )
 
 
 def _available_on_windows(kernel: Any) -> int:
@@ -151,7 +163,10 @@ def _control_group_limit_bytes(
     """Least memory limit of the control groups of the process (containers, batch systems); a huge number if none."""
     limits = [2**62]
     folders = ((groups_folder, False), (groups_folder / "memory", True))
-    for folder, is_version_1 in (*folders, *control_groups("memory", membership_file, groups_folder)):
+    for folder, is_version_1 in (
+        *folders,
+        *control_groups("memory", membership_file, groups_folder),
+    ):
         with suppress(OSError):
             name = "memory.limit_in_bytes" if is_version_1 else "memory.max"
             text = (folder / name).read_text(encoding="ascii", errors="replace").strip()

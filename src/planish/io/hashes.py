@@ -36,13 +36,17 @@ def store_fingerprint(path: Path) -> str:
     if not shard_hashes:  # The shards hold the voxels, the metadata their size.
         return ""
     files = sorted(p for p in path.rglob("*") if p.name in ("zarr.json", ".zattrs", ".zarray"))
-    hashes = [(p.relative_to(path).as_posix(), hashlib.sha256(p.read_bytes()).hexdigest()) for p in files]
+    hashes = [
+        (p.relative_to(path).as_posix(), hashlib.sha256(p.read_bytes()).hexdigest()) for p in files
+    ]
     return _hash_of_hashes([*shard_hashes, *hashes])
 
 
 def _hash_of_hashes(hashes: Iterable[tuple[str, str]], part: str = "") -> str:
     prefix = f"{part}\n" if part else ""
-    return hashlib.sha256((prefix + "".join(f"{sha}  {name}\n" for name, sha in hashes)).encode()).hexdigest()
+    return hashlib.sha256(
+        (prefix + "".join(f"{sha}  {name}\n" for name, sha in hashes)).encode()
+    ).hexdigest()
 
 
 class ShardLists:
@@ -60,11 +64,15 @@ class ShardLists:
 
     def has(self, level: Array, where: Where) -> bool:
         """True if all shards of a block are listed."""
-        return self.listed.issuperset(f"{level.basename}/{name}" for name in self.names(level, where))
+        return self.listed.issuperset(
+            f"{level.basename}/{name}" for name in self.names(level, where)
+        )
 
     def add(self, level: Array, checksums: dict[str, str]) -> None:
         """List the shards of a block that was written: only after their bytes are on the disk."""
-        with (self.folder / level.basename / CHECKSUMS).open("a", encoding="utf-8", newline="\n") as file:
+        with (self.folder / level.basename / CHECKSUMS).open(
+            "a", encoding="utf-8", newline="\n"
+        ) as file:
             file.write("".join(f"{checksum}  {name}\n" for name, checksum in checksums.items()))
             file.flush()
             os.fsync(file.fileno())
@@ -73,7 +81,10 @@ class ShardLists:
     def settle(self) -> None:
         """Sort the lists: they do not depend on the order in which blocks were written."""
         for path in self.folder.glob(f"*/{CHECKSUMS}"):
-            lines = sorted({*path.read_text(encoding="utf-8").splitlines(keepends=True)}, key=lambda line: line[64:])
+            lines = sorted(
+                {*path.read_text(encoding="utf-8").splitlines(keepends=True)},
+                key=lambda line: line[64:],
+            )
             write_whole(path, "".join(lines).encode(), over=True)
         for half in self.folder.rglob("*.partial"):  # of a writer that was killed
             delete(half)
@@ -113,7 +124,11 @@ def fingerprint(path: str | Path) -> str:
     path = place.path
     # A store that planish wrote has the hashes of its shards already.
     if format_of(place).marker_files and (stored_hash := store_fingerprint(path)):
-        return hashlib.sha256(f"{place.part}\n{stored_hash}".encode()).hexdigest() if place.part else stored_hash
+        return (
+            hashlib.sha256(f"{place.part}\n{stored_hash}".encode()).hexdigest()
+            if place.part
+            else stored_hash
+        )
     files = files_of(place)
     if files == [path] and not place.part:
         return hash_of_file(path)
@@ -132,7 +147,11 @@ def files_of(place: Place) -> list[Path]:
         return slice_files(path, read_scan(path))
     if path.is_dir():
         return [file for file in path.rglob("*") if file.is_file()]
-    return [path] if file_format is TIFF else list(dict.fromkeys(loader(file_format)(place, None, sys.maxsize).files))
+    return (
+        [path]
+        if file_format is TIFF
+        else list(dict.fromkeys(loader(file_format)(place, None, sys.maxsize).files))
+    )
 
 
 # Hashes of files read before by this process, by path, size, time of change and inode.

@@ -20,7 +20,15 @@ from numpy.typing import NDArray
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
-from planish.io.formats import ADVICE, LoadedVolume, Place, check_chunks, describe_volumes, only_volume, referenced_file
+from planish.io.formats import (
+    ADVICE,
+    LoadedVolume,
+    Place,
+    check_chunks,
+    describe_volumes,
+    only_volume,
+    referenced_file,
+)
 from planish.io.guard import reading, size_of_file
 from planish.io.lazy import FileArray, transposed
 from planish.io.sizes import Stated, stated_in
@@ -39,8 +47,14 @@ def opened(path: Path) -> Generator[h5py.File]:
 
 def link_of(group: Any, name: str) -> Any:
     """A HardLink, SoftLink or ExternalLink of h5py, which is not followed; None where a group has no such member."""
-    key = name.encode()  # To ask h5py whether the group holds it would open the file that an external link names.
-    if not key or "/" in name or not isinstance(group, h5py.Group) or not group.id.links.exists(key):
+    # To ask h5py whether the group holds it would open the file that an external link names.
+    key = name.encode()
+    if (
+        not key
+        or "/" in name
+        or not isinstance(group, h5py.Group)
+        or not group.id.links.exists(key)
+    ):
         return None
     links: Any = group.id.links
     kind = links.get_info(key).type
@@ -62,7 +76,9 @@ def find_dataset(path: Path, name: str) -> tuple[Path, str]:
                 link = link_of(file[group_path or "/"], member_name)
                 if link is None:
                     volumes = describe_volumes(volumes_in(path), path.name)
-                    raise VolumeError(f"{path.name} has no {name!r}: {member_name!r} is not there. {volumes}")
+                    raise VolumeError(
+                        f"{path.name} has no {name!r}: {member_name!r} is not there. {volumes}"
+                    )
                 if not isinstance(link, h5py.HardLink):
                     break
                 group_path = f"{group_path}/{member_name}"
@@ -72,9 +88,12 @@ def find_dataset(path: Path, name: str) -> tuple[Path, str]:
         base_names = [] if is_external or link.path.startswith("/") else _words(group_path)
         group_path, remaining_names = "", [*base_names, *_words(link.path), *remaining_names]
         if is_external:
-            current_file = referenced_file(path.parent, link.filename, path, base_folder=current_file.parent)
+            current_file = referenced_file(
+                path.parent, link.filename, path, base_folder=current_file.parent
+            )
     raise FileError(
-        f"{path.name}: {name!r} leads through more than {MOST_LINKS} links. Copy the data set into one file."
+        f"{path.name}: {name!r} leads through more than {MOST_LINKS} links. Copy the data set into"
+        " one file."
     )
 
 
@@ -86,10 +105,17 @@ def check_storage(dataset: h5py.Dataset, path: Path, *, depth: int = 0) -> None:
     """Refuse a data set whose values lie outside the folder, or in files that are not there."""
     fault_text = ""
     if dataset.external:
-        fault_text = f"keeps its values in another file ({dataset.external[0][0]!r}), which planish does not open"
+        fault_text = (
+            f"keeps its values in another file ({dataset.external[0][0]!r}), which planish does not"
+            " open"
+        )
     elif dataset.is_virtual and depth > 4:
         fault_text = "is virtual over virtual data sets"
-    sources = sorted({(s.file_name, s.dset_name) for s in dataset.virtual_sources()} if dataset.is_virtual else ())
+    sources = sorted(
+        {(s.file_name, s.dset_name) for s in dataset.virtual_sources()}
+        if dataset.is_virtual
+        else ()
+    )
     for source, name in sources if not fault_text else ():
         if "%" in source or "%" in name:
             fault_text = "takes its parts from a pattern of files"
@@ -103,7 +129,10 @@ def check_storage(dataset: h5py.Dataset, path: Path, *, depth: int = 0) -> None:
             source_dataset: Any = source_file[name]
             check_storage(source_dataset, file, depth=depth + 1)
     if fault_text:
-        raise FileError(f"{path.name}: {dataset.name} {fault_text}. Copy it into one file, for example with h5repack.")
+        raise FileError(
+            f"{path.name}: {dataset.name} {fault_text}. Copy it into one file, for example with"
+            " h5repack."
+        )
 
 
 def volumes_in(path: Path) -> list[tuple[str, tuple[int, ...], str]]:
@@ -129,7 +158,9 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
     if not wanted:
         with opened(path) as file:
             wanted = _default_dataset(file, path) or ""
-    file_path, name = find_dataset(path, wanted) if wanted else (path, only_volume(volumes_in(path), path.name))
+    file_path, name = (
+        find_dataset(path, wanted) if wanted else (path, only_volume(volumes_in(path), path.name))
+    )
     with opened(file_path) as file:
         dataset: Any = file[name]
         if not isinstance(dataset, h5py.Dataset):
@@ -149,10 +180,18 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
                 axes = [axis_name.strip() for axis_name in names]
         # As NeXus names them, otherwise as they stand.
         letters = [axes[axis][:1].casefold() if axes else "" for axis in long_axes]
-        order = [long_axes[letters.index(a)] for a in "zyx"] if sorted(letters) == ["x", "y", "z"] else long_axes
+        order = (
+            [long_axes[letters.index(a)] for a in "zyx"]
+            if sorted(letters) == ["x", "y", "z"]
+            else long_axes
+        )
         stated = [*_stated_by_nexus(dataset, axes, order), *_stated_by_attributes(dataset)]
     return LoadedVolume(
-        values=transposed(array, order), stated=stated, files=[path, file_path], attrs={"dataset": name}, notes=notes
+        values=transposed(array, order),
+        stated=stated,
+        files=[path, file_path],
+        attrs={"dataset": name},
+        notes=notes,
     )
 
 
@@ -160,7 +199,9 @@ def lazy_dataset(dataset: Any, path: Path) -> tuple[FileArray, tuple[str, ...]]:
     """Return an array that reads a data set in parts, and what looks wrong; refuse one without values."""
     check_storage(dataset, path)
     chunks, shape = dataset.chunks, tuple(int(n) for n in dataset.shape)
-    array = FileArray(path, shape, dataset.dtype.newbyteorder("="), partial(_read_part, path, dataset.name, shape))
+    array = FileArray(
+        path, shape, dataset.dtype.newbyteorder("="), partial(_read_part, path, dataset.name, shape)
+    )
     array.piece_bytes = 0 if chunks is None else math.prod(chunks) * array.dtype.itemsize
     if dataset.is_virtual:
         return array, ()
@@ -195,7 +236,10 @@ def _default_dataset(file: h5py.File, path: Path) -> str | None:
     entry = _default_group(file, "NXentry")
     definition = _child(entry, "definition")
     if isinstance(definition, h5py.Dataset) and _word(definition[()]) == "NXtomo":
-        raise VolumeError(f"{path.name} holds raw projections (NXtomo). Give the reconstructed volume (NXtomoproc).")
+        raise VolumeError(
+            f"{path.name} holds raw projections (NXtomo). Give the reconstructed volume"
+            " (NXtomoproc)."
+        )
     data = _default_group(entry, "NXdata")
     if data is None:
         return None
@@ -212,7 +256,9 @@ def _default_group(group: Any, kind: str) -> Any:
         return None
     default_member = _child(group, _attribute(group, "default"))
     for members in ([default_member], [_child(group, key) for key in group]):
-        candidates = [m for m in members if isinstance(m, h5py.Group) and _attribute(m, "NX_class") == kind]
+        candidates = [
+            m for m in members if isinstance(m, h5py.Group) and _attribute(m, "NX_class") == kind
+        ]
         if len(candidates) == 1:
             return candidates[0]
     return None
@@ -238,7 +284,11 @@ def _stated_by_nexus(dataset: Any, axis_names: Sequence[str], order: Sequence[in
         differences = np.abs(np.diff(np.asarray(coordinates[()], np.float64)))
         step = float(np.median(differences))
         # The steps of an axis may differ by 1 %.
-        if step > 0 and np.isfinite(differences).all() and np.all(np.abs(differences - step) <= 0.01 * step):
+        if (
+            step > 0
+            and np.isfinite(differences).all()
+            and np.all(np.abs(differences - step) <= 0.01 * step)
+        ):
             steps[axis], units[axis] = step, _attribute(coordinates, "units")
         else:
             notes.append(f"{axis_names[axis]} is not evenly spaced")
@@ -255,9 +305,16 @@ def _stated_by_attributes(dataset: Any) -> list[Stated]:
         keys = {str(key).casefold(): str(key) for key in owner.attrs}
         for folded_key, key in keys.items():
             # Names that programs use, with ``_um`` or another unit at the end, or the unit beside.
-            size_name = re.fullmatch(r"(voxel_size|element_size|pixel_size|spacing|resolution|voxel)(_.*)?", folded_key)
+            size_name = re.fullmatch(
+                r"(voxel_size|element_size|pixel_size|spacing|resolution|voxel)(_.*)?", folded_key
+            )
             sizes = np.ravel(owner.attrs[key])
-            if size_name is None or "unit" in folded_key or sizes.dtype.kind not in "uif" or sizes.size not in (1, 3):
+            if (
+                size_name is None
+                or "unit" in folded_key
+                or sizes.dtype.kind not in "uif"
+                or sizes.size not in (1, 3)
+            ):
                 continue
             quantity, unit = size_name[1], (size_name[2] or "")[1:]
             if quantity == "voxel" and unit != "um":
@@ -265,7 +322,9 @@ def _stated_by_attributes(dataset: Any) -> list[Stated]:
             if not unit:
                 unit_keys = (f"{quantity}_units", f"{quantity}_unit", "units", "unit")
                 unit = _attribute(owner, next((keys[key] for key in unit_keys if key in keys), ""))
-            stated.append(stated_in(f"the attribute {key}", np.broadcast_to(sizes, 3).tolist(), [unit] * 3))
+            stated.append(
+                stated_in(f"the attribute {key}", np.broadcast_to(sizes, 3).tolist(), [unit] * 3)
+            )
     return stated
 
 

@@ -58,18 +58,28 @@ def packing_of(path: Path) -> str:
 
 def values_behind(header: Header) -> Values:
     """Map values, or leave them to be unpacked."""
-    data_file, needed_bytes, file_bytes = header.data, header.needed_bytes, size_of_file(header.data)
+    data_file, needed_bytes, file_bytes = (
+        header.data,
+        header.needed_bytes,
+        size_of_file(header.data),
+    )
     offset = max(file_bytes - needed_bytes, 0) if header.offset < 0 else header.offset
     stored_bytes = file_bytes - offset
     if header.packing:
         check_blown_up(data_file, decoded_bytes=needed_bytes, stored_bytes=max(stored_bytes, 0))
-        return WholeArray(header.path, header.shape, header.stored_dtype.newbyteorder("="), partial(_unpacked, header))
+        return WholeArray(
+            header.path,
+            header.shape,
+            header.stored_dtype.newbyteorder("="),
+            partial(_unpacked, header),
+        )
     if stored_bytes != needed_bytes:
         fault_text = "It was cut off" if stored_bytes < needed_bytes else "The header is wrong"
         raise FileError(
-            f"{header.path.name} declares {size_words(header.shape)} values of {header.stored_dtype.itemsize} bytes, "
-            f"{needed_bytes} bytes; {data_file.name} has {max(stored_bytes, 0)} from byte {offset} on. "
-            f"{fault_text}: copy or export it again, or correct the header."
+            f"{header.path.name} declares {size_words(header.shape)} values of"
+            f" {header.stored_dtype.itemsize} bytes, {needed_bytes} bytes; {data_file.name} has"
+            f" {max(stored_bytes, 0)} from byte {offset} on. {fault_text}: copy or export it again,"
+            " or correct the header."
         )
     return mapped(data_file, header.shape, header.stored_dtype, offset=offset)
 
@@ -81,7 +91,9 @@ def _unpacked(header: Header) -> NDArray[Any]:
         values[n_unpacked : n_unpacked + len(part)] = np.frombuffer(part, np.uint8)
         n_unpacked += len(part)
     return (
-        values.view(header.stored_dtype).reshape(header.shape).astype(header.stored_dtype.newbyteorder("="), copy=False)
+        values.view(header.stored_dtype)
+        .reshape(header.shape)
+        .astype(header.stored_dtype.newbyteorder("="), copy=False)
     )
 
 
@@ -115,7 +127,9 @@ def axes_of(extents: tuple[int, ...], contents_text: str, path: Path) -> tuple[i
     long_axes = tuple(axis for axis, n in enumerate(extents) if n > 1)
     if contents_text or len(long_axes) != 3:
         fault_text = f"has {contents_text}" if contents_text else "is no volume"
-        raise VolumeError(f"{path.name} {fault_text}: {size_words(extents)} (fastest axis first). {ADVICE}")
+        raise VolumeError(
+            f"{path.name} {fault_text}: {size_words(extents)} (fastest axis first). {ADVICE}"
+        )
     return long_axes[::-1]
 
 

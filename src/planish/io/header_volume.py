@@ -29,9 +29,13 @@ TYPES = {
     "uint16": "ushort, unsigned short, unsigned short int, uint16, uint16_t, MET_USHORT",
     "int32": "int, signed int, int32, int32_t, MET_INT, MET_LONG",
     "uint32": "uint, unsigned int, uint32, uint32_t, MET_UINT, MET_ULONG",
-    "int64": "longlong, long long, long long int, signed long long, signed long long int, int64, int64_t"
-    ", MET_LONG_LONG",
-    "uint64": "ulonglong, unsigned long long, unsigned long long int, uint64, uint64_t, MET_ULONG_LONG",
+    "int64": (
+        "longlong, long long, long long int, signed long long, signed long long int, int64, int64_t"
+        ", MET_LONG_LONG"
+    ),
+    "uint64": (
+        "ulonglong, unsigned long long, unsigned long long int, uint64, uint64_t, MET_ULONG_LONG"
+    ),
     "float32": "float, MET_FLOAT",
     "float64": "double, MET_DOUBLE",
 }
@@ -41,15 +45,23 @@ PACKINGS = {"raw": "", "gzip": "deflate", "gz": "deflate", "bzip2": "bzip2", "bz
 def load(place: Place, _channel: str | None, memory_bytes: int | None) -> LoadedVolume:
     """Map the values, or leave them to be unpacked."""
     path, suffix = place.path, place.path.suffix.lower()
-    readers = {".nrrd": _nrrd_header, ".nhdr": _nrrd_header, ".mha": _meta_header, ".mhd": _meta_header}
+    readers = {
+        ".nrrd": _nrrd_header,
+        ".nhdr": _nrrd_header,
+        ".mha": _meta_header,
+        ".mhd": _meta_header,
+    }
     header = readers[suffix](head_of(path, 2**20), path) if suffix in readers else _raw_header(path)
     values: Values = values_behind(header)
     too_large = header.needed_bytes > memory_limit(memory_bytes)
     if header.packing and suffix in (".mha", ".mhd") and too_large:
-        for _ in unpacked_parts(header):  # SimpleITK reads on behind the end of values that are shorter than declared.
+        # SimpleITK reads on behind the end of values that are shorter than declared.
+        for _ in unpacked_parts(header):
             pass
         extra("SimpleITK", path)
-        values = FileArray(path, header.shape, header.stored_dtype.newbyteorder("="), partial(_read_meta, path))
+        values = FileArray(
+            path, header.shape, header.stored_dtype.newbyteorder("="), partial(_read_meta, path)
+        )
         values.piece_bytes = values.nbytes // header.shape[0]
     return header.volume(values)
 
@@ -58,7 +70,9 @@ def _type_of(word: str, path: Path) -> np.dtype[Any]:
     for name, words in TYPES.items():
         if word in words.split(", "):
             return np.dtype(name)
-    raise VolumeError(f"{path.name} has values of the type {word!r}. Export it with integer or real values.")
+    raise VolumeError(
+        f"{path.name} has values of the type {word!r}. Export it with integer or real values."
+    )
 
 
 def _data_file(name: str, path: Path) -> Path:
@@ -83,23 +97,35 @@ def _nrrd_header(head: bytes, path: Path) -> Header:
     with reading(path):
         fields: Mapping[str, Any] = nrrd.read_header(header_lines)
         extents = tuple(int(n) for n in np.atleast_1d(fields.get("sizes", ())))
-        line_skip, byte_skip = (int(fields.get(f"{u} skip", fields.get(f"{u}skip", 0))) for u in ("line", "byte"))
+        line_skip, byte_skip = (
+            int(fields.get(f"{u} skip", fields.get(f"{u}skip", 0))) for u in ("line", "byte")
+        )
     kinds = fields.get("kinds") or [""] * len(extents)
     if not extents or len(extents) != fields.get("dimension") or len(kinds) != len(extents):
-        raise damaged(path, f"its sizes are {fields.get('sizes')}, its dimension is {fields.get('dimension')}")
+        raise damaged(
+            path, f"its sizes are {fields.get('sizes')}, its dimension is {fields.get('dimension')}"
+        )
     spatial = ("domain", "space", "???", "none", "")
     sample_texts = [
-        f"{n} of kind {kind!r}" for n, kind in zip(extents, kinds, strict=True) if n > 1 and kind not in spatial
+        f"{n} of kind {kind!r}"
+        for n, kind in zip(extents, kinds, strict=True)
+        if n > 1 and kind not in spatial
     ]
-    axes = axes_of(extents, f"{' and '.join(sample_texts)} in each voxel" if sample_texts else "", path)
+    axes = axes_of(
+        extents, f"{' and '.join(sample_texts)} in each voxel" if sample_texts else "", path
+    )
     dtype, endian = _type_of(str(fields.get("type", "")).strip(), path), fields.get("endian")
     if dtype.itemsize > 1 and endian not in ("little", "big"):
         raise damaged(path, "its header does not state the byte order (endian)")
     encoding = str(fields.get("encoding", "")).casefold()
     if line_skip != 0 or byte_skip < -1 or (byte_skip and encoding != "raw"):
-        raise FileError(f"{path.name} skips lines or packed bytes before its values. Save it again without.")
+        raise FileError(
+            f"{path.name} skips lines or packed bytes before its values. Save it again without."
+        )
     if encoding not in PACKINGS:
-        raise FileError(f"{path.name} has the encoding {encoding!r}. Save it with the encoding raw or gzip.")
+        raise FileError(
+            f"{path.name} has the encoding {encoding!r}. Save it with the encoding raw or gzip."
+        )
     data_name = fields.get("data file", fields.get("datafile"))
     return Header(
         path=path,
@@ -117,13 +143,21 @@ def _stated_by_nrrd(fields: Mapping[str, Any], axes: tuple[int, ...]) -> list[St
     stated: list[Stated] = []
     directions, spacings = fields.get("space directions"), fields.get("spacings")
     if directions is not None:
-        lengths = [None if v is None else float(np.linalg.norm(np.asarray(v, float))) for v in directions]
+        lengths = [
+            None if v is None else float(np.linalg.norm(np.asarray(v, float))) for v in directions
+        ]
         # A direction may mix the axes of space only if all of these have one unit.
         unit_names = {str(u).strip('"') for u in np.atleast_1d(fields.get("space units", ()))}
         is_medical = not unit_names and "-" in str(fields.get("space", ""))
         unit = "mm" if is_medical else unit_names.pop() if len(unit_names) == 1 else ""
-        unit_text = " (no unit written; mm, as programs for anatomical spaces have it)" if is_medical else ""
-        stated.append(stated_in(f"the NRRD space directions{unit_text}", lengths, [unit] * len(lengths), axes))
+        unit_text = (
+            " (no unit written; mm, as programs for anatomical spaces have it)"
+            if is_medical
+            else ""
+        )
+        stated.append(
+            stated_in(f"the NRRD space directions{unit_text}", lengths, [unit] * len(lengths), axes)
+        )
     if spacings is not None:
         units = [str(u) for u in np.atleast_1d(fields.get("units", [""] * len(spacings)))]
         stated.append(stated_in("the NRRD spacings", [float(v) for v in spacings], units, axes))
@@ -134,7 +168,9 @@ def _meta_header(head: bytes, path: Path) -> Header:
     fields: dict[str, str] = {}
     header_bytes = 0
     for line in BytesIO(head):
-        key, equals, field_text = map(str.strip, line.decode("utf-8", errors="replace").partition("="))
+        key, equals, field_text = map(
+            str.strip, line.decode("utf-8", errors="replace").partition("=")
+        )
         if key and not equals:
             break
         header_bytes += len(line)
@@ -143,7 +179,9 @@ def _meta_header(head: bytes, path: Path) -> Header:
             break
     data_name = fields.get("elementdatafile")
     if data_name is None:
-        raise FileError(f"{path.name} is no MetaImage: the line ElementDataFile is missing. Export it again.")
+        raise FileError(
+            f"{path.name} is no MetaImage: the line ElementDataFile is missing. Export it again."
+        )
 
     def switched(key: str, default: str) -> bool:
         return fields.get(key, default).casefold() in {"true", "t", "1"}
@@ -151,7 +189,11 @@ def _meta_header(head: bytes, path: Path) -> Header:
     words = fields.get("dimsize", "").split()
     is_whole = all(word.isascii() and word.isdecimal() and len(word) < 16 for word in words)
     if not is_whole or str(len(words)) != fields.get("ndims", ""):
-        raise damaged(path, f"its sizes are {fields.get('dimsize', '')[:40]!r}, its dimension is {fields.get('ndims')}")
+        raise damaged(
+            path,
+            f"its sizes are {fields.get('dimsize', '')[:40]!r}, its dimension is"
+            f" {fields.get('ndims')}",
+        )
     extents = tuple(int(word) for word in words)
     channels = fields.get("elementnumberofchannels", "1")
     axes = axes_of(extents, f"{channels} channels" if channels != "1" else "", path)
@@ -160,7 +202,10 @@ def _meta_header(head: bytes, path: Path) -> Header:
         raise FileError(f"{path.name} has its values written as text. Save it with binary values.")
     is_local, skip_text = data_name.casefold() == "local", fields.get("headersize", "0")
     if skip_text != "0" and (is_local or skip_text != "-1"):
-        raise FileError(f"{path.name} skips {skip_text} bytes before its values (HeaderSize). Save it again without.")
+        raise FileError(
+            f"{path.name} skips {skip_text} bytes before its values (HeaderSize). Save it again"
+            " without."
+        )
     is_packed = switched("compresseddata", "False")
     is_big_endian = switched("binarydatabyteordermsb", fields.get("elementbyteordermsb", "False"))
     unit = fields.get("distanceunits", "")
@@ -169,7 +214,11 @@ def _meta_header(head: bytes, path: Path) -> Header:
         if words := fields.get(key.casefold(), "").split():
             source = f"the MetaImage {key} ({unit or 'no unit written; mm, as ITK has it'})"
             with reading(path):
-                stated.append(stated_in(source, [float(w) for w in words], [unit or "mm"] * len(extents), axes))
+                stated.append(
+                    stated_in(
+                        source, [float(w) for w in words], [unit or "mm"] * len(extents), axes
+                    )
+                )
     return Header(
         path=path,
         data=path if is_local else _data_file(data_name, path),
@@ -193,13 +242,30 @@ def _read_meta(path: Path, where: Where) -> NDArray[Any]:
     spans = [next(reversed_spans) if n > 1 else slice(0, 1) for n in extents]
     reader.SetExtractIndex([span.start for span in spans])
     reader.SetExtractSize([span.stop - span.start for span in spans])
-    values = np.asarray(itk.GetArrayFromImage(reader.Execute())).reshape([s.stop - s.start for s in where])
+    values = np.asarray(itk.GetArrayFromImage(reader.Execute())).reshape(
+        [s.stop - s.start for s in where]
+    )
     return values[tuple(slice(None, None, s.step) for s in where)]
 
 
-RAW_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float16", "float32", "float64")
+RAW_TYPES = (
+    "uint8",
+    "int8",
+    "uint16",
+    "int16",
+    "uint32",
+    "int32",
+    "uint64",
+    "int64",
+    "float16",
+    "float32",
+    "float64",
+)
 KEYS = ("file", "shape", "dtype", "byte_order", "offset", "voxel_um")
-EXAMPLE = 'with lines such as: shape = [z, y, x], dtype = "uint16", byte_order = "little", voxel_um = 1.65'
+EXAMPLE = (
+    'with lines such as: shape = [z, y, x], dtype = "uint16", byte_order = "little", voxel_um ='
+    " 1.65"
+)
 
 
 def _raw_header(path: Path) -> Header:
@@ -207,9 +273,14 @@ def _raw_header(path: Path) -> Header:
     header_file = path if path.suffix.lower() == ".toml" else path.with_name(path.name + ".toml")
     if not header_file.is_file() and header_file != path:
         size_of_file(path)
-        raise FileError(f"{path.name} has raw values and no header. Write {header_file.name} beside it, {EXAMPLE}.")
+        raise FileError(
+            f"{path.name} has raw values and no header. Write {header_file.name} beside it,"
+            f" {EXAMPLE}."
+        )
     if size_of_file(header_file) > 100_000:
-        raise FileError(f"{header_file.name} is larger than 100 kB and no header. Write one {EXAMPLE}.")
+        raise FileError(
+            f"{header_file.name} is larger than 100 kB and no header. Write one {EXAMPLE}."
+        )
     with reading(header_file), header_file.open("rb") as file:
         fields = tomllib.load(file)
     data_name = str(fields.get("file", header_file.name[: -len(".toml")]))
@@ -217,7 +288,9 @@ def _raw_header(path: Path) -> Header:
     faults = [f"unknown key {key!r}" for key in fields if key not in KEYS]
     shape, dtype, byte_order = (fields.get(key) for key in ("shape", "dtype", "byte_order"))
     offset, voxel_um = fields.get("offset", 0), fields.get("voxel_um")
-    if not (isinstance(shape, list) and len(shape) == 3 and all(type(n) is int and n > 0 for n in shape)):
+    if not (
+        isinstance(shape, list) and len(shape) == 3 and all(type(n) is int and n > 0 for n in shape)
+    ):
         faults.append(f"shape is {shape!r}, needed are three whole numbers [z, y, x]")
     if dtype not in RAW_TYPES:
         faults.append(f"dtype is {dtype!r}, needed is one of {', '.join(RAW_TYPES)}")
@@ -240,5 +313,7 @@ def _raw_header(path: Path) -> Header:
         shape=tuple(int(n) for n in shape or ()),
         offset=int(offset),
         stored_dtype=np.dtype(str(dtype)).newbyteorder(">" if byte_order == "big" else "<"),
-        stated=[Stated("the TOML header", stated_um, "it has no voxel_um" if None in stated_um else "")],
+        stated=[
+            Stated("the TOML header", stated_um, "it has no voxel_um" if None in stated_um else "")
+        ],
     )

@@ -84,7 +84,12 @@ def read_image(
         check_choice("side", side, SIDES)
     picture = load_picture(path, memory_bytes=memory_bytes)
     size, source = agreed_size(
-        across(picture.stated), pixel_um, file_name=path.name, asked=PIXEL, override=override_size, unusual=unusual_size
+        across(picture.stated),
+        pixel_um,
+        file_name=path.name,
+        asked=PIXEL,
+        override=override_size,
+        unusual=unusual_size,
     )
     height, width = picture.values.shape[:2]
     check_memory(path, needed_bytes=4 * height * width, limit_bytes=memory_bytes)
@@ -109,30 +114,41 @@ def across(stated: Sequence[Stated]) -> list[Stated]:
     return [s._replace(um=s.um[1:], note=s.note if None in s.um[1:] else "") for s in stated]
 
 
-def pick_channel(picture: DecodedPicture, channel: str, *, file_name: str) -> tuple[NDArray[np.float32], str]:
+def pick_channel(
+    picture: DecodedPicture, channel: str, *, file_name: str
+) -> tuple[NDArray[np.float32], str]:
     """Take one channel as float32, and name it; FileError where no pixel has a number."""
     picked = channel_of(picture, channel, file_name=file_name)
     if not np.isfinite(picked[0]).any():
-        raise FileError(f"{file_name} has no pixel with a number in it, all are missing. Export it again.")
+        raise FileError(
+            f"{file_name} has no pixel with a number in it, all are missing. Export it again."
+        )
     return picked
 
 
-def channel_of(picture: DecodedPicture, channel: str, *, file_name: str) -> tuple[NDArray[np.float32], str]:
+def channel_of(
+    picture: DecodedPicture, channel: str, *, file_name: str
+) -> tuple[NDArray[np.float32], str]:
     """One channel as float32, of a whole picture or a window of it, and its name."""
     samples = picture.values if picture.values.ndim == 3 else picture.values[..., np.newaxis]
     n_channels, colour, channel_name = samples.shape[-1], picture.colour, channel.strip().casefold()
     if channel_name.isdecimal() and channel_name.isascii():
         if int(channel_name) >= n_channels:
             count_text, range_text = (
-                (f"{n_channels} channels", f"0 to {n_channels - 1}") if n_channels > 1 else ("1 channel", "0")
+                (f"{n_channels} channels", f"0 to {n_channels - 1}")
+                if n_channels > 1
+                else ("1 channel", "0")
             )
             raise InputError(
-                f"{file_name} has {count_text}, number {channel_name} is not among them. Choose {range_text} with "
-                "--channel."
+                f"{file_name} has {count_text}, number {channel_name} is not among them. Choose"
+                f" {range_text} with --channel."
             )
         return _as_float32(samples[..., int(channel_name)]), f"{GREY}, channel {int(channel_name)}"
     if channel_name != "luminance" and channel_name not in COLOURS:
-        raise InputError(f"{channel!r} is no channel. Choose luminance, red, green, blue or a number with --channel.")
+        raise InputError(
+            f"{channel!r} is no channel. Choose luminance, red, green, blue or a number with"
+            " --channel."
+        )
     if colour == "rgb" and channel_name in COLOURS:
         return _as_float32(samples[..., COLOURS[channel_name]]), f"{GREY}, {channel_name}"
     if colour == "rgb":
@@ -146,7 +162,10 @@ def channel_of(picture: DecodedPicture, channel: str, *, file_name: str) -> tupl
     if colour != "grey":
         content_text = f"has {n_channels} channels that are not red, green, blue"
         choice_text = f"a number from 0 to {n_channels - 1}"
-    raise InputError(f"{file_name} {content_text}, so it has no {channel_name}. Choose {choice_text} with --channel.")
+    raise InputError(
+        f"{file_name} {content_text}, so it has no {channel_name}. Choose {choice_text} with"
+        " --channel."
+    )
 
 
 def _as_float32(values: NDArray[Any]) -> NDArray[np.float32]:

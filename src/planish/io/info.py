@@ -22,7 +22,16 @@ from planish.core.memory import (
     bytes_to_map,
 )
 from planish.core.typing import Pair
-from planish.io.formats import SLICES, TIFF, Place, check_channel, find_place, format_of, full_scale, loader
+from planish.io.formats import (
+    SLICES,
+    TIFF,
+    Place,
+    check_channel,
+    find_place,
+    format_of,
+    full_scale,
+    loader,
+)
 from planish.io.guard import size_of_file
 from planish.io.image import across, pick_channel
 from planish.io.inspection import declared_facts, inspect_values
@@ -36,7 +45,8 @@ from planish.io.volume import load_volume
 
 # Voxel sizes that show a sheet of paper: smaller, and its field is too small; larger, and the sheet is blurred.
 USUAL_VOXEL_UM = (0.3, 20.0)
-Agreed = Callable[..., tuple[tuple[float, ...], str]]  # finds the size and its source, or raises SizeError
+# Finds the size and its source, or raises SizeError.
+Agreed = Callable[..., tuple[tuple[float, ...], str]]
 ValueFacts = Callable[[Values, int | None, tuple[str, ...], bool], dict[str, Any]]
 
 
@@ -90,7 +100,9 @@ def describe(
     named_options = options | {"file_name": place.path.name}
     warnings: list[str] = []
 
-    def value_facts(shown: Values, largest: int | None, dims: tuple[str, ...], is_read: bool) -> dict[str, Any]:
+    def value_facts(
+        shown: Values, largest: int | None, dims: tuple[str, ...], is_read: bool
+    ) -> dict[str, Any]:
         if is_read:
             facts = inspect_values(shown, largest, warnings, dims=dims)
             if look is not None:
@@ -98,31 +110,52 @@ def describe(
             return facts
         if values:
             size_gb = math.prod(shown.shape) * shown.dtype.itemsize / 1e9
-            warnings.append(f"Its {size_gb:.2g} GB can only be decoded whole, so no grey was looked at.")
+            warnings.append(
+                f"Its {size_gb:.2g} GB can only be decoded whole, so no grey was looked at."
+            )
         return declared_facts(shown, dims)
 
     # What can be read of the values only by decoding more than that, is not.
     most_bytes = memory_bytes if values else None
     if is_section_folder(place.path):
-        kind, sections = "sections", open_sections(place.path, channel=channel, memory_bytes=memory_bytes)
-        facts = _describe_sections(sections, partial(sections.agreed_size, voxel_um, **options), warnings)
+        kind, sections = (
+            "sections",
+            open_sections(place.path, channel=channel, memory_bytes=memory_bytes),
+        )
+        facts = _describe_sections(
+            sections, partial(sections.agreed_size, voxel_um, **options), warnings
+        )
     elif is_image(place):
         find_size = partial(agreed_size, asked=PIXEL, user_um=pixel_um, **named_options)
-        kind, facts = "image", _describe_image(place.path, find_size, most_bytes, value_facts, warnings)
+        kind, facts = (
+            "image",
+            _describe_image(place.path, find_size, most_bytes, value_facts, warnings),
+        )
     else:
         find_size = partial(agreed_size, asked=VOXEL, user_um=voxel_um, **named_options)
-        kind, facts = "volume", _describe_volume(place, find_size, channel, most_bytes, value_facts, warnings)
+        kind, facts = (
+            "volume",
+            _describe_volume(place, find_size, channel, most_bytes, value_facts, warnings),
+        )
     return {"kind": kind, "file_name": place.path.name, **facts, "warnings": warnings}
 
 
 def _describe_volume(
-    place: Place, find_size: Agreed, channel: str | None, most_bytes: int | None, value_facts: ValueFacts,
+    place: Place,
+    find_size: Agreed,
+    channel: str | None,
+    most_bytes: int | None,
+    value_facts: ValueFacts,
     warnings: list[str],
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Report what a volume holds; of its values, if they can be read within ``most_bytes``."""
     loaded = None
     with suppress(ResourceError):
-        loaded = None if most_bytes is None else load_volume(place, channel=channel, memory_bytes=most_bytes)
+        loaded = (
+            None
+            if most_bytes is None
+            else load_volume(place, channel=channel, memory_bytes=most_bytes)
+        )
     is_read = loaded is not None
     # Of what does not fit into the memory, the values are not read.
     loaded = loaded or loader(format_of(place))(place, check_channel(channel), None)
@@ -132,16 +165,21 @@ def _describe_volume(
         number_step = slice_step(slice_numbers(list_slices(place.path), place.path))
         if number_step > 1:
             warnings.append(
-                f"The slices are numbered in steps of {number_step}: the z size must be that of {number_step} slices."
+                f"The slices are numbered in steps of {number_step}: the z size must be that of"
+                f" {number_step} slices."
             )
-    facts = value_facts(grey_values, full_scale(grey_values.dtype, loaded.bits), VOXEL.axes, is_read)
-    size_facts = _size_facts(partial(find_size, loaded.stated), grey_values.shape, warnings, ("Voxels", USUAL_VOXEL_UM))
+    facts = value_facts(
+        grey_values, full_scale(grey_values.dtype, loaded.bits), VOXEL.axes, is_read
+    )
+    size_facts = _size_facts(
+        partial(find_size, loaded.stated), grey_values.shape, warnings, ("Voxels", USUAL_VOXEL_UM)
+    )
     window = loaded.attrs.get("attenuation_window")
     if window is not None and is_read and grey_values.dtype == np.uint8:
         warnings.append(
-            f"NRecon wrote 8 bits: grey 0 to 255 is attenuation {window[0]:g} to {window[1]:g}, and what lies outside "
-            f"was cut ({100 * facts['bottom_share']:.3g} % of the values are 0, {100 * facts['saturated_share']:.3g} % "
-            "are 255). 16 bits lose nothing."
+            f"NRecon wrote 8 bits: grey 0 to 255 is attenuation {window[0]:g} to {window[1]:g}, and"
+            f" what lies outside was cut ({100 * facts['bottom_share']:.3g} % of the values are 0,"
+            f" {100 * facts['saturated_share']:.3g} % are 255). 16 bits lose nothing."
         )
     # How a volume is held; memory and time of ``planish map`` for a sheet across the shortest axis.
     values, n_columns = loaded.values, math.prod(grey_values.shape) // min(grey_values.shape)
@@ -149,21 +187,31 @@ def _describe_volume(
     if isinstance(values, np.memmap):
         storage_text, whole_bytes = "mapped from its file", 0
     elif isinstance(values, FileArray):
-        storage_text, whole_bytes = "read in parts when they are needed", values.nbytes if values.whole_slices else 0
+        storage_text, whole_bytes = (
+            "read in parts when they are needed",
+            values.nbytes if values.whole_slices else 0,
+        )
         if values.whole_slices:
             warnings.append(
-                "It does not fit into the memory, and its slices can only be decoded whole. Bring it into a store with "
-                "'planish import' first."
+                "It does not fit into the memory, and its slices can only be decoded whole. Bring"
+                " it into a store with 'planish import' first."
             )
     return {
-        "bytes": loaded.file_bytes, "format": file_format.name, **facts, **size_facts, "stored": storage_text,
+        "bytes": loaded.file_bytes,
+        "format": file_format.name,
+        **facts,
+        **size_facts,
+        "stored": storage_text,
         "run_bytes": PROGRAM_BYTES + max(bytes_to_map(n_columns), bytes_to_hold(whole_bytes)),
-        "run_seconds": map_seconds(n_columns), "through": likely_through(grey_values) if is_read else None,
+        "run_seconds": map_seconds(n_columns),
+        "through": likely_through(grey_values) if is_read else None,
         "metadata": dict(loaded.attrs),
-    }  # fmt: skip
+    }
 
 
-def _describe_sections(sections: SectionStack, find_size: Agreed, warnings: list[str]) -> dict[str, Any]:
+def _describe_sections(
+    sections: SectionStack, find_size: Agreed, warnings: list[str]
+) -> dict[str, Any]:
     steps_um = np.diff(sections.positions_um)
     pitch_um = float(np.median(steps_um))
     n_missing = np.rint(steps_um / pitch_um).astype(int) - 1
@@ -171,16 +219,27 @@ def _describe_sections(sections: SectionStack, find_size: Agreed, warnings: list
     if size_facts["extent_um"] is not None:
         size_facts["extent_um"][0] = float(np.ptp(sections.positions_um)) + pitch_um
     if missing_total := n_missing.sum():
-        subject_text = f"{missing_total} section is" if missing_total == 1 else f"{missing_total} sections are"
-        warnings.append(f"{subject_text} missing between the others, at most {n_missing.max()} in a row.")
+        subject_text = (
+            f"{missing_total} section is" if missing_total == 1 else f"{missing_total} sections are"
+        )
+        warnings.append(
+            f"{subject_text} missing between the others, at most {n_missing.max()} in a row."
+        )
     facts = inspect_values(
-        sections.values, full_scale(sections.values.dtype, sections.first.bits), warnings, dims=VOXEL.axes
+        sections.values,
+        full_scale(sections.values.dtype, sections.first.bits),
+        warnings,
+        dims=VOXEL.axes,
     )
     return {"bytes": sections.file_bytes, **facts, **size_facts}
 
 
 def _describe_image(
-    path: Path, find_size: Agreed, most_bytes: int | None, value_facts: ValueFacts, warnings: list[str]
+    path: Path,
+    find_size: Agreed,
+    most_bytes: int | None,
+    value_facts: ValueFacts,
+    warnings: list[str],
 ) -> dict[str, Any]:
     """Report what an image holds; its values are those of the luminance, or of channel 0 where there is none."""
     picture = None
@@ -202,18 +261,30 @@ def _describe_image(
     if kind_of(path) == "jpeg":
         warnings.append("JPEG loses detail and adds block edges. Use TIFF or PNG if there is one.")
     if picture.orientation != 1:
-        warnings.append(f"An orientation tag ({picture.orientation}) asks viewers to turn the image; planish does not.")
+        warnings.append(
+            f"An orientation tag ({picture.orientation}) asks viewers to turn the image; planish"
+            " does not."
+        )
     shown_values = channel_values if is_read else full_values
-    facts = value_facts(shown_values, full_scale(full_values.dtype, picture.bits), PIXEL.axes, is_read)
+    facts = value_facts(
+        shown_values, full_scale(full_values.dtype, picture.bits), PIXEL.axes, is_read
+    )
     if is_read and stride > 1:
         facts["sampled"] = f"every {stride} rows and columns"
-    size_facts = _size_facts(partial(find_size, across(picture.stated)), shape, warnings, ("Pixels", PIXEL.usual_um))
+    size_facts = _size_facts(
+        partial(find_size, across(picture.stated)), shape, warnings, ("Pixels", PIXEL.usual_um)
+    )
     return {
-        "bytes": size_of_file(path), **facts, "shape": list(shape), "dtype": str(full_values.dtype),
-        "colour": picture.colour, "channels": full_values.shape[2] if full_values.ndim == 3 else 1,
-        "link_bytes": LINK_BYTES + PIXEL_BYTES * math.prod(shape), "link_seconds": 2.5e-6 * math.prod(shape),
+        "bytes": size_of_file(path),
+        **facts,
+        "shape": list(shape),
+        "dtype": str(full_values.dtype),
+        "colour": picture.colour,
+        "channels": full_values.shape[2] if full_values.ndim == 3 else 1,
+        "link_bytes": LINK_BYTES + PIXEL_BYTES * math.prod(shape),
+        "link_seconds": 2.5e-6 * math.prod(shape),
         **size_facts,
-    }  # fmt: skip
+    }
 
 
 def is_image(place: Place) -> bool:
@@ -222,12 +293,18 @@ def is_image(place: Place) -> bool:
         return False
     if kind_of(place.path) != "tiff":
         return True
-    with open_series(place.path, error=FileError, advice="Give one volume or one image.") as (_, series):
+    with open_series(place.path, error=FileError, advice="Give one volume or one image.") as (
+        _,
+        series,
+    ):
         return is_picture(series)
 
 
 def _size_facts(
-    find_size: Agreed, shape: Sequence[int], warnings: list[str], usual_range: tuple[str, Pair] | None = None
+    find_size: Agreed,
+    shape: Sequence[int],
+    warnings: list[str],
+    usual_range: tuple[str, Pair] | None = None,
 ) -> dict[str, Any]:
     """Voxel or pixel size and where it comes from, or why there is none; unusual ones are doubted."""
     try:
@@ -240,11 +317,21 @@ def _size_facts(
         shortest, longest = min(size), max(size)
         if shortest < least or longest > most:
             edges_text, range_text = " x ".join(f"{v:g}" for v in size), f"{least:g} to {most:g} um"
-            warnings.append(f"{elements} of {edges_text} um are unusual for paper ({range_text}). Is the unit right?")
-        if longest > 5.0 * shortest:  # Longest over shortest edge of a voxel; beyond, one of them is probably wrong.
+            warnings.append(
+                f"{elements} of {edges_text} um are unusual for paper ({range_text}). Is the unit"
+                " right?"
+            )
+        # Longest over shortest edge of a voxel; beyond, one of them is probably wrong.
+        if longest > 5.0 * shortest:
             size_name, ratio = "z size" if elements == "Voxels" else "size", longest / shortest
             warnings.append(
-                f"The edges of {elements.lower()} differ by a factor of {ratio:.3g}. Is the {size_name} right?"
+                f"The edges of {elements.lower()} differ by a factor of {ratio:.3g}. Is the"
+                f" {size_name} right?"
             )
     extent_um = [n * um for n, um in zip(shape, size, strict=True)]
-    return {"size_um": list(size), "size_source": source, "size_problem": None, "extent_um": extent_um}
+    return {
+        "size_um": list(size),
+        "size_source": source,
+        "size_problem": None,
+        "extent_um": extent_um,
+    }

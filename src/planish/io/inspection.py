@@ -25,7 +25,8 @@ def inspect_values(
     """Shape, type and distribution of the values; what looks wrong is added to `warnings`."""
     n_planes = values.shape[0]
     plane_numbers = [*range(n_planes)]
-    if values.ndim > 2 and values.nbytes > EAGER_BYTES:  # evenly spread ones, where reading all would take long
+    # Evenly spread ones, where reading all would take long.
+    if values.ndim > 2 and values.nbytes > EAGER_BYTES:
         n_sampled = max(8, SAMPLE_BYTES // (values.nbytes // n_planes))
         if n_sampled < n_planes:
             plane_numbers = [int(n) for n in np.linspace(0, n_planes - 1, n_sampled).round()]
@@ -34,7 +35,9 @@ def inspect_values(
         "nan_share": 1 - seen.n_finite / seen.n_values,
         "saturated_share": seen.n_saturated / seen.n_values,
         "bottom_share": seen.n_bottom / seen.n_values,
-        "sampled": None if len(plane_numbers) == n_planes else f"{len(plane_numbers)} of {n_planes} slices",
+        "sampled": (
+            None if len(plane_numbers) == n_planes else f"{len(plane_numbers)} of {n_planes} slices"
+        ),
     }
     if not seen.n_finite:
         warnings.append("There is no number in it, all values are missing.")
@@ -46,13 +49,21 @@ def inspect_values(
         if seen.low == seen.high:
             warnings.append(f"All values are {seen.low:g}.")
         elif values.dtype.kind in "ui" and n_levels < 16:
-            warnings.append(f"It has {n_levels} grey levels only. Is it a segmentation? planish needs the grey values.")
+            warnings.append(
+                f"It has {n_levels} grey levels only. Is it a segmentation? planish needs the grey"
+                " values."
+            )
     if facts["nan_share"] > 0:
-        warnings.append(f"{100 * facts['nan_share']:.3g} % of the values are missing (NaN or infinite).")
+        warnings.append(
+            f"{100 * facts['nan_share']:.3g} % of the values are missing (NaN or infinite)."
+        )
     if seen.low == seen.high:
         return facts
-    if facts["saturated_share"] > 0.001:  # Above this share of values at the end of the range, grey levels were lost.
-        cut_text = f"are at {full_scale}, the largest the file can store: grey levels were cut there."
+    # Above this share of values at the end of the range, grey levels were lost.
+    if facts["saturated_share"] > 0.001:
+        cut_text = (
+            f"are at {full_scale}, the largest the file can store: grey levels were cut there."
+        )
         warnings.append(f"{100 * facts['saturated_share']:.3g} % of the values {cut_text}")
     if seen.constant_numbers:
         warnings.append(
@@ -60,7 +71,10 @@ def inspect_values(
             f"{first_few(seen.constant_numbers)}: the scan ended there, or files were damaged."
         )
     if seen.copy_numbers:
-        place_text = f"as a slice before them, z {first_few(seen.copy_numbers)}: were they copied to fill gaps?"
+        place_text = (
+            f"as a slice before them, z {first_few(seen.copy_numbers)}: were they copied to fill"
+            " gaps?"
+        )
         warnings.append(f"{len(seen.copy_numbers)} slices hold the same values {place_text}")
     return facts
 
@@ -82,7 +96,9 @@ class _Seen:
 
 def _look(values: Values, plane_numbers: list[int], full_scale: int | None) -> _Seen:
     share = len(plane_numbers) / values.shape[0]
-    stride = max(1, math.ceil((math.prod(values.shape) * share / SAMPLE_VALUES) ** (1 / values.ndim)))
+    stride = max(
+        1, math.ceil((math.prod(values.shape) * share / SAMPLE_VALUES) ** (1 / values.ndim))
+    )
     seen, samples, digests = _Seen(), list[NDArray[Any]](), set[bytes]()
     for index, number in enumerate(plane_numbers):
         plane = np.asarray(values[number])
@@ -99,7 +115,8 @@ def _look(values: Values, plane_numbers: list[int], full_scale: int | None) -> _
         if index % stride == 0:
             sample = plane[(slice(None, None, stride),) * plane.ndim].ravel()
             samples.append(sample[np.isfinite(sample)])
-        if plane.ndim == 2 and plane.size >= 1000:  # Slices with fewer pixels may well be alike, or of one grey.
+        # Slices with fewer pixels may well be alike, or of one grey.
+        if plane.ndim == 2 and plane.size >= 1000:
             digest = hashlib.blake2b(np.ascontiguousarray(plane).data, digest_size=16).digest()
             if not plane_low < plane_high:
                 seen.constant_numbers.append(number)
@@ -142,7 +159,9 @@ def middle_sections(values: Values) -> list[Section]:
     depth, rows, cols = values.shape
     stride = -(-depth // 96)
     planes = (np.asarray(values[k]) for k in range(0, depth, stride))
-    along_x, along_y = zip(*((p[rows // 2].copy(), p[:, cols // 2].copy()) for p in planes), strict=True)
+    along_x, along_y = zip(
+        *((p[rows // 2].copy(), p[:, cols // 2].copy()) for p in planes), strict=True
+    )
     return [
         _section("z", "x", np.stack(along_x), (stride, 1)),
         _section("z", "y", np.stack(along_y), (stride, 1)),
@@ -169,8 +188,12 @@ def write_picture(sections: list[Section], path: Path) -> None:
     scale = _SIDE / max(n * k for s in sections for n, k in zip(s.grey.shape, s.step, strict=True))
     pictures = [_resized(s, scale) for s in sections]
     max_rows = max(map(len, pictures))
-    padded = [np.pad(grey, ((0, max_rows - len(grey)), (0, 8)), constant_values=255) for grey in pictures]
-    write_whole(path, bytes(imagecodecs.png_encode(np.ascontiguousarray(np.hstack(padded)[:, :-8]))))
+    padded = [
+        np.pad(grey, ((0, max_rows - len(grey)), (0, 8)), constant_values=255) for grey in pictures
+    ]
+    write_whole(
+        path, bytes(imagecodecs.png_encode(np.ascontiguousarray(np.hstack(padded)[:, :-8])))
+    )
 
 
 def as_text(section: Section) -> list[str]:
@@ -196,7 +219,11 @@ def _section(down: str, across: str, plane: NDArray[Any], step: tuple[int, int])
 def _resized(section: Section, scale: float, *, squeeze: float = 1.0) -> Grey:
     """The nearest pixels, so many per voxel; rows are squeezed for letters, which are higher than wide."""
     nearest_indices: list[Ints] = []
-    for n, step, pixels_per_voxel in zip(section.grey.shape, section.step, (scale / squeeze, scale), strict=True):
+    for n, step, pixels_per_voxel in zip(
+        section.grey.shape, section.step, (scale / squeeze, scale), strict=True
+    ):
         n_pixels = max(1, round(n * step * pixels_per_voxel))
-        nearest_indices.append(np.minimum(((np.arange(n_pixels) + 0.5) * n / n_pixels).astype(np.intp), n - 1))
+        nearest_indices.append(
+            np.minimum(((np.arange(n_pixels) + 0.5) * n / n_pixels).astype(np.intp), n - 1)
+        )
     return section.grey[np.ix_(*nearest_indices)]

@@ -23,7 +23,11 @@ class FileArray(LazyArray):
     piece_bytes: int = 0
 
     def __init__(
-        self, path: Path, shape: tuple[int, ...], dtype: np.dtype[Any], read: Callable[[Where], NDArray[Any]]
+        self,
+        path: Path,
+        shape: tuple[int, ...],
+        dtype: np.dtype[Any],
+        read: Callable[[Where], NDArray[Any]],
     ) -> None:
         super().__init__(shape, dtype, read)
         self.path = path  # for the messages
@@ -41,10 +45,20 @@ class PagedArray(FileArray):
     """A volume of pages in strips of `unit_rows`, the last kept decoded; ``rows(page, start, stop)`` decodes strips."""
 
     def __init__(
-        self, path: Path, shape: tuple[int, ...], dtype: np.dtype[Any], unit_rows: int,
+        self,
+        path: Path,
+        shape: tuple[int, ...],
+        dtype: np.dtype[Any],
+        unit_rows: int,
         rows: Callable[[int, int, int], NDArray[Any]],
-    ) -> None:  # fmt: skip
-        self.path, self.shape, self.dtype, self.unit_rows, self.rows = path, shape, dtype, unit_rows, rows
+    ) -> None:
+        self.path, self.shape, self.dtype, self.unit_rows, self.rows = (
+            path,
+            shape,
+            dtype,
+            unit_rows,
+            rows,
+        )
         self.piece_bytes = min(unit_rows, shape[1]) * math.prod(shape[2:]) * dtype.itemsize
         self.whole_slices = unit_rows >= shape[1]
         self._strip = lru_cache(max(DECODED_BYTES // self.piece_bytes, 1))(self._decoded)
@@ -65,17 +79,26 @@ class PagedArray(FileArray):
             else:
                 strips = [self._strip(page, k) for k in range(first_strip, end_strip)]
                 page_rows = strips[0] if len(strips) == 1 else np.concatenate(strips)
-            values[i] = page_rows[(slice(rows.start - first_row, rows.stop - first_row, rows.step), *across)]
+            values[i] = page_rows[
+                (slice(rows.start - first_row, rows.stop - first_row, rows.step), *across)
+            ]
         return values
 
     def _decoded(self, page: int, number: int) -> NDArray[Any]:
-        return self.rows(page, number * self.unit_rows, min((number + 1) * self.unit_rows, self.shape[1]))
+        return self.rows(
+            page, number * self.unit_rows, min((number + 1) * self.unit_rows, self.shape[1])
+        )
 
 
 class StoredArray(FileArray):
     """Planes that lie in files as they are, in any byte order; open only while read: mapped they would use memory."""
 
-    def __init__(self, planes: Sequence[tuple[Path, int]], shape: tuple[int, ...], stored_dtype: np.dtype[Any]) -> None:
+    def __init__(
+        self,
+        planes: Sequence[tuple[Path, int]],
+        shape: tuple[int, ...],
+        stored_dtype: np.dtype[Any],
+    ) -> None:
         self.planes, self.shape, self.stored_dtype = planes, shape, stored_dtype
         self.path, self.dtype = planes[0][0], stored_dtype.newbyteorder("=")
 
@@ -87,17 +110,23 @@ class StoredArray(FileArray):
         skip_bytes = rows.start * math.prod(self.shape[2:]) * self.stored_dtype.itemsize
         for i, k in enumerate(range(planes.start, planes.stop, planes.step)):
             path, offset = self.planes[k]
-            plane_values = np.fromfile(path, self.stored_dtype, math.prod(rows_shape), offset=offset + skip_bytes)
+            plane_values = np.fromfile(
+                path, self.stored_dtype, math.prod(rows_shape), offset=offset + skip_bytes
+            )
             if plane_values.size < math.prod(rows_shape):
                 raise damaged(path, f"it ends within the rows at byte {offset + skip_bytes}")
             values[i] = plane_values.reshape(rows_shape)[(slice(None, None, rows.step), *across)]
         return values
 
 
-def stored_planes(path: Path, shape: tuple[int, ...], stored_dtype: np.dtype[Any], *, offset: int) -> StoredArray:
+def stored_planes(
+    path: Path, shape: tuple[int, ...], stored_dtype: np.dtype[Any], *, offset: int
+) -> StoredArray:
     """An array whose planes lie in a file one after the other."""
     plane_bytes = math.prod(shape[1:]) * stored_dtype.itemsize
-    return StoredArray([(path, offset + k * plane_bytes) for k in range(shape[0])], shape, stored_dtype)
+    return StoredArray(
+        [(path, offset + k * plane_bytes) for k in range(shape[0])], shape, stored_dtype
+    )
 
 
 def lengths(where: Where) -> list[int]:
@@ -113,7 +142,9 @@ def unmapped(array: Values) -> Values:
     return stored_planes(Path(array.filename), array.shape, array.dtype, offset=array.offset)
 
 
-def mapped(path: Path, shape: tuple[int, ...], stored_dtype: np.dtype[Any], *, offset: int) -> Values:
+def mapped(
+    path: Path, shape: tuple[int, ...], stored_dtype: np.dtype[Any], *, offset: int
+) -> Values:
     """Map values that lie in a file as they are; a memmap where the machine has their byte order."""
     if stored_dtype == stored_dtype.newbyteorder("=") and stored_dtype != np.float16:
         with reading(path):
@@ -127,7 +158,11 @@ class WholeArray(FileArray):
     whole_slices = True
 
     def __init__(
-        self, path: Path, shape: tuple[int, ...], dtype: np.dtype[Any], decode: Callable[[], NDArray[Any]]
+        self,
+        path: Path,
+        shape: tuple[int, ...],
+        dtype: np.dtype[Any],
+        decode: Callable[[], NDArray[Any]],
     ) -> None:
         self.path, self.shape, self.dtype, self.decode = path, shape, dtype, decode
         self.piece_bytes = self.nbytes
@@ -144,7 +179,11 @@ class ViewArray(FileArray):
     """
 
     def __init__(
-        self, inner: FileArray, order: Sequence[int], change: Change = np.asarray, dtype: np.dtype[Any] | None = None
+        self,
+        inner: FileArray,
+        order: Sequence[int],
+        change: Change = np.asarray,
+        dtype: np.dtype[Any] | None = None,
     ) -> None:
         self.inner, self.order, self.change, self.path = inner, tuple(order), change, inner.path
         self.shape, self.dtype = tuple(inner.shape[axis] for axis in order), dtype or inner.dtype
@@ -156,7 +195,9 @@ class ViewArray(FileArray):
         inner_slices = [slice(0, n, 1) for n in self.inner.shape]
         for axis_slice, axis in zip(where, self.order, strict=True):
             inner_slices[axis] = axis_slice
-        turned = np.moveaxis(self.inner.read(tuple(inner_slices)), self.order, range(len(self.order)))
+        turned = np.moveaxis(
+            self.inner.read(tuple(inner_slices)), self.order, range(len(self.order))
+        )
         return np.asarray(self.change(turned), self.dtype).reshape(lengths(where))
 
 
@@ -185,7 +226,8 @@ def read_if_small(array: Values, *, memory_bytes: int | None) -> Values:
             return array.decode()
     values = np.empty(array.shape, array.dtype)
     chunk = (array.chunks or (1,))[0]
-    step = chunk * max(array.shape[0] // (16 * chunk), 1)  # whole chunks; parts enough for all threads
+    # Whole chunks; parts enough for all threads.
+    step = chunk * max(array.shape[0] // (16 * chunk), 1)
 
     def read(start: int) -> None:
         values[start : start + step] = array[start : start + step]

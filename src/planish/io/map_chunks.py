@@ -25,7 +25,10 @@ CODECS = (BloscCodec(cname="lz4", clevel=1, shuffle="shuffle"), Crc32cCodec())
 def is_ours(array: zarr.Array[Any]) -> bool:
     """Whether an array is packed as the maps of a run are."""
     kinds = [type(codec) for codec in getattr(array.metadata, "codecs", ())]
-    return kinds == [BytesCodec, BloscCodec, Crc32cCodec] and array.dtype.newbyteorder("<") == array.dtype
+    return (
+        kinds == [BytesCodec, BloscCodec, Crc32cCodec]
+        and array.dtype.newbyteorder("<") == array.dtype
+    )
 
 
 def write_chunks(store: Path, array: zarr.Array[Any], where: Where, values: NDArray[Any]) -> None:
@@ -58,12 +61,19 @@ def _unpacked(file: Path, array: zarr.Array[Any]) -> NDArray[Any]:
 
 def _chunks(store: Path, array: zarr.Array[Any], where: Where) -> list[tuple[Path, Where, Where]]:
     """Files of the chunks of a part, the places of the part within each, and the places of each within the part."""
-    ranges = [range(w.start // c, -(-w.stop // c)) for w, c in zip(where, array.chunks, strict=True)]
+    ranges = [
+        range(w.start // c, -(-w.stop // c)) for w, c in zip(where, array.chunks, strict=True)
+    ]
     chunks: list[tuple[Path, Where, Where]] = []
     for index in product(*ranges):
         starts = [k * c for k, c in zip(index, array.chunks, strict=True)]
-        ends = [(max(w.start, s), min(w.stop, s + c)) for w, s, c in zip(where, starts, array.chunks, strict=True)]
+        ends = [
+            (max(w.start, s), min(w.stop, s + c))
+            for w, s, c in zip(where, starts, array.chunks, strict=True)
+        ]
         within = tuple(slice(a - s, b - s) for (a, b), s in zip(ends, starts, strict=True))
-        target = tuple(slice(a - w.start, b - w.start) for (a, b), w in zip(ends, where, strict=True))
+        target = tuple(
+            slice(a - w.start, b - w.start) for (a, b), w in zip(ends, where, strict=True)
+        )
         chunks.append((store / array.path / array.metadata.encode_chunk_key(index), within, target))
     return chunks

@@ -39,11 +39,19 @@ def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
 
         def write(key: str, data: xr.Dataset = data, group: zarr.Group = group) -> None:
             variable = data.variables[key]
-            coords = [k for k in sorted(map(str, data.coords)) if k not in {key, *map(str, data.dims)}]
-            named = {"coordinates": " ".join(k for k in coords if {*data[k].dims} <= {*variable.dims})}
-            array = create_array(group, key, variable, variable.shape, **named if named["coordinates"] else {})
+            coords = [
+                k for k in sorted(map(str, data.coords)) if k not in {key, *map(str, data.dims)}
+            ]
+            named = {
+                "coordinates": " ".join(k for k in coords if {*data[k].dims} <= {*variable.dims})
+            }
+            array = create_array(
+                group, key, variable, variable.shape, **named if named["coordinates"] else {}
+            )
             if is_ours(array):
-                write_chunks(path, array, tuple(slice(0, n) for n in variable.shape), variable.values)
+                write_chunks(
+                    path, array, tuple(slice(0, n) for n in variable.shape), variable.values
+                )
             else:  # text
                 array[...] = variable.values
 
@@ -53,11 +61,22 @@ def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
 
 def _consolidate(path: Path) -> None:
     """Gather the metadata of all groups and arrays in the file of the root, without which xarray warns."""
-    nodes = {file.parent: json.loads(file.read_text(encoding="utf-8")) for file in sorted(path.rglob(_METADATA))}
+    nodes = {
+        file.parent: json.loads(file.read_text(encoding="utf-8"))
+        for file in sorted(path.rglob(_METADATA))
+    }
     inline: dict[str, Any] = {"kind": "inline", "must_understand": False}
     for node in nodes.values():
-        node |= {"consolidated_metadata": {**inline, "metadata": {}}} if node["node_type"] == "group" else {}
-    metadata = {folder.relative_to(path).as_posix(): node for folder, node in nodes.items() if folder != path}
+        node |= (
+            {"consolidated_metadata": {**inline, "metadata": {}}}
+            if node["node_type"] == "group"
+            else {}
+        )
+    metadata = {
+        folder.relative_to(path).as_posix(): node
+        for folder, node in nodes.items()
+        if folder != path
+    }
     root = nodes[path] | {"consolidated_metadata": {**inline, "metadata": metadata}}
     (path / _METADATA).write_text(json.dumps(root), encoding="utf-8", newline="\n")
 
@@ -99,7 +118,10 @@ def _group_names(path: Path, among: Iterable[str] | None) -> list[str]:
     """Names of the groups of a store that hold arrays, checked to be whole; FileError as `read_tree`."""
     check_exists(path)
     if not (path / _METADATA).is_file():
-        raise FileError(f"{path} is no zarr store. Give the maps.zarr of a run, or what a stage's command wrote.")
+        raise FileError(
+            f"{path} is no zarr store. Give the maps.zarr of a run, or what a stage's command"
+            " wrote."
+        )
     with readable(path):
         root = zarr.open_group(path, mode="r")
         if among is not None:
@@ -108,9 +130,17 @@ def _group_names(path: Path, among: Iterable[str] | None) -> list[str]:
             return present
         _check_chunks(path)
         members = sorted(root.members(max_depth=None))
-        groups = {name: [*node.array_values()] for name, node in members if isinstance(node, zarr.Group)}
-        names = [name for name, arrays in groups.items() if arrays and not name.startswith(f"{OVERVIEWS}/")]
-        return names + [copy for name in names if is_large(groups[name]) for copy in overviews_of(path, name)]
+        groups = {
+            name: [*node.array_values()] for name, node in members if isinstance(node, zarr.Group)
+        }
+        names = [
+            name
+            for name, arrays in groups.items()
+            if arrays and not name.startswith(f"{OVERVIEWS}/")
+        ]
+        return names + [
+            copy for name in names if is_large(groups[name]) for copy in overviews_of(path, name)
+        ]
 
 
 def read_group(path: Path, name: str, variables: Iterable[str] | None = None) -> xr.Dataset:
@@ -136,6 +166,7 @@ def _check_chunks(path: Path, groups: Iterable[str] = ("",)) -> None:
         for name, node in group.members(max_depth=None):
             if isinstance(node, zarr.Array) and node.nchunks_initialized < node.nchunks:
                 raise FileError(
-                    f"{path} is damaged: {node.nchunks - node.nchunks_initialized} of {node.nchunks} chunks of {name} "
-                    "are not there. Copy it once more, or repeat the run."
+                    f"{path} is damaged: {node.nchunks - node.nchunks_initialized} of"
+                    f" {node.nchunks} chunks of {name} are not there. Copy it once more, or repeat"
+                    " the run."
                 )

@@ -26,8 +26,10 @@ from planish.core.tiles import Tile, tiles_of
 from planish.io.map_chunks import CODECS, is_ours, read_chunks, write_chunks
 
 CHUNK = 512  # pixels along the edge of a chunk of a map
-COMPLETE = "every_chunk_is_written"  # attribute of a store: one that is not there is a damage, not a missing value
-OVERVIEWS = "overviews"  # group of a store with smaller copies of its maps, which are read where they are shown
+# Attribute of a store: one that is not there is a damage, not a missing value.
+COMPLETE = "every_chunk_is_written"
+# Group of a store with smaller copies of its maps, which are read where they are shown.
+OVERVIEWS = "overviews"
 
 _TILE = (1024, 2048)  # whole chunks, also of the first overview
 
@@ -68,7 +70,9 @@ class StoredMaps:
             for k in range(1, overview_count(grid.shape) + 1 if name in self.stored else 1):
                 # Tiles begin at multiples of more pixels than there are in one of the last overview.
                 maps = halved(maps)
-                overview_tile = Tile(tile.r0 >> k, (tile.r0 >> k) + maps.sizes["y"], tile.c0 >> k, 0)
+                overview_tile = Tile(
+                    tile.r0 >> k, (tile.r0 >> k) + maps.sizes["y"], tile.c0 >> k, 0
+                )
                 overview_tile = overview_tile._replace(c1=overview_tile.c0 + maps.sizes["x"])
                 grid = Grid(y_um=middles(grid.y_um), x_um=middles(grid.x_um))
                 self._add(f"{OVERVIEWS}/{name}/{k}", grid, overview_tile, maps)
@@ -78,7 +82,11 @@ class StoredMaps:
             self._arrays[name] = self._create_arrays(name, grid, maps)
 
         def write(map_name: str) -> None:
-            array, where, values = self._arrays[name][map_name], (tile.rows, tile.cols), maps[map_name].values
+            array, where, values = (
+                self._arrays[name][map_name],
+                (tile.rows, tile.cols),
+                maps[map_name].values,
+            )
             if self.path is not None and name in self.stored:
                 write_chunks(self.path, array, where, values)
             else:
@@ -87,17 +95,30 @@ class StoredMaps:
         map_threads(write, map(str, maps.data_vars))
 
     def _create_arrays(self, name: str, grid: Grid, maps: xr.Dataset) -> dict[str, Any]:
-        group_bytes = sum(v.dtype.itemsize for v in maps.data_vars.values()) * grid.shape[0] * grid.shape[1]
-        if self.path is None or (group_bytes < LARGE_BYTES and not name.startswith(f"{OVERVIEWS}/")):
-            variables = {k: (v.dims, np.empty(grid.shape, v.dtype), v.attrs) for k, v in maps.data_vars.items()}
-            coords = {k: (k, axis_um, dict(maps[k].attrs)) for k, axis_um in (("y", grid.y_um), ("x", grid.x_um))}
+        group_bytes = (
+            sum(v.dtype.itemsize for v in maps.data_vars.values()) * grid.shape[0] * grid.shape[1]
+        )
+        if self.path is None or (
+            group_bytes < LARGE_BYTES and not name.startswith(f"{OVERVIEWS}/")
+        ):
+            variables = {
+                k: (v.dims, np.empty(grid.shape, v.dtype), v.attrs)
+                for k, v in maps.data_vars.items()
+            }
+            coords = {
+                k: (k, axis_um, dict(maps[k].attrs))
+                for k, axis_um in (("y", grid.y_um), ("x", grid.x_um))
+            }
             self._groups[name] = xr.Dataset(variables, coords=coords, attrs=maps.attrs)
             return {str(k): variable.values for k, variable in self._groups[name].data_vars.items()}
         group = open_group(self.path, name, maps)
         for axis, axis_um in (("y", grid.y_um), ("x", grid.x_um)):
             create_array(group, axis, maps[axis].variable, axis_um.shape)[:] = axis_um
         self.stored.append(name)
-        return {str(k): create_array(group, str(k), data.variable, grid.shape) for k, data in maps.data_vars.items()}
+        return {
+            str(k): create_array(group, str(k), data.variable, grid.shape)
+            for k, data in maps.data_vars.items()
+        }
 
     def group(self, name: str) -> xr.Dataset:
         """A group of which all tiles were added."""
@@ -121,12 +142,22 @@ def create_array(
     group: zarr.Group, key: str, like: xr.Variable, shape: tuple[int, ...], **attrs: str
 ) -> zarr.Array[Any]:
     """Make an array of a group, of the type, dimensions and attributes of a variable."""
-    dtype, fill_value = (str, "") if like.dtype.kind in "OU" else (like.dtype, np.nan if like.dtype.kind == "f" else 0)
+    dtype, fill_value = (
+        (str, "")
+        if like.dtype.kind in "OU"
+        else (like.dtype, np.nan if like.dtype.kind == "f" else 0)
+    )
     return group.create_array(
-        key, shape=shape, dtype=dtype, fill_value=fill_value, compressors=CODECS, config={"write_empty_chunks": True},
+        key,
+        shape=shape,
+        dtype=dtype,
+        fill_value=fill_value,
+        compressors=CODECS,
+        config={"write_empty_chunks": True},
         chunks=tuple(min(n, CHUNK) for n in shape) if len(shape) > 1 else "auto",
-        dimension_names=[str(dim) for dim in like.dims], attributes=_json_attrs({**like.attrs, **attrs}),
-    )  # fmt: skip
+        dimension_names=[str(dim) for dim in like.dims],
+        attributes=_json_attrs({**like.attrs, **attrs}),
+    )
 
 
 def stored_group(path: Path, name: str, cache: PartCache | None = None) -> xr.Dataset:
@@ -150,7 +181,9 @@ def stored_group(path: Path, name: str, cache: PartCache | None = None) -> xr.Da
             dims = tuple(map(str, array.metadata.dimension_names or ()))
             attrs = {k: v for k, v in array.attrs.items() if k not in ("_FillValue", "coordinates")}
             other_coords |= {*str(array.attrs.get("coordinates", "")).split()}
-            values = LazyArray(array.shape, np.dtype(array.dtype), partial(_read_part, path, array, cache))
+            values = LazyArray(
+                array.shape, np.dtype(array.dtype), partial(_read_part, path, array, cache)
+            )
             values = variable_data(values) if array.ndim == 2 else array[...]
             (coords if dims == (key,) else variables)[key] = xr.Variable(dims, values, attrs)
         coords |= {key: variables.pop(key) for key in other_coords & variables.keys()}
@@ -164,7 +197,12 @@ def is_large(arrays: Iterable[Any]) -> bool:
 
 def overviews_of(path: Path, group: str, name: str = "") -> list[str]:
     """Names of a group's smaller copies in a store, or of those of its map ``name``, the finest first."""
-    return list(takewhile(lambda copy: (path / copy / name).is_dir(), (f"{OVERVIEWS}/{group}/{k}" for k in count(1))))
+    return list(
+        takewhile(
+            lambda copy: (path / copy / name).is_dir(),
+            (f"{OVERVIEWS}/{group}/{k}" for k in count(1)),
+        )
+    )
 
 
 class PartCache:
@@ -199,9 +237,15 @@ def readable(path: Path) -> Generator[None]:
     except (PlanishError, MemoryError):
         raise
     except Exception as error:  # damaged metadata make zarr raise almost every type there is
-        reason = " ".join(str(error).split())[:160] or type(error).__name__  # Some reasons hold the whole file.
-        raise FileError(f"{path} cannot be read: {reason}. It may be damaged; repeat the run.") from error
+        # Some reasons hold the whole file.
+        reason = " ".join(str(error).split())[:160] or type(error).__name__
+        raise FileError(
+            f"{path} cannot be read: {reason}. It may be damaged; repeat the run."
+        ) from error
 
 
 def _json_attrs(attrs: Mapping[Any, Any]) -> dict[str, Any]:
-    return {str(k): v.tolist() if isinstance(v, np.ndarray | np.generic) else v for k, v in attrs.items()}
+    return {
+        str(k): v.tolist() if isinstance(v, np.ndarray | np.generic) else v
+        for k, v in attrs.items()
+    }

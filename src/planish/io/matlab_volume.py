@@ -25,13 +25,20 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         first_bytes = file.read(520)
         if not matlab.is_new(first_bytes) and not matlab.is_version_5(first_bytes):
             raise FileError(
-                f"{path.name} is no MATLAB file of version 5 or later; version 4 holds no volumes. Save it with '-v7'."
+                f"{path.name} is no MATLAB file of version 5 or later; version 4 holds no volumes."
+                " Save it with '-v7'."
             )
         with _damage(path):
             variables = {v.name: v for v in matlab.variables(file)}
-            volumes = [(v.name, v.shape, v.kind) for v in variables.values() if sum(n > 1 for n in v.shape) == 3]
+            volumes = [
+                (v.name, v.shape, v.kind)
+                for v in variables.values()
+                if sum(n > 1 for n in v.shape) == 3
+            ]
             if name and name not in (volume_name for volume_name, *_ in volumes):
-                raise VolumeError(f"{path.name} has no volume {name!r}. {describe_volumes(volumes, path.name)}")
+                raise VolumeError(
+                    f"{path.name} has no volume {name!r}. {describe_volumes(volumes, path.name)}"
+                )
             variable = variables[name or only_volume(volumes, path.name)]
             # The voxel size, one number or z, y, x: no habit of MATLAB, but it can be saved beside the volume.
             size, sizes = variables.get("voxel_um"), list[float]()
@@ -39,7 +46,8 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
                 sizes = np.broadcast_to(np.ravel(matlab.values(file, size)), 3).tolist()
     if variable.kind not in matlab.NUMBERS:
         raise VolumeError(
-            f"{path.name}: {variable.name} holds values of the class {variable.kind}. Save it with real numbers."
+            f"{path.name}: {variable.name} holds values of the class {variable.kind}. Save it with"
+            " real numbers."
         )
     row_axis, column_axis, slice_axis = (axis for axis, n in enumerate(variable.shape) if n > 1)
     axis_order, notes = (slice_axis, row_axis, column_axis), ()
@@ -51,11 +59,15 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         values = transposed(array, [len(variable.shape) - 1 - axis for axis in axis_order])
     else:
         dtype = matlab.NUMBERS[variable.kind]
-        check_blown_up(path, decoded_bytes=variable.count * dtype.itemsize, stored_bytes=size_of_file(path))
+        check_blown_up(
+            path, decoded_bytes=variable.count * dtype.itemsize, stored_bytes=size_of_file(path)
+        )
         shape = tuple(variable.shape[axis] for axis in axis_order)
         values = WholeArray(path, shape, dtype, partial(_decoded, path, variable))
     stated = stated_in("the variable voxel_um", sizes, ["um"] * 3)
-    return LoadedVolume(values=values, stated=[stated], files=[path], attrs={"variable": variable.name}, notes=notes)
+    return LoadedVolume(
+        values=values, stated=[stated], files=[path], attrs={"variable": variable.name}, notes=notes
+    )
 
 
 def _decoded(path: Path, variable: matlab.Variable) -> NDArray[Any]:
@@ -68,4 +80,6 @@ def _damage(path: Path) -> Generator[None]:
     try:
         yield
     except matlab.Damaged as error:
-        raise FileError(f"{path.name} is damaged: {error}. Save it again, or copy it once more.") from error
+        raise FileError(
+            f"{path.name} is damaged: {error}. Save it again, or copy it once more."
+        ) from error

@@ -23,27 +23,47 @@ class VolumeParams(Params):
 
     path: str = option(help="File or folder of the volume (docs/formats.md).", cli=None)
     voxel_um: Annotated[tuple[Size, Size, Size] | None, _all_alike(3)] = option(
-        None, metavar="SIZE|Z,Y,X", repeat=True, help="Voxel size in um, where the file does not state it."
+        None,
+        metavar="SIZE|Z,Y,X",
+        repeat=True,
+        help="Voxel size in um, where the file does not state it.",
     )
     through: Literal["z", "y", "x"] = option("z", help="Axis that runs through the sheet.")
     top: Literal["high", "low"] = option(
-        "high", help="End of that axis at which the top side lies. Maps are displayed as seen from there."
+        "high",
+        help="End of that axis at which the top side lies. Maps are displayed as seen from there.",
     )
-    override_size: bool = option(False, help="Take the sizes given here where a file states others.")
+    override_size: bool = option(
+        False, help="Take the sizes given here where a file states others."
+    )
     unusual_size: bool = option(
-        False, help="Take sizes that paper does not have: pixels of 0.1 nm to 1 mm, sheets of 50 nm to 50 mm."
+        False,
+        help=(
+            "Take sizes that paper does not have: pixels of 0.1 nm to 1 mm, sheets of 50 nm to"
+            " 50 mm."
+        ),
     )
     channel: Channel | None = option(
-        None, cli="--volume-channel", help="Channel of slices or sections in colour; luminance where not given."
+        None,
+        cli="--volume-channel",
+        help="Channel of slices or sections in colour; luminance where not given.",
     )
     column_um: float | None = option(
-        None, gt=0, help="Width of the measured columns in um; single voxels where not given, or as the memory demands."
+        None,
+        gt=0,
+        help=(
+            "Width of the measured columns in um; single voxels where not given, or as the memory"
+            " demands."
+        ),
     )
     fixed_rows: tuple[Index, Index] | None = option(
         None,
         metavar="FIRST,LAST",
-        help="Serial sections: rows of the photographs with a straight line along them that does not move, such as the "
-        "edge of the block. Slow drift of the sections can then be separated from a bend of the sheet.",
+        help=(
+            "Serial sections: rows of the photographs with a straight line along them that does not"
+            " move, such as the edge of the block. Slow drift of the sections can then be separated"
+            " from a bend of the sheet."
+        ),
     )
     fixed_cols: tuple[Index, Index] | None = option(
         None, metavar="FIRST,LAST", help="The same for a line along the columns."
@@ -72,36 +92,60 @@ class ImageParams(Params):
 
     path: str = option(help="File of the image.", cli=None)
     pixel_um: Annotated[tuple[Size, Size] | None, _all_alike(2)] = option(
-        None, metavar="SIZE|Y,X", repeat=True, help="Pixel size in um, where the image does not state it."
+        None,
+        metavar="SIZE|Y,X",
+        repeat=True,
+        help="Pixel size in um, where the image does not state it.",
     )
     channel: str = option(
-        "luminance", help="Channel of a colour image: luminance, red, green, blue or a number from 0."
+        "luminance",
+        help="Channel of a colour image: luminance, red, green, blue or a number from 0.",
     )
-    override_size: bool = option(False, cli=None, help="Take the size given here where the file states another.")
-    unusual_size: bool = option(False, cli=None, help="Take a pixel size that images of paper do not have.")
+    override_size: bool = option(
+        False, cli=None, help="Take the size given here where the file states another."
+    )
+    unusual_size: bool = option(
+        False, cli=None, help="Take a pixel size that images of paper do not have."
+    )
     side: Literal["top", "bottom"] | None = option(
         None,
         cli="--image-side",
-        help="Side of the sheet that the image shows; where not given, top is assumed and the report says so.",
+        help=(
+            "Side of the sheet that the image shows; where not given, top is assumed and the report"
+            " says so."
+        ),
     )
     md_deg: float | None = option(
-        None, ge=-180, le=180, cli="--image-md-deg", metavar="ANGLE",
-        help="Machine direction in the image, likewise; compared with --md-deg, which the registration carries over.",
-    )  # fmt: skip
+        None,
+        ge=-180,
+        le=180,
+        cli="--image-md-deg",
+        metavar="ANGLE",
+        help=(
+            "Machine direction in the image, likewise; compared with --md-deg, which the"
+            " registration carries over."
+        ),
+    )
     dark_grey: float | None = option(
         None,
         metavar="GREY",
-        help="Grey of the image without light, in its own values; with --white-grey the image becomes reflectance. "
-        "Without both it is relative grey.",
+        help=(
+            "Grey of the image without light, in its own values; with --white-grey the image"
+            " becomes reflectance. Without both it is relative grey."
+        ),
     )
     white_grey: float | None = option(
-        None, metavar="GREY", help="Grey of a white reference in the same light, likewise; its reflectance counts as 1."
+        None,
+        metavar="GREY",
+        help="Grey of a white reference in the same light, likewise; its reflectance counts as 1.",
     )
     screen_um: float | None = option(
         None,
         gt=0,
-        help="Period of a print screen in um (167 for 60 lines per cm): a Gaussian takes it off the image before it is "
-        "compared.",
+        help=(
+            "Period of a print screen in um (167 for 60 lines per cm): a Gaussian takes it off the"
+            " image before it is compared."
+        ),
     )
 
     @property
@@ -112,9 +156,16 @@ class ImageParams(Params):
     @model_validator(mode="after")
     def _references(self) -> Self:
         if (self.dark_grey is None) != (self.white_grey is None):
-            raise ValueError("dark_grey and white_grey belong together: give both, or neither for relative grey")
-        if self.dark_grey is not None and self.white_grey is not None and not self.white_grey > self.dark_grey:
             raise ValueError(
-                f"the white reference ({self.white_grey:g}) has to be brighter than the dark one ({self.dark_grey:g})"
+                "dark_grey and white_grey belong together: give both, or neither for relative grey"
+            )
+        if (
+            self.dark_grey is not None
+            and self.white_grey is not None
+            and not self.white_grey > self.dark_grey
+        ):
+            raise ValueError(
+                f"the white reference ({self.white_grey:g}) has to be brighter than the dark one"
+                f" ({self.dark_grey:g})"
             )
         return self

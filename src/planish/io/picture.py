@@ -15,11 +15,21 @@ from tifffile import PHOTOMETRIC, TiffPageSeries
 from planish.core.errors import FileError
 from planish.io.guard import check_blown_up, check_memory, head_of, reading
 from planish.io.sizes import Stated, stated_by_tiff, stated_density
-from planish.io.tiff import has_rgb, is_tiff, long_axes, map_or_decode, mapped_from, open_series, shape_words
+from planish.io.tiff import (
+    has_rgb,
+    is_tiff,
+    long_axes,
+    map_or_decode,
+    mapped_from,
+    open_series,
+    shape_words,
+)
 
 PLUGINS: dict[str, type[ImageFile.ImageFile]] = {
-    "png": PngImagePlugin.PngImageFile, "jpeg": JpegImagePlugin.JpegImageFile, "bmp": BmpImagePlugin.BmpImageFile
-}  # fmt: skip
+    "png": PngImagePlugin.PngImageFile,
+    "jpeg": JpegImagePlugin.JpegImageFile,
+    "bmp": BmpImagePlugin.BmpImageFile,
+}
 
 ADVICE = "One picture is needed: save it alone."
 PICTURE_AXES = frozenset({"YX", "YXS", "SYX", "CYX"})
@@ -30,9 +40,11 @@ class DecodedPicture(NamedTuple):
     """A decoded picture."""
 
     values: NDArray[Any]  # dims (y, x) or (y, x, sample), as stored; palettes are looked up
-    colour: Colour  # meaning of the samples: the first is grey, the first three are red, green, blue, or neither
+    # Meaning of the samples: the first is grey, the first three are red, green, blue, or neither.
+    colour: Colour
     bits: int  # of a sample, if it is a whole number
-    stated: tuple[Stated, ...]  # size along z (which a slice of a stack may know), y, x in the metadata
+    # Size along z (which a slice of a stack may know), y, x in the metadata.
+    stated: tuple[Stated, ...]
     orientation: int  # the tag, 1 to 8; values stay as stored, whatever it says
 
     @property
@@ -49,10 +61,14 @@ def kind_of(path: Path) -> str:
     for start, kind in ((b"\x89PNG\r\n\x1a\n", "png"), (b"\xff\xd8\xff", "jpeg"), (b"BM", "bmp")):
         if head.startswith(start):
             return kind
-    raise FileError(f"{path.name} is no TIFF, PNG, JPEG or BMP file. Export the image in one of these formats.")
+    raise FileError(
+        f"{path.name} is no TIFF, PNG, JPEG or BMP file. Export the image in one of these formats."
+    )
 
 
-def load_picture(path: Path, *, memory_bytes: int | None = None, decode: bool = True) -> DecodedPicture:
+def load_picture(
+    path: Path, *, memory_bytes: int | None = None, decode: bool = True
+) -> DecodedPicture:
     """Decode a picture, or give its shape and type alone: then all values are one 0 that takes no memory."""
     if kind_of(path) != "tiff":
         return _load_raster(path, memory_bytes=memory_bytes, decode=decode)
@@ -64,11 +80,15 @@ def load_picture(path: Path, *, memory_bytes: int | None = None, decode: bool = 
         values = constant_zeros(series.shape, series.dtype)
         if decode:
             values = map_or_decode(series, path, memory_bytes=memory_bytes)
-        values = values.reshape([n for n, axis in zip(series.shape, series.axes, strict=True) if axis in axes])
+        values = values.reshape(
+            [n for n, axis in zip(series.shape, series.axes, strict=True) if axis in axes]
+        )
         if axes[0] in "SC" and len(axes) == 3:
             values = np.moveaxis(values, 0, -1)
         if values.dtype.kind not in "buif":
-            raise FileError(f"{path.name} has {values.dtype} values. Export it with integer or real values.")
+            raise FileError(
+                f"{path.name} has {values.dtype} values. Export it with integer or real values."
+            )
         colour: Colour = "grey" if len(axes) == 2 else "other"
         if "S" in axes and has_rgb(page):
             colour = "rgb" if values.shape[-1] >= 3 else "other"
@@ -84,11 +104,17 @@ def load_picture(path: Path, *, memory_bytes: int | None = None, decode: bool = 
                     colormap, bits = (colormap // 257).astype(np.uint8), 8
                 colour = "grey" if (colormap == colormap[0]).all() else "rgb"
                 entry = values.astype(np.intp)
-                values = colormap[0][entry] if colour == "grey" else np.moveaxis(colormap[:, entry], 0, -1)
+                values = (
+                    colormap[0][entry]
+                    if colour == "grey"
+                    else np.moveaxis(colormap[:, entry], 0, -1)
+                )
             orientation = page.tags.valueof(274, default=1)
         stated = stated_by_tiff(tif, page, path)
     orientation = orientation if isinstance(orientation, int) else 1
-    return DecodedPicture(values=values, colour=colour, bits=bits, stated=stated, orientation=orientation)
+    return DecodedPicture(
+        values=values, colour=colour, bits=bits, stated=stated, orientation=orientation
+    )
 
 
 def is_mapped(path: Path) -> bool:
@@ -122,7 +148,12 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
         image = PLUGINS[kind](BytesIO(data))
     is_16_bit = kind == "png" and data[24] == 16 and data[25] in (2, 4, 6)
     n_bands = len(image.getbands())
-    needed_bytes = image.width * image.height * max(n_bands, 3 if image.mode == "P" else 1) * (2 if is_16_bit else 1)
+    needed_bytes = (
+        image.width
+        * image.height
+        * max(n_bands, 3 if image.mode == "P" else 1)
+        * (2 if is_16_bit else 1)
+    )
     check_blown_up(path, decoded_bytes=needed_bytes, stored_bytes=len(data))
     if decode:
         check_memory(path, needed_bytes=needed_bytes, limit_bytes=memory_bytes)
@@ -133,9 +164,17 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
         if decode:
             image.load()
         if not decode:
-            mode_types = {"1": "bool", "I": "int32", "I;16": "uint16", "I;16B": "uint16", "F": "float32"}
+            mode_types = {
+                "1": "bool",
+                "I": "int32",
+                "I;16": "uint16",
+                "I;16B": "uint16",
+                "F": "float32",
+            }
             dtype = np.dtype("uint16" if is_16_bit else mode_types.get(image.mode, "uint8"))
-            values = constant_zeros((image.height, image.width, n_bands)[: 2 + (n_bands > 1)], dtype)
+            values = constant_zeros(
+                (image.height, image.width, n_bands)[: 2 + (n_bands > 1)], dtype
+            )
         elif is_16_bit:  # Pillow cuts 16-bit colour to 8 bits
             values = np.asarray(imagecodecs.png_decode(data))
         elif image.mode in {"P", "PA"}:
@@ -147,7 +186,10 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
     if image.mode not in {"1", "L", "LA", "I", "I;16", "F", "P", "PA", "RGB", "RGBA"}:
         colour = "other"
     bits = 16 if image.mode == "I" else 8 * values.dtype.itemsize
-    density = dpi[1::-1] if isinstance(dpi, tuple) and len(dpi) == 2 else (None, None)  # along x, y in the file
+    # Along x, y in the file.
+    density = dpi[1::-1] if isinstance(dpi, tuple) and len(dpi) == 2 else (None, None)
     stated = (stated_density(f"the {kind.upper()} resolution", density, "inch"),)
     orientation = orientation if isinstance(orientation, int) else 1
-    return DecodedPicture(values=values, colour=colour, bits=bits, stated=stated, orientation=orientation)
+    return DecodedPicture(
+        values=values, colour=colour, bits=bits, stated=stated, orientation=orientation
+    )

@@ -16,17 +16,23 @@ from planish.core.errors import FileError
 from planish.core.files import DiskFull, check_length, check_name, delete, disk_full, move, writing
 from planish.io.formats import find_place
 
-WORK_MARKER = "planish-work-folder"  # file that marks a folder as one that planish made and may remove
+# File that marks a folder as one that planish made and may remove.
+WORK_MARKER = "planish-work-folder"
 _METADATA = "zarr.json"
-_WORK_TEXT = "Results of single tiles of a run that planish is working on. It removes this folder at the end.\n"
+_WORK_TEXT = (
+    "Results of single tiles of a run that planish is working on. It removes this folder at the"
+    " end.\n"
+)
 _IN_THE_WAY = (
-    "planish needs that name for a folder of its own while it writes {}. Nothing was changed. Move it away, or give "
-    "another name with --out."
+    "planish needs that name for a folder of its own while it writes {}. Nothing was changed. Move"
+    " it away, or give another name with --out."
 )
 
 
 @contextmanager
-def new_folder(path: Path, *, inside: Path | None = None, needed: int | None = None) -> Generator[Path]:
+def new_folder(
+    path: Path, *, inside: Path | None = None, needed: int | None = None
+) -> Generator[Path]:
     """Give a hidden folder to write into; it becomes ``path`` when the block ends well, and vanishes when not.
 
     ``inside`` is an existing folder beside ``path`` where it may stand meanwhile, such as that of :func:`work_folder`,
@@ -63,13 +69,24 @@ def work_folder(path: Path, key: str) -> Generator[Path]:
     marker, key_file = work / WORK_MARKER, work / "key"
     with writing(path):
         claim_folder(work, WORK_MARKER, _WORK_TEXT, for_what=path)
-        names = {entry.name for entry in work.iterdir()}  # Everything in it has to be planish's own.
-        foreign_names = sorted(name for name in names if is_link(work / name) or not _is_work_name(name))
+        # Everything in it has to be planish's own.
+        names = {entry.name for entry in work.iterdir()}
+        foreign_names = sorted(
+            name for name in names if is_link(work / name) or not _is_work_name(name)
+        )
         # Versions before the marker wrote a key of 64 digits and a lock.
-        is_marked = _has_text(marker, _WORK_TEXT) if marker.name in names else {"key", "lock"} <= names
+        is_marked = (
+            _has_text(marker, _WORK_TEXT) if marker.name in names else {"key", "lock"} <= names
+        )
         if foreign_names or not is_marked:
-            fault_text = f"holds {', '.join(foreign_names[:3])}" if foreign_names else f"has no file {WORK_MARKER}"
-            raise FileError(f"{work} was not made by planish (it {fault_text}). {_IN_THE_WAY.format(path.name)}")
+            fault_text = (
+                f"holds {', '.join(foreign_names[:3])}"
+                if foreign_names
+                else f"has no file {WORK_MARKER}"
+            )
+            raise FileError(
+                f"{work} was not made by planish (it {fault_text}). {_IN_THE_WAY.format(path.name)}"
+            )
         lock = acquire_lock(work / "lock", path)
         try:
             marker.write_text(_WORK_TEXT, encoding="utf-8", newline="\n")
@@ -94,7 +111,9 @@ def acquire_lock(lock_file: Path, path: Path) -> FileLock:
     try:
         lock.acquire(timeout=0)
     except Timeout as error:
-        raise FileError(f"Another planish is writing {path} now. Wait for it, or give another name.") from error
+        raise FileError(
+            f"Another planish is writing {path} now. Wait for it, or give another name."
+        ) from error
     return lock
 
 
@@ -119,7 +138,8 @@ def claim_folder(folder: Path, marker_name: str, marker_text: str, *, for_what: 
 
 def is_link(path: Path) -> bool:
     """True if a path is a symbolic link or, on Windows, a junction."""
-    isjunction: Callable[[Path], bool] = getattr(os.path, "isjunction", lambda _path: False)  # from Python 3.12 on
+    # From Python 3.12 on.
+    isjunction: Callable[[Path], bool] = getattr(os.path, "isjunction", lambda _path: False)
     return path.is_symlink() or isjunction(path)
 
 
@@ -131,7 +151,9 @@ def sweep(path: Path) -> None:
 
 
 def _is_work_name(name: str) -> bool:
-    return name in (WORK_MARKER, "key", "lock", "tiles") or (name.startswith(".") and name.endswith(".partial"))
+    return name in (WORK_MARKER, "key", "lock", "tiles") or (
+        name.startswith(".") and name.endswith(".partial")
+    )
 
 
 def _remove_work_folder(work: Path) -> None:
@@ -166,7 +188,8 @@ def refuse_inside(path: Path, inputs: Iterable[str | Path]) -> None:
     for source in (find_place(name).path for name in inputs):
         if source.is_dir() and source.resolve() in (place, *place.parents):
             raise FileError(
-                f"{path} lies in {source}, which is read; nothing is written there. Give another name with --out."
+                f"{path} lies in {source}, which is read; nothing is written there. Give another"
+                " name with --out."
             )
 
 
@@ -176,11 +199,13 @@ def refuse_existing(*paths: Path) -> None:
         check_name(path)
         if path.exists() or path.is_symlink():
             raise FileError(
-                f"{path} exists already. Results are never written over: give another name with --out, or remove it "
-                "first."
+                f"{path} exists already. Results are never written over: give another name with"
+                " --out, or remove it first."
             )
 
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
     """Write JSON with sorted keys off, two spaces, and no NaN (they are errors: use None)."""
-    path.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8", newline="\n")
+    path.write_text(
+        json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8", newline="\n"
+    )

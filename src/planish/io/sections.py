@@ -61,13 +61,16 @@ class SectionStack(NamedTuple):
             is_single = isinstance(voxel_um, (int, float)) or len(voxel_um) == 1
             if not is_single and not agree(axis_sizes[0], pitch_um):
                 raise SizeError(
-                    f"{name}: {VOXEL.option} gives z {axis_sizes[0]:g} um, but the median step of {COUNTER} is "
-                    f"{pitch_um:g} um. Correct the counter, or give the pixel size alone."
+                    f"{name}: {VOXEL.option} gives z {axis_sizes[0]:g} um, but the median step of"
+                    f" {COUNTER} is {pitch_um:g} um. Correct the counter, or give the pixel size"
+                    " alone."
                 )
             voxel_um = (pitch_um, axis_sizes[1], axis_sizes[2])
         photograph_sizes = [s._replace(um=(None, *s.um[1:])) for s in self.first.stated]
         stated = [Stated("the cut counter", (pitch_um, None, None)), *photograph_sizes]
-        return agreed_size(stated, voxel_um, file_name=name, asked=VOXEL, override=override, unusual=unusual)
+        return agreed_size(
+            stated, voxel_um, file_name=name, asked=VOXEL, override=override, unusual=unusual
+        )
 
 
 def is_section_folder(path: str | Path) -> bool:
@@ -76,9 +79,14 @@ def is_section_folder(path: str | Path) -> bool:
 
 
 def read_section_stack(
-    path: str | Path, *, voxel_um: float | tuple[float, float, float] | None = None, channel: str | None = None,
-    override_size: bool = False, unusual_size: bool = False, memory_bytes: int | None = None,
-) -> SectionStack:  # fmt: skip
+    path: str | Path,
+    *,
+    voxel_um: float | tuple[float, float, float] | None = None,
+    channel: str | None = None,
+    override_size: bool = False,
+    unusual_size: bool = False,
+    memory_bytes: int | None = None,
+) -> SectionStack:
     """Read a folder of section photographs with its cut counter.
 
     Parameters
@@ -129,7 +137,9 @@ def open_sections(folder: Path, *, channel: str | None, memory_bytes: int | None
         raise FileError(f"{folder.name} is not a folder. Check the name.")
     counter_file, counter_name = folder / COUNTER, f"{COUNTER} in {folder.name}"
     size_of_file(counter_file)
-    table = parse_table(read_text(counter_file, what="cut counter"), counter_name, needed=COLUMNS, error=VolumeError)
+    table = parse_table(
+        read_text(counter_file, what="cut counter"), counter_name, needed=COLUMNS, error=VolumeError
+    )
     positions = table.numbers(COLUMNS[1:])[:, 0]
     files: list[Path] = []
     for row in table.rows:
@@ -145,22 +155,27 @@ def open_sections(folder: Path, *, channel: str | None, memory_bytes: int | None
     for (first, a), (second, b) in pairwise(zip(files, positions, strict=True)):
         if not b > a:
             raise VolumeError(
-                f"{counter_name}: {second.name} lies at {b:g} um, {first.name} before it at {a:g} um. Positions "
-                "increase in the order of the cuts: correct the counter, or sort its rows by position."
+                f"{counter_name}: {second.name} lies at {b:g} um, {first.name} before it at {a:g}"
+                " um. Positions increase in the order of the cuts: correct the counter, or sort"
+                " its rows by position."
             )
     if missing_names := [file.name for file in files if not file.is_file()]:
         raise VolumeError(
-            f"{folder.name} lacks {len(missing_names)} of {len(files)} files named in {COUNTER}: "
-            f"{first_few(missing_names)}. Add them, or take their rows out: a gap in the positions is understood as a "
-            "missing section."
+            f"{folder.name} lacks {len(missing_names)} of {len(files)} files named in {COUNTER}:"
+            f" {first_few(missing_names)}. Add them, or take their rows out: a gap in the positions"
+            " is understood as a missing section."
         )
-    if unlisted := sorted(p.name for p in {*folder.iterdir()} - {*files} if is_slice_name(p.name) and p.is_file()):
+    if unlisted := sorted(
+        p.name for p in {*folder.iterdir()} - {*files} if is_slice_name(p.name) and p.is_file()
+    ):
         raise VolumeError(
-            f"{folder.name} holds {len(unlisted)} pictures that {COUNTER} does not name: {first_few(unlisted)}. Add a "
-            "row for each with its position, or move them elsewhere."
+            f"{folder.name} holds {len(unlisted)} pictures that {COUNTER} does not name:"
+            f" {first_few(unlisted)}. Add a row for each with its position, or move them elsewhere."
         )
     kind, channel = _kind_of_sections(table), check_channel(channel)
-    values, picture = load_pictures(files, channel=channel, memory_bytes=memory_bytes, photographs=True)
+    values, picture = load_pictures(
+        files, channel=channel, memory_bytes=memory_bytes, photographs=True
+    )
     file_bytes = sum(size_of_file(file) for file in [*files, counter_file])
     first = picture._replace(values=picture.values[:1, :1].copy())
     return SectionStack(folder, values, first, positions, kind, file_bytes)
@@ -169,12 +184,17 @@ def open_sections(folder: Path, *, channel: str | None, memory_bytes: int | None
 def _kind_of_sections(table: CsvTable) -> str:
     """Read from the comments what was photographed; empty where they do not say it. Two kinds are never mixed."""
     comments = [comment.strip().lower().partition(":") for comment in table.comments]
-    kinds = sorted({kind.strip() for key, colon, kind in comments if colon and key.strip() == "kind"})
+    kinds = sorted(
+        {kind.strip() for key, colon, kind in comments if colon and key.strip() == "kind"}
+    )
     if unknown := [kind for kind in kinds if kind not in KINDS]:
-        raise VolumeError(f"{table.name} has the kind {', '.join(map(repr, unknown))}. Give {' or '.join(KINDS)}.")
+        raise VolumeError(
+            f"{table.name} has the kind {', '.join(map(repr, unknown))}. Give {' or '.join(KINDS)}."
+        )
     if len(kinds) > 1:
         raise VolumeError(
-            f"{table.name} has both kinds, {' and '.join(kinds)}. The knife squeezes cut sections by 5 to 15 % and "
-            "leaves the block's face as it is: put each kind into a folder of its own."
+            f"{table.name} has both kinds, {' and '.join(kinds)}. The knife squeezes cut sections"
+            " by 5 to 15 % and leaves the block's face as it is: put each kind into a folder of"
+            " its own."
         )
     return kinds[0] if kinds else ""

@@ -15,7 +15,13 @@ import zarr
 from google_crc32c import value as crc32c
 from imagecodecs import zstd_decode
 from numpy.typing import NDArray
-from zarr.codecs import BytesCodec, Crc32cCodec, ShardingCodec, ShardingCodecIndexLocation, ZstdCodec
+from zarr.codecs import (
+    BytesCodec,
+    Crc32cCodec,
+    ShardingCodec,
+    ShardingCodecIndexLocation,
+    ZstdCodec,
+)
 
 from planish.core.lazy import Where
 
@@ -44,9 +50,15 @@ def read_plain(folder: Path, array: zarr.Array[Any], where: Where) -> NDArray[An
     """Read a part (slices without steps) of an array that :func:`is_plain`; ValueError or OSError if it is damaged."""
     assert array.shards is not None
     shape = [w.stop - w.start for w in where]
-    values = np.full(shape, array.fill_value, array.dtype) if array.fill_value else np.zeros(shape, array.dtype)
+    values = (
+        np.full(shape, array.fill_value, array.dtype)
+        if array.fill_value
+        else np.zeros(shape, array.dtype)
+    )
     per_shard = [s // c for s, c in zip(array.shards, array.chunks, strict=True)]
-    ranges = [range(w.start // s, -(-w.stop // s)) for w, s in zip(where, array.shards, strict=True)]
+    ranges = [
+        range(w.start // s, -(-w.stop // s)) for w, s in zip(where, array.shards, strict=True)
+    ]
     for shard in product(*ranges):
         file = folder / array.metadata.encode_chunk_key(shard)
         if file.is_file():
@@ -56,7 +68,12 @@ def read_plain(folder: Path, array: zarr.Array[Any], where: Where) -> NDArray[An
 
 
 def _read_shard(
-    path: Path, firsts: list[int], per_shard: list[int], chunk: tuple[int, ...], where: Where, values: NDArray[Any]
+    path: Path,
+    firsts: list[int],
+    per_shard: list[int],
+    chunk: tuple[int, ...],
+    where: Where,
+    values: NDArray[Any],
 ) -> None:
     """Put what lies ``where`` of the chunks of one shard into ``values``; ``firsts``: number of its first chunk."""
     index_bytes = 16 * math.prod(per_shard)
@@ -81,7 +98,12 @@ def _read_shard(
                 raise ValueError(f"a chunk of {path.name} is damaged")
             starts = [(first + k) * c for first, k, c in zip(firsts, place, chunk, strict=True)]
             overlaps = [
-                (max(w.start, start), min(w.stop, start + c)) for w, start, c in zip(where, starts, chunk, strict=True)
+                (max(w.start, start), min(w.stop, start + c))
+                for w, start, c in zip(where, starts, chunk, strict=True)
             ]
-            target = tuple(slice(a - w.start, b - w.start) for (a, b), w in zip(overlaps, where, strict=True))
-            values[target] = block[tuple(slice(a - s, b - s) for (a, b), s in zip(overlaps, starts, strict=True))]
+            target = tuple(
+                slice(a - w.start, b - w.start) for (a, b), w in zip(overlaps, where, strict=True)
+            )
+            values[target] = block[
+                tuple(slice(a - s, b - s) for (a, b), s in zip(overlaps, starts, strict=True))
+            ]

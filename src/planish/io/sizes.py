@@ -20,15 +20,35 @@ from planish.io.guard import reading
 if TYPE_CHECKING:
     from tifffile import TiffFile, TiffPage
 
-PREFIXES = (("p", "pico", 1e-6), ("n", "nano", 1e-3), ("u", "micro", 1.0), ("m", "milli", 1e3), ("c", "centi", 1e4))
-UNITS_UM = {  # Length of each unit in um. Keys are case-folded, which also makes the micro sign a Greek mu.
-    "å": 1e-4, "angstrom": 1e-4, "ångström": 1e-4, "μm": 1.0, "micron": 1.0, "microns": 1.0,
-    "in": 25400.0, "inch": 25400.0, "inches": 25400.0,
+PREFIXES = (
+    ("p", "pico", 1e-6),
+    ("n", "nano", 1e-3),
+    ("u", "micro", 1.0),
+    ("m", "milli", 1e3),
+    ("c", "centi", 1e4),
+)
+# Length of each unit in um. Keys are case-folded, which also makes the micro sign a Greek mu.
+UNITS_UM = {
+    "å": 1e-4,
+    "angstrom": 1e-4,
+    "ångström": 1e-4,
+    "μm": 1.0,
+    "micron": 1.0,
+    "microns": 1.0,
+    "in": 25400.0,
+    "inch": 25400.0,
+    "inches": 25400.0,
 } | {
     f"{prefix}{metre}": um
     for symbol, name, um in (*PREFIXES, ("", "", 1e6))
-    for prefix, metre in ((symbol, "m"), (name, "meter"), (name, "metre"), (name, "meters"), (name, "metres"))
-}  # fmt: skip
+    for prefix, metre in (
+        (symbol, "m"),
+        (name, "meter"),
+        (name, "metre"),
+        (name, "meters"),
+        (name, "metres"),
+    )
+}
 
 OVERRIDE = "--override-size"
 POSSIBLE_UM = (1e-4, 1000.0)  # of any pixel; outside of it there is no instrument
@@ -38,7 +58,8 @@ class Stated(NamedTuple):
     """Size as one kind of metadata states it."""
 
     source: str  # for example "ImageJ metadata"
-    um: tuple[float | None, ...]  # one entry an axis, slowest axis first; None where the metadata are silent
+    # One entry an axis, slowest axis first; None where the metadata are silent.
+    um: tuple[float | None, ...]
     note: str = ""  # why, if there is something to say
 
 
@@ -52,7 +73,9 @@ class Asked(NamedTuple):
 
     def in_words(self, size: Sequence[float | None]) -> str:
         """Write a size with its axes, for example ``z 2, y 1.5, x 1.5 um``."""
-        axis_texts = [f"{axis} {um:.6g}" for axis, um in zip(self.axes, size, strict=True) if um is not None]
+        axis_texts = [
+            f"{axis} {um:.6g}" for axis, um in zip(self.axes, size, strict=True) if um is not None
+        ]
         return ", ".join(axis_texts) + " um"
 
     def statements(self, stated: Sequence[Stated]) -> str:
@@ -76,7 +99,10 @@ def unit_um(unit: str) -> float | None:
 
 
 def stated_in(
-    source: str, lengths: Sequence[float | None], units: Sequence[str], order: Sequence[int] = (0, 1, 2)
+    source: str,
+    lengths: Sequence[float | None],
+    units: Sequence[str],
+    order: Sequence[int] = (0, 1, 2),
 ) -> Stated:
     """Turn lengths with their units into um along the axes in `order`; what is no length is noted."""
     sizes: list[float | None] = []
@@ -128,46 +154,67 @@ def agreed_size(
         merged_size = _merge_stated(statements, file_name=file_name, asked=asked)
         size = tuple(um for um in merged_size if um is not None)
         if len(size) < len(merged_size):
-            missing_axes = and_join(axis for axis, um in zip(asked.axes, merged_size, strict=True) if um is None)
-            notes_text = "; ".join(f"{s.source}: {s.note}" for s in stated if s.note)
-            only_text = f" along {missing_axes}: {asked.statements(statements)} only" if statements else ""
-            raise SizeError(
-                f"{file_name} states no {asked.name} size{only_text}{f' ({notes_text})' if notes_text else ''}. Give "
-                f"it with {asked.option} SIZE (or {','.join(asked.axes).upper()}), in um."
+            missing_axes = and_join(
+                axis for axis, um in zip(asked.axes, merged_size, strict=True) if um is None
             )
-        _check_range(size, file_name=file_name, asked=asked, unusual=unusual, more_text=f", and add {OVERRIDE}")
+            notes_text = "; ".join(f"{s.source}: {s.note}" for s in stated if s.note)
+            only_text = (
+                f" along {missing_axes}: {asked.statements(statements)} only" if statements else ""
+            )
+            raise SizeError(
+                f"{file_name} states no {asked.name}"
+                f" size{only_text}{f' ({notes_text})' if notes_text else ''}. Give it with"
+                f" {asked.option} SIZE (or {','.join(asked.axes).upper()}), in um."
+            )
+        _check_range(
+            size,
+            file_name=file_name,
+            asked=asked,
+            unusual=unusual,
+            more_text=f", and add {OVERRIDE}",
+        )
         return size, sources
     size = size_per_axis(user_um, asked)
     contradictions = [
-        s for s in statements if any(v is not None and not agree(v, g) for v, g in zip(s.um, size, strict=True))
+        s
+        for s in statements
+        if any(v is not None and not agree(v, g) for v, g in zip(s.um, size, strict=True))
     ]
     if contradictions and not override:
         raise SizeError(
-            f"{file_name}: {asked.option} gives {asked.in_words(size)}, but {asked.statements(contradictions)}. "
-            f"Correct one of them, or add {OVERRIDE} to take the given size."
+            f"{file_name}: {asked.option} gives {asked.in_words(size)}, but"
+            f" {asked.statements(contradictions)}. Correct one of them, or add {OVERRIDE} to take"
+            " the given size."
         )
     _check_range(size, file_name=file_name, asked=asked, unusual=unusual)
     if contradictions:
         replaced_text = and_join(f"{s.source} ({asked.in_words(s.um)})" for s in contradictions)
         return size, f"given, in place of {replaced_text}"
     # A repeated run gives the very size that the metadata stated the first time; it still comes from there.
-    return size, sources if _merge_stated(statements, file_name=file_name, asked=asked) == size else "given"
+    return size, (
+        sources if _merge_stated(statements, file_name=file_name, asked=asked) == size else "given"
+    )
 
 
 def size_per_axis(size_um: float | Sequence[float], asked: Asked) -> tuple[float, ...]:
     """Spread a given size over the axes."""
     axis_sizes: Any = size_um.tolist() if isinstance(size_um, np.ndarray) else size_um
-    sizes: tuple[Any, ...] = tuple(axis_sizes) if isinstance(axis_sizes, (list, tuple)) else (axis_sizes,)
+    sizes: tuple[Any, ...] = (
+        tuple(axis_sizes) if isinstance(axis_sizes, (list, tuple)) else (axis_sizes,)
+    )
     if not all(not isinstance(v, bool) and isinstance(v, Real) and _number(v) for v in sizes):
         raise SizeError(f"{asked.option}: {size_um!r} is not a size. Give numbers above 0, in um.")
     if len(sizes) not in (1, len(asked.axes)):
         raise SizeError(
-            f"{asked.option} has {len(sizes)} values, it needs 1 or {len(asked.axes)} ({','.join(asked.axes)}), in um."
+            f"{asked.option} has {len(sizes)} values, it needs 1 or {len(asked.axes)}"
+            f" ({','.join(asked.axes)}), in um."
         )
     return tuple(float(v) for v in (sizes if len(sizes) > 1 else sizes * len(asked.axes)))
 
 
-def _merge_stated(statements: Sequence[Stated], *, file_name: str, asked: Asked) -> tuple[float | None, ...]:
+def _merge_stated(
+    statements: Sequence[Stated], *, file_name: str, asked: Asked
+) -> tuple[float | None, ...]:
     """Join what several kinds of metadata state; the first that states an axis gives its number."""
     sizes: list[float | None] = [None] * len(asked.axes)
     for statement in statements:
@@ -177,13 +224,15 @@ def _merge_stated(statements: Sequence[Stated], *, file_name: str, asked: Asked)
                 sizes[i] = stated_um
             elif stated_um is not None and not agree(size, stated_um):
                 raise SizeError(
-                    f"{file_name} contradicts itself: {asked.statements(statements)}. Give the right {asked.name} size "
-                    f"with {asked.option} and add {OVERRIDE}."
+                    f"{file_name} contradicts itself: {asked.statements(statements)}. Give the"
+                    f" right {asked.name} size with {asked.option} and add {OVERRIDE}."
                 )
     return tuple(sizes)
 
 
-def _check_range(size: Sequence[float], *, file_name: str, asked: Asked, unusual: bool, more_text: str = "") -> None:
+def _check_range(
+    size: Sequence[float], *, file_name: str, asked: Asked, unusual: bool, more_text: str = ""
+) -> None:
     """Ask about sizes that no image of paper has, and refuse those that no image has."""
     low, high = asked.usual_um
     for axis, um in zip(asked.axes, size, strict=True):
@@ -193,13 +242,18 @@ def _check_range(size: Sequence[float], *, file_name: str, asked: Asked, unusual
         guess_text = "The unit is probably wrong"
         for unit, factor in (("m", 1e6), ("mm", 1e3), ("nm", 1e-3)):
             if low <= um * factor <= high:
-                guess_text = f"It looks like {unit} given as um ({um:g} {unit} is {um * factor:g} um)"
+                guess_text = (
+                    f"It looks like {unit} given as um ({um:g} {unit} is {um * factor:g} um)"
+                )
         limits_text, meant_text = f"possible are {POSSIBLE_UM[0]:g} to 1000 um", ""
         if is_possible:
-            limits_text, meant_text = f"usual are {low:g} to {high:g} um", " If it is meant, add --unusual-size."
+            limits_text, meant_text = (
+                f"usual are {low:g} to {high:g} um",
+                " If it is meant, add --unusual-size.",
+            )
         raise SizeError(
-            f"{file_name}: the {asked.name} size along {axis} is {um:g} um, {limits_text}. {guess_text}. Give the "
-            f"right one with {asked.option}, in um{more_text}.{meant_text}"
+            f"{file_name}: the {asked.name} size along {axis} is {um:g} um, {limits_text}."
+            f" {guess_text}. Give the right one with {asked.option}, in um{more_text}.{meant_text}"
         )
 
 
@@ -212,22 +266,35 @@ def stated_by_tiff(tif: TiffFile, page: TiffPage, path: Path) -> tuple[Stated, .
         stated: list[Stated] = []
         if ome is not None:  # the first image; the unit is um where none is written, as OME has it
             if "<!ENTITY" in ome or "<!DOCTYPE" in ome:
-                raise FileError(f"{path.name}: its OME metadata define entities, as OME never does. Export it again.")
+                raise FileError(
+                    f"{path.name}: its OME metadata define entities, as OME never does. Export it"
+                    " again."
+                )
             elements = ElementTree.fromstring(ome).iter()
-            attributes = next((e.attrib for e in elements if e.tag.rpartition("}")[2] == "Pixels"), dict[str, str]())
+            attributes = next(
+                (e.attrib for e in elements if e.tag.rpartition("}")[2] == "Pixels"),
+                dict[str, str](),
+            )
             sizes = [_number(attributes.get(f"PhysicalSize{axis}")) for axis in "ZYX"]
             units = [attributes.get(f"PhysicalSize{axis}Unit", "um") for axis in "ZYX"]
             stated = [stated_in("OME metadata", sizes, units)]
         if imagej is not None and str(imagej.get("unit", "")).strip():
             return (*stated, _stated_by_imagej(imagej, density))
         code: Any = page.tags.valueof(296)  # The resolution tags, with their unit, never state z.
-        return (*stated, stated_density("the TIFF resolution", density, {2: "inch", 3: "cm"}.get(code, "")))
+        return (
+            *stated,
+            stated_density("the TIFF resolution", density, {2: "inch", 3: "cm"}.get(code, "")),
+        )
 
 
 def stated_density(source: str, density: Sequence[float | None], unit: str) -> Stated:
     """Size along z, y, x by pixels per unit of length along y, x."""
     sizes_um = [from_density(per_unit, unit) for per_unit in density]
-    return Stated(source, (None, *sizes_um), "missing, or a default such as 72 dpi" if None in sizes_um else "")
+    return Stated(
+        source,
+        (None, *sizes_um),
+        "missing, or a default such as 72 dpi" if None in sizes_um else "",
+    )
 
 
 def _stated_by_imagej(meta: Mapping[str, Any], density: Sequence[float | None]) -> Stated:
@@ -242,9 +309,15 @@ def _stated_by_imagej(meta: Mapping[str, Any], density: Sequence[float | None]) 
         if axis_unit.strip().casefold() in {"inch", "in", "inches", "cm"}:
             sizes_um.append(from_density(per_unit, axis_unit))
         else:
-            sizes_um.append(None if per_unit is None or unit_length is None else unit_length / per_unit)
+            sizes_um.append(
+                None if per_unit is None or unit_length is None else unit_length / per_unit
+            )
     z = stated_in("", [_number(meta.get("spacing"))], [unit_z], (0,)).um[0]
-    note = "" if z is not None else "it has no slice spacing (ImageJ leaves out a spacing of exactly 1)"
+    note = (
+        ""
+        if z is not None
+        else "it has no slice spacing (ImageJ leaves out a spacing of exactly 1)"
+    )
     return Stated("ImageJ metadata", (z, *sizes_um), note)
 
 

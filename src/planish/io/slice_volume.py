@@ -38,16 +38,35 @@ ELSEWHERE = "or move the log elsewhere and give --voxel-um."
 DETAIL_KEYS = {  # Keys of a log that describe how the volume was made.
     "system": ("Scanner", "Software version", "Software", "Source Type", "Camera"),
     "acquisition": (
-        "Source Voltage (kV)", "Source Current (uA)", "Filter", "Exposure (ms)", "Rotation Step (deg)",
-        "Frame Averaging", "Use 360 Rotation", "Image Pixel Size (um)", "Study Date and Time",
+        "Source Voltage (kV)",
+        "Source Current (uA)",
+        "Filter",
+        "Exposure (ms)",
+        "Rotation Step (deg)",
+        "Frame Averaging",
+        "Use 360 Rotation",
+        "Image Pixel Size (um)",
+        "Study Date and Time",
     ),
     "reconstruction": (
-        "Program Version", "Ring Artifact Correction", "Beam Hardening Correction (%)", "Smoothing", "Postalignment",
-        "Reconstruction from ROI", "ROI Top (pixels)", "ROI Bottom (pixels)", "ROI Left (pixels)", "ROI Right (pixels)",
-        "ROI reference length", "Undersampling factor", "HU Calibration", "Result File Type",
-        "Minimum for CS to Image Conversion", "Maximum for CS to Image Conversion",
+        "Program Version",
+        "Ring Artifact Correction",
+        "Beam Hardening Correction (%)",
+        "Smoothing",
+        "Postalignment",
+        "Reconstruction from ROI",
+        "ROI Top (pixels)",
+        "ROI Bottom (pixels)",
+        "ROI Left (pixels)",
+        "ROI Right (pixels)",
+        "ROI reference length",
+        "Undersampling factor",
+        "HU Calibration",
+        "Result File Type",
+        "Minimum for CS to Image Conversion",
+        "Maximum for CS to Image Conversion",
     ),
-}  # fmt: skip
+}
 
 
 def list_slices(folder: Path) -> list[Path]:
@@ -56,14 +75,20 @@ def list_slices(folder: Path) -> list[Path]:
         raise FileError(f"{folder.name} is not a folder. Check the name.")
     files = sorted(p for p in folder.iterdir() if is_slice_name(p.name) and p.is_file())
     if not files:
-        raise FileError(f"{folder.name} holds no slices: TIFF, PNG, BMP or JPEG files with numbers in their names.")
+        raise FileError(
+            f"{folder.name} holds no slices: TIFF, PNG, BMP or JPEG files with numbers in their"
+            " names."
+        )
     # A preview, a second scan: names that differ in more than numbers.
     patterns = [re.sub(r"\d+", "#", p.stem) + p.suffix.lower() for p in files]
     (main_pattern, n_main), *_ = Counter(patterns).most_common(1)
-    if odd_files := [p for p, pattern in zip(files, patterns, strict=True) if pattern != main_pattern]:
+    if odd_files := [
+        p for p, pattern in zip(files, patterns, strict=True) if pattern != main_pattern
+    ]:
         raise VolumeError(
-            f"{folder.name} holds {n_main} images named like {files[patterns.index(main_pattern)].name}, and "
-            f"{len(odd_files)} named otherwise, first {odd_files[0].name}. Leave only the slices of one volume there."
+            f"{folder.name} holds {n_main} images named like"
+            f" {files[patterns.index(main_pattern)].name}, and {len(odd_files)} named otherwise,"
+            f" first {odd_files[0].name}. Leave only the slices of one volume there."
         )
     _check_several(files)
     numbers = slice_numbers(files, folder)
@@ -82,8 +107,8 @@ def slice_numbers(files: list[Path], folder: Path) -> list[int]:
     changing_columns = [[*column] for column in number_columns if len({*column}) > 1]
     if len(changing_columns) != 1:
         raise VolumeError(
-            f"{folder.name}: {len(changing_columns)} numbers change from {files[0].name} to {files[-1].name}. Rename "
-            "the slices with one running number."
+            f"{folder.name}: {len(changing_columns)} numbers change from {files[0].name} to"
+            f" {files[-1].name}. Rename the slices with one running number."
         )
     return changing_columns[0]
 
@@ -93,20 +118,24 @@ def check_no_gap(numbers: list[int], folder: Path) -> None:
     sorted_numbers = sorted(numbers)
     if repeated_numbers := sorted(n for n, times in Counter(sorted_numbers).items() if times > 1):
         raise VolumeError(
-            f"{folder.name} has more than one slice with the number {first_few(repeated_numbers)}. Remove copies."
+            f"{folder.name} has more than one slice with the number {first_few(repeated_numbers)}."
+            " Remove copies."
         )
     expected_numbers = range(sorted_numbers[0], sorted_numbers[-1] + 1, slice_step(sorted_numbers))
     if n_missing := len(expected_numbers) - len(sorted_numbers):
         missing_text = _first_missing(expected_numbers, sorted_numbers)
         raise VolumeError(
-            f"{folder.name} has {len(numbers)} slices from {sorted_numbers[0]} to {sorted_numbers[-1]}, {n_missing} "
-            f"missing: {missing_text}. Add them, or move the slices before or after the gap elsewhere."
+            f"{folder.name} has {len(numbers)} slices from {sorted_numbers[0]} to"
+            f" {sorted_numbers[-1]}, {n_missing} missing: {missing_text}. Add them, or move the"
+            " slices before or after the gap elsewhere."
         )
 
 
 def _first_missing(expected_numbers: range, numbers: list[int]) -> str:
     present_numbers = set(numbers)
-    return first_few(list(islice((n for n in expected_numbers if n not in present_numbers), MOST_NAMES + 1)))
+    return first_few(
+        list(islice((n for n in expected_numbers if n not in present_numbers), MOST_NAMES + 1))
+    )
 
 
 def slice_step(numbers: list[int]) -> int:
@@ -139,48 +168,74 @@ def read_scan(folder: Path) -> Scan | None:
     logs = sorted(p for p in folder.iterdir() if p.name.casefold().endswith("_rec.log"))
     if len(logs) > 1:
         names = ", ".join(p.name for p in logs)
-        raise VolumeError(f"{folder.name} holds {len(logs)} NRecon logs: {names}. Keep the one of this scan.")
+        raise VolumeError(
+            f"{folder.name} holds {len(logs)} NRecon logs: {names}. Keep the one of this scan."
+        )
     sections = _log_sections(logs[0]) if logs else {}
     keys = sections.get("reconstruction")
     if keys is None:
         return None
     log = logs[0]
-    size, step = _number(keys.get("pixel size (um)")), _count(keys.get("section to section step", "1"))
+    size, step = (
+        _number(keys.get("pixel size (um)")),
+        _count(keys.get("section to section step", "1")),
+    )
     if not size or size < 0 or not step:
         raise SizeError(
-            f"{log.name} has no number for '{'Section to Section Step' if size else 'Pixel Size (um)'}' under "
-            "[Reconstruction]. Give the size with --voxel-um SIZE, in um, and move the log elsewhere."
+            f"{log.name} has no number for"
+            f" '{'Section to Section Step' if size else 'Pixel Size (um)'}' under [Reconstruction]."
+            " Give the size with --voxel-um SIZE, in um, and move the log elsewhere."
         )
-    count, first, last = (_count(keys.get(k)) for k in ("sections count", "first section", "last section"))
-    if count is not None and first is not None and last is not None and count != (last - first) / step + 1:
+    count, first, last = (
+        _count(keys.get(k)) for k in ("sections count", "first section", "last section")
+    )
+    if (
+        count is not None
+        and first is not None
+        and last is not None
+        and count != (last - first) / step + 1
+    ):
         raise VolumeError(
-            f"{log.name} contradicts itself: {count} sections, but from {first} to {last} in steps of {step}. "
-            "Correct the log, or move it elsewhere and give --voxel-um."
+            f"{log.name} contradicts itself: {count} sections, but from {first} to {last} in steps"
+            f" of {step}. Correct the log, or move it elsewhere and give --voxel-um."
         )
-    rows, columns = (_count(keys.get(f"result image {side} (pixels)")) for side in ("height", "width"))
-    low, high = (_number(keys.get(f"{end} for cs to image conversion")) for end in ("minimum", "maximum"))
+    rows, columns = (
+        _count(keys.get(f"result image {side} (pixels)")) for side in ("height", "width")
+    )
+    low, high = (
+        _number(keys.get(f"{end} for cs to image conversion")) for end in ("minimum", "maximum")
+    )
     details: dict[str, str] = {}
     for section, names in DETAIL_KEYS.items():
         settings = sections.get(section, {})
-        details |= {name: settings[name.casefold()] for name in names if name.casefold() in settings}
+        details |= {
+            name: settings[name.casefold()] for name in names if name.casefold() in settings
+        }
     return Scan(
-        log=log, stated=Stated("NRecon log", (size * step, size, size)),
-        prefix=sections.get("file name convention", {}).get("filename prefix") or None, count=count,
-        numbers=None if first is None or last is None else range(first, last + 1, step), extent=(rows, columns),
-        window=None if low is None or high is None or low >= high else (low, high), details=details,
-    )  # fmt: skip
+        log=log,
+        stated=Stated("NRecon log", (size * step, size, size)),
+        prefix=sections.get("file name convention", {}).get("filename prefix") or None,
+        count=count,
+        numbers=None if first is None or last is None else range(first, last + 1, step),
+        extent=(rows, columns),
+        window=None if low is None or high is None or low >= high else (low, high),
+        details=details,
+    )
 
 
 def _log_sections(path: Path) -> dict[str, dict[str, str]]:
     """Sections and keys of a log, case-folded; the first of keys that occur twice in a section counts."""
     with reading(path):
         if path.stat().st_size > 10_000_000:
-            raise FileError(f"{path.name} is larger than 10 MB and no log of NRecon. Move it elsewhere.")
+            raise FileError(
+                f"{path.name} is larger than 10 MB and no log of NRecon. Move it elsewhere."
+            )
         raw_bytes = path.read_bytes()
     try:
         text = raw_bytes.decode("utf-8-sig")
     except UnicodeDecodeError:
-        text = raw_bytes.decode("cp1252", errors="replace")  # names of people and folders, never numbers
+        # Names of people and folders, never numbers.
+        text = raw_bytes.decode("cp1252", errors="replace")
     sections: dict[str, dict[str, str]] = {}
     section: dict[str, str] = {}
     for line in map(str.strip, text.splitlines()):
@@ -197,25 +252,30 @@ def named_slices(scan: Scan, folder: Path) -> list[Path]:
     prefix, numbered_files = scan.prefix or "", list[tuple[int, Path]]()
     for path in folder.iterdir():
         digits = path.stem[len(prefix) :]
-        if path.stem.casefold().startswith(prefix.casefold()) and digits.isdecimal() and is_slice_name(path.name):
+        if (
+            path.stem.casefold().startswith(prefix.casefold())
+            and digits.isdecimal()
+            and is_slice_name(path.name)
+        ):
             numbered_files.append((int(digits), path))
     numbered_files.sort()
     if not numbered_files:
         raise VolumeError(
-            f"{folder.name} holds no slice named {prefix} and a number, as {scan.log.name} states. Rename the slices, "
-            f"{ELSEWHERE}"
+            f"{folder.name} holds no slice named {prefix} and a number, as {scan.log.name} states."
+            f" Rename the slices, {ELSEWHERE}"
         )
     numbers = [number for number, _ in numbered_files]
     if scan.numbers is not None:
         expected_numbers = scan.numbers
         if missing_text := _first_missing(expected_numbers, numbers):
             raise VolumeError(
-                f"{scan.log.name} states {len(expected_numbers)} sections, {folder.name} holds {len(numbers)}. "
-                f"Missing: {missing_text}. Add them, {ELSEWHERE}"
+                f"{scan.log.name} states {len(expected_numbers)} sections, {folder.name} holds"
+                f" {len(numbers)}. Missing: {missing_text}. Add them, {ELSEWHERE}"
             )
         if odd := [n for n in numbers if n not in expected_numbers]:
             raise VolumeError(
-                f"{folder.name} holds slices that {scan.log.name} does not name: {first_few(odd)}. Move them elsewhere."
+                f"{folder.name} holds slices that {scan.log.name} does not name: {first_few(odd)}."
+                " Move them elsewhere."
             )
     if len(numbers) > 1 and scan.count in (None, len(numbers)):
         check_no_gap(numbers, folder)
@@ -227,7 +287,9 @@ _number = partial(finite, decimal_comma=True)
 
 def _count(text: str | None) -> int | None:
     number = _number(text)
-    return int(number) if number is not None and 0 <= number < 1e9 and number == int(number) else None
+    return (
+        int(number) if number is not None and 0 <= number < 1e9 and number == int(number) else None
+    )
 
 
 def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
@@ -238,23 +300,30 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
     attrs: dict[str, Any] = colour_attrs(channel, place.path, in_colour=first.in_colour)
     stated = first.stated
     if scan is not None:
-        if any(wanted not in (None, n) for wanted, n in zip(scan.extent, values.shape[1:], strict=True)):
+        if any(
+            wanted not in (None, n) for wanted, n in zip(scan.extent, values.shape[1:], strict=True)
+        ):
             raise VolumeError(
-                f"{files[0].name} is {size_words(values.shape[1:])} pixels, {scan.log.name} states {scan.extent[0]} "
-                f"x {scan.extent[1]}. If the slices were cropped, move the log elsewhere and give --voxel-um."
+                f"{files[0].name} is {size_words(values.shape[1:])} pixels, {scan.log.name} states"
+                f" {scan.extent[0]} x {scan.extent[1]}. If the slices were cropped, move the log"
+                " elsewhere and give --voxel-um."
             )
-        attrs |= {"nrecon": scan.details} | ({} if scan.window is None else {"attenuation_window": list(scan.window)})
+        attrs |= {"nrecon": scan.details} | (
+            {} if scan.window is None else {"attenuation_window": list(scan.window)}
+        )
         stated = (scan.stated, *stated)
     return LoadedVolume(values=values, stated=stated, files=files, bits=first.bits, attrs=attrs)
 
 
 def slice_files(folder: Path, scan: Scan | None) -> list[Path]:
     """Slices of a folder in their order, as the log names them or in the order of their numbers."""
-    files = list_slices(folder) if scan is None or scan.prefix is None else named_slices(scan, folder)
+    files = (
+        list_slices(folder) if scan is None or scan.prefix is None else named_slices(scan, folder)
+    )
     if scan is not None and scan.count not in (None, len(files)):
         raise VolumeError(
-            f"{scan.log.name} states {scan.count} sections, {folder.name} holds {len(files)}. Add the others, "
-            f"{ELSEWHERE}"
+            f"{scan.log.name} states {scan.count} sections, {folder.name} holds {len(files)}. Add"
+            f" the others, {ELSEWHERE}"
         )
     _check_several(files)
     return files
@@ -262,7 +331,9 @@ def slice_files(folder: Path, scan: Scan | None) -> list[Path]:
 
 def _check_several(files: list[Path]) -> None:
     if len(files) < 2:
-        raise VolumeError(f"{files[0].parent.name} holds one slice only, {files[0].name}. Give all of the volume.")
+        raise VolumeError(
+            f"{files[0].parent.name} holds one slice only, {files[0].name}. Give all of the volume."
+        )
 
 
 def load_pictures(
@@ -292,17 +363,28 @@ def load_pictures(
         map_threads(read, range(1, len(files)))
         return values, first
     # Threads decode photographs while others are compared.
-    check_memory(folder, needed_bytes=4 * first.values.nbytes if photographs else 2 * grey.nbytes, limit_bytes=limit)
+    check_memory(
+        folder,
+        needed_bytes=4 * first.values.nbytes if photographs else 2 * grey.nbytes,
+        limit_bytes=limit,
+    )
     planes: list[tuple[Path, int]] = []
     for file in files:
         file_key, file_dtype, offset = _slice_header(file)
         if file_key != first_key:
-            _check_same(load_picture(file, memory_bytes=limit), first, file=file, first_file=files[0])
+            _check_same(
+                load_picture(file, memory_bytes=limit), first, file=file, first_file=files[0]
+            )
         if offset is not None and file_dtype == stored_dtype and first.values.ndim == 2:
             planes.append((file, offset))
     if len(planes) == len(files):
         return widened(StoredArray(planes, shape, stored_dtype)), first
-    return PagedArray(folder, shape, dtype, shape[1], partial(_slice_rows, files, channel, grey.shape)), first
+    return (
+        PagedArray(
+            folder, shape, dtype, shape[1], partial(_slice_rows, files, channel, grey.shape)
+        ),
+        first,
+    )
 
 
 def _slice_rows(
@@ -312,8 +394,8 @@ def _slice_rows(
     grey = _grey_values(load_picture(file), file, channel)
     if grey.shape != shape:
         raise VolumeError(
-            f"{file.name} is {size_words(grey.shape)} pixels, {size_words(shape)} when the folder was opened. Leave "
-            "the slices alone while planish reads them."
+            f"{file.name} is {size_words(grey.shape)} pixels, {size_words(shape)} when the folder"
+            " was opened. Leave the slices alone while planish reads them."
         )
     return grey[start:stop]
 
@@ -324,7 +406,11 @@ def _slice_header(file: Path) -> tuple[tuple[Any, ...], np.dtype[Any], int | Non
     if format_name != "tiff":
         with reading(file), file.open("rb") as stream:
             image = PLUGINS[format_name](stream)
-            return (format_name, image.size, image.mode, image.info.get("dpi")), np.dtype(np.uint8), None
+            return (
+                (format_name, image.size, image.mode, image.info.get("dpi")),
+                np.dtype(np.uint8),
+                None,
+            )
     with open_series(file, error=FileError, advice=ADVICE) as (tif, series), reading(file):
         page = series.keyframe
         resolution = tuple(page.tags.valueof(code) for code in (282, 283, 296))
@@ -344,26 +430,33 @@ def _grey_values(picture: DecodedPicture, file: Path, channel: str | None) -> ND
     if picture.colour == "rgb":
         return grey_of(picture.values, channel=channel)
     raise VolumeError(
-        f"{file.name} is neither grey nor red, green and blue: {size_words(picture.values.shape[:2])} pixels with "
-        f"{picture.values.shape[2]} samples. Export all pictures in grey."
+        f"{file.name} is neither grey nor red, green and blue:"
+        f" {size_words(picture.values.shape[:2])} pixels with {picture.values.shape[2]} samples."
+        " Export all pictures in grey."
     )
 
 
-def _check_same(picture: DecodedPicture, first: DecodedPicture, *, file: Path, first_file: Path) -> None:
+def _check_same(
+    picture: DecodedPicture, first: DecodedPicture, *, file: Path, first_file: Path
+) -> None:
     check_type(picture.values.dtype, file)
     facts = [
-        (p.colour, f"{size_words(p.values.shape[:2])} pixels", f"{p.values.dtype} values") for p in (picture, first)
+        (p.colour, f"{size_words(p.values.shape[:2])} pixels", f"{p.values.dtype} values")
+        for p in (picture, first)
     ]
-    for verb, feature, a, b in zip(("is", "is", "has"), ("colour", "size", "type"), *facts, strict=True):
+    for verb, feature, a, b in zip(
+        ("is", "is", "has"), ("colour", "size", "type"), *facts, strict=True
+    ):
         if a != b:
             raise VolumeError(
-                f"{file.name} {verb} {a}, {first_file.name} {verb} {b}. All slices need the same {feature}: export "
-                "them again or remove the odd one."
+                f"{file.name} {verb} {a}, {first_file.name} {verb} {b}. All slices need the same"
+                f" {feature}: export them again or remove the odd one."
             )
     for stated, first_stated in zip(picture.stated, first.stated, strict=False):
         for a, b in zip(stated.um, first_stated.um, strict=True):
             if a is not None and b is not None and not agree(a, b):
                 raise SizeError(
-                    f"{file.name} states a pixel size of {a:g} um, {first_file.name} one of {b:g} um. All slices need "
-                    "the same: remove the wrong slices or their resolution tags."
+                    f"{file.name} states a pixel size of {a:g} um, {first_file.name} one of {b:g}"
+                    " um. All slices need the same: remove the wrong slices or their resolution"
+                    " tags."
                 )

@@ -34,7 +34,8 @@ CHUNK = (64, 96, 96)
 SHARD = (64, 384, 384)  # voxels that lie in one file
 _SOURCE = "source.json"
 _LOCK = "lock"
-_SMALLEST, _LEAST_DEPTH = 256, 16  # voxels along the longest and the shortest axis of the last level
+# Voxels along the longest and the shortest axis of the last level.
+_SMALLEST, _LEAST_DEPTH = 256, 16
 Array = zarr.Array[Any]
 _OPENING = threading.Lock()  # what zarr is set to holds for all threads
 Progress = Callable[[str, int, int], None]
@@ -81,25 +82,34 @@ def write_store(
         claim_folder(partial, _SOURCE, json.dumps(source), for_what=path)
         source_file = partial / _SOURCE  # of what an import that stopped has read
         try:
-            noted_source = None if is_link(source_file) else json.loads(source_file.read_text(encoding="utf-8"))
+            noted_source = (
+                None
+                if is_link(source_file)
+                else json.loads(source_file.read_text(encoding="utf-8"))
+            )
         except (OSError, ValueError):
             noted_source = None
-        if not isinstance(noted_source, dict) or not source.keys() - {"corrections"} <= noted_source.keys():
+        if (
+            not isinstance(noted_source, dict)
+            or not source.keys() - {"corrections"} <= noted_source.keys()
+        ):
             raise InputError(
-                f"{partial} is in the way and no import that stopped. Move that folder away, or give another name with "
-                "--out."
+                f"{partial} is in the way and no import that stopped. Move that folder away, or"
+                " give another name with --out."
             )
         if noted_source != json.loads(json.dumps(source)):
             raise InputError(
-                f"An import of another volume stopped half-way at {partial}. Remove that folder, or give another name "
-                "with --out."
+                f"An import of another volume stopped half-way at {partial}. Remove that folder, or"
+                " give another name with --out."
             )
         lock = acquire_lock(partial / _LOCK, path)
         try:
             levels = _make_levels(partial, volume, ome)
             shard_lists = ShardLists(partial, ome)
             with limit_threads(threads):
-                _write_finest_levels(volume, levels, shard_lists, memory_bytes, executor, workers, progress)
+                _write_finest_levels(
+                    volume, levels, shard_lists, memory_bytes, executor, workers, progress
+                )
                 for fine, coarse in pairwise(levels[1:]):
                     _write_coarser_level(fine, coarse, shard_lists)
             shard_lists.settle()
@@ -127,7 +137,9 @@ def _write_finest_levels(
     block_shape, n_parallel = _plan_blocks(levels[0], memory_bytes, max_blocks)
     blocks = list(_blocks(levels[0].shape, block_shape))
     pending_blocks = [
-        where for where in blocks if not all(shard_lists.has(*level_part) for level_part in _parts(levels, where))
+        where
+        for where in blocks
+        if not all(shard_lists.has(*level_part) for level_part in _parts(levels, where))
     ]
     futures: set[Future[list[dict[str, str]]]] = set()
 
@@ -150,18 +162,26 @@ def _write_finest_levels(
         try:
             while pending_blocks:
                 where = pending_blocks.pop(0)
-                shard_names = [shard_lists.names(*level_part) for level_part in _parts(levels, where)]
-                futures.add(pool.submit(_write_block, volume, where, shard_lists.folder, shard_names))
+                shard_names = [
+                    shard_lists.names(*level_part) for level_part in _parts(levels, where)
+                ]
+                futures.add(
+                    pool.submit(_write_block, volume, where, shard_lists.folder, shard_names)
+                )
                 if len(futures) == n_parallel:
                     finish(FIRST_COMPLETED)
         finally:
             finish(ALL_COMPLETED)
 
 
-def _plan_blocks(level: Array, memory_bytes: int, max_blocks: int) -> tuple[tuple[int, int, int], int]:
+def _plan_blocks(
+    level: Array, memory_bytes: int, max_blocks: int
+) -> tuple[tuple[int, int, int], int]:
     """Size the blocks as the memory allows, whole shards on two levels, and say how many are worked on at once."""
     shape = level.shape
-    unit_shape = [min(2 * s, -(-n // s) * s) for s, n in zip(level.shards or level.chunks, shape, strict=True)]
+    unit_shape = [
+        min(2 * s, -(-n // s) * s) for s, n in zip(level.shards or level.chunks, shape, strict=True)
+    ]
     # A block and its means, and what is compressed of it.
     block_bytes = 1.6 * level.dtype.itemsize * math.prod(map(min, unit_shape, shape))
     n_parallel = max(min(int(memory_bytes / block_bytes), max_blocks), 1)
@@ -169,8 +189,9 @@ def _plan_blocks(level: Array, memory_bytes: int, max_blocks: int) -> tuple[tupl
     if block_ratio < 1:
         needed_gb = enough_gb(bytes_to_hold(block_bytes) + PROGRAM_BYTES)
         raise ResourceError(
-            f"The import needs {block_bytes / 1e6:.0f} MB for a block of shards, {memory_bytes / 1e6:.0f} MB are "
-            f"allowed for it. Allow more: --memory {needed_gb}GB will do."
+            f"The import needs {block_bytes / 1e6:.0f} MB for a block of shards,"
+            f" {memory_bytes / 1e6:.0f} MB are allowed for it. Allow more: --memory {needed_gb}GB"
+            " will do."
         )
     n_across = min(int(block_ratio), -(-shape[2] // unit_shape[2]))
     n_down = min(max(int(block_ratio / n_across), 1), -(-shape[1] // unit_shape[1]))
@@ -182,14 +203,20 @@ def _parts(levels: list[Array], where: Where) -> list[tuple[Array, Where]]:
     return [(level, _halved(where, k)) for k, level in enumerate(levels[:2])]
 
 
-def _write_block(volume: xr.DataArray, where: Where, folder: Path, names: list[list[str]]) -> list[dict[str, str]]:
+def _write_block(
+    volume: xr.DataArray, where: Where, folder: Path, names: list[list[str]]
+) -> list[dict[str, str]]:
     """Write a block of the volume and its means; return the checksums of the shards, level by level."""
     values = np.ascontiguousarray(volume.isel(dict(zip("zyx", where, strict=True))).values)
     checksums: list[dict[str, str]] = []
     for k, shard_names in enumerate(names):
         if k > 0:
             values = halve(values)
-        checksums.append(_write_shards(_level(folder, k), _halved(where, k), values, folder / str(k), shard_names))
+        checksums.append(
+            _write_shards(
+                _level(folder, k), _halved(where, k), values, folder / str(k), shard_names
+            )
+        )
     return checksums
 
 
@@ -198,10 +225,14 @@ def _write_coarser_level(fine: Array, coarse: Array, shards: ShardLists) -> None
         if not shards.has(coarse, where):
             values = halve(np.asarray(fine[tuple(slice(2 * w.start, 2 * w.stop) for w in where)]))
             folder = shards.folder / coarse.basename
-            shards.add(coarse, _write_shards(coarse, where, values, folder, shards.names(coarse, where)))
+            shards.add(
+                coarse, _write_shards(coarse, where, values, folder, shards.names(coarse, where))
+            )
 
 
-def _write_shards(level: Array, where: Where, values: NDArray[Any], folder: Path, names: list[str]) -> dict[str, str]:
+def _write_shards(
+    level: Array, where: Where, values: NDArray[Any], folder: Path, names: list[str]
+) -> dict[str, str]:
     level[where] = values
     checksums: dict[str, str] = {}
     for name in names:
@@ -221,7 +252,10 @@ def halve(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _blocks(shape: tuple[int, ...], block: tuple[int, ...]) -> Iterator[Where]:
-    z, y, x = ([slice(start, min(start + b, n)) for start in range(0, n, b)] for n, b in zip(shape, block, strict=True))
+    z, y, x = (
+        [slice(start, min(start + b, n)) for start in range(0, n, b)]
+        for n, b in zip(shape, block, strict=True)
+    )
     yield from ((a, b, c) for a in z for b in y for c in x)
 
 
@@ -238,26 +272,51 @@ def _make_levels(folder: Path, volume: xr.DataArray, ome: str) -> list[Array]:
     voxel_um = [float(v) for v in volume.attrs["voxel_um"]]
     first_um = [float(volume[axis].values[0]) for axis in "zyx"]
     source_name = str(volume.attrs.get("file_name", "volume"))
-    scales = multiscale(source_name, "zyx", voxel_um, first_um, len(shapes), kind="mean of 2 x 2 x 2")
+    scales = multiscale(
+        source_name, "zyx", voxel_um, first_um, len(shapes), kind="mean of 2 x 2 x 2"
+    )
     attributes: dict[str, Any] = {"ome": {"version": ome, "multiscales": [scales]}}
-    options: dict[str, Any] = {"compressors": ZstdCodec(level=1, checksum=True), "dimension_names": list("zyx")}
+    options: dict[str, Any] = {
+        "compressors": ZstdCodec(level=1, checksum=True),
+        "dimension_names": list("zyx"),
+    }
     if ome == "0.4":
         attributes = {"multiscales": [{"version": ome, **scales}]}
         options = {"chunk_key_encoding": {"name": "v2", "separator": "/"}}
-    attr_names = ("full_scale", "voxel_um_source", "stored_dtype", "channel", "sections", "corrections", "history")
-    noted_attrs = {key: volume.attrs[key] for key in attr_names if volume.attrs.get(key) is not None}
+    attr_names = (
+        "full_scale",
+        "voxel_um_source",
+        "stored_dtype",
+        "channel",
+        "sections",
+        "corrections",
+        "history",
+    )
+    noted_attrs = {
+        key: volume.attrs[key] for key in attr_names if volume.attrs.get(key) is not None
+    }
     group = zarr.open_group(folder, mode="a", zarr_format=3 if ome == "0.5" else 2)
     group.attrs.update(attributes | {"planish": {"source": source_name} | noted_attrs})
     for k, shape in enumerate(shapes):
         if ome == "0.5":
-            options["shards"] = tuple(min(s, -(-n // c) * c) for s, n, c in zip(SHARD, shape, CHUNK, strict=True))
+            options["shards"] = tuple(
+                min(s, -(-n // c) * c) for s, n, c in zip(SHARD, shape, CHUNK, strict=True)
+            )
         if str(k) not in group:
-            group.create_array(str(k), shape=shape, dtype=volume.dtype, chunks=CHUNK, fill_value=0, **options)
+            group.create_array(
+                str(k), shape=shape, dtype=volume.dtype, chunks=CHUNK, fill_value=0, **options
+            )
     return [_level(folder, k) for k in range(len(shapes))]
 
 
 def multiscale(
-    name: str, axes: str, pitch_um: Sequence[float], first_um: Sequence[float], n_levels: int, *, kind: str
+    name: str,
+    axes: str,
+    pitch_um: Sequence[float],
+    first_um: Sequence[float],
+    n_levels: int,
+    *,
+    kind: str,
 ) -> dict[str, Any]:
     """Describe an image of several levels, each half as fine, as OME-Zarr does; an axis c lies before those of space.
 
@@ -271,7 +330,9 @@ def multiscale(
         translation = {"type": "translation", "translation": [0.0] * n_channels + origin_um}
         datasets.append({"path": str(k), "coordinateTransformations": [scale, translation]})
     axis_entries = [{"name": "c", "type": "channel"}] * n_channels
-    axis_entries += [{"name": axis, "type": "space", "unit": "micrometer"} for axis in axes if axis != "c"]
+    axis_entries += [
+        {"name": axis, "type": "space", "unit": "micrometer"} for axis in axes if axis != "c"
+    ]
     return {"name": name, "axes": axis_entries, "datasets": datasets, "type": kind}
 
 
@@ -283,6 +344,11 @@ def _level(folder: Path, k: int) -> Array:
 
 def _identity(volume: xr.DataArray) -> dict[str, Any]:
     keys = ("file_name", "file_bytes", "voxel_um")
-    identity = {"shape": list(volume.shape), "dtype": str(volume.dtype), **{k: volume.attrs.get(k) for k in keys}}
+    identity = {
+        "shape": list(volume.shape),
+        "dtype": str(volume.dtype),
+        **{k: volume.attrs.get(k) for k in keys},
+    }
     corrections = volume.attrs.get("corrections")
-    return identity if corrections is None else identity | {"corrections": corrections}  # other options, other voxels
+    # Other options, other voxels.
+    return identity if corrections is None else identity | {"corrections": corrections}

@@ -20,21 +20,51 @@ from planish.io.guard import check_blown_up, check_memory, reading, size_of_file
 
 JPEG_COMPRESSIONS = frozenset({6, 7, 34892, 33007})
 LAYOUT_NUMBERS = (  # Attributes of a page on which the position and meaning of every pixel depend.
-    "imagewidth", "imagelength", "imagedepth", "tilewidth", "tilelength", "tiledepth", "rowsperstrip", "bitspersample",
-    "samplesperpixel", "sampleformat", "compression", "photometric", "planarconfig", "predictor", "fillorder",
-)  # fmt: skip
+    "imagewidth",
+    "imagelength",
+    "imagedepth",
+    "tilewidth",
+    "tilelength",
+    "tiledepth",
+    "rowsperstrip",
+    "bitspersample",
+    "samplesperpixel",
+    "sampleformat",
+    "compression",
+    "photometric",
+    "planarconfig",
+    "predictor",
+    "fillorder",
+)
 
 MOST_PAGES = 100_000  # no scan has more slices; a chain this long is damage
 TYPE_BYTES = {  # Bytes of one value, by TIFF type.
-    1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8,
-}  # fmt: skip
+    1: 1,
+    2: 1,
+    3: 2,
+    4: 4,
+    5: 8,
+    6: 1,
+    7: 1,
+    8: 2,
+    9: 4,
+    10: 8,
+    11: 4,
+    12: 8,
+    13: 4,
+    16: 8,
+    17: 8,
+    18: 8,
+}
 
 # Size, type, layout and position of the image data, and the description: what is read must be inside the file.
 NEEDED_TAGS = frozenset({256, 257, 258, 259, 262, 270, 273, 277, 278, 279, 322, 323, 324, 325, 339})
 
 
 @contextmanager
-def open_series(path: Path, *, error: type[InputError], advice: str) -> Generator[tuple[TiffFile, TiffPageSeries]]:
+def open_series(
+    path: Path, *, error: type[InputError], advice: str
+) -> Generator[tuple[TiffFile, TiffPageSeries]]:
     """Open a TIFF file and give its one series of equal pages, thumbnails left aside, with all data in the file."""
     n_pages = _count_pages(path)
     with reading(path):
@@ -49,17 +79,27 @@ def open_series(path: Path, *, error: type[InputError], advice: str) -> Generato
             if not full_series:
                 raise damaged(path, "it holds no image")
             series = first_series = full_series[0]
-            if len(full_series) > 1:  # slices may be written one by one, each as an image of its own
+            # Slices may be written one by one, each as an image of its own.
+            if len(full_series) > 1:
                 layouts = {(len(s.pages), s.ndim, s.keyframe.hash) for s in full_series}
                 if layouts != {(1, 2, first_series.keyframe.hash)}:
-                    odd_series = next((s for s in full_series[1:] if s.shape != first_series.shape), full_series[1])
+                    odd_series = next(
+                        (s for s in full_series[1:] if s.shape != first_series.shape),
+                        full_series[1],
+                    )
                     odd_page = next((page.index + 1 for page in odd_series if page is not None), 0)
                     raise error(
-                        f"{path.name} holds {len(full_series)} different images: {shape_words(first_series)} from page "
-                        f"1 on, {shape_words(odd_series)} at page {odd_page}. {advice}"
+                        f"{path.name} holds {len(full_series)} different images:"
+                        f" {shape_words(first_series)} from page 1 on, {shape_words(odd_series)} at"
+                        f" page {odd_page}. {advice}"
                     )
-                shape, slice_pages = (len(full_series), *first_series.shape), [s.pages[0] for s in full_series]
-                series = TiffPageSeries(slice_pages, shape, first_series.dtype, "IYX", kind="uniform")
+                shape, slice_pages = (
+                    (len(full_series), *first_series.shape),
+                    [s.pages[0] for s in full_series],
+                )
+                series = TiffPageSeries(
+                    slice_pages, shape, first_series.dtype, "IYX", kind="uniform"
+                )
             _check_data(series, path)
         yield tif, series
 
@@ -91,7 +131,9 @@ def _count_pages(path: Path) -> int:
                 raise damaged(path, f"it claims more than {MOST_PAGES} pages")
             offsets.add(offset)
             if not first_offset <= offset <= file_bytes - count.size:
-                raise damaged(path, f"{page_text} should begin at byte {offset}, the file has {file_bytes}")
+                raise damaged(
+                    path, f"{page_text} should begin at byte {offset}, the file has {file_bytes}"
+                )
             file.seek(offset)
             n_tags = count.unpack(file.read(count.size))[0]
             if not 0 < n_tags <= 4096:
@@ -110,7 +152,10 @@ def _count_pages(path: Path) -> int:
                 # Values that are short enough stand in the table itself.
                 value_offset = pointer.unpack_from(table, position + tag.size)[0]
                 if value_bytes > pointer.size and value_offset + value_bytes > file_bytes:
-                    raise damaged(path, f"tag {code} of {page_text} lies outside the file of {file_bytes} bytes")
+                    raise damaged(
+                        path,
+                        f"tag {code} of {page_text} lies outside the file of {file_bytes} bytes",
+                    )
             offset = pointer.unpack_from(table, n_tags * entry_bytes)[0]
     if not offsets:
         raise damaged(path, "it holds no page")
@@ -126,19 +171,33 @@ def _check_declared_images(tif: TiffFile, path: Path) -> None:
     """Compare the images declared with those there before they are listed: a cut file of ImageJ still has its table."""
     first, n_pages = tif.pages.first, len(tif.pages)
     for tag in re.findall(r"<(?:\w+:)?Pixels\b[^>]*>", tif.ome_metadata or ""):
-        sizes = {k: int(n) for k, n in re.findall(r"\bSize([ZCTYX])\s*=\s*[\"'](\d{1,18})[\"']", tag)}
+        sizes = {
+            k: int(n) for k, n in re.findall(r"\bSize([ZCTYX])\s*=\s*[\"'](\d{1,18})[\"']", tag)
+        }
         n_planes = math.prod(sizes.get(k, 1) for k in "ZCT")
         n_rows, n_columns = sizes.get("Y", 1), sizes.get("X", 1)
-        if n_planes > MOST_PAGES or n_rows > 10 * first.imagelength or n_columns > 10 * first.imagewidth:
+        if (
+            n_planes > MOST_PAGES
+            or n_rows > 10 * first.imagelength
+            or n_columns > 10 * first.imagewidth
+        ):
             declared = f"its OME metadata declare {size_words([*sizes.values()])} values"
-            raise damaged(path, f"{declared}, the file has {n_pages} pages of {size_words(first.shape)}")
+            raise damaged(
+                path, f"{declared}, the file has {n_pages} pages of {size_words(first.shape)}"
+            )
     meta: Any = tif.imagej_metadata
     n_images = meta.get("images", 1) if meta else 1
     if not isinstance(n_images, int) or n_images <= max(1, n_pages) or not first.dataoffsets:
         return
-    if first.dataoffsets[0] + n_images * first.nbytes > tif.filehandle.size or not first.is_contiguous:
+    if (
+        first.dataoffsets[0] + n_images * first.nbytes > tif.filehandle.size
+        or not first.is_contiguous
+    ):
         file_bytes = tif.filehandle.size
-        raise damaged(path, f"{n_images} images are declared, the file has {n_pages} pages and {file_bytes} bytes")
+        raise damaged(
+            path,
+            f"{n_images} images are declared, the file has {n_pages} pages and {file_bytes} bytes",
+        )
 
 
 def _check_data(series: TiffPageSeries, path: Path) -> None:
@@ -154,30 +213,42 @@ def _check_data(series: TiffPageSeries, path: Path) -> None:
     offset = series.dataoffset
     pages: list[TiffPage | TiffFrame | None] = [frame] if offset is not None else list(series)
     if offset is not None and offset + series.nbytes > file_bytes:
-        raise damaged(path, f"the image ends at byte {offset + series.nbytes}, the file has {file_bytes}")
+        raise damaged(
+            path, f"the image ends at byte {offset + series.nbytes}, the file has {file_bytes}"
+        )
     n_pixels = len(pages) * math.prod(frame.shape)
     if n_pixels != series.size and offset is None:
         raise damaged(path, f"{series.size} pixels are declared, its pages hold {n_pixels}")
     n_segments, needed_bytes, total_bytes = math.prod(frame.chunked), 0, 0
-    if frame.compression == 1 and not frame.is_subsampled:  # bytes that the strips of a page must have
-        n_samples, n_planes = (frame.samplesperpixel, 1) if frame.planarconfig == 1 else (1, frame.samplesperpixel)
+    # Bytes that the strips of a page must have.
+    if frame.compression == 1 and not frame.is_subsampled:
+        n_samples, n_planes = (
+            (frame.samplesperpixel, 1) if frame.planarconfig == 1 else (1, frame.samplesperpixel)
+        )
         row_bytes = math.ceil(frame.imagewidth * frame.bitspersample * n_samples / 8)
         needed_bytes = frame.imagelength * frame.imagedepth * n_planes * row_bytes
     for number, page in enumerate(pages, start=1):
         if page is None:
             raise FileError(
-                f"{path.name}: image {number} of {len(pages)} is declared but not in this file. Export all into one."
+                f"{path.name}: image {number} of {len(pages)} is declared but not in this file."
+                " Export all into one."
             )
         offsets, byte_counts = page.dataoffsets, page.databytecounts
         missing_text = f"data missing: page {number} has"
         if min(len(offsets), len(byte_counts)) < n_segments:
-            raise damaged(path, f"{missing_text} {min(len(offsets), len(byte_counts))} of {n_segments} strips or tiles")
+            raise damaged(
+                path,
+                f"{missing_text} {min(len(offsets), len(byte_counts))} of {n_segments} strips or"
+                " tiles",
+            )
         for start, byte_count in zip(offsets, byte_counts, strict=False):
             if start == 0 or byte_count == 0:
                 raise damaged(path, f"{missing_text} an empty strip or tile")
             if start < 8 or start + byte_count > file_bytes:
                 end_byte = start + byte_count
-                raise damaged(path, f"data of page {number} end at byte {end_byte}, the file has {file_bytes}")
+                raise damaged(
+                    path, f"data of page {number} end at byte {end_byte}, the file has {file_bytes}"
+                )
         if sum(byte_counts) < needed_bytes:
             raise damaged(path, f"{missing_text} {sum(byte_counts)} bytes of {needed_bytes}")
         total_bytes += sum(byte_counts)
@@ -203,11 +274,15 @@ def map_or_decode(series: TiffPageSeries, path: Path, *, memory_bytes: int | Non
 def mapped_from(series: TiffPageSeries) -> int | None:
     """Byte of the file from which the values lie there as they are; None where they have to be decoded."""
     is_turned = series.keyframe.photometric == PHOTOMETRIC.MINISWHITE
-    is_native = series.dtype.newbyteorder(series.keyframe.parent.byteorder) == series.dtype.newbyteorder("=")
+    is_native = series.dtype.newbyteorder(
+        series.keyframe.parent.byteorder
+    ) == series.dtype.newbyteorder("=")
     return series.dataoffset if is_native and not is_turned else None
 
 
-def turn_white(values: NDArray[Any], *, path: Path, bits: int, out: NDArray[Any] | None = None) -> NDArray[Any]:
+def turn_white(
+    values: NDArray[Any], *, path: Path, bits: int, out: NDArray[Any] | None = None
+) -> NDArray[Any]:
     """Make black zero."""
     if values.dtype.kind == "b":
         return np.logical_not(values, out=out)

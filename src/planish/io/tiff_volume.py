@@ -36,7 +36,8 @@ from planish.io.tiff import (
     turn_white,
 )
 
-SLICE_AXES = "ZIQ"  # letters for an axis of slices: declared as such, or pages without a declared meaning
+# Letters for an axis of slices: declared as such, or pages without a declared meaning.
+SLICE_AXES = "ZIQ"
 MEANINGS = {"C": "channels", "T": "time points", "S": "colour samples"}
 
 
@@ -45,14 +46,20 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
     path = place.path
     kind = kind_of(path)
     if kind != "tiff":
-        raise VolumeError(f"{path.name} is one {kind.upper()} picture. Give a TIFF stack or a folder of slices.")
+        raise VolumeError(
+            f"{path.name} is one {kind.upper()} picture. Give a TIFF stack or a folder of slices."
+        )
     with open_series(path, error=VolumeError, advice=ADVICE) as (tif, series):
         axes = _volume_axes(series, path)
         page = series.keyframe
         check_type(series.dtype, path)
         if page.photometric == PHOTOMETRIC.PALETTE and not tif.is_imagej:
             # A palette may only spread grey values over the range, in order.
-            palette = np.zeros((3, 2)) if page.colormap is None else np.asarray(page.colormap).astype(np.int64)
+            palette = (
+                np.zeros((3, 2))
+                if page.colormap is None
+                else np.asarray(page.colormap).astype(np.int64)
+            )
             if not (np.all(palette == palette[0]) and np.all(np.diff(palette[0]) > 0)):
                 raise VolumeError(f"{path.name} has a colour palette. {ADVICE}")
         change: Change | None = partial(grey_of, channel=channel) if "S" in axes else None
@@ -67,7 +74,9 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
         )
 
 
-def _series_values(series: TiffPageSeries, path: Path, axes: str, change: Change | None, limit_bytes: int) -> Values:
+def _series_values(
+    series: TiffPageSeries, path: Path, axes: str, change: Change | None, limit_bytes: int
+) -> Values:
     frame = series.keyframe
     shape = tuple(n for n, axis in zip(series.shape, series.axes, strict=True) if axis in axes)
     stored_dtype = series.dtype.newbyteorder(frame.parent.byteorder)
@@ -80,23 +89,37 @@ def _series_values(series: TiffPageSeries, path: Path, axes: str, change: Change
                 return mapped(path, shape, stored_dtype, offset=offset)
             array = stored_planes(path, shape, stored_dtype, offset=offset)
         # One page for each slice, and one plane in each page.
-        elif 1 in (frame.planarconfig, frame.samplesperpixel) and frame.imagedepth == 1 and len(pages) == shape[0]:
+        elif (
+            1 in (frame.planarconfig, frame.samplesperpixel)
+            and frame.imagedepth == 1
+            and len(pages) == shape[0]
+        ):
             if frame.is_final and all(map(_is_joined, pages)):
-                array = StoredArray([(path, page.dataoffsets[0]) for page in pages], shape, stored_dtype)
+                array = StoredArray(
+                    [(path, page.dataoffsets[0]) for page in pages], shape, stored_dtype
+                )
             elif not frame.is_subsampled:
                 array = TiffPages(path, series)
-    if array is None or (isinstance(array, TiffPages) and "S" not in axes and is_small(array, limit_bytes)):
+    if array is None or (
+        isinstance(array, TiffPages) and "S" not in axes and is_small(array, limit_bytes)
+    ):
         values = map_or_decode(series, path, memory_bytes=limit_bytes).reshape(shape)
         if change is None or "S" not in axes:
             return values
-        check_memory(path, needed_bytes=values.nbytes + math.prod(shape) // 3, limit_bytes=limit_bytes)
-        return np.stack([change(np.moveaxis(plane, 0, -1) if axes[1] == "S" else plane) for plane in values])
+        check_memory(
+            path, needed_bytes=values.nbytes + math.prod(shape) // 3, limit_bytes=limit_bytes
+        )
+        return np.stack(
+            [change(np.moveaxis(plane, 0, -1) if axes[1] == "S" else plane) for plane in values]
+        )
     axis_order = (0, 2, 3) if axes[1] == "S" else (0, 1, 2)
     return array if change is None else ViewArray(array, axis_order, change)
 
 
 def _is_joined(page: TiffPage | TiffFrame) -> bool:
-    segment_ends = (start + count for start, count in zip(page.dataoffsets, page.databytecounts, strict=False))
+    segment_ends = (
+        start + count for start, count in zip(page.dataoffsets, page.databytecounts, strict=False)
+    )
     return all(end == start for end, start in zip(segment_ends, page.dataoffsets[1:], strict=False))
 
 
@@ -107,18 +130,28 @@ def _volume_axes(series: TiffPageSeries, path: Path) -> str:
     grey_axes = axes.replace("S", "")
     # The samples of a pixel may be red, green and blue, with or without further ones.
     is_rgb = axes.find("S") in (1, 3) and axis_lengths["S"] in (3, 4) and has_rgb(series.keyframe)
-    if len(grey_axes) == 3 and grey_axes[0] in SLICE_AXES and grey_axes[1:] == "YX" and (axes == grey_axes or is_rgb):
+    if (
+        len(grey_axes) == 3
+        and grey_axes[0] in SLICE_AXES
+        and grey_axes[1:] == "YX"
+        and (axes == grey_axes or is_rgb)
+    ):
         return axes
     # ImageJ and tifffile file a stack of unnamed pages as channels; nothing has so many channels, so these are slices.
     if axes == "CYX" and axis_lengths["C"] >= 16:
         return axes
     if further_axes := {a: n for a, n in axis_lengths.items() if n > 1 and a in MEANINGS}:
         content_text = " and ".join(f"{n} {MEANINGS[a]}" for a, n in further_axes.items())
-        hint_text = "If these are the slices, say so in the file (ImageJ: Image > Properties). Otherwise: "
+        hint_text = (
+            "If these are the slices, say so in the file (ImageJ: Image > Properties). Otherwise: "
+        )
         hint_text = "" if "S" in further_axes or set(axes) & set(SLICE_AXES) else hint_text
         raise VolumeError(f"{path.name} has {content_text}: {shape}. {hint_text}{ADVICE}")
     if axes == "YX":
-        raise VolumeError(f"{path.name} has one page, not a stack: {shape}. Give all slices, in one file or folder.")
+        raise VolumeError(
+            f"{path.name} has one page, not a stack: {shape}. Give all slices, in one file or"
+            " folder."
+        )
     raise VolumeError(f"{path.name} is not a volume with the axes z, y, x: {shape}. {ADVICE}")
 
 
@@ -129,8 +162,13 @@ class TiffPages(PagedArray):
         key = series.keyframe
         pages = [page for page in series if page is not None]
         jpeg = key.compression in JPEG_COMPRESSIONS
-        tables = ({"jpegtables": page.jpegtables, "jpegheader": key.jpegheader} if jpeg else {} for page in pages)
-        self._segments = [(p.dataoffsets, p.databytecounts, t) for p, t in zip(pages, tables, strict=True)]
+        tables = (
+            {"jpegtables": page.jpegtables, "jpegheader": key.jpegheader} if jpeg else {}
+            for page in pages
+        )
+        self._segments = [
+            (p.dataoffsets, p.databytecounts, t) for p, t in zip(pages, tables, strict=True)
+        ]
         self._decode: Any = key.decode
         self._across = -(-key.imagewidth // key.tilewidth) if key.is_tiled else 1
         strip_rows = key.tilelength if key.is_tiled else min(key.rowsperstrip, key.imagelength)
@@ -152,7 +190,9 @@ class TiffPages(PagedArray):
                 data = file.read(byte_counts[index])
                 if len(data) < byte_counts[index]:
                     raise damaged(self.path, f"data of page {page + 1} are missing")
-                segment, (_, _, y, x, _), (_, height, width, _) = self._decode(data, index, _fullsize=False, **tables)
+                segment, (_, _, y, x, _), (_, height, width, _) = self._decode(
+                    data, index, _fullsize=False, **tables
+                )
                 if segment is None:
                     raise damaged(self.path, f"a strip or tile of page {page + 1} is empty")
                 height, width = min(height, stop - y), min(width, self.shape[2] - x)

@@ -62,26 +62,45 @@ def read_topography(
             grid_shape = tuple(int(n) for n in channel.nb_grid_pts)
         if len(grid_shape) != 2:
             raise FileError(
-                f"{path.name} holds a profile of {size_words(grid_shape)} points, not a map. Give a map of heights."
+                f"{path.name} holds a profile of {size_words(grid_shape)} points, not a map. Give a"
+                " map of heights."
             )
-        check_memory(path, needed_bytes=3 * 8 * grid_shape[0] * grid_shape[1], limit_bytes=memory_bytes)
+        check_memory(
+            path, needed_bytes=3 * 8 * grid_shape[0] * grid_shape[1], limit_bytes=memory_bytes
+        )
         unit_length = unit_um(str(channel.unit or ""))
         if unit_length is None:
-            fault_text = f"in {channel.unit!r}, which is no unit of length" if channel.unit else "without a unit"
-            raise SizeError(f"{path.name} has heights {fault_text}. Export it in a format that states one: X3P or SUR.")
+            fault_text = (
+                f"in {channel.unit!r}, which is no unit of length"
+                if channel.unit
+                else "without a unit"
+            )
+            raise SizeError(
+                f"{path.name} has heights {fault_text}. Export it in a format that states one: X3P"
+                " or SUR."
+            )
         physical_sizes: Any = channel.physical_sizes or (None, None)
         stated: list[Stated] = []
         if None not in physical_sizes:
-            x, y = (float(v) / n * unit_length for v, n in zip(physical_sizes, grid_shape, strict=True))
+            x, y = (
+                float(v) / n * unit_length for v, n in zip(physical_sizes, grid_shape, strict=True)
+            )
             stated = [Stated("the topography file", (y, x))]
         size, source = agreed_size(
-            stated, pixel_um, file_name=path.name, asked=PIXEL, override=override_size, unusual=unusual_size
+            stated,
+            pixel_um,
+            file_name=path.name,
+            asked=PIXEL,
+            override=override_size,
+            unusual=unusual_size,
         )
         y, x = size
         physical_sizes = (x * grid_shape[0] / unit_length, y * grid_shape[1] / unit_length)
         size_arguments: Any = {} if stated else {"physical_sizes": physical_sizes}
         with reading(path):
-            heights = np.ma.asarray(reader.topography(**size_arguments).heights()).astype(np.float64)
+            heights = np.ma.asarray(reader.topography(**size_arguments).heights()).astype(
+                np.float64
+            )
             file_format = str(reader.format() if callable(getattr(reader, "format", None)) else "")
     with quiet:
         # Some readers map the file and complain when they are thrown away, which would be at any time later.
@@ -93,7 +112,12 @@ def read_topography(
     if not np.isfinite(values).any():
         raise FileError(f"{path.name} has no height in it, all are missing. Export it again.")
     attrs = {
-        "units": "um", "long_name": "Height", "pixel_um": list(size), "pixel_um_source": source,
-        "file_format": file_format, "file_name": path.name, "file_bytes": file_bytes,
-    }  # fmt: skip
+        "units": "um",
+        "long_name": "Height",
+        "pixel_um": list(size),
+        "pixel_um_source": source,
+        "file_format": file_format,
+        "file_name": path.name,
+        "file_bytes": file_bytes,
+    }
     return labelled(values, PIXEL.axes, size, name="topography", attrs=attrs)

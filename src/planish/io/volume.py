@@ -28,10 +28,16 @@ if TYPE_CHECKING:
 
 
 def read_volume(
-    path: str | Path, *, voxel_um: float | tuple[float, float, float] | None = None, channel: str | None = None,
-    override_size: bool = False, unusual_size: bool = False, memory_bytes: int | None = None,
-    through: Axis | None = None, top: End | None = None,
-) -> xr.DataArray:  # fmt: skip
+    path: str | Path,
+    *,
+    voxel_um: float | tuple[float, float, float] | None = None,
+    channel: str | None = None,
+    override_size: bool = False,
+    unusual_size: bool = False,
+    memory_bytes: int | None = None,
+    through: Axis | None = None,
+    top: End | None = None,
+) -> xr.DataArray:
     """Read the 3D image of a sheet.
 
     Parameters
@@ -83,27 +89,44 @@ def read_volume(
     from planish.core.labelled import labelled
 
     frame_attrs = Frame(through=through or "z", top=top or "high").lies() if through or top else {}
-    place = find_place(check_path(path, "the path of a file", "pl.read_volume", "pl.volume(array, voxel_um=...)"))
+    place = find_place(
+        check_path(path, "the path of a file", "pl.read_volume", "pl.volume(array, voxel_um=...)")
+    )
     loaded = load_volume(place, channel=channel, memory_bytes=memory_bytes)
     name = place.path.name
     size, source = agreed_size(
-        loaded.stated, voxel_um, file_name=name, asked=VOXEL, override=override_size, unusual=unusual_size
+        loaded.stated,
+        voxel_um,
+        file_name=name,
+        asked=VOXEL,
+        override=override_size,
+        unusual=unusual_size,
     )
     attrs = {
-        "units": "1", "long_name": "Grey value", "voxel_um": list(size), "voxel_um_source": source,
-        "full_scale": full_scale(loaded.values.dtype, loaded.bits), "file_name": name, "file_bytes": loaded.file_bytes,
-        **loaded.attrs, **frame_attrs,
-    }  # fmt: skip
+        "units": "1",
+        "long_name": "Grey value",
+        "voxel_um": list(size),
+        "voxel_um_source": source,
+        "full_scale": full_scale(loaded.values.dtype, loaded.bits),
+        "file_name": name,
+        "file_bytes": loaded.file_bytes,
+        **loaded.attrs,
+        **frame_attrs,
+    }
     return labelled(loaded.values, VOXEL.axes, size, name="volume", attrs=attrs)
 
 
-def load_volume(place: Place, *, channel: str | None = None, memory_bytes: int | None = None) -> LoadedVolume:
+def load_volume(
+    place: Place, *, channel: str | None = None, memory_bytes: int | None = None
+) -> LoadedVolume:
     """Read the values of a volume, whatever its voxel size; errors as those of :func:`read_volume`."""
     path, loaded = place.path, loader(format_of(place))(place, check_channel(channel), memory_bytes)
     shape = loaded.values.shape
     if 0 in shape or math.prod(shape) > 2**50:  # No scan has more; a larger number is damage.
         raise damaged(path, f"it declares {size_words(shape)} voxels, which no volume has")
     if len(shape) != 3 or min(shape) == 1:
-        raise VolumeError(f"{path.name} is no volume but {size_words(shape)} voxels (z, y, x). {ADVICE}")
+        raise VolumeError(
+            f"{path.name} is no volume but {size_words(shape)} voxels (z, y, x). {ADVICE}"
+        )
     check_type(loaded.values.dtype, path)
     return loaded._replace(values=read_if_small(loaded.values, memory_bytes=memory_bytes))

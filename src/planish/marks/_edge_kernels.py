@@ -92,7 +92,8 @@ def half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel):
     radii, steps, far_steps = (np.full(rays, np.nan), np.full(rays, np.nan), np.full(rays, np.nan))
     nears = np.full(rays, np.nan)
     gap = max(4.0, 0.9 * pixel)  # from the edge to where the plateaus begin
-    width = max(7.0, 0.8 * pixel)  # over which a plateau is averaged; well under the width of the char
+    # Over which a plateau is averaged; well under the width of the char.
+    width = max(7.0, 0.8 * pixel)
     reach = max(1, int(round(max(5.0, pixel) / dt)))
     for k in range(rays):
         angle = 2 * np.pi * k / rays
@@ -125,7 +126,9 @@ def half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel):
                     top += 1
                 break
         edge = start + top * dt
-        inner = sign * _level(image, x0, y0, sx, sy, max(0.0, edge - gap - width), max(0.0, edge - gap), dt)
+        inner = sign * _level(
+            image, x0, y0, sx, sy, max(0.0, edge - gap - width), max(0.0, edge - gap), dt
+        )
         outer = sign * _level(image, x0, y0, sx, sy, edge + gap, edge + gap + width, dt)
         if not (outer > inner):
             continue
@@ -146,7 +149,9 @@ def half_level_edges(image, px, py, cx, cy, sign, model, search, dt, pixel):
             wide = 18.0 + 0.5 * pixel
             far_steps[k] = sign * (
                 _level(image, x0, y0, sx, sy, edge + wide, edge + wide + width, dt)
-                - _level(image, x0, y0, sx, sy, max(0.0, edge - wide - width), max(0.0, edge - wide), dt)
+                - _level(
+                    image, x0, y0, sx, sy, max(0.0, edge - wide - width), max(0.0, edge - wide), dt
+                )
             )
     return radii, steps, far_steps, nears
 

@@ -97,7 +97,10 @@ def floor_middle(image, px, py, cx, cy, sign, radius, level, tolerance):
     j0, j1 = max(int((cx - radius) / px) + 1, 0), min(int((cx + radius) / px) + 1, image.shape[1])
     for i in range(i0, i1):
         for j in range(j0, j1):
-            if abs(sign * image[i, j] - level) <= tolerance and np.hypot(j * px - cx, i * py - cy) <= radius:
+            if (
+                abs(sign * image[i, j] - level) <= tolerance
+                and np.hypot(j * px - cx, i * py - cy) <= radius
+            ):
                 total += 1
                 tx += j * px
                 ty += i * py
@@ -112,8 +115,14 @@ def middles_of_floors(image, px, py, xs, ys, sign, radius, level):
         x, y = xs[h], ys[h]
         for _turn in range(6):
             total, tx, ty = 0, 0.0, 0.0
-            i0, i1 = (max(int((y - radius) / py) + 1, 0), min(int((y + radius) / py) + 1, image.shape[0]))
-            j0, j1 = (max(int((x - radius) / px) + 1, 0), min(int((x + radius) / px) + 1, image.shape[1]))
+            i0, i1 = (
+                max(int((y - radius) / py) + 1, 0),
+                min(int((y + radius) / py) + 1, image.shape[0]),
+            )
+            j0, j1 = (
+                max(int((x - radius) / px) + 1, 0),
+                min(int((x + radius) / px) + 1, image.shape[1]),
+            )
             for i in range(i0, i1):
                 for j in range(j0, j1):
                     if sign * image[i, j] < level and np.hypot(j * px - x, i * py - y) <= radius:

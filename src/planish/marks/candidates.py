@@ -41,7 +41,8 @@ def reduce_to(raster: Raster, target_um: float) -> Raster:
     """Area-mean an image until its pixels are nearly as large as ``target_um``."""
     image, (row_um, col_um), origin = raster
     row_factor, col_factor = (
-        max(1, min(int(target_um / size + 1e-6), n // 4)) for size, n in zip(raster.pixel_um, image.shape, strict=True)
+        max(1, min(int(target_um / size + 1e-6), n // 4))
+        for size, n in zip(raster.pixel_um, image.shape, strict=True)
     )
     if row_factor == col_factor == 1:
         return raster
@@ -71,11 +72,17 @@ def blob_responses(raster: Raster, radii_um: Pair) -> dict[float, Raster]:
     before = Raster(np.ascontiguousarray(image, dtype=np.float32), raster.pixel_um)
     for level, step in enumerate(np.sqrt(np.diff(widths**2, prepend=0.0)).tolist()):
         sigmas = [step / size for size in before.pixel_um]
-        after = before._replace(image=ndimage.gaussian_filter(before.image, sigmas, mode="nearest", truncate=3.0))
+        after = before._replace(
+            image=ndimage.gaussian_filter(before.image, sigmas, mode="nearest", truncate=3.0)
+        )
         if level:
             responses[float(radii[level - 1])] = before._replace(image=after.image - before.image)
         # The wider the blobs, the coarser a raster shows them just as well.
-        before = reduce_to(after, 2 * float(radii[level]) / ACROSS_COARSE) if 0 < level < count else after
+        before = (
+            reduce_to(after, 2 * float(radii[level]) / ACROSS_COARSE)
+            if 0 < level < count
+            else after
+        )
     return responses
 
 
@@ -99,12 +106,17 @@ def local_spread(raster: Raster, side_um: float, quantile: float) -> LocalLevels
     Some hundred values are taken of each. Where less than a tenth is there, that of all of the image stands, or 0.
     """
     image, pixel_um, _ = raster
-    sides_px = [max(1, min(round(side_um / size), n)) for size, n in zip(pixel_um, image.shape, strict=True)]
+    sides_px = [
+        max(1, min(round(side_um / size), n)) for size, n in zip(pixel_um, image.shape, strict=True)
+    ]
     strides = [max(1, side // SAMPLES) for side in sides_px]
     sample = image[:: strides[0], :: strides[1]]
     sides_px = [max(1, side // step) for side, step in zip(sides_px, strides, strict=True)]
     counts = [-(-n // side) for n, side in zip(sample.shape, sides_px, strict=True)]
-    padding = [(side, (count + 1) * side - n) for n, side, count in zip(sample.shape, sides_px, counts, strict=True)]
+    padding = [
+        (side, (count + 1) * side - n)
+        for n, side, count in zip(sample.shape, sides_px, counts, strict=True)
+    ]
     windows = np.lib.stride_tricks.sliding_window_view(
         np.pad(sample, padding, constant_values=np.nan), (3 * sides_px[0], 3 * sides_px[1])
     )[:: sides_px[0], :: sides_px[1]]
@@ -115,10 +127,13 @@ def local_spread(raster: Raster, side_um: float, quantile: float) -> LocalLevels
     finite_values = sample[sample == sample]
     image_quantile = 0.0
     if finite_values.size and 10 * finite_values.size >= sample.size:
-        image_quantile = float(np.quantile(np.abs(finite_values - np.median(finite_values)), quantile))
+        image_quantile = float(
+            np.quantile(np.abs(finite_values - np.median(finite_values)), quantile)
+        )
     # Values of each neighbourhood that lie inside the image.
     rows_inside, cols_inside = (
-        np.minimum(np.arange(2, count + 2) * side, n) - np.maximum(np.arange(-1, count - 1) * side, 0)
+        np.minimum(np.arange(2, count + 2) * side, n)
+        - np.maximum(np.arange(-1, count - 1) * side, 0)
         for n, side, count in zip(sample.shape, sides_px, counts, strict=True)
     )
     has_enough = 10 * finite_counts >= rows_inside[:, None] * cols_inside
@@ -141,7 +156,9 @@ def outside(raster: Raster, circles: Floats) -> Raster:
         j0, j1 = (max(0, int((x + side * radius) / col_um) + (side > 0)) for side in (-1, 1))
         window = image[i0:i1, j0:j1]
         dy_squared = (np.arange(i0, i0 + window.shape[0])[:, None] * row_um - y) ** 2
-        window[dy_squared + (np.arange(j0, j0 + window.shape[1]) * col_um - x) ** 2 <= radius**2] = np.nan
+        window[
+            dy_squared + (np.arange(j0, j0 + window.shape[1]) * col_um - x) ** 2 <= radius**2
+        ] = np.nan
     return raster._replace(image=image)
 
 
@@ -151,18 +168,28 @@ def local_deviation(raster: Raster, diameter_um: float, quantile: float) -> Loca
     # Only what `local_spread` takes is computed.
     row_step, col_step = (max(1, int(side_um / size / SAMPLES)) for size in raster.pixel_um)
     deviations = raster.image[::row_step, ::col_step]
-    deviations = deviations - _local_mean(raster.image, raster.pixel_um, diameter_um, (row_step, col_step))
-    return local_spread(Raster(deviations, (row_step * row_um, col_step * col_um)), side_um, quantile)
+    deviations = deviations - _local_mean(
+        raster.image, raster.pixel_um, diameter_um, (row_step, col_step)
+    )
+    return local_spread(
+        Raster(deviations, (row_step * row_um, col_step * col_um)), side_um, quantile
+    )
 
 
-def _local_mean(image: Image, pixel_um: Pair, width_um: float, steps: tuple[int, int] = (1, 1)) -> Image:
+def _local_mean(
+    image: Image, pixel_um: Pair, width_um: float, steps: tuple[int, int] = (1, 1)
+) -> Image:
     """Gaussian mean at every ``steps``-th row and column, from a coarse raster; the median where nothing is near."""
     block_rows, block_cols = (max(1, int(width_um / 4 / size)) for size in pixel_um)
     # The last blocks may reach beyond the image, where there is no data.
     padding = [(0, -image.shape[0] % block_rows), (0, -image.shape[1] % block_cols)]
-    means, weights = _block_means(np.pad(image, padding, constant_values=np.nan), (block_rows, block_cols))
+    means, weights = _block_means(
+        np.pad(image, padding, constant_values=np.nan), (block_rows, block_cols)
+    )
     sigmas = width_um / pixel_um[0] / block_rows, width_um / pixel_um[1] / block_cols
-    weights, sums = (ndimage.gaussian_filter(grid, sigmas, truncate=3.0) for grid in (weights, means * weights))
+    weights, sums = (
+        ndimage.gaussian_filter(grid, sigmas, truncate=3.0) for grid in (weights, means * weights)
+    )
     has_weight = weights > 1e-3
     # At most half a million of the values, from all over the image.
     sample = image.ravel()[:: 1 + image.size // 500_000]
@@ -175,14 +202,18 @@ def _local_mean(image: Image, pixel_um: Pair, width_um: float, steps: tuple[int,
         lower_block = np.minimum(block_position.astype(np.intp), max(0, len(mean) - 2))
         fraction = (block_position - lower_block).astype(np.float32)[:, None]
         upper_means = mean[np.minimum(lower_block + 1, len(mean) - 1)]
-        mean = np.asarray(mean[lower_block] + (upper_means - mean[lower_block]) * fraction, dtype=np.float32).T
+        mean = np.asarray(
+            mean[lower_block] + (upper_means - mean[lower_block]) * fraction, dtype=np.float32
+        ).T
     return mean
 
 
 def _block_means(image: Image, factors: tuple[int, int]) -> tuple[Image, Image]:
     """Give the means over whole blocks of pixels, 0 over nothing, and the share of each block that has data."""
     rows, cols = (n // factor for n, factor in zip(image.shape, factors, strict=True))
-    blocks = image[: rows * factors[0], : cols * factors[1]].reshape(rows, factors[0], cols, factors[1])
+    blocks = image[: rows * factors[0], : cols * factors[1]].reshape(
+        rows, factors[0], cols, factors[1]
+    )
     has_data = np.isfinite(blocks)
     data_share = has_data.mean(axis=(1, 3), dtype=np.float32)
     sums = np.where(has_data, blocks, 0).mean(axis=(1, 3), dtype=np.float64)
@@ -190,7 +221,10 @@ def _block_means(image: Image, factors: tuple[int, int]) -> tuple[Image, Image]:
 
 
 def peaks(
-    responses: dict[float, Raster], sign: float, faintest_levels: LocalLevels, spreads: list[LocalLevels]
+    responses: dict[float, Raster],
+    sign: float,
+    faintest_levels: LocalLevels,
+    spreads: list[LocalLevels],
 ) -> tuple[Floats, Floats, int]:
     """Return places that may be holes, the extremes over place and scale, strongest first.
 
@@ -217,19 +251,28 @@ def _peaks_of_radius(
     """Find the peaks of one response: ``x, y`` (um), height, share of the least contrast."""
     signed = response.image if sign > 0 else -response.image
     reach = [max(1, round(0.5 * radius / size)) for size in response.pixel_um]
-    lowest_threshold = max(0.0, min(float(faintest_levels.values.min()), WORTH_MEASURING * float(spread.values.min())))
+    lowest_threshold = max(
+        0.0, min(float(faintest_levels.values.min()), WORTH_MEASURING * float(spread.values.min()))
+    )
     # What is above the weakest and nowhere surpassed within reach; the nearest first: they leave few for the others.
     rows, cols = np.nonzero(signed > lowest_threshold)
     padded = np.pad(signed, [(n, n) for n in reach], constant_values=-np.inf)
-    offsets = [(i, j) for i in range(-reach[0], reach[0] + 1) for j in range(-reach[1], reach[1] + 1)]
+    offsets = [
+        (i, j) for i in range(-reach[0], reach[0] + 1) for j in range(-reach[1], reach[1] + 1)
+    ]
     for i, j in sorted(offsets, key=lambda offset: np.hypot(*offset)):
         is_top = signed[rows, cols] >= padded[rows + reach[0] + i, cols + reach[1] + j]
         rows, cols = rows[is_top], cols[is_top]
-    points = np.stack([cols * response.pixel_um[1], rows * response.pixel_um[0]], axis=1) + response.origin_um
+    points = (
+        np.stack([cols * response.pixel_um[1], rows * response.pixel_um[0]], axis=1)
+        + response.origin_um
+    )
     heights = signed[rows, cols].astype(np.float64)
     faintest_heights = faintest_levels.at_points(points)
     thresholds = np.minimum(faintest_heights, WORTH_MEASURING * spread.at_points(points))
-    threshold_shares = np.where(faintest_heights > 0, thresholds / np.maximum(faintest_heights, 1e-30), 1.0)
+    threshold_shares = np.where(
+        faintest_heights > 0, thresholds / np.maximum(faintest_heights, 1e-30), 1.0
+    )
     candidates = np.column_stack([points, heights, threshold_shares])
     return candidates[heights > np.maximum(thresholds, 0.0)]
 
@@ -252,5 +295,11 @@ def dark_spots(raster: Raster, sign: float, level: float, radius: float) -> Floa
     dark_share = ndimage.gaussian_filter(is_dark, [0.5 * radius / size for size in coarse.pixel_um])
     reach = [2 * max(1, round(0.5 * radius / size)) + 1 for size in coarse.pixel_um]
     # Within a disc of the radius it is 0.86.
-    is_top = (dark_share == ndimage.maximum_filter(dark_share, reach)) & (dark_share > 0.33) & (dark_share < 0.98)
-    return np.argwhere(is_top)[:, ::-1] * coarse.pixel_um[::-1] + (coarse.origin_um - raster.origin_um)
+    is_top = (
+        (dark_share == ndimage.maximum_filter(dark_share, reach))
+        & (dark_share > 0.33)
+        & (dark_share < 0.98)
+    )
+    return np.argwhere(is_top)[:, ::-1] * coarse.pixel_um[::-1] + (
+        coarse.origin_um - raster.origin_um
+    )

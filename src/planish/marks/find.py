@@ -36,7 +36,11 @@ USUAL_UM = 173.2
 
 
 def find_holes(
-    image: ArrayLike, *, pixel_um: float | Pair, diameter_um: Pair = (100.0, 300.0), polarity: Polarity = "auto"
+    image: ArrayLike,
+    *,
+    pixel_um: float | Pair,
+    diameter_um: Pair = (100.0, 300.0),
+    polarity: Polarity = "auto",
 ) -> xr.Dataset:
     """Find round laser holes and locate their centres to a fraction of a pixel.
 
@@ -95,11 +99,16 @@ def find_holes(
     """
     sizes = np.atleast_1d(np.asarray(pixel_um, dtype=np.float64))
     if sizes.size not in (1, 2) or not np.all(np.isfinite(sizes)) or np.any(sizes <= 0):
-        raise SizeError(f"The pixel size is {pixel_um!r} um; one positive number or two, (y, x), are needed.")
+        raise SizeError(
+            f"The pixel size is {pixel_um!r} um; one positive number or two, (y, x), are needed."
+        )
     pixel_size = float(sizes[0]), float(sizes[-1])
     low, high = map(float, diameter_um)
     if not 0.0 < low < high < np.inf:
-        raise MarkError(f"Hole diameters from {low:g} to {high:g} um: the first must be positive and below the second.")
+        raise MarkError(
+            f"Hole diameters from {low:g} to {high:g} um: the first must be positive and below the"
+            " second."
+        )
     signs = {"auto": (1.0, -1.0), "dark": (1.0,), "bright": (-1.0,)}.get(polarity)
     if signs is None:
         raise MarkError(f"The polarity is {polarity!r}; it has to be 'auto', 'dark' or 'bright'.")
@@ -110,8 +119,12 @@ def find_holes(
     sign, holes, counts = signs[0], np.empty((0, k.COLUMNS)), dict.fromkeys(REASONS, 0)
     may_hold_hole = min(n * step for n, step in zip(grey.shape, pixel_size, strict=True)) > low
     if may_hold_hole and min(grey.shape) >= 8 and np.any(np.isfinite(grey)):
-        magnified_raster = Raster(grey, (pixel_size[0] * magnification, pixel_size[1] * magnification))
-        sign, holes, counts = _holes(magnified_raster, (low / 2 * magnification, high / 2 * magnification), signs)
+        magnified_raster = Raster(
+            grey, (pixel_size[0] * magnification, pixel_size[1] * magnification)
+        )
+        sign, holes, counts = _holes(
+            magnified_raster, (low / 2 * magnification, high / 2 * magnification), signs
+        )
     holes[:, [k.X, k.Y, k.RADIUS, k.HALF_DIFFERENCE, k.DOUBT_X, k.DOUBT_Y]] /= magnification
     holes[:, [k.COV_XX, k.COV_YY, k.COV_XY]] /= magnification**2
     return _dataset(holes, sign).assign_attrs(not_taken=counts)
@@ -128,11 +141,15 @@ class _Detection(NamedTuple):
     dropped_count: int
 
 
-def _holes(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> tuple[float, Floats, dict[str, int]]:
+def _holes(
+    raster: Raster, radius_range: Pair, signs: tuple[float, ...]
+) -> tuple[float, Floats, dict[str, int]]:
     """Find the polarity with the stronger holes: its sign, its holes in um, and counts of rejected marks."""
     # Rims are measured with 40 pixels across the smallest hole.
     fine_raster = candidates.reduce_to(raster, 2 * radius_range[0] / 40.0)
-    strongest = max(_detect(fine_raster, radius_range, signs), key=lambda d: float(np.sum(d.holes[:, k.STEP])))
+    strongest = max(
+        _detect(fine_raster, radius_range, signs), key=lambda d: float(np.sum(d.holes[:, k.STEP]))
+    )
     holes = strongest.holes
     if len(holes) >= criteria.LEAST_OTHERS:
         floors = _floors(fine_raster, strongest.sign, strongest.positions, holes)
@@ -154,18 +171,29 @@ def _detect(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> lis
     # The texture of the quietest quarter around: holes, dots and dirt have little influence. Too small rather than too
     # large, and nowhere above the median.
     quiet_texture = candidates.local_deviation(coarse, diameter, 0.25)
-    quiet_texture = quiet_texture._replace(values=np.minimum(quiet_texture.values, np.median(quiet_texture.values)))
+    quiet_texture = quiet_texture._replace(
+        values=np.minimum(quiet_texture.values, np.median(quiet_texture.values))
+    )
     # The response at the centre of a disc at its own radius.
     radius_ratio = list(responses)[1] / min(responses)
-    disc_response = criteria.LEAST_CONTRAST * float(np.exp(-1 / radius_ratio) - np.exp(-radius_ratio))
+    disc_response = criteria.LEAST_CONTRAST * float(
+        np.exp(-1 / radius_ratio) - np.exp(-radius_ratio)
+    )
     faintest_levels = quiet_texture._replace(values=0.67 * disc_response * quiet_texture.values)
     # Where a screen is printed the texture is large, and yet a hole is what no dot of the screen is.
     # Nowhere less than a quarter of that of the whole image: there, blots would stand out from nothing.
-    spreads = [candidates.local_spread(response, candidates.SQUARE * diameter, 0.5) for response in responses.values()]
-    spreads = [s._replace(values=np.maximum(s.values, 0.25 * float(np.median(s.values)))) for s in spreads]
+    spreads = [
+        candidates.local_spread(response, candidates.SQUARE * diameter, 0.5)
+        for response in responses.values()
+    ]
+    spreads = [
+        s._replace(values=np.maximum(s.values, 0.25 * float(np.median(s.values)))) for s in spreads
+    ]
     detections: list[_Detection] = []
     for sign in signs:
-        coarse_points, shares, dropped_count = candidates.peaks(responses, sign, faintest_levels, spreads)
+        coarse_points, shares, dropped_count = candidates.peaks(
+            responses, sign, faintest_levels, spreads
+        )
         # Before a rim is measured its place may be some pixels off, and faint marks are counted: less contrast will do.
         thresholds = (
             0.6 * shares * criteria.LEAST_CONTRAST * quiet_texture.at_points(coarse_points),
@@ -175,15 +203,21 @@ def _detect(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> lis
         marks = _measure(raster, positions, sign, radius_range, thresholds)
         # In mottle as strong as the holes are deep, what is left is that their floors are black, flat and alike.
         is_alike = criteria.share_floor(marks, raster.pixel_um, radius_range)
-        if is_alike.any() and criteria.is_rare(marks[is_alike], sign * _sheet(coarse, marks[is_alike]).image):
+        if is_alike.any() and criteria.is_rare(
+            marks[is_alike], sign * _sheet(coarse, marks[is_alike]).image
+        ):
             marks[is_alike, k.ALIKE] = 1.0
         # The sheet's own texture is what is left when everything that looks like a hole is taken out, with its char.
         holes = marks[criteria.is_hole(marks, raster.pixel_um, radius_range)]
         texture = candidates.local_deviation(_sheet(coarse, holes), diameter, 0.5)
         marks = marks[np.isfinite(marks[:, k.RADIUS])]
         _raise_texture(marks, texture)
-        holes = criteria.deepest_disjoint(marks[criteria.is_hole(marks, raster.pixel_um, radius_range)])
-        holes = criteria.drop_unlike(holes[criteria.is_whole(holes, raster.image.shape, raster.pixel_um)], sign)
+        holes = criteria.deepest_disjoint(
+            marks[criteria.is_hole(marks, raster.pixel_um, radius_range)]
+        )
+        holes = criteria.drop_unlike(
+            holes[criteria.is_whole(holes, raster.image.shape, raster.pixel_um)], sign
+        )
         detections.append(_Detection(sign, holes, marks, positions, texture, dropped_count))
     return detections
 
@@ -191,11 +225,16 @@ def _detect(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> lis
 def _sheet(raster: Raster, holes: Floats) -> Raster:
     """Give the image without holes; beyond a rim 60 um may be burnt."""
     return candidates.outside(
-        raster, np.stack([*(holes[:, k.X : k.Y + 1] - raster.origin_um).T, holes[:, k.RADIUS] + 60.0], axis=1)
+        raster,
+        np.stack(
+            [*(holes[:, k.X : k.Y + 1] - raster.origin_um).T, holes[:, k.RADIUS] + 60.0], axis=1
+        ),
     )
 
 
-def _count_rejected(detection: _Detection, holes: Floats, raster: Raster, radius_range: Pair) -> dict[str, int]:
+def _count_rejected(
+    detection: _Detection, holes: Floats, raster: Raster, radius_range: Pair
+) -> dict[str, int]:
     """Count by reason what lies on no hole and would be one but for a single fault (mottle has several)."""
     marks = detection.marks
     is_whole = criteria.is_whole(marks, raster.image.shape, raster.pixel_um)
@@ -211,11 +250,17 @@ def _count_rejected(detection: _Detection, holes: Floats, raster: Raster, radius
 
 
 def _raise_texture(marks: Floats, texture: candidates.LocalLevels) -> None:
-    marks[:, k.TEXTURE] = np.maximum(marks[:, k.TEXTURE], texture.at_points(marks[:, k.X : k.Y + 1]))
+    marks[:, k.TEXTURE] = np.maximum(
+        marks[:, k.TEXTURE], texture.at_points(marks[:, k.X : k.Y + 1])
+    )
 
 
 def _measure(
-    raster: Raster, positions: Floats, sign: float, radius_range: Pair, thresholds: tuple[Floats, Floats]
+    raster: Raster,
+    positions: Floats,
+    sign: float,
+    radius_range: Pair,
+    thresholds: tuple[Floats, Floats],
 ) -> Floats:
     """Measure places, strongest first; what lies well inside a hole that a stronger one led to is passed over."""
     marks = np.full((len(positions), k.COLUMNS), np.nan)
@@ -224,19 +269,26 @@ def _measure(
     disjoint = np.asarray(criteria.greedy_disjoint(all_rows, pairs), dtype=np.intp)
     for batch in (disjoint, np.setdiff1d(all_rows, disjoint)):
         with np.errstate(invalid="ignore"):  # nearly all of a smooth round rim
-            clear_holes = marks[criteria.is_round(marks, raster.pixel_um) & ~criteria.is_doubtful(marks)]
+            clear_holes = marks[
+                criteria.is_round(marks, raster.pixel_um) & ~criteria.is_doubtful(marks)
+            ]
         batch = batch[_is_outside(positions[batch], clear_holes, 0.5)]
         batch_thresholds = (thresholds[0][batch], thresholds[1][batch])
-        marks[batch] = k.measure_rims(raster, positions[batch], sign, radius_range, batch_thresholds)
+        marks[batch] = k.measure_rims(
+            raster, positions[batch], sign, radius_range, batch_thresholds
+        )
     return marks
 
 
 def _floors(raster: Raster, sign: float, positions: Floats, holes: Floats) -> Floats:
     typical = criteria.typical_hole(holes)
-    depth_shares = (0.2, 0.08, 0.13, 0.27, 0.35)  # of the depth of the holes, at which a floor may end
+    # Of the depth of the holes, at which a floor may end.
+    depth_shares = (0.2, 0.08, 0.13, 0.27, 0.35)
     level = typical.floor_level + depth_shares[0] * typical.depth
     # Once the level of the floors is known, mottle that hid a place from the search hides it no longer.
-    positions = np.concatenate([positions, candidates.dark_spots(raster, sign, level, typical.radius)])
+    positions = np.concatenate(
+        [positions, candidates.dark_spots(raster, sign, level, typical.radius)]
+    )
     positions = positions[_is_outside(positions, holes[~criteria.is_doubtful(holes)], 1.0)]
     x, y = np.ascontiguousarray(positions.T)
     floor_centres = _rim_kernels.middles_of_floors(
@@ -245,7 +297,9 @@ def _floors(raster: Raster, sign: float, positions: Floats, holes: Floats) -> Fl
     floor_centres = floor_centres[np.isfinite(floor_centres[:, 0])]
     # Places beside each other lead to one hole.
     neighbours = criteria.neighbour_pairs(floor_centres, 0.1 * typical.radius)
-    floor_centres = floor_centres[criteria.greedy_disjoint(np.arange(len(floor_centres)), neighbours)]
+    floor_centres = floor_centres[
+        criteria.greedy_disjoint(np.arange(len(floor_centres)), neighbours)
+    ]
     levels = (typical.radius, typical.floor_level, typical.depth, depth_shares)
     floors = k.measure_floors(raster, floor_centres, sign, *levels)
     floors = criteria.select_resembling(floors, holes, raster.pixel_um)
@@ -267,9 +321,17 @@ def _dataset(holes: Floats, sign: float) -> xr.Dataset:
     # Texture below a thousandth of the step is rounding; it would make the ratio meaningless.
     depths = criteria.depth(holes)
     contrast = -sign * depths / np.maximum(holes[:, k.TEXTURE], 1e-3 * depths)
-    units_and_names = {"x": ("um", "Hole centre along the columns"), "y": ("um", "Hole centre down the rows"), **EXTRAS}
+    units_and_names = {
+        "x": ("um", "Hole centre along the columns"),
+        "y": ("um", "Hole centre down the rows"),
+        **EXTRAS,
+    }
     units_and_names["contrast"] = "1", "Step at the hole over the texture of the sheet around"
-    columns = [*holes[:, [k.X, k.Y, k.COV_XX, k.COV_YY, k.COV_XY]].T, 2 * radius, (radius + half) / (radius - half)]
+    columns = [
+        *holes[:, [k.X, k.Y, k.COV_XX, k.COV_YY, k.COV_XY]].T,
+        2 * radius,
+        (radius + half) / (radius - half),
+    ]
     columns += [holes[:, k.COVERAGE], contrast]
     variables = {
         name: ("mark", column, {"units": unit, "long_name": text})
@@ -281,12 +343,19 @@ def _dataset(holes: Floats, sign: float) -> xr.Dataset:
 def _grey(image: ArrayLike) -> Image:
     grey = np.asarray(image)
     if grey.ndim != 2:
-        raise MarkError(f"The image has shape {grey.shape}; holes are found in one grey channel, (rows, columns).")
+        raise MarkError(
+            f"The image has shape {grey.shape}; holes are found in one grey channel, (rows,"
+            " columns)."
+        )
     if grey.dtype.kind not in "biuf":
-        raise MarkError(f"The image holds {grey.dtype} values; holes are found in real grey values.")
+        raise MarkError(
+            f"The image holds {grey.dtype} values; holes are found in real grey values."
+        )
     if grey.dtype.kind == "f":
         is_finite = np.isfinite(grey)
-        median_grey = float(np.median(grey[is_finite], overwrite_input=True)) if np.any(is_finite) else 0.0
+        median_grey = (
+            float(np.median(grey[is_finite], overwrite_input=True)) if np.any(is_finite) else 0.0
+        )
         # Large offsets would cost float32 its digits.
         grey = np.asarray(grey - median_grey)
         grey[~is_finite] = np.nan

@@ -58,11 +58,15 @@ def met_criteria(marks: Floats, pixel_um: Pair, radius_range: Pair) -> dict[str,
             "too_small": radius >= max(radius_range[0], 3.0 * max(pixel_um)),
             "too_large": radius <= radius_range[1],
             "not_round": is_round(marks, pixel_um),
-            "too_faint": (depths > LEAST_CONTRAST * marks[:, k.TEXTURE]) | (marks[:, k.ALIKE] == 1.0),
-            "no_rim": has_rim
-            & (is_sharp | ((rim_steps > 0.36 * marks[:, k.FAR_STEP]) & is_flat))
-            & (marks[:, k.FLATNESS] < LARGEST_FLATNESS * depths)
-            & (marks[:, k.UNEVENNESS] < LARGEST_UNEVENNESS * depths),
+            "too_faint": (
+                (depths > LEAST_CONTRAST * marks[:, k.TEXTURE]) | (marks[:, k.ALIKE] == 1.0)
+            ),
+            "no_rim": (
+                has_rim
+                & (is_sharp | ((rim_steps > 0.36 * marks[:, k.FAR_STEP]) & is_flat))
+                & (marks[:, k.FLATNESS] < LARGEST_FLATNESS * depths)
+                & (marks[:, k.UNEVENNESS] < LARGEST_UNEVENNESS * depths)
+            ),
         }
 
 
@@ -74,11 +78,16 @@ def is_hole(marks: Floats, pixel_um: Pair, radius_range: Pair) -> Bools:
 def share_floor(marks: Floats, pixel_um: Pair, radius_range: Pair) -> Bools:
     """Return which marks are holes but for their contrast and have the darkest floor that `LEAST_OTHERS` share."""
     criteria_met = met_criteria(marks, pixel_um, radius_range)
-    is_like = np.all([is_met for fault, is_met in criteria_met.items() if fault != "too_faint"], axis=0)
+    is_like = np.all(
+        [is_met for fault, is_met in criteria_met.items() if fault != "too_faint"], axis=0
+    )
     disjoint = marks[is_like][best_rims(marks[is_like])]
     if len(disjoint) < LEAST_OTHERS:
         return np.zeros(len(marks), bool)
-    floors, tolerance = np.sort(disjoint[:, k.INSIDE]), LIKE_FLOORS[0] * float(np.median(depth(disjoint)))
+    floors, tolerance = (
+        np.sort(disjoint[:, k.INSIDE]),
+        LIKE_FLOORS[0] * float(np.median(depth(disjoint))),
+    )
     is_shared = floors[LEAST_OTHERS - 1 :] - floors[: 1 - LEAST_OTHERS] < tolerance
     level = floors[int(np.argmax(is_shared)) + LEAST_OTHERS // 2] if is_shared.any() else np.nan
     return is_like & (np.abs(marks[:, k.INSIDE] - level) < tolerance)
@@ -87,7 +96,9 @@ def share_floor(marks: Floats, pixel_um: Pair, radius_range: Pair) -> Bools:
 def is_rare(holes: Floats, signed_sheet: NDArray[np.floating]) -> bool:
     """Return whether hardly anything of the sheet, its grey times sign, is as dark as the floors of holes."""
     level = np.median(holes[:, k.INSIDE] + LIKE_FLOORS[1] * depth(holes))
-    return bool(np.count_nonzero(signed_sheet < level) < RARE * np.count_nonzero(np.isfinite(signed_sheet)))
+    return bool(
+        np.count_nonzero(signed_sheet < level) < RARE * np.count_nonzero(np.isfinite(signed_sheet))
+    )
 
 
 def is_round(marks: Floats, pixel_um: Pair) -> Bools:
@@ -184,7 +195,11 @@ def typical_hole(marks: Floats) -> TypicalHole:
     depths = depth(marks)
     # The deeper half: what is less deep may be ink or dirt.
     deep_marks = marks[depths >= np.median(depths)]
-    floor_levels, sheet_levels, deep_depths = deep_marks[:, k.INSIDE], deep_marks[:, k.OUTSIDE], depth(deep_marks)
+    floor_levels, sheet_levels, deep_depths = (
+        deep_marks[:, k.INSIDE],
+        deep_marks[:, k.OUTSIDE],
+        depth(deep_marks),
+    )
     sheet_level = float(np.median(sheet_levels))
     # Uneven light brightens floors with the sheet, and print does not: the slope counts if it explains the floors.
     clear_marks = marks[depths >= 0.7 * np.median(depths)]
@@ -194,8 +209,13 @@ def typical_hole(marks: Floats) -> TypicalHole:
     if fitted_scatter < 0.5 * scatter:
         slope, scatter = fitted_slope, fitted_scatter
     floor_level = float(np.median(floor_levels - slope * (sheet_levels - sheet_level)))
-    burnt_share, rim_share = (float(np.nanmedian(deep_marks[:, column] / deep_depths)) for column in (k.BURNT, k.STEP))
-    scatter, radius = scatter / (sheet_level - floor_level), float(np.median(deep_marks[:, k.RADIUS]))
+    burnt_share, rim_share = (
+        float(np.nanmedian(deep_marks[:, column] / deep_depths)) for column in (k.BURNT, k.STEP)
+    )
+    scatter, radius = (
+        scatter / (sheet_level - floor_level),
+        float(np.median(deep_marks[:, k.RADIUS])),
+    )
     return TypicalHole(floor_level, sheet_level, slope, scatter, radius, burnt_share, rim_share)
 
 
@@ -214,12 +234,16 @@ def drop_unlike(marks: Floats, sign: float) -> Floats:
     if len(marks) < LEAST_OTHERS:
         return marks
     typical, depths = typical_hole(marks), depth(marks)
-    expected_depths = np.maximum(marks[:, k.OUTSIDE] - typical.floor_at(marks[:, k.OUTSIDE]), depths)
+    expected_depths = np.maximum(
+        marks[:, k.OUTSIDE] - typical.floor_at(marks[:, k.OUTSIDE]), depths
+    )
     depth_share = depths / expected_depths
     # Of a hole that is half closed farther down, the other half is as deep as all. Floors have a long tail (real
     # targets: 27 standard deviations), so only what is far off is out by its floor alone.
     excess_unevenness = np.maximum(marks[:, k.UNEVENNESS] - np.median(marks[:, k.UNEVENNESS]), 0.0)
-    is_like = depth_share + excess_unevenness / expected_depths >= 1 - np.clip(30 * typical.floor_scatter, 0.06, 0.3)
+    is_like = depth_share + excess_unevenness / expected_depths >= 1 - np.clip(
+        30 * typical.floor_scatter, 0.06, 0.3
+    )
     if sign < 0:
         # In transmitted light floors fade with the lamp, and nothing but a hole shines.
         is_like |= depths >= LEAST_SHARE_OF_MEDIAN * np.median(depths)
@@ -301,6 +325,10 @@ def set_covariance(marks: Floats, pixel_um: Pair) -> None:
     x, y = np.nan_to_num(marks[:, [k.DOUBT_X, k.DOUBT_Y]]).T
     cross_share = 0.35  # the part across the line of the two centres
     # The raster adds an error of 0.02 pixels.
-    marks[:, k.COV_XX] = marks[:, k.COV_XX] * variance + (0.02 * pixel_um[1]) ** 2 + (x**2 + (cross_share * y) ** 2)
-    marks[:, k.COV_YY] = marks[:, k.COV_YY] * variance + (0.02 * pixel_um[0]) ** 2 + (y**2 + (cross_share * x) ** 2)
+    marks[:, k.COV_XX] = (
+        marks[:, k.COV_XX] * variance + (0.02 * pixel_um[1]) ** 2 + (x**2 + (cross_share * y) ** 2)
+    )
+    marks[:, k.COV_YY] = (
+        marks[:, k.COV_YY] * variance + (0.02 * pixel_um[0]) ** 2 + (y**2 + (cross_share * x) ** 2)
+    )
     marks[:, k.COV_XY] = marks[:, k.COV_XY] * variance + (1 - cross_share**2) * x * y

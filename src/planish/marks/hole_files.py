@@ -72,11 +72,20 @@ def holes_to_json(holes: xr.Dataset) -> dict[str, Any]:
             faults.append(f"{name} holds infinite values")
         else:
             attributes = _plain(variable.attrs, str(name), faults)
-            variables[str(name)] = {"type": kind, "attributes": attributes, "values": _plain(variable.values)}
+            variables[str(name)] = {
+                "type": kind,
+                "attributes": attributes,
+                "values": _plain(variable.values),
+            }
     attributes = _plain(holes.attrs, "the holes", faults)
     remedy = f"Types are {', '.join(_COLUMN_TYPES)}, along 'mark'."
     raise_faults("The holes cannot be written", faults, remedy, error=MarkError)
-    head = {"format": FORMAT, "version": VERSION, "units": "um", "plane": attributes.pop("plane", None)}
+    head = {
+        "format": FORMAT,
+        "version": VERSION,
+        "units": "um",
+        "plane": attributes.pop("plane", None),
+    }
     return head | {"attributes": attributes, "variables": variables}
 
 
@@ -99,22 +108,26 @@ def holes_from_json(content: Mapping[str, Any], name: str = "The JSON") -> xr.Da
     version = content.get("version")
     if version != VERSION:
         raise MarkError(
-            f"{name} has version {version!r} of the format; this planish reads version {VERSION}. Update planish, or "
-            "find the holes again."
+            f"{name} has version {version!r} of the format; this planish reads version {VERSION}."
+            " Update planish, or find the holes again."
         )
     variables: dict[str, Any] = {}
     with naming_faults(name, _REMEDY, error=MarkError):
         file = _File.model_validate(dict(content))
     for key, variable in file.variables.items():
         with naming_faults(name, _REMEDY, error=MarkError, key_prefix=("variables", key, "values")):
-            checked_values = TypeAdapter(_COLUMN_TYPES[variable.type]).validate_python(variable.values)
+            checked_values = TypeAdapter(_COLUMN_TYPES[variable.type]).validate_python(
+                variable.values
+            )
         dtype = np.str_ if variable.type == "str" else variable.type
         column = np.array(_missing_as_nan(checked_values), dtype=dtype)
         variables[key] = ("mark", column, _missing_as_nan(variable.attributes))
     counts = sorted({len(variable.values) for variable in file.variables.values()})
     faults = [f"no {key}" for key in "xy" if key not in variables]
     if len(counts) > 1:
-        faults.append(f"variables have {', '.join(map(str, counts))} values; as many of each are needed")
+        faults.append(
+            f"variables have {', '.join(map(str, counts))} values; as many of each are needed"
+        )
     raise_faults(name, faults, _REMEDY, error=MarkError)
     plane = {} if file.plane is None else {"plane": file.plane}
     return xr.Dataset(variables, attrs=_missing_as_nan(file.attributes) | plane)
@@ -142,7 +155,9 @@ def write_holes(holes: xr.Dataset, path: str | Path) -> None:
     else:
         content = holes_to_json(holes)
         variables = content.pop("variables")
-        entries = [f"{json_text(key)}: {json_text(variable)}" for key, variable in variables.items()]
+        entries = [
+            f"{json_text(key)}: {json_text(variable)}" for key, variable in variables.items()
+        ]
         text = json_file(content, "variables", "{}", entries)
     write_whole(file, text.encode())
 
@@ -167,20 +182,26 @@ def read_holes(path: str | Path) -> xr.Dataset:
     name = file.name
     if _checked_suffix(file) == ".json":
         return holes_from_json(read_object(read_text(file, what="file of holes"), name), name)
-    table = parse_table(read_text(file, what="table of holes"), name, needed=("x_um", "y_um"), error=MarkError)
+    table = parse_table(
+        read_text(file, what="table of holes"), name, needed=("x_um", "y_um"), error=MarkError
+    )
     columns = [column for column in ("x_um", "y_um", "diameter_um") if column in table.header]
     numbers = table.numbers(columns)
     table.check()
     if not len(numbers):
         raise MarkError(f"{name} has a header and no hole. One row for each is needed.")
     variables = zip(columns, numbers.T, strict=True)
-    return xr.Dataset({name.removesuffix("_um"): ("mark", column, {"units": "um"}) for name, column in variables})
+    return xr.Dataset(
+        {name.removesuffix("_um"): ("mark", column, {"units": "um"}) for name, column in variables}
+    )
 
 
 def _checked_suffix(file: Path) -> str:
     suffix = file.suffix.lower()
     if suffix not in (".json", ".csv"):
-        raise FileError(f"{file.name} is no file of holes: .json keeps everything, .csv is the table to read.")
+        raise FileError(
+            f"{file.name} is no file of holes: .json keeps everything, .csv is the table to read."
+        )
     return suffix
 
 

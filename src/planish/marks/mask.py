@@ -31,9 +31,15 @@ def hole_mask(grid: Grid, centres_um: Floats, radii_um: Floats) -> Bools:
     """
     inside = np.zeros(grid.shape, dtype=bool)
     for (x, y), radius in zip(centres_um, radii_um, strict=True):
-        rows = slice(np.searchsorted(grid.y_um, y - radius), np.searchsorted(grid.y_um, y + radius, "right"))
-        cols = slice(np.searchsorted(grid.x_um, x - radius), np.searchsorted(grid.x_um, x + radius, "right"))
-        inside[rows, cols] |= np.hypot(grid.x_um[None, cols] - x, grid.y_um[rows, None] - y) <= radius
+        rows = slice(
+            np.searchsorted(grid.y_um, y - radius), np.searchsorted(grid.y_um, y + radius, "right")
+        )
+        cols = slice(
+            np.searchsorted(grid.x_um, x - radius), np.searchsorted(grid.x_um, x + radius, "right")
+        )
+        inside[rows, cols] |= (
+            np.hypot(grid.x_um[None, cols] - x, grid.y_um[rows, None] - y) <= radius
+        )
     return inside
 
 
@@ -53,39 +59,61 @@ def cut_holes(image: xr.DataArray, holes: xr.Dataset) -> xr.Dataset:
         the floor of the whole holes, and has a tenth of their area or more. None is wider than twice the largest.
     """
     grid = Grid.of(image)
-    centres, radii_um = np.stack([holes["x"].values, holes["y"].values], axis=1), 0.5 * holes["diameter"].values
+    centres, radii_um = (
+        np.stack([holes["x"].values, holes["y"].values], axis=1),
+        0.5 * holes["diameter"].values,
+    )
     circles: list[tuple[float, float, float]] = []
     for rows, cols in _border_regions(image, grid, centres, radii_um) if len(radii_um) else ():
         pixels_um = np.stack([grid.x_um[cols], grid.y_um[rows]], axis=1)
         x, y = pixels_um.mean(axis=0).tolist()
         radius_um = float(np.hypot(*(pixels_um - (x, y)).T).max())
-        if radius_um <= 2 * radii_um.max():  # the ground beside a sheet is no hole, and its circle covers the sheet
+        # The ground beside a sheet is no hole, and its circle covers the sheet.
+        if radius_um <= 2 * radii_um.max():
             circles.append((x, y, 2 * radius_um))
     columns = np.array(circles, dtype=np.float64).reshape(-1, 3).T
-    return xr.Dataset({k: ("mark", v, {"units": "um"}) for k, v in zip(("x", "y", "diameter"), columns, strict=True)})
+    return xr.Dataset(
+        {
+            k: ("mark", v, {"units": "um"})
+            for k, v in zip(("x", "y", "diameter"), columns, strict=True)
+        }
+    )
 
 
-def _border_regions(image: xr.DataArray, grid: Grid, centres: Floats, radii_um: Floats) -> Iterator[tuple[Ints, Ints]]:
+def _border_regions(
+    image: xr.DataArray, grid: Grid, centres: Floats, radii_um: Floats
+) -> Iterator[tuple[Ints, Ints]]:
     """Yield rows and columns of what touches the border and is beyond half way from the sheet to the floor of holes."""
     inner_mask, outer_mask = (hole_mask(grid, centres, factor * radii_um) for factor in (0.6, 1.5))
     _, (greys, inner_mask, outer_mask) = thinned(image, inner_mask, outer_mask)
-    floor, sheet = (float(np.nanmedian(greys[m])) if m.any() else np.nan for m in (inner_mask, ~outer_mask))
+    floor, sheet = (
+        float(np.nanmedian(greys[m])) if m.any() else np.nan for m in (inner_mask, ~outer_mask)
+    )
     if not np.isfinite(floor - sheet) or floor == sheet:
         return
     bands = (band for _, (band,) in read_bands(image))
-    is_beyond = [np.isfinite(p) & ((p.astype(np.float64) - sheet) / (floor - sheet) > 0.5) for p in bands]
+    is_beyond = [
+        np.isfinite(p) & ((p.astype(np.float64) - sheet) / (floor - sheet) > 0.5) for p in bands
+    ]
     labels = np.asarray(ndimage.label(np.concatenate(is_beyond))[0])
     border_labels = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
-    least_pixels = 0.1 * np.pi * float(np.median(radii_um)) ** 2 / (grid.pixel_um[0] * grid.pixel_um[1])
+    least_pixels = (
+        0.1 * np.pi * float(np.median(radii_um)) ** 2 / (grid.pixel_um[0] * grid.pixel_um[1])
+    )
     boxes = ndimage.find_objects(labels)
     for label in border_labels[border_labels > 0]:
         box = boxes[label - 1]
-        rows, cols = (index + extent.start for index, extent in zip(np.nonzero(labels[box] == label), box, strict=True))
+        rows, cols = (
+            index + extent.start
+            for index, extent in zip(np.nonzero(labels[box] == label), box, strict=True)
+        )
         if rows.size >= least_pixels:
             yield rows, cols
 
 
-def without_dots(image: NDArray[np.floating], pixel_um: Pair, least_um: float) -> NDArray[np.float32]:
+def without_dots(
+    image: NDArray[np.floating], pixel_um: Pair, least_um: float
+) -> NDArray[np.float32]:
     """Make bright what is dark and too narrow for the smallest hole.
 
     Parameters
@@ -117,13 +145,20 @@ def without_dots(image: NDArray[np.floating], pixel_um: Pair, least_um: float) -
     has_data = np.isfinite(coarse_greys)
     if not has_data.any():
         return greys
-    smooth = ndimage.gaussian_filter(np.where(has_data, coarse_greys, np.median(coarse_greys[has_data])), 1.0)
+    smooth = ndimage.gaussian_filter(
+        np.where(has_data, coarse_greys, np.median(coarse_greys[has_data])), 1.0
+    )
     counts, grey_edges = np.histogram(smooth[has_data], 256)
-    counts_below, sums_below = np.cumsum(counts), np.cumsum(counts * (0.5 * (grey_edges[1:] + grey_edges[:-1])))
+    counts_below, sums_below = (
+        np.cumsum(counts),
+        np.cumsum(counts * (0.5 * (grey_edges[1:] + grey_edges[:-1]))),
+    )
     weight = counts_below[:-1] * (counts_below[-1] - counts_below[:-1])
     difference = sums_below[-1] * counts_below[:-1] / counts_below[-1] - sums_below[:-1]
     class_variance = difference**2 / np.maximum(weight, 1)
-    is_dark = has_data & (smooth < float(grey_edges[1 + int(np.argmax(np.where(weight > 0, class_variance, -1.0)))]))
+    is_dark = has_data & (
+        smooth < float(grey_edges[1 + int(np.argmax(np.where(weight > 0, class_variance, -1.0)))])
+    )
     if not is_dark.any() or not (has_data & ~is_dark).any():
         return greys
     # Beyond the border may be more of a hole, or of a dot: a hole that it cuts stays one.
@@ -134,13 +169,19 @@ def without_dots(image: NDArray[np.floating], pixel_um: Pair, least_um: float) -
     reach_um = least_um / 2 + 1.5 * max(coarse_um)
     is_hole = hole_cores
     if hole_cores.any():
-        is_hole = np.asarray(ndimage.distance_transform_edt(~hole_cores, sampling=coarse_um)) < reach_um
+        is_hole = (
+            np.asarray(ndimage.distance_transform_edt(~hole_cores, sampling=coarse_um)) < reach_um
+        )
     # Two pixels around a dot are not yet as bright as paper.
     is_dot = ndimage.binary_dilation(is_dark & ~is_hole, iterations=2) & ~is_hole
     rows, cols = (
         np.minimum(np.arange(n) // round(coarse_px / fine_px), m - 1)
-        for n, m, coarse_px, fine_px in zip(greys.shape, is_dot.shape, coarse_um, pixel_um, strict=True)
+        for n, m, coarse_px, fine_px in zip(
+            greys.shape, is_dot.shape, coarse_um, pixel_um, strict=True
+        )
     )
     out = greys.copy()
-    out[is_dot[np.ix_(rows, cols)] & np.isfinite(greys)] = np.median(coarse_greys[has_data & ~is_dark])
+    out[is_dot[np.ix_(rows, cols)] & np.isfinite(greys)] = np.median(
+        coarse_greys[has_data & ~is_dark]
+    )
     return out

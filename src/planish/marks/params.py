@@ -13,6 +13,8 @@ class HoleParams(Params):
     )
     printed: bool = option(
         False,
-        help="The image is a print: dots narrower than the smallest hole are taken off before holes are "
-        "searched in it.",
+        help=(
+            "The image is a print: dots narrower than the smallest hole are taken off before holes"
+            " are searched in it."
+        ),
     )

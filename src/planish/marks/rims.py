@@ -11,12 +11,21 @@ import numpy as np
 
 from planish.core.typing import Floats, Pair
 from planish.marks import _rim_kernels as kernels
-from planish.marks._edge_kernels import first_crossings, fit_outline, half_level_edges, innermost_edges, levels, waves
+from planish.marks._edge_kernels import (
+    first_crossings,
+    fit_outline,
+    half_level_edges,
+    innermost_edges,
+    levels,
+    waves,
+)
 from planish.marks.candidates import Image, Raster
 
 # Columns of the results.
 X, Y, RADIUS, HALF_DIFFERENCE, COV_XX, COV_YY, COV_XY, COVERAGE, STEP, INSIDE = range(10)
-OUTSIDE, TEXTURE, ROUGHNESS, FLATNESS, UNEVENNESS, FAR_STEP, LOW_WAVES, HIGH_WAVES, BURNT, ALIKE = range(10, 20)
+OUTSIDE, TEXTURE, ROUGHNESS, FLATNESS, UNEVENNESS, FAR_STEP, LOW_WAVES, HIGH_WAVES, BURNT, ALIKE = (
+    range(10, 20)
+)
 DOUBT_X, DOUBT_Y = 20, 21
 COLUMNS = 22
 
@@ -33,8 +42,9 @@ RAYS = 96
 # Cosine and sine of the angles of the rays, and of twice these.
 _COS, _SIN, _COS_2, _SIN_2 = (
     np.array([wave(order * (2 * np.pi * ray / RAYS)) for ray in range(RAYS)])
-    for order in (1, 2) for wave in (math.cos, math.sin)
-)  # fmt: skip
+    for order in (1, 2)
+    for wave in (math.cos, math.sin)
+)
 _Picture = tuple[Image, float, float]  # an image, and its pixel size along x and y
 
 
@@ -53,7 +63,11 @@ class _Outline(NamedTuple):
 
 
 def measure_rims(
-    raster: Raster, positions: Floats, sign: float, radius_range: Pair, thresholds: tuple[Floats, Floats]
+    raster: Raster,
+    positions: Floats,
+    sign: float,
+    radius_range: Pair,
+    thresholds: tuple[Floats, Floats],
 ) -> Floats:
     """Measure a round hole at each candidate place.
 
@@ -89,7 +103,9 @@ def measure_rims(
         if around == 0.0:
             continue
         # Another closed edge inside: the rim of a hole with a scorched ring around, or that of the other face.
-        other = _refined(picture, centre, around * sign, inner, near, dt, share=LEAST_INNER, follow=True)
+        other = _refined(
+            picture, centre, around * sign, inner, near, dt, share=LEAST_INNER, follow=True
+        )
         is_ring = other is not None and 0.5 * low < other.fit[0] < hole[RADIUS]
         if other is not None and is_ring and np.sum(other.weight > 0) > 0.6 * RAYS:
             # Of two that rise either may be the rim; where the grey falls, char is darker than the hole.
@@ -101,7 +117,13 @@ def measure_rims(
 
 
 def measure_floors(
-    raster: Raster, positions: Floats, sign: float, radius: float, floor: float, depth: float, shares: Sequence[float]
+    raster: Raster,
+    positions: Floats,
+    sign: float,
+    radius: float,
+    floor: float,
+    depth: float,
+    shares: Sequence[float],
 ) -> Floats:
     """Measure the outline of a hole's floor about each place (n, 2): where the grey leaves its level.
 
@@ -126,7 +148,9 @@ def measure_floors(
                 model = outline.fit[0] + outline.fit[3] * _COS_2 + outline.fit[4] * _SIN_2
         if least < np.inf:
             centre, search = (hole[X], hole[Y]), max(1.2 * pixel, 6.0)
-            _, steps, _, nears = half_level_edges(*picture, *centre, sign, model, search, max(0.5 * pixel, 0.5), pixel)
+            _, steps, _, nears = half_level_edges(
+                *picture, *centre, sign, model, search, max(0.5 * pixel, 0.5), pixel
+            )
             hole[BURNT] = hole[OUTSIDE] - _median(nears)
             _set_doubt(hole, picture, sign, centre, steps)
     return holes
@@ -136,7 +160,9 @@ def _picture(raster: Raster) -> _Picture:
     return raster.image, raster.pixel_um[1], raster.pixel_um[0]
 
 
-def _floor_outline(picture: _Picture, position: Floats, sign: float, radius: float, level: float) -> _Outline | None:
+def _floor_outline(
+    picture: _Picture, position: Floats, sign: float, radius: float, level: float
+) -> _Outline | None:
     """Outline of what is below a level; None where it lies elsewhere."""
     pixel, (x, y) = max(picture[1:]), position
     dt, (cx, cy) = max(0.25 * pixel, 0.5), position
@@ -152,7 +178,12 @@ def _floor_outline(picture: _Picture, position: Floats, sign: float, radius: flo
 
 
 def _circle(
-    picture: _Picture, position: Floats, sign: float, radius_range: Pair, least: float, contrast: float
+    picture: _Picture,
+    position: Floats,
+    sign: float,
+    radius_range: Pair,
+    least: float,
+    contrast: float,
 ) -> tuple[float, float, float, float] | None:
     """Return centre, radius and scatter of the circle through the innermost strong edges; None if there is none."""
     pixel, (low, high), (cx, cy) = max(picture[1:]), radius_range, position
@@ -168,9 +199,15 @@ def _circle(
         cx, cy = cx + fit[1], cy + fit[2]
         if turn == 0:
             # Most places are mottle; the levels show it long before the rim is known.
-            inside, spread, flatness, outside, texture = levels(*picture, cx, cy, sign, radius, pixel)
+            inside, spread, flatness, outside, texture = levels(
+                *picture, cx, cy, sign, radius, pixel
+            )
             total = outside - inside
-            if total < max(least, contrast * texture) or spread > 0.35 * total or flatness > 0.4 * total:
+            if (
+                total < max(least, contrast * texture)
+                or spread > 0.35 * total
+                or flatness > 0.4 * total
+            ):
                 return None
         if turn > 0 and shift < 0.1 * pixel:
             break
@@ -178,9 +215,16 @@ def _circle(
 
 
 def _refined(
-    picture: _Picture, centre: Sequence[float], sign: float, model: Floats, search: float, dt: float, *, share: float,
+    picture: _Picture,
+    centre: Sequence[float],
+    sign: float,
+    model: Floats,
+    search: float,
+    dt: float,
+    *,
+    share: float,
     follow: bool = False,
-) -> _Outline | None:  # fmt: skip
+) -> _Outline | None:
     """Return the outline at half level near a modelled one; None if there is none.
 
     Steps below a ``share`` of the median are left out. With ``follow`` what was found is followed, so that a rough rim
@@ -188,7 +232,9 @@ def _refined(
     """
     pixel, (cx, cy), radius, outline = max(picture[1:]), centre, float(np.mean(model)), None
     for _turn in range(3):
-        radii, steps, far_steps, nears = half_level_edges(*picture, cx, cy, sign, model, search, dt, pixel)
+        radii, steps, far_steps, nears = half_level_edges(
+            *picture, cx, cy, sign, model, search, dt, pixel
+        )
         radii[~(steps >= share * _median(steps))] = np.nan
         fit, weight, scale, inverse = fit_outline(radii, 2, 0.3 + 0.1 * pixel)
         if np.sum(weight) == 0.0 or math.hypot(fit[1], fit[2]) > 0.5 * radius:
@@ -224,7 +270,9 @@ def _closed_rims(
     reach = max(1, round(max(14.0, 1.4 * pixel) / dt))
     inside, spread, _, outside, _ = levels(*picture, *centre, sign, radius, pixel)
     total = outside - inside
-    x, y = kernels.floor_middle(*picture, *centre, sign, radius, inside, max(3 * spread, 0.1 * total))
+    x, y = kernels.floor_middle(
+        *picture, *centre, sign, radius, inside, max(3 * spread, 0.1 * total)
+    )
     count = int((radius + math.hypot(x - centre[0], y - centre[1]) + 0.3 * radius) / dt) + 2 * reach
     band, first = max(1, round(1.5 * pixel / dt)), max(reach, int(0.5 * low / dt))
     rises = kernels.polar_rises(*picture, x, y, sign, dt, count, reach, RAYS)
@@ -267,7 +315,9 @@ def _set_doubt(row: Floats, picture: _Picture, sign: float, other: Pair, steps: 
     """
     centre, radius, total = row[[X, Y]], row[RADIUS], row[OUTSIDE] - row[INSIDE]
     tolerance = max(3 * row[UNEVENNESS], LEAST_INNER * total)
-    from_floor = np.subtract(kernels.floor_middle(*picture, *centre, sign, radius, row[INSIDE], tolerance), centre)
+    from_floor = np.subtract(
+        kernels.floor_middle(*picture, *centre, sign, radius, row[INSIDE], tolerance), centre
+    )
     from_other = np.subtract(other, centre)
     distance, is_known = math.hypot(*from_floor), ~np.isnan(steps)
     wave = math.hypot(*(_sum(np.where(is_known, steps * part, 0.0)) for part in (_COS, _SIN)))

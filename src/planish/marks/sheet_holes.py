@@ -30,7 +30,9 @@ MATERIAL = 0.5
 NOISE_UM = 10.0
 
 
-def find_sheet_holes(maps: xr.Dataset, *, params: HoleParams | None = None, side: Side = "top") -> xr.Dataset:
+def find_sheet_holes(
+    maps: xr.Dataset, *, params: HoleParams | None = None, side: Side = "top"
+) -> xr.Dataset:
     """Find the laser holes that one side of a flattened sheet shows, and where they lie in its other layers.
 
     Parameters
@@ -91,8 +93,8 @@ def find_sheet_holes(maps: xr.Dataset, *, params: HoleParams | None = None, side
         side, other = other, side
     if side not in layers:
         raise MarkError(
-            "The maps hold no layer of the material at a face of the sheet (presence or presence_bottom). Make them "
-            "again from the volume."
+            "The maps hold no layer of the material at a face of the sheet (presence or"
+            " presence_bottom). Make them again from the volume."
         )
     low, high = (params or HoleParams()).hole_um
     grid = Grid.of(maps)
@@ -103,24 +105,36 @@ def find_sheet_holes(maps: xr.Dataset, *, params: HoleParams | None = None, side
         layers[layer], holes[layer] = _search(share, grid.pixel_um, diameter_range)
     centres, diameters = _xy(holes[side]), holes[side]["diameter"].values
     hole_count = len(centres)
-    partner_rows = {layer: np.arange(hole_count) if layer == side else np.full(hole_count, -1) for layer in LAYERS}
+    partner_rows = {
+        layer: np.arange(hole_count) if layer == side else np.full(hole_count, -1)
+        for layer in LAYERS
+    }
     for layer in layers.keys() - {side}:
         # From one layer to another a hole moves by less than half its diameter: one that is more oblique is not round.
         partner_rows[layer] = _partners(centres, _xy(holes[layer]), 0.5 * diameters)
     states, unpaired_count = np.full(hole_count, UNCLEAR, dtype=np.uint8), 0
     if other in layers:
-        unpaired_count = holes[other].sizes["mark"] - int(np.count_nonzero(partner_rows[other] >= 0))
-        states = _other_side(layers[other], grid.pixel_um, holes[side], holes[other], partner_rows[other])
+        unpaired_count = holes[other].sizes["mark"] - int(
+            np.count_nonzero(partner_rows[other] >= 0)
+        )
+        states = _other_side(
+            layers[other], grid.pixel_um, holes[side], holes[other], partner_rows[other]
+        )
     holes = {layer: _shifted(dataset, grid.origin_um) for layer, dataset in holes.items()}
     layer_holes = _by_layer(holes, partner_rows)
     offsets = _xy(layer_holes, "_bottom") - _xy(layer_holes, "_top")
     statistics, to_face_um = _offset_statistics(offsets, maps, side)
     out = _shifted(holes[side], to_face_um).merge(layer_holes, combine_attrs="override")
-    for axis, direction_text, offset in zip("xy", ("along the columns", "down the rows"), offsets.T, strict=True):
+    for axis, direction_text, offset in zip(
+        "xy", ("along the columns", "down the rows"), offsets.T, strict=True
+    ):
         long_name = f"Offset from the top to the bottom {direction_text}"
         out[f"offset_{axis}"] = ("mark", offset, {"units": "um", "long_name": long_name})
     out["other_side"] = ("mark", states, {"long_name": "What the other side shows of the hole"})
-    out["other_side"].attrs |= {"flag_values": list(range(3)), "flag_meanings": " ".join(OTHER_SIDE)}
+    out["other_side"].attrs |= {
+        "flag_values": list(range(3)),
+        "flag_meanings": " ".join(OTHER_SIDE),
+    }
     # What is as large as a circle of this share of the holes' diameter is an opening that should be one.
     least_um = 0.6 * float(np.median(diameters if hole_count else [low]))
     out.attrs |= {
@@ -143,14 +157,20 @@ def _search(share: Floats, pixel_um: Pair, diameter_range: Pair) -> tuple[Floats
     has_data = np.isfinite(share)
     sums, weights = masked_gaussian(share, has_data, [NOISE_UM / step for step in pixel_um])
     smooth = np.where(has_data, sums / np.where(has_data, weights, 1.0), np.nan)
-    smooth_holes = find_holes(smooth, pixel_um=pixel_um, diameter_um=diameter_range, polarity="dark")
+    smooth_holes = find_holes(
+        smooth, pixel_um=pixel_um, diameter_um=diameter_range, polarity="dark"
+    )
     if smooth_holes.sizes["mark"] > holes.sizes["mark"]:
         return smooth, smooth_holes
     return share, holes
 
 
 def _other_side(
-    material: NDArray[np.generic], pixel_um: Pair, holes: xr.Dataset, partners: xr.Dataset, partner_rows: Ints
+    material: NDArray[np.generic],
+    pixel_um: Pair,
+    holes: xr.Dataset,
+    partners: xr.Dataset,
+    partner_rows: Ints,
 ) -> NDArray[np.uint8]:
     is_through, centres = partner_rows >= 0, _xy(holes)
     states = np.where(is_through, THROUGH, UNCLEAR).astype(np.uint8)
@@ -161,7 +181,9 @@ def _other_side(
     axes = [np.arange(n) * step for n, step in zip(material.shape, pixel_um, strict=True)]
     for k in np.flatnonzero(~is_through).tolist():
         radius_um = 0.25 * float(holes["diameter"].values[k])
-        dy, dx = (axis - centre for axis, centre in zip(axes, (centres[k] + offset)[::-1], strict=True))
+        dy, dx = (
+            axis - centre for axis, centre in zip(axes, (centres[k] + offset)[::-1], strict=True)
+        )
         near_indices = [np.flatnonzero(np.abs(d) <= radius_um) for d in (dy, dx)]
         distances = np.hypot(dy[near_indices[0]][:, None], dx[near_indices[1]][None])
         shares = material[np.ix_(*near_indices)].astype(np.float64)[distances <= radius_um]
@@ -170,7 +192,9 @@ def _other_side(
     return states
 
 
-def _offset_statistics(offsets: Floats, maps: xr.Dataset, side: Side) -> tuple[dict[str, Any], Floats]:
+def _offset_statistics(
+    offsets: Floats, maps: xr.Dataset, side: Side
+) -> tuple[dict[str, Any], Floats]:
     """Summarise the offsets from top to bottom, as attributes, and give the move from the layer to its face."""
     measured = offsets[np.isfinite(offsets).all(axis=1)]
     offset_um = spread_um = np.full(2, np.nan)
@@ -188,7 +212,9 @@ def _offset_statistics(offsets: Floats, maps: xr.Dataset, side: Side) -> tuple[d
         to_face_um = (-face_share if side == "top" else face_share) * offset_um
     arrays = {"offset_um": offset_um, "offset_spread_um": spread_um, "offset_error_um": error_um}
     arrays["to_face_um"] = to_face_um
-    statistics = {"offset_count": len(measured)} | {name: pair.tolist() for name, pair in arrays.items()}
+    statistics = {"offset_count": len(measured)} | {
+        name: pair.tolist() for name, pair in arrays.items()
+    }
     if (thickness_um := maps.attrs.get("layers_apart_um")) is not None:
         statistics["tilt_deg"] = np.rad2deg(np.arctan2(offset_um, thickness_um)).tolist()
     return statistics, to_face_um
@@ -202,7 +228,10 @@ def hole_tilt(holes: xr.Dataset | None) -> HoleTiltFacts | None:
     offset, error = (np.array(attrs[k], dtype=np.float64) for k in ("offset_um", "offset_error_um"))
     text = "No hole was found on both sides of the sheet."
     if np.isfinite(offset).all():
-        text = f"{attrs['offset_count']} holes run through the sheet, shifted by {np.hypot(*offset):.1f} um from its"
+        text = (
+            f"{attrs['offset_count']} holes run through the sheet, shifted by"
+            f" {np.hypot(*offset):.1f} um from its"
+        )
         text += " upper to its lower third"
         text += f" (± {np.sqrt(np.mean(error**2)):.1f} um)." if np.isfinite(error).all() else "."
     if closed := attrs["closed"]:
@@ -212,11 +241,15 @@ def hole_tilt(holes: xr.Dataset | None) -> HoleTiltFacts | None:
 
 
 def _shifted(holes: xr.Dataset, offset: Sequence[float] | Floats) -> xr.Dataset:
-    return holes.assign({k: holes[k].copy(data=holes[k].values + d) for k, d in zip("xy", offset, strict=True)})
+    return holes.assign(
+        {k: holes[k].copy(data=holes[k].values + d) for k, d in zip("xy", offset, strict=True)}
+    )
 
 
 def _xy(holes: xr.Dataset, suffix: str = "") -> Floats:
-    return np.stack([holes[f"x{suffix}"].values, holes[f"y{suffix}"].values], axis=1).astype(np.float64)
+    return np.stack([holes[f"x{suffix}"].values, holes[f"y{suffix}"].values], axis=1).astype(
+        np.float64
+    )
 
 
 def _partners(centres: Floats, candidate_centres: Floats, reach: Floats) -> Ints:
@@ -239,8 +272,16 @@ def _openings(share: NDArray[np.generic], pixel_um: Pair, centres: Floats, least
     labelled: Any = ndimage.label((material < MATERIAL) | ~has_data)
     regions: Ints = labelled[0]
     sizes = np.bincount(regions.ravel(), minlength=int(labelled[1]) + 1) * pixel_um[0] * pixel_um[1]
-    sizes[np.unique(np.concatenate([regions[[0, -1]].ravel(), regions[:, [0, -1]].ravel(), regions[~has_data]]))] = 0.0
-    rows, cols = np.rint(centres[:, ::-1] / pixel_um).clip(0, np.array(share.shape) - 1).astype(np.intp).T
+    sizes[
+        np.unique(
+            np.concatenate(
+                [regions[[0, -1]].ravel(), regions[:, [0, -1]].ravel(), regions[~has_data]]
+            )
+        )
+    ] = 0.0
+    rows, cols = (
+        np.rint(centres[:, ::-1] / pixel_um).clip(0, np.array(share.shape) - 1).astype(np.intp).T
+    )
     sizes[regions[rows, cols]] = 0.0
     return int(np.count_nonzero(sizes[1:] > np.pi / 4 * least_um**2))
 
@@ -252,8 +293,15 @@ def _by_layer(holes: dict[str, xr.Dataset], layer_rows: dict[str, Ints]) -> xr.D
     for layer, (_, place_text) in LAYERS.items():
         for name in ("x", "y", "cov_xx", "cov_yy", "cov_xy", "diameter"):
             values_by_row = holes[layer][name].values if layer in holes else np.empty(0)
-            units, name_text = template[name].attrs["units"], f"{template[name].attrs['long_name']}, {place_text}"
+            units, name_text = (
+                template[name].attrs["units"],
+                f"{template[name].attrs['long_name']}, {place_text}",
+            )
             # The last row is that of the holes that are missing, -1.
             column = np.append(values_by_row, np.nan)[layer_rows[layer]]
-            variables[f"{name}_{layer}"] = ("mark", column, {"units": units, "long_name": name_text})
+            variables[f"{name}_{layer}"] = (
+                "mark",
+                column,
+                {"units": units, "long_name": name_text},
+            )
     return xr.Dataset(variables)

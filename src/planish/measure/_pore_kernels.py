@@ -45,7 +45,9 @@ def _swallowed(distance, i, j, k, step):
             for c in range(max(k - 1, 0), min(k + 2, distance.shape[2])):
                 if a == i and b == j and c == k:
                     continue
-                way = np.sqrt(((a - i) * step[0]) ** 2 + ((b - j) * step[1]) ** 2 + ((c - k) * step[2]) ** 2)
+                way = np.sqrt(
+                    ((a - i) * step[0]) ** 2 + ((b - j) * step[1]) ** 2 + ((c - k) * step[2]) ** 2
+                )
                 if distance[a, b, c] >= r + way - 1e-6:
                     return True
     return False

@@ -61,7 +61,9 @@ def along_normals(surface, centre, normal_r, normal_c, normal_h, pitch_r, pitch_
                 continue
             s1 = f0 * nh
             for _ in range(_STEPS):
-                f1 = height_at(surface, i + s1 * nr / pitch_r, j + s1 * nc / pitch_c) - (h0 + s1 * nh)
+                f1 = height_at(surface, i + s1 * nr / pitch_r, j + s1 * nc / pitch_c) - (
+                    h0 + s1 * nh
+                )
                 if not np.isfinite(f1):
                     break
                 if abs(f1) < _CLOSE_UM:
@@ -76,7 +78,9 @@ def along_normals(surface, centre, normal_r, normal_c, normal_h, pitch_r, pitch_
 
 
 @njit(cache=True, nogil=True)
-def resample_rays(block, corner, first, wide, depth, step_r, step_c, step_d, wanted, low, ds, padding, padded, out):
+def resample_rays(
+    block, corner, first, wide, depth, step_r, step_c, step_d, wanted, low, ds, padding, padded, out
+):
     """Trilinear grey along rays through a part of the volume; ``wanted`` ones only.
 
     block           : (rows, cols, depth), the part of the volume
@@ -104,8 +108,17 @@ def resample_rays(block, corner, first, wide, depth, step_r, step_c, step_d, wan
             sure = True
             for k in (0, count - 1):
                 s = (low + k) * ds
-                r, c, d = at_r + s * sr - corner[0], at_c + s * sc - corner[1], d0 + s * sd - corner[2]
-                sure = sure and 0.0 <= r < height - 1.001 and 0.0 <= c < width - 1.001 and 0.0 <= d < deep - 1.001
+                r, c, d = (
+                    at_r + s * sr - corner[0],
+                    at_c + s * sc - corner[1],
+                    d0 + s * sd - corner[2],
+                )
+                sure = (
+                    sure
+                    and 0.0 <= r < height - 1.001
+                    and 0.0 <= c < width - 1.001
+                    and 0.0 <= d < deep - 1.001
+                )
             for k in range(count):
                 s = (low + k) * ds
                 # Coordinates are those of the whole volume: rounding must not depend on the block.
@@ -119,7 +132,7 @@ def resample_rays(block, corner, first, wide, depth, step_r, step_c, step_d, wan
                 r1, c1, d1 = r0 + (fr > 0), c0 + (fc > 0), d0i + (fd > 0)
                 if not sure and (
                     r0 < 0 or c0 < 0 or d0i < 0 or r1 >= height or c1 >= width or d1 >= deep
-                ):  # fmt: skip
+                ):
                     out[i, j, k] = np.nan
                     continue
                 a, b = float(block[r0, c0, d0i]), float(block[r0, c0, d1])
@@ -127,9 +140,15 @@ def resample_rays(block, corner, first, wide, depth, step_r, step_c, step_d, wan
                 p, q = float(block[r1, c0, d0i]), float(block[r1, c0, d1])
                 u, v = float(block[r1, c1, d0i]), float(block[r1, c1, d1])
                 if padded and (
-                    a == padding or b == padding or e == padding or f == padding
-                    or p == padding or q == padding or u == padding or v == padding
-                ):  # fmt: skip
+                    a == padding
+                    or b == padding
+                    or e == padding
+                    or f == padding
+                    or p == padding
+                    or q == padding
+                    or u == padding
+                    or v == padding
+                ):
                     out[i, j, k] = np.nan
                     continue
                 near = (a * (1 - fd) + b * fd) * (1 - fc) + (e * (1 - fd) + f * fd) * fc
@@ -178,7 +197,9 @@ def pieces(grey, s0, ds, lower, upper, least, most):
     ends = np.zeros((rows, cols), dtype=np.int32)
     for i in range(rows):
         for j in range(cols):
-            total, part, n = _piece(grey[i, j], (lower[i, j] - s0) / ds, (upper[i, j] - s0) / ds, least, most)
+            total, part, n = _piece(
+                grey[i, j], (lower[i, j] - s0) / ds, (upper[i, j] - s0) / ds, least, most
+            )
             integral[i, j], length[i, j], ends[i, j] = ds * total, ds * part, n
     return integral, length, ends
 

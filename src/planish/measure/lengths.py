@@ -46,7 +46,10 @@ class InkOptions(Params):
     @model_validator(mode="after")
     def _ascending(self) -> Self:
         if self.ink_grey is not None and not self.ink_grey[0] < self.ink_grey[1]:
-            raise ValueError(f"ink_grey runs from {self.ink_grey[0]:g} to {self.ink_grey[1]:g}; give the smaller first")
+            raise ValueError(
+                f"ink_grey runs from {self.ink_grey[0]:g} to {self.ink_grey[1]:g}; give the smaller"
+                " first"
+            )
         return self
 
 
@@ -57,8 +60,9 @@ NO_INK, AT_LIMIT = 1, 2
 def _check_ink(params: MeasureParams, _greys: Greys) -> None:
     if params.ink_grey is None:
         raise CannotMeasure(
-            "The depth of ink needs the grey values that are ink. Read them from a printed and an unprinted spot, and "
-            "give their range as ink_grey = [low, high] in [properties] of a study file."
+            "The depth of ink needs the grey values that are ink. Read them from a printed and an"
+            " unprinted spot, and give their range as ink_grey = [low, high] in [properties] of a"
+            " study file."
         )
 
 
@@ -68,7 +72,11 @@ def _depths(rays: Rays) -> tuple[Floats, NDArray[np.uint8]]:
 
     assert rays.params.ink_grey is not None
     reach = rays.params.ink_reach_um
-    limit = 0.5 * (rays.top + rays.bottom) if reach is None else np.maximum(rays.top - reach, rays.bottom)
+    limit = (
+        0.5 * (rays.top + rays.bottom)
+        if reach is None
+        else np.maximum(rays.top - reach, rays.bottom)
+    )
     low, high = rays.params.ink_grey
     step, shares = rays.step_um, np.array([0.50, 0.90, 0.95])
     depth, total = _ray_kernels.depths_of_shares(
@@ -83,11 +91,21 @@ def _depths(rays: Rays) -> tuple[Floats, NDArray[np.uint8]]:
 
 
 for _which, (_share, _title) in enumerate(
-    {50: "Depth of half the ink", 90: "Depth of 90 % of the ink", 95: "Depth of 95 % of the ink"}.items()
+    {
+        50: "Depth of half the ink",
+        90: "Depth of 90 % of the ink",
+        95: "Depth of 95 % of the ink",
+    }.items()
 ):
 
-    @ray_property(f"ink_depth_{_share}", units="um", long_name=_title, reasons=REASONS, check=_check_ink,
-                  when=lambda params, _greys: params.ink_grey is not None)  # fmt: skip
+    @ray_property(
+        f"ink_depth_{_share}",
+        units="um",
+        long_name=_title,
+        reasons=REASONS,
+        check=_check_ink,
+        when=lambda params, _greys: params.ink_grey is not None,
+    )
     def depth(rays: Rays, which: int = _which) -> Measured:
         """P-12: depth below the top face that holds 50, 90 or 95 % of the length of ink on the ray.
 
@@ -99,16 +117,23 @@ for _which, (_share, _title) in enumerate(
         assert rays.params.ink_grey is not None
         depths, reason = _depths(rays)
         low, high = rays.params.ink_grey
-        se = np.where(np.isfinite(depths[which]), np.sqrt(2.0) * rays.crossing_se(0.5 * (high - low)), np.nan)
+        se = np.where(
+            np.isfinite(depths[which]), np.sqrt(2.0) * rays.crossing_se(0.5 * (high - low)), np.nan
+        )
         return Measured(values=depths[which], se=se, reason=reason)
 
 
 class ThicknessOptions(Params):
     """Options of thicknesses along the ray and between envelopes."""
 
-    gap_um: float = option(6.0, ge=0, cli=None, help="A gap in the coating that is shorter does not end the layer.")
+    gap_um: float = option(
+        6.0, ge=0, cli=None, help="A gap in the coating that is shorter does not end the layer."
+    )
     envelope_radius_um: float = option(
-        250.0, gt=0, cli=None, help="Radius of the ball that rolls over both faces, for thickness_envelope."
+        250.0,
+        gt=0,
+        cli=None,
+        help="Radius of the ball that rolls over both faces, for thickness_envelope.",
     )
 
 
@@ -118,12 +143,18 @@ def thickness_se(sheet: Sheet, name: str) -> Floats:
 
     f = sheet.frame
     shared_noise = SharedNoise.of(
-        f.greys, voxel_um=f.voxel_um, pitch_um=f.pitch_um, column_px=f.column_px, noise_um=f.noise_um
+        f.greys,
+        voxel_um=f.voxel_um,
+        pitch_um=f.pitch_um,
+        column_px=f.column_px,
+        noise_um=f.noise_um,
     )
     slope = f.slopes()
     # A vertical distance is longer than a normal one, and so is its error.
     oblique = f.oblique(slope)
-    coatings_um: dict[Side, Floats] = {k: np.abs(f.faces[k] - f.faces[f"interface_{k}"]) / oblique for k in SIDES}
+    coatings_um: dict[Side, Floats] = {
+        k: np.abs(f.faces[k] - f.faces[f"interface_{k}"]) / oblique for k in SIDES
+    }
     cosine = 1 / np.sqrt(1 + np.sum(slope**2, axis=-1))
     return thickness_errors(coatings_um, f.greys, shared_noise, cosine=cosine)[name] * oblique
 
@@ -132,7 +163,9 @@ def _has_coating(_params: MeasureParams, greys: Greys, side: Side) -> None:
     greys.need_coating(side, f"Coating thickness, {side} side,")
 
 
-@sheet_property("coating_{side}", units="um", long_name=PROPERTIES["coating_top"].replace("top", "{side}"))
+@sheet_property(
+    "coating_{side}", units="um", long_name=PROPERTIES["coating_top"].replace("top", "{side}")
+)
 def coating(sheet: Sheet, side: Side) -> Measured:
     """P-01: face to interface; 0 is possible. SE from the Fisher matrix of the fitted staircase (thickness_errors)."""
     if sheet.frame.greys.coated(side):
@@ -155,8 +188,13 @@ def difference(sheet: Sheet, name: str) -> Measured:
     return Measured(values=top.values - bottom.values, se=np.hypot(top.se, bottom.se))
 
 
-@sheet_property("coating_difference", units="um", long_name="Coating, top less bottom", check=_needs_both_coatings,
-                after=("coating_top", "coating_bottom"))  # fmt: skip
+@sheet_property(
+    "coating_difference",
+    units="um",
+    long_name="Coating, top less bottom",
+    check=_needs_both_coatings,
+    after=("coating_top", "coating_bottom"),
+)
 def coating_difference(sheet: Sheet) -> Measured:
     """P-14: t_T - t_B on the same ray; SE: the root of the summed squares of both."""
     return difference(sheet, "coating")
@@ -175,9 +213,11 @@ def thickness(sheet: Sheet) -> Measured:
 
 
 @sheet_property(
-    "thickness_envelope", units="um", long_name="Sheet thickness between rolling balls",
+    "thickness_envelope",
+    units="um",
+    long_name="Sheet thickness between rolling balls",
     support_um=lambda params: 2 * params.envelope_radius_um,
-)  # fmt: skip
+)
 def thickness_envelope(sheet: Sheet) -> Measured:
     """P-05 with envelopes: a ball of ``envelope_radius_um`` rolls over either face and bridges what it cannot enter.
 
@@ -200,18 +240,34 @@ def _layer(rays: Rays, side: Side) -> tuple[Floats, Floats, Floats]:
 
     greys = rays.greys
     coating_level = greys.coating(side)
-    face, other = (rays.top, rays.interface_bottom) if side == "top" else (rays.bottom, rays.interface_top)
+    face, other = (
+        (rays.top, rays.interface_bottom) if side == "top" else (rays.bottom, rays.interface_top)
+    )
     summed, envelope, ends = _ray_kernels.layers(
-        rays.grey, float(rays.s_um[0]), rays.step_um, face, -1.0 if side == "top" else 1.0,
-        0.5 * (coating_level + greys.base), greys.polarity, rays.oblique * (2.5 * greys.blur_um + rays.voxel_um),
-        rays.params.gap_um, other,
-    )  # fmt: skip
+        rays.grey,
+        float(rays.s_um[0]),
+        rays.step_um,
+        face,
+        -1.0 if side == "top" else 1.0,
+        0.5 * (coating_level + greys.base),
+        greys.polarity,
+        rays.oblique * (2.5 * greys.blur_um + rays.voxel_um),
+        rays.params.gap_um,
+        other,
+    )
     face_se = rays.oblique * layer_errors(envelope / rays.oblique, greys, rays.noise_um, side)[0]
-    se = np.hypot(face_se, np.sqrt(np.maximum(ends, 1)) * rays.crossing_se(coating_level - greys.base))
+    se = np.hypot(
+        face_se, np.sqrt(np.maximum(ends, 1)) * rays.crossing_se(coating_level - greys.base)
+    )
     return summed, envelope, se
 
 
-@ray_property("coating_{side}_sum", units="um", long_name="Coating on the ray, {side} side", check=_has_coating)
+@ray_property(
+    "coating_{side}_sum",
+    units="um",
+    long_name="Coating on the ray, {side} side",
+    check=_has_coating,
+)
 def coating_sum(rays: Rays, side: Side) -> Measured:
     """P-01 by labels (A-16): summed length of coating in the outermost connected layer.
 
@@ -224,32 +280,48 @@ def coating_sum(rays: Rays, side: Side) -> Measured:
     return Measured(values=summed, se=se)
 
 
-@ray_property("coating_{side}_envelope", units="um", long_name="Coating with its gaps, {side} side", check=_has_coating)
+@ray_property(
+    "coating_{side}_envelope",
+    units="um",
+    long_name="Coating with its gaps, {side} side",
+    check=_has_coating,
+)
 def coating_envelope(rays: Rays, side: Side) -> Measured:
     """t_env of A-16: from the face to the inner end of the same layer, gaps included; SE as :func:`coating_sum`."""
     _, envelope, se = _layer(rays, side)
     return Measured(values=envelope, se=se)
 
 
-_ALPHA = 0.4697  # sqrt(ln 2 / pi): the Gaussian exp(-pi (x / (alpha cutoff))^2) passes its cut-off by half
+# Sqrt(ln 2 / pi): the Gaussian exp(-pi (x / (alpha cutoff))^2) passes its cut-off by half.
+_ALPHA = 0.4697
 _PER_MM = 1000.0
 
 
 class RoughnessOptions(Params):
     """Options of the roughness."""
 
-    s_filter_um: float = option(5.0, gt=0, cli=None, help="S-filter of the roughness: shorter waves are left out.")
-    l_filter_um: float = option(800.0, gt=0, cli=None, help="L-filter of the roughness: longer waves are left out.")
+    s_filter_um: float = option(
+        5.0, gt=0, cli=None, help="S-filter of the roughness: shorter waves are left out."
+    )
+    l_filter_um: float = option(
+        800.0, gt=0, cli=None, help="L-filter of the roughness: longer waves are left out."
+    )
 
 
-@sheet_property("topography_{side}", units="um", long_name=PROPERTIES["topography_top"].replace("top", "{side}"))
+@sheet_property(
+    "topography_{side}", units="um", long_name=PROPERTIES["topography_top"].replace("top", "{side}")
+)
 def topography(sheet: Sheet, side: Side) -> Measured:
     """P-06: from the centre surface outwards to the face; SE: that of the fitted face."""
     return _between_faces(sheet, f"topography_{side}")
 
 
-@sheet_property("roughness_{side}", units="um", long_name="Roughness, {side} side",
-                support_um=lambda params: params.s_filter_um)  # fmt: skip
+@sheet_property(
+    "roughness_{side}",
+    units="um",
+    long_name="Roughness, {side} side",
+    support_um=lambda params: params.s_filter_um,
+)
 def roughness(sheet: Sheet, side: Side) -> Measured:
     """P-06: the topography between S-filter and L-filter; see :func:`scale_limited`.
 
@@ -258,10 +330,14 @@ def roughness(sheet: Sheet, side: Side) -> Measured:
     f, p = sheet.frame, sheet.params
     outward_sign = 1.0 if side == "top" else -1.0
     height = np.where(sheet.valid, outward_sign * f.faces[side], np.nan)
-    limited = scale_limited(height, f.pitch_um, s_filter_um=p.s_filter_um, l_filter_um=p.l_filter_um)
+    limited = scale_limited(
+        height, f.pitch_um, s_filter_um=p.s_filter_um, l_filter_um=p.l_filter_um
+    )
     filter_width_um = 2 * np.sqrt(np.pi) * _sigma(p.s_filter_um)
     noise_share = np.prod([min(1.0, np.sqrt(p_um / filter_width_um)) for p_um in f.pitch_um])
-    return Measured(values=limited, se=thickness_se(sheet, f"topography_{side}") * float(noise_share))
+    return Measured(
+        values=limited, se=thickness_se(sheet, f"topography_{side}") * float(noise_share)
+    )
 
 
 def _sigma(cutoff_um: float) -> float:
@@ -275,13 +351,17 @@ def smoothed(values: Floats, pitch_um: Pair, sigma_um: float) -> Floats:
     sigma = [sigma_um / p for p in pitch_um]
     is_finite = np.isfinite(values)
     total, weight = masked_gaussian(values, is_finite, sigma, truncate=3.5)
-    full_weight = ndimage.gaussian_filter(np.ones(values.shape), sigma, mode="constant", truncate=3.5)
+    full_weight = ndimage.gaussian_filter(
+        np.ones(values.shape), sigma, mode="constant", truncate=3.5
+    )
     with np.errstate(divide="ignore", invalid="ignore"):
         # So much of the filter's weight must lie on known values.
         return np.where(weight > 0.3 * full_weight, total / weight, np.nan)
 
 
-def scale_limited(height: Floats, pitch_um: Pair, *, s_filter_um: float, l_filter_um: float) -> Floats:
+def scale_limited(
+    height: Floats, pitch_um: Pair, *, s_filter_um: float, l_filter_um: float
+) -> Floats:
     """Roughness between two Gaussian filters; half of the longer cut-off is discarded along the outline.
 
     Parameters
@@ -307,26 +387,40 @@ def scale_limited(height: Floats, pitch_um: Pair, *, s_filter_um: float, l_filte
 
     if not s_filter_um < l_filter_um:
         raise CannotMeasure(
-            f"The S-filter ({s_filter_um:g} um) must be shorter than the L-filter ({l_filter_um:g} um). Change "
-            "s_filter_um or l_filter_um."
+            f"The S-filter ({s_filter_um:g} um) must be shorter than the L-filter ({l_filter_um:g}"
+            " um). Change s_filter_um or l_filter_um."
         )
     is_finite = np.isfinite(height)
     # Holes are no edge: the masked filter bridges them.
     inside = np.pad(ndimage.binary_fill_holes(is_finite), 1)
-    inside = np.asarray(ndimage.distance_transform_edt(inside, sampling=pitch_um))[1:-1, 1:-1] >= 0.5 * l_filter_um
+    inside = (
+        np.asarray(ndimage.distance_transform_edt(inside, sampling=pitch_um))[1:-1, 1:-1]
+        >= 0.5 * l_filter_um
+    )
     if not (inside & is_finite).any():
-        size = " x ".join(f"{n * p / 1000:.2g}" for n, p in zip(height.shape, pitch_um, strict=True))
-        raise CannotMeasure(
-            f"The sheet is {size} mm large: an L-filter of {l_filter_um / 1000:g} mm, half of which is discarded along "
-            "its edge, leaves nothing. Give a shorter l_filter_um, and say so beside every number."
+        size = " x ".join(
+            f"{n * p / 1000:.2g}" for n, p in zip(height.shape, pitch_um, strict=True)
         )
-    fine = smoothed(height, pitch_um, _sigma(s_filter_um)) if s_filter_um >= 2 * max(pitch_um) else height
+        raise CannotMeasure(
+            f"The sheet is {size} mm large: an L-filter of {l_filter_um / 1000:g} mm, half of which"
+            " is discarded along its edge, leaves nothing. Give a shorter l_filter_um, and say so"
+            " beside every number."
+        )
+    fine = (
+        smoothed(height, pitch_um, _sigma(s_filter_um))
+        if s_filter_um >= 2 * max(pitch_um)
+        else height
+    )
     coarse = smoothed(height, pitch_um, _sigma(l_filter_um))
     return np.where(inside & is_finite, fine - coarse, np.nan)
 
 
-@sheet_property("topography_difference", units="um", long_name="Topography, top less bottom",
-                after=("topography_top", "topography_bottom"))  # fmt: skip
+@sheet_property(
+    "topography_difference",
+    units="um",
+    long_name="Topography, top less bottom",
+    after=("topography_top", "topography_bottom"),
+)
 def topography_difference(sheet: Sheet) -> Measured:
     """P-14: outward height of the top face less that of the bottom face on the same ray; SE as of coatings.
 
@@ -340,7 +434,9 @@ def topography_difference(sheet: Sheet) -> Measured:
 # surface as a real warp does and cannot be separated from it by one scan. Warp and tilt cost no look at the volume.
 
 
-@sheet_property("warp", units="um", long_name="Warp", support_um=400.0, when=lambda _params, _greys: True)
+@sheet_property(
+    "warp", units="um", long_name="Warp", support_um=400.0, when=lambda _params, _greys: True
+)
 def warp(sheet: Sheet) -> Floats:
     """Height of the centre surface above the plane that fits it best, up towards the top."""
     height = sheet.frame.heights["centre"]
@@ -352,7 +448,13 @@ def warp(sheet: Sheet) -> Floats:
     return height - (offset + by_y * yy + by_x * xx)
 
 
-@sheet_property("tilt", units="deg", long_name="Tilt of the sheet", support_um=400.0, when=lambda _params, _greys: True)
+@sheet_property(
+    "tilt",
+    units="deg",
+    long_name="Tilt of the sheet",
+    support_um=400.0,
+    when=lambda _params, _greys: True,
+)
 def tilt(sheet: Sheet) -> Floats:
     """Angle between the normal and the axis through the sheet."""
     slope = sheet.frame.slopes()
@@ -370,7 +472,9 @@ def mean_curvature(sheet: Sheet) -> Floats:
     return _PER_MM * above / (2 * (1 + p * p + q * q) ** 1.5)
 
 
-@sheet_property("gaussian_curvature", units="1/mm2", long_name="Gaussian curvature", support_um=400.0)
+@sheet_property(
+    "gaussian_curvature", units="1/mm2", long_name="Gaussian curvature", support_um=400.0
+)
 def gaussian_curvature(sheet: Sheet) -> Floats:
     """K = (r t - s^2) / (1 + p^2 + q^2)^2; 0 where the sheet can be laid flat without strain."""
     p, q, r, s, t = _derivatives(sheet)
@@ -381,9 +485,18 @@ def _derivatives(sheet: Sheet) -> list[Floats]:
     """Slopes p, q and second derivatives r, s, t along columns, mixed and along rows; NaN on the border."""
     c = sheet.frame.heights["centre"]
     dy, dx = sheet.frame.pitch_um
-    up, down, left, right, centre = c[:-2, 1:-1], c[2:, 1:-1], c[1:-1, :-2], c[1:-1, 2:], c[1:-1, 1:-1]
+    up, down, left, right, centre = (
+        c[:-2, 1:-1],
+        c[2:, 1:-1],
+        c[1:-1, :-2],
+        c[1:-1, 2:],
+        c[1:-1, 1:-1],
+    )
     derivatives = (
-        (right - left) / (2 * dx), (down - up) / (2 * dy), (right - 2 * centre + left) / dx**2,
-        (c[2:, 2:] - c[2:, :-2] - c[:-2, 2:] + c[:-2, :-2]) / (4 * dx * dy), (down - 2 * centre + up) / dy**2,
-    )  # fmt: skip
+        (right - left) / (2 * dx),
+        (down - up) / (2 * dy),
+        (right - 2 * centre + left) / dx**2,
+        (c[2:, 2:] - c[2:, :-2] - c[:-2, 2:] + c[:-2, :-2]) / (4 * dx * dy),
+        (down - 2 * centre + up) / dy**2,
+    )
     return [np.pad(derivative, 1, constant_values=np.nan) for derivative in derivatives]

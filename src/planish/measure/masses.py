@@ -13,7 +13,16 @@ from planish.core.errors import CannotMeasure
 from planish.core.options import Params, option, option_names
 from planish.core.typing import Floats
 from planish.measure.lengths import smoothed
-from planish.measure.registry import FWHM, SIDES, Greys, Measured, Sheet, Side, ray_property, sheet_property
+from planish.measure.registry import (
+    FWHM,
+    SIDES,
+    Greys,
+    Measured,
+    Sheet,
+    Side,
+    ray_property,
+    sheet_property,
+)
 
 if TYPE_CHECKING:
     from planish.measure.params import MeasureParams
@@ -29,24 +38,49 @@ class Densities(Params):
     """Densities and masses that are known from elsewhere; all of them may be missing."""
 
     coating_g_cm3: float | None = option(
-        None, gt=0, lt=1e4, cli="--coating-density", metavar="G/CM3",
-        help="Density of the coating with its voids, for coat weight; 1.6 is usual for ground calcium carbonate.",
-    )  # fmt: skip
+        None,
+        gt=0,
+        lt=1e4,
+        cli="--coating-density",
+        metavar="G/CM3",
+        help=(
+            "Density of the coating with its voids, for coat weight; 1.6 is usual for ground"
+            " calcium carbonate."
+        ),
+    )
     base_g_cm3: float | None = option(
-        None, gt=0, lt=1e4, cli="--base-density", metavar="G/CM3",
+        None,
+        gt=0,
+        lt=1e4,
+        cli="--base-density",
+        metavar="G/CM3",
         help="Density of the base as it lies in the sheet, for grammage.",
-    )  # fmt: skip
+    )
     filler_g_cm3: float | None = option(
-        None, gt=0, lt=1e4, cli=None, help="Density of the filler's grains without voids; calcium carbonate 2.7."
+        None,
+        gt=0,
+        lt=1e4,
+        cli=None,
+        help="Density of the filler's grains without voids; calcium carbonate 2.7.",
     )
     grammage_g_m2: float | None = option(
         None, gt=0, lt=1e4, cli="--grammage", metavar="G/M2", help="Weighed mass of the sheet."
     )
     coat_weight_top_g_m2: float | None = option(
-        None, gt=0, lt=1e4, cli="--coat-weight-top", metavar="G/M2", help="Weighed mass of the top coating."
+        None,
+        gt=0,
+        lt=1e4,
+        cli="--coat-weight-top",
+        metavar="G/M2",
+        help="Weighed mass of the top coating.",
     )
     coat_weight_bottom_g_m2: float | None = option(
-        None, gt=0, lt=1e4, cli="--coat-weight-bottom", metavar="G/M2", help="Weighed mass of the bottom coating."
+        None,
+        gt=0,
+        lt=1e4,
+        cli="--coat-weight-bottom",
+        metavar="G/M2",
+        help="Weighed mass of the bottom coating.",
     )
 
     def coat_weight(self, side: Side) -> float | None:
@@ -60,36 +94,51 @@ class Densities(Params):
                 return number
         lacking_text = "neither is" if len(names) > 1 else "that is not"
         raise CannotMeasure(
-            f"{quantity} in grams needs {option_names(Densities, *names)}, and {lacking_text} given. Give it, or "
-            f"leave {quantity.lower()} out."
+            f"{quantity} in grams needs {option_names(Densities, *names)}, and {lacking_text}"
+            f" given. Give it, or leave {quantity.lower()} out."
         )
 
     def known(self) -> dict[str, float]:
         """Return those that are known, for the attributes of a dataset."""
-        return {name: number for name in Densities.model_fields if (number := getattr(self, name)) is not None}
+        return {
+            name: number
+            for name in Densities.model_fields
+            if (number := getattr(self, name)) is not None
+        }
 
 
 class Options(Params):
     """Options of the masses."""
 
     coat_weight_from: Literal["thickness", "attenuation"] = option(
-        "thickness", cli=None,
-        help="Thickness times density, or the grey that the coating adds to the base's: the second ignores the blur.",
-    )  # fmt: skip
+        "thickness",
+        cli=None,
+        help=(
+            "Thickness times density, or the grey that the coating adds to the base's: the second"
+            " ignores the blur."
+        ),
+    )
     density_support_um: float = option(
-        100.0, gt=0, cli=None,
-        help="Full width at half maximum of the Gaussian that grammage and thickness are averaged with.",
-    )  # fmt: skip
+        100.0,
+        gt=0,
+        cli=None,
+        help=(
+            "Full width at half maximum of the Gaussian that grammage and thickness are averaged"
+            " with."
+        ),
+    )
 
 
-def _in_grams(layer: Measured, sheet: Sheet, quantity_text: str, weighed_g_m2: float | None, density: str) -> Measured:
+def _in_grams(
+    layer: Measured, sheet: Sheet, quantity_text: str, weighed_g_m2: float | None, density: str
+) -> Measured:
     if weighed_g_m2 is None:
         return layer.times(sheet.params.need(quantity_text, density))
     mean_um = sheet.mean(layer.values)
     if not mean_um > 0:
         raise CannotMeasure(
-            f"{quantity_text} is {mean_um:.3g} um in the mean; {weighed_g_m2:g} g/m2 cannot be spread over it. "
-            "Check the side, and the surfaces and grey levels in the report."
+            f"{quantity_text} is {mean_um:.3g} um in the mean; {weighed_g_m2:g} g/m2 cannot be"
+            " spread over it. Check the side, and the surfaces and grey levels in the report."
         )
     return layer.times(weighed_g_m2 / mean_um)
 
@@ -120,13 +169,21 @@ def coating_absorption(rays: Rays, side: Side) -> Measured:
         lower, upper = rays.bottom - margin_um, rays.interface_bottom + margin_um
         length_from_face = upper - rays.bottom
     excess = rays.integral(lower, upper) - base_contrast * length_from_face
-    face_se = rays.oblique * layer_errors((length_from_face - margin_um) / rays.oblique, greys, rays.noise_um, side)[0]
-    se = np.hypot(rays.integral_se(upper - lower), base_contrast * face_se) / abs(coating_contrast - base_contrast)
+    face_se = (
+        rays.oblique
+        * layer_errors((length_from_face - margin_um) / rays.oblique, greys, rays.noise_um, side)[0]
+    )
+    se = np.hypot(rays.integral_se(upper - lower), base_contrast * face_se) / abs(
+        coating_contrast - base_contrast
+    )
     return Measured(values=excess / (coating_contrast - base_contrast), se=se)
 
 
 ray_property(
-    "coating_absorption_{side}", units="um", long_name="Coating by absorption, {side} side", check=_coating_absorbs
+    "coating_absorption_{side}",
+    units="um",
+    long_name="Coating by absorption, {side} side",
+    check=_coating_absorbs,
 )(coating_absorption)
 
 
@@ -142,20 +199,32 @@ def _weight_check(params: MeasureParams, greys: Greys, side: Side) -> None:
 
 
 def _layer(params: MeasureParams, _greys: Greys, side: Side) -> tuple[str, ...]:
-    return (f"coating_{side}" if params.coat_weight_from == "thickness" else f"coating_absorption_{side}",)
+    return (
+        (
+            f"coating_{side}"
+            if params.coat_weight_from == "thickness"
+            else f"coating_absorption_{side}"
+        ),
+    )
 
 
 @sheet_property(
-    "coat_weight_{side}", units="g/m2", long_name="Coat weight, {side} side", check=_weight_check, after=_layer,
+    "coat_weight_{side}",
+    units="g/m2",
+    long_name="Coat weight, {side} side",
+    check=_weight_check,
+    after=_layer,
     when=_weight_given,
-)  # fmt: skip
+)
 def coat_weight(sheet: Sheet, side: Side) -> Measured:
     """P-02: w = w_mean t / t_mean where the coat weight was weighed, rho t where the density is known (A-23).
 
     SE: the layer's, times the same factor.
     """
     layer = sheet.maps[_layer(sheet.params, sheet.frame.greys, side)[0]]
-    return _in_grams(layer, sheet, f"Coat weight, {side} side,", sheet.params.coat_weight(side), "coating_g_cm3")
+    return _in_grams(
+        layer, sheet, f"Coat weight, {side} side,", sheet.params.coat_weight(side), "coating_g_cm3"
+    )
 
 
 def _absorbs(_params: MeasureParams, greys: Greys) -> None:
@@ -169,10 +238,15 @@ def _absorption(rays: Rays) -> Measured:
     """
     margin_um, contrast = _blur_margin_um(rays), rays.greys.base - rays.greys.air
     lower, upper = rays.bottom - margin_um, rays.top + margin_um
-    return Measured(values=rays.integral(lower, upper) / contrast, se=rays.integral_se(upper - lower) / abs(contrast))
+    return Measured(
+        values=rays.integral(lower, upper) / contrast,
+        se=rays.integral_se(upper - lower) / abs(contrast),
+    )
 
 
-ray_property("absorption", units="um", long_name="Absorption of the sheet", check=_absorbs)(_absorption)
+ray_property("absorption", units="um", long_name="Absorption of the sheet", check=_absorbs)(
+    _absorption
+)
 
 
 @ray_property("absorption_base", units="um", long_name="Absorption of the base", check=_absorbs)
@@ -186,8 +260,9 @@ def absorption_base(rays: Rays) -> Measured:
     sheet_absorption = _absorption(rays)
     base_um, variance = sheet_absorption.values, sheet_absorption.se**2
     thickness_um: dict[Side, Floats] = {
-        "top": rays.top - rays.interface_top, "bottom": rays.interface_bottom - rays.bottom
-    }  # fmt: skip
+        "top": rays.top - rays.interface_top,
+        "bottom": rays.interface_bottom - rays.bottom,
+    }
     for side in filter(greys.coated, SIDES):
         layer = coating_absorption(rays, side)
         share = (greys.coating(side) - greys.air) / (greys.base - greys.air) - 1
@@ -202,7 +277,11 @@ def _check(params: MeasureParams, greys: Greys) -> None:
         return
     params.need("Grammage", "grammage_g_m2", "base_g_cm3")
     for side in filter(greys.coated, SIDES):
-        params.need(f"Grammage with a coating on the {side} side", f"coat_weight_{side}_g_m2", "coating_g_cm3")
+        params.need(
+            f"Grammage with a coating on the {side} side",
+            f"coat_weight_{side}_g_m2",
+            "coating_g_cm3",
+        )
 
 
 def _has_masses(params: MeasureParams, greys: Greys) -> bool:
@@ -213,13 +292,17 @@ def _has_masses(params: MeasureParams, greys: Greys) -> bool:
 
 def _sources(params: MeasureParams, greys: Greys) -> tuple[str, ...]:
     coated_sides: list[Side] = [side for side in SIDES if greys.coated(side)]
-    is_separable = params.coating_g_cm3 is not None or None not in map(params.coat_weight, coated_sides)
+    is_separable = params.coating_g_cm3 is not None or None not in map(
+        params.coat_weight, coated_sides
+    )
     if not coated_sides or (params.grammage_g_m2 is not None and not is_separable):
         return ("absorption",)
     return ("absorption_base", *(f"coating_absorption_{side}" for side in coated_sides))
 
 
-@sheet_property("grammage", units="g/m2", long_name="Grammage", check=_check, after=_sources, when=_has_masses)
+@sheet_property(
+    "grammage", units="g/m2", long_name="Grammage", check=_check, after=_sources, when=_has_masses
+)
 def grammage(sheet: Sheet) -> Measured:
     """P-08: absorption along the ray, scaled so that its mean is the weighed grammage.
 
@@ -233,27 +316,40 @@ def grammage(sheet: Sheet) -> Measured:
     if "absorption" in _sources(params, greys):
         return _in_grams(maps["absorption"], sheet, "Grammage", base_g_m2, "base_g_cm3")
     layers = [
-        _in_grams(maps[f"coating_absorption_{side}"], sheet, f"Grammage with a coating on the {side} side",
-                  params.coat_weight(side), "coating_g_cm3")
-        for side in SIDES if greys.coated(side)
-    ]  # fmt: skip
+        _in_grams(
+            maps[f"coating_absorption_{side}"],
+            sheet,
+            f"Grammage with a coating on the {side} side",
+            params.coat_weight(side),
+            "coating_g_cm3",
+        )
+        for side in SIDES
+        if greys.coated(side)
+    ]
     if base_g_m2 is not None:
         coats_g_m2 = sum(sheet.mean(p.values) for p in layers)
         if not base_g_m2 > coats_g_m2:
             raise CannotMeasure(
-                f"The coatings weigh {coats_g_m2:.4g} g/m2 and the whole sheet {base_g_m2:g} g/m2: nothing is left "
-                "for the base. Check --grammage and the coat weights."
+                f"The coatings weigh {coats_g_m2:.4g} g/m2 and the whole sheet {base_g_m2:g} g/m2:"
+                " nothing is left for the base. Check --grammage and the coat weights."
             )
         base_g_m2 -= coats_g_m2
     layers.append(_in_grams(maps["absorption_base"], sheet, "Grammage", base_g_m2, "base_g_cm3"))
     total_g_m2 = np.sum([p.values for p in layers], axis=0)
-    return Measured(values=total_g_m2, se=np.sqrt(np.sum([np.asarray(p.se) ** 2 for p in layers], axis=0)))
+    return Measured(
+        values=total_g_m2, se=np.sqrt(np.sum([np.asarray(p.se) ** 2 for p in layers], axis=0))
+    )
 
 
 @sheet_property(
-    "apparent_density", units="g/cm3", long_name="Apparent density", check=_check, after=("grammage", "thickness"),
-    support_um=lambda params: params.density_support_um, when=_has_masses,
-)  # fmt: skip
+    "apparent_density",
+    units="g/cm3",
+    long_name="Apparent density",
+    check=_check,
+    after=("grammage", "thickness"),
+    support_um=lambda params: params.density_support_um,
+    when=_has_masses,
+)
 def apparent_density(sheet: Sheet) -> Measured:
     """P-09: grammage over thickness, both averaged with the same Gaussian first.
 
@@ -266,6 +362,9 @@ def apparent_density(sheet: Sheet) -> Measured:
     grammage_map, thickness_map = sheet.maps["grammage"], sheet.maps["thickness"]
     # Both means are of the same rays.
     is_measured = sheet.valid & np.isfinite(grammage_map.values) & np.isfinite(thickness_map.values)
-    w, t = (smoothed(np.where(is_measured, m.values, np.nan), f.pitch_um, sigma) for m in (grammage_map, thickness_map))
+    w, t = (
+        smoothed(np.where(is_measured, m.values, np.nan), f.pitch_um, sigma)
+        for m in (grammage_map, thickness_map)
+    )
     relative = np.sqrt((grammage_map.se / w) ** 2 + (thickness_map.se / t) ** 2) * noise_share
     return Measured(values=np.where(is_measured, w / t, np.nan), se=np.abs(w / t) * relative)

@@ -18,7 +18,10 @@ from planish.measure.registry import SIDES, Side
 
 
 def thin_fraction(
-    thickness: xr.DataArray, *, se: xr.DataArray | Floats | None = None, marked_um: tuple[float, ...] = (0.0, 2.0, 5.0)
+    thickness: xr.DataArray,
+    *,
+    se: xr.DataArray | Floats | None = None,
+    marked_um: tuple[float, ...] = (0.0, 2.0, 5.0),
 ) -> xr.Dataset:
     """Share F(x) of the area whose coating is thinner than x (P-03).
 
@@ -49,17 +52,23 @@ def thin_fraction(
     is_finite = np.isfinite(thickness.values)
     sorted_um = np.sort(thickness.values[is_finite].astype(np.float64))
     if sorted_um.size == 0:
-        raise CannotMeasure("There is no coating thickness to count: all values are missing. Look at 'status'.")
+        raise CannotMeasure(
+            "There is no coating thickness to count: all values are missing. Look at 'status'."
+        )
     x = np.arange(0.0, float(sorted_um[-1]) + 0.25, 0.25)
     marks = np.array(marked_um, dtype=np.float64)
     # At 0 the values that are 0 count: nothing is thinner than no coating.
-    counts = [np.searchsorted(sorted_um, mark, side="left" if mark > 0 else "right") for mark in marks]
+    counts = [
+        np.searchsorted(sorted_um, mark, side="left" if mark > 0 else "right") for mark in marks
+    ]
     shares = np.array(counts) / sorted_um.size
     value_se_um = np.zeros(marks.size)
     if se is not None:
         se_um = np.where(is_finite, se, np.nan).astype(np.float64)
         for k, mark in enumerate(marks):
-            near_se_um = se_um[np.isfinite(se_um) & (np.abs(thickness.values - mark) <= max(2.0, 0.5 * mark))]
+            near_se_um = se_um[
+                np.isfinite(se_um) & (np.abs(thickness.values - mark) <= max(2.0, 0.5 * mark))
+            ]
             value_se_um[k] = np.median(near_se_um) if near_se_um.size else 0.0
     is_biased = (marks < 2 * value_se_um).astype(np.uint8)
     attrs: dict[str, object] = {"n": int(sorted_um.size), "mean_um": float(sorted_um.mean())}
@@ -68,23 +77,39 @@ def thin_fraction(
     if is_biased.any():
         biased_text = ", ".join(f"{m:g}" for m in marks[is_biased > 0])
         attrs["warning"] = (
-            f"The standard error of one value is {value_se_um[is_biased > 0].max():.2g} um: the shares below "
-            f"{biased_text} um are too large by what noise puts there. Average the map first, or "
-            "compare larger thicknesses."
+            f"The standard error of one value is {value_se_um[is_biased > 0].max():.2g} um: the"
+            f" shares below {biased_text} um are too large by what noise puts there. Average the"
+            " map first, or compare larger thicknesses."
         )
     share_attrs = {"units": "1", "long_name": "Share of the area with a thinner coating"}
     variables = {
-        "share": ("thickness", np.searchsorted(sorted_um, x, side="left") / sorted_um.size, share_attrs),
+        "share": (
+            "thickness",
+            np.searchsorted(sorted_um, x, side="left") / sorted_um.size,
+            share_attrs,
+        ),
         "marked_share": ("marked", shares, share_attrs),
         "marked_se": ("marked", np.sqrt(shares * (1 - shares) / sorted_um.size), {"units": "1"}),
-        "value_se": ("marked", value_se_um, {"units": "um", "long_name": "Standard error of one value"}),
-        "biased": ("marked", is_biased, {"long_name": "Thickness below two standard errors of one value"}),
+        "value_se": (
+            "marked",
+            value_se_um,
+            {"units": "um", "long_name": "Standard error of one value"},
+        ),
+        "biased": (
+            "marked",
+            is_biased,
+            {"long_name": "Thickness below two standard errors of one value"},
+        ),
     }
-    coords = {name: (name, um, {"units": "um"}) for name, um in (("thickness", x), ("marked", marks))}
+    coords = {
+        name: (name, um, {"units": "um"}) for name, um in (("thickness", x), ("marked", marks))
+    }
     return xr.Dataset(variables, coords=coords, attrs=attrs)
 
 
-def roughness_numbers(limited: Floats, pitch_um: Pair, *, s_filter_um: float, l_filter_um: float) -> RoughnessFacts:
+def roughness_numbers(
+    limited: Floats, pitch_um: Pair, *, s_filter_um: float, l_filter_um: float
+) -> RoughnessFacts:
     """Sa, Sq, Ssk, Sku, Sz and Sdq of what :func:`scale_limited` gives.
 
     Raises
@@ -94,24 +119,34 @@ def roughness_numbers(limited: Floats, pitch_um: Pair, *, s_filter_um: float, l_
     """
     is_finite = np.isfinite(limited)
     if np.count_nonzero(is_finite) < 2:
-        raise CannotMeasure("No limited is known between the filters. Look at 'status', and at l_filter_um.")
+        raise CannotMeasure(
+            "No limited is known between the filters. Look at 'status', and at l_filter_um."
+        )
     h = limited[is_finite] - limited[is_finite].mean()
     sq = float(np.sqrt(np.mean(h**2)))
     if sq == 0:
-        raise CannotMeasure("The surface is exactly flat: it has no skewness. Check that it was measured.")
+        raise CannotMeasure(
+            "The surface is exactly flat: it has no skewness. Check that it was measured."
+        )
     slopes = [np.gradient(limited, p, axis=k) for k, p in enumerate(pitch_um)]
     squared_slope = slopes[0] ** 2 + slopes[1] ** 2
     squared_slope = squared_slope[np.isfinite(squared_slope)]
     if not squared_slope.size:
         raise CannotMeasure(
-            f"Between the filters {h.size} heights are known, none with neighbours on all sides: the field is too "
-            "small. Give a shorter l_filter_um, and say so beside every number."
+            f"Between the filters {h.size} heights are known, none with neighbours on all sides:"
+            " the field is too small. Give a shorter l_filter_um, and say so beside every number."
         )
     return RoughnessFacts(
-        sa=float(np.mean(np.abs(h))), sq=sq, ssk=float(np.mean(h**3)) / sq**3, sku=float(np.mean(h**4)) / sq**4,
-        sz=float(h.max() - h.min()), sdq=float(np.sqrt(np.mean(squared_slope))), n=int(h.size), s_filter_um=s_filter_um,
+        sa=float(np.mean(np.abs(h))),
+        sq=sq,
+        ssk=float(np.mean(h**3)) / sq**3,
+        sku=float(np.mean(h**4)) / sq**4,
+        sz=float(h.max() - h.min()),
+        sdq=float(np.sqrt(np.mean(squared_slope))),
+        n=int(h.size),
+        s_filter_um=s_filter_um,
         l_filter_um=l_filter_um,
-    )  # fmt: skip
+    )
 
 
 def two_sidedness(maps: xr.Dataset) -> dict[str, float]:
@@ -151,16 +186,19 @@ def two_sidedness(maps: xr.Dataset) -> dict[str, float]:
         numbers[f"{pair}_n"] = int(a.size)
     if not numbers:
         raise CannotMeasure(
-            "Two-sidedness needs coating_top and coating_bottom, or topography_top and topography_bottom, known on the "
-            "same rays. Measure them."
+            "Two-sidedness needs coating_top and coating_bottom, or topography_top and"
+            " topography_bottom, known on the same rays. Measure them."
         )
     return numbers
 
 
 def sheet_numbers(
-    measured: xr.Dataset, *, volume: xr.DataArray | None = None, params: MeasureParams | None = None,
+    measured: xr.Dataset,
+    *,
+    volume: xr.DataArray | None = None,
+    params: MeasureParams | None = None,
     engine: Engine | None = None,
-) -> SheetNumbers:  # fmt: skip
+) -> SheetNumbers:
     """Describe a sheet in numbers: thin and bare shares, roughness, two-sidedness, and profiles in depth.
 
     Parameters
@@ -175,14 +213,20 @@ def sheet_numbers(
     profile_names = [name for name in ("porosity", "filler") if name in measured]
     profiles = None
     if profile_names and volume is not None:
-        depth_profile = depth_profiles(volume, measured, names=profile_names, params=params, engine=engine)
-        depth, *shares = (tuple(depth_profile[name].values.tolist()) for name in ("depth", *profile_names))
+        depth_profile = depth_profiles(
+            volume, measured, names=profile_names, params=params, engine=engine
+        )
+        depth, *shares = (
+            tuple(depth_profile[name].values.tolist()) for name in ("depth", *profile_names)
+        )
         profiles = ProfileFacts(depth=depth, values=dict(zip(profile_names, shares, strict=True)))
     of_sides = map_threads(_numbers_of_side, repeat(measured), SIDES, repeat(params))
     thin: dict[Side, ThinFacts] = {
         side: facts for side, (facts, _) in zip(SIDES, of_sides, strict=True) if facts is not None
     }
-    roughness: dict[Side, RoughnessFacts] = {side: facts for side, (_, facts) in zip(SIDES, of_sides, strict=True)}
+    roughness: dict[Side, RoughnessFacts] = {
+        side: facts for side, (_, facts) in zip(SIDES, of_sides, strict=True)
+    }
     two_sides = TwoSidesFacts.model_validate(two_sidedness(measured))
     return SheetNumbers(thin=thin, roughness=roughness, two_sides=two_sides, profiles=profiles)
 
@@ -190,16 +234,24 @@ def sheet_numbers(
 def _numbers_of_side(
     measured: xr.Dataset, side: Side, params: MeasureParams
 ) -> tuple[ThinFacts | None, RoughnessFacts]:
-    pitch_um, filters_um = pitch(measured), {"s_filter_um": params.s_filter_um, "l_filter_um": params.l_filter_um}
+    pitch_um, filters_um = (
+        pitch(measured),
+        {"s_filter_um": params.s_filter_um, "l_filter_um": params.l_filter_um},
+    )
     thin, coating = None, measured[f"coating_{side}"]
     if np.isfinite(coating.values).any():
         support_um = float(np.sqrt(np.prod(pitch_um)))
         thin_shares = thin_fraction(coating.assign_attrs(support_um=support_um))
-        marked_um, share = (tuple(thin_shares[name].values.tolist()) for name in ("marked", "marked_share"))
+        marked_um, share = (
+            tuple(thin_shares[name].values.tolist()) for name in ("marked", "marked_share")
+        )
         warning_text = thin_shares.attrs.get("warning")
-        thin = ThinFacts(thinner_than_um=marked_um, share=share, support_um=support_um, warning=warning_text)
+        thin = ThinFacts(
+            thinner_than_um=marked_um, share=share, support_um=support_um, warning=warning_text
+        )
     try:
         roughness_map = scale_limited(measured[f"topography_{side}"].values, pitch_um, **filters_um)
         return thin, roughness_numbers(roughness_map, pitch_um, **filters_um)
-    except CannotMeasure as reason:  # a field smaller than the filters has none, which is no fault of the run
+    # a field smaller than the filters has none, which is no fault of the run.
+    except CannotMeasure as reason:
         return thin, RoughnessFacts(reason=reason.text)

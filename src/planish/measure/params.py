@@ -14,15 +14,26 @@ class Common(Params):
     """Options of all properties."""
 
     maps: tuple[str, ...] = option(
-        (), cli="--property", metavar="NAME",
-        help="A further map, such as porosity or fibre_angle; may be given again. 'planish properties' lists them.",
-    )  # fmt: skip
-    rays: Literal["normal", "vertical"] = option("normal", help="Direction along which further maps are measured.")
+        (),
+        cli="--property",
+        metavar="NAME",
+        help=(
+            "A further map, such as porosity or fibre_angle; may be given again. 'planish"
+            " properties' lists them."
+        ),
+    )
+    rays: Literal["normal", "vertical"] = option(
+        "normal", help="Direction along which further maps are measured."
+    )
     edge_um: float | None = option(
-        None, ge=0, cli=None,
-        help="Left out of the base at both ends, where the blur mixes it with what lies beside; twice the blur's "
-        "standard deviation where not given.",
-    )  # fmt: skip
+        None,
+        ge=0,
+        cli=None,
+        help=(
+            "Left out of the base at both ends, where the blur mixes it with what lies beside;"
+            " twice the blur's standard deviation where not given."
+        ),
+    )
 
 
 # Fields of the last base come first.

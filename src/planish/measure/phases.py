@@ -26,14 +26,20 @@ class Options(Params):
 
     solid_grey: float | None = option(
         None,
-        help="Grey of fibre wall without voids: porosity is then what the mean grey lacks to it, which sees pores too "
-        "small to be resolved.",
+        help=(
+            "Grey of fibre wall without voids: porosity is then what the mean grey lacks to it,"
+            " which sees pores too small to be resolved."
+        ),
     )
     void_grey: float | None = option(
-        None, cli=None, help="Level between void and solid; half way between air and base where not given."
+        None,
+        cli=None,
+        help="Level between void and solid; half way between air and base where not given.",
     )
     filler_grey: float | None = option(
-        None, cli=None, help="Level between fibres and filler; half way between base and coating where not given."
+        None,
+        cli=None,
+        help="Level between fibres and filler; half way between base and coating where not given.",
     )
 
 
@@ -47,13 +53,19 @@ def void_level(greys: Greys, params: MeasureParams) -> float:
 def _solid(params: MeasureParams, greys: Greys) -> None:
     if params.solid_grey is not None and not (params.solid_grey - greys.base) * greys.polarity > 0:
         raise CannotMeasure(
-            f"solid_grey is {params.solid_grey:g}, the base's mean grey {greys.base:.4g} and the air's "
-            f"{greys.air:.4g}: a solid without voids lies beyond the base. Correct solid_grey."
+            f"solid_grey is {params.solid_grey:g}, the base's mean grey {greys.base:.4g} and the"
+            f" air's {greys.air:.4g}: a solid without voids lies beyond the base. Correct"
+            " solid_grey."
         )
 
 
-@ray_property("porosity", units="1", long_name="Porosity of the base", check=_solid,
-              when=lambda params, _greys: params.solid_grey is not None or params.void_grey is not None)  # fmt: skip
+@ray_property(
+    "porosity",
+    units="1",
+    long_name="Porosity of the base",
+    check=_solid,
+    when=lambda params, _greys: params.solid_grey is not None or params.void_grey is not None,
+)
 def porosity(rays: Rays) -> Measured:
     """P-10: share of void on the ray inside the base, its blurred edges (``edge_um``) left out.
 
@@ -68,7 +80,9 @@ def porosity(rays: Rays) -> Measured:
 def _share_of_void(rays: Rays, lower: Floats, upper: Floats) -> Measured:
     greys, solid_grey = rays.greys, rays.params.solid_grey
     if solid_grey is None:
-        matter = _share_beyond(rays, lower, upper, void_level(greys, rays.params), greys.base - greys.air)
+        matter = _share_beyond(
+            rays, lower, upper, void_level(greys, rays.params), greys.base - greys.air
+        )
         return Measured(values=1 - matter.values, se=matter.se)
     length, contrast = upper - lower, solid_grey - greys.air
     is_long = length >= rays.step_um
@@ -78,14 +92,18 @@ def _share_of_void(rays: Rays, lower: Floats, upper: Floats) -> Measured:
     return Measured(values=np.where(is_long, void_share, np.nan), se=np.where(is_long, se, np.nan))
 
 
-def _share_beyond(rays: Rays, lower: Floats, upper: Floats, level: float, contrast: float) -> Measured:
+def _share_beyond(
+    rays: Rays, lower: Floats, upper: Floats, level: float, contrast: float
+) -> Measured:
     """Share of what lies beyond a level between two places of each ray; NaN where they are less than a step apart."""
     beyond, ends = rays.beyond(lower, upper, level)
     length = upper - lower
     is_long = length >= rays.step_um
     with np.errstate(divide="ignore", invalid="ignore"):
         se = np.sqrt(np.maximum(ends, 1)) * rays.crossing_se(contrast) / length
-        return Measured(values=np.where(is_long, beyond / length, np.nan), se=np.where(is_long, se, np.nan))
+        return Measured(
+            values=np.where(is_long, beyond / length, np.nan), se=np.where(is_long, se, np.nan)
+        )
 
 
 def _filler_level(params: MeasureParams, greys: Greys) -> float:
@@ -95,14 +113,19 @@ def _filler_level(params: MeasureParams, greys: Greys) -> float:
     coats = [level for level in (greys.coating_top, greys.coating_bottom) if np.isfinite(level)]
     if not coats:
         raise CannotMeasure(
-            "Filler needs the grey level from which on the base counts as filler: there is no coating to tell it from. "
-            "Give filler_grey in [properties] of a study file."
+            "Filler needs the grey level from which on the base counts as filler: there is no"
+            " coating to tell it from. Give filler_grey in [properties] of a study file."
         )
     return 0.5 * (greys.base + float(np.mean(coats)))
 
 
-@ray_property("filler", units="1", long_name="Filler in the base", check=_filler_level,
-              when=lambda params, _greys: params.filler_grey is not None)  # fmt: skip
+@ray_property(
+    "filler",
+    units="1",
+    long_name="Filler in the base",
+    check=_filler_level,
+    when=lambda params, _greys: params.filler_grey is not None,
+)
 def filler(rays: Rays) -> Measured:
     """P-11: share of bright matter on the ray inside the base.
 
@@ -113,7 +136,9 @@ def filler(rays: Rays) -> Measured:
     from planish.core.grid import first_and_last
 
     lower, upper = rays.core
-    is_beyond = rays.greys.polarity * (rays.grey - np.float32(_filler_level(rays.params, rays.greys))) > 0
+    is_beyond = (
+        rays.greys.polarity * (rays.grey - np.float32(_filler_level(rays.params, rays.greys))) > 0
+    )
     is_within = rays.between(lower, upper)
     is_dark = is_within & ~is_beyond
     (first, last), ends = (first_and_last(mask) for mask in (is_dark, is_within))
@@ -134,7 +159,13 @@ def _weighable(params: MeasureParams, greys: Greys) -> None:
     _filler_level(params, greys)
 
 
-@sheet_property("filler_weight", units="g/m2", long_name="Filler", check=_weighable, after=("filler", "base_thickness"))
+@sheet_property(
+    "filler_weight",
+    units="g/m2",
+    long_name="Filler",
+    check=_weighable,
+    after=("filler", "base_thickness"),
+)
 def filler_weight(sheet: Sheet) -> Measured:
     """P-11 as a mass: share of filler times base thickness times the filler's density; SE: the share's, likewise."""
     mass = sheet.maps["base_thickness"].values * sheet.params.need("Filler", "filler_g_cm3")
@@ -148,7 +179,9 @@ _SHARES: dict[str, tuple[Callable[[Rays, Floats, Floats], Measured], str]] = {
 }
 
 
-def _layer_sums(names: Sequence[str], layer_edges: Floats, halo_rays: Rays, tile_rows: slice, _: slice) -> Floats:
+def _layer_sums(
+    names: Sequence[str], layer_edges: Floats, halo_rays: Rays, tile_rows: slice, _: slice
+) -> Floats:
     """Give number, sum and sum of squares of each share in each layer by row, (names, layers, 3, rows)."""
     # Rows are summed by themselves, then added in the same order however they were cut.
     rays = halo_rays.rows(tile_rows)
@@ -160,14 +193,24 @@ def _layer_sums(names: Sequence[str], layer_edges: Floats, halo_rays: Rays, tile
             share = _SHARES[name][0](rays, edge_um[layer], edge_um[layer + 1]).values
             is_valid = np.isfinite(share) & (rays.status == 0)
             share = np.where(is_valid, share, 0.0)
-            layer_sums[name_index, layer] = [is_valid.sum(axis=1), share.sum(axis=1), (share**2).sum(axis=1)]
+            layer_sums[name_index, layer] = [
+                is_valid.sum(axis=1),
+                share.sum(axis=1),
+                (share**2).sum(axis=1),
+            ]
     return layer_sums
 
 
 def depth_profiles(
-    volume: xr.DataArray, surfaces: xr.Dataset, *, names: Sequence[str] = ("porosity",), bins: int = 20,
-    params: MeasureParams | None = None, rows_per_tile: int | None = None, engine: Engine | None = None,
-) -> xr.Dataset:  # fmt: skip
+    volume: xr.DataArray,
+    surfaces: xr.Dataset,
+    *,
+    names: Sequence[str] = ("porosity",),
+    bins: int = 20,
+    params: MeasureParams | None = None,
+    rows_per_tile: int | None = None,
+    engine: Engine | None = None,
+) -> xr.Dataset:
     """Share of a phase in layers of equal relative depth, mean over all valid rays (P-10, P-11).
 
     Parameters
@@ -197,8 +240,8 @@ def depth_profiles(
     unknown_names = [name for name in names if name not in _SHARES]
     if unknown_names or bins < 1:
         raise CannotMeasure(
-            f"There is no profile of {', '.join(unknown_names) or 'no layers'}. Choose from {', '.join(_SHARES)}, and "
-            "at least one layer."
+            f"There is no profile of {', '.join(unknown_names) or 'no layers'}. Choose from"
+            f" {', '.join(_SHARES)}, and at least one layer."
         )
     frame = ray_frame(volume, surfaces, params)
     if "filler" in names:
@@ -209,7 +252,8 @@ def depth_profiles(
     count, total, squares = np.moveaxis(np.concatenate(tile_sums, axis=-1).sum(axis=-1), -1, 0)
     if not (count > 0).any():
         raise CannotMeasure(
-            f"The base is too thin for {bins} layers of a step of the rays ({frame.step_um:g} um). Ask for fewer bins."
+            f"The base is too thin for {bins} layers of a step of the rays ({frame.step_um:g} um)."
+            " Ask for fewer bins."
         )
     with np.errstate(divide="ignore", invalid="ignore"):
         mean = np.where(count > 0, total / count, np.nan)
@@ -219,12 +263,24 @@ def depth_profiles(
     middle_depth = 0.5 * (layer_edges[1:] + layer_edges[:-1])
     is_blurred = np.minimum(middle_depth, 1 - middle_depth) < 2 * frame.greys.blur_um / base_um
     profiles = xr.Dataset(attrs={"base_um": base_um, "rays": frame.params.rays}).assign_coords(
-        depth=("depth", middle_depth, {"units": "1", "long_name": "Relative depth in the base, 0 at its bottom"})
+        depth=(
+            "depth",
+            middle_depth,
+            {"units": "1", "long_name": "Relative depth in the base, 0 at its bottom"},
+        )
     )
     for a, name in enumerate(names):
         title = _SHARES[name][1]
         profiles[name] = "depth", mean[a], {"units": "1", "long_name": title}
-        profiles[f"{name}_sd"] = "depth", sd[a], {"units": "1", "long_name": f"{title}, standard deviation of rays"}
+        profiles[f"{name}_sd"] = (
+            "depth",
+            sd[a],
+            {"units": "1", "long_name": f"{title}, standard deviation of rays"},
+        )
         profiles[f"{name}_n"] = "depth", count[a], {"long_name": "Rays"}
-    profiles["blurred"] = "depth", is_blurred.astype(np.float64), {"long_name": "Within two blurs of an interface"}
+    profiles["blurred"] = (
+        "depth",
+        is_blurred.astype(np.float64),
+        {"long_name": "Within two blurs of an interface"},
+    )
     return profiles

@@ -40,9 +40,12 @@ from planish.measure.uncertainty import SharedNoise, common_errors, ray_noise, t
 
 
 def measure_properties(
-    surfaces: xr.Dataset, *, volume: xr.DataArray | None = None, params: MeasureParams | None = None,
+    surfaces: xr.Dataset,
+    *,
+    volume: xr.DataArray | None = None,
+    params: MeasureParams | None = None,
     engine: Engine | None = None,
-) -> xr.Dataset:  # fmt: skip
+) -> xr.Dataset:
     """Measure the properties of a sheet along the normals of its centre surface.
 
     Parameters
@@ -83,26 +86,36 @@ def measure_properties(
     """
     params = params_of(MeasureParams, params, "pl.measure_properties")
     check_dataset(
-        surfaces, expected="surfaces", source="pl.find_surfaces(volume)", call_format="pl.measure_properties({})"
+        surfaces,
+        expected="surfaces",
+        source="pl.find_surfaces(volume)",
+        call_format="pl.measure_properties({})",
     )
     if volume is not None:
         check_volume(volume, "pl.measure_properties(surfaces, volume={})")
     elif params.maps:
         raise InputError(
-            f"--property {', '.join(params.maps)}: measured in the volume, which is not given. Give it with --volume, "
-            "or leave them out."
+            f"--property {', '.join(params.maps)}: measured in the volume, which is not given. Give"
+            " it with --volume, or leave them out."
         )
     is_labels = "from_labels" in surfaces.attrs
     if is_labels and params.maps:
-        raise InputError("Further maps are measured in grey values; a volume of labels has none. Leave --property out.")
+        raise InputError(
+            "Further maps are measured in grey values; a volume of labels has none. Leave"
+            " --property out."
+        )
     faces = _measure_faces(surfaces)
     measured = surfaces.drop_vars("status", errors="ignore").merge(faces, combine_attrs="override")
     noise_um = float("nan")
     if volume is not None and not is_labels:
         names = [name for name in chosen(params, Greys.of(surfaces)) if name not in PROPERTIES]
         if names:
-            further = measure_along_rays(volume, measured, names=names, params=params, engine=engine)
-            measured = measured.merge(further.drop_vars("status"), compat="override", combine_attrs="override")
+            further = measure_along_rays(
+                volume, measured, names=names, params=params, engine=engine
+            )
+            measured = measured.merge(
+                further.drop_vars("status"), compat="override", combine_attrs="override"
+            )
             noise_um = float(further.attrs["ray_noise_um"])
     return _with_errors(measured, noise_um)
 
@@ -113,13 +126,17 @@ def surfaces_of(measured: xr.Dataset) -> xr.Dataset:
     names |= {name for name in measured.data_vars if str(name).removesuffix("_se") in names}
     surfaces = measured.drop_vars(names)
     status = surfaces["status"]
-    status_before = np.where(status.values == Status.NORMAL_LEAVES_SHEET, 0, status.values).astype(status.dtype)
+    status_before = np.where(status.values == Status.NORMAL_LEAVES_SHEET, 0, status.values).astype(
+        status.dtype
+    )
     return surfaces.assign(status=status.copy(data=status_before))
 
 
 def further_maps(measured: xr.Dataset) -> list[str]:
     """Names of the maps in a dataset beside the six of the faces, and of their standard errors where there are any."""
-    maps = [str(name) for name, variable in measured.data_vars.items() if "support_um" in variable.attrs]
+    maps = [
+        str(name) for name, variable in measured.data_vars.items() if "support_um" in variable.attrs
+    ]
     errors = [f"{name}_se" for name in maps if f"{name}_se" in measured]
     return maps + [name for name in errors if np.isfinite(measured[name].values).any()]
 
@@ -143,27 +160,45 @@ def _with_errors(measured: xr.Dataset, noise_um: float) -> xr.Dataset:
         )
         common, patch_um2 = shared_noise.common_um, shared_noise.patch_um2
         slopes = np.gradient(measured["centre"].values, *pitch_um)
-        coatings_um: dict[Side, Floats] = {side: measured[f"coating_{side}"].values for side in SIDES}
+        coatings_um: dict[Side, Floats] = {
+            side: measured[f"coating_{side}"].values for side in SIDES
+        }
         cos_tilt = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
         errors = thickness_errors(coatings_um, greys, shared_noise, cosine=cos_tilt)
         if attrs.get("method") == "paper":
             # A crossing of half the step uses one place of the edge, a fit all of it.
             crossing_factor = np.sqrt(max(1.0, np.sqrt(np.pi) * greys.blur_um / through_um))
             errors = {name: se * crossing_factor for name, se in errors.items()}
-    level_um = 0.0  # what corrections and the grey of a bare base leave open; a wrong grey moves all columns alike
+    # What corrections and the grey of a bare base leave open; a wrong grey moves all columns alike.
+    level_um = 0.0
     for side in SIDES:
-        for added in (measured.get(f"correction_{side}_error"), measured.get(f"level_{side}_error")):
+        for added in (
+            measured.get(f"correction_{side}_error"),
+            measured.get(f"level_{side}_error"),
+        ):
             if added is not None:
                 added_um = np.nan_to_num(added.values.astype(np.float64))
-                errors |= {k: np.hypot(errors[k], added_um) for k in (f"coating_{side}", "base_thickness", "thickness")}
+                errors |= {
+                    k: np.hypot(errors[k], added_um)
+                    for k in (f"coating_{side}", "base_thickness", "thickness")
+                }
                 level_um += float(added.attrs.get("common_um", 0.0))
-    common = {**common, **{k: float(np.hypot(common[k], level_um)) for k in ("base_thickness", "thickness")}}
+    common = {
+        **common,
+        **{k: float(np.hypot(common[k], level_um)) for k in ("base_thickness", "thickness")},
+    }
     variables: dict[str, xr.Variable] = {}
     for name in ("coating_top", "coating_bottom", "base_thickness", "thickness"):
         se = np.where(np.isfinite(measured[name].values), errors[name], np.nan).astype(np.float32)
         if np.isfinite(se).any():
-            attrs_of_se = {"units": "um", "long_name": _se_name(PROPERTIES[name]), "common_um": common[name]}
-            variables[f"{name}_se"] = xr.Variable(("y", "x"), se, attrs_of_se | {"patch_um2": patch_um2})
+            attrs_of_se = {
+                "units": "um",
+                "long_name": _se_name(PROPERTIES[name]),
+                "common_um": common[name],
+            }
+            variables[f"{name}_se"] = xr.Variable(
+                ("y", "x"), se, attrs_of_se | {"patch_um2": patch_um2}
+            )
     return measured.assign(variables)
 
 
@@ -186,7 +221,8 @@ def _measure_faces(surfaces: xr.Dataset) -> xr.Dataset:
     is_valid = status == 0
     if not is_valid.any():
         raise CannotMeasure(
-            "No normal of the centre surface meets both faces. Look at the surfaces with 'planish surface'."
+            "No normal of the centre surface meets both faces. Look at the surfaces with 'planish"
+            " surface'."
         )
     variables: dict[str, xr.Variable] = {}
     for name, length_um in lengths_um.items():
@@ -200,9 +236,14 @@ T = TypeVar("T")
 
 
 def measure_along_rays(
-    volume: xr.DataArray, surfaces: xr.Dataset, *, names: Sequence[str | Property],
-    params: MeasureParams | None = None, rows_per_tile: int | None = None, engine: Engine | None = None,
-) -> xr.Dataset:  # fmt: skip
+    volume: xr.DataArray,
+    surfaces: xr.Dataset,
+    *,
+    names: Sequence[str | Property],
+    params: MeasureParams | None = None,
+    rows_per_tile: int | None = None,
+    engine: Engine | None = None,
+) -> xr.Dataset:
     """Measure properties along the normals of the centre surface, or along vertical rays.
 
     Parameters
@@ -257,16 +298,33 @@ def measure_along_rays(
                 continue
             halo = halo_rows[prop.name]
             if halo not in rays_of_halo:
-                start, stop = max(inner_rows.start - halo, 0), min(inner_rows.stop + halo, tile.status.shape[0])
-                halo_rays = tile if (start, stop) == (0, tile.status.shape[0]) else tile.rows(slice(start, stop))
-                rays_of_halo[halo] = halo_rays, slice(inner_rows.start - start, inner_rows.stop - start)
+                start, stop = (
+                    max(inner_rows.start - halo, 0),
+                    min(inner_rows.stop + halo, tile.status.shape[0]),
+                )
+                halo_rays = (
+                    tile
+                    if (start, stop) == (0, tile.status.shape[0])
+                    else tile.rows(slice(start, stop))
+                )
+                rays_of_halo[halo] = (
+                    halo_rays,
+                    slice(inner_rows.start - start, inner_rows.stop - start),
+                )
             halo_rays, tile_rows = rays_of_halo[halo]
             answer = _measured(prop, halo_rays)
             for name in ("values", "se", "reason"):
                 getattr(maps[prop.name], name)[sheet_rows] = getattr(answer, name)[tile_rows]
 
     if halo_rows:
-        each_tile(volume, frame, measure_tile, halo=max(halo_rows.values()), rows=rows_per_tile, engine=engine)
+        each_tile(
+            volume,
+            frame,
+            measure_tile,
+            halo=max(halo_rows.values()),
+            rows=rows_per_tile,
+            engine=engine,
+        )
     sheet = Sheet(frame=replace(frame, status=status), maps=maps)
     for prop in properties:
         if prop.kind == "sheet":
@@ -276,9 +334,13 @@ def measure_along_rays(
     for prop in properties:
         if prop.name in requested_names:
             variables |= _variables(prop, maps[prop.name], status, frame)
-    variables["status"] = xr.Variable(("y", "x"), status, status_flags(last=Status.RAY_LEAVES_VOLUME))
+    variables["status"] = xr.Variable(
+        ("y", "x"), status, status_flags(last=Status.RAY_LEAVES_VOLUME)
+    )
     ray_attrs = {"rays": params.rays, "ray_step_um": frame.step_um, "ray_noise_um": frame.noise_um}
-    return xr.Dataset(variables, coords=surfaces.coords, attrs=surfaces.attrs | ray_attrs | params.known())
+    return xr.Dataset(
+        variables, coords=surfaces.coords, attrs=surfaces.attrs | ray_attrs | params.known()
+    )
 
 
 def ray_frame(volume: xr.DataArray, surfaces: xr.Dataset, params: MeasureParams | None) -> RayFrame:
@@ -288,9 +350,14 @@ def ray_frame(volume: xr.DataArray, surfaces: xr.Dataset, params: MeasureParams 
 
 
 def each_tile(
-    volume: xr.DataArray, frame: RayFrame, work: Callable[[Rays, slice, slice], T], *, halo: int = 0,
-    rows: int | None = None, engine: Engine | None,
-) -> list[T]:  # fmt: skip
+    volume: xr.DataArray,
+    frame: RayFrame,
+    work: Callable[[Rays, slice, slice], T],
+    *,
+    halo: int = 0,
+    rows: int | None = None,
+    engine: Engine | None,
+) -> list[T]:
     """Straighten the sheet tile by tile and call ``work`` on threads; return what it gave, in the order of the rows.
 
     ``work`` is called with the rays of a tile and of ``halo`` rows on both sides, the tile's rows within them, and its
@@ -299,13 +366,16 @@ def each_tile(
     engine = engine or Engine()
     row_count = frame.status.shape[0]
     threads = count_threads(engine.threads)
-    row_bytes = frame.status.shape[1] * frame.samples * 24  # a sample costs so many at most while a tile is worked on
+    # a sample costs so many at most while a tile is worked on.
+    row_bytes = frame.status.shape[1] * frame.samples * 24
     if rows is None:
         rows = int(engine.memory_bytes / 2 / threads / row_bytes) - 2 * halo
         if rows < 1:
             raise ResourceError(
-                f"A row of rays with its neighbourhood takes {(2 * halo + 1) * row_bytes * threads / 2**20:.0f} MiB on "
-                f"{threads} threads, {engine.memory_bytes / 2**21:.0f} MiB were allowed. Allow more, or fewer threads."
+                "A row of rays with its neighbourhood takes"
+                f" {(2 * halo + 1) * row_bytes * threads / 2**20:.0f} MiB on {threads} threads,"
+                f" {engine.memory_bytes / 2**21:.0f} MiB were allowed. Allow more, or fewer"
+                " threads."
             )
         # Tiles of even size, several for each thread; a halo costs less the larger they are.
         rows = max(min(rows, max(-(-row_count // (4 * threads)), 2 * halo)), 1)
@@ -313,7 +383,11 @@ def each_tile(
 
     def run_tile(tile: slice) -> T:
         start, stop = max(tile.start - halo, 0), min(tile.stop + halo, row_count)
-        return work(frame.tile(volume, slice(start, stop)), slice(tile.start - start, tile.stop - start), tile)
+        return work(
+            frame.tile(volume, slice(start, stop)),
+            slice(tile.start - start, tile.stop - start),
+            tile,
+        )
 
     return map_threads(run_tile, tiles, number=threads)
 
@@ -327,30 +401,44 @@ def _measured(prop: Property, rays_or_sheet: Rays | Sheet) -> Measured:
     answer = prop.function(rays_or_sheet)
     if not isinstance(answer, Measured):
         answer = Measured(values=np.asarray(answer))
-    shape = rays_or_sheet.status.shape if isinstance(rays_or_sheet, Rays) else rays_or_sheet.frame.status.shape
+    shape = (
+        rays_or_sheet.status.shape
+        if isinstance(rays_or_sheet, Rays)
+        else rays_or_sheet.frame.status.shape
+    )
     if answer.values.shape != shape:
         raise CannotMeasure(
-            f"The property '{prop.name}' returned the shape {answer.values.shape} for {shape[0]} x {shape[1]} rays. "
-            "Return one value for each ray: (rows, cols)."
+            f"The property '{prop.name}' returned the shape {answer.values.shape} for {shape[0]} x"
+            f" {shape[1]} rays. Return one value for each ray: (rows, cols)."
         )
     se, reason = (np.broadcast_to(field, shape) for field in (answer.se, answer.reason))
     return Measured(values=answer.values, se=se, reason=reason)
 
 
-def _variables(prop: Property, answer: Measured, status: NDArray[np.uint8], frame: RayFrame) -> dict[str, xr.Variable]:
+def _variables(
+    prop: Property, answer: Measured, status: NDArray[np.uint8], frame: RayFrame
+) -> dict[str, xr.Variable]:
     """Give a property, its standard error, and its status where it has reasons of its own, as they are stored."""
     is_valid, dims, title = status == 0, ("y", "x"), prop.long_name
     ray_width_um = max(*frame.pitch_um, FWHM * frame.greys.blur_um)
-    support_um = max(0.0 if prop.support_um is None else length_of(prop.support_um, frame.params), ray_width_um)
+    support_um = max(
+        0.0 if prop.support_um is None else length_of(prop.support_um, frame.params), ray_width_um
+    )
     values = np.where(is_valid, answer.values, np.nan).astype(np.float32)
     se = np.where(np.isfinite(values), answer.se, np.nan).astype(np.float32)
     attrs = {"units": prop.units, "long_name": title, "support_um": round(support_um, 3)}
     variables = {
         prop.name: xr.Variable(dims, values, attrs),
-        f"{prop.name}_se": xr.Variable(dims, se, {"units": prop.units, "long_name": _se_name(title)}),
+        f"{prop.name}_se": xr.Variable(
+            dims, se, {"units": prop.units, "long_name": _se_name(title)}
+        ),
     }
     if prop.reasons:
-        status_or_reason = np.where(is_valid & (answer.reason > 0), answer.reason + np.uint8(FIRST_OWN - 1), status)
-        flags = status_flags(f"Status of {title}", last=Status.RAY_LEAVES_VOLUME, reasons=prop.reasons)
+        status_or_reason = np.where(
+            is_valid & (answer.reason > 0), answer.reason + np.uint8(FIRST_OWN - 1), status
+        )
+        flags = status_flags(
+            f"Status of {title}", last=Status.RAY_LEAVES_VOLUME, reasons=prop.reasons
+        )
         variables[f"{prop.name}_status"] = xr.Variable(dims, status_or_reason, flags)
     return variables

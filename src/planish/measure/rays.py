@@ -33,16 +33,23 @@ class Rays:
     Lengths are in um; ``s`` is the signed distance from the centre surface, the top is positive.
     """
 
-    grey: Grey  #: (rows, cols, s) float32; NaN outside the volume, beside missing voxels, on rays without a status of 0
+    # : (rows, cols, s) float32; NaN outside the volume, beside missing voxels, on rays without a
+    # status of 0.
+    grey: Grey
     s_um: Floats  #: (s,), the same for all rays, in equal steps
     top: Floats  #: place of the face, (rows, cols)
     bottom: Floats  #: as ``top``
-    interface_top: Floats  #: place of the interface, (rows, cols); of a side without a coating its face
+    # : place of the interface, (rows, cols); of a side without a coating its face.
+    interface_top: Floats
     interface_bottom: Floats  #: as ``interface_top``
     normals: Floats  #: (rows, cols, 3), directions of the rays along rows, columns and height
-    stretch: Floats  #: (rows, cols, 2), length in the centre surface of a step of one um along rows and columns
-    slope: Floats  #: (rows, cols, 2), of the centre surface along rows and columns, up towards the top
-    oblique: Floats  #: (rows, cols), um of ray for one along the normal: 1 on normals, 1 / cos(tilt) on vertical rays
+    # : (rows, cols, 2), length in the centre surface of a step of one um along rows and columns.
+    stretch: Floats
+    # : (rows, cols, 2), of the centre surface along rows and columns, up towards the top.
+    slope: Floats
+    # : (rows, cols), um of ray for one along the normal: 1 on normals, 1 / cos(tilt) on vertical
+    # rays.
+    oblique: Floats
     status: NDArray[np.uint8]  #: (rows, cols)
     pitch_um: Pair  #: between rows and between columns, in projection
     voxel_um: float  #: along the axis through the sheet
@@ -61,7 +68,9 @@ class Rays:
     @property
     def edge_um(self) -> Floats:
         """Length left out of the base at both ends, along the ray (rows, cols)."""
-        return self.oblique * (2 * self.greys.blur_um if self.params.edge_um is None else self.params.edge_um)
+        return self.oblique * (
+            2 * self.greys.blur_um if self.params.edge_um is None else self.params.edge_um
+        )
 
     @property
     def core(self) -> tuple[Floats, Floats]:
@@ -83,7 +92,9 @@ class Rays:
 
     def integral(self, lower: Floats, upper: Floats) -> Floats:
         """Integral of the grey above the air from ``lower`` to ``upper`` (rows, cols); grey times um."""
-        grey_integral = _ray_kernels.pieces(self.grey, float(self.s_um[0]), self.step_um, lower, upper, 0.0, 0.0)[0]
+        grey_integral = _ray_kernels.pieces(
+            self.grey, float(self.s_um[0]), self.step_um, lower, upper, 0.0, 0.0
+        )[0]
         return grey_integral - self.greys.air * np.maximum(upper - lower, 0.0)
 
     def mean(self, lower: Floats, upper: Floats) -> Floats:
@@ -92,12 +103,18 @@ class Rays:
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(length >= self.step_um, self.integral(lower, upper) / length, np.nan)
 
-    def length(self, lower: Floats, upper: Floats, *, least: float, most: float) -> tuple[Floats, NDArray[np.int32]]:
+    def length(
+        self, lower: Floats, upper: Floats, *, least: float, most: float
+    ) -> tuple[Floats, NDArray[np.int32]]:
         """Length in um with ``least <= grey <= most`` between two places, and how many ends it has there."""
         grey_range = float(least), float(most)
-        return _ray_kernels.pieces(self.grey, float(self.s_um[0]), self.step_um, lower, upper, *grey_range)[1:]
+        return _ray_kernels.pieces(
+            self.grey, float(self.s_um[0]), self.step_um, lower, upper, *grey_range
+        )[1:]
 
-    def beyond(self, lower: Floats, upper: Floats, level: float) -> tuple[Floats, NDArray[np.int32]]:
+    def beyond(
+        self, lower: Floats, upper: Floats, level: float
+    ) -> tuple[Floats, NDArray[np.int32]]:
         """Length in um on which the grey is farther from the air than ``level``, and how many ends it has."""
         least, most = (level, np.inf) if self.greys.polarity > 0 else (-np.inf, level)
         return self.length(lower, upper, least=least, most=most)
@@ -109,7 +126,9 @@ class Rays:
         half way, and noise of standard deviation sigma moves that place by sigma over the slope.
         """
         blur = max(self.greys.blur_um, 0.5 * self.voxel_um)
-        return self.oblique * (np.sqrt(2 * np.pi) * blur * self.greys.noise / max(abs(contrast), 1e-12))
+        return self.oblique * (
+            np.sqrt(2 * np.pi) * blur * self.greys.noise / max(abs(contrast), 1e-12)
+        )
 
     def integral_se(self, length: Floats | float) -> Floats:
         """Standard error of an integral over ``length`` um: sqrt(noise_um * length)."""
@@ -135,11 +154,17 @@ def meet(surfaces: xr.Dataset, rays: Direction) -> tuple[dict[str, Floats], dict
     faces along the rays. An interface of a side without a coating is its face, the same array.
     """
     if lacking := [name for name in (*FACES, "centre", "status") if name not in surfaces]:
-        raise SurfaceError(f"The surfaces lack {', '.join(lacking)}. Make them with 'planish surface'.")
+        raise SurfaceError(
+            f"The surfaces lack {', '.join(lacking)}. Make them with 'planish surface'."
+        )
     up_sign = Frame.of(surfaces).sign
-    heights = {name: up_sign * surfaces[name].values.astype(np.float64) for name in (*FACES, "centre")}
+    heights = {
+        name: up_sign * surfaces[name].values.astype(np.float64) for name in (*FACES, "centre")
+    }
     if inverted_count := int(np.count_nonzero(heights["top"] < heights["bottom"])):
-        raise SurfaceError(f"The top lies below the bottom at {inverted_count} points. Check --top.")
+        raise SurfaceError(
+            f"The top lies below the bottom at {inverted_count} points. Check --top."
+        )
     pitch_um = pitch(surfaces)
     normals = directions(slopes_of(heights["centre"], pitch_um), rays)
     unit_vector = [np.ascontiguousarray(component) for component in np.moveaxis(normals, -1, 0)]
@@ -150,7 +175,9 @@ def meet(surfaces: xr.Dataset, rays: Direction) -> tuple[dict[str, Floats], dict
         elif rays == "vertical":
             faces[name] = heights[name] - heights["centre"]
         else:
-            faces[name] = _ray_kernels.along_normals(heights[name], heights["centre"], *unit_vector, *pitch_um)
+            faces[name] = _ray_kernels.along_normals(
+                heights[name], heights["centre"], *unit_vector, *pitch_um
+            )
     return heights, faces
 
 
@@ -181,12 +208,17 @@ class RayFrame:
     def of(cls, volume: xr.DataArray, surfaces: xr.Dataset, params: MeasureParams) -> RayFrame:
         """Find where every ray meets the faces; of the volume only size and coordinates are looked at."""
         (heights, faces), frame = meet(surfaces, params.rays), Frame.of(surfaces)
-        volume_shape, shape = (volume.sizes[frame.rows], volume.sizes[frame.cols]), surfaces["centre"].shape
-        column_px = max(volume_shape[0] // max(shape[0], 1), 1)  # voxels along the edge of a column of the surfaces
+        volume_shape, shape = (
+            (volume.sizes[frame.rows], volume.sizes[frame.cols]),
+            surfaces["centre"].shape,
+        )
+        # Voxels along the edge of a column of the surfaces.
+        column_px = max(volume_shape[0] // max(shape[0], 1), 1)
         if (volume_shape[0] // column_px, volume_shape[1] // column_px) != shape:
             raise SurfaceError(
-                f"The volume has {volume_shape[0]} x {volume_shape[1]} columns and the surfaces have {shape[0]} x "
-                f"{shape[1]}: they do not belong together. Find the surfaces in this volume."
+                f"The volume has {volume_shape[0]} x {volume_shape[1]} columns and the surfaces"
+                f" have {shape[0]} x {shape[1]}: they do not belong together. Find the surfaces in"
+                " this volume."
             )
         through_um = volume.coords[frame.through].values
         voxel_um = abs(float(through_um[1] - through_um[0]))
@@ -196,22 +228,36 @@ class RayFrame:
         status = surfaces["status"].values.astype(np.uint8)
         top, bottom = faces["top"], faces["bottom"]
         is_whole = np.isfinite(top) & np.isfinite(bottom) & (status == 0)
-        thickness_um = float(np.median((top - bottom)[is_whole])) if is_whole.any() else float("nan")
+        thickness_um = (
+            float(np.median((top - bottom)[is_whole])) if is_whole.any() else float("nan")
+        )
         # A face so many thicknesses from the centre surface is not this ray's.
         is_whole &= (np.abs(top) < 1.5 * thickness_um) & (np.abs(bottom) < 1.5 * thickness_um)
         is_whole &= np.isfinite(faces["interface_top"]) & np.isfinite(faces["interface_bottom"])
         if not is_whole.any():
-            raise CannotMeasure("No ray of the centre surface meets both faces. Look at the surfaces in the report.")
+            raise CannotMeasure(
+                "No ray of the centre surface meets both faces. Look at the surfaces in the report."
+            )
         status[(status == 0) & ~is_whole] = Status.NORMAL_LEAVES_SHEET
         low = int(np.floor((float(bottom[is_whole].min()) - margin_um) / step_um))
         high = int(np.ceil((float(top[is_whole].max()) + margin_um) / step_um))
         slope = slopes_of(heights["centre"], pitch(surfaces))
         stretch = np.sqrt(1 + slope[np.isfinite(slope).all(axis=-1)] ** 2).mean(axis=0)
         return cls(
-            frame=frame, heights=heights, faces=faces, status=status, pitch_um=pitch(surfaces), voxel_um=voxel_um,
-            step_um=step_um, low=low, high=high, greys=greys, params=params, column_px=column_px,
+            frame=frame,
+            heights=heights,
+            faces=faces,
+            status=status,
+            pitch_um=pitch(surfaces),
+            voxel_um=voxel_um,
+            step_um=step_um,
+            low=low,
+            high=high,
+            greys=greys,
+            params=params,
+            column_px=column_px,
             mean_stretch=(float(stretch[0]), float(stretch[1])),
-        )  # fmt: skip
+        )
 
     @property
     def samples(self) -> int:
@@ -236,14 +282,27 @@ class RayFrame:
         normals = directions(slope, self.params.rays)
         status = self.status[rows].copy()
         grey = self._grey(volume, rows, normals, status == 0)
-        faces = {name: np.where(status == 0, values[rows], np.nan) for name, values in self.faces.items()}
+        faces = {
+            name: np.where(status == 0, values[rows], np.nan) for name, values in self.faces.items()
+        }
         samples: Floats = np.arange(self.low, self.high + 1).astype(np.float64) * self.step_um
         tile = Rays(
-            grey=grey, s_um=samples, **faces, normals=normals, stretch=np.sqrt(1 + slope**2), slope=slope,
-            oblique=self.oblique(slope), status=status, pitch_um=self.pitch_um, voxel_um=self.voxel_um,
-            greys=self.greys, params=self.params, noise_um=self.noise_um, mirrored=self.frame.mirrored,
+            grey=grey,
+            s_um=samples,
+            **faces,
+            normals=normals,
+            stretch=np.sqrt(1 + slope**2),
+            slope=slope,
+            oblique=self.oblique(slope),
+            status=status,
+            pitch_um=self.pitch_um,
+            voxel_um=self.voxel_um,
+            greys=self.greys,
+            params=self.params,
+            noise_um=self.noise_um,
+            mirrored=self.frame.mirrored,
             mean_stretch=self.mean_stretch,
-        )  # fmt: skip
+        )
         grey_integral = tile.integral(tile.bottom, tile.top)
         status[(status == 0) & ~np.isfinite(grey_integral)] = Status.RAY_LEAVES_VOLUME
         with np.errstate(invalid="ignore"):
@@ -262,19 +321,36 @@ class RayFrame:
         steps = [normals[..., axis] * column_px / self.pitch_um[axis] for axis in (0, 1)]
         steps.append(frame.sign * normals[..., 2] / voxel_um)
         # The box around both ends of all rays, in voxels.
-        row_index, col_index = np.arange(rows.start, rows.stop)[:, None], np.arange(is_wanted.shape[1])
+        row_index, col_index = (
+            np.arange(rows.start, rows.stop)[:, None],
+            np.arange(is_wanted.shape[1]),
+        )
         starts = (*(column_px * k + 0.5 * (column_px - 1) for k in (row_index, col_index)), depth)
         box: dict[str, slice] = {}
-        for axis, start_px, step in zip((frame.rows, frame.cols, frame.through), starts, steps, strict=True):
-            ends = [(start_px + end * self.step_um * step)[is_wanted] for end in (self.low, self.high)]
+        for axis, start_px, step in zip(
+            (frame.rows, frame.cols, frame.through), starts, steps, strict=True
+        ):
+            ends = [
+                (start_px + end * self.step_um * step)[is_wanted] for end in (self.low, self.high)
+            ]
             n = volume.sizes[axis]
             first_px, last_px = int(np.floor(np.min(ends))), int(np.ceil(np.max(ends))) + 2
             box[axis] = slice(min(max(first_px, 0), n - 1), max(min(last_px, n), 1))
         block, padding = np.ascontiguousarray(read_box(volume, box)), self.greys.padding
         _ray_kernels.resample_rays(
-            block, np.array([part.start for part in box.values()]), rows.start, column_px, depth, *steps, is_wanted,
-            self.low, self.step_um, padding, bool(np.isfinite(padding)), grey,
-        )  # fmt: skip
+            block,
+            np.array([part.start for part in box.values()]),
+            rows.start,
+            column_px,
+            depth,
+            *steps,
+            is_wanted,
+            self.low,
+            self.step_um,
+            padding,
+            bool(np.isfinite(padding)),
+            grey,
+        )
         return grey
 
 

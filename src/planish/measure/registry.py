@@ -51,23 +51,30 @@ class Greys:
     blur_um: float  # standard deviation of the blur across the faces
     padding: float  # value outside the field of view; NaN where there is none
     single_noise: float = float("nan")  # that of a column before it is averaged with its neighbours
-    texture_um: float = 0.0  # variance of the integral over one um of the base's grey, from walls and pores; grey^2 um
-    averaged: float = 0.0  # standard deviation of the Gaussian over neighbouring columns that the fit saw, in columns
+    # Variance of the integral over one um of the base's grey, from walls and pores; grey^2 um.
+    texture_um: float = 0.0
+    # Standard deviation of the Gaussian over neighbouring columns that the fit saw, in columns.
+    averaged: float = 0.0
 
     @classmethod
     def of(cls, surfaces: xr.Dataset) -> Greys:
         """Read the levels from the surfaces' attributes; SurfaceError if they are not there."""
         attrs = surfaces.attrs
-        keys = [f"grey_{name}" for name in ("air", "base", "coating_top", "coating_bottom", "noise")]
+        keys = [
+            f"grey_{name}" for name in ("air", "base", "coating_top", "coating_bottom", "noise")
+        ]
         keys += ["polarity", "blur_um"]
         if lacking := [key for key in keys if key not in attrs]:
-            raise SurfaceError(f"The surfaces lack {', '.join(lacking)}. Make them with 'planish surface'.")
+            raise SurfaceError(
+                f"The surfaces lack {', '.join(lacking)}. Make them with 'planish surface'."
+            )
         return cls(
             **{key.removeprefix("grey_"): float(attrs[key]) for key in keys},
-            padding=float(attrs.get("padding", np.nan)), averaged=float(attrs.get("averaged_columns", 0.0)),
+            padding=float(attrs.get("padding", np.nan)),
+            averaged=float(attrs.get("averaged_columns", 0.0)),
             texture_um=float(attrs.get("base_texture_um", 0.0)),
             single_noise=float(attrs.get("grey_noise_single", attrs["grey_noise"])),
-        )  # fmt: skip
+        )
 
     def coating(self, side: Side) -> float:
         """Level of the coating of ``top`` or ``bottom``."""
@@ -81,15 +88,18 @@ class Greys:
         """Level of the coating; CannotMeasure if that side has none."""
         level = self.coating(side)
         if not np.isfinite(level):
-            raise CannotMeasure(f"{subject} needs a coating on the {side} side, and none was seen there. Leave it out.")
+            raise CannotMeasure(
+                f"{subject} needs a coating on the {side} side, and none was seen there. Leave it"
+                " out."
+            )
         return level
 
     def need_absorption(self, subject: str) -> None:
         """Refuse grey values that are no X-ray absorption: those of a sheet darker than what surrounds it."""
         if self.polarity < 0:
             raise CannotMeasure(
-                f"{subject} is read from X-ray absorption, and this sheet is darker than what surrounds it. Use a "
-                "property that needs lengths only, with a density."
+                f"{subject} is read from X-ray absorption, and this sheet is darker than what"
+                " surrounds it. Use a property that needs lengths only, with a density."
             )
 
 
@@ -107,9 +117,11 @@ PROPERTIES = {
 """The six properties that the faces alone give."""
 
 _LENGTHS = {
-    "coating_top": ("top", "interface_top"), "coating_bottom": ("interface_bottom", "bottom"),
-    "base_thickness": ("interface_top", "interface_bottom"), "thickness": ("top", "bottom"),
-}  # fmt: skip
+    "coating_top": ("top", "interface_top"),
+    "coating_bottom": ("interface_bottom", "bottom"),
+    "base_thickness": ("interface_top", "interface_bottom"),
+    "thickness": ("top", "bottom"),
+}
 
 
 def face_length(faces: Mapping[str, Floats], name: str) -> Floats:
@@ -125,8 +137,10 @@ class Measured:
     """Values of a property with what is known of them."""
 
     values: Floats  #: (rows, cols); NaN where there is no answer
-    se: Floats | float = np.nan  #: standard error (rows, cols) in the same unit; NaN where it cannot be stated
-    reason: NDArray[np.uint8] | int = 0  #: (rows, cols): 1, 2, ... of the property's own where ``values`` is NaN
+    # : standard error (rows, cols) in the same unit; NaN where it cannot be stated.
+    se: Floats | float = np.nan
+    # : (rows, cols): 1, 2, ... of the property's own where ``values`` is NaN.
+    reason: NDArray[np.uint8] | int = 0
 
     def times(self, factor: float) -> Measured:
         """Return the same in another unit."""
@@ -159,7 +173,9 @@ def cached(function: Callable[Concatenate[Rays, P], T]) -> Callable[Concatenate[
     """Work out once for the same rays what several properties share."""
 
     def cached_function(rays: Rays, /, *args: P.args, **kwargs: P.kwargs) -> T:
-        return rays.cached(repr((function.__name__, args, kwargs)), lambda: function(rays, *args, **kwargs))
+        return rays.cached(
+            repr((function.__name__, args, kwargs)), lambda: function(rays, *args, **kwargs)
+        )
 
     return cached_function
 
@@ -181,9 +197,11 @@ class Property:
     kind: Literal["rays", "sheet"]
     function: Answer  #: of :class:`~planish.measure.rays.Rays`, or of :class:`Sheet`
     halo_um: Length = 0.0  #: rows beyond a tile that a ray's answer depends on, as a length
-    support_um: Length | None = None  #: width of what one value speaks for; None: one ray, with what the blur adds
+    # : width of what one value speaks for; None: one ray, with what the blur adds.
+    support_um: Length | None = None
     reasons: tuple[str, ...] = ()  #: the property's own reasons for a missing value
-    after: After = ()  #: properties that this is made from, or a function from parameters and grey levels to them
+    # : properties that this is made from, or a function from parameters and grey levels to them.
+    after: After = ()
     #: Of parameters and grey levels; CannotMeasure, before anything is read, where a number is missing.
     check: Check | None = None
     #: Of parameters and grey levels: whether it is measured without being named, as its numbers are given.
@@ -196,14 +214,31 @@ _REGISTERED: dict[str, Property] = {}
 
 def _registers(kind: Literal["rays", "sheet"]):
     def register(
-        name: str, *, units: str, long_name: str, support_um: Length | None = None, check: Check | None = None,
-        when: When | None = None, halo_um: Length = 0.0, **more: Any,
-    ) -> Callable[[Answer], Property]:  # fmt: skip
+        name: str,
+        *,
+        units: str,
+        long_name: str,
+        support_um: Length | None = None,
+        check: Check | None = None,
+        when: When | None = None,
+        halo_um: Length = 0.0,
+        **more: Any,
+    ) -> Callable[[Answer], Property]:
         """Register a function of rays or maps, explained by :class:`Property`; CannotMeasure if the name is taken."""
         return lambda function: _add(
-            Property(name=name, units=units, long_name=long_name, kind=kind, function=function, support_um=support_um,
-                     check=check, when=when, halo_um=halo_um, **more)
-        )  # fmt: skip
+            Property(
+                name=name,
+                units=units,
+                long_name=long_name,
+                kind=kind,
+                function=function,
+                support_um=support_um,
+                check=check,
+                when=when,
+                halo_um=halo_um,
+                **more,
+            )
+        )
 
     return register
 
@@ -215,13 +250,18 @@ def _add(added: Property) -> Property:
     if "{side}" in added.name:
         return [_add(_of_side(added, side)) for side in SIDES][-1]
     if not added.name.isidentifier():
-        raise CannotMeasure(f"'{added.name}' is no name of a property: use letters, digits and underscores.")
+        raise CannotMeasure(
+            f"'{added.name}' is no name of a property: use letters, digits and underscores."
+        )
     old = _REGISTERED.get(added.name)
     # The same function again is a module that was loaded twice, as in a notebook.
     if old is not None and (old.function.__module__, old.function.__qualname__) != (
-        added.function.__module__, added.function.__qualname__,
-    ):  # fmt: skip
-        raise CannotMeasure(f"There is a property '{added.name}' already ({old.long_name}). Choose another name.")
+        added.function.__module__,
+        added.function.__qualname__,
+    ):
+        raise CannotMeasure(
+            f"There is a property '{added.name}' already ({old.long_name}). Choose another name."
+        )
     _REGISTERED[added.name] = added
     return added
 
@@ -230,8 +270,9 @@ def _of_side(template: Property, side: Side) -> Property:
     formatted = {key: getattr(template, key).format(side=side) for key in ("name", "long_name")}
     bound_functions: dict[str, Any] = {
         key: update_wrapper(partial(function, side=side), function)
-        for key in ("function", "after", "check", "when") if callable(function := getattr(template, key))
-    }  # fmt: skip
+        for key in ("function", "after", "check", "when")
+        if callable(function := getattr(template, key))
+    }
     return replace(template, **formatted, **bound_functions)
 
 
@@ -246,7 +287,9 @@ def find_property(name: str | Property) -> Property:
     if isinstance(name, Property):
         return name
     if name not in _REGISTERED:
-        raise CannotMeasure(f"There is no property '{name}'. Choose from {', '.join(sorted(_REGISTERED))}.")
+        raise CannotMeasure(
+            f"There is no property '{name}'. Choose from {', '.join(sorted(_REGISTERED))}."
+        )
     return _REGISTERED[name]
 
 
@@ -276,20 +319,34 @@ def possible_maps(params: MeasureParams) -> list[str]:
 
 
 def _coated_and_bare() -> tuple[Greys, Greys]:
-    bare = Greys(air=0.0, base=1.0, coating_top=np.nan, coating_bottom=np.nan, noise=0.01, polarity=1.0, blur_um=1.0,
-                 padding=np.nan)  # fmt: skip
+    bare = Greys(
+        air=0.0,
+        base=1.0,
+        coating_top=np.nan,
+        coating_bottom=np.nan,
+        noise=0.01,
+        polarity=1.0,
+        blur_um=1.0,
+        padding=np.nan,
+    )
     return replace(bare, coating_top=2.0, coating_bottom=2.0), bare
 
 
 def chosen(params: MeasureParams, greys: Greys) -> list[str]:
     """Names of the maps to measure: those that cost nothing, those whose numbers are given, those asked for."""
-    names = [prop.name for prop in registered().values() if prop.when is not None and prop.when(params, greys)]
+    names = [
+        prop.name
+        for prop in registered().values()
+        if prop.when is not None and prop.when(params, greys)
+    ]
     names += params.maps
     names += [companion for name in params.maps for companion in find_property(name).together]
     return list(dict.fromkeys(names))
 
 
-def in_order(names: Sequence[str | Property], params: MeasureParams, greys: Greys) -> list[Property]:
+def in_order(
+    names: Sequence[str | Property], params: MeasureParams, greys: Greys
+) -> list[Property]:
     """Return the properties and all that they are made from, each after what it needs.
 
     Raises

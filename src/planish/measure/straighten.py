@@ -19,13 +19,18 @@ from planish.core.typing import Floats, Pair
 from planish.measure.params import MeasureParams
 from planish.measure.rays import RayFrame, directions, slopes_of
 
-_WIDE = 256  # pixels along the width of a part: its box of voxels has to be small where the sheet is steep
+# Pixels along the width of a part: its box of voxels has to be small where the sheet is steep.
+_WIDE = 256
 
 
 def straightened(
-    volume: xr.DataArray, surfaces: xr.Dataset, maps: xr.Dataset, *, params: MeasureParams | None = None,
+    volume: xr.DataArray,
+    surfaces: xr.Dataset,
+    maps: xr.Dataset,
+    *,
+    params: MeasureParams | None = None,
     depth_um: Pair | None = None,
-) -> xr.DataArray:  # fmt: skip
+) -> xr.DataArray:
     """Straighten a volume along the normals of the centre surface.
 
     Parameters
@@ -55,27 +60,39 @@ def straightened(
         Surfaces and volume do not belong together, or the maps have no places in the volume.
     """
     if lacking := [name for name in ("volume_x", "volume_y", "volume_z") if name not in maps]:
-        raise SurfaceError(f"The maps lack {', '.join(lacking)}. Give the maps of the sheet, not those of an image.")
+        raise SurfaceError(
+            f"The maps lack {', '.join(lacking)}. Give the maps of the sheet, not those of an"
+            " image."
+        )
     frame = RayFrame.of(volume, surfaces, params or MeasureParams())
     low, high = depth_um or (frame.low * frame.step_um, frame.high * frame.step_um)
     # Beyond that the normals have long left the sheet, and cross each other.
     max_depth_um = 20.0 * float(surfaces.attrs["thickness_um"])
     if not low < high or max(abs(low), abs(high)) > max_depth_um:
         raise StudyError(
-            f"--depth-um {low:g},{high:g}: give two heights in um from the centre surface, the lower one first, within "
-            f"{max_depth_um:.0f} um."
+            f"--depth-um {low:g},{high:g}: give two heights in um from the centre surface, the"
+            f" lower one first, within {max_depth_um:.0f} um."
         )
     voxel_um = frame.voxel_um
     depth_px = np.arange(int(np.floor(low / voxel_um)), int(np.ceil(high / voxel_um)) + 1)
     depths_um: Floats = depth_px.astype(np.float64) * voxel_um
     grid = Grid.of(maps)
     lazy_volume = _Straightened(volume, surfaces, maps, depths_um, frame)
-    coords = {k: (k, um, {"units": "um"}) for k, um in (("z", depths_um), ("y", grid.y_um), ("x", grid.x_um))}
-    straight_volume = xr.DataArray(xr.Variable(("z", "y", "x"), variable_data(lazy_volume)), coords=coords, name="grey")
-    return straight_volume.assign_attrs(voxel_um=(voxel_um, *(round(float(p), 9) for p in grid.pixel_um)))
+    coords = {
+        k: (k, um, {"units": "um"})
+        for k, um in (("z", depths_um), ("y", grid.y_um), ("x", grid.x_um))
+    }
+    straight_volume = xr.DataArray(
+        xr.Variable(("z", "y", "x"), variable_data(lazy_volume)), coords=coords, name="grey"
+    )
+    return straight_volume.assign_attrs(
+        voxel_um=(voxel_um, *(round(float(p), 9) for p in grid.pixel_um))
+    )
 
 
-def voxels_around(volume: xr.DataArray, places_um: Mapping[str, Floats]) -> tuple[NDArray[Any], list[Floats]]:
+def voxels_around(
+    volume: xr.DataArray, places_um: Mapping[str, Floats]
+) -> tuple[NDArray[Any], list[Floats]]:
     """Read the part of a volume in which places lie, and give the places in it, in voxels."""
     indices: list[Floats] = []
     box: dict[str, slice] = {}
@@ -83,7 +100,9 @@ def voxels_around(volume: xr.DataArray, places_um: Mapping[str, Floats]) -> tupl
         coords_um = volume[axis].values
         position_px = (places_um[axis] - float(coords_um[0])) / float(coords_um[1] - coords_um[0])
         start_px = int(np.clip(np.floor(position_px.min()), 0, coords_um.size - 1))
-        box[axis] = slice(start_px, int(np.clip(np.ceil(position_px.max()) + 1, start_px + 1, coords_um.size)))
+        box[axis] = slice(
+            start_px, int(np.clip(np.ceil(position_px.max()) + 1, start_px + 1, coords_um.size))
+        )
         indices.append(position_px - start_px)
     return volume.isel(box).values, indices
 
@@ -92,7 +111,12 @@ class _Straightened(LazyArray):
     """The straightened volume, of which parts are worked out."""
 
     def __init__(
-        self, volume: xr.DataArray, surfaces: xr.Dataset, maps: xr.Dataset, depths_um: Floats, frame: RayFrame
+        self,
+        volume: xr.DataArray,
+        surfaces: xr.Dataset,
+        maps: xr.Dataset,
+        depths_um: Floats,
+        frame: RayFrame,
     ) -> None:
         self._volume, self._depths = volume, depths_um
         self._places = {axis: maps[f"volume_{axis}"] for axis in ("z", "y", "x")}
@@ -107,15 +131,20 @@ class _Straightened(LazyArray):
     def read(self, where: Where) -> NDArray[Any]:
         """Work out a part, in pieces on threads."""
         depth, rows, cols = where
-        row_range, col_range = (range(n)[s] for n, s in zip(self.shape[1:], (rows, cols), strict=True))
+        row_range, col_range = (
+            range(n)[s] for n, s in zip(self.shape[1:], (rows, cols), strict=True)
+        )
         depths_um = self._depths[depth]
         grey = np.empty((depths_um.size, len(row_range), len(col_range)), np.float32)
-        rows_per_tile = max(1, 1_000_000 // (_WIDE * max(depths_um.size, 1)))  # samples that a thread works on
+        # Samples that a thread works on.
+        rows_per_tile = max(1, 1_000_000 // (_WIDE * max(depths_um.size, 1)))
         tiles = tiles_of((len(row_range), len(col_range)), (rows_per_tile, _WIDE))
         map_threads(partial(self._fill, grey, depths_um, (rows, cols)), tiles)
         return grey
 
-    def _fill(self, grey: NDArray[np.float32], depths_um: Floats, slices: tuple[slice, slice], tile: Tile) -> None:
+    def _fill(
+        self, grey: NDArray[np.float32], depths_um: Floats, slices: tuple[slice, slice], tile: Tile
+    ) -> None:
         from scipy import ndimage
 
         tile_grey = grey[:, tile.rows, tile.cols]
@@ -124,25 +153,40 @@ class _Straightened(LazyArray):
             slice(w.start + w.step * a, w.start + w.step * b, w.step)
             for w, a, b in zip(slices, (tile.r0, tile.c0), (tile.r1, tile.c1), strict=True)
         )
-        place_um = {axis: np.asarray(self._places[axis][rows, cols].values) for axis in ("z", "y", "x")}
+        place_um = {
+            axis: np.asarray(self._places[axis][rows, cols].values) for axis in ("z", "y", "x")
+        }
         frame = self._frame
         row, col = (
             (place_um[axis] - first) / p
-            for axis, first, p in zip((frame.rows, frame.cols), self._first, self._pitch, strict=True)
+            for axis, first, p in zip(
+                (frame.rows, frame.cols), self._first, self._pitch, strict=True
+            )
         )
         slope = np.stack([bilinear(field, row, col) for field in self._slopes], axis=-1)
         normal_r, normal_c, normal_h = np.moveaxis(directions(slope, "normal"), -1, 0)
         normal = {frame.rows: normal_r, frame.cols: normal_c, frame.through: frame.sign * normal_h}
-        is_inside = np.all([np.isfinite(place_um[axis]) & np.isfinite(normal[axis]) for axis in place_um], axis=0)
+        is_inside = np.all(
+            [np.isfinite(place_um[axis]) & np.isfinite(normal[axis]) for axis in place_um], axis=0
+        )
         if not is_inside.any():
             return
         depth_column = depths_um[:, None]
-        points_um = {axis: um[is_inside] + depth_column * normal[axis][is_inside] for axis, um in place_um.items()}
+        points_um = {
+            axis: um[is_inside] + depth_column * normal[axis][is_inside]
+            for axis, um in place_um.items()
+        }
         voxels, voxel_indices = voxels_around(self._volume, points_um)
         if voxels.dtype.kind != "f" or np.isfinite(self._padding):
             voxels = voxels.astype(np.float32)
         if np.isfinite(self._padding):
             voxels[voxels == np.float32(self._padding)] = np.nan
         tile_grey[:, is_inside] = ndimage.map_coordinates(
-            voxels, voxel_indices, output=np.float32, order=1, mode="constant", cval=np.nan, prefilter=False
+            voxels,
+            voxel_indices,
+            output=np.float32,
+            order=1,
+            mode="constant",
+            cval=np.nan,
+            prefilter=False,
         )

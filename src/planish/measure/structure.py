@@ -36,12 +36,20 @@ class Options(Params):
     """Options of the fibre orientation and of the pores' sizes."""
 
     orientation_sigma_um: float | None = option(
-        None, gt=0, cli=None, help="Scale of the gradients of the fibre orientation; one voxel where not given."
+        None,
+        gt=0,
+        cli=None,
+        help="Scale of the gradients of the fibre orientation; one voxel where not given.",
     )
     orientation_rho_um: float = option(
-        40.0, gt=0, cli=None, help="Scale over which fibre directions are gathered: one or two fibre widths."
+        40.0,
+        gt=0,
+        cli=None,
+        help="Scale over which fibre directions are gathered: one or two fibre widths.",
     )
-    pore_limit_um: float = option(40.0, gt=0, cli=None, help="Size above which pores are not distinguished.")
+    pore_limit_um: float = option(
+        40.0, gt=0, cli=None, help="Size above which pores are not distinguished."
+    )
 
 
 def _halo(params: MeasureParams) -> float:
@@ -90,7 +98,9 @@ def _tensor(rays: Rays, lowest: float, highest: float) -> tuple[Floats, Floats, 
     lower, upper = rays.core
     is_inside = rays.s_um[samples] >= np.maximum(lower, bottom + lowest * base_um)[..., None]
     is_inside &= rays.s_um[samples] < np.minimum(upper, bottom + highest * base_um)[..., None]
-    is_inside &= rays.greys.polarity * (rays.grey[..., samples] - void_level(rays.greys, rays.params)) > 0
+    is_inside &= (
+        rays.greys.polarity * (rays.grey[..., samples] - void_level(rays.greys, rays.params)) > 0
+    )
     xx_sum, yy_sum, xy_sum = (
         np.einsum("ijk,ijk,ijk->ij", a, b, is_inside, dtype=np.float64)
         for a, b in ((by_col, by_col), (by_row, by_row), (by_row, by_col))
@@ -105,14 +115,18 @@ def _tensor(rays: Rays, lowest: float, highest: float) -> tuple[Floats, Floats, 
     return averaged[0], averaged[1], averaged[2]
 
 
-def _in_tangent_plane(xx: Floats, yy: Floats, xy: Floats, slope: Floats) -> tuple[Floats, Floats, Floats]:
+def _in_tangent_plane(
+    xx: Floats, yy: Floats, xy: Floats, slope: Floats
+) -> tuple[Floats, Floats, Floats]:
     """Turn a tensor of derivatives along columns (x) and rows (y) into the tangent plane: G^(-1/2) J G^(-1/2)."""
     # G = I + grad z grad z^T is the metric of the centre surface. With a unit vector e up the slope,
     # G^(-1/2) = I - (1 - cos a) e e^T, a the tilt.
     q, p = slope[..., 0], slope[..., 1]
     squared_slope = p * p + q * q
     with np.errstate(divide="ignore", invalid="ignore"):
-        shrinkage = np.where(squared_slope > 0, (1 - 1 / np.sqrt(1 + squared_slope)) / squared_slope, 0.5)
+        shrinkage = np.where(
+            squared_slope > 0, (1 - 1 / np.sqrt(1 + squared_slope)) / squared_slope, 0.5
+        )
     a, b, d = 1 - shrinkage * p * p, -shrinkage * p * q, 1 - shrinkage * q * q
     return (
         a * a * xx + 2 * a * b * xy + b * b * yy,
@@ -126,22 +140,43 @@ def _components(rays: Rays, lowest: float = 0.0, highest: float = 1.0) -> tuple[
     turn = -1.0 if rays.mirrored else 1.0
     with np.errstate(divide="ignore", invalid="ignore"):
         # The fibre stands across the gradient: its double angle is the other one's plus half a turn.
-        return np.where(trace > 0, -cosine / trace, np.nan), np.where(trace > 0, -turn * sine / trace, np.nan)
+        return np.where(trace > 0, -cosine / trace, np.nan), np.where(
+            trace > 0, -turn * sine / trace, np.nan
+        )
 
 
-@ray_property("fibre_cos2", units="1", long_name="Fibre direction, cosine part", halo_um=_halo, support_um=_width)
+@ray_property(
+    "fibre_cos2",
+    units="1",
+    long_name="Fibre direction, cosine part",
+    halo_um=_halo,
+    support_um=_width,
+)
 def fibre_cos2(rays: Rays) -> Floats:
     """Anisotropy times cos(2 angle): may be averaged and interpolated, which an angle may not."""
     return _components(rays)[0]
 
 
-@ray_property("fibre_sin2", units="1", long_name="Fibre direction, sine part", halo_um=_halo, support_um=_width)
+@ray_property(
+    "fibre_sin2",
+    units="1",
+    long_name="Fibre direction, sine part",
+    halo_um=_halo,
+    support_um=_width,
+)
 def fibre_sin2(rays: Rays) -> Floats:
     """Anisotropy times sin(2 angle)."""
     return _components(rays)[1]
 
 
-@ray_property("fibre_angle", units="deg", long_name="Fibre angle", halo_um=_halo, support_um=_width, together=_PARTS)
+@ray_property(
+    "fibre_angle",
+    units="deg",
+    long_name="Fibre angle",
+    halo_um=_halo,
+    support_um=_width,
+    together=_PARTS,
+)
 def fibre_angle(rays: Rays, **depth: float) -> Floats:
     """P-13: mean axis of the fibres, -90 to 90 degrees from the map's u axis towards its v axis.
 
@@ -151,7 +186,9 @@ def fibre_angle(rays: Rays, **depth: float) -> Floats:
     return axial_angle(*_components(rays, **depth))
 
 
-@ray_property("fibre_anisotropy", units="1", long_name="Fibre anisotropy", halo_um=_halo, support_um=_width)
+@ray_property(
+    "fibre_anisotropy", units="1", long_name="Fibre anisotropy", halo_um=_halo, support_um=_width
+)
 def fibre_anisotropy(rays: Rays, **depth: float) -> Floats:
     """P-13: (l1 - l2) / (l1 + l2) of the tensor's eigenvalues: 0 where no direction prevails, 1 where all are one.
 
@@ -171,11 +208,16 @@ def orientation_layers(count: int) -> tuple[Property, ...]:
     """
     properties: list[Property] = []
     for k in range(count):
-        depth_range, layer_text = {"lowest": k / count, "highest": (k + 1) / count}, f"layer {k + 1} of {count}"
+        depth_range, layer_text = (
+            {"lowest": k / count, "highest": (k + 1) / count},
+            f"layer {k + 1} of {count}",
+        )
         for prop in (fibre_angle, fibre_anisotropy):
             name, function = f"{prop.name}_layer_{k + 1}", partial(prop.function, **depth_range)
             long_name = f"{prop.long_name}, {layer_text}"
-            properties.append(replace(prop, name=name, long_name=long_name, function=function, together=()))
+            properties.append(
+                replace(prop, name=name, long_name=long_name, function=function, together=())
+            )
     return tuple(properties)
 
 
@@ -184,7 +226,9 @@ def _voids(rays: Rays) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
     """Samples that are void (rows, cols, s), and how many there are on each ray."""
     # Beyond what any base reaches there is no void; one sample more on either side is the wall there.
     samples = rays.samples_within(*rays.core, more=1)
-    above_void_level = rays.greys.polarity * (rays.grey[..., samples] - np.float32(void_level(rays.greys, rays.params)))
+    above_void_level = rays.greys.polarity * (
+        rays.grey[..., samples] - np.float32(void_level(rays.greys, rays.params))
+    )
     is_void = ((above_void_level < 0) & rays.between(*rays.core)[..., samples]).astype(np.uint8)
     return is_void, is_void.sum(axis=-1, dtype=np.int64)
 
@@ -205,7 +249,9 @@ def chords(void: NDArray[np.uint8], axis: int, most: int) -> NDArray[np.int64]:
     return (total - (void > 0)).sum(axis=-1)
 
 
-@ray_property("pore_chord", units="um", long_name="Pore chord in the plane", halo_um=_limit, support_um=_limit)
+@ray_property(
+    "pore_chord", units="um", long_name="Pore chord in the plane", halo_um=_limit, support_um=_limit
+)
 def pore_chord(rays: Rays) -> Floats:
     """Mean in-plane length of the voids on the ray: of the runs through each void sample, along rows and columns.
 
@@ -221,7 +267,9 @@ def pore_chord(rays: Rays) -> Floats:
         return np.where(count > 0, total / count, np.nan)
 
 
-def distances(void: NDArray[np.uint8], step: tuple[float, float, float], most: float) -> NDArray[np.float32]:
+def distances(
+    void: NDArray[np.uint8], step: tuple[float, float, float], most: float
+) -> NDArray[np.float32]:
     """Distance of each void sample to the nearest solid one, no more than ``most``; um, 0 in the solid."""
     from scipy import ndimage
 
@@ -230,8 +278,13 @@ def distances(void: NDArray[np.uint8], step: tuple[float, float, float], most: f
     return np.minimum(ndimage.distance_transform_edt(void, sampling=step), most).astype(np.float32)
 
 
-@ray_property("pore_diameter", units="um", long_name="Pore diameter", support_um=_limit,
-              halo_um=lambda params: 1.5 * params.pore_limit_um)  # fmt: skip
+@ray_property(
+    "pore_diameter",
+    units="um",
+    long_name="Pore diameter",
+    support_um=_limit,
+    halo_um=lambda params: 1.5 * params.pore_limit_um,
+)
 def pore_diameter(rays: Rays) -> Floats:
     """Diameter of the largest sphere inside the voids, at most ``pore_limit_um``, mean over the void on the ray.
 
@@ -242,7 +295,11 @@ def pore_diameter(rays: Rays) -> Floats:
     from planish.measure import _pore_kernels
 
     void, count = _voids(rays)
-    step = rays.pitch_um[0] * rays.mean_stretch[0], rays.pitch_um[1] * rays.mean_stretch[1], rays.step_um
+    step = (
+        rays.pitch_um[0] * rays.mean_stretch[0],
+        rays.pitch_um[1] * rays.mean_stretch[1],
+        rays.step_um,
+    )
     half_step_um = 0.5 * float(np.mean(step))
     distance = distances(void, step, 0.5 * rays.params.pore_limit_um + half_step_um)
     radius = _pore_kernels.inscribed(distance, step)

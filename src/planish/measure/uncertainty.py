@@ -20,9 +20,11 @@ from planish.core.typing import Floats, Pair
 from planish.measure.rays import RayFrame
 from planish.measure.registry import Greys, Side
 
-_LEVELS = (0.05, 0.10)  # spread of the coating's and the base's level from place to place, as a share of their contrast
+# Spread of the coating's and the base's level from place to place, as a share of their contrast.
+_LEVELS = (0.05, 0.10)
 _NODES = 61
-_SHARED = 14.0  # columns of one voxel that an independent value stands for: the sum of the errors' autocorrelation
+# Columns of one voxel that an independent value stands for: the sum of the errors' autocorrelation.
+_SHARED = 14.0
 
 
 def ray_noise(volume: xr.DataArray, frame: RayFrame) -> float:
@@ -40,7 +42,9 @@ def ray_noise(volume: xr.DataArray, frame: RayFrame) -> float:
         rays = frame.tile(volume, slice(int(row), int(row) + 1))
         if not (rays.status == 0).any():
             continue
-        room_um = min(float(rays.s_um[-1] - np.nanmax(rays.top)), float(np.nanmin(rays.bottom) - rays.s_um[0]))
+        room_um = min(
+            float(rays.s_um[-1] - np.nanmax(rays.top)), float(np.nanmin(rays.bottom) - rays.s_um[0])
+        )
         if room_um - margin_um < length_um:
             continue
         for lower in (rays.top + margin_um, rays.bottom - margin_um - length_um):
@@ -49,7 +53,9 @@ def ray_noise(volume: xr.DataArray, frame: RayFrame) -> float:
     if not air_means or sum(means.size for means in air_means) < 200:
         return white_noise
     # Each side and row about its own median: shading of the air is no noise.
-    deviations = np.concatenate([np.abs(means - np.median(means)) for means in air_means if means.size])
+    deviations = np.concatenate(
+        [np.abs(means - np.median(means)) for means in air_means if means.size]
+    )
     return max(white_noise, mad_sd(deviations, 0.0) ** 2 * length_um)
 
 
@@ -57,8 +63,10 @@ def ray_noise(volume: xr.DataArray, frame: RayFrame) -> float:
 class SharedNoise:
     """Noise and error that a sheet's columns have in common."""
 
-    noise_um: float  # variance of the grey's integral over one um of a column as the fit saw it; grey^2 um
-    common_um: Mapping[str, float]  # error of each thickness and topography that averaging does not lessen
+    # Variance of the grey's integral over one um of a column as the fit saw it; grey^2 um.
+    noise_um: float
+    # Error of each thickness and topography that averaging does not lessen.
+    common_um: Mapping[str, float]
     # The same with what differs from place to place: a column of voxels that are longer across than along it takes in
     # more of the boundary's detail.
     local_um: Mapping[str, float]
@@ -66,9 +74,14 @@ class SharedNoise:
 
     @classmethod
     def of(
-        cls, greys: Greys, *, voxel_um: float, pitch_um: Pair, column_px: float,
+        cls,
+        greys: Greys,
+        *,
+        voxel_um: float,
+        pitch_um: Pair,
+        column_px: float,
         noise_um: float = float("nan"),
-    ) -> SharedNoise:  # fmt: skip
+    ) -> SharedNoise:
         """Work it out.
 
         ``voxel_um``: of a voxel along the column; ``pitch_um``: of the columns, ``column_px`` voxels broad;
@@ -78,8 +91,11 @@ class SharedNoise:
         # The integral of the noise's autocorrelation along one axis, in voxels; the same is taken for all axes. Beside
         # noise that moves no face, what scatters in the air says nothing of it.
         min_noise = (0.003 * (greys.base - greys.air)) ** 2 * voxel_um
-        correlation_length = max(1.0, noise_um / max(white_noise, min_noise)) if np.isfinite(noise_um) else 1.0
-        averaged_voxels = 4 * np.pi * (greys.averaged * column_px) ** 2  # voxels under the Gaussian of the averaging
+        correlation_length = (
+            max(1.0, noise_um / max(white_noise, min_noise)) if np.isfinite(noise_um) else 1.0
+        )
+        # Voxels under the Gaussian of the averaging.
+        averaged_voxels = 4 * np.pi * (greys.averaged * column_px) ** 2
         columns_per_value = _SHARED + correlation_length**2 - 1 + averaged_voxels
         column_um2 = pitch_um[0] * pitch_um[1]
         # Averaging divides the variance of white noise by 1 + averaged, but mixes the sheet's own detail in: some two
@@ -87,16 +103,24 @@ class SharedNoise:
         # costs as much as is gained.
         gain = (1 + averaged_voxels) ** 0.7 if correlation_length < 1.2 else 1.0
         noise = greys.single_noise**2 * voxel_um * correlation_length / gain
-        longest_um, correlation_factor = max(voxel_um, max(pitch_um) / column_px), float(np.sqrt(correlation_length))
+        longest_um, correlation_factor = (
+            max(voxel_um, max(pitch_um) / column_px),
+            float(np.sqrt(correlation_length)),
+        )
         return cls(
-            noise_um=float(noise), common_um=common_errors(correlation_factor * voxel_um),
+            noise_um=float(noise),
+            common_um=common_errors(correlation_factor * voxel_um),
             local_um=common_errors(correlation_factor * longest_um),
             patch_um2=column_um2 * max(columns_per_value / column_px**2, 1.0),
-        )  # fmt: skip
+        )
 
 
 def thickness_errors(
-    coatings: Mapping[Side, Floats], greys: Greys, shared_noise: SharedNoise, *, cosine: Floats | float = 1.0
+    coatings: Mapping[Side, Floats],
+    greys: Greys,
+    shared_noise: SharedNoise,
+    *,
+    cosine: Floats | float = 1.0,
 ) -> dict[str, Floats]:
     """Standard errors of coatings, base, sheet and topography along the normals, um (rows, cols).
 
@@ -104,12 +128,16 @@ def thickness_errors(
     the columns; a tilted column holds 1 / cosine times as many voxels of the same blurred edge.
     """
     root, noise_um = np.sqrt(cosine), shared_noise.noise_um
-    sides = {k: [root * e for e in layer_errors(t, greys, noise_um, k)] for k, t in coatings.items()}
+    sides = {
+        k: [root * e for e in layer_errors(t, greys, noise_um, k)] for k, t in coatings.items()
+    }
     top, bottom = sides["top"], sides["bottom"]
     errors = {
-        "coating_top": top[1], "coating_bottom": bottom[1], "base_thickness": np.hypot(top[2], bottom[2]),
+        "coating_top": top[1],
+        "coating_bottom": bottom[1],
+        "base_thickness": np.hypot(top[2], bottom[2]),
         "thickness": np.hypot(top[0], bottom[0]),
-    }  # fmt: skip
+    }
     errors |= {f"topography_{k}": layer_se[0] for k, layer_se in sides.items()}
     return {name: np.hypot(se, shared_noise.local_um[name]) for name, se in errors.items()}
 
@@ -120,12 +148,18 @@ def common_errors(unit_um: float) -> dict[str, float]:
     face_um, interface_um = unit_um * 0.025, unit_um * 0.07
     coating_um, root2 = float(np.hypot(face_um, interface_um)), float(np.sqrt(2))
     return {
-        "coating_top": coating_um, "coating_bottom": coating_um, "base_thickness": root2 * interface_um,
-        "thickness": root2 * face_um, "topography_top": face_um, "topography_bottom": face_um,
-    }  # fmt: skip
+        "coating_top": coating_um,
+        "coating_bottom": coating_um,
+        "base_thickness": root2 * interface_um,
+        "thickness": root2 * face_um,
+        "topography_top": face_um,
+        "topography_bottom": face_um,
+    }
 
 
-def layer_errors(thickness: Floats, greys: Greys, noise_um: float, side: Side) -> tuple[Floats, Floats, Floats]:
+def layer_errors(
+    thickness: Floats, greys: Greys, noise_um: float, side: Side
+) -> tuple[Floats, Floats, Floats]:
     """Standard errors of a fitted staircase air-coating-base: of its face, its thickness and its interface, um.
 
     The least variance that an unbiased fit can have, the inverse of the Fisher matrix of the blurred staircase
@@ -148,16 +182,24 @@ def layer_errors(thickness: Floats, greys: Greys, noise_um: float, side: Side) -
     if not np.isfinite(coating_level):
         # A face has air on one side, walls and pores on the other.
         noise_um = 0.5 * (noise_um + max(noise_um, greys.texture_um))
-        face_se = float(np.sqrt(noise_um * 2 * np.sqrt(np.pi) * blur_um)) / abs(base_level - greys.air)
+        face_se = float(np.sqrt(noise_um * 2 * np.sqrt(np.pi) * blur_um)) / abs(
+            base_level - greys.air
+        )
         face_map = np.full(thickness.shape, face_se)
         return face_map, np.full(thickness.shape, np.nan), face_map
     # Layers thicker than 12 blurs have two edges that know nothing of each other.
     nodes_um = np.linspace(0.02, 12.0, _NODES) * blur_um
     levels = coating_level - greys.air, base_level - greys.air
-    se_table = np.array([_layer_errors_at(t, blur_um, *levels, noise_um, greys.texture_um) for t in nodes_um])
-    se_table[:] = se_table[np.maximum(np.arange(_NODES), int(np.argmax(se_table[:, 1] <= nodes_um)))]
+    se_table = np.array(
+        [_layer_errors_at(t, blur_um, *levels, noise_um, greys.texture_um) for t in nodes_um]
+    )
+    se_table[:] = se_table[
+        np.maximum(np.arange(_NODES), int(np.argmax(se_table[:, 1] <= nodes_um)))
+    ]
     layer_um = np.clip(thickness, 0.0, nodes_um[-1])
-    face_se, thickness_se, interface_se = (np.interp(layer_um, nodes_um, se_table[:, k]) for k in range(3))
+    face_se, thickness_se, interface_se = (
+        np.interp(layer_um, nodes_um, se_table[:, k]) for k in range(3)
+    )
     is_missing = ~np.isfinite(thickness)
     return tuple(np.where(is_missing, np.nan, v) for v in (face_se, thickness_se, interface_se))  # type: ignore[return-value]
 
@@ -183,4 +225,7 @@ def _layer_errors_at(
     inverse = np.linalg.inv(fisher)
     covariance = inverse @ (fisher + surplus @ surplus.T * step_um) @ inverse
     interface_variance = covariance[0, 0] + covariance[1, 1] + 2 * covariance[0, 1]
-    return tuple(float(np.sqrt(max(v, 0.0))) for v in (covariance[0, 0], covariance[1, 1], interface_variance))  # type: ignore[return-value]
+    return tuple(
+        float(np.sqrt(max(v, 0.0)))
+        for v in (covariance[0, 0], covariance[1, 1], interface_variance)
+    )  # type: ignore[return-value]

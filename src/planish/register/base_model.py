@@ -24,7 +24,8 @@ class Model(ABC):
     name: ClassVar[str]  # in options and files
     words: ClassVar[str]  # in tables and on the page
     purpose: ClassVar[str]  # when to take it
-    transform: ClassVar[type[Any]]  # dataclass of the transformation: its fields are what is written to JSON
+    # Dataclass of the transformation: its fields are what is written to JSON.
+    transform: ClassVar[type[Any]]
     parameters: ClassVar[int]  # free ones
     least: ClassVar[int]  # pairs that fix it
 
@@ -66,7 +67,9 @@ class ParametricModel(Model):
                     errors[k] = pairs.fixed[k] - reduced_fit(pairs.moving[k])
             return errors
         whitening = pairs.whitening()
-        q, _ = whitened_qr(whitening, self.design(transform, pairs.frame(), pairs.moving), self.name)
+        q, _ = whitened_qr(
+            whitening, self.design(transform, pairs.frame(), pairs.moving), self.name
+        )
         blocks = q.reshape(len(pairs), 2, -1)
         residual_blocks = np.eye(2) - blocks @ blocks.swapaxes(1, 2)
         # Leverage 1: without this mark the others leave a parameter free.
@@ -80,19 +83,24 @@ class ParametricModel(Model):
 def least_squares(whitening: Floats, design: Floats, target: Floats, name: str) -> Floats:
     """Parameters (p,) by weighted QR from design (n, 2, p), target (n, 2); CannotRegister if marks leave one free."""
     q, r = whitened_qr(whitening, design, name)
-    return np.asarray(np.linalg.solve(r, q.T @ (whitening @ target[..., None]).reshape(-1)), dtype=np.float64)
+    return np.asarray(
+        np.linalg.solve(r, q.T @ (whitening @ target[..., None]).reshape(-1)), dtype=np.float64
+    )
 
 
 def whitened_qr(whitening: Floats, design: Floats, name: str) -> tuple[Floats, Floats]:
     """Return the QR factors of the whitened design, (2n, p) and (p, p); refuse equations that leave something free."""
     equations = (whitening @ design).reshape(-1, design.shape[-1])
     q, r = np.linalg.qr(equations)
-    singular_values = np.linalg.svd(r / np.maximum(np.linalg.norm(r, axis=0), 1e-300), compute_uv=False)
+    singular_values = np.linalg.svd(
+        r / np.maximum(np.linalg.norm(r, axis=0), 1e-300), compute_uv=False
+    )
     # Condition number of the scaled equations beyond which marks do not fix the parameters.
     if len(equations) < design.shape[-1] or not singular_values[-1] > 1e-8 * singular_values[0]:
         raise CannotRegister(
-            f"The marks do not fix one {name} transformation: at least one parameter stays free. Add marks away from "
-            "the lines that the others lie on, or choose a model with fewer parameters."
+            f"The marks do not fix one {name} transformation: at least one parameter stays free."
+            " Add marks away from the lines that the others lie on, or choose a model with fewer"
+            " parameters."
         )
     return q, r
 
@@ -106,6 +114,7 @@ def refuse_line(pairs: Pairs, name: str) -> None:
         # Marks whose spread across a line is below this share of that along it fix nothing across it.
         if across_um < 0.01 * long_um:
             raise CannotRegister(
-                f"The {side} marks lie on one line (spread {long_um:.4g} um rms along it, {across_um:.2g} um across); "
-                f"a model of type {name} needs marks away from it. Add some, or fit a similarity."
+                f"The {side} marks lie on one line (spread {long_um:.4g} um rms along it,"
+                f" {across_um:.2g} um across); a model of type {name} needs marks away from it. Add"
+                " some, or fit a similarity."
             )

@@ -30,7 +30,9 @@ class Bent(NearSimilarity):
     def __post_init__(self) -> None:
         """Lay the arrays out as they are read back from a file, so that sums have the same bytes."""
         for name in (f.name for f in fields(self) if isinstance(getattr(self, f.name), np.ndarray)):
-            object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64, order="C"))
+            object.__setattr__(
+                self, name, np.array(getattr(self, name), dtype=np.float64, order="C")
+            )
 
     @abstractmethod
     def bends(self) -> Iterator[tuple[Kernel, Kernel, Floats]]:
@@ -118,9 +120,14 @@ class _Inverse:
         bent = self.bent
         nearest_nodes = np.asarray(self.tree.query(targets)[1])
         step = _solve(self.slopes[nearest_nodes], self.images[nearest_nodes] - targets)
-        sources = self.grid[nearest_nodes] - np.clip(step, -0.125 * self.around, 0.125 * self.around)
+        sources = self.grid[nearest_nodes] - np.clip(
+            step, -0.125 * self.around, 0.125 * self.around
+        )
         if bent.everywhere:
-            is_edge = np.any((self.grid[nearest_nodes] == self.low) | (self.grid[nearest_nodes] == self.high), axis=1)
+            is_edge = np.any(
+                (self.grid[nearest_nodes] == self.low) | (self.grid[nearest_nodes] == self.high),
+                axis=1,
+            )
             scaled = (targets[is_edge] - bent.affine[0]) @ np.linalg.inv(bent.affine[1:])
             sources[is_edge] = scaled * bent.size + bent.source
         error = bent(sources) - targets
@@ -138,19 +145,26 @@ class _Inverse:
             is_better = np.zeros(active.size, dtype=np.bool_)
             # Where the whole step does not help, a quarter of it may.
             for step_share in (1.0, 0.25):
-                retried_rows = np.flatnonzero(~is_better & ((start_errors > tolerance) | (step_share == 1.0)))
+                retried_rows = np.flatnonzero(
+                    ~is_better & ((start_errors > tolerance) | (step_share == 1.0))
+                )
                 if not retried_rows.size:
                     continue
                 trial = active_sources[retried_rows] - step_share * step[retried_rows]
                 trial_error = bent(trial) - targets[active[retried_rows]]
                 is_improved = np.linalg.norm(trial_error, axis=1) < start_errors[retried_rows]
                 improved_rows = active[retried_rows[is_improved]]
-                sources[improved_rows], error[improved_rows] = trial[is_improved], trial_error[is_improved]
+                sources[improved_rows], error[improved_rows] = (
+                    trial[is_improved],
+                    trial_error[is_improved],
+                )
                 is_better[retried_rows[is_improved]] = True
             active = active[is_better & (np.linalg.norm(error[active], axis=1) > tolerance)]
             if not active.size:
                 break
-        is_outside = not bent.everywhere and np.any((sources < self.low) | (sources > self.high), axis=1)
+        is_outside = not bent.everywhere and np.any(
+            (sources < self.low) | (sources > self.high), axis=1
+        )
         sources[is_outside | (np.linalg.norm(error, axis=1) > 100 * tolerance)] = np.nan
         return sources
 
@@ -186,7 +200,11 @@ def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrai
     """Strain at the marks and on a grid in their hull; CannotRegister where the map folds or its hand is wrong."""
     worst_place = marks.mean(axis=0)
     if isinstance(transform, Similarity):
-        return LocalStrain(area=(1.0, 1.0), stretch=(0.0, 0.0), at_um=(float(worst_place[0]), float(worst_place[1])))
+        return LocalStrain(
+            area=(1.0, 1.0),
+            stretch=(0.0, 0.0),
+            at_um=(float(worst_place[0]), float(worst_place[1])),
+        )
     points = marks[:1] if isinstance(transform, Affine) else inside(marks)
     jacobians = transform.jacobian(points)
     areas = (-1.0 if mirrored else 1.0) * (
@@ -196,13 +214,13 @@ def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrai
     if not areas[worst] > 0:
         if isinstance(transform, Affine):
             raise CannotRegister(
-                "The fitted affine transformation reverses the handedness: many pairs are probably wrong. Check that "
-                "every row pairs the same hole on both sides."
+                "The fitted affine transformation reverses the handedness: many pairs are probably"
+                " wrong. Check that every row pairs the same hole on both sides."
             )
         x, y = points[worst]
         raise CannotRegister(
-            f"The fitted transformation folds the map near ({x:.5g}, {y:.5g}) um of the moving map. Check the pairs "
-            "there; if they are right, fit a model with fewer parameters."
+            f"The fitted transformation folds the map near ({x:.5g}, {y:.5g}) um of the moving map."
+            " Check the pairs there; if they are right, fit a model with fewer parameters."
         )
     mean = float(np.mean(areas))
     stretches = np.linalg.svd(jacobians, compute_uv=False) / np.sqrt(mean) - 1.0
@@ -219,7 +237,9 @@ def inside(marks: Floats, steps: int = 65) -> Floats:
     """The marks, and points of a grid of ``steps x steps`` over their extent that lie in their hull: (k, 2) in um."""
     from scipy.spatial import Delaunay, QhullError
 
-    axes = [np.linspace(a, b, steps) for a, b in zip(marks.min(axis=0), marks.max(axis=0), strict=True)]
+    axes = [
+        np.linspace(a, b, steps) for a, b in zip(marks.min(axis=0), marks.max(axis=0), strict=True)
+    ]
     grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
     middle = marks.mean(axis=0)
     try:

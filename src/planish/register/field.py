@@ -70,7 +70,8 @@ class DeviationField:
 
     def __init__(self, pairs: Pairs, mirrored: bool, mixture: Floats | None = None) -> None:
         self._all_pairs, self.mirrored = pairs, mirrored
-        self.group = _groups(pairs.fixed, MOST)  # (n,), which marks were taken together; more than `MOST` are
+        # (n,), which marks were taken together; more than `MOST` are.
+        self.group = _groups(pairs.fixed, MOST)
         self._pairs = pairs = pairs if len(pairs) <= MOST else _grouped_pairs(pairs, self.group)
         self.middle, self.size = pairs.frame()
         self.nodes = (pairs.moving - self.middle) / self.size
@@ -89,10 +90,14 @@ class DeviationField:
         which = [k for k in range(len(KERNELS)) if mixture is None or mixture[k].any()]
         kernel_fits = {k: self._fit(KERNELS[k], squares, columns, y, floor) for k in which}
         self.mixture = (
-            _shares(np.array([v.log_posterior for v in kernel_fits.values()])) if mixture is None else mixture
+            _shares(np.array([v.log_posterior for v in kernel_fits.values()]))
+            if mixture is None
+            else mixture
         )
         self._kernel_fits = {k: v for k, v in kernel_fits.items() if self.mixture[k].any()}
-        self._mark_variances = {k: v.misfit / max(self.freedom, 1) for k, v in self._kernel_fits.items()}
+        self._mark_variances = {
+            k: v.misfit / max(self.freedom, 1) for k, v in self._kernel_fits.items()
+        }
         total = sum(float(np.sum(self.mixture[k] * v)) for k, v in self._mark_variances.items())
         self.mark_variance = total * self._unit if self.freedom > 0 else float("nan")
 
@@ -104,7 +109,12 @@ class DeviationField:
         return np.stack([np.stack(row, axis=-1) for row in rows], axis=1)
 
     def _fit(
-        self, kernel: tuple[str, float], squares: Floats, design: Floats, y: Floats, misfit_floor: float
+        self,
+        kernel: tuple[str, float],
+        squares: Floats,
+        design: Floats,
+        y: Floats,
+        misfit_floor: float,
     ) -> _KernelFit:
         covariances = covariance(kernel, squares)
         if self._pairs.isotropic:
@@ -113,8 +123,12 @@ class DeviationField:
             eigenvalues: Floats = np.repeat(spectrum[0], 2)
             eigenvectors = np.asarray(np.kron(spectrum[1], np.eye(2)), dtype=np.float64)
         else:
-            rows = whitened(self._whitening, np.asarray(np.kron(covariances, np.eye(2)), dtype=np.float64))
-            eigenvalues, eigenvectors = (np.asarray(v) for v in np.linalg.eigh(whitened(self._whitening, rows.T)))
+            rows = whitened(
+                self._whitening, np.asarray(np.kron(covariances, np.eye(2)), dtype=np.float64)
+            )
+            eigenvalues, eigenvectors = (
+                np.asarray(v) for v in np.linalg.eigh(whitened(self._whitening, rows.T))
+            )
         eigenvalues = np.maximum(eigenvalues, 0.0)
         design, y = eigenvectors.T @ design, eigenvectors.T @ y
         shrinkage = 1.0 / (1.0 + _FIELD[:, None] * eigenvalues)
@@ -127,12 +141,16 @@ class DeviationField:
         coefficients = (coefficient_cov @ projected[..., None])[..., 0]
         residual_squares = shrinkage @ (y * y) - np.sum(coefficients * projected, axis=-1)
         misfit = np.maximum(residual_squares, 0.0) + max(self.freedom, 1) * misfit_floor
-        log_posterior = np.broadcast_to(0.5 * np.sum(np.log(shrinkage), axis=1), misfit.shape).copy()
+        log_posterior = np.broadcast_to(
+            0.5 * np.sum(np.log(shrinkage), axis=1), misfit.shape
+        ).copy()
         log_posterior[0] -= 0.5 * np.linalg.slogdet(gram[:, :4, :4])[1]
         log_posterior[1:] -= 0.5 * np.linalg.slogdet(penalised)[1] + np.log(_AFFINE[1:, None])
         log_posterior -= 0.5 * self.freedom * np.log(misfit)
         log_posterior += _log_prior(_FIELD) + _log_prior(_AFFINE)[:, None]
-        return _KernelFit(eigenvectors, y, design, shrinkage, coefficient_cov, coefficients, misfit, log_posterior)
+        return _KernelFit(
+            eigenvectors, y, design, shrinkage, coefficient_cov, coefficients, misfit, log_posterior
+        )
 
     # --- the map and its errors ----------------------------------------------------------------------------------
 
@@ -146,12 +164,18 @@ class DeviationField:
             dual = kernel_fit.eigenvectors @ np.einsum(
                 "ag,g,agk->k", probabilities, _FIELD, self._scaled_residuals(kernel_fit)
             )
-            kernel_coefficients[k] = (self._whitening.swapaxes(1, 2) @ dual.reshape(-1, 2, 1))[..., 0]
+            kernel_coefficients[k] = (self._whitening.swapaxes(1, 2) @ dual.reshape(-1, 2, 1))[
+                ..., 0
+            ]
         # Coefficients of `_columns` as those of ``(1, x, y)``.
         corners = self._columns(np.array([[0.0, 0], [1, 0], [0, 1]]))
         plane = np.einsum("kcp,p->kc", corners, plane_coefficients + self._first)
         plane[1:] -= plane[:1]
-        return plane, tuple(KERNELS[k] for k in kernel_coefficients), np.array(list(kernel_coefficients.values()))
+        return (
+            plane,
+            tuple(KERNELS[k] for k in kernel_coefficients),
+            np.array(list(kernel_coefficients.values())),
+        )
 
     def _scaled_residuals(self, kernel_fit: _KernelFit) -> Floats:
         """Residuals of the six coefficients over their variance: (a, g, 2n)."""
@@ -168,23 +192,35 @@ class DeviationField:
 
         forms: dict[int, tuple[Floats, Floats, float]] = {}
         n = len(self._pairs)
-        plane_basis = np.linalg.lstsq(np.kron(np.column_stack([np.ones(n), self.nodes]), np.eye(2)),
-                                 self._columns(self.nodes).reshape(-1, 6), rcond=None)[0]  # fmt: skip
+        plane_basis = np.linalg.lstsq(
+            np.kron(np.column_stack([np.ones(n), self.nodes]), np.eye(2)),
+            self._columns(self.nodes).reshape(-1, 6),
+            rcond=None,
+        )[0]
         unwhitening = block_diag(*self._whitening.swapaxes(1, 2))
         for k, kernel_fit in self._kernel_fits.items():
             probabilities, variances = self.mixture[k], self._mark_variances[k]
             # Rows of which the products with (columns, eigenvectors) are squared and summed.
-            root = np.linalg.cholesky(kernel_fit.coefficient_cov + np.diag([0.0, 0, 0, 0, 1e-300, 1e-300]))
+            root = np.linalg.cholesky(
+                kernel_fit.coefficient_cov + np.diag([0.0, 0, 0, 0, 1e-300, 1e-300])
+            )
             root = root.swapaxes(-1, -2)
-            cross_terms = -_FIELD[:, None, None] * (kernel_fit.design.T * kernel_fit.shrinkage[:, None])  # (g, 6, 2n)
+            # (g, 6, 2n).
+            cross_terms = -_FIELD[:, None, None] * (
+                kernel_fit.design.T * kernel_fit.shrinkage[:, None]
+            )
             spread_rows = np.concatenate([root, root @ cross_terms], axis=-1)
             spread_rows *= np.sqrt(probabilities * variances)[..., None, None]
             dual = _FIELD[:, None] * self._scaled_residuals(kernel_fit)
             means = np.concatenate([kernel_fit.coefficients, dual], axis=-1)
             mean_rows = np.sqrt(probabilities)[..., None] * means
-            stacked_rows = np.concatenate([k.reshape(-1, 6 + 2 * n) for k in (spread_rows, mean_rows)])
+            stacked_rows = np.concatenate(
+                [k.reshape(-1, 6 + 2 * n) for k in (spread_rows, mean_rows)]
+            )
             form = stacked_rows.T @ stacked_rows
-            explained_variance = np.einsum("ag,g,gk->k", probabilities * variances, _FIELD**2, kernel_fit.shrinkage)
+            explained_variance = np.einsum(
+                "ag,g,gk->k", probabilities * variances, _FIELD**2, kernel_fit.shrinkage
+            )
             form[6:, 6:] -= np.diag(explained_variance)
             basis_change = block_diag(plane_basis, unwhitening @ kernel_fit.eigenvectors)
             form = basis_change @ form @ basis_change.T
@@ -233,23 +269,32 @@ class DeviationField:
             for kernel, bend in zip(kernels, bends, strict=True):
                 images += covariance(kernel, squares) @ bend
             errors = self._all_pairs.fixed - images
-            misfit_shares = np.einsum("ni,nij,nj->n", errors, self._all_pairs.information, errors) / self.mark_variance
+            misfit_shares = (
+                np.einsum("ni,nij,nj->n", errors, self._all_pairs.information, errors)
+                / self.mark_variance
+            )
             return errors, -0.5 * misfit_shares
         n, tail_exponent = len(self._pairs), 0.5 * self.freedom - 1.0
         errors, log_shares, log_chances = np.zeros((n, 2)), list[Floats](), list[Floats]()
         for k, kernel_fit in self._kernel_fits.items():
             fit_errors, determinants, misfit_shares = self._missed(kernel_fit)
             errors += np.einsum("ag,agni->ni", self.mixture[k], fit_errors)
-            log_tail = np.log(np.clip(1.0 - misfit_shares / kernel_fit.misfit[..., None], 1e-14, 1.0))
+            log_tail = np.log(
+                np.clip(1.0 - misfit_shares / kernel_fit.misfit[..., None], 1e-14, 1.0)
+            )
             with np.errstate(divide="ignore"):
                 prior = np.log(self.mixture[k] * kernel_fit.misfit)[..., None]
-            log_shares.append((prior - 0.5 * np.log(determinants) - tail_exponent * log_tail).reshape(-1, n))
+            log_shares.append(
+                (prior - 0.5 * np.log(determinants) - tail_exponent * log_tail).reshape(-1, n)
+            )
             log_chances.append((tail_exponent * log_tail).reshape(-1, n))
         log_chance = np.zeros(n)
         if tail_exponent > 0:
             log_weights = np.concatenate(log_shares)
             log_weights = np.where(np.isfinite(errors).all(axis=1), log_weights, 0.0)
-            log_chance = np.nan_to_num(_log_sum(log_weights + np.concatenate(log_chances)) - _log_sum(log_weights))
+            log_chance = np.nan_to_num(
+                _log_sum(log_weights + np.concatenate(log_chances)) - _log_sum(log_weights)
+            )
         return np.linalg.solve(self._whitening, errors[..., None])[..., 0], log_chance
 
     def _missed(self, kernel_fit: _KernelFit) -> tuple[Floats, Floats, Floats]:
@@ -264,14 +309,21 @@ class DeviationField:
         for mark_rows in (rows[k : k + step] for k in range(0, n, step)):
             weighted = mark_rows * kernel_fit.shrinkage[:, None, None]  # (g, marks, 2, 2n)
             projected = weighted @ kernel_fit.design
-            explained = projected @ kernel_fit.coefficient_cov[:, :, None] @ projected.swapaxes(2, 3)
+            explained = (
+                projected @ kernel_fit.coefficient_cov[:, :, None] @ projected.swapaxes(2, 3)
+            )
             blocks.append(weighted @ mark_rows.swapaxes(1, 2) - explained)
         blocks_of_p = np.concatenate(blocks, axis=2)
         determinants = blocks_of_p[..., 0, 0] * blocks_of_p[..., 1, 1] - blocks_of_p[..., 0, 1] ** 2
         # Without this mark the others leave the similarity free.
-        is_undetermined = determinants < COINCIDENT**2 * (blocks_of_p[..., 0, 0] + blocks_of_p[..., 1, 1]) ** 2
+        is_undetermined = (
+            determinants < COINCIDENT**2 * (blocks_of_p[..., 0, 0] + blocks_of_p[..., 1, 1]) ** 2
+        )
         blocks_of_p[is_undetermined], determinants[is_undetermined] = np.nan, np.nan
-        errors = (inverse_of(blocks_of_p.reshape(-1, 2, 2)).reshape(blocks_of_p.shape) @ residuals[..., None])[..., 0]
+        errors = (
+            inverse_of(blocks_of_p.reshape(-1, 2, 2)).reshape(blocks_of_p.shape)
+            @ residuals[..., None]
+        )[..., 0]
         return errors, determinants, np.sum(residuals * errors, axis=-1)
 
 
@@ -285,7 +337,9 @@ def _groups(places: Floats, most: int) -> Ints:
         halves: list[Ints] = []
         for part in parts:
             axis = int(np.argmax(np.ptp(places[part], axis=0)))
-            halves += np.split(part[np.argsort(places[part, axis], kind="stable")], [part.size // 2])
+            halves += np.split(
+                part[np.argsort(places[part, axis], kind="stable")], [part.size // 2]
+            )
         parts = halves
     for number, part in enumerate(parts):
         group[part] = number
@@ -296,7 +350,11 @@ def _grouped_pairs(pairs: Pairs, group: Ints) -> Pairs:
     """One pair for each group: the mean place on either side, which any affine map keeps, and its information."""
     group_count, weights = int(group.max()) + 1, pairs.weights
     share = weights / np.bincount(group, weights)[group]
-    moving, fixed, covariances = np.zeros((group_count, 2)), np.zeros((group_count, 2)), np.zeros((group_count, 2, 2))
+    moving, fixed, covariances = (
+        np.zeros((group_count, 2)),
+        np.zeros((group_count, 2)),
+        np.zeros((group_count, 2, 2)),
+    )
     np.add.at(moving, group, share[:, None] * pairs.moving)
     np.add.at(fixed, group, share[:, None] * pairs.fixed)
     np.add.at(covariances, group, inverse_of(pairs.information) * (share**2)[:, None, None])

@@ -96,8 +96,9 @@ def fit_transform(
     count = len(used_pairs)
     if count < least:
         raise MarkError(
-            f"{count} pairs of marks given, a model of type {model} needs {least}. Add {least - count} or more, "
-            "away from the others, or choose a model with fewer parameters."
+            f"{count} pairs of marks given, a model of type {model} needs {least}. Add"
+            f" {least - count} or more, away from the others, or choose a model with fewer"
+            " parameters."
         )
     mirrored = choose_hand(used_pairs, mirrored)
     robust_weights, field = np.ones(len(pairs)), None
@@ -108,7 +109,13 @@ def fit_transform(
     weighted_pairs = replace(pairs, information=pairs.information * robust_weights[:, None, None])
     fitted_pairs = weighted_pairs.take(weighted_pairs.weights > 0)
     if model == "auto":
-        model = AVERAGED.name if len(fitted_pairs) >= 6 else "similarity" if len(fitted_pairs) >= 3 else lowest
+        model = (
+            AVERAGED.name
+            if len(fitted_pairs) >= 6
+            else "similarity"
+            if len(fitted_pairs) >= 3
+            else lowest
+        )
     if field is not None and model == AVERAGED.name:
         transform = AVERAGED.of(field)
     else:
@@ -116,10 +123,16 @@ def fit_transform(
     residuals = pairs.fixed - transform(pairs.moving)
     rms = weighted_rms(np.linalg.norm(residuals, axis=1), weighted_pairs.weights)
     fit = FittedTransform(
-        transform=transform, model=model, moving=pairs.moving, fixed=pairs.fixed,
-        information=weighted_pairs.information, robust_weights=robust_weights, residuals_um=residuals,
-        sentence=f"{model} from {len(fitted_pairs)} marks: residuals {rms:.3g} um rms.", likely=field,
-    )  # fmt: skip
+        transform=transform,
+        model=model,
+        moving=pairs.moving,
+        fixed=pairs.fixed,
+        information=weighted_pairs.information,
+        robust_weights=robust_weights,
+        residuals_um=residuals,
+        sentence=f"{model} from {len(fitted_pairs)} marks: residuals {rms:.3g} um rms.",
+        likely=field,
+    )
     model_warnings = (*_warn_of_structure(fit), *_warn_of_size(fit)) if inspect else ()
     return replace(fit, warnings=(*_warn_of_marks(fit, repeated_rows), *model_warnings))
 
@@ -138,7 +151,11 @@ def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, DeviationField]:
     removed, wrong_count = [], 0
     # Three wrong marks may hide each other, and two right ones may be taken out before them.
     extra, hidden = (2, 3) if 2 * _LEAST_JUDGED <= n <= _MANY else (0, 1)
-    while n >= _LEAST_JUDGED and len(removed) < max(1, n // 4) + extra and len(removed) - wrong_count < hidden + extra:
+    while (
+        n >= _LEAST_JUDGED
+        and len(removed) < max(1, n // 4) + extra
+        and len(removed) - wrong_count < hidden + extra
+    ):
         remaining_rows, chance = np.flatnonzero(is_right), field.left_out()[1]
         # The more marks were taken out without need, the more choices there were.
         limit = np.log(_CHANCE) - (1 + len(removed) - wrong_count) * np.log(remaining_rows.size)
@@ -157,7 +174,9 @@ def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, DeviationField]:
     for mark in reversed(removed[:wrong_count]) if n <= _MANY else ():
         is_right[mark] = True
         field = DeviationField(pairs.take(is_right), mirrored)
-        if field.left_out()[1][np.count_nonzero(is_right[:mark])] < np.log(_CHANCE / np.count_nonzero(is_right)):
+        if field.left_out()[1][np.count_nonzero(is_right[:mark])] < np.log(
+            _CHANCE / np.count_nonzero(is_right)
+        ):
             is_right[mark] = False
         else:
             best_field = field
@@ -171,17 +190,32 @@ def _warn_of_marks(fit: FittedTransform, repeated_rows: Ints) -> Iterator[str]:
         off_text = f"off by {', '.join(f'{distance:.3g}' for distance in distances_um)} um"
         subject = f"{listed(excluded + 1)} (counted from 1)"
         if excluded.size > 1:
-            yield f"Marks {subject} do not agree with the others ({off_text}) and were left out. Check them."
+            yield (
+                f"Marks {subject} do not agree with the others ({off_text}) and were left out."
+                " Check them."
+            )
         else:
-            yield f"Mark {subject} does not agree with the others ({off_text}) and was left out. Check it."
+            yield (
+                f"Mark {subject} does not agree with the others ({off_text}) and was left out."
+                " Check it."
+            )
     if repeated_rows.size:
         if repeated_rows.size > 1:
-            yield f"Pairs {listed(repeated_rows + 1)} (counted from 1) repeat others exactly and count once."
+            yield (
+                f"Pairs {listed(repeated_rows + 1)} (counted from 1) repeat others exactly and"
+                " count once."
+            )
         else:
-            yield f"Pair {listed(repeated_rows + 1)} (counted from 1) repeats another one exactly and counts once."
+            yield (
+                f"Pair {listed(repeated_rows + 1)} (counted from 1) repeats another one exactly and"
+                " counts once."
+            )
     count = int(np.count_nonzero(fit.weights > 0))
     if count < 6:
-        yield f"{count} marks only: their error, and with it the expected error, is known to no better than about 40 %."
+        yield (
+            f"{count} marks only: their error, and with it the expected error, is known to no"
+            " better than about 40 %."
+        )
 
 
 def _warn_of_structure(fit: FittedTransform) -> Iterator[str]:
@@ -195,9 +229,9 @@ def _warn_of_structure(fit: FittedTransform) -> Iterator[str]:
     # A model is warned of where it is off by twice what the likely map is known to.
     if difference_um > 2.0 * error_um + COINCIDENT * fit.transform.scale * fit.field.size:
         yield (
-            f"The {fit.model} model leaves structure: the marks show a map that differs from it by "
-            f"{difference_um:.3g} um rms between them, up to {distances.max():.3g} um, and is itself known to "
-            f"{error_um:.2g} um. Use --model auto."
+            f"The {fit.model} model leaves structure: the marks show a map that differs from it by"
+            f" {difference_um:.3g} um rms between them, up to {distances.max():.3g} um, and is"
+            f" itself known to {error_um:.2g} um. Use --model auto."
         )
 
 
@@ -207,14 +241,18 @@ def _warn_of_size(fit: FittedTransform) -> Iterator[str]:
     # Residuals over the spread of the marks from which on the pairs, not their errors, are in doubt.
     if rms > 0.05 * spread:
         yield (
-            f"The residuals, {rms:.3g} um rms, are {100 * rms / spread:.0f} % of the spread of the marks: many pairs "
-            "are wrong. Check that every row pairs the same hole on both sides."
+            f"The residuals, {rms:.3g} um rms, are {100 * rms / spread:.0f} % of the spread of the"
+            " marks: many pairs are wrong. Check that every row pairs the same hole on both sides."
         )
     if not 0.8 <= scale <= 1.25:
-        yield (f"Scale {scale:.4g}: one side is probably in pixels, or its pixel size is wrong. Give both sides in um.")
+        yield (
+            f"Scale {scale:.4g}: one side is probably in pixels, or its pixel size is wrong. Give"
+            " both sides in um."
+        )
     if strain.largest > NOTABLE:
         (least, largest), (x, y) = strain.stretch, strain.at_um
         yield (
-            f"Local strain from {100 * least:+.2g} to {100 * largest:+.2g} % between the marks, largest near ({x:.4g}, "
-            f"{y:.4g}) um of the moving map. Paper strains by less than 1 %: check the marks there."
+            f"Local strain from {100 * least:+.2g} to {100 * largest:+.2g} % between the marks,"
+            f" largest near ({x:.4g}, {y:.4g}) um of the moving map. Paper strains by less than 1"
+            " %: check the marks there."
         )

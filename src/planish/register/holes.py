@@ -60,27 +60,39 @@ def register_marks(
         If the pairs cannot be used, or ``seen_from`` is no side.
     """
     sides = (moving, fixed)
-    names = (str(moving.attrs.get("layer", "moving layer")), str(fixed.attrs.get("layer", "fixed layer")))
+    names = (
+        str(moving.attrs.get("layer", "moving layer")),
+        str(fixed.attrs.get("layer", "fixed layer")),
+    )
     seen_from = [str(h.attrs.get("seen_from", "top")) for h in sides]
     for name, side in zip(names, seen_from, strict=True):
         if side not in get_args(Side):
-            raise MarkError(f"The attribute seen_from of the {name} is {side!r}. Set it to 'top' or 'bottom'.")
+            raise MarkError(
+                f"The attribute seen_from of the {name} is {side!r}. Set it to 'top' or 'bottom'."
+            )
     for holes, name in zip(sides, names, strict=True):
         need_holes(holes, hole_um, name=name)
     is_facing = seen_from[0] != seen_from[1]
     moving_um, fixed_um = map(_centres, sides)
-    options: dict[str, Any] = params.model_dump(include={"scale_tolerance", "tolerance_um", "mirror"})
+    options: dict[str, Any] = params.model_dump(
+        include={"scale_tolerance", "tolerance_um", "mirror"}
+    )
     points = moving_um * (-1.0, 1.0) if is_facing else moving_um, fixed_um
     if pattern is None:
         matched = match_marks(*points, names=names, **options)
     else:
         matched = match_by_design(
-            *points, pattern.places_um, labels=pattern.labels, name=pattern.name, names=names, **options
+            *points,
+            pattern.places_um,
+            labels=pattern.labels,
+            name=pattern.name,
+            names=names,
+            **options,
         )
         if (count := len(matched.pairs)) < 3:
             raise CannotRegister(
-                f"Only {count} designed holes are found in both the {names[0]} and the {names[1]}; 3 are needed. "
-                "Image a larger common field."
+                f"Only {count} designed holes are found in both the {names[0]} and the {names[1]};"
+                " 3 are needed. Image a larger common field."
             )
     pairs = (holes.isel(mark=rows) for holes, rows in zip(sides, matched.pairs.T, strict=True))
     return fit_pairs(*pairs, params=params, mirrored=matched.mirrored != is_facing), matched
@@ -112,22 +124,29 @@ def fit_pairs(
     source, target = map(_centres, sides)
     if len(source) < 3:
         raise MarkError(
-            f"{len(source)} control points given, a similarity needs 3 to state its error. Add more, far apart."
+            f"{len(source)} control points given, a similarity needs 3 to state its error. Add"
+            " more, far apart."
         )
     weights = None
     if all(name in h and np.isfinite(h[name].values).all() for h in sides for name in cov_names):
         rotation = fit_transform(source, target, mirrored=mirrored, robust=False).transform.matrix()
         moving_cov, fixed_cov = (
-            np.stack([h[f"cov_{k}"].values for k in ("xx", "xy", "xy", "yy")], axis=-1).reshape(-1, 2, 2) for h in sides
+            np.stack([h[f"cov_{k}"].values for k in ("xx", "xy", "xy", "yy")], axis=-1).reshape(
+                -1, 2, 2
+            )
+            for h in sides
         )
         weights = rotation @ moving_cov @ rotation.T + fixed_cov
-    fit = fit_transform(source, target, model=params.model, mirrored=mirrored, weights=weights, lowest="similarity")
+    fit = fit_transform(
+        source, target, model=params.model, mirrored=mirrored, weights=weights, lowest="similarity"
+    )
     scale, tolerance = fit.transform.scale, params.scale_tolerance
     if abs(scale - 1) > tolerance:
         raise CannotRegister(
-            f"The marks fit at a scale of {scale:.4f}, which is {100 * abs(scale - 1):.1f} % off the calibration; "
-            f"{100 * tolerance:.2g} % are allowed. Check --voxel-um, --pixel-um and the marks; if a calibration is "
-            "that uncertain, allow more with --scale-tolerance."
+            f"The marks fit at a scale of {scale:.4f}, which is {100 * abs(scale - 1):.1f} % off"
+            f" the calibration; {100 * tolerance:.2g} % are allowed. Check --voxel-um, --pixel-um"
+            " and the marks; if a calibration is that uncertain, allow more with"
+            " --scale-tolerance."
         )
     return fit
 
@@ -149,8 +168,9 @@ def need_holes(holes: xr.Dataset, hole_um: Pair, *, name: str | None = None) -> 
         count_text = f"Only {count} hole{'s' * (count > 1)}" if count else "No hole"
         places_text = "".join(f" ({x:.0f}, {y:.0f}) um" for x, y in _centres(holes))
         raise CannotRegister(
-            f"{count_text} found in the {name or holes.attrs['layer']}{' at' * bool(count)}{places_text}; at least 3 "
-            f"are needed, and 4 to notice a wrong match. Searched for round holes of {hole_um[0]:g} to {hole_um[1]:g} "
-            "um (--hole-um). Check the voxel and pixel sizes; if the image is a print, give --printed; or give pairs "
-            "of points with --marks."
+            f"{count_text} found in the"
+            f" {name or holes.attrs['layer']}{' at' * bool(count)}{places_text}; at least 3 are"
+            f" needed, and 4 to notice a wrong match. Searched for round holes of {hole_um[0]:g} to"
+            f" {hole_um[1]:g} um (--hole-um). Check the voxel and pixel sizes; if the image is a"
+            " print, give --printed; or give pairs of points with --marks."
         )

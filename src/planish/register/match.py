@@ -27,8 +27,8 @@ _HINT = "give the pattern that was burnt (--design) or pairs (--marks)"
 _PAIRS_HINT = "give the pairs with --marks"
 _FROM_BEHIND = ", viewed from behind or drawn with its y axis upwards"
 _WRONG_SIDE = (
-    "one is probably viewed from the wrong side. Check --image-side, --top and --through; if the slices are numbered "
-    "against the usual sense, pass --mirror."
+    "one is probably viewed from the wrong side. Check --image-side, --top and --through; if the"
+    " slices are numbered against the usual sense, pass --mirror."
 )
 
 
@@ -37,14 +37,18 @@ class Matched(ResultModel):
 
     pairs: Ints = Field(description="(k, 2): row in `moving`, row in `fixed`; sorted by the first.")
     transform: Similarity = Field(
-        description="Least-squares fit through the pairs, moving to fixed; through the design where it identified "
-        "fewer than four holes on both sides."
+        description=(
+            "Least-squares fit through the pairs, moving to fixed; through the design where it"
+            " identified fewer than four holes on both sides."
+        )
     )
     mirrored: bool = Field(description="Whether the moving side had to be turned over.")
     second_best: int = Field(description="Marks of the second-best match.")
     sentence: str = Field(description="Counts, rotation, scale and residual.")
     labels: tuple[str, ...] = Field(
-        description="Of the rows of `pairs`: names of the holes in the design, or `hole 1`, `hole 2` ..."
+        description=(
+            "Of the rows of `pairs`: names of the holes in the design, or `hole 1`, `hole 2` ..."
+        )
     )
     design: str | None = optional(
         "The design in a sentence, and whether it had to be turned over to match the fixed side."
@@ -52,9 +56,14 @@ class Matched(ResultModel):
 
 
 def match_marks(
-    moving: ArrayLike, fixed: ArrayLike, *, scale_tolerance: float = 0.03, tolerance_um: float = 25.0,
-    mirror: bool = False, names: tuple[str, str] = ("moving", "fixed"),
-) -> Matched:  # fmt: skip
+    moving: ArrayLike,
+    fixed: ArrayLike,
+    *,
+    scale_tolerance: float = 0.03,
+    tolerance_um: float = 25.0,
+    mirror: bool = False,
+    names: tuple[str, str] = ("moving", "fixed"),
+) -> Matched:
     """Match two sets of marks whose rotation and shift are unknown.
 
     Parameters
@@ -98,7 +107,8 @@ def match_marks(
     doi:10.1023/B:VISI.0000013094.38752.54 (agreement judged against chance).
     """
     source, target = (
-        _usable_points(marks, f"marks of the {name}", _HINT) for marks, name in zip((moving, fixed), names, strict=True)
+        _usable_points(marks, f"marks of the {name}", _HINT)
+        for marks, name in zip((moving, fixed), names, strict=True)
     )
     sides_text = f"{len(source)} marks of the {names[0]} and {len(target)} of the {names[1]}"
     limits = (scale_tolerance, tolerance_um)
@@ -107,7 +117,8 @@ def match_marks(
     count, smaller_count = len(choice.pairs), min(len(source), len(target))
     if mirror_choice.log_chance < min(choice.log_chance - 1.0, ACCEPTED):
         raise CannotRegister(
-            f"{sides_text}: {count} match, but {len(mirror_choice.pairs)} match if one side is mirrored: {_WRONG_SIDE}"
+            f"{sides_text}: {count} match, but {len(mirror_choice.pairs)} match if one side is"
+            f" mirrored: {_WRONG_SIDE}"
         )
     if count < choice.needed_count:
         raise CannotRegister(f"{sides_text}: {_no_match(choice, smaller_count, mirror)}")
@@ -116,54 +127,79 @@ def match_marks(
             lengths = np.sort(np.linalg.norm(triangle - np.roll(triangle, 1, axis=0), axis=1))
             if np.diff(lengths).min() < 3.0 * tolerance_um:
                 raise CannotRegister(
-                    f"{sides_text}: three marks match, but two of their three distances are alike within "
-                    f"{3.0 * tolerance_um:g} um, so they could be taken for one another. Add a fourth mark, or {_HINT}."
+                    f"{sides_text}: three marks match, but two of their three distances are alike"
+                    f" within {3.0 * tolerance_um:g} um, so they could be taken for one another."
+                    f" Add a fourth mark, or {_HINT}."
                 )
     rival_chance = min(choice.second_log_chance, mirror_choice.log_chance)
     hint_text = _HINT + ". Without --mirror, only one handedness competes" * mirror
-    transform, rms = _fit_choice(choice, source, target, sides_text, scale_tolerance, rival_chance, hint_text=hint_text)
+    transform, rms = _fit_choice(
+        choice, source, target, sides_text, scale_tolerance, rival_chance, hint_text=hint_text
+    )
     symmetry_text = self_likeness(*choice.together(), tolerance_um=tolerance_um, mirror=mirror)
     if symmetry_text is not None:
         raise CannotRegister(
-            f"{sides_text}: {count} match, but the pattern may be symmetric or regular: {symmetry_text}, and the "
-            f"others may be lost. Add marks that break the symmetry, or {_HINT}."
+            f"{sides_text}: {count} match, but the pattern may be symmetric or regular:"
+            f" {symmetry_text}, and the others may be lost. Add marks that break the symmetry, or"
+            f" {_HINT}."
         )
     sentence = (
-        f"{sides_text}: {count} match ({_similarity_text(transform)}, residual {rms:.1f} um rms); the second-best "
-        f"match has {choice.second_best_count}."
+        f"{sides_text}: {count} match ({_similarity_text(transform)}, residual {rms:.1f} um rms);"
+        f" the second-best match has {choice.second_best_count}."
     )
     if choice.stretch >= 0.001 and count >= 6:
         sentence += (
-            f" One direction is stretched by {100 * choice.stretch:.1f} % against the other: an affine fit may be "
-            "better."
+            f" One direction is stretched by {100 * choice.stretch:.1f} % against the other: an"
+            " affine fit may be better."
         )
     if smaller_count == 3:
-        sentence += " Three marks only: all match and their distances differ, but one false mark would not be noticed."
+        sentence += (
+            " Three marks only: all match and their distances differ, but one false mark would not"
+            " be noticed."
+        )
     return Matched(
-        pairs=choice.pairs, transform=transform, mirrored=choice.mirrored, second_best=choice.second_best_count,
-        sentence=sentence, labels=tuple(f"hole {k + 1}" for k in range(count)),
-    )  # fmt: skip
+        pairs=choice.pairs,
+        transform=transform,
+        mirrored=choice.mirrored,
+        second_best=choice.second_best_count,
+        sentence=sentence,
+        labels=tuple(f"hole {k + 1}" for k in range(count)),
+    )
 
 
 def _no_match(choice: BestMatch, smaller_count: int, mirror: bool) -> str:
     if smaller_count == 3:
         return f"with three marks on a side a match may be chance. Add a fourth, or {_HINT}."
     needed = choice.needed_count
-    needed_text = f"about {needed}" if needed <= smaller_count else f"more than the {smaller_count} of the smaller side"
-    mirror_text = "" if mirror else "; if the slices are numbered against the usual sense, pass --mirror"
+    needed_text = (
+        f"about {needed}"
+        if needed <= smaller_count
+        else f"more than the {smaller_count} of the smaller side"
+    )
+    mirror_text = (
+        "" if mirror else "; if the slices are numbered against the usual sense, pass --mirror"
+    )
     return (
-        f"no match found: {max(2, len(choice.pairs))} agree at best, and {needed_text} have to, closer than chance "
-        "brings them. Printed dots as large as holes count as marks: give --printed, and raise the lower end of "
-        "--hole-um above them. Check the pixel and voxel sizes (if uncertain, allow more with --scale-tolerance), "
-        f"--top and --image-side{mirror_text}; find more of the marks, or {_HINT}."
+        f"no match found: {max(2, len(choice.pairs))} agree at best, and {needed_text} have to,"
+        " closer than chance brings them. Printed dots as large as holes count as marks: give"
+        " --printed, and raise the lower end of --hole-um above them. Check the pixel and voxel"
+        " sizes (if uncertain, allow more with --scale-tolerance), --top and"
+        f" --image-side{mirror_text}; find more of the marks, or {_HINT}."
     )
 
 
 def match_by_design(
-    moving: ArrayLike, fixed: ArrayLike, design: ArrayLike, *, labels: Sequence[str] | None = None, name: str = "given",
-    scale_tolerance: float = 0.03, tolerance_um: float = 25.0, mirror: bool = False,
+    moving: ArrayLike,
+    fixed: ArrayLike,
+    design: ArrayLike,
+    *,
+    labels: Sequence[str] | None = None,
+    name: str = "given",
+    scale_tolerance: float = 0.03,
+    tolerance_um: float = 25.0,
+    mirror: bool = False,
     names: tuple[str, str] = ("moving", "fixed"),
-) -> Matched:  # fmt: skip
+) -> Matched:
     """Match two sets of marks through the designed positions of the holes.
 
     Parameters
@@ -201,9 +237,14 @@ def match_by_design(
     holes = _usable_points(design, "designed holes", _PAIRS_HINT)
     labels = tuple(str(k + 1) for k in range(len(holes))) if labels is None else tuple(labels)
     if len(labels) != len(holes):
-        raise MarkError(f"{len(labels)} labels are given for {len(holes)} designed holes. Give one for each.")
+        raise MarkError(
+            f"{len(labels)} labels are given for {len(holes)} designed holes. Give one for each."
+        )
     choices = [
-        {hand: choose(holes, side, scale_tolerance, tolerance_um, hands=(hand,)) for hand in (False, True)}
+        {
+            hand: choose(holes, side, scale_tolerance, tolerance_um, hands=(hand,))
+            for hand in (False, True)
+        }
         for side in side_points
     ]
     (first_match, second_match), is_ambiguous = _choose_hands(choices, names, mirror)
@@ -214,8 +255,8 @@ def match_by_design(
     sentence += f" {second_sentence}"
     if is_ambiguous:
         raise CannotRegister(
-            f"{sentence} Turned over, the design fits nearly as well, so the holes cannot be identified. Leave the "
-            f"design out, or {_PAIRS_HINT}."
+            f"{sentence} Turned over, the design fits nearly as well, so the holes cannot be"
+            f" identified. Leave the design out, or {_PAIRS_HINT}."
         )
     # The designed holes that both sides have, sorted by the marks of the first.
     shared_holes, i, j = np.intersect1d(
@@ -227,18 +268,29 @@ def match_by_design(
     mirrored = first_match.mirrored != second_match.mirrored
     # From so many marks on both sides on, they alone give the transformation; with fewer, the design helps.
     if len(pairs) >= 4:
-        transform, rms = _fit_similarity(side_points[0][pairs[:, 0]], side_points[1][pairs[:, 1]], mirrored)
+        transform, rms = _fit_similarity(
+            side_points[0][pairs[:, 0]], side_points[1][pairs[:, 1]], mirrored
+        )
         basis_text = f"residual {rms:.1f} um rms"
     else:
         # The design's holes as both sides have them, laid on one another.
         transform = _fit_similarity(first_transform(holes), second_transform(holes), mirrored)[0]
         basis_text = "through the design, since fewer than 4 are on both sides"
     return Matched(
-        pairs=pairs, labels=tuple(labels[k] for k in shared_holes), transform=transform, mirrored=mirrored,
+        pairs=pairs,
+        labels=tuple(labels[k] for k in shared_holes),
+        transform=transform,
+        mirrored=mirrored,
         second_best=max(first_match.second_best_count, second_match.second_best_count),
-        design=f"Holes identified by the pattern {name} of {len(holes)} holes{_FROM_BEHIND * second_match.mirrored}.",
-        sentence=f"{sentence} {len(pairs)} holes are on both sides ({_similarity_text(transform)}, {basis_text}).",
-    )  # fmt: skip
+        design=(
+            f"Holes identified by the pattern {name} of {len(holes)}"
+            f" holes{_FROM_BEHIND * second_match.mirrored}."
+        ),
+        sentence=(
+            f"{sentence} {len(pairs)} holes are on both sides ({_similarity_text(transform)},"
+            f" {basis_text})."
+        ),
+    )
 
 
 def _choose_hands(
@@ -248,16 +300,26 @@ def _choose_hands(
 
     The hand that it has against the sheet is not known; both sides have the same, unless mirrored.
     """
-    log_chances = {(i, j): a.log_chance + b.log_chance for i, a in choices[0].items() for j, b in choices[1].items()}
-    allowed = {hands: log_chance for hands, log_chance in log_chances.items() if mirror or hands[0] == hands[1]}
+    log_chances = {
+        (i, j): a.log_chance + b.log_chance
+        for i, a in choices[0].items()
+        for j, b in choices[1].items()
+    }
+    allowed = {
+        hands: log_chance
+        for hands, log_chance in log_chances.items()
+        if mirror or hands[0] == hands[1]
+    }
     best_hands = min(allowed, key=lambda hands: (allowed[hands], hands))
     if min(log_chances.values()) < min(allowed[best_hands], 2 * ACCEPTED) - 1.0:
         raise CannotRegister(
-            f"The {names[0]} and the {names[1]} both match the design, but one of them only if it is turned over: "
-            f"{_WRONG_SIDE}"
+            f"The {names[0]} and the {names[1]} both match the design, but one of them only if it"
+            f" is turned over: {_WRONG_SIDE}"
         )
     is_ambiguous = any(
-        log_chance < allowed[best_hands] + _MARGIN for hands, log_chance in allowed.items() if hands != best_hands
+        log_chance < allowed[best_hands] + _MARGIN
+        for hands, log_chance in allowed.items()
+        if hands != best_hands
     )
     return (choices[0][best_hands[0]], choices[1][best_hands[1]]), is_ambiguous
 
@@ -265,44 +327,70 @@ def _choose_hands(
 def _fit_on_design(
     choice: BestMatch, points: Floats, holes: Floats, scale_tolerance: float, name: str
 ) -> tuple[Similarity, str]:
-    sides_text, count = f"{len(points)} marks of the {name} and {len(holes)} designed holes", len(choice.pairs)
+    sides_text, count = (
+        f"{len(points)} marks of the {name} and {len(holes)} designed holes",
+        len(choice.pairs),
+    )
     if count < choice.needed_count:
         raise CannotRegister(
-            f"{sides_text}: the design does not match the marks: {max(2, len(choice.pairs))} agree at best, and about "
-            f"{choice.needed_count} have to, closer than chance brings them. Check that it is the design of this "
-            f"sheet, its unit (um), the pixel and voxel sizes; find more of the marks, or {_PAIRS_HINT}."
+            f"{sides_text}: the design does not match the marks: {max(2, len(choice.pairs))} agree"
+            f" at best, and about {choice.needed_count} have to, closer than chance brings them."
+            " Check that it is the design of this sheet, its unit (um), the pixel and voxel sizes;"
+            f" find more of the marks, or {_PAIRS_HINT}."
         )
     transform, rms = _fit_choice(
-        choice, holes, points, sides_text, scale_tolerance, choice.second_log_chance, hint_text=_PAIRS_HINT
+        choice,
+        holes,
+        points,
+        sides_text,
+        scale_tolerance,
+        choice.second_log_chance,
+        hint_text=_PAIRS_HINT,
     )
-    match_text = f"{count} match (residual {rms:.1f} um rms); the second-best match has {choice.second_best_count}."
+    match_text = (
+        f"{count} match (residual {rms:.1f} um rms); the second-best match has"
+        f" {choice.second_best_count}."
+    )
     return transform, f"{sides_text}: {match_text}"
 
 
 def _similarity_text(transform: Similarity) -> str:
     mirrored_text = ", mirrored" * transform.mirrored
-    return f"rotation {np.degrees(transform.rotation_rad):.2f} deg, scale {transform.scale:.4f}{mirrored_text}"
+    return (
+        f"rotation {np.degrees(transform.rotation_rad):.2f} deg, scale"
+        f" {transform.scale:.4f}{mirrored_text}"
+    )
 
 
 def _fit_choice(
-    choice: BestMatch, source: Floats, target: Floats, sides_text: str, scale_tolerance: float, rival_chance: float, *,
+    choice: BestMatch,
+    source: Floats,
+    target: Floats,
+    sides_text: str,
+    scale_tolerance: float,
+    rival_chance: float,
+    *,
     hint_text: str,
-) -> tuple[Similarity, float]:  # fmt: skip
+) -> tuple[Similarity, float]:
     """Fit the arrangement and give its rms residual; refuse one with a rival, or at a scale that is out of range."""
     count = len(choice.pairs)
     if rival_chance < choice.log_chance + _MARGIN:
         raise CannotRegister(
-            f"{sides_text}: {count} match in the best arrangement, {choice.second_best_count} in the second-best, too "
-            "close to decide: the pattern is ambiguous, symmetric or regular, or the marks that would decide are "
-            f"missing. Find more of the marks (range of hole diameters), remove false ones, or {hint_text}."
+            f"{sides_text}: {count} match in the best arrangement, {choice.second_best_count} in"
+            " the second-best, too close to decide: the pattern is ambiguous, symmetric or"
+            " regular, or the marks that would decide are missing. Find more of the marks (range"
+            f" of hole diameters), remove false ones, or {hint_text}."
         )
-    transform, rms = _fit_similarity(source[choice.pairs[:, 0]], target[choice.pairs[:, 1]], choice.mirrored)
+    transform, rms = _fit_similarity(
+        source[choice.pairs[:, 0]], target[choice.pairs[:, 1]], choice.mirrored
+    )
     deviation = abs(transform.scale - 1.0)
     if deviation > scale_tolerance:
         raise CannotRegister(
-            f"{sides_text}: {count} match, but at a scale of {transform.scale:.4f}, which is {100 * deviation:.1f} % "
-            f"off the calibration; {100 * scale_tolerance:.3g} % are allowed. Check the pixel and voxel sizes; if they "
-            "are that uncertain, allow more with --scale-tolerance."
+            f"{sides_text}: {count} match, but at a scale of {transform.scale:.4f}, which is"
+            f" {100 * deviation:.1f} % off the calibration; {100 * scale_tolerance:.3g} % are"
+            " allowed. Check the pixel and voxel sizes; if they are that uncertain, allow more"
+            " with --scale-tolerance."
         )
     return transform, rms
 
@@ -310,7 +398,9 @@ def _fit_choice(
 def _fit_similarity(source: Floats, target: Floats, mirrored: bool) -> tuple[Similarity, float]:
     """Least-squares similarity through pairs ``(k, 2)`` in um, and the rms residual."""
     information = np.broadcast_to(np.eye(2), (len(source), 2, 2))
-    transform = SimilarityModel().fit(Pairs(moving=source, fixed=target, information=information), mirrored)
+    transform = SimilarityModel().fit(
+        Pairs(moving=source, fixed=target, information=information), mirrored
+    )
     return transform, float(np.sqrt(np.mean(np.sum((transform(source) - target) ** 2, axis=1))))
 
 
@@ -319,13 +409,14 @@ def _usable_points(marks: ArrayLike, name: str, hint_text: str) -> Floats:
     nonfinite_rows = np.flatnonzero(~np.all(np.isfinite(points), axis=1))
     if nonfinite_rows.size:
         raise MarkError(
-            f"Position of mark {listed(nonfinite_rows)} (counted from 0) among the {name} is not finite. Correct it, "
-            "or leave it out."
+            f"Position of mark {listed(nonfinite_rows)} (counted from 0) among the {name} is not"
+            " finite. Correct it, or leave it out."
         )
     if len(points) < 3:
         places = "".join(f" ({x:.0f}, {y:.0f}) um" for x, y in points)
         raise CannotRegister(
-            f"{len(points)} {name}: at least 3 are needed to match them, 4 are better{'; they lie at' * bool(places)}"
-            f"{places}. Check the field, the pixel and voxel sizes, widen the range of hole diameters, or {hint_text}."
+            f"{len(points)} {name}: at least 3 are needed to match them, 4 are"
+            f" better{'; they lie at' * bool(places)}{places}. Check the field, the pixel and voxel"
+            f" sizes, widen the range of hole diameters, or {hint_text}."
         )
     return points

@@ -46,14 +46,24 @@ class BestMatch(NamedTuple):
         rows, columns = self.pairs.T[::-1] if self.is_swapped else self.pairs.T
         # Marks of a larger map are no evidence about a smaller one.
         alone = [
-            points[_inside(points, self.large_points, 0.15) & _inside(points, self.small_points, 0.15)]
-            for points in (np.delete(self.small_points, rows), np.delete(self.large_points, columns))
+            points[
+                _inside(points, self.large_points, 0.15) & _inside(points, self.small_points, 0.15)
+            ]
+            for points in (
+                np.delete(self.small_points, rows),
+                np.delete(self.large_points, columns),
+            )
         ]
         return np.concatenate([self.large_points[columns], *alone]), (len(alone[0]), len(alone[1]))
 
 
 def choose(
-    source: Floats, target: Floats, scale_tolerance: float, tolerance_um: float, *, hands: tuple[bool, ...]
+    source: Floats,
+    target: Floats,
+    scale_tolerance: float,
+    tolerance_um: float,
+    *,
+    hands: tuple[bool, ...],
 ) -> BestMatch:
     """Return the best arrangement of three or more marks a side, (n, 2) and (m, 2) in um."""
     is_swapped = len(source) > len(target)
@@ -70,7 +80,9 @@ def choose(
     free_count = max(len(agreeing_squares) - float(arrangements.freedom[best]), 1.0)
     scatter = np.sqrt(np.median(agreeing_squares) * len(agreeing_squares) / free_count) / 1.18
     # A pair this many times further apart than the others are is not one, however wide the tolerance.
-    rows = np.flatnonzero(squares <= float(min(tolerance_um, 5.0 * scatter + 0.1 * tolerance_um)) ** 2)
+    rows = np.flatnonzero(
+        squares <= float(min(tolerance_um, 5.0 * scatter + 0.1 * tolerance_um)) ** 2
+    )
     pairs = np.stack([rows, arrangements.partner[best][rows].astype(np.intp)], axis=1)
     pairs = pairs[:, ::-1] if is_swapped else pairs
     moved_points = arrangements.landed[best]
@@ -82,26 +94,40 @@ def choose(
         needed_count = max(needed_count, chance_count, len(pairs) + 1)
     rival_chance, rival_count = _rival(arrangements, best, b, tolerance_um)
     return BestMatch(
-        pairs=np.ascontiguousarray(pairs[np.argsort(pairs[:, 0])]), mirrored=bool(arrangements.mirrored[best]),
-        needed_count=needed_count, log_chance=float(arrangements.log_chance[best]), second_log_chance=rival_chance,
-        second_best_count=rival_count, stretch=2.0 * abs(arrangements.gamma[best]) / abs(arrangements.alpha[best]),
-        is_swapped=is_swapped, small_points=moved_points, large_points=b,
-    )  # fmt: skip
+        pairs=np.ascontiguousarray(pairs[np.argsort(pairs[:, 0])]),
+        mirrored=bool(arrangements.mirrored[best]),
+        needed_count=needed_count,
+        log_chance=float(arrangements.log_chance[best]),
+        second_log_chance=rival_chance,
+        second_best_count=rival_count,
+        stretch=2.0 * abs(arrangements.gamma[best]) / abs(arrangements.alpha[best]),
+        is_swapped=is_swapped,
+        small_points=moved_points,
+        large_points=b,
+    )
 
 
-def _rival(arrangements: Arrangements, best: int, b: Complexes, tolerance: float) -> tuple[float, int]:
+def _rival(
+    arrangements: Arrangements, best: int, b: Complexes, tolerance: float
+) -> tuple[float, int]:
     """Give log10 of how often chance offers the best different arrangement, and the marks that agree in it."""
     is_used = arrangements.squares[best] <= tolerance * tolerance
-    moved = np.max(np.abs(arrangements.landed[:, is_used] - arrangements.landed[best, is_used]), axis=1)
+    moved = np.max(
+        np.abs(arrangements.landed[:, is_used] - arrangements.landed[best, is_used]), axis=1
+    )
     is_turned_over = arrangements.mirrored != arrangements.mirrored[best]
     is_rival = is_turned_over | (moved > 2.0 * tolerance)
     if not is_rival.any():
         return np.inf, 0
     rivals = arrangements.take(is_rival)
     # Pairs that both arrangements share support neither, unless one of the two is turned over.
-    is_shared = (rivals.partner == arrangements.partner[best]) & is_used & ~is_turned_over[is_rival, None]
+    is_shared = (
+        (rivals.partner == arrangements.partner[best]) & is_used & ~is_turned_over[is_rival, None]
+    )
     squares = np.where(is_shared, np.inf, rivals.squares)
-    log_chances = log_chance(squares, b, int(rivals.tests[0]), tolerance, rivals.freedom, np.zeros(len(squares)))
+    log_chances = log_chance(
+        squares, b, int(rivals.tests[0]), tolerance, rivals.freedom, np.zeros(len(squares))
+    )
     best_rival = int(np.lexsort((-rivals.inliers, log_chances))[0])
     if np.isfinite(log_chances[best_rival]):
         return float(log_chances[best_rival]), int(rivals.inliers[best_rival])
@@ -110,7 +136,12 @@ def _rival(arrangements: Arrangements, best: int, b: Complexes, tolerance: float
 
 def _inside(points: Complexes, field_points: Complexes, border: float) -> Bools:
     """Mask of the points in the rectangle around others, widened by a share of its longer side."""
-    x0, x1, y0, y1 = field_points.real.min(), field_points.real.max(), field_points.imag.min(), field_points.imag.max()
+    x0, x1, y0, y1 = (
+        field_points.real.min(),
+        field_points.real.max(),
+        field_points.imag.min(),
+        field_points.imag.max(),
+    )
     margin = border * max(x1 - x0, y1 - y0)
     inside_x = (points.real >= x0 - margin) & (points.real <= x1 + margin)
     return inside_x & (points.imag >= y0 - margin) & (points.imag <= y1 + margin)
@@ -121,7 +152,9 @@ _NOT_BURNT = 0.05  # share of holes that were not burnt through
 _LOST_OF_ALONE = 0.75
 
 
-def self_likeness(points: Complexes, alone_counts: tuple[int, int], *, tolerance_um: float, mirror: bool) -> str | None:
+def self_likeness(
+    points: Complexes, alone_counts: tuple[int, int], *, tolerance_um: float, mirror: bool
+) -> str | None:
     """Return how a pattern may repeat itself, as part of a sentence, or None if it can be ruled out.
 
     ``points`` (u,) in um are all marks found on either side, in one frame, each once; those found on both come first,
@@ -132,23 +165,37 @@ def self_likeness(points: Complexes, alone_counts: tuple[int, int], *, tolerance
     if count < 4:
         return None
     # Scales up to 1 % off: under those a pattern may repeat itself.
-    arrangements = search(points, points, 0.01, tolerance_um, hands=(False, True) if mirror else (False,))
+    arrangements = search(
+        points, points, 0.01, tolerance_um, hands=(False, True) if mirror else (False,)
+    )
     is_moved = np.abs(arrangements.landed - points).max(axis=1) > 2.0 * tolerance_um
     symmetries = arrangements.take(arrangements.mirrored | is_moved)
     if len(symmetries.inliers) == 0:
         return None
     log_evidence = _log_evidence(symmetries, points, count - n_common, tolerance_um)
     is_met = symmetries.squares <= (REACH * tolerance_um) ** 2
-    n_met, n_common_met = np.count_nonzero(is_met, axis=1), np.count_nonzero(is_met[:, :n_common], axis=1)
+    n_met, n_common_met = (
+        np.count_nonzero(is_met, axis=1),
+        np.count_nonzero(is_met[:, :n_common], axis=1),
+    )
     missing_share = min(0.9, 0.1 + _LOST_OF_ALONE * (count - n_common + 1.0) / (count + 2.0))
-    lost_share = float(np.prod([_LOST_OF_ALONE * (c + 1.0) / (n_common + c + 2.0) for c in alone_counts]))
+    lost_share = float(
+        np.prod([_LOST_OF_ALONE * (c + 1.0) / (n_common + c + 2.0) for c in alone_counts])
+    )
     # Where as many partners are missing as in fewer than this share of symmetric patterns, there is no symmetry.
-    is_plausible = np.array([_at_least(count - k, count, missing_share) > 1e-3 for k in range(count + 1)])
+    is_plausible = np.array(
+        [_at_least(count - k, count, missing_share) > 1e-3 for k in range(count + 1)]
+    )
     # The same for marks found on both sides, of whose partners only those lost on both are missing. A wrong arrangement
     # that agrees well makes losses look rare; the symmetry itself gives what has to be lost.
-    common_lost_shares = [max(lost_share, (gap / max(n_common + gap, 1)) ** 2) for gap in range(n_common + 1)]
+    common_lost_shares = [
+        max(lost_share, (gap / max(n_common + gap, 1)) ** 2) for gap in range(n_common + 1)
+    ]
     is_plausible_common = np.array(
-        [_at_least(gap, n_common, _NOT_BURNT + p) > 3e-3 for gap, p in enumerate(common_lost_shares)]
+        [
+            _at_least(gap, n_common, _NOT_BURNT + p) > 3e-3
+            for gap, p in enumerate(common_lost_shares)
+        ]
     )
     # How much better than chance a symmetry has to explain the marks before it counts: symmetric patterns are rare
     # among those that people burn, but a wrong match is worse than none. Marks on one line meet by chance so often that
@@ -166,18 +213,27 @@ def self_likeness(points: Complexes, alone_counts: tuple[int, int], *, tolerance
     if not symmetries.mirrored[worst] and turn_deg < 5.0:
         middle = points.mean()
         moved_point = (
-            symmetries.alpha[worst] * middle + symmetries.gamma[worst] * np.conj(middle) + symmetries.beta[worst]
+            symmetries.alpha[worst] * middle
+            + symmetries.gamma[worst] * np.conj(middle)
+            + symmetries.beta[worst]
         )
         motion_text = f"shifted by {abs(moved_point - middle):.0f} um"
-    return f"of the {count} marks in all, {n_met[worst]} coincide with a mark again when the pattern is {motion_text}"
+    return (
+        f"of the {count} marks in all, {n_met[worst]} coincide with a mark again when the pattern"
+        f" is {motion_text}"
+    )
 
 
-def _log_evidence(symmetries: Arrangements, points: Complexes, single_count: int, tolerance: float) -> Floats:
+def _log_evidence(
+    symmetries: Arrangements, points: Complexes, single_count: int, tolerance: float
+) -> Floats:
     """log10 of how much better a symmetry explains the marks that meet, and those that do not, than chance does."""
     count = len(points)
     is_paired = symmetries.partner >= 0
     is_moved = is_paired & (np.abs(symmetries.landed - points) > 2.0 * tolerance)
-    reverse_partner = np.take_along_axis(symmetries.partner, np.maximum(symmetries.partner, 0).astype(np.intp), axis=1)
+    reverse_partner = np.take_along_axis(
+        symmetries.partner, np.maximum(symmetries.partner, 0).astype(np.intp), axis=1
+    )
     is_mutual = is_moved & (reverse_partner == np.arange(count))
     moved_counts = is_moved.sum(axis=1)
     mutual_counts = is_mutual.sum(axis=1)
@@ -186,14 +242,19 @@ def _log_evidence(symmetries: Arrangements, points: Complexes, single_count: int
     pair_counts = moved_counts - mutual_counts / 2
     free_counts = np.where(is_exchange, pair_counts - 1, moved_counts - 2)
     tests = np.where(is_exchange, count * (count - 1) / 2, symmetries.tests)
-    rms = np.sqrt(np.sum(np.where(is_paired, symmetries.squares, 0.0), axis=1) / np.maximum(is_paired.sum(axis=1), 1))
+    rms = np.sqrt(
+        np.sum(np.where(is_paired, symmetries.squares, 0.0), axis=1)
+        / np.maximum(is_paired.sum(axis=1), 1)
+    )
     meeting_shares = share_within(1.8 * rms + 0.08 * tolerance, points, tolerance)
     missing_share = min(0.9, max(0.1, (single_count + 1.0) / (count + 2.0)))
     missing_counts = count - is_paired.sum(axis=1)
     return (
-        -np.maximum(free_counts, 0) * np.log10(meeting_shares) - np.log10(np.maximum(tests, 1))
-        + missing_counts * log10(missing_share) + is_paired.sum(axis=1) * log10(1.0 - missing_share)
-    )  # fmt: skip
+        -np.maximum(free_counts, 0) * np.log10(meeting_shares)
+        - np.log10(np.maximum(tests, 1))
+        + missing_counts * log10(missing_share)
+        + is_paired.sum(axis=1) * log10(1.0 - missing_share)
+    )
 
 
 def _lost_alike(n_lost: int, count: int, alone_counts: tuple[int, int]) -> float:
@@ -203,7 +264,9 @@ def _lost_alike(n_lost: int, count: int, alone_counts: tuple[int, int]) -> float
     """
     n_holes = count + n_lost
     n_first, n_second = n_lost + alone_counts[1], n_lost + alone_counts[0]
-    chance_alike = comb(n_first, n_lost) * comb(n_holes - n_first, n_second - n_lost) / comb(n_holes, n_second)
+    chance_alike = (
+        comb(n_first, n_lost) * comb(n_holes - n_first, n_second - n_lost) / comb(n_holes, n_second)
+    )
     chance_unburnt = comb(n_holes, n_lost) * _NOT_BURNT**n_lost * (1.0 - _NOT_BURNT) ** count
     return log10(max(chance_alike, chance_unburnt, 1e-300))
 

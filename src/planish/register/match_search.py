@@ -35,7 +35,8 @@ class Arrangements(NamedTuple):
     inliers: Ints  # (h,): marks within the tolerance
     # (h,): log10 of the number of arrangements as good that are expected where the marks are scattered at random.
     log_chance: Floats
-    alpha: Complexes  # (h,): ``w = alpha z + gamma conj(z) + beta``, with x of ``a`` reversed where ``mirrored``
+    # (h,): ``w = alpha z + gamma conj(z) + beta``, with x of ``a`` reversed where ``mirrored``.
+    alpha: Complexes
     gamma: Complexes
     beta: Complexes
     freedom: Floats  # (h,): marks' worth of freedom that the fit had: 2 without stretch, up to 3
@@ -49,7 +50,12 @@ class Arrangements(NamedTuple):
 
 
 def search(
-    a: Complexes, b: Complexes, scale_tolerance: float, tolerance_um: float, *, hands: Sequence[bool]
+    a: Complexes,
+    b: Complexes,
+    scale_tolerance: float,
+    tolerance_um: float,
+    *,
+    hands: Sequence[bool],
 ) -> Arrangements:
     """Try every two-point hypothesis and refine those at which most marks agree, three at least.
 
@@ -59,7 +65,9 @@ def search(
     from planish.register import _kernels
 
     is_self = a is b
-    hypotheses, seeds = _hypotheses(a, b, scale_tolerance + SCALE_SPARE, tolerance_um, 25_000 if is_self else 40_000)
+    hypotheses, seeds = _hypotheses(
+        a, b, scale_tolerance + SCALE_SPARE, tolerance_um, 25_000 if is_self else 40_000
+    )
     tests = len(seeds) * len(hands)
     reach = REACH * tolerance_um
     wide_reach = reach + 0.5 * STRETCH * float(np.hypot(np.ptp(b.real), np.ptp(b.imag)))
@@ -79,17 +87,29 @@ def search(
         if len(best_rows) > _MOST_REFINED:
             order = np.argsort(-counts[best_rows].astype(np.intp), kind="stable")
             best_rows = np.sort(best_rows[order[:_MOST_REFINED]])
-        refined = _kernels.refine(seeds[best_rows], points, b, reaches, (0.5 * tolerance_um) ** 2, ridge, *cells)
+        refined = _kernels.refine(
+            seeds[best_rows], points, b, reaches, (0.5 * tolerance_um) ** 2, ridge, *cells
+        )
         scale = np.abs(refined[2])
         is_possible = (np.abs(scale - 1.0) <= scale_tolerance + SCALE_SPARE) & (scale >= 0.45)
-        hand_arrangements.append(_arrangements(refined, is_possible, points, b, tolerance_um, ridge, hand, tests))
-    return Arrangements._make(np.concatenate(columns) for columns in zip(*hand_arrangements, strict=True))
+        hand_arrangements.append(
+            _arrangements(refined, is_possible, points, b, tolerance_um, ridge, hand, tests)
+        )
+    return Arrangements._make(
+        np.concatenate(columns) for columns in zip(*hand_arrangements, strict=True)
+    )
 
 
 def _arrangements(
-    refined: tuple[Any, ...], is_possible: Bools, points: Complexes, b: Complexes, tolerance_um: float, ridge: float,
-    hand: bool, tests: int,
-) -> Arrangements:  # fmt: skip
+    refined: tuple[Any, ...],
+    is_possible: Bools,
+    points: Complexes,
+    b: Complexes,
+    tolerance_um: float,
+    ridge: float,
+    hand: bool,
+    tests: int,
+) -> Arrangements:
     partner, _, alpha, gamma, *_ = refined
     # Largest stretch that an arrangement may have; a wrong one often needs more.
     is_possible &= np.abs(gamma) <= 0.5 * 0.012 * np.abs(alpha)
@@ -97,19 +117,30 @@ def _arrangements(
     _, first_rows = np.unique(partner[is_possible], axis=0, return_index=True)
     rows = np.flatnonzero(is_possible)[first_rows]
     partner, squares, alpha, gamma, beta, power = (column[rows] for column in refined)
-    freedom = np.where(np.count_nonzero(partner >= 0, axis=1) > 3, 2.0 + power / (power + ridge), 2.0)
+    freedom = np.where(
+        np.count_nonzero(partner >= 0, axis=1) > 3, 2.0 + power / (power + ridge), 2.0
+    )
     return Arrangements(
-        partner=partner, squares=squares, inliers=np.count_nonzero(squares <= tolerance_um**2, axis=1).astype(np.intp),
-        log_chance=log_chance(squares, b, tests, tolerance_um, freedom, power), alpha=alpha, gamma=gamma, beta=beta,
-        freedom=freedom, landed=alpha[:, None] * points + gamma[:, None] * np.conj(points) + beta[:, None],
-        mirrored=np.full(len(rows), hand), tests=np.full(len(rows), tests),
-    )  # fmt: skip
+        partner=partner,
+        squares=squares,
+        inliers=np.count_nonzero(squares <= tolerance_um**2, axis=1).astype(np.intp),
+        log_chance=log_chance(squares, b, tests, tolerance_um, freedom, power),
+        alpha=alpha,
+        gamma=gamma,
+        beta=beta,
+        freedom=freedom,
+        landed=alpha[:, None] * points + gamma[:, None] * np.conj(points) + beta[:, None],
+        mirrored=np.full(len(rows), hand),
+        tests=np.full(len(rows), tests),
+    )
 
 
 def extents(b: Complexes) -> Pair:
     """Long and short side of the field of the marks along its own axes, in um."""
     centred = np.stack([b.real - b.real.mean(), b.imag - b.imag.mean()], axis=1)
-    short_um, long_um = sorted(np.ptp(centred @ np.linalg.eigh(centred.T @ centred)[1], axis=0).tolist())
+    short_um, long_um = sorted(
+        np.ptp(centred @ np.linalg.eigh(centred.T @ centred)[1], axis=0).tolist()
+    )
     return long_um, short_um
 
 
@@ -140,11 +171,18 @@ def _hypotheses(
     ``i, j`` of ``a`` and ``k, q`` of ``b``: (h, 4). Beyond ``most_count``, pairs of ``a`` are thinned out evenly.
     """
     base, base_lengths = _by_length(a)
-    base, base_lengths = base[base_lengths >= 3.0 * tolerance], base_lengths[base_lengths >= 3.0 * tolerance]
+    base, base_lengths = (
+        base[base_lengths >= 3.0 * tolerance],
+        base_lengths[base_lengths >= 3.0 * tolerance],
+    )
     target, target_lengths = _by_length(b)
     slack = 0.6 * tolerance
-    first = np.searchsorted(target_lengths, (1.0 - scale_tolerance) * base_lengths - slack, side="left")
-    stop = np.searchsorted(target_lengths, (1.0 + scale_tolerance) * base_lengths + slack, side="right")
+    first = np.searchsorted(
+        target_lengths, (1.0 - scale_tolerance) * base_lengths - slack, side="left"
+    )
+    stop = np.searchsorted(
+        target_lengths, (1.0 + scale_tolerance) * base_lengths + slack, side="right"
+    )
     tried_count = 2 * int(np.sum(stop - first))
     if tried_count > most_count:
         base_count = max(1, len(base) * most_count // tried_count)
@@ -170,34 +208,56 @@ def _raster(b: Complexes, reach: float) -> tuple[float, float, float, NDArray[np
     """Raster of the cells within ``reach`` of a mark, roughly: ``x0, y0, size, near``; its border is 0."""
     x0, x1 = b.real.min() - reach, b.real.max() + reach
     y0, y1 = b.imag.min() - reach, b.imag.max() + reach
-    size = float(max(reach / 3.0, np.sqrt((x1 - x0) * (y1 - y0) / 1_500_000), max(x1 - x0, y1 - y0) / 20000.0))
+    size = float(
+        max(
+            reach / 3.0, np.sqrt((x1 - x0) * (y1 - y0) / 1_500_000), max(x1 - x0, y1 - y0) / 20000.0
+        )
+    )
     x0, y0 = float(x0 - 2.0 * size), float(y0 - 2.0 * size)
     near = np.zeros((int((y1 - y0) / size) + 3, int((x1 - x0) / size) + 3), np.uint8)
     steps = np.arange(-int(reach / size) - 2, int(reach / size) + 3)
-    column, row = (((p - p0) / size).astype(np.intp)[:, None] + steps for p, p0 in ((b.real, x0), (b.imag, y0)))
+    column, row = (
+        ((p - p0) / size).astype(np.intp)[:, None] + steps for p, p0 in ((b.real, x0), (b.imag, y0))
+    )
     dx, dy = x0 + (column + 0.5) * size - b.real[:, None], y0 + (row + 0.5) * size - b.imag[:, None]
     # A cell counts where its middle does, or a little beyond, so that no cell with a good place is lost.
     mark, r, c = np.nonzero(dy[:, :, None] ** 2 + dx[:, None, :] ** 2 <= (reach + 0.5 * size) ** 2)
-    near[np.clip(row[mark, r], 1, near.shape[0] - 2), np.clip(column[mark, c], 1, near.shape[1] - 2)] = 1
+    near[
+        np.clip(row[mark, r], 1, near.shape[0] - 2), np.clip(column[mark, c], 1, near.shape[1] - 2)
+    ] = 1
     return x0, y0, size, near
 
 
-def _cells(b: Complexes, reach: float) -> tuple[tuple[float, float, float, int, int], Ints, NDArray[np.int32]]:
+def _cells(
+    b: Complexes, reach: float
+) -> tuple[tuple[float, float, float, int, int], Ints, NDArray[np.int32]]:
     """Raster whose cells list the marks within reach: ``x0, y0, size, rows, columns``, then ``start`` and ``index``."""
     x0, x1, y0, y1 = b.real.min(), b.real.max(), b.imag.min(), b.imag.max()
     # Never more than about a million cells, however large the field.
-    size = float(max(reach, np.sqrt((x1 - x0 + 4 * reach) * (y1 - y0 + 4 * reach) / 1e6), max(x1 - x0, y1 - y0) / 1e5))
+    size = float(
+        max(
+            reach,
+            np.sqrt((x1 - x0 + 4 * reach) * (y1 - y0 + 4 * reach) / 1e6),
+            max(x1 - x0, y1 - y0) / 1e5,
+        )
+    )
     x0, y0 = float(x0 - 2 * size), float(y0 - 2 * size)
     columns, rows = int((x1 - x0) / size) + 3, int((y1 - y0) / size) + 3
     near = np.arange(-1, 2)
-    column, row = (((p - p0) / size).astype(np.intp)[:, None, None] for p, p0 in ((b.real, x0), (b.imag, y0)))
+    column, row = (
+        ((p - p0) / size).astype(np.intp)[:, None, None] for p, p0 in ((b.real, x0), (b.imag, y0))
+    )
     cell = ((row + near[:, None]) * columns + column + near).reshape(-1)
-    start = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=rows * columns))]).astype(np.intp)
+    start = np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=rows * columns))]).astype(
+        np.intp
+    )
     index = (np.argsort(cell, kind="stable") // near.size**2).astype(np.int32)
     return (x0, y0, size, rows, columns), start, index
 
 
-def log_chance(squares: Floats, b: Complexes, tests: int, tolerance: float, freedom: Floats, power: Floats) -> Floats:
+def log_chance(
+    squares: Floats, b: Complexes, tests: int, tolerance: float, freedom: Floats, power: Floats
+) -> Floats:
     """Return log10 of the expected number of chance arrangements as good as each row.
 
     The marks that agree best are taken, as many as make chance least likely.
@@ -215,7 +275,9 @@ def log_chance(squares: Floats, b: Complexes, tests: int, tolerance: float, free
         stretches = np.where(freedom > 2.0, 0.5 * STRETCH * spread, 0.0)[:, None] / radius
         log_choices = np.array([_log10_choose(n - 2, int(c) - 2) if c >= 2 else 0.0 for c in k])
         log_tests = log10(max(tests, 1) * max(n - 2, 1)) + log_choices
-        log_counts = log_tests + (k - 2) * np.log10(shares) + np.log10(np.maximum(1.0, np.pi * stretches**2))
+        log_counts = (
+            log_tests + (k - 2) * np.log10(shares) + np.log10(np.maximum(1.0, np.pi * stretches**2))
+        )
     return np.where((k >= 3) & np.isfinite(sorted_squares), log_counts, np.inf).min(axis=1)
 
 

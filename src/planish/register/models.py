@@ -55,11 +55,18 @@ class AveragedModel(Model):
         """The mean of a field."""
         affine, kernels, bend = field.mean()
         x, y = field.middle.tolist()
-        gauss, matern = (np.array([v for n, v in kernels if n == name]) for name in ("gauss", "matern"))
+        gauss, matern = (
+            np.array([v for n, v in kernels if n == name]) for name in ("gauss", "matern")
+        )
         return Averaged(
-            source=(x, y), size=field.size, nodes=field.nodes, affine=affine + 0.0, bend=bend + 0.0, gauss=gauss,
+            source=(x, y),
+            size=field.size,
+            nodes=field.nodes,
+            affine=affine + 0.0,
+            bend=bend + 0.0,
+            gauss=gauss,
             matern=matern,
-        )  # fmt: skip
+        )
 
     def refit(self, pairs: Pairs, _transform: Averaged, field: DeviationField, /) -> Averaged:
         """The mean with the same probabilities of all sizes and lengths."""
@@ -72,7 +79,14 @@ class AveragedModel(Model):
 
 MODELS: dict[str, Model] = {
     m.name: m
-    for m in (RigidModel(), SimilarityModel(), AffineModel(), ProjectiveModel(), SplineModel(), AveragedModel())
+    for m in (
+        RigidModel(),
+        SimilarityModel(),
+        AffineModel(),
+        ProjectiveModel(),
+        SplineModel(),
+        AveragedModel(),
+    )
 }
 
 

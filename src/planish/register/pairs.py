@@ -45,7 +45,9 @@ class Pairs:
 
     def take(self, which: Ints | Bools) -> Pairs:
         """Return some of the pairs."""
-        return Pairs(moving=self.moving[which], fixed=self.fixed[which], information=self.information[which])
+        return Pairs(
+            moving=self.moving[which], fixed=self.fixed[which], information=self.information[which]
+        )
 
     def whitening(self) -> Floats:
         """Return ``U`` of shape (n, 2, 2) with ``U.T @ U`` the information: ``U @ error`` has equal, free parts."""
@@ -78,7 +80,9 @@ def as_complex(points: Floats, mirrored: bool) -> Complexes:
     return (-points[..., 0] if mirrored else points[..., 0]) + 1j * points[..., 1]
 
 
-def check_pairs(moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None) -> tuple[Pairs, Ints]:
+def check_pairs(
+    moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None
+) -> tuple[Pairs, Ints]:
     """Bring marks and weights into one form; MarkError names all their faults.
 
     These: wrong shapes, unequal counts, values that are not finite, weights that are none, fewer than two pairs, a mark
@@ -89,37 +93,51 @@ def check_pairs(moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None) 
     sides = {"moving": points_of(moving, "moving marks"), "fixed": points_of(fixed, "fixed marks")}
     source, target = sides.values()
     if len(source) != len(target):
-        raise MarkError(f"{len(source)} moving and {len(target)} fixed marks given; every mark needs its partner.")
+        raise MarkError(
+            f"{len(source)} moving and {len(target)} fixed marks given; every mark needs its"
+            " partner."
+        )
     faults: list[str] = []
     information = _information(weights, len(source), faults)
     for name, points in sides.items():
         nonfinite_rows = np.flatnonzero(~np.all(np.isfinite(points), axis=-1))
         if nonfinite_rows.size:
-            faults.append(f"{name} mark{'s' * (nonfinite_rows.size > 1)} {listed(nonfinite_rows)} not finite")
+            faults.append(
+                f"{name} mark{'s' * (nonfinite_rows.size > 1)} {listed(nonfinite_rows)} not finite"
+            )
     if faults:
         raise MarkError(f"The marks cannot be used: {'; '.join(faults)}. Correct or remove them.")
     pairs = Pairs(moving=source, fixed=target, information=information)
     used = np.flatnonzero(pairs.weights > 0)
     if used.size < 2:
         raise MarkError(
-            f"{used.size} pair{'s' * (used.size != 1)} of marks given, a transformation needs 2, and 3 to estimate "
-            f"its error. Add {2 - used.size} or more, far apart."
+            f"{used.size} pair{'s' * (used.size != 1)} of marks given, a transformation needs 2,"
+            f" and 3 to estimate its error. Add {2 - used.size} or more, far apart."
         )
-    coincidence_um = {name: COINCIDENT * max(1.0, float(np.abs(points[used]).max())) for name, points in sides.items()}
+    coincidence_um = {
+        name: COINCIDENT * max(1.0, float(np.abs(points[used]).max()))
+        for name, points in sides.items()
+    }
     for name, points in sides.items():
         if np.ptp(points[used], axis=0).max() <= coincidence_um[name]:
             x, y = points[used[0]]
-            raise MarkError(f"All {used.size} {name} marks lie at ({x:g}, {y:g}) um; at least two places are needed.")
+            raise MarkError(
+                f"All {used.size} {name} marks lie at ({x:g}, {y:g}) um; at least two places are"
+                " needed."
+            )
     repeated_rows: set[int] = set()
-    for (name, points), (other_name, partners) in zip(sides.items(), reversed(sides.items()), strict=True):
+    for (name, points), (other_name, partners) in zip(
+        sides.items(), reversed(sides.items()), strict=True
+    ):
         for a, b in sorted(KDTree(points[used]).query_pairs(coincidence_um[name])):
             first_row, second_row = used[a], used[b]
             distance = float(np.linalg.norm(partners[first_row] - partners[second_row]))
             if distance > coincidence_um[other_name]:
                 x, y = points[first_row]
                 raise MarkError(
-                    f"Marks {first_row} and {second_row} lie at one place on the {name} side, ({x:g}, {y:g}) um, and "
-                    f"{distance:.4g} um apart on the other. One of them is wrong: correct or remove it."
+                    f"Marks {first_row} and {second_row} lie at one place on the {name} side,"
+                    f" ({x:g}, {y:g}) um, and {distance:.4g} um apart on the other. One of them is"
+                    " wrong: correct or remove it."
                 )
             repeated_rows.add(int(second_row))
     repeated = np.array(sorted(repeated_rows), dtype=np.intp)
@@ -145,7 +163,10 @@ def points_of(marks: ArrayLike, name: str) -> Floats:
         return np.empty((0, 2))
     if points.ndim != 2 or points.shape[1] != 2:
         transpose = " Transpose them." * (points.ndim == 2 and points.shape[0] == 2)
-        raise MarkError(f"The {name} have shape {points.shape}; (n, 2) is needed, one (x, y) in um a row.{transpose}")
+        raise MarkError(
+            f"The {name} have shape {points.shape}; (n, 2) is needed, one (x, y) in um a"
+            f" row.{transpose}"
+        )
     return points
 
 
@@ -157,12 +178,17 @@ def _information(weights: ArrayLike | None, n: int, faults: list[str]) -> Floats
             faults.append("weights have to be finite and not negative")
         return weights[:, None, None] * np.eye(2)
     if weights.shape != (n, 2, 2):
-        faults.append(f"the weights have shape {weights.shape}, {n} marks need ({n},), or ({n}, 2, 2) for covariances")
+        faults.append(
+            f"the weights have shape {weights.shape}, {n} marks need ({n},), or ({n}, 2, 2) for"
+            " covariances"
+        )
         return np.zeros((n, 2, 2))
     a, b, c, d = weights.reshape(n, 4).T
     largest = np.maximum(a, d)
     with np.errstate(invalid="ignore"):
-        is_positive = (np.abs(b - c) <= 1e-9 * largest) & (a > 0) & (a * d - b**2 > 1e-12 * largest**2)
+        is_positive = (
+            (np.abs(b - c) <= 1e-9 * largest) & (a > 0) & (a * d - b**2 > 1e-12 * largest**2)
+        )
     bad_rows = np.flatnonzero(~(is_positive & np.isfinite(weights).all(axis=(1, 2))))
     if bad_rows.size:
         faults.append(f"covariance of mark {listed(bad_rows)} not symmetric and positive")
@@ -202,8 +228,10 @@ def choose_hand(pairs: Pairs, mirrored: bool | None) -> bool:
         if mirrored
         else "one map shows the other side: declare it as mirrored (mirrored=True, or --mirror)"
     )
-    first_text, second_text = (exchange_text, declare_text) if is_exchanged else (declare_text, exchange_text)
+    first_text, second_text = (
+        (exchange_text, declare_text) if is_exchanged else (declare_text, exchange_text)
+    )
     raise MarkError(
-        f"The marks disagree by {rms_um:.3g} um rms as they are and by {other_um:.3g} um rms with the handedness of "
-        f"one side reversed. Probably {first_text}. If not, {second_text}."
+        f"The marks disagree by {rms_um:.3g} um rms as they are and by {other_um:.3g} um rms with"
+        f" the handedness of one side reversed. Probably {first_text}. If not, {second_text}."
     )

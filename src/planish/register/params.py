@@ -19,46 +19,68 @@ class RegistrationParams(Params):
     marks: str | None = option(
         None,
         metavar="FILE",
-        help="Pairs of points from planish or another program (docs/marks-files.md), instead of finding the holes.",
+        help=(
+            "Pairs of points from planish or another program (docs/marks-files.md), instead of"
+            " finding the holes."
+        ),
     )
     by: Literal["auto", "holes", "texture", "both"] = option(
         "auto",
-        help="What the layers are registered by. auto takes holes, and the texture of both where there are fewer "
-        "than 3 holes in either; both fits holes and texture in one.",
+        help=(
+            "What the layers are registered by. auto takes holes, and the texture of both where"
+            " there are fewer than 3 holes in either; both fits holes and texture in one."
+        ),
     )
     near: tuple[float, ...] | None = option(
         None,
         min_length=2,
         max_length=3,
         metavar="X,Y[,RADIUS]",
-        help="About where in the fixed layer the middle of the moving one lies, in um, for the search by texture; "
-        "RADIUS is 500 where not given.",
+        help=(
+            "About where in the fixed layer the middle of the moving one lies, in um, for the"
+            " search by texture; RADIUS is 500 where not given."
+        ),
     )
     design: str | None = option(
         None,
         metavar="FILE",
-        help="The pattern that was burnt, pattern.json of 'planish marks design' or a CSV table: holes are identified "
-        "by their position in it.",
+        help=(
+            "The pattern that was burnt, pattern.json of 'planish marks design' or a CSV table:"
+            " holes are identified by their position in it."
+        ),
     )
     scale_tolerance: float = option(
         0.03,
         gt=0,
         le=1.0,
         metavar="SHARE",
-        help="Largest deviation of the scale from 1 that the calibrations allow, such as 0.05; 1 lets the pixel size "
-        "be twice or half of what was given.",
+        help=(
+            "Largest deviation of the scale from 1 that the calibrations allow, such as 0.05; 1"
+            " lets the pixel size be twice or half of what was given."
+        ),
     )
-    tolerance_um: float = option(25.0, gt=0, help="Largest distance in um between two marks that match.")
+    tolerance_um: float = option(
+        25.0, gt=0, help="Largest distance in um between two marks that match."
+    )
     mirror: bool = option(
-        False, help="Also try mirror images: for a volume whose slices are numbered against the usual sense."
+        False,
+        help=(
+            "Also try mirror images: for a volume whose slices are numbered against the usual"
+            " sense."
+        ),
     )
     model: ModelChoice = option(
         "auto",
-        help="Transformation from the moving to the fixed layer. auto is averaged from 6 marks on: a similarity with "
-        "as much affine and smooth deviation as the marks show.",
+        help=(
+            "Transformation from the moving to the fixed layer. auto is averaged from 6 marks on: a"
+            " similarity with as much affine and smooth deviation as the marks show."
+        ),
     )
     refine: Literal["affine", "bspline"] | None = option(
         None,
-        help="Also refine the registration of two layers by their maps (needs planish[refine]). The maps go into the "
-        "group 'refined'; r is cross-fitted, or stands beside a searched null.",
+        help=(
+            "Also refine the registration of two layers by their maps (needs planish[refine]). The"
+            " maps go into the group 'refined'; r is cross-fitted, or stands beside a searched"
+            " null."
+        ),
     )

@@ -46,7 +46,9 @@ class FreeForm:
         clamped, is_inside = self._clamped(points_um)
         slopes = np.stack([self._values(clamped, nu) for nu in ((0, 1), (1, 0))], axis=-1)
         out = slopes * is_inside[..., None, :] + np.eye(2)
-        return np.where(np.expand_dims(np.all(np.isfinite(points_um), axis=-1), (-2, -1)), out, np.nan)
+        return np.where(
+            np.expand_dims(np.all(np.isfinite(points_um), axis=-1), (-2, -1)), out, np.nan
+        )
 
     def _clamped(self, points: Floats) -> tuple[Floats, Bools]:
         """Nearest points of the mesh, and whether they are the points themselves, along x and y."""
@@ -60,7 +62,9 @@ class FreeForm:
         """Displacement (..., 2) at points of the mesh, or its derivatives of the orders ``nu`` along y and x."""
         from scipy.interpolate import NdBSpline
 
-        axes = zip(self.coefficients_um.shape[1:], self.origin_um[::-1], self.mesh_um[::-1], strict=True)
+        axes = zip(
+            self.coefficients_um.shape[1:], self.origin_um[::-1], self.mesh_um[::-1], strict=True
+        )
         knots = tuple(first + mesh * (np.arange(n + 4) - 2.0) for n, first, mesh in axes)
         spline: Any = NdBSpline(knots, np.moveaxis(self.coefficients_um, 0, -1), 3)
         return np.asarray(spline(points[..., ::-1], nu=nu), dtype=np.float64)
@@ -76,12 +80,18 @@ class Refined(ResultModel):
     transform: Affine | FreeForm = Field(description="Close to the identity.")
     model: Refinement = Field(description="affine or bspline.")
     metric: Metric = Field(
-        description="What was made as large as possible. Its value is no result: a correlation over refined maps is "
-        "cross-fitted or stands beside a searched null."
+        description=(
+            "What was made as large as possible. Its value is no result: a correlation over refined"
+            " maps is cross-fitted or stands beside a searched null."
+        )
     )
     moved_um: Pair = Field(description="Rms and largest displacement over the known pixels.")
-    share: float = Field(description="Largest ratio of displacement to expected error of the marks.")
-    area: Pair = Field(description="Least and largest local change of area (determinant of the derivatives).")
+    share: float = Field(
+        description="Largest ratio of displacement to expected error of the marks."
+    )
+    area: Pair = Field(
+        description="Least and largest local change of area (determinant of the derivatives)."
+    )
     strain: float = Field(description="Largest local principal strain without its sign.")
     warnings: tuple[str, ...] = Field(description="What to be careful about.")
     sentence: str = Field(description="Model, displacement and strain.")
@@ -109,9 +119,13 @@ class Refined(ResultModel):
         source_px = self(np.stack(np.meshgrid(cols, rows), axis=-1)) / np.array(pixel_um)[::-1]
         row_col = np.moveaxis(source_px[..., ::-1], -1, 0)
         is_known = np.isfinite(image)
-        filled_image = np.where(is_known, image, float(image[is_known].mean()) if is_known.any() else 0.0)
+        filled_image = np.where(
+            is_known, image, float(image[is_known].mean()) if is_known.any() else 0.0
+        )
         resampled = ndimage.map_coordinates(filled_image, row_col, order=3, mode="nearest")
-        known_weight = ndimage.map_coordinates(is_known.astype(np.float64), row_col, order=1, cval=0.0)
+        known_weight = ndimage.map_coordinates(
+            is_known.astype(np.float64), row_col, order=1, cval=0.0
+        )
         return np.where(known_weight > 0.999, resampled, np.nan)
 
 
@@ -120,9 +134,11 @@ class RefineOptions:
     """Options of a refinement by the maps."""
 
     model: Refinement = "affine"  #: 6 parameters, or a cubic B-spline on a mesh
-    metric: Metric = "correlation"  #: squared correlation, of either sign, or Mattes' mutual information
+    # : squared correlation, of either sign, or Mattes' mutual information.
+    metric: Metric = "correlation"
     grid_um: float = 2000.0  #: mesh of the B-spline, made a little smaller to fit the map
-    most: float = 3.0  #: largest displacement that is accepted, in expected errors of the marks at the place
+    # : largest displacement that is accepted, in expected errors of the marks at the place.
+    most: float = 3.0
     #: False returns what goes too far or folds, with a warning; only for a search's null, whose maps are unrelated.
     bounded: bool = True
 
@@ -188,13 +204,21 @@ def refine(
     maps, masks, pixel_um, first_um = _prepare(linked, image, valid, pixel_um, options.grid_um)
     transform = _search(itk, maps, masks, pixel_um, first_um, options)
     # 65 places along either axis, where displacement and derivatives are looked at.
-    rows, cols = (np.unique(np.linspace(0, n - 1, min(n, 65)).round().astype(np.int64)) for n in maps[0].shape)
+    rows, cols = (
+        np.unique(np.linspace(0, n - 1, min(n, 65)).round().astype(np.int64)) for n in maps[0].shape
+    )
     used_nodes = np.argwhere((masks[0] & masks[1])[np.ix_(rows, cols)])
-    points = np.stack([cols[used_nodes[:, 1]], rows[used_nodes[:, 0]]], axis=-1) * np.array(pixel_um)[::-1] + first_um
+    points = (
+        np.stack([cols[used_nodes[:, 1]], rows[used_nodes[:, 0]]], axis=-1)
+        * np.array(pixel_um)[::-1]
+        + first_um
+    )
     return _assess(transform, points, fit, options)
 
 
-def _assess(transform: Affine | FreeForm, points: Floats, fit: FittedTransform, options: RefineOptions) -> Refined:
+def _assess(
+    transform: Affine | FreeForm, points: Floats, fit: FittedTransform, options: RefineOptions
+) -> Refined:
     """Look at displacement and derivatives at the points; refuse folds and what the marks do not allow."""
     jacobians = transform.jacobian(points)
     areas = jacobians[:, 0, 0] * jacobians[:, 1, 1] - jacobians[:, 0, 1] * jacobians[:, 1, 0]
@@ -207,28 +231,30 @@ def _assess(transform: Affine | FreeForm, points: Floats, fit: FittedTransform, 
     if not areas[worst_point] > 0:
         x, y = points[worst_point]
         faults.append(
-            f"The refinement folds the map near ({x:.5g}, {y:.5g}) um. Take a coarser mesh or the affine model, or "
-            "keep the marks only."
+            f"The refinement folds the map near ({x:.5g}, {y:.5g}) um. Take a coarser mesh or the"
+            " affine model, or keep the marks only."
         )
     if not np.isfinite(ratios).all():
         faults.append(
-            "The error of the marks is unknown, so nothing bounds a refinement. Add marks, or keep the marks only."
+            "The error of the marks is unknown, so nothing bounds a refinement. Add marks, or keep"
+            " the marks only."
         )
     elif ratios.max() > options.most:
         worst_point = int(np.argmax(ratios))
         x, y = points[worst_point]
         faults.append(
-            f"The refinement moves the map by {moved_um[worst_point]:.1f} um near ({x:.5g}, {y:.5g}) um, where the "
-            f"marks are expected to be right to {expected_um[worst_point]:.1f} um; up to {options.most:g} times that "
-            "is accepted. Either marks are wrong or the maps mislead. Check the marks, or keep them only."
+            f"The refinement moves the map by {moved_um[worst_point]:.1f} um near ({x:.5g},"
+            f" {y:.5g}) um, where the marks are expected to be right to"
+            f" {expected_um[worst_point]:.1f} um; up to {options.most:g} times that is accepted."
+            " Either marks are wrong or the maps mislead. Check the marks, or keep them only."
         )
     if faults and options.bounded:
         raise CannotRegister(faults[0])
     strain = float(np.abs(np.linalg.svd(jacobians, compute_uv=False) - 1.0).max())
     if strain > NOTABLE:
         faults.append(
-            f"The refinement strains the map by up to {100 * strain:.1f} %. Paper strains by 0.1-0.5 %: look at the "
-            "lags of tiles before you believe it."
+            f"The refinement strains the map by up to {100 * strain:.1f} %. Paper strains by"
+            " 0.1-0.5 %: look at the lags of tiles before you believe it."
         )
     rms, largest = float(np.sqrt(np.mean(moved_um**2))), float(moved_um.max())
     model_words = {"affine": "affine", "bspline": "B-spline"}[options.model]
@@ -241,19 +267,28 @@ def _assess(transform: Affine | FreeForm, points: Floats, fit: FittedTransform, 
         area=(float(areas.min()), float(areas.max())),
         strain=strain,
         warnings=tuple(faults),
-        sentence=f"Refined on the maps ({model_words}, {options.metric}): points moved by {rms:.1f} um rms, "
-        f"{largest:.1f} um at most, strain up to {100 * strain:.2f} %.",
+        sentence=(
+            f"Refined on the maps ({model_words}, {options.metric}): points moved by {rms:.1f} um"
+            f" rms, {largest:.1f} um at most, strain up to {100 * strain:.2f} %."
+        ),
     )
 
 
 def _search(
-    itk: Any, maps: list[Floats], masks: list[Bools], pixel_um: Pair, first_um: Pair, options: RefineOptions
+    itk: Any,
+    maps: list[Floats],
+    masks: list[Bools],
+    pixel_um: Pair,
+    first_um: Pair,
+    options: RefineOptions,
 ) -> Affine | FreeForm:
     """Climb from the identity. The library works in pixels (of the columns' axis), so its steps are pixels too."""
     unit_um = pixel_um[1]
     images: list[Any] = []
     for values in (*maps, *masks):
-        itk_image = itk.GetImageFromArray(values.astype(np.uint8) if values.dtype == np.bool_ else values)
+        itk_image = itk.GetImageFromArray(
+            values.astype(np.uint8) if values.dtype == np.bool_ else values
+        )
         itk_image.SetSpacing((1.0, pixel_um[0] / unit_um))
         images.append(itk_image)
     search = itk.ImageRegistrationMethod()
@@ -280,7 +315,9 @@ def _search(
         mesh = [max(math.ceil(side / options.grid_um), 1) for side in sides_um]
         transform = itk.BSplineTransformInitializer(images[0], mesh, 3)
         search.SetOptimizerAsLBFGSB(
-            gradientConvergenceTolerance=1e-5, numberOfIterations=_STEPS, costFunctionConvergenceFactor=1e10
+            gradientConvergenceTolerance=1e-5,
+            numberOfIterations=_STEPS,
+            costFunctionConvergenceFactor=1e10,
         )
     search.SetInitialTransform(transform, True)
     try:
@@ -288,8 +325,8 @@ def _search(
     except RuntimeError as fault:
         reason_text = str(fault).strip().rsplit("\n", 1)[-1]
         raise CannotRegister(
-            f"The maps could not be refined ({reason_text}). Check that both show texture at the same places, or keep "
-            "the marks only."
+            f"The maps could not be refined ({reason_text}). Check that both show texture at the"
+            " same places, or keep the marks only."
         ) from fault
     return _transform_um(itk, transform, unit_um, first_um)
 
@@ -298,12 +335,18 @@ def _transform_um(itk: Any, fitted: Any, unit_um: float, first_um: Pair) -> Affi
     if hasattr(fitted, "GetMatrix"):
         a, b, c, d = fitted.GetMatrix()
         centre = np.array(fitted.GetCenter())
-        (x, y), (u, v) = (p * unit_um + first_um for p in (centre, centre + np.array(fitted.GetTranslation())))
-        return Affine(linear=((a, b), (c, d)), source=(float(x), float(y)), target=(float(u), float(v)))
+        (x, y), (u, v) = (
+            p * unit_um + first_um for p in (centre, centre + np.array(fitted.GetTranslation()))
+        )
+        return Affine(
+            linear=((a, b), (c, d)), source=(float(x), float(y)), target=(float(u), float(v))
+        )
     coefficient_images = fitted.GetCoefficientImages()
     x, y = (np.array(coefficient_images[0].GetOrigin()) * unit_um + first_um).tolist()
     mesh_x, mesh_y = (np.array(coefficient_images[0].GetSpacing()) * unit_um).tolist()
-    coefficients = np.stack([itk.GetArrayFromImage(c).astype(np.float64) * unit_um for c in coefficient_images])
+    coefficients = np.stack(
+        [itk.GetArrayFromImage(c).astype(np.float64) * unit_um for c in coefficient_images]
+    )
     return FreeForm(coefficients_um=coefficients, origin_um=(x, y), mesh_um=(mesh_x, mesh_y))
 
 
@@ -311,15 +354,21 @@ def _prepare(
     linked: Floats, image: Floats, valid: Bools | None, pixel_um: Pair, grid_um: float
 ) -> tuple[list[Floats], list[Bools], Pair, Pair]:
     """Both maps, averaged and filled with their means, their masks, the pixel, and (x, y) of the first one's middle."""
-    if linked.ndim != 2 or linked.shape != image.shape or (valid is not None and valid.shape != linked.shape):
+    if (
+        linked.ndim != 2
+        or linked.shape != image.shape
+        or (valid is not None and valid.shape != linked.shape)
+    ):
         raise CannotRegister(
-            f"The maps have the shapes {linked.shape} and {image.shape}. Link them first: a refinement needs maps and "
-            "mask on one grid."
+            f"The maps have the shapes {linked.shape} and {image.shape}. Link them first: a"
+            " refinement needs maps and mask on one grid."
         )
     if not all(math.isfinite(v) and v > 0 for v in (*pixel_um, grid_um)):
         raise SizeError(f"Pixel {pixel_um} um and mesh {grid_um} um: positive lengths are needed.")
     is_allowed = True if valid is None else valid
-    maps = [np.where(np.isfinite(m) & is_allowed, m, np.nan).astype(np.float64) for m in (linked, image)]
+    maps = [
+        np.where(np.isfinite(m) & is_allowed, m, np.nan).astype(np.float64) for m in (linked, image)
+    ]
     factor = math.ceil(math.sqrt(linked.size / 60_000))
     first_um = (0.5 * (factor - 1) * pixel_um[1], 0.5 * (factor - 1) * pixel_um[0])
     if factor > 1:
@@ -327,8 +376,14 @@ def _prepare(
     masks = [np.isfinite(m) for m in maps]
     count = int((masks[0] & masks[1]).sum())
     if count < 400:
-        raise CannotRegister(f"{count} pixels are known in both maps; a refinement needs 400. Keep the marks only.")
+        raise CannotRegister(
+            f"{count} pixels are known in both maps; a refinement needs 400. Keep the marks only."
+        )
     if any(float(m[k].std()) == 0 for m, k in zip(maps, masks, strict=True)):
-        raise CannotRegister("One of the maps is constant: nothing can be refined on it. Keep the marks only.")
-    filled = [np.where(k, (m - m[k].mean()) / m[k].std(), 0.0) for m, k in zip(maps, masks, strict=True)]
+        raise CannotRegister(
+            "One of the maps is constant: nothing can be refined on it. Keep the marks only."
+        )
+    filled = [
+        np.where(k, (m - m[k].mean()) / m[k].std(), 0.0) for m, k in zip(maps, masks, strict=True)
+    ]
     return filled, masks, (factor * pixel_um[0], factor * pixel_um[1]), first_um

@@ -33,19 +33,24 @@ class FittedTransform:
     model: str  #: its name; ``rigid`` keeps scale 1
     moving: Floats  #: the marks as given, (n, 2) in um
     fixed: Floats  #: as ``moving``
-    information: Floats  #: (n, 2, 2), inverse covariances up to one factor, those of marks in doubt weighted down
-    robust_weights: Floats  #: (n,): 1, or 0 for marks that do not agree with the others and were left out
+    # : (n, 2, 2), inverse covariances up to one factor, those of marks in doubt weighted down.
+    information: Floats
+    # : (n,): 1, or 0 for marks that do not agree with the others and were left out.
+    robust_weights: Floats
     residuals_um: Floats  #: (n, 2), ``fixed - transform(moving)`` in the fixed frame
     sentence: str  #: model and residuals
     #: Marks left out or given twice, few marks, a model that leaves structure, a scale far from 1, strain above 1 %.
     warnings: tuple[str, ...] = ()
-    shared_um: float = 0.0  #: error that all marks share and none of them shows, rms, where it is known
+    # : error that all marks share and none of them shows, rms, where it is known.
+    shared_um: float = 0.0
     likely: DeviationField | None = None  # where it is there already
 
     def __post_init__(self) -> None:
         """Lay the arrays out as they are read back from a file, so that sums have the same bytes."""
         for name in _ARRAYS:
-            object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64, order="C"))
+            object.__setattr__(
+                self, name, np.array(getattr(self, name), dtype=np.float64, order="C")
+            )
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Transform points of shape ``(..., 2)``, in um, from the moving to the fixed frame."""
@@ -84,7 +89,9 @@ class FittedTransform:
         fit is missed by its residual.
         """
         missed, used = self.residuals_um.copy(), self.weights > 0
-        missed[used] = MODELS[self.model].left_out(self._pairs.take(used), self.transform, self.field)
+        missed[used] = MODELS[self.model].left_out(
+            self._pairs.take(used), self.transform, self.field
+        )
         return np.linalg.norm(missed, axis=1)
 
     @property
@@ -97,13 +104,24 @@ class FittedTransform:
 
         ``labels`` (n,) are those of all marks; "agree to" is the leave-one-out error, rms.
         """
-        excluded, used_count = np.flatnonzero(self.robust_weights == 0), np.count_nonzero(self.weights > 0)
+        excluded, used_count = (
+            np.flatnonzero(self.robust_weights == 0),
+            np.count_nonzero(self.weights > 0),
+        )
         rms = self.leave_one_out_rms_um
-        sentence = f"{used_count} of {used_count + excluded.size}" if excluded.size else f"{used_count}"
-        sentence += f" marks agree to {rms:.1f} um (leave-one-out, rms)" if np.isfinite(rms) else " marks were used"
+        sentence = (
+            f"{used_count} of {used_count + excluded.size}" if excluded.size else f"{used_count}"
+        )
+        sentence += (
+            f" marks agree to {rms:.1f} um (leave-one-out, rms)"
+            if np.isfinite(rms)
+            else " marks were used"
+        )
         if excluded.size:
             names_text = and_join_few([str(labels[int(k)]) for k in excluded])
-            distances_text = and_join_few([f"{distance:.0f}" for distance in np.hypot(*self.residuals_um[excluded].T)])
+            distances_text = and_join_few(
+                [f"{distance:.0f}" for distance in np.hypot(*self.residuals_um[excluded].T)]
+            )
             verb, auxiliary = ("are", "were") if excluded.size > 1 else ("is", "was")
             sentence += f"; {names_text} {verb} {distances_text} um off and {auxiliary} left out"
         return sentence + "."
@@ -121,7 +139,13 @@ class FittedTransform:
         are taken off, and does not depend on the model.
         """
         used = self.weights > 0
-        return float(np.sqrt(2.0 * self.field.mark_variance / np.mean(self.weights[used] / self.robust_weights[used])))
+        return float(
+            np.sqrt(
+                2.0
+                * self.field.mark_variance
+                / np.mean(self.weights[used] / self.robust_weights[used])
+            )
+        )
 
     def expected_error_um(self, points: ArrayLike) -> Floats:
         """Expected distance between the fitted and the true image of each point.
@@ -152,7 +176,9 @@ class FittedTransform:
         """
         points_um = np.asarray(points, dtype=np.float64)
         flat_points = points_um.reshape(-1, 2)
-        squares_um2 = self.field.expected_square(flat_points, self.transform(flat_points)) + self.shared_um**2
+        squares_um2 = (
+            self.field.expected_square(flat_points, self.transform(flat_points)) + self.shared_um**2
+        )
         return np.sqrt(squares_um2).reshape(points_um.shape[:-1])
 
     def refitted(self, moving: ArrayLike) -> Transform:
@@ -176,8 +202,8 @@ class FittedTransform:
         places, used = points_of(moving, "moving marks"), self.weights > 0
         if places.shape != self.moving.shape or not np.isfinite(places[used]).all():
             raise MarkError(
-                f"{len(places)} places given for {len(self.moving)} marks, or some not finite. Give one (x, y) in um "
-                "for each mark of the fit."
+                f"{len(places)} places given for {len(self.moving)} marks, or some not finite. Give"
+                " one (x, y) in um for each mark of the fit."
             )
         pairs = replace(self._pairs, moving=places).take(used)
         return MODELS[self.model].refit(pairs, self.transform, self.field)
@@ -209,7 +235,9 @@ class Chain:
     def __post_init__(self) -> None:
         """Refuse an empty chain."""
         if not self.fits:
-            raise CannotRegister("A chain without a link leads nowhere. Give at least one fitted transformation.")
+            raise CannotRegister(
+                "A chain without a link leads nowhere. Give at least one fitted transformation."
+            )
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Take points ``(..., 2)`` of the first map to the last one, in um; NaN stays NaN."""
@@ -276,10 +304,15 @@ def registration_to_json(fit: FittedTransform) -> dict[str, Any]:
     return {
         "format": FORMAT,
         **{name: _plain(getattr(fit, name)) for name in ("model", "sentence", "warnings")},
-        **{name: _plain(getattr(t, name)) for name in ("scale", "rotation_rad", "shift_um", "mirrored")},
+        **{
+            name: _plain(getattr(t, name))
+            for name in ("scale", "rotation_rad", "shift_um", "mirrored")
+        },
         **{name: _plain(getattr(fit, name)) for name in _ERRORS},
         **({"shared_um": fit.shared_um} if fit.shared_um else {}),
-        "transform": {f.name: _plain(getattr(t, f.name)) for f in fields(model_named(fit.model).transform)},
+        "transform": {
+            f.name: _plain(getattr(t, f.name)) for f in fields(model_named(fit.model).transform)
+        },
         **{name: _plain(getattr(fit, name)) for name in _ARRAYS},
     }
 
@@ -294,11 +327,15 @@ def registration_from_json(data: Any) -> FittedTransform:
     """
     try:
         if data["format"] != FORMAT:
-            raise MarkError(f"The registration has the format {data['format']!r}; {FORMAT!r} is read.")
+            raise MarkError(
+                f"The registration has the format {data['format']!r}; {FORMAT!r} is read."
+            )
         kind = model_named(data["model"]).transform
         hints = get_type_hints(kind)
         return FittedTransform(
-            transform=kind(**{f.name: _read(data["transform"][f.name], hints[f.name]) for f in fields(kind)}),
+            transform=kind(
+                **{f.name: _read(data["transform"][f.name], hints[f.name]) for f in fields(kind)}
+            ),
             model=str(data["model"]),
             sentence=str(data["sentence"]),
             warnings=tuple(str(w) for w in data["warnings"]),
@@ -307,7 +344,8 @@ def registration_from_json(data: Any) -> FittedTransform:
         )
     except (ValueError, KeyError, TypeError, IndexError) as fault:
         raise MarkError(
-            f"This is no registration written by planish ({fault!r}). Register the marks again and save that."
+            f"This is no registration written by planish ({fault!r}). Register the marks again and"
+            " save that."
         ) from fault
 
 

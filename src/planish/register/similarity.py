@@ -33,7 +33,9 @@ class RigidModel(ParametricModel):
                 turned = turn * (z - z_mean)
                 error = w - middle - turned
                 design = similarity_columns(turned / size, only_turn=True)
-                step = least_squares(whitening, design, np.stack([error.real, error.imag], axis=-1), "rigid")
+                step = least_squares(
+                    whitening, design, np.stack([error.real, error.imag], axis=-1), "rigid"
+                )
                 middle += complex(step[0], step[1])
                 turn *= np.exp(1j * step[2] / size)
                 step_length = float(np.abs(step).max())
@@ -41,12 +43,16 @@ class RigidModel(ParametricModel):
                     break
                 last_length = step_length
         shift = middle - turn * z_mean
-        return Similarity(rotation_rad=float(np.angle(turn)), shift_um=(shift.real, shift.imag), mirrored=mirrored)
+        return Similarity(
+            rotation_rad=float(np.angle(turn)), shift_um=(shift.real, shift.imag), mirrored=mirrored
+        )
 
     def design(self, transform: Transform, frame: Frame, points: Floats, /) -> Floats:
         """Shift in x, shift in y, turn."""
         scaled_offsets = (transform(points) - transform(frame[0])) / frame[1]
-        return similarity_columns(scaled_offsets[..., 0] + 1j * scaled_offsets[..., 1], only_turn=True)
+        return similarity_columns(
+            scaled_offsets[..., 0] + 1j * scaled_offsets[..., 1], only_turn=True
+        )
 
 
 class SimilarityModel(ParametricModel):
@@ -65,20 +71,30 @@ class SimilarityModel(ParametricModel):
             alpha = product / square
             beta = w_mean - alpha * z_mean
             angle, shift_um = float(np.angle(alpha)), (beta.real, beta.imag)
-            return Similarity(scale=abs(alpha), rotation_rad=angle, shift_um=shift_um, mirrored=mirrored)
+            return Similarity(
+                scale=abs(alpha), rotation_rad=angle, shift_um=shift_um, mirrored=mirrored
+            )
         share = pairs.share
         z = (as_complex(pairs.moving, mirrored) - as_complex(middle[None], mirrored)[0]) / size
         target = share @ pairs.fixed
-        beta_x, beta_y, a, b = least_squares(pairs.whitening(), similarity_columns(z), pairs.fixed - target, self.name)
+        beta_x, beta_y, a, b = least_squares(
+            pairs.whitening(), similarity_columns(z), pairs.fixed - target, self.name
+        )
         _refuse_no_rotation(complex(a, b) / size, 1.0)
-        turn = Similarity(scale=float(np.hypot(a, b)) / size, rotation_rad=float(np.arctan2(b, a)), mirrored=mirrored)
+        turn = Similarity(
+            scale=float(np.hypot(a, b)) / size,
+            rotation_rad=float(np.arctan2(b, a)),
+            mirrored=mirrored,
+        )
         x, y = (target + np.array([beta_x, beta_y]) - turn(middle)).tolist()
         return replace(turn, shift_um=(x, y))
 
     def design(self, transform: Transform, frame: Frame, points: Floats, /) -> Floats:
         """Shift in x, shift in y, stretch, turn."""
         middle, size = frame
-        z = (as_complex(points.reshape(-1, 2) - middle, transform.mirrored) / size).reshape(points.shape[:-1])
+        z = (as_complex(points.reshape(-1, 2) - middle, transform.mirrored) / size).reshape(
+            points.shape[:-1]
+        )
         return similarity_columns(z)
 
 
@@ -86,7 +102,9 @@ class AffineModel(ParametricModel):
     """Rotation, shift, and another scale in every direction: humidity, embedding, a camera's pixel aspect."""
 
     name, words = "affine", "affine"
-    purpose = "other strain in machine and cross direction (humidity, embedding: 0.1-0.5 %), pixel aspect"
+    purpose = (
+        "other strain in machine and cross direction (humidity, embedding: 0.1-0.5 %), pixel aspect"
+    )
     transform = Affine
     parameters, least, linear = 6, 3, True
 
@@ -96,7 +114,9 @@ class AffineModel(ParametricModel):
         refuse_line(pairs, self.name)
         target = pairs.weights @ pairs.fixed / np.sum(pairs.weights)
         design = affine_columns((pairs.moving - middle) / size)
-        x, y, xx, xy, yx, yy = least_squares(pairs.whitening(), design, pairs.fixed - target, self.name)
+        x, y, xx, xy, yx, yy = least_squares(
+            pairs.whitening(), design, pairs.fixed - target, self.name
+        )
         return Affine(
             linear=((float(xx / size), float(xy / size)), (float(yx / size), float(yy / size))),
             source=tuple(middle.tolist()),
@@ -122,8 +142,8 @@ def _sums(pairs: Pairs, mirrored: bool) -> tuple[complex, complex, complex, floa
 def _refuse_no_rotation(product: complex, square: float) -> None:
     if square <= 0.0 or abs(product) <= COINCIDENT * square:
         raise MarkError(
-            "The marks fix no rotation: the directions between them disagree on the two sides. Check that every row "
-            "pairs the same hole on both sides."
+            "The marks fix no rotation: the directions between them disagree on the two sides."
+            " Check that every row pairs the same hole on both sides."
         )
 
 
@@ -161,30 +181,40 @@ class ProjectiveModel(ParametricModel):
         def build(h: Floats) -> Projective:
             row_1, row_2, row_3 = (h / h[2, 2]).tolist()
             return Projective(
-                homography=(tuple(row_1), tuple(row_2), tuple(row_3)), source=tuple(middle.tolist()),
-                target=tuple(target.tolist()), source_size=size, target_size=target_size,
-            )  # fmt: skip
+                homography=(tuple(row_1), tuple(row_2), tuple(row_3)),
+                source=tuple(middle.tolist()),
+                target=tuple(target.tolist()),
+                source_size=size,
+                target_size=target_size,
+            )
 
         def cost(trial: Projective) -> float:
             return float(np.sum((whitening @ (pairs.fixed - trial(pairs.moving))[..., None]) ** 2))
 
         scaled = (pairs.moving - middle) / size
-        transform = build(_direct_linear(scaled, (pairs.fixed - target) / target_size, np.sqrt(share)))
+        transform = build(
+            _direct_linear(scaled, (pairs.fixed - target) / target_size, np.sqrt(share))
+        )
         whitening = pairs.whitening()
         last_length = np.inf
         for _ in range(_STEPS):
             error = pairs.fixed - transform(pairs.moving)
             if not np.isfinite(error).all():
                 raise CannotRegister(
-                    "The projective transformation puts marks behind the camera: the pairs do not show one flat sheet. "
-                    "Check the pairs, or fit an affine transformation."
+                    "The projective transformation puts marks behind the camera: the pairs do not"
+                    " show one flat sheet. Check the pairs, or fit an affine transformation."
                 )
-            step = least_squares(whitening, self.design(transform, (middle, size), pairs.moving), error, self.name)
+            step = least_squares(
+                whitening, self.design(transform, (middle, size), pairs.moving), error, self.name
+            )
             # Shortened until the error does not rise.
             start_cost, h = cost(transform), np.array(transform.homography)
             trials = (build(h + np.append(step / 2**k, 0.0).reshape(3, 3)) for k in range(12))
             cost_limit = start_cost * (1 + 1e-9) + 1e-300
-            transform = next((t for t in trials if np.isfinite(after := cost(t)) and after <= cost_limit), transform)
+            transform = next(
+                (t for t in trials if np.isfinite(after := cost(t)) and after <= cost_limit),
+                transform,
+            )
             step_length = float(np.abs(step).max())
             # The last digits do not settle: steps of rounding are as long as the one before.
             if step_length < 1e-15 or (step_length < 1e-9 and step_length >= 0.5 * last_length):
@@ -219,7 +249,8 @@ def _direct_linear(moving: Floats, fixed: Floats, weight_roots: Floats) -> Float
     has_one_sign = np.all(denominators > 0) or np.all(denominators < 0)
     if singular[7] < 1e-7 * singular[0] or abs(h[2, 2]) < 1e-6 or not has_one_sign:
         raise CannotRegister(
-            "The marks do not fix one projective transformation: too many lie on one line, or the pairs do not show "
-            "one flat sheet. Check the pairs, add marks beside that line, or fit an affine transformation."
+            "The marks do not fix one projective transformation: too many lie on one line, or the"
+            " pairs do not show one flat sheet. Check the pairs, add marks beside that line, or fit"
+            " an affine transformation."
         )
     return h

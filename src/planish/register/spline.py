@@ -53,7 +53,8 @@ class ThinPlate(Bent):
 
     def add_bends(self, scaled_points: Floats, out: Floats) -> None:
         """Add the local changes at scaled points, as :class:`Bent` does, in one compiled loop."""
-        from planish.register._bent_kernels import add_thin_plate  # here: help names the models, and compiles nothing
+        # Here: help names the models, and compiles nothing.
+        from planish.register._bent_kernels import add_thin_plate
 
         add_thin_plate(scaled_points, self.nodes, self.bend, out)
 
@@ -79,7 +80,9 @@ class SplineModel(Model):
         """Errors at the same smoothing."""
         system = Smoothing(pairs)
         errors = system.missed(transform.smoothing_um2)
-        return np.asarray(np.linalg.solve(system.whitening, errors[..., None])[..., 0], dtype=np.float64)
+        return np.asarray(
+            np.linalg.solve(system.whitening, errors[..., None])[..., 0], dtype=np.float64
+        )
 
 
 class Smoothing:
@@ -95,8 +98,8 @@ class Smoothing:
         n = len(pairs)
         if n < _LEAST:
             raise CannotRegister(
-                f"{n} pairs of marks given, a thin-plate spline needs {_LEAST}: 3 for its affine part and 3 to choose "
-                "its smoothing. Add more, or fit an affine transformation."
+                f"{n} pairs of marks given, a thin-plate spline needs {_LEAST}: 3 for its affine"
+                " part and 3 to choose its smoothing. Add more, or fit an affine transformation."
             )
         refuse_line(pairs, "tps")
         self.pairs = pairs
@@ -104,9 +107,13 @@ class Smoothing:
         self.nodes = (pairs.moving - self.middle) / self.size
         self.whitening = pairs.whitening()
         # Whitened covariance (2n, 2n) of both coordinates.
-        kernel_matrix = _on_both_axes(bending(np.sum((self.nodes[:, None] - self.nodes) ** 2, axis=-1)))
+        kernel_matrix = _on_both_axes(
+            bending(np.sum((self.nodes[:, None] - self.nodes) ** 2, axis=-1))
+        )
         self.kernel = whitened(self.whitening, whitened(self.whitening, kernel_matrix).T)
-        full, triangle = qr(whitened(self.whitening, _on_both_axes(np.column_stack([np.ones(n), self.nodes]))))
+        full, triangle = qr(
+            whitened(self.whitening, _on_both_axes(np.column_stack([np.ones(n), self.nodes])))
+        )
         self.span, self.triangle = full[:, :6], triangle[:6]
         self.target = pairs.weights @ pairs.fixed / np.sum(pairs.weights)
         self.y = whitened(self.whitening, (pairs.fixed - self.target).reshape(-1, 1))[:, 0]
@@ -123,7 +130,9 @@ class Smoothing:
         # near 1 also for an interpolating spline, which leaves nothing.
         smoothing, residual_shares = smoothing_um2 / self.size**2, np.ones_like(self.eigenvalues)
         if np.isfinite(smoothing):
-            residual_shares = (float(np.median(self.eigenvalues)) + smoothing) / (self.eigenvalues + smoothing)
+            residual_shares = (float(np.median(self.eigenvalues)) + smoothing) / (
+                self.eigenvalues + smoothing
+            )
         rows = self.vectors.reshape(len(self.pairs), 2, -1)
         blocks = (rows * residual_shares) @ rows.swapaxes(1, 2)
         least = np.linalg.eigvalsh(blocks)[:, 0]
@@ -144,7 +153,9 @@ class Smoothing:
         chosen, least = float(np.exp(logs[best])), float(costs[best])
         if 0 < best < len(logs) - 1:
             bracket = (float(logs[best - 1]), float(logs[best + 1]))
-            optimum = minimize_scalar(lambda v: cost(float(np.exp(v))), bounds=bracket, method="bounded")
+            optimum = minimize_scalar(
+                lambda v: cost(float(np.exp(v))), bounds=bracket, method="bounded"
+            )
             if float(optimum.fun) < least:
                 chosen, least = float(np.exp(optimum.x)), float(optimum.fun)
         if cost(np.inf) <= least * (1 + 1e-9):
@@ -157,13 +168,20 @@ class Smoothing:
 
         n = len(self.pairs)
         dual = self.vectors @ (self.z / (self.eigenvalues + smoothing_um2 / self.size**2))
-        bend = (self.whitening.swapaxes(1, 2) @ dual.reshape(n, 2, 1))[..., 0] + 0.0  # no negative zero
-        affine = solve_triangular(self.triangle, self.span.T @ (self.y - self.kernel @ dual)).reshape(3, 2)
+        # No negative zero.
+        bend = (self.whitening.swapaxes(1, 2) @ dual.reshape(n, 2, 1))[..., 0] + 0.0
+        affine = solve_triangular(
+            self.triangle, self.span.T @ (self.y - self.kernel @ dual)
+        ).reshape(3, 2)
         affine[0] += self.target
         return ThinPlate(
-            source=(float(self.middle[0]), float(self.middle[1])), size=self.size, nodes=self.nodes, affine=affine,
-            bend=bend, smoothing_um2=float(smoothing_um2),
-        )  # fmt: skip
+            source=(float(self.middle[0]), float(self.middle[1])),
+            size=self.size,
+            nodes=self.nodes,
+            affine=affine,
+            bend=bend,
+            smoothing_um2=float(smoothing_um2),
+        )
 
 
 def _on_both_axes(rows: Floats) -> Floats:

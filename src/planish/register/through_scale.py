@@ -23,21 +23,34 @@ _STEPS = 181
 class ThroughScale(ResultModel):
     """A scale of heights that marks ask for."""
 
-    scale: float = Field(description="The factor on the heights; infinite where the marks exclude no scale.")
+    scale: float = Field(
+        description="The factor on the heights; infinite where the marks exclude no scale."
+    )
     error: float = Field(
-        description="Standard error of the factor; infinite where the marks exclude no scale. With few marks it is "
-        "larger as their own error is not known well: three errors have the same meaning with any number of them."
+        description=(
+            "Standard error of the factor; infinite where the marks exclude no scale. With few"
+            " marks it is larger as their own error is not known well: three errors have the same"
+            " meaning with any number of them."
+        )
     )
     evidence: float = Field(description="By how many variances scale 1 fits worse.")
     limit: float = Field(description="What right marks exceed three times in a thousand.")
-    without_any: float = Field(description="`evidence` with the mark that speaks most for the scale left out.")
+    without_any: float = Field(
+        description="`evidence` with the mark that speaks most for the scale left out."
+    )
     stretch: float = Field(
-        description="By how much the linear map that fits best at scale 1 stretches one direction against the other."
+        description=(
+            "By how much the linear map that fits best at scale 1 stretches one direction against"
+            " the other."
+        )
     )
     stretch_deg: float = Field(description="That direction in the moving plane, from u towards v.")
     over_stretch: float = Field(
-        description="By how many variances the stretch fits worse than the scale, with a logarithm of their number for "
-        "the parameter that it has more (Schwarz 1978, doi:10.1214/aos/1176344136); below zero where it fits better."
+        description=(
+            "By how many variances the stretch fits worse than the scale, with a logarithm of their"
+            " number for the parameter that it has more (Schwarz 1978, doi:10.1214/aos/1176344136);"
+            " below zero where it fits better."
+        )
     )
     marks: int = Field(description="Those that were used.")
 
@@ -47,7 +60,9 @@ class ThroughScale(ResultModel):
         return self.evidence > self.limit
 
 
-def find_through_scale(scales: Floats, places: Floats, pairs: Pairs, *, mirrored: bool) -> ThroughScale | None:
+def find_through_scale(
+    scales: Floats, places: Floats, pairs: Pairs, *, mirrored: bool
+) -> ThroughScale | None:
     """Estimate the scale of heights at which a similarity brings the moving to the fixed marks best.
 
     Parameters
@@ -98,8 +113,12 @@ def find_through_scale(scales: Floats, places: Floats, pairs: Pairs, *, mirrored
     limit = float(special.fdtri(1, 2 * rows.size - 5, 1 - CHANCE))
     t_factor = float(np.sqrt(limit) / special.ndtri(1 - CHANCE / 2))
     source = (spline(1.0) - spline(1.0).mean(axis=0)) / spread
-    (affine_parameters,), (affine_misfit,) = _solved(affine_columns(source)[None], target, marks_precision)
-    _, (most_stretch, least_stretch), right_vectors = np.linalg.svd(affine_parameters[2:].reshape(2, 2))
+    (affine_parameters,), (affine_misfit,) = _solved(
+        affine_columns(source)[None], target, marks_precision
+    )
+    _, (most_stretch, least_stretch), right_vectors = np.linalg.svd(
+        affine_parameters[2:].reshape(2, 2)
+    )
     return ThroughScale(
         scale=float(fine_scales[best]),
         error=t_factor * _toward_one(fine_scales, misfit, best, one_index),
@@ -131,19 +150,32 @@ def _centred(places: Floats, mirrored: bool) -> Floats:
     return similarity_columns(as_complex(places - places.mean(axis=1, keepdims=True), mirrored))
 
 
-def _solved(design: Floats, target: Floats, precision: NDArray[np.floating]) -> tuple[Floats, Floats]:
+def _solved(
+    design: Floats, target: Floats, precision: NDArray[np.floating]
+) -> tuple[Floats, Floats]:
     """Generalised least squares for each design (m, n, 2, p): parameters (m, p) and rest in variances (m,)."""
     m, n, _, p = design.shape
     rows = np.moveaxis(design.reshape(m, 2 * n, p), 0, 1).reshape(2 * n, m * p)
-    whitened = np.linalg.cholesky(precision).T @ np.concatenate([rows, target.reshape(-1, 1)], axis=1)
-    columns, white_target = np.moveaxis(whitened[:, :-1].reshape(2 * n, m, p), 1, 0), whitened[:, -1]
+    whitened = np.linalg.cholesky(precision).T @ np.concatenate(
+        [rows, target.reshape(-1, 1)], axis=1
+    )
+    columns, white_target = (
+        np.moveaxis(whitened[:, :-1].reshape(2 * n, m, p), 1, 0),
+        whitened[:, -1],
+    )
     projections = white_target @ columns
     normal = columns.transpose(0, 2, 1) @ columns
-    parameters = np.asarray(np.linalg.solve(normal, projections[..., None])[..., 0], dtype=np.float64)
-    return parameters, np.maximum(white_target @ white_target - np.sum(projections * parameters, axis=1), 0.0)
+    parameters = np.asarray(
+        np.linalg.solve(normal, projections[..., None])[..., 0], dtype=np.float64
+    )
+    return parameters, np.maximum(
+        white_target @ white_target - np.sum(projections * parameters, axis=1), 0.0
+    )
 
 
-def _precisions(designs: Floats, target: Floats, pairs: Pairs, spread: float) -> tuple[Floats, Floats]:
+def _precisions(
+    designs: Floats, target: Floats, pairs: Pairs, spread: float
+) -> tuple[Floats, Floats]:
     """Mean inverse covariance (2n, 2n) of the marks by restricted likelihood, without and with the strain of the paper.
 
     A scale is one of the parameters that are free, so that what it explains is no variance.
@@ -157,17 +189,25 @@ def _precisions(designs: Floats, target: Floats, pairs: Pairs, spread: float) ->
     squares = np.sum((target[:, None] - target) ** 2, axis=-1) / spread**2
     # Smooth displacements: their reach over the spread of the marks, and their variance over that of a mark.
     lengths_ratios = product((0.5, 1.0), (1.0, 10.0, 100.0, 1000.0))
-    field_covariances = [ratio * np.exp(-squares / (2 * length**2)) for length, ratio in lengths_ratios]
+    field_covariances = [
+        ratio * np.exp(-squares / (2 * length**2)) for length, ratio in lengths_ratios
+    ]
     rows = free.reshape(2 * n, -1)
     log_weights: list[float] = []
     precision_pairs: list[Floats] = []
     for field_covariance, square in product(
-        [0.0 * squares, *field_covariances], max(misfit / (2 * n - 5), 1e-6) * np.geomspace(1e-3, 10, 16)
+        [0.0 * squares, *field_covariances],
+        max(misfit / (2 * n - 5), 1e-6) * np.geomspace(1e-3, 10, 16),
     ):
         marks_covariance = square * (noise + np.kron(field_covariance, np.eye(2)))
-        precisions = np.linalg.inv(np.stack([marks_covariance, marks_covariance + shears @ shears.T]))
+        precisions = np.linalg.inv(
+            np.stack([marks_covariance, marks_covariance + shears @ shears.T])
+        )
         misfit_left = float(_solved(free[None], target, precisions[1])[1][0])
-        determinants = np.linalg.slogdet(rows.T @ precisions[1] @ rows)[1] - np.linalg.slogdet(precisions[1])[1]
+        determinants = (
+            np.linalg.slogdet(rows.T @ precisions[1] @ rows)[1]
+            - np.linalg.slogdet(precisions[1])[1]
+        )
         weight = 1 / len(field_covariances) if field_covariance.any() else 1.0
         log_weights.append(np.log(weight) - 0.5 * float(misfit_left + determinants))
         precision_pairs.append(precisions)
@@ -179,7 +219,9 @@ def _free_columns(designs: Floats, target: Floats, precision: Floats) -> tuple[F
     """Columns (n, 2, p) of the best similarity and of a change of the scale, where it is one; and the misfit left."""
     parameters, misfit = _solved(designs, target, precision)
     best = int(np.argmin(misfit))
-    slope = (designs[min(best + 1, len(designs) - 1)] - designs[max(best - 1, 0)]) @ parameters[best]
+    slope = (designs[min(best + 1, len(designs) - 1)] - designs[max(best - 1, 0)]) @ parameters[
+        best
+    ]
     slope = slope - designs[best] @ _solved(designs[[best]], slope, precision)[0][0]
     length = float(np.linalg.norm(slope))
     columns = [designs[best], slope[..., None] / length] if length > 1e-6 else [designs[best]]
@@ -193,6 +235,10 @@ def _toward_one(fine_scales: Floats, misfit: Floats, best: int, one_index: int) 
         scales, excess = fine_scales[best::step], misfit[best::step] - misfit[best] - 1.0
         crossing = int(np.argmax(excess > 0))
         bracket = slice(crossing - 1, crossing + 1)
-        distance = abs(np.interp(0.0, excess[bracket], scales[bracket]) - fine_scales[best]) if crossing else np.inf
+        distance = (
+            abs(np.interp(0.0, excess[bracket], scales[bracket]) - fine_scales[best])
+            if crossing
+            else np.inf
+        )
         distances.append(float(distance))
     return max(distances)

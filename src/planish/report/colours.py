@@ -16,19 +16,36 @@ if TYPE_CHECKING:
     import xarray as xr
 
 Array = NDArray[np.float64]
-PROPERTY, GEOMETRY, SIGNED, CYCLIC, GREYS, ERROR = "viridis", "cividis", "RdBu_r", "twilight", "grey", "magma"
+PROPERTY, GEOMETRY, SIGNED, CYCLIC, GREYS, ERROR = (
+    "viridis",
+    "cividis",
+    "RdBu_r",
+    "twilight",
+    "grey",
+    "magma",
+)
 MISSING = "#d4d6d8"
 _ANCHORS = {
-    PROPERTY: "440154 48186a 472d7b 424086 3b528b 33638d 2c728e 26818e 21908c 1f9f88 28ae80 3ebc74 5dc963 82d34c abdc32"
-    " d5e21a fde725",
-    GEOMETRY: "00224e 002e6a 1a386f 32436d 434e6c 52596d 61656f 6f7073 7c7b78 8b8778 9b9376 aba072 bbad6c ccba64 ddc958"
-    " efd748 fee838",
-    SIGNED: "053061 175290 2a71b2 3f8dc0 6bacd0 9ac9e0 c1ddec dfecf3 f7f7f6 fbe6d9 fbceb6 f5ac8b e58268 d25749 bb2a34"
-    " 960f26 67001f",
-    CYCLIC: "e2d9e2 d6d7dd c2ced4 aac2cc 94b4c7 81a6c3 7296c1 6886be 6275ba 5f63b5 5e50ac 5d3da0 592a8f 511b77 45135c"
-    " 381145 2f1436",
-    ERROR: "000004 0a0822 1d1146 36106a 50127c 691c81 822681 9c2e7f b63779 cf4170 e65163 f5695c fb8761 fea571 fec387"
-    " fde0a2 fcfdbf",
+    PROPERTY: (
+        "440154 48186a 472d7b 424086 3b528b 33638d 2c728e 26818e 21908c 1f9f88 28ae80 3ebc74 5dc963"
+        " 82d34c abdc32 d5e21a fde725"
+    ),
+    GEOMETRY: (
+        "00224e 002e6a 1a386f 32436d 434e6c 52596d 61656f 6f7073 7c7b78 8b8778 9b9376 aba072 bbad6c"
+        " ccba64 ddc958 efd748 fee838"
+    ),
+    SIGNED: (
+        "053061 175290 2a71b2 3f8dc0 6bacd0 9ac9e0 c1ddec dfecf3 f7f7f6 fbe6d9 fbceb6 f5ac8b e58268"
+        " d25749 bb2a34 960f26 67001f"
+    ),
+    CYCLIC: (
+        "e2d9e2 d6d7dd c2ced4 aac2cc 94b4c7 81a6c3 7296c1 6886be 6275ba 5f63b5 5e50ac 5d3da0 592a8f"
+        " 511b77 45135c 381145 2f1436"
+    ),
+    ERROR: (
+        "000004 0a0822 1d1146 36106a 50127c 691c81 822681 9c2e7f b63779 cf4170 e65163 f5695c fb8761"
+        " fea571 fec387 fde0a2 fcfdbf"
+    ),
     GREYS: "000000 ffffff",
 }
 _SHADES = 255  # and one more for missing values
@@ -45,14 +62,20 @@ class Scale:
     def shades(self, values: ArrayLike) -> NDArray[np.uint8]:
         """Return the index of each value's colour; the last one is for missing values."""
         fraction = (np.asarray(values, dtype=np.float64) - self.low) / (self.high - self.low)
-        shade_indices = np.rint(np.clip(np.where(np.isfinite(fraction), fraction, 0.0), 0.0, 1.0) * (_SHADES - 1))
+        shade_indices = np.rint(
+            np.clip(np.where(np.isfinite(fraction), fraction, 0.0), 0.0, 1.0) * (_SHADES - 1)
+        )
         return np.where(np.isfinite(fraction), shade_indices, _SHADES).astype(np.uint8)
 
 
 def limits(
-    values: ArrayLike, colours: str = PROPERTY, *, percent: float = 1.0, symmetric: bool = False,
+    values: ArrayLike,
+    colours: str = PROPERTY,
+    *,
+    percent: float = 1.0,
+    symmetric: bool = False,
     low: float | None = None,
-) -> Scale:  # fmt: skip
+) -> Scale:
     """Return a colour scale with limits from percentiles, so that single pixels do not flatten the rest.
 
     ``percent`` of the values lie beyond either limit; ``symmetric`` puts zero in the middle, ``low`` is the lower one.
@@ -68,7 +91,9 @@ def limits(
     bottom, top = (float(v) for v in np.percentile(data, [percent, 100 - percent]))
     if top - bottom <= 1e-9 * max(abs(bottom), abs(top), 1e-300):
         bottom, top = bottom - 0.5, top + 0.5
-    return Scale(bottom if low is None else low, max(top, low + 1e-12) if low is not None else top, colours)
+    return Scale(
+        bottom if low is None else low, max(top, low + 1e-12) if low is not None else top, colours
+    )
 
 
 def colours_of(data: xr.DataArray, limit_values: Array) -> Scale:
@@ -82,7 +107,10 @@ def colours_of(data: xr.DataArray, limit_values: Array) -> Scale:
 def partner_of(name: str, map_names: Sequence[str]) -> str | None:
     """Return the map of the other side of the sheet: the two share their colours."""
     for side, opposite_side in (("_top", "_bottom"), ("_bottom", "_top")):
-        if name.endswith(side) and (partner_name := name.removesuffix(side) + opposite_side) in map_names:
+        if (
+            name.endswith(side)
+            and (partner_name := name.removesuffix(side) + opposite_side) in map_names
+        ):
             return partner_name
     return None
 
@@ -91,7 +119,12 @@ def image_uri(values: ArrayLike, scale: Scale, *, missing: str = MISSING) -> str
     """Return a map as an image in a ``data:`` address: PNG, or JPEG where it has many pixels."""
     from PIL import Image
 
-    palette = np.vstack([colours_in_steps(scale.colours), np.array(list(bytes.fromhex(missing[1:])), dtype=np.uint8)])
+    palette = np.vstack(
+        [
+            colours_in_steps(scale.colours),
+            np.array(list(bytes.fromhex(missing[1:])), dtype=np.uint8),
+        ]
+    )
     shades = scale.shades(values)
     # Of many pixels, a JPEG is a fraction of a PNG.
     kind, data = ("PNG" if shades.size <= 250_000 else "JPEG"), io.BytesIO()
@@ -107,7 +140,11 @@ def image_uri(values: ArrayLike, scale: Scale, *, missing: str = MISSING) -> str
 @cache
 def colours_in_steps(colours: str) -> NDArray[np.uint8]:
     """Return the colours of all shades: (255, 3)."""
-    anchors = np.array([list(bytes.fromhex(code)) for code in _ANCHORS[colours].split()], dtype=np.float64)
+    anchors = np.array(
+        [list(bytes.fromhex(code)) for code in _ANCHORS[colours].split()], dtype=np.float64
+    )
     fractions, anchor_fractions = np.linspace(0, 1, _SHADES), np.linspace(0, 1, len(anchors))
-    rgb = np.stack([np.interp(fractions, anchor_fractions, anchors[:, k]) for k in range(3)], axis=1)
+    rgb = np.stack(
+        [np.interp(fractions, anchor_fractions, anchors[:, k]) for k in range(3)], axis=1
+    )
     return np.rint(rgb).astype(np.uint8)

@@ -11,7 +11,18 @@ from planish.analyze.kubelka_munk import KubelkaMunk
 from planish.analyze.variograms import squared_unit
 from planish.core.facts import is_known
 from planish.core.numbers import NONE, capital, count, in_words, number, plain
-from planish.report.draw import ACCENT, FULL, POINT, SOFT, Axes, Canvas, Picture, Table, columns, or_blank
+from planish.report.draw import (
+    ACCENT,
+    FULL,
+    POINT,
+    SOFT,
+    Axes,
+    Canvas,
+    Picture,
+    Table,
+    columns,
+    or_blank,
+)
 from planish.report.relation import Points, as_drawn, draw_dots, draw_fit, points_table
 from planish.report.text import HOLES, REGISTERED
 from planish.results import CorrelationRow, EvidenceFacts, Mottle
@@ -23,8 +34,12 @@ _ROOM = 1.08
 
 
 def draw_scale(
-    evidence: EvidenceFacts, *, names: tuple[str, str], excluded_text: str = HOLES, registered: str = REGISTERED
-) -> Picture:  # fmt: skip
+    evidence: EvidenceFacts,
+    *,
+    names: tuple[str, str],
+    excluded_text: str = HOLES,
+    registered: str = REGISTERED,
+) -> Picture:
     """Draw r against the size of points with the band that holds the whole curve, and coherence by octaves."""
     canvas = Canvas(FULL, 360)
     _draw_size_curve(canvas, evidence)
@@ -33,13 +48,14 @@ def draw_scale(
     return canvas.picture(
         title=f"Scales at which {names[0]} and {names[1]} are correlated",
         caption=(
-            "Left, correlation over points of growing size; lines, the 95 % interval of each size by itself; shaded, "
-            "the 95 % band of the whole curve. Right, squared coherence by octaves of wavelength, "
-            "corrected for chance, with a filled dot where it exceeds chance among all octaves (p below 0.05, Šidák); "
-            "gain, change of the second map per change of the first in the octave. Larger points average noise away, "
-            "so r may rise although nothing more is explained; coherence is that of each octave alone. "
-            f"n = {count(n)} at the smallest size. Mask: measured, without {excluded_text}. "
-            f"{capital(registered)}."
+            "Left, correlation over points of growing size; lines, the 95 % interval of each size"
+            " by itself; shaded, the 95 % band of the whole curve. Right, squared coherence by"
+            " octaves of wavelength, corrected for chance, with a filled dot where it exceeds"
+            " chance among all octaves (p below 0.05, Šidák); gain, change of the second map per"
+            " change of the first in the octave. Larger points average noise away, so r may rise"
+            " although nothing more is explained; coherence is that of each octave alone. n ="
+            f" {count(n)} at the smallest size. Mask: measured, without {excluded_text}."
+            f" {capital(registered)}."
         ),
         data=_scale_tables(evidence),
     )
@@ -51,12 +67,24 @@ def _scale_tables(evidence: EvidenceFacts) -> Mapping[str, Table]:
     size_columns = dict(columns(evidence.sizes, fields))
     for field_name, column_title in (("interval", "95 % limit"), ("band", "end of the band")):
         for k, bound in enumerate(("lower", "upper")):
-            size_columns[f"{bound} {column_title}"] = or_blank(getattr(row, field_name)[k] for row in evidence.sizes)
-    octave_columns = columns(evidence.bands, {
-        "shortest wave / µm": "shortest_um", "longest wave / µm": "longest_um", "squared coherence": "coherence",
-        "p of all octaves": "p_of_bands", "phase / °": "phase_deg", "gain": "gain", "independent waves": "modes",
-    })  # fmt: skip
-    return ({"sizes": size_columns} if evidence.sizes else {}) | ({"octaves": octave_columns} if evidence.bands else {})
+            size_columns[f"{bound} {column_title}"] = or_blank(
+                getattr(row, field_name)[k] for row in evidence.sizes
+            )
+    octave_columns = columns(
+        evidence.bands,
+        {
+            "shortest wave / µm": "shortest_um",
+            "longest wave / µm": "longest_um",
+            "squared coherence": "coherence",
+            "p of all octaves": "p_of_bands",
+            "phase / °": "phase_deg",
+            "gain": "gain",
+            "independent waves": "modes",
+        },
+    )
+    return ({"sizes": size_columns} if evidence.sizes else {}) | (
+        {"octaves": octave_columns} if evidence.bands else {}
+    )
 
 
 def _draw_size_curve(canvas: Canvas, evidence: EvidenceFacts) -> None:
@@ -81,14 +109,24 @@ def _draw_size_curve(canvas: Canvas, evidence: EvidenceFacts) -> None:
 def _draw_octaves(canvas: Canvas, evidence: EvidenceFacts) -> None:
     if not evidence.bands:
         return
-    log_edges = [math.log10(v) for band in evidence.bands for v in (band.shortest_um, band.longest_um)]
-    axes = canvas.axes(_RIGHT, _TOP, _WIDE, _SCALE_HIGH, (min(log_edges) - 0.03, max(log_edges) + 0.03, -0.05, 1.02))
+    log_edges = [
+        math.log10(v) for band in evidence.bands for v in (band.shortest_um, band.longest_um)
+    ]
+    axes = canvas.axes(
+        _RIGHT,
+        _TOP,
+        _WIDE,
+        _SCALE_HIGH,
+        (min(log_edges) - 0.03, max(log_edges) + 0.03, -0.05, 1.02),
+    )
     axes.across(0.0)
     for band in evidence.bands:
         if not is_known(band.coherence):
             continue
         log_shortest, log_longest = math.log10(band.shortest_um), math.log10(band.longest_um)
-        axes.curve((log_shortest, log_longest), (band.coherence, band.coherence), colour=ACCENT, width=2.2)
+        axes.curve(
+            (log_shortest, log_longest), (band.coherence, band.coherence), colour=ACCENT, width=2.2
+        )
         centre = (log_shortest + log_longest) / 2, band.coherence
         axes.dots([centre], colour=ACCENT, size=8)
         if not band.p_of_bands < 0.05:
@@ -99,9 +137,13 @@ def _draw_octaves(canvas: Canvas, evidence: EvidenceFacts) -> None:
 
 
 def _draw_band(axes: Axes, x: Sequence[float], intervals: Sequence[tuple[float, float]]) -> None:
-    band_limits = [(v, low, high) for v, (low, high) in zip(x, intervals, strict=True) if is_known((low, high))]
+    band_limits = [
+        (v, low, high) for v, (low, high) in zip(x, intervals, strict=True) if is_known((low, high))
+    ]
     if len(band_limits) > 1:
-        outline = [(v, low) for v, low, _ in band_limits] + [(v, high) for v, _, high in band_limits[::-1]]
+        outline = [(v, low) for v, low, _ in band_limits] + [
+            (v, high) for v, _, high in band_limits[::-1]
+        ]
         axes.area(outline, colour=POINT, opacity=0.2)
 
 
@@ -112,7 +154,9 @@ def _draw_log_axes(canvas: Canvas, axes: Axes, x_label: str, y_label: str) -> No
     canvas.ticks(axes, x_label, y_label, x_ticks=x_ticks)
 
 
-def draw_variograms(evidence: EvidenceFacts, *, titles: Sequence[str], excluded_text: str = HOLES) -> Picture:
+def draw_variograms(
+    evidence: EvidenceFacts, *, titles: Sequence[str], excluded_text: str = HOLES
+) -> Picture:
     """Draw the variogram of each of the two maps, with its sill and range; ``titles`` are those of the maps."""
     canvas = Canvas(FULL, 345)
     for left_px, curve, title in zip((_LEFT, _RIGHT), evidence.variograms, titles, strict=False):
@@ -121,67 +165,99 @@ def draw_variograms(evidence: EvidenceFacts, *, titles: Sequence[str], excluded_
         axes.across(curve.sill, width=1.2, dash="6 4")
         if is_known(curve.range_um):
             axes.upright(curve.range_um, width=1.2, dash="2 3")
-        axes.curve((0.0, *curve.distances_um), (curve.nugget, *curve.values), colour=ACCENT, width=2.0)
+        axes.curve(
+            (0.0, *curve.distances_um), (curve.nugget, *curve.values), colour=ACCENT, width=2.0
+        )
         axes.dots([(0.0, curve.nugget)], colour=ACCENT, size=6)
-        canvas.ticks(axes, "distance / µm", f"half mean square difference / {squared_unit(curve, title)}")
+        canvas.ticks(
+            axes, "distance / µm", f"half mean square difference / {squared_unit(curve, title)}"
+        )
         canvas.text(left_px, 22, title, bold=True)
     is_same_map = len({curve.map for curve in evidence.variograms}) < len(evidence.variograms)
     return canvas.picture(
         title=f"How {' and '.join(in_words(title) for title in titles)} vary with distance",
         caption=(
-            "Half of the mean square difference of two places of a map, by their distance (variogram). It begins at "
-            "what neighbours do not share (nugget: noise, and texture finer than a cell) and rises to the variance of "
-            "the map (sill, dashed). Dotted: the range, at which the covariance has fallen to 1/e; over shorter "
-            f"distances neighbours resemble each other. Means over {_cell_text(evidence.variograms[0].cell_um)} µm, in "
-            f"both maps where both are valid: without {excluded_text}."
+            "Half of the mean square difference of two places of a map, by their distance"
+            " (variogram). It begins at what neighbours do not share (nugget: noise, and texture"
+            " finer than a cell) and rises to the variance of the map (sill, dashed). Dotted: the"
+            " range, at which the covariance has fallen to 1/e; over shorter distances neighbours"
+            f" resemble each other. Means over {_cell_text(evidence.variograms[0].cell_um)} µm, in"
+            f" both maps where both are valid: without {excluded_text}."
         ),
         data={
             (f"{curve.layer}-" if is_same_map else "") + curve.map.replace("_", "-"): {
                 "distance / µm": list(curve.distances_um),
                 f"half mean square difference / {squared_unit(curve, title)}": list(curve.values),
-            } for curve, title in zip(evidence.variograms, titles, strict=True)
+            }
+            for curve, title in zip(evidence.variograms, titles, strict=True)
         },
-    )  # fmt: skip
+    )
 
 
 def _cell_text(sides_um: Iterable[float]) -> str:
     return " × ".join(f"{v:g}" for v in dict.fromkeys(round(v, 3) for v in sides_um))
 
 
-def draw_correlogram(profiles: CorrelogramProfiles, *, names: tuple[str, str], excluded_text: str = HOLES) -> Picture:
+def draw_correlogram(
+    profiles: CorrelogramProfiles, *, names: tuple[str, str], excluded_text: str = HOLES
+) -> Picture:
     """Draw r of both maps, one moved along x and along y, with what unrelated maps reach."""
     canvas = Canvas(FULL, 345)
     for left_px, axis, profile in ((_LEFT, "x", profiles.along_x), (_RIGHT, "y", profiles.along_y)):
-        magnitudes = [abs(v) for row in (profile.r, profile.limit_of_any, profile.limit) for v in row if is_known(v)]
+        magnitudes = [
+            abs(v)
+            for row in (profile.r, profile.limit_of_any, profile.limit)
+            for v in row
+            if is_known(v)
+        ]
         r_max = min(_ROOM * max(magnitudes, default=1.0), 1.0)
-        axes = canvas.axes(left_px, _TOP, _WIDE, _HIGH, (profile.lags_um[0], profile.lags_um[-1], -r_max, r_max))
+        axes = canvas.axes(
+            left_px, _TOP, _WIDE, _HIGH, (profile.lags_um[0], profile.lags_um[-1], -r_max, r_max)
+        )
         _draw_band(axes, profile.lags_um, [(v, -v) for v in profile.limit])
         axes.across(0.0)
         axes.upright(0.0)
         for sign in (1, -1):
-            axes.curve(profile.lags_um, [sign * v for v in profile.limit_of_any], colour=POINT, width=1.2, dash="6 4")
+            axes.curve(
+                profile.lags_um,
+                [sign * v for v in profile.limit_of_any],
+                colour=POINT,
+                width=1.2,
+                dash="6 4",
+            )
         axes.curve(profile.lags_um, profile.r, colour=ACCENT, width=2.2)
         canvas.ticks(axes, f"lag along {axis} / µm", "r")
     return canvas.picture(
         title=f"{capital(names[0])} shifted against {names[1]}",
         caption=(
-            "Correlation of both maps with the second shifted along x (left) and along y (right). Shaded: the |r| "
-            "that 1 % of unrelated maps of these textures exceed at a given lag; dashed: that 1 % of them exceed at "
-            "any lag. Each lag has the pairs and means of its own overlap; a profile is one line through all "
-            f"lags, whose largest r may lie beside it. Means over {_cell_text(profiles.cell_um)} µm, where both are "
-            f"valid: without {excluded_text}."
+            "Correlation of both maps with the second shifted along x (left) and along y (right)."
+            " Shaded: the |r| that 1 % of unrelated maps of these textures exceed at a given lag;"
+            " dashed: that 1 % of them exceed at any lag. Each lag has the pairs and means of its"
+            " own overlap; a profile is one line through all lags, whose largest r may lie beside"
+            f" it. Means over {_cell_text(profiles.cell_um)} µm, where both are valid: without"
+            f" {excluded_text}."
         ),
-        data={"along-x": _lag_table("x", profiles.along_x), "along-y": _lag_table("y", profiles.along_y)},
+        data={
+            "along-x": _lag_table("x", profiles.along_x),
+            "along-y": _lag_table("y", profiles.along_y),
+        },
     )
 
 
 def _lag_table(axis: str, profile: LagProfile) -> Table:
-    headings = f"lag along {axis} / µm", "r", "|r| that 1 % exceed at this lag", "|r| that 1 % exceed at any lag"
+    headings = (
+        f"lag along {axis} / µm",
+        "r",
+        "|r| that 1 % exceed at this lag",
+        "|r| that 1 % exceed at any lag",
+    )
     column_values = profile.lags_um, profile.r, profile.limit, profile.limit_of_any
     return dict(zip(headings, map(or_blank, column_values), strict=True))
 
 
-def draw_rings(agreement: Twice, *, name: str, layers: tuple[str, str], excluded_text: str = HOLES) -> Picture:
+def draw_rings(
+    agreement: Twice, *, name: str, layers: tuple[str, str], excluded_text: str = HOLES
+) -> Picture:
     """Draw how far two measurements of one map agree, against wavelength."""
     canvas = Canvas(FULL, 345)
     log_wavelengths = [math.log10(ring.wavelength_um) for ring in agreement.rings]
@@ -189,18 +265,31 @@ def draw_rings(agreement: Twice, *, name: str, layers: tuple[str, str], excluded
     extent = min(log_wavelengths) - 0.03, max(log_wavelengths) + 0.03, r_min - 0.05, 1.04
     axes = canvas.axes(_LEFT, _TOP, FULL - _LEFT - 30, _HIGH, extent)
     axes.across(0.0)
-    axes.curve(log_wavelengths, [ring.threshold for ring in agreement.rings], colour=SOFT, width=1.4, dash="6 4")
+    axes.curve(
+        log_wavelengths,
+        [ring.threshold for ring in agreement.rings],
+        colour=SOFT,
+        width=1.4,
+        dash="6 4",
+    )
     if agreement.resolution_um:
         axes.upright(math.log10(agreement.resolution_um), width=1.2, dash="2 3")
-    axes.curve(log_wavelengths, [ring.correlation for ring in agreement.rings], colour=ACCENT, width=2.0, dot_px=4)
+    axes.curve(
+        log_wavelengths,
+        [ring.correlation for ring in agreement.rings],
+        colour=ACCENT,
+        width=2.0,
+        dot_px=4,
+    )
     _draw_log_axes(canvas, axes, "wavelength / µm", "correlation of both measurements")
     return canvas.picture(
         title=f"Down to which wavelength {layers[0]} and {layers[1]} show the same {name}",
         caption=(
-            "Correlation of both measurements in rings of wavelength (Fourier ring correlation). Dashed: where the "
-            "mean of both holds half a bit of information a wave (van Heel and Schatz 2005); dotted: where the curve "
-            "first falls below it. Errors that both share count as what they show, and an error of the registration "
-            f"counts as disagreement. Mask: measured in both, without {excluded_text}."
+            "Correlation of both measurements in rings of wavelength (Fourier ring correlation)."
+            " Dashed: where the mean of both holds half a bit of information a wave (van Heel and"
+            " Schatz 2005); dotted: where the curve first falls below it. Errors that both share"
+            " count as what they show, and an error of the registration counts as disagreement."
+            f" Mask: measured in both, without {excluded_text}."
         ),
         data={
             "rings": columns(
@@ -217,10 +306,15 @@ def draw_rings(agreement: Twice, *, name: str, layers: tuple[str, str], excluded
 
 
 def draw_kubelka_munk(
-    evidence: EvidenceFacts, curve: KubelkaMunk, points: Points, row: CorrelationRow, *, titles: tuple[str, str],
+    evidence: EvidenceFacts,
+    curve: KubelkaMunk,
+    points: Points,
+    row: CorrelationRow,
+    *,
+    titles: tuple[str, str],
     excluded_text: str = HOLES,
     registered: str = REGISTERED,
-) -> Picture:  # fmt: skip
+) -> Picture:
     """Draw the larger points with the straight line, and the curve with what its interval leaves open."""
     unit_x = "g/m²" if evidence.a_map.startswith("coat_weight") else "µm"
     density = evidence.density_g_cm3 if curve.weight else None
@@ -230,8 +324,12 @@ def draw_kubelka_munk(
     x = np.linspace(max(axes.extent[0], 0.0), axes.extent[1], 100)
     if is_known(curve.scattering_interval) and is_known(curve.backing_at_ends):
         limit_params = zip(curve.scattering_interval, curve.backing_at_ends, strict=True)
-        limit_curves = [curve.reflectance(x, scattering, backing) for scattering, backing in limit_params]
-        outline = np.concatenate([np.stack([x, limit_curves[0]], axis=1), np.stack([x, limit_curves[1]], axis=1)[::-1]])
+        limit_curves = [
+            curve.reflectance(x, scattering, backing) for scattering, backing in limit_params
+        ]
+        outline = np.concatenate(
+            [np.stack([x, limit_curves[0]], axis=1), np.stack([x, limit_curves[1]], axis=1)[::-1]]
+        )
         axes.area(outline, colour=POINT, opacity=0.2)
     if is_known(row.slope):
         draw_fit(axes, np.array([(v, row.intercept + row.slope * v) for v in axes.extent[:2]]))
@@ -239,13 +337,17 @@ def draw_kubelka_munk(
     draw_fit(axes, np.stack([x, reflectance], axis=1), dash="7 4")
     canvas.ticks(axes, *axis_labels)
     return canvas.picture(
-        title=f"{capital(in_words(titles[1]))} over {in_words(titles[0])}: straight line, Kubelka and Munk's curve",
+        title=(
+            f"{capital(in_words(titles[1]))} over {in_words(titles[0])}: straight line, Kubelka and"
+            " Munk's curve"
+        ),
         caption=(
-            f"n = {count(curve.n)} points of {plain(curve.point_um)}, {count(round(curve.n_eff))} of them "
-            "independent. Solid: least squares; dashed: reflectance of a scattering layer over a backing (Kubelka "
-            f"1948) with K/S = {curve.ratio:g}; shaded: the curves at both ends of the 95 % interval of S, each with "
-            "the backing that fits it best. The curve stands beside the line and is not chosen over it: over the range "
-            f"of one field the two differ little. Mask: measured, without {excluded_text}. {capital(registered)}."
+            f"n = {count(curve.n)} points of {plain(curve.point_um)}, {count(round(curve.n_eff))}"
+            " of them independent. Solid: least squares; dashed: reflectance of a scattering layer"
+            f" over a backing (Kubelka 1948) with K/S = {curve.ratio:g}; shaded: the curves at both"
+            " ends of the 95 % interval of S, each with the backing that fits it best. The curve"
+            " stands beside the line and is not chosen over it: over the range of one field the"
+            f" two differ little. Mask: measured, without {excluded_text}. {capital(registered)}."
         ),
         data={
             "curve": {axis_labels[0]: x.tolist(), "Kubelka and Munk": reflectance.tolist()},
@@ -257,6 +359,9 @@ def draw_kubelka_munk(
 def mottle_cells(mottle: Mottle) -> list[tuple[str, str]]:
     """Octaves of wavelength and the coefficient of variation in each, as cells of a table."""
     return [
-        (f"{band.shortest_um:g} to {band.longest_um:g}", f"{number(100 * band.coefficient_of_variation, 3)}")
+        (
+            f"{band.shortest_um:g} to {band.longest_um:g}",
+            f"{number(100 * band.coefficient_of_variation, 3)}",
+        )
         for band in mottle.bands
     ] or [(NONE, NONE)]

@@ -16,14 +16,17 @@ from planish.report.colours import MISSING, Array, Scale, image_uri
 
 Box = tuple[float, float, float, float]  # left edge, upper edge, width and height in CSS pixels
 Ticks = Sequence[tuple[float, str]]  # values at which an axis is numbered, and their texts
-Extent = tuple[float, float, float, float]  # left, right, bottom and top in um, or in the units of a plot
+# Left, right, bottom and top in um, or in the units of a plot.
+Extent = tuple[float, float, float, float]
 FULL, HALF, THIRD = 1040.0, 510.0, 333.0  # CSS pixels: the page's column, half and a third of it
 BESIDE = 86.0  # to the right of a map on half a page: its colour bar
 MARGIN, BELOW = 44.0, 18.0  # to the left of a map and below it: the numbers of its axes
 INK, SOFT, FAINT = "#22292f", "#66707a", "#c9ced3"
 ACCENT, POINT = "#b3402a", "#2f6690"
 SMALL, BIG = 11.0, 12.0  # font sizes
-_FONTS = "font-family=\"'Source Sans 3','Segoe UI','Helvetica Neue','Liberation Sans',Arial,sans-serif\""
+_FONTS = (
+    "font-family=\"'Source Sans 3','Segoe UI','Helvetica Neue','Liberation Sans',Arial,sans-serif\""
+)
 _TOP = 8.0  # above a map: half a line, for a number at the end of the colour bar
 _LOWEST_BAR = 130.0  # of a colour bar beside a map that is lower than that
 
@@ -34,7 +37,9 @@ Table = Mapping[str, Sequence[object]]
 
 def columns(rows: Iterable[object], fields: Mapping[str, str]) -> Table:
     """Return fields of rows as the columns of a table, by their headings; what is not known is empty."""
-    return {heading: or_blank([getattr(row, name) for row in rows]) for heading, name in fields.items()}
+    return {
+        heading: or_blank([getattr(row, name) for row in rows]) for heading, name in fields.items()
+    }
 
 
 def or_blank(values: Iterable[float | None]) -> list[object]:
@@ -105,13 +110,28 @@ class Axes:
         self._elements.append(_image((x0, y0, x1 - x0, y1 - y0), shown.values, scale, missing))
         self._elements.append(f'<rect width="100%" height="100%" fill="none" stroke="{FAINT}"/>')
 
-    def line(self, points: ArrayLike, *, colour: str, width: float = 1.2, dash: str = "", opacity: float = 1.0) -> None:
+    def line(
+        self,
+        points: ArrayLike,
+        *,
+        colour: str,
+        width: float = 1.2,
+        dash: str = "",
+        opacity: float = 1.0,
+    ) -> None:
         """Draw a line through points (n, 2); NaN interrupts it."""
         self._stroke(_path(self.place(points)), colour, width, dash=dash, opacity=opacity)
 
     def curve(
-        self, x: Sequence[float], y: Sequence[float], *, colour: str, width: float, dash: str = "", dot_px: float = 0.0
-    ) -> None:  # fmt: skip
+        self,
+        x: Sequence[float],
+        y: Sequence[float],
+        *,
+        colour: str,
+        width: float,
+        dash: str = "",
+        dot_px: float = 0.0,
+    ) -> None:
         """Draw a line through points x, y, and dots of ``dot_px`` on them."""
         line_points = np.stack([x, y], axis=1)
         self.line(line_points, colour=colour, width=width, dash=dash)
@@ -128,9 +148,13 @@ class Axes:
 
     def area(self, points: ArrayLike, *, colour: str, opacity: float = 1.0) -> None:
         """Fill the area within points (n, 2)."""
-        self._elements.append(f'<path d="{_path(self.place(points))}z" fill="{colour}" opacity="{opacity:g}"/>')
+        self._elements.append(
+            f'<path d="{_path(self.place(points))}z" fill="{colour}" opacity="{opacity:g}"/>'
+        )
 
-    def dots(self, points: ArrayLike, *, colour: str, size: float, opacity: float = 1.0, halo: str = "") -> None:
+    def dots(
+        self, points: ArrayLike, *, colour: str, size: float, opacity: float = 1.0, halo: str = ""
+    ) -> None:
         """Draw round dots."""
         pixels = self.place(points)
         data = "".join(f"M{_n(x)} {_n(y)}h0" for x, y in pixels[np.isfinite(pixels).all(axis=1)])
@@ -139,20 +163,43 @@ class Axes:
                 self._stroke(data, ink, width, opacity=opacity, cap="round")
 
     def text(
-        self, x: float, y: float, text: str, *, anchor: str = "start", upwards: bool = False,
-        shift: tuple[float, float] = (0, 0), size: float = BIG, colour: str = INK, halo: str = "", bold: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        x: float,
+        y: float,
+        text: str,
+        *,
+        anchor: str = "start",
+        upwards: bool = False,
+        shift: tuple[float, float] = (0, 0),
+        size: float = BIG,
+        colour: str = INK,
+        halo: str = "",
+        bold: bool = False,
+    ) -> None:
         """Write a text whose base line begins, ends or has its middle at a place, moved by some pixels."""
         x_px, y_px = (_n(v) for v in self.place((x, y))[0] + shift)
         attributes = ' font-weight="600"' if bold else ""
         attributes += f' text-anchor="{anchor}"' if anchor != "start" else ""
         attributes += f' transform="rotate(-90 {x_px} {y_px})"' if upwards else ""
-        attributes += f' stroke="{halo}" stroke-width="3" paint-order="stroke" stroke-linejoin="round"' if halo else ""
+        attributes += (
+            f' stroke="{halo}" stroke-width="3" paint-order="stroke" stroke-linejoin="round"'
+            if halo
+            else ""
+        )
         self._elements.append(
-            f'<text x="{x_px}" y="{y_px}" font-size="{size:g}" fill="{colour}"{attributes}>{escape(text)}</text>'
+            f'<text x="{x_px}" y="{y_px}" font-size="{size:g}"'
+            f' fill="{colour}"{attributes}>{escape(text)}</text>'
         )
 
-    def arrows(self, points: ArrayLike, vectors: ArrayLike, *, colour: str, width: float, halo: str = "white") -> None:
+    def arrows(
+        self,
+        points: ArrayLike,
+        vectors: ArrayLike,
+        *,
+        colour: str,
+        width: float,
+        halo: str = "white",
+    ) -> None:
         """Draw arrows that start at points and are as long as vectors (both (n, 2), in the units of the data)."""
         shafts, heads = "", ""
         ends = self.place(np.asarray(points) + np.asarray(vectors))
@@ -168,7 +215,9 @@ class Axes:
         for ink, halo_px in ((halo, 2.4), (colour, 0.0)):
             if ink and shafts:
                 self._stroke(shafts, ink, width + halo_px)
-                self._elements.append(f'<path d="{heads}" fill="{ink}" stroke="{ink}" stroke-width="{_n(halo_px)}"/>')
+                self._elements.append(
+                    f'<path d="{heads}" fill="{ink}" stroke="{ink}" stroke-width="{_n(halo_px)}"/>'
+                )
 
     def contours(self, levels: Array, *, labels: bool = False, avoided: ArrayLike = ()) -> None:
         """Draw contour lines of the map in white, with their values on request, away from some places."""
@@ -180,38 +229,71 @@ class Axes:
             return
         x_um = left + (np.arange(cols) + 0.5) * (right - left) / cols
         y_um = top + (np.arange(rows) + 0.5) * (bottom - top) / rows
-        generator = contour_generator(x_um, y_um, np.ma.masked_invalid(shown.values), line_type=LineType.Separate)
+        generator = contour_generator(
+            x_um, y_um, np.ma.masked_invalid(shown.values), line_type=LineType.Separate
+        )
         label_pixels = self.place(avoided)
-        for level in levels[(levels > np.nanmin(shown.values)) & (levels < np.nanmax(shown.values))]:
+        for level in levels[
+            (levels > np.nanmin(shown.values)) & (levels < np.nanmax(shown.values))
+        ]:
             lines = [line for line in generator.lines(float(level)) if isinstance(line, np.ndarray)]
             path = map(_path, map(self.place, lines))
-            self._stroke("".join(path), "white", 1.4 if labels else 0.8, opacity=0.9 if labels else 0.7)
+            self._stroke(
+                "".join(path), "white", 1.4 if labels else 0.8, opacity=0.9 if labels else 0.7
+            )
             if labels and lines:  # where the line is farthest from the border and from other labels
                 line = max(lines, key=len)
                 line_pixels = self.place(line)
-                border_px = np.min([line_pixels, np.array([self.width, self.height]) - line_pixels], axis=(0, 2))
+                border_px = np.min(
+                    [line_pixels, np.array([self.width, self.height]) - line_pixels], axis=(0, 2)
+                )
                 labels_px = [np.hypot(*(line_pixels - label).T) for label in label_pixels]
                 k = int(np.argmax(np.min([border_px, *labels_px], axis=0)))
                 label_pixels = np.vstack([label_pixels, line_pixels[k]])
                 x, y = (float(v) for v in line[k])
-                self.text(x, y, f"{level:g}", shift=(0, 4), size=SMALL, anchor="middle", colour="white", halo=INK)
+                self.text(
+                    x,
+                    y,
+                    f"{level:g}",
+                    shift=(0, 4),
+                    size=SMALL,
+                    anchor="middle",
+                    colour="white",
+                    halo=INK,
+                )
 
-    def outline(self, inside: NDArray[np.bool_], y: Array, x: Array, *, colour: str, width: float) -> None:
+    def outline(
+        self, inside: NDArray[np.bool_], y: Array, x: Array, *, colour: str, width: float
+    ) -> None:
         """Draw the border of a region along the edges of its pixels."""
         padded, runs = np.pad(inside.astype(np.int8), 1), []
-        for edges, order in ((np.diff(padded, axis=0), (0, 1)), (np.diff(padded, axis=1).T, (1, 0))):
+        for edges, order in (
+            (np.diff(padded, axis=0), (0, 1)),
+            (np.diff(padded, axis=1).T, (1, 0)),
+        ):
             ends = np.diff((edges != 0).astype(np.int8), axis=1)
             (line, start), stop = np.nonzero(ends == 1), np.nonzero(ends == -1)[1]
             runs.append(np.stack([start, line, stop, line], axis=1).reshape(-1, 2)[:, order])
         corners = (np.concatenate(runs) - 0.5) * (pitch(x), pitch(y)) + (x[0], y[0])
-        path_data = "".join(f"M{_n(a)} {_n(b)}L{_n(c)} {_n(d)}" for a, b, c, d in self.place(corners).reshape(-1, 4))
+        path_data = "".join(
+            f"M{_n(a)} {_n(b)}L{_n(c)} {_n(d)}" for a, b, c, d in self.place(corners).reshape(-1, 4)
+        )
         if path_data:
             self._stroke(path_data, colour, width, cap="square")
 
     def _stroke(
-        self, path_data: str, colour: str, width: float, *, dash: str = "", opacity: float = 1.0, cap: str = "butt"
+        self,
+        path_data: str,
+        colour: str,
+        width: float,
+        *,
+        dash: str = "",
+        opacity: float = 1.0,
+        cap: str = "butt",
     ) -> None:
-        optional = (f' stroke-dasharray="{dash}"' if dash else "") + (f' opacity="{opacity:g}"' if opacity < 1 else "")
+        optional = (f' stroke-dasharray="{dash}"' if dash else "") + (
+            f' opacity="{opacity:g}"' if opacity < 1 else ""
+        )
         stroke = f'stroke="{colour}" stroke-width="{_n(width)}" stroke-linecap="{cap}"'
         self._elements.append(f'<path d="{path_data}" fill="none" {stroke}{optional}/>')
 
@@ -234,21 +316,34 @@ class Canvas(Axes):
         self._elements.append(f'<rect {box} fill="{fill}"/>')
 
     def scale_bar(
-        self, x: float, y: float, *, width: float, um: float, max_share: float = 0.3, colour: str = INK,
+        self,
+        x: float,
+        y: float,
+        *,
+        width: float,
+        um: float,
+        max_share: float = 0.3,
+        colour: str = INK,
         label: str = "{}",
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Draw a round length below axes that show ``um`` on so many pixels."""
         bar_um = round_step(max_share * um)
         bar_px = bar_um / um * width
         self.line([(x, y + 10), (x + bar_px, y + 10)], colour=colour, width=3)
         self.text(x + bar_px + 7, y + 14, label.format(plain(bar_um)), size=SMALL)
 
-    def colour_bar(self, x: float, y: float, width: float, height: float, scale: Scale, *, log: bool = False) -> None:
+    def colour_bar(
+        self, x: float, y: float, width: float, height: float, scale: Scale, *, log: bool = False
+    ) -> None:
         """Draw the colours of a scale with their values, upwards, or to the right where it is wider than high."""
         across, low, high = width > height, scale.low, scale.high
-        shades = np.linspace(low, high, 128)[None] if across else np.linspace(high, low, 128)[:, None]
+        shades = (
+            np.linspace(low, high, 128)[None] if across else np.linspace(high, low, 128)[:, None]
+        )
         self._elements.append(_image((x, y, width, height), shades, scale))
-        for value, text in _ticks(low, high, max_count=width / 58 if across else height / 42, log=log):
+        for value, text in _ticks(
+            low, high, max_count=width / 58 if across else height / 42, log=log
+        ):
             share = (value - low) / (high - low)
             if across:
                 self._tick(x + share * width, y + height, 0, 1, text)
@@ -256,17 +351,30 @@ class Canvas(Axes):
                 self._tick(x + width, y + (1 - share) * height, 1, 0, text)
 
     def ticks(
-        self, axes: Axes, x_label: str, y_label: str, *, log: bool = False,
+        self,
+        axes: Axes,
+        x_label: str,
+        y_label: str,
+        *,
+        log: bool = False,
         x_ticks: Ticks | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Draw the left and lower axis with round numbers; ``log``: y in powers of ten; ``x_ticks``: places, texts."""
         x, bottom, (x0, x1, y0, y1) = axes.x, axes.y + axes.height, axes.extent
         self.line([(x, axes.y), (x, bottom), (x + axes.width, bottom)], colour=SOFT, width=0.8)
         y_ticks = _ticks(y0, y1, max_count=axes.height / 44, log=log)
-        self.number_axes(axes, _ticks(x0, x1, max_count=axes.width / 62) if x_ticks is None else x_ticks, y_ticks)
+        self.number_axes(
+            axes, _ticks(x0, x1, max_count=axes.width / 62) if x_ticks is None else x_ticks, y_ticks
+        )
         self.text(x + axes.width / 2, bottom + 36, x_label, anchor="middle")
         label_length = max((len(text) for _, text in y_ticks), default=0)
-        self.text(x - 18 - 6.4 * label_length, axes.y + axes.height / 2, y_label, anchor="middle", upwards=True)
+        self.text(
+            x - 18 - 6.4 * label_length,
+            axes.y + axes.height / 2,
+            y_label,
+            anchor="middle",
+            upwards=True,
+        )
 
     def number_axes(self, axes: Axes, x_ticks: Ticks, y_ticks: Ticks) -> None:
         """Draw ticks with their numbers below axes and to the left of them."""
@@ -282,10 +390,23 @@ class Canvas(Axes):
         # A long number at the end of an axis stays within the figure, and is smaller where its margin is too narrow.
         x_px = min(max(x, half_px), self.width - half_px) if down else x + 6 * right
         room_px = x_px if right < 0 else self.width
-        self.text(x_px, y + 4 + 12 * down, text, size=min(SMALL, SMALL * room_px / (2 * half_px)), anchor=anchor)
+        self.text(
+            x_px,
+            y + 4 + 12 * down,
+            text,
+            size=min(SMALL, SMALL * room_px / (2 * half_px)),
+            anchor=anchor,
+        )
 
     def map_axes(
-        self, x: float, y: float, box: tuple[float, float], shown: ShownMap, scale: Scale, *, has_y_ticks: bool = True
+        self,
+        x: float,
+        y: float,
+        box: tuple[float, float],
+        shown: ShownMap,
+        scale: Scale,
+        *,
+        has_y_ticks: bool = True,
     ) -> Axes:
         """Draw a map with its axes in um below and, on request, to the left, where ``MARGIN`` is needed for them."""
         axes = self.axes(x, y, *box, shown.extent)
@@ -295,7 +416,9 @@ class Canvas(Axes):
         self.number_axes(axes, _ticks(x0, x1, max_count=box[0] / 62), y_ticks)
         return axes
 
-    def draw_scale_row(self, axes: Axes, gap_px: float, axis_names: str = "x, y", *, max_share: float = 0.3) -> None:
+    def draw_scale_row(
+        self, axes: Axes, gap_px: float, axis_names: str = "x, y", *, max_share: float = 0.3
+    ) -> None:
         """Draw a round length below a map and the numbers of its axis, and name both axes."""
         y = axes.y + axes.height + BELOW + gap_px
         self.scale_bar(axes.x, y, width=axes.width, um=axes.shown.width, max_share=max_share)
@@ -305,7 +428,16 @@ class Canvas(Axes):
         """Name the axes of a map at the end of the row of its scale bar."""
         self.text(right, top + 14, f"{axis_names} / µm", size=SMALL, colour=SOFT, anchor="end")
 
-    def panel(self, x: float, y: float, shown: ShownMap, box: tuple[float, float], *, scale: Scale, label: str) -> Axes:
+    def panel(
+        self,
+        x: float,
+        y: float,
+        shown: ShownMap,
+        box: tuple[float, float],
+        *,
+        scale: Scale,
+        label: str,
+    ) -> Axes:
         """Put a map with its axes and scale bar, and a colour bar where there is a label, somewhere on the canvas."""
         x, y = x + MARGIN, y + _TOP
         axes = self.map_axes(x, y, box, shown, scale)
@@ -316,18 +448,28 @@ class Canvas(Axes):
             self.text(x + box[0] + BESIDE - 5, y + high / 2, label, anchor="middle", upwards=True)
         return axes
 
-    def picture(self, *, title: str, caption: str, data: Mapping[str, Table] | None = None) -> Picture:
+    def picture(
+        self, *, title: str, caption: str, data: Mapping[str, Table] | None = None
+    ) -> Picture:
         """Return the finished figure; ``data`` are tables of the numbers that it shows, by what they are."""
         view = f'viewBox="0 0 {_n(self.width)} {_n(self.height)}"'
         svg = self.svg(f'{view} role="img" aria-label="{escape(title)}" {_FONTS}')
-        return Picture(svg=svg, width=self.width, height=self.height, title=title, caption=caption, data=data or {})
+        return Picture(
+            svg=svg,
+            width=self.width,
+            height=self.height,
+            title=title,
+            caption=caption,
+            data=data or {},
+        )
 
 
 def reduced(values: ArrayLike, rows: Array, cols: Array, *, width: float) -> ShownMap:
     """Reduce a map with coordinates in um to axes so many pixels wide, by area means; rows may run upwards (height)."""
     data = np.asarray(values, dtype=np.float64)
     steps = (pitch(rows), pitch(cols))
-    pixel_um = max(data.shape[1] * steps[1] / (width * 1.35), 1e-12)  # pixels of an image in one CSS pixel
+    # Pixels of an image in one CSS pixel.
+    pixel_um = max(data.shape[1] * steps[1] / (width * 1.35), 1e-12)
     factor = (max(1.0, pixel_um / abs(steps[0])), max(1.0, pixel_um / steps[1]))
     if max(factor) > 1:
         data = area_mean(data, factor)
@@ -371,7 +513,11 @@ def magnified(vectors: Array, length_um: float) -> Magnified:
 
 def pitch(coordinates: Array) -> float:
     """Return the step of a regular axis; 1 for a single point."""
-    return float(coordinates[-1] - coordinates[0]) / (len(coordinates) - 1) if len(coordinates) > 1 else 1.0
+    return (
+        float(coordinates[-1] - coordinates[0]) / (len(coordinates) - 1)
+        if len(coordinates) > 1
+        else 1.0
+    )
 
 
 def pixel_of(*axes: Array) -> str:
@@ -415,7 +561,9 @@ def _path(points: Array) -> str:
     """Return a line through points in pixels as path data; NaN interrupts it."""
     tenths = np.rint(10 * points)
     is_finite, path_data = np.isfinite(tenths[:, 0]) & np.isfinite(tenths[:, 1]), ""
-    for run in np.split(np.arange(is_finite.size), np.flatnonzero(is_finite[1:] != is_finite[:-1]) + 1):
+    for run in np.split(
+        np.arange(is_finite.size), np.flatnonzero(is_finite[1:] != is_finite[:-1]) + 1
+    ):
         if len(run) > 1 and is_finite[run[0]]:
             steps = np.diff(tenths[run], axis=0)
             steps = steps[np.any(steps != 0, axis=1)]
@@ -430,6 +578,6 @@ def _image(box: Box, values: Array, scale: Scale, missing: str = MISSING) -> str
     x, y, width, height = (_n(v) for v in box)
     coarse = ' style="image-rendering:pixelated"' if values.shape[1] < box[2] else ""
     return (
-        f'<image x="{x}" y="{y}" width="{width}" height="{height}" preserveAspectRatio="none"{coarse} '
-        f'href="{image_uri(values, scale, missing=missing)}"/>'
+        f'<image x="{x}" y="{y}" width="{width}" height="{height}"'
+        f' preserveAspectRatio="none"{coarse} href="{image_uri(values, scale, missing=missing)}"/>'
     )

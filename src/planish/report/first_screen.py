@@ -15,7 +15,14 @@ from planish.report.draw import BELOW, MARGIN, THIRD, Canvas, Picture, n_of, pix
 from planish.report.maps import RunMaps
 from planish.report.relation import MapPair, draw_points, largest
 from planish.report.summary import PairKey, key_of, lead_pair, titles_of
-from planish.report.text import BY_TEXTURE, for_readers, label_of, names_option, registered_by, title_of
+from planish.report.text import (
+    BY_TEXTURE,
+    for_readers,
+    label_of,
+    names_option,
+    registered_by,
+    title_of,
+)
 from planish.results import CorrelationRow, Results
 
 if TYPE_CHECKING:
@@ -31,22 +38,35 @@ def draw_first(run_maps: RunMaps, pairs: Mapping[PairKey, MapPair]) -> list[Pict
     row, maps = shown_pair.coarse, (shown_pair.a, shown_pair.b)
     masks = [mask.values.astype(bool) for mask in shown_pair.valid]
     is_valid = np.logical_and.reduce([*(np.isfinite(m.values) for m in maps), *masks])
-    shown_maps = [m.copy(data=np.where(is_valid, m.values.astype(np.float64), np.nan)) for m in maps]
+    shown_maps = [
+        m.copy(data=np.where(is_valid, m.values.astype(np.float64), np.nan)) for m in maps
+    ]
     all_values = np.concatenate([m.values.ravel() for m in shown_maps])
     pictures = [
-        _draw_map(m, all_values if row.same_quantity else m.values, layer=name, excluded_text=run_maps.excluded_text)
+        _draw_map(
+            m,
+            all_values if row.same_quantity else m.values,
+            layer=name,
+            excluded_text=run_maps.excluded_text,
+        )
         for m, name in zip(shown_maps, (row.a, row.b), strict=True)
     ]
     point_pair = pairs.get(key_of(row))
     if point_pair is not None and row.trust != "withheld":
-        names = titles_of(row, run_maps.titles, with_layers=row.same_quantity or row.a_map == row.b_map)
-        pictures.append(draw_points(
-            point_pair, names=names, height=pictures[0].height, registered=run_maps.registered
-        ))  # fmt: skip
+        names = titles_of(
+            row, run_maps.titles, with_layers=row.same_quantity or row.a_map == row.b_map
+        )
+        pictures.append(
+            draw_points(
+                point_pair, names=names, height=pictures[0].height, registered=run_maps.registered
+            )
+        )
     return pictures
 
 
-def _draw_map(data: xr.DataArray, colour_values: Array, *, layer: str, excluded_text: str) -> Picture:
+def _draw_map(
+    data: xr.DataArray, colour_values: Array, *, layer: str, excluded_text: str
+) -> Picture:
     """Draw a map on a third of the page, with its colours below, which span those of ``colour_values``."""
     x, map_px = data["x"].values, THIRD - MARGIN - 12
     shown = reduced(data.values, data["y"].values, x, width=map_px)
@@ -61,8 +81,8 @@ def _draw_map(data: xr.DataArray, colour_values: Array, *, layer: str, excluded_
     return canvas.picture(
         title=title_of(data) if with_article(layer) != layer else f"{title_of(data)}, {layer}",
         caption=(
-            f"n = {n_of(data.values)} pixels of {pixel_of(x)}; mask: valid in both maps, without {excluded_text}. "
-            "Colours span the 1st to the 99th percentile."
+            f"n = {n_of(data.values)} pixels of {pixel_of(x)}; mask: valid in both maps, without"
+            f" {excluded_text}. Colours span the 1st to the 99th percentile."
         ),
     )
 
@@ -73,11 +93,19 @@ def recommendations(results: Results) -> list[tuple[str, Check | None]]:
         (f"{capital(check.name)}: {capital(advice_text)}", check)
         for check in (*results.checks_in("fail"), *results.checks_in("look"))
         if (advice_text := for_readers(check.advice))
-    ]  # fmt: skip
+    ]
     study_text = ""
-    if results.evidence and not results.evidence[0].declared and any(x.headline != "image" for x in results.layers):
+    if (
+        results.evidence
+        and not results.evidence[0].declared
+        and any(x.headline != "image" for x in results.layers)
+    ):
         study_text = "Declare the map that leads in the study before you look at the next specimen."
-    advice += [(text, None) for text in (_field_advice(lead_pair(results)), _marks_advice(results), study_text) if text]
+    advice += [
+        (text, None)
+        for text in (_field_advice(lead_pair(results)), _marks_advice(results), study_text)
+        if text
+    ]
     usual_text = (
         "A second specimen would show whether the relation holds beyond this one."
         if results.is_link
@@ -89,21 +117,31 @@ def recommendations(results: Results) -> list[tuple[str, Check | None]]:
 def operator_notes(results: Results) -> list[str]:
     """What the next run can be given, by the options of the command line, which stand nowhere else on the page."""
     notes = [
-        f"{capital(check.name)}: {typeset(check.advice if names_option(check.advice) else check.sentence)}"
+        f"{capital(check.name)}:"
+        f" {typeset(check.advice if names_option(check.advice) else check.sentence)}"
         for state in ("fail", "look", "unknown", "pass")
         for check in results.checks_in(state)
         if names_option(check.advice) or names_option(check.sentence)
     ]
     for layer in results.moving:
         if (r := layer.registration) is not None:
-            notes += [typeset(text) for text in (r.orientation.sentence, *r.warnings) if names_option(text)]
+            notes += [
+                typeset(text)
+                for text in (r.orientation.sentence, *r.warnings)
+                if names_option(text)
+            ]
     if results.evidence and not results.evidence[0].declared:
         notes.append("The map that leads is declared with --headline.")
     images = [layer.image for layer in results.layers if layer.image is not None]
     if any(image.quantity != "reflectance" for image in images):
-        notes.append("Reflectance in place of relative grey: --dark-grey and --white-grey, of two known greys.")
+        notes.append(
+            "Reflectance in place of relative grey: --dark-grey and --white-grey, of two known"
+            " greys."
+        )
     if "about" not in results.parameters:
-        notes.append("Title, author, date and a note of this page: --title, --author, --date, --note.")
+        notes.append(
+            "Title, author, date and a note of this page: --title, --author, --date, --note."
+        )
     return [*dict.fromkeys(notes)]
 
 
@@ -112,13 +150,19 @@ def _field_advice(pair_rows: Sequence[CorrelationRow]) -> str:
     if row is None or row.trust != "ok" or not is_known(row.r):
         return ""
     if not is_known(row.interval):
-        return "A larger field, or more fields: there are too few independent points for an interval of r."
+        return (
+            "A larger field, or more fields: there are too few independent points for an interval"
+            " of r."
+        )
     r_low, r_high = row.interval
     # With a wider interval of r, a larger field is worth its while.
     if (r_high - r_low) / 2 <= 0.1 and row.direction:
         return ""
     interval = interval_text(row.interval)
-    return f"A larger field, or more fields: four times the area would about halve the interval of r (now {interval})."
+    return (
+        "A larger field, or more fields: four times the area would about halve the interval of r"
+        f" (now {interval})."
+    )
 
 
 def _marks_advice(results: Results) -> str:
@@ -126,11 +170,14 @@ def _marks_advice(results: Results) -> str:
     r_ceilings = [e.ceiling for e in results.evidence if e.ceiling is not None]
     if r_ceilings and min(r_ceilings) < 0.95:  # r that misplacement leaves of a perfect relation
         return (
-            f"{more}, spread over the field: with the expected error of the place, a perfect relation would show "
-            f"r = {fixed(min(r_ceilings), 2)} and no more."
+            f"{more}, spread over the field: with the expected error of the place, a perfect"
+            f" relation would show r = {fixed(min(r_ceilings), 2)} and no more."
         )
     for layer in results.moving:
         r = layer.registration
         if r is not None and r.leave_one_out_rms_um is None:
-            return f"More marks: {r.matched} of {with_article(layer.name)} are too few for a leave-one-out error."
+            return (
+                f"More marks: {r.matched} of {with_article(layer.name)} are too few for a"
+                " leave-one-out error."
+            )
     return ""

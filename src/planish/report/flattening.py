@@ -19,19 +19,26 @@ def draw_flattening(
         y, x = strain["y"].values, strain["x"].values
         scale = limits(needed_percent, GEOMETRY, percent=0.1, low=0.0)
         canvas, _ = draw.draw_map(needed_percent, y, x, scale=scale, label="strain needed / %")
-        pictures.append(canvas.picture(
-            title="Strain that the curvature requires",
-            caption=f"Strain with which a patch of {length(2 * curvature.patch_um)} around each place would lie flat, "
-            f"from the Gaussian curvature; paper withstands {100 * curvature.limit:g} %. "
-            f"n = {draw.n_of(needed_percent)} cells of {draw.pixel_of(y, x)}; unit %; mask: cells with "
-            "at least half of the patch on the sheet.",
-        ))  # fmt: skip
+        pictures.append(
+            canvas.picture(
+                title="Strain that the curvature requires",
+                caption=(
+                    f"Strain with which a patch of {length(2 * curvature.patch_um)} around each"
+                    " place would lie flat, from the Gaussian curvature; paper withstands"
+                    f" {100 * curvature.limit:g} %. n = {draw.n_of(needed_percent)} cells of"
+                    f" {draw.pixel_of(y, x)}; unit %; mask: cells with at least half of the patch"
+                    " on the sheet."
+                ),
+            )
+        )
     return pictures
 
 
 def _draw_warp(surfaces: xr.Dataset, flat: xr.Dataset) -> draw.Picture:
     y, x = surfaces["y"].values, surfaces["x"].values
-    heights = (1.0 if surfaces.attrs["top_side"] == "high" else -1.0) * _from_top(surfaces["centre"].values, flat)
+    heights = (1.0 if surfaces.attrs["top_side"] == "high" else -1.0) * _from_top(
+        surfaces["centre"].values, flat
+    )
     heights = heights - np.nanmedian(heights)
     scale = limits(heights, GEOMETRY, percent=0.1)
     canvas, axes = draw.draw_map(heights, y, x, scale=scale, label="height above the median / µm")
@@ -42,15 +49,18 @@ def _draw_warp(surfaces: xr.Dataset, flat: xr.Dataset) -> draw.Picture:
     return canvas.picture(
         title="Warp: height of the centre surface",
         caption=(
-            f"Seen from the top side. {contour_text}n = {draw.n_of(heights)} columns of {draw.pixel_of(y, x)}; mask: "
-            "columns with a sheet or a bridged hole, largest connected piece."
+            f"Seen from the top side. {contour_text}n = {draw.n_of(heights)} columns of"
+            f" {draw.pixel_of(y, x)}; mask: columns with a sheet or a bridged hole, largest"
+            " connected piece."
         ),
     )
 
 
 def _draw_displacement(flat: xr.Dataset) -> draw.Picture:
     y, x = flat["y"].values, flat["x"].values
-    components = [_from_top(flat[a].values - flat[f"projected_{a}"].values, flat) for a in ("u", "v")]
+    components = [
+        _from_top(flat[a].values - flat[f"projected_{a}"].values, flat) for a in ("u", "v")
+    ]
     displacement, vectors = np.hypot(*components), np.stack(components, axis=-1)
     scale = limits(displacement, GEOMETRY, percent=0.1, low=0.0)
     canvas, axes = draw.draw_map(displacement, y, x, scale=scale, label="displacement / µm")
@@ -66,9 +76,9 @@ def _draw_displacement(flat: xr.Dataset) -> draw.Picture:
     return canvas.picture(
         title="Displacement by flattening",
         caption=(
-            "From the place in the projection to the place in the flat sheet, seen from the top side. Arrows are "
-            f"{magnification.words}. n = {draw.n_of(displacement)} columns of {draw.pixel_of(y, x)}; mask: as for the "
-            "warp, without folded cells."
+            "From the place in the projection to the place in the flat sheet, seen from the top"
+            f" side. Arrows are {magnification.words}. n = {draw.n_of(displacement)} columns of"
+            f" {draw.pixel_of(y, x)}; mask: as for the warp, without folded cells."
         ),
     )
 
@@ -76,7 +86,10 @@ def _draw_displacement(flat: xr.Dataset) -> draw.Picture:
 def _draw_strain(strain: xr.Dataset, flat: xr.Dataset) -> draw.Picture:
     """Draw what flattening did to each cell of the mesh (row, col): change of area, shear, and the largest stretch."""
     stretches = [np.abs(strain[f"stretch_{extreme}"].values - 1) for extreme in ("max", "min")]
-    area_change, largest_strain = 100 * (strain["area_ratio"].values - 1), 100 * np.maximum(*stretches)
+    area_change, largest_strain = (
+        100 * (strain["area_ratio"].values - 1),
+        100 * np.maximum(*stretches),
+    )
     shear = 100 * strain["shear"].values * (-1 if flat.attrs.get("mirrored_view", 0) else 1)
     y, x, gap_px = strain["y"].values, strain["x"].values, 25.0
     panel_px = (draw.FULL - 2 * gap_px - draw.MARGIN - 6) / 3
@@ -100,10 +113,10 @@ def _draw_strain(strain: xr.Dataset, flat: xr.Dataset) -> draw.Picture:
     return canvas.picture(
         title="Strain of the flattening",
         caption=(
-            "Strain that remains in the plane: zero for a sheet that can be developed. Shear is the change of the "
-            f"angle between rows and columns (1 % = 0.01 rad). n = {draw.n_of(area_change)} cells of "
-            f"{length(draw.pitch(x))}; unit %; mask: cells with all four corners on the sheet. Colours end at the 99th "
-            "percentile."
+            "Strain that remains in the plane: zero for a sheet that can be developed. Shear is"
+            " the change of the angle between rows and columns (1 % = 0.01 rad). n ="
+            f" {draw.n_of(area_change)} cells of {length(draw.pitch(x))}; unit %; mask: cells with"
+            " all four corners on the sheet. Colours end at the 99th percentile."
         ),
     )
 
@@ -113,14 +126,20 @@ def draw_progress(strain: xr.Dataset) -> draw.Picture:
     nodes, mean_move_um = strain["step_nodes"].values, strain["step_move"].values
     node_counts, is_moved = np.unique(nodes), mean_move_um > 0
     log_moves = np.log10(np.where(is_moved, mean_move_um, 1.0))
-    low, high = (float(log_moves[is_moved].min()), float(log_moves[is_moved].max())) if is_moved.any() else (0.0, 1.0)
+    low, high = (
+        (float(log_moves[is_moved].min()), float(log_moves[is_moved].max()))
+        if is_moved.any()
+        else (0.0, 1.0)
+    )
     margin = 0.05 * max(high - low, 1.0)
     low, high = low - margin, high + margin
     canvas = draw.Canvas(draw.HALF, 290)
     axes = canvas.axes(78, 15, draw.HALF - 95, 215, (0.5, max(nodes.size, 1) + 0.5, low, high))
     for node_count in node_counts:
         mesh_steps = np.flatnonzero((nodes == node_count) & is_moved)
-        curve_points = np.stack([mesh_steps + 1.0, log_moves[mesh_steps]], axis=1)[:: max(1, mesh_steps.size // 600)]
+        curve_points = np.stack([mesh_steps + 1.0, log_moves[mesh_steps]], axis=1)[
+            :: max(1, mesh_steps.size // 600)
+        ]
         colour = draw.ACCENT if node_count == node_counts[-1] else draw.SOFT
         axes.line(curve_points, colour=colour, width=1.6)
         if nodes.size <= 200:
@@ -130,12 +149,14 @@ def draw_progress(strain: xr.Dataset) -> draw.Picture:
     canvas.ticks(axes, "step", "mean move of a node / µm", log=True)
     step_table = {"step": [*range(1, nodes.size + 1)], "nodes": nodes.astype(int).tolist()}
     n_coarser, finest_count = node_counts.size - 1, count(int(nodes.max(initial=0)))
-    coarse_text = f", grey on {n_coarser} coarser meshes that are solved first" if n_coarser > 0 else ""
+    coarse_text = (
+        f", grey on {n_coarser} coarser meshes that are solved first" if n_coarser > 0 else ""
+    )
     return canvas.picture(
         title="Convergence",
         caption=(
-            f"Move of the nodes in each step (root mean square): coloured on the mesh of {finest_count} "
-            f"nodes{coarse_text}. n = {count(nodes.size)} steps; unit µm; no mask."
+            "Move of the nodes in each step (root mean square): coloured on the mesh of"
+            f" {finest_count} nodes{coarse_text}. n = {count(nodes.size)} steps; unit µm; no mask."
         ),
         data={"steps": step_table | {"mean move / µm": mean_move_um.tolist()}},
     )

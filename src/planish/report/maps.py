@@ -33,7 +33,10 @@ class RunMaps:
 
     def part(self, layer: LayerFacts, name: str) -> xr.Dataset | None:
         """Return what was measured of a sheet: ``surfaces``, ``flat``, ``strain``, ``maps``, ``slices``."""
-        is_only_sheet = layer.sheet is not None and sum(other.sheet is not None for other in self.results.layers) == 1
+        is_only_sheet = (
+            layer.sheet is not None
+            and sum(other.sheet is not None for other in self.results.layers) == 1
+        )
         sheet_data = self.data.get(f"layers/{layer.name}/{name}")
         return self.data.get(name) if sheet_data is None and is_only_sheet else sheet_data
 
@@ -57,7 +60,11 @@ class RunMaps:
         for layer in self.results.layers if self.results.is_link else ():
             data = read_group(f"layers/{layer.name}")
             if data is None and (linked_maps := read_group("linked")) is not None:
-                data = linked_maps[["image", "valid"]] if layer.kind == "image" else linked_maps.drop_vars("image")
+                data = (
+                    linked_maps[["image", "valid"]]
+                    if layer.kind == "image"
+                    else linked_maps.drop_vars("image")
+                )
             if data is not None:
                 maps_by_layer[layer.name] = data
         return maps_by_layer
@@ -68,7 +75,11 @@ class RunMaps:
         for k in numbers_from(1):
             smaller = self.data.get(f"overviews/{name}/{k}")
             # More pixels than the widest figure has.
-            if maps is None or smaller is None or maps.sizes["y"] * maps.sizes["x"] <= SAMPLE_PIXELS:
+            if (
+                maps is None
+                or smaller is None
+                or maps.sizes["y"] * maps.sizes["x"] <= SAMPLE_PIXELS
+            ):
                 break
             maps = smaller
         return maps
@@ -90,7 +101,12 @@ class RunMaps:
 
 
 def draw_maps(
-    maps: xr.Dataset, facts: Mapping[str, PropertyFacts], *, headline: str, rim_um: float, lead_only: bool = False
+    maps: xr.Dataset,
+    facts: Mapping[str, PropertyFacts],
+    *,
+    headline: str,
+    rim_um: float,
+    lead_only: bool = False,
 ) -> list[draw.Picture]:
     """Draw every property that has values, the headline first and large; ``rim_um`` around holes is left out.
 
@@ -101,25 +117,41 @@ def draw_maps(
     names.sort(key=lambda name: name != headline)
     widths = [2 * draw.THIRD] if lead_only else [draw.FULL, *[draw.HALF] * len(names)]
     return [
-        _draw_property(maps, name, facts[name], width=width, rim_um=rim_um, partner=partner_of(name, names))
+        _draw_property(
+            maps, name, facts[name], width=width, rim_um=rim_um, partner=partner_of(name, names)
+        )
         for name, width in zip(names, widths, strict=False)
     ]
 
 
 def _draw_property(
-    maps: xr.Dataset, name: str, facts: PropertyFacts, *, width: float, rim_um: float, partner: str | None
+    maps: xr.Dataset,
+    name: str,
+    facts: PropertyFacts,
+    *,
+    width: float,
+    rim_um: float,
+    partner: str | None,
 ) -> draw.Picture:
     data, map_px = maps[name], width - draw.MARGIN - _BESIDE
     values = data.values.astype(np.float64)
     shown = draw.reduced(values, data["v"].values, data["u"].values, width=map_px)
     size = shown.fit(map_px, 480.0 if width < draw.FULL else 640.0)
-    scale = colours_of(data, np.concatenate([maps[k].values.ravel() for k in sorted({name, partner or name})]))
+    scale = colours_of(
+        data, np.concatenate([maps[k].values.ravel() for k in sorted({name, partner or name})])
+    )
     bar_height = draw.panel_height(size, "colours")
     canvas = draw.Canvas(width, bar_height + draw.BELOW + 38)
     axes = canvas.map_axes(draw.MARGIN, 8, size, shown, scale)
     bar_left = draw.MARGIN + size[0] + 12
     canvas.colour_bar(bar_left, 8, 13, bar_height, scale)
-    canvas.text(draw.MARGIN + size[0] + _BESIDE - 10, 8 + bar_height / 2, label_of(data), anchor="middle", upwards=True)
+    canvas.text(
+        draw.MARGIN + size[0] + _BESIDE - 10,
+        8 + bar_height / 2,
+        label_of(data),
+        anchor="middle",
+        upwards=True,
+    )
     histogram = _draw_histogram(canvas, (bar_left + 58, 8, 62, bar_height), values, scale, facts)
     canvas.draw_scale_row(axes, 2, "u, v")
     mean_text = ""
@@ -127,23 +159,32 @@ def _draw_property(
         mean = 0.0 if abs(facts.mean) < 1e-6 * facts.sd else facts.mean
         unit_text = f" {unit_of(data)}".rstrip()
         mean_text = (
-            f"{number(mean)} ± {number(facts.sd)}{unit_text} (mean ± standard deviation of n = {count(facts.n)} "
-            "columns). "
+            f"{number(mean)} ± {number(facts.sd)}{unit_text} (mean ± standard deviation of n ="
+            f" {count(facts.n)} columns). "
         )
-    partner_text = f" of this map and {in_words(title_of(maps[partner]))} together" if partner is not None else ""
+    partner_text = (
+        f" of this map and {in_words(title_of(maps[partner]))} together"
+        if partner is not None
+        else ""
+    )
     return canvas.picture(
         title=title_of(data),
         caption=(
-            f"{mean_text}Drawn: n = {draw.n_of(values)} map pixels of {draw.pixel_of(data['v'].values)}; mask: columns "
-            f"with both faces found, without holes and a rim of {plain(rim_um)} around them (grey). Colours span the "
-            f"1st to the 99th percentile{partner_text}."
+            f"{mean_text}Drawn: n = {draw.n_of(values)} map pixels of"
+            f" {draw.pixel_of(data['v'].values)}; mask: columns with both faces found, without"
+            f" holes and a rim of {plain(rim_um)} around them (grey). Colours span the 1st to the"
+            f" 99th percentile{partner_text}."
         ),
         data={"histogram": histogram},
     )
 
 
 def draw_side_by_side(
-    maps: tuple[xr.DataArray, xr.DataArray], layers: tuple[str, str], *, same_scale: bool, excluded_text: str = HOLES
+    maps: tuple[xr.DataArray, xr.DataArray],
+    layers: tuple[str, str],
+    *,
+    same_scale: bool,
+    excluded_text: str = HOLES,
 ) -> draw.Picture:
     """Draw two maps (y, x) side by side, NaN where not valid; ``excluded_text`` says in words what masks leave out."""
     y, x, map_px = maps[0]["y"].values, maps[0]["x"].values, draw.HALF - draw.MARGIN - draw.BESIDE
@@ -153,16 +194,27 @@ def draw_side_by_side(
     for k, (data, shown, layer) in enumerate(zip(maps, shown_maps, layers, strict=True)):
         left_px = k * (draw.FULL - draw.HALF)
         canvas.text(left_px + draw.MARGIN, 18, layer, bold=True, size=13)
-        colour_values = np.concatenate([m.values.ravel() for m in maps]) if same_scale else data.values
-        canvas.panel(left_px, 24, shown, map_size, scale=colours_of(data, colour_values), label=label_of(data))
+        colour_values = (
+            np.concatenate([m.values.ravel() for m in maps]) if same_scale else data.values
+        )
+        canvas.panel(
+            left_px,
+            24,
+            shown,
+            map_size,
+            scale=colours_of(data, colour_values),
+            label=label_of(data),
+        )
     titles, units = [in_words(title_of(m)) for m in maps], [unit_of(m) or "none" for m in maps]
     return canvas.picture(
         title=f"{layers[0]} on the pixels of {layers[1]}",
         caption=(
-            f"Left, {titles[0]} of {layers[0]}; right, {titles[1]} of {layers[1]}, at the same places. "
-            f"{'Both have the same colour scale' if same_scale else 'Each has its own colour scale'}, from the "
-            f"1st to the 99th percentile. n = {' and '.join(draw.n_of(m.values) for m in maps)} pixels of "
-            f"{draw.pixel_of(x)}; units: {' and '.join(units)}; mask: measured, without {excluded_text}."
+            f"Left, {titles[0]} of {layers[0]}; right, {titles[1]} of {layers[1]}, at the same"
+            " places."
+            f" {'Both have the same colour scale' if same_scale else 'Each has its own colour scale'},"
+            " from the 1st to the 99th percentile. n ="
+            f" {' and '.join(draw.n_of(m.values) for m in maps)} pixels of {draw.pixel_of(x)};"
+            f" units: {' and '.join(units)}; mask: measured, without {excluded_text}."
         ),
     )
 
@@ -179,18 +231,25 @@ def _draw_histogram(
     axes.upright(0, width=1.6)
     x, mean, sd = 1.14 * max_count, facts.mean, facts.sd
     if mean is not None and sd is not None:
-        axes.line([(x, max(mean - sd, low)), (x, min(mean + sd, high))], colour=draw.ACCENT, width=1.6)
+        axes.line(
+            [(x, max(mean - sd, low)), (x, min(mean + sd, high))], colour=draw.ACCENT, width=1.6
+        )
         axes.dots([(x, min(max(mean, low), high))], colour=draw.ACCENT, size=5)
     return {"from": edges[:-1].tolist(), "to": edges[1:].tolist(), "map pixels": counts.tolist()}
 
 
-def draw_outlines(linked: xr.Dataset, *, name: str, thin_um: float, excluded_text: str = HOLES) -> list[draw.Picture]:
+def draw_outlines(
+    linked: xr.Dataset, *, name: str, thin_um: float, excluded_text: str = HOLES
+) -> list[draw.Picture]:
     """Draw property and image, and the image with thin regions outlined (Hirn et al. 2009, Fig. 6)."""
     y, x, valid = linked["y"].values, linked["x"].values, linked["valid"].values.astype(bool)
     ground = ground_of(linked["image"], layer="image", valid=valid)
     values = np.where(valid, linked[name].values.astype(np.float64), np.nan)
     title, unit = title_of(linked[name]), unit_of(linked[name])
-    n_text = f"n = {draw.n_of(values)} pixels of {draw.pixel_of(x)}; mask: measured, without {excluded_text}."
+    n_text = (
+        f"n = {draw.n_of(values)} pixels of {draw.pixel_of(x)}; mask: measured, without"
+        f" {excluded_text}."
+    )
     map_canvas, _ = draw.draw_map(values, y, x, scale=limits(values), label=label_of(linked[name]))
     image_canvas, _ = draw.draw_map(ground.values, y, x, scale=ground.scale, label="")
     canvas, axes = ground.draw(draw.FULL)
@@ -198,11 +257,17 @@ def draw_outlines(linked: xr.Dataset, *, name: str, thin_um: float, excluded_tex
     below, limit_um = f"{in_words(title)} below", thin_um
     note_text = f"Outlined: {below} {plain(thin_um)}, {percent(thin_share)} of the valid pixels."
     if thin_share < 1e-3:  # the outlines would show next to nothing
-        limit_um = float(np.nanpercentile(values, _THINNEST)) if np.isfinite(values).any() else thin_um
-        too_few_text = "No valid pixel is" if thin_share == 0 else f"Only {percent(thin_share)} of the valid pixels are"
+        limit_um = (
+            float(np.nanpercentile(values, _THINNEST)) if np.isfinite(values).any() else thin_um
+        )
+        too_few_text = (
+            "No valid pixel is"
+            if thin_share == 0
+            else f"Only {percent(thin_share)} of the valid pixels are"
+        )
         note_text = (
-            f"{too_few_text} below {plain(thin_um)}; too few to outline. Outlined instead: the thinnest "
-            f"{_THINNEST:g} %, {below} {length(limit_um)}."
+            f"{too_few_text} below {plain(thin_um)}; too few to outline. Outlined instead: the"
+            f" thinnest {_THINNEST:g} %, {below} {length(limit_um)}."
         )
         if thin_share > 0:
             axes.outline(values < thin_um, y, x, colour=EDGE, width=1.6)
@@ -213,20 +278,33 @@ def draw_outlines(linked: xr.Dataset, *, name: str, thin_um: float, excluded_tex
     darkness = _darkness_sentence(ground.values, is_outlined, valid)
     note_text = f"{note_text} Regions under {_SMALLEST} pixels are not drawn. {darkness}"
     return [
-        map_canvas.picture(title=f"(a) {title}, on the image's pixels", caption=f"Unit {unit}. {n_text}"),
+        map_canvas.picture(
+            title=f"(a) {title}, on the image's pixels", caption=f"Unit {unit}. {n_text}"
+        ),
         image_canvas.picture(
             title="(b) The image, same region",
-            caption=f"{title_of(linked['image'])} between limits set by the valid pixels; n = "
-            f"{draw.n_of(ground.values)} pixels of {draw.pixel_of(x)}, no mask.",
+            caption=(
+                f"{title_of(linked['image'])} between limits set by the valid pixels; n = "
+                f"{draw.n_of(ground.values)} pixels of {draw.pixel_of(x)}, no mask."
+            ),
         ),
         canvas.picture(title="(c) Thin regions on the image", caption=f"{note_text}{n_text}"),
     ]
 
 
-def _darkness_sentence(image: Array, is_outlined: NDArray[np.bool_], valid: NDArray[np.bool_]) -> str:
+def _darkness_sentence(
+    image: Array, is_outlined: NDArray[np.bool_], valid: NDArray[np.bool_]
+) -> str:
     inside_greys, outside_greys = image[is_outlined & valid], image[valid & ~is_outlined]
-    if inside_greys.size == 0 or outside_greys.size == 0 or (grey_sd := float(np.std(image[valid]))) == 0:
+    if (
+        inside_greys.size == 0
+        or outside_greys.size == 0
+        or (grey_sd := float(np.std(image[valid]))) == 0
+    ):
         return ""
     shift = float(inside_greys.mean() - outside_greys.mean()) / grey_sd
     comparative = "darker" if shift < 0 else "brighter"
-    return f"Inside, the image is on average {abs(shift):.2f} standard deviations {comparative} than elsewhere. "
+    return (
+        f"Inside, the image is on average {abs(shift):.2f} standard deviations {comparative} than"
+        " elsewhere. "
+    )

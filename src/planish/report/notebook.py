@@ -29,12 +29,14 @@ def results_html(results: Results, titles: Mapping[tuple[str, str], str] | None 
     """
     sentence, tiles = summarise(results, titles or {})
     rows = "".join(
-        f'<tr><th style="text-align:left">{escape(t.label)}</th><td style="text-align:left"><b>{escape(t.value)}</b> '
-        f'{escape(t.unit)}</td><td style="text-align:left;{_FAINT}">{escape(t.note)}</td></tr>'
+        f'<tr><th style="text-align:left">{escape(t.label)}</th><td'
+        f' style="text-align:left"><b>{escape(t.value)}</b> {escape(t.unit)}</td><td'
+        f' style="text-align:left;{_FAINT}">{escape(t.note)}</td></tr>'
         for t in tiles
     )
     check_items = "".join(
-        f"<li><b>{check.state}</b> {escape(check.name)}: {escape(typeset(f'{check.sentence} {check.advice}'))}</li>"
+        f"<li><b>{check.state}</b> {escape(check.name)}:"
+        f" {escape(typeset(f'{check.sentence} {check.advice}'))}</li>"
         for check in results.checks_in("fail", "look", "unknown")
     )
     return (
@@ -57,10 +59,19 @@ def run_html(results: Results, groups: Mapping[str, xr.Dataset]) -> str:
     for layer in results.layers:
         maps = run_maps.drawn.get(layer.name) if results.is_link else run_maps.part(layer, "maps")
         if maps is not None and layer.headline in maps:
-            map_parts.append(map_html(maps[layer.headline], title=layer.name if results.is_link else ""))
+            map_parts.append(
+                map_html(maps[layer.headline], title=layer.name if results.is_link else "")
+            )
     names = " · ".join(layer.source.name for layer in results.layers)
-    maps_row = f'<div style="display:flex;flex-wrap:wrap;gap:12px">{"".join(map_parts)}</div>' if map_parts else ""
-    return f"<div><b>planish</b> {escape(names)}{results_html(results, run_maps.titles)}{maps_row}</div>"
+    maps_row = (
+        f'<div style="display:flex;flex-wrap:wrap;gap:12px">{"".join(map_parts)}</div>'
+        if map_parts
+        else ""
+    )
+    return (
+        "<div><b>planish</b>"
+        f" {escape(names)}{results_html(results, run_maps.titles)}{maps_row}</div>"
+    )
 
 
 def map_html(data: xr.DataArray, *, title: str = "") -> str:
@@ -85,6 +96,6 @@ def map_html(data: xr.DataArray, *, title: str = "") -> str:
     field = f"{width_um / 1000:.3g} × {height_um / 1000:.3g} mm"
     caption = f"{title_text}, colours from {number(scale.low)} to {number(scale.high)}; {field}"
     return (
-        f'<figure style="margin:0"><img {image} {size}><figcaption style="{_FAINT}">{escape(caption)}</figcaption>'
-        "</figure>"
+        f'<figure style="margin:0"><img {image} {size}><figcaption'
+        f' style="{_FAINT}">{escape(caption)}</figcaption></figure>'
     )

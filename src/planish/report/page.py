@@ -49,9 +49,14 @@ _SHEET_PARTS = ("surfaces", "flat", "strain", "maps", "slices")
 
 
 def write_report(
-    path: str | Path, run: Any = None, *, groups: Mapping[str, xr.Dataset] | None = None,
-    marks: Mapping[str, xr.Dataset] | None = None, results: Results | None = None, figures: str | Path | None = None,
-) -> None:  # fmt: skip
+    path: str | Path,
+    run: Any = None,
+    *,
+    groups: Mapping[str, xr.Dataset] | None = None,
+    marks: Mapping[str, xr.Dataset] | None = None,
+    results: Results | None = None,
+    figures: str | Path | None = None,
+) -> None:
     """Write the report of a run as one HTML file that needs nothing else.
 
     Parameters
@@ -78,12 +83,17 @@ def write_report(
     -----
     The same input gives the same bytes: no dates, no random names.
     """
-    page_path = check_path(path, "the path of the page first", "pl.write_report", 'pl.write_report("page.html", run)')
+    page_path = check_path(
+        path, "the path of the page first", "pl.write_report", 'pl.write_report("page.html", run)'
+    )
     if groups is None or results is None:
         if not all(hasattr(run, slug) for slug in ("groups", "results", "registrations")):
             raise not_taken(run, "a run", 'pl.write_report("page.html", run)', "pl.write_report")
         groups, results = run.groups, run.results
-        marks = {slug: registration.with_tiles_named(r.pairs(), r.marks) for slug, r in run.registrations.items()}
+        marks = {
+            slug: registration.with_tiles_named(r.pairs(), r.marks)
+            for slug, r in run.registrations.items()
+        }
     assert groups is not None
     assert results is not None
     page, pictures = render_report(groups, marks or {}, results)
@@ -94,9 +104,17 @@ def write_report(
     folder.mkdir()
     for figure_number, picture in enumerate(pictures, 1):
         # A title as it can be part of the name of a file anywhere.
-        ascii_title = unicodedata.normalize("NFKD", picture.title.replace("µ", "u")).encode("ascii", "ignore").decode()
+        ascii_title = (
+            unicodedata.normalize("NFKD", picture.title.replace("µ", "u"))
+            .encode("ascii", "ignore")
+            .decode()
+        )
         slug = re.sub(r"[^a-z0-9]+", "-", ascii_title.lower()).strip("-")
-        short_slug = slug if len(slug) <= _LONGEST else slug[: _LONGEST + 1].rpartition("-")[0] or slug[:_LONGEST]
+        short_slug = (
+            slug
+            if len(slug) <= _LONGEST
+            else slug[: _LONGEST + 1].rpartition("-")[0] or slug[:_LONGEST]
+        )
         file_stem = f"{figure_number:02d}-{short_slug or 'figure'}"
         write_whole(folder / f"{file_stem}.svg", standalone(picture).encode())
         for table_name, table in picture.data.items():
@@ -117,18 +135,29 @@ def render_report(
     sheets = [sheet for layer in results.layers if (sheet := _sheet_section(run_maps, layer))]
     pairs = _map_pairs(run_maps)
     page = report_template().render(
-        results=results, layers=results.layers, reference=results.reference, titles=run_maps.titles, tables=tables,
-        summary=summary, statement=statement, text=text, first=first_screen, reading=reading_r,
-        diagnostics=diagnostics, numbered=numbered,
-        sheets=sheets, leading=first_screen.draw_first(run_maps, pairs) or
-        [picture for sheet in sheets for picture in sheet["leading"]],
+        results=results,
+        layers=results.layers,
+        reference=results.reference,
+        titles=run_maps.titles,
+        tables=tables,
+        summary=summary,
+        statement=statement,
+        text=text,
+        first=first_screen,
+        reading=reading_r,
+        diagnostics=diagnostics,
+        numbered=numbered,
+        sheets=sheets,
+        leading=first_screen.draw_first(run_maps, pairs)
+        or [picture for sheet in sheets for picture in sheet["leading"]],
         blocks=[
-            block for layer in results.moving
+            block
+            for layer in results.moving
             if (block := _registration_section(run_maps, layer, marks.get(layer.name)))
         ],
         pairs=[_draw_pair(run_maps, pair) for pair in pairs.values()],
         evidence=[_evidence_section(run_maps, e, pairs) for e in results.evidence],
-    )  # fmt: skip
+    )
     return f"{page}\n", pictures
 
 
@@ -144,32 +173,62 @@ def report_template() -> Template:
 def _sheet_section(run_maps: maps.RunMaps, layer: LayerFacts) -> dict[str, Any] | None:
     """Draw all that is shown of a sheet; None for an image, and for a sheet whose groups are elsewhere."""
     facts = layer.sheet
-    sheet_data = {name: part_data for name in _SHEET_PARTS if (part_data := run_maps.part(layer, name)) is not None}
+    sheet_data = {
+        name: part_data
+        for name in _SHEET_PARTS
+        if (part_data := run_maps.part(layer, name)) is not None
+    }
     if facts is None or len(sheet_data) < len(_SHEET_PARTS):
         return None
-    surfaces, strain, height = sheet_data["surfaces"], sheet_data["strain"], sheet_data["surfaces"]["centre"].values
+    surfaces, strain, height = (
+        sheet_data["surfaces"],
+        sheet_data["strain"],
+        sheet_data["surfaces"]["centre"].values,
+    )
     rim_um = facts.surfaces.rim_um or 0.0
-    draw_maps = partial(maps.draw_maps, sheet_data["maps"], facts.properties, headline=layer.headline, rim_um=rim_um)
+    draw_maps = partial(
+        maps.draw_maps, sheet_data["maps"], facts.properties, headline=layer.headline, rim_um=rim_um
+    )
     return {
-        "layer": layer, "warp_um": float(np.nanmax(height) - np.nanmin(height)),
+        "layer": layer,
+        "warp_um": float(np.nanmax(height) - np.nanmin(height)),
         "slices": slices.draw_slices(sheet_data["slices"], surfaces),
-        "warp": flattening.draw_flattening(surfaces, sheet_data["flat"], strain, facts.flatten.curvature),
-        "progress": [flattening.draw_progress(strain)], "maps": draw_maps(),
+        "warp": flattening.draw_flattening(
+            surfaces, sheet_data["flat"], strain, facts.flatten.curvature
+        ),
+        "progress": [flattening.draw_progress(strain)],
+        "maps": draw_maps(),
         "leading": [] if run_maps.results.is_link else draw_maps(lead_only=True),
-    }  # fmt: skip
+    }
 
 
-def _registration_section(run_maps: maps.RunMaps, layer: LayerFacts, marks: xr.Dataset | None) -> dict[str, Any] | None:
-    r, results, reference_layer = registration.judged(layer.registration), run_maps.results, run_maps.results.reference
-    layer_maps, reference_maps = run_maps.drawn.get(layer.name), run_maps.drawn.get(reference_layer.name)
+def _registration_section(
+    run_maps: maps.RunMaps, layer: LayerFacts, marks: xr.Dataset | None
+) -> dict[str, Any] | None:
+    r, results, reference_layer = (
+        registration.judged(layer.registration),
+        run_maps.results,
+        run_maps.results.reference,
+    )
+    layer_maps, reference_maps = (
+        run_maps.drawn.get(layer.name),
+        run_maps.drawn.get(reference_layer.name),
+    )
     if r is None or layer_maps is None or reference_maps is None:
         return None
     marks = marks if marks is not None and marks.sizes["mark"] else None
     reference_map = reference_maps[reference_layer.headline]
-    map_texts = _map_in_words(layer_maps[layer.headline], layer), _map_in_words(reference_map, reference_layer)
+    map_texts = (
+        _map_in_words(layer_maps[layer.headline], layer),
+        _map_in_words(reference_map, reference_layer),
+    )
     is_outlined = reference_layer.kind == "image" and layer.kind == "sheet"
     if is_outlined:
-        valid = layer_maps["valid"] & reference_maps["valid"] if "valid" in reference_maps else layer_maps["valid"]
+        valid = (
+            layer_maps["valid"] & reference_maps["valid"]
+            if "valid" in reference_maps
+            else layer_maps["valid"]
+        )
         thin_um = float(results.parameters.get("correlate", {}).get("thin_um", 5.0))
         with_image = layer_maps.assign(image=reference_map, valid=valid)
         linked_pictures = maps.draw_outlines(
@@ -177,28 +236,48 @@ def _registration_section(run_maps: maps.RunMaps, layer: LayerFacts, marks: xr.D
         )
     else:
         pair_rows = summary.headline_pair(results, layer)
-        map_pair = _valid_values(layer_maps, layer.headline), _valid_values(reference_maps, reference_layer.headline)
-        linked_pictures = [maps.draw_side_by_side(
-            map_pair, (layer.name, reference_layer.name), same_scale=bool(pair_rows) and pair_rows[0].same_quantity,
-            excluded_text=run_maps.excluded_text,
-        )]  # fmt: skip
+        map_pair = (
+            _valid_values(layer_maps, layer.headline),
+            _valid_values(reference_maps, reference_layer.headline),
+        )
+        linked_pictures = [
+            maps.draw_side_by_side(
+                map_pair,
+                (layer.name, reference_layer.name),
+                same_scale=bool(pair_rows) and pair_rows[0].same_quantity,
+                excluded_text=run_maps.excluded_text,
+            )
+        ]
     return {
-        "layer": layer, "registration": r, "marks": marks, "linked": linked_pictures, "outlined": is_outlined,
+        "layer": layer,
+        "registration": r,
+        "marks": marks,
+        "linked": linked_pictures,
+        "outlined": is_outlined,
         "check": summary.lag_verdict(r.lag, moving_text=map_texts[0], reference_text=map_texts[1]),
-        "pictures": _registration_pictures(layer, r, layer_maps, reference_map, marks, results, map_texts),
-    }  # fmt: skip
+        "pictures": _registration_pictures(
+            layer, r, layer_maps, reference_map, marks, results, map_texts
+        ),
+    }
 
 
 def _registration_pictures(
-    layer: LayerFacts, r: RegistrationFacts, layer_maps: xr.Dataset, reference_map: xr.DataArray,
-    marks: xr.Dataset | None, results: Results, map_texts: tuple[str, str],
-) -> list[Picture]:  # fmt: skip
+    layer: LayerFacts,
+    r: RegistrationFacts,
+    layer_maps: xr.Dataset,
+    reference_map: xr.DataArray,
+    marks: xr.Dataset | None,
+    results: Results,
+    map_texts: tuple[str, str],
+) -> list[Picture]:
     """Draw a layer's residuals, expected error and lags of tiles; ``map_texts``: its map and the reference's."""
     reference_layer, has_two_layers = results.reference, len(results.layers) == 2
     hole_um = float(sum(results.parameters.get("holes", {}).get("hole_um", (100.0, 300.0))) / 2)
     has_window = "valid" in layer_maps and reference_layer.kind == "image"
     valid = layer_maps["valid"].values.astype(bool) if has_window else None
-    edge_name = next(name for name in ("u", "image", "thickness", *layer_maps.data_vars) if name in layer_maps)
+    edge_name = next(
+        name for name in ("u", "image", "thickness", *layer_maps.data_vars) if name in layer_maps
+    )
     ground = registration.ground_of(
         reference_map,
         layer=reference_layer.name,
@@ -209,17 +288,31 @@ def _registration_pictures(
     pictures: list[Picture | None] = []
     if marks is not None:
         blank = registration.blank_ground(points_of(marks, "fixed"), layer=r.to)
-        pictures.append(registration.draw_registration(
-            r, ground if r.to == reference_layer.name else blank, marks, hole_um=hole_um, moving_layer=layer.name,
-            width=FULL if has_two_layers else HALF,
-        ))  # fmt: skip
-    lags = registration.draw_lags(r.lag, ground, moving_text=map_texts[0], reference_text=map_texts[1])
+        pictures.append(
+            registration.draw_registration(
+                r,
+                ground if r.to == reference_layer.name else blank,
+                marks,
+                hole_um=hole_um,
+                moving_layer=layer.name,
+                width=FULL if has_two_layers else HALF,
+            )
+        )
+    lags = registration.draw_lags(
+        r.lag, ground, moving_text=map_texts[0], reference_text=map_texts[1]
+    )
     if "expected_error" in layer_maps:
         # Alone it takes the whole width, beside another figure half of it.
-        pictures.append(registration.draw_expected_error(
-            layer_maps["expected_error"], marks if r.to == reference_layer.name else None, hole_um=hole_um,
-            width=FULL if has_two_layers and lags is None else HALF, reference=reference_layer.name, layer=layer.name,
-        ))  # fmt: skip
+        pictures.append(
+            registration.draw_expected_error(
+                layer_maps["expected_error"],
+                marks if r.to == reference_layer.name else None,
+                hole_um=hole_um,
+                width=FULL if has_two_layers and lags is None else HALF,
+                reference=reference_layer.name,
+                layer=layer.name,
+            )
+        )
     return [picture for picture in (*pictures, lags) if picture is not None]
 
 
@@ -228,7 +321,10 @@ def _map_pairs(run_maps: maps.RunMaps) -> dict[summary.PairKey, MapPair]:
     results, pairs = run_maps.results, dict[summary.PairKey, MapPair]()
     headlines = {(layer.name, layer.headline) for layer in results.layers}
     for pair_rows in summary.by_pair(results):
-        row, pair = pair_rows[0], MapPair.of(run_maps.linked, pair_rows, summary.density_of(results, pair_rows[0]))
+        row, pair = (
+            pair_rows[0],
+            MapPair.of(run_maps.linked, pair_rows, summary.density_of(results, pair_rows[0])),
+        )
         if pair and (row.same_quantity or headlines >= {(row.a, row.a_map), (row.b, row.b_map)}):
             pairs[summary.key_of(row)] = pair
     return pairs
@@ -237,7 +333,9 @@ def _map_pairs(run_maps: maps.RunMaps) -> dict[summary.PairKey, MapPair]:
 def _draw_pair(run_maps: maps.RunMaps, pair: MapPair) -> Picture:
     with_layers = len(run_maps.results.layers) > 2 or pair.coarse.a_map == pair.coarse.b_map
     titles = summary.titles_of(pair.coarse, run_maps.titles, with_layers=with_layers)
-    return draw_pair(pair, names=titles, excluded_text=run_maps.excluded_text, registered=run_maps.registered)
+    return draw_pair(
+        pair, names=titles, excluded_text=run_maps.excluded_text, registered=run_maps.registered
+    )
 
 
 def _evidence_section(
@@ -246,27 +344,47 @@ def _evidence_section(
     titles, excluded_text, is_same_map = run_maps.titles, run_maps.excluded_text, e.a_map == e.b_map
     titles_text, pair = summary.names_in_words(e, titles), pairs.get(summary.key_of(e))
     names = (f"{titles_text[0]} of {e.a}", f"that of {e.b}") if is_same_map else titles_text
-    figures: dict[Section, list[Picture]] = {"scale": [], "distance": [], "repeated": [], "light": []}
+    figures: dict[Section, list[Picture]] = {
+        "scale": [],
+        "distance": [],
+        "repeated": [],
+        "light": [],
+    }
     if e.sizes or e.bands:
-        figures["scale"].append(diagnostics.draw_scale(
-            e, names=names, excluded_text=excluded_text, registered=run_maps.registered
-        ))  # fmt: skip
+        figures["scale"].append(
+            diagnostics.draw_scale(
+                e, names=names, excluded_text=excluded_text, registered=run_maps.registered
+            )
+        )
     map_keys = [(curve.layer, curve.map) for curve in e.variograms]
-    map_titles = tuple(titles.get(key, key[1]) + (f", {key[0]}" if is_same_map else "") for key in map_keys)
+    map_titles = tuple(
+        titles.get(key, key[1]) + (f", {key[0]}" if is_same_map else "") for key in map_keys
+    )
     if e.variograms:
-        figures["distance"].append(diagnostics.draw_variograms(e, titles=map_titles, excluded_text=excluded_text))
+        figures["distance"].append(
+            diagnostics.draw_variograms(e, titles=map_titles, excluded_text=excluded_text)
+        )
     if e.correlogram is not None:
         figures["distance"].append(
             diagnostics.draw_correlogram(e.correlogram, names=names, excluded_text=excluded_text)
         )
     if e.twice is not None and e.twice.rings:
-        rings = diagnostics.draw_rings(e.twice, name=titles_text[0], layers=(e.a, e.b), excluded_text=excluded_text)
+        rings = diagnostics.draw_rings(
+            e.twice, name=titles_text[0], layers=(e.a, e.b), excluded_text=excluded_text
+        )
         figures["repeated"].append(rings)
     if e.kubelka_munk is not None and is_known(e.kubelka_munk.scattering) and pair is not None:
-        figures["light"].append(diagnostics.draw_kubelka_munk(
-            e, e.kubelka_munk, pair.points, pair.coarse, titles=summary.titles_of(e, titles),
-            excluded_text=excluded_text, registered=run_maps.registered,
-        ))  # fmt: skip
+        figures["light"].append(
+            diagnostics.draw_kubelka_munk(
+                e,
+                e.kubelka_munk,
+                pair.points,
+                pair.coarse,
+                titles=summary.titles_of(e, titles),
+                excluded_text=excluded_text,
+                registered=run_maps.registered,
+            )
+        )
     point_um = float(run_maps.results.parameters.get("correlate", {}).get("point_um", "nan"))
     pair_words = PairWords(point_um, titles_text[1], map_titles)
     section_sentences = {section: [*sentences(e, section, pair_words)] for section in figures}
@@ -274,7 +392,9 @@ def _evidence_section(
 
 
 def _valid_values(maps: xr.Dataset, name: str) -> xr.DataArray:
-    is_valid: NDArray[np.bool_] | bool = maps["valid"].values.astype(bool) if "valid" in maps else True
+    is_valid: NDArray[np.bool_] | bool = (
+        maps["valid"].values.astype(bool) if "valid" in maps else True
+    )
     return maps[name].copy(data=np.where(is_valid, maps[name].values.astype(np.float64), np.nan))
 
 
@@ -291,4 +411,7 @@ def standalone(picture: Picture) -> str:
     description = f"<title>{escape(picture.title)}</title><desc>{escape(picture.caption)}</desc>"
     background = '<rect width="100%" height="100%" fill="#ffffff"/>'
     opening_tag = svg_tag.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1)
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{opening_tag}>{description}{background}{content}\n'
+    return (
+        '<?xml version="1.0"'
+        f' encoding="UTF-8"?>\n{opening_tag}>{description}{background}{content}\n'
+    )

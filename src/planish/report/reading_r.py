@@ -24,14 +24,21 @@ def reading(results: Results) -> list[str]:
     if row is None or row.trust == "withheld" or not is_known(row.r2):
         return []
     limits = r2_limits(row)
-    limits_text = "" if limits is None else f" (95 %: {100 * limits[0]:.0f} to {100 * limits[1]:.0f} %)"
+    limits_text = (
+        "" if limits is None else f" (95 %: {100 * limits[0]:.0f} to {100 * limits[1]:.0f} %)"
+    )
     strength = (
-        f"A straight line explains r² = {100 * row.r2:.0f} % of the variance{limits_text} over points of "
-        f"{plain(round(row.point_um, 4))}; the rest has other causes."
+        f"A straight line explains r² = {100 * row.r2:.0f} % of the variance{limits_text} over"
+        f" points of {plain(round(row.point_um, 4))}; the rest has other causes."
     )
     evidence = next((e for e in results.evidence if key_of(e) == key_of(row)), None)
     moving = next((layer for layer in results.moving if layer.name in (row.a, row.b)), None)
-    texts = [strength, _ceiling_text(evidence), _short_waves_text(row, evidence), *_bearing_texts(evidence, moving)]
+    texts = [
+        strength,
+        _ceiling_text(evidence),
+        _short_waves_text(row, evidence),
+        *_bearing_texts(evidence, moving),
+    ]
     return [text for text in texts if text]
 
 
@@ -43,20 +50,27 @@ def _ceiling_text(evidence: EvidenceFacts | None) -> str:
         highest, causes = evidence.ceiling, "misplacement"
     if highest > 0.99:
         return f"A perfect relation would show an r above 0.99 here: little is lost to {causes}."
-    return f"A perfect relation would show an r of {fixed(highest, 2)} here; the rest is lost to {causes}."
+    return (
+        f"A perfect relation would show an r of {fixed(highest, 2)} here; the rest is lost to"
+        f" {causes}."
+    )
 
 
 def _short_waves_text(row: CorrelationRow, evidence: EvidenceFacts | None) -> str:
     """Say that long waves change r, where that is certain."""
-    if evidence is None or evidence.short_waves is None or not is_known(evidence.short_waves.interval):
+    if (
+        evidence is None
+        or evidence.short_waves is None
+        or not is_known(evidence.short_waves.interval)
+    ):
         return ""
     short_r, (low, high) = evidence.short_waves.r, evidence.short_waves.interval
     if low <= row.r <= high or not evidence.short_waves_um:
         return ""
     change = "lower" if abs(short_r) > abs(row.r) else "raise"
     return (
-        f"Waves below {plain(round(evidence.short_waves_um, -1))} alone have r = {fixed(short_r, 2)}: longer ones, "
-        f"such as uneven light, {change} it."
+        f"Waves below {plain(round(evidence.short_waves_um, -1))} alone have r ="
+        f" {fixed(short_r, 2)}: longer ones, such as uneven light, {change} it."
     )
 
 
@@ -68,17 +82,25 @@ def _bearing_texts(evidence: EvidenceFacts | None, moving: LayerFacts | None) ->
     if lag is not None and is_known(lag.light):
         weight = "side light affects r" if lag.light >= SIDE_LIGHT else "too little to affect r"
         texts.append(
-            f"{100 * lag.light:.0f} % of what image and sheet share follows slopes of the face, as under light from "
-            f"one side: {weight}."
+            f"{100 * lag.light:.0f} % of what image and sheet share follows slopes of the face, as"
+            f" under light from one side: {weight}."
         )
     profiles = None if evidence is None else evidence.correlogram
     if lag is not None and profiles is not None and profiles.inner:
         texts.append(_lag_text(lag, profiles))
-    if moving is not None and moving.sheet is not None and is_known(moving.sheet.flatten.edge_strain_p95):
-        strain, limit = moving.sheet.flatten.edge_strain_p95 or 0.0, moving.sheet.flatten.curvature.limit
+    if (
+        moving is not None
+        and moving.sheet is not None
+        and is_known(moving.sheet.flatten.edge_strain_p95)
+    ):
+        strain, limit = (
+            moving.sheet.flatten.edge_strain_p95 or 0.0,
+            moving.sheet.flatten.curvature.limit,
+        )
         texts.append(
-            f"Flattening strains the sheet by {percent(strain, 2)} (95 % of its edges), "
-            f"{'less' if strain < limit else 'more'} than the {percent(limit, 1)} that paper withstands."
+            f"Flattening strains the sheet by {percent(strain, 2)} (95 % of its edges),"
+            f" {'less' if strain < limit else 'more'} than the {percent(limit, 1)} that paper"
+            " withstands."
         )
     return texts
 
@@ -86,9 +108,14 @@ def _bearing_texts(evidence: EvidenceFacts | None, moving: LayerFacts | None) ->
 def _lag_text(lag: LagNumbers, profiles: CorrelogramProfiles) -> str:
     """Say why the largest r may lie at a lag that the marks exclude."""
     lag_um = math.hypot(*profiles.lag_um)
-    peak = f"r would be largest, {fixed(profiles.peak_r, 2)}, with one map shifted by {length(lag_um, 2)}."
+    peak = (
+        f"r would be largest, {fixed(profiles.peak_r, 2)}, with one map shifted by"
+        f" {length(lag_um, 2)}."
+    )
     if not is_known(lag.length_um):
-        return f"{peak} The fine texture does not tell whether that is an error of the registration."
+        return (
+            f"{peak} The fine texture does not tell whether that is an error of the registration."
+        )
     expected_text = length(lag.expected_um, 2)
     light_text = ", slopes allowed for" if is_known(lag.light) else ""
     texture = f"The fine texture lies {length(lag.length_um, 2)} apart{light_text}"

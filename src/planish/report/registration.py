@@ -46,9 +46,13 @@ class Ground:
 
 
 def ground_of(
-    data: xr.DataArray, *, layer: str, valid: NDArray[np.bool_] | None = None, edge: NDArray[np.bool_] | None = None,
+    data: xr.DataArray,
+    *,
+    layer: str,
+    valid: NDArray[np.bool_] | None = None,
+    edge: NDArray[np.bool_] | None = None,
     edge_layer: str = "",
-) -> Ground:  # fmt: skip
+) -> Ground:
     """Return a map or image (y, x) as ground, greys of its ``valid`` pixels; ``edge`` is where ``edge_layer`` lies."""
     values, y, x = data.values.astype(np.float64), data["y"].values, data["x"].values
     window_values = values[valid] if valid is not None and valid.any() else values
@@ -56,39 +60,67 @@ def ground_of(
     name, caption = "the image", f"{title_of(data)} of {pixels_text}, no mask."
     if data.name != "image":
         name = f"the layer {layer}"
-        caption = f"In grey, {in_words(title_of(data))} of {layer}: {pixels_text}; mask: where it is known."
-    return Ground(values, y, x, limits(window_values, GREYS, percent=0.2), name, caption, edge, edge_layer)
+        caption = (
+            f"In grey, {in_words(title_of(data))} of {layer}: {pixels_text}; mask: where it is"
+            " known."
+        )
+    return Ground(
+        values, y, x, limits(window_values, GREYS, percent=0.2), name, caption, edge, edge_layer
+    )
 
 
 def blank_ground(points: Array, *, layer: str) -> Ground:
     """Return an empty ground around points (x, y), for places in coordinates of which no map is at hand."""
     points = points[np.isfinite(points).all(axis=1)]
-    low, high = (points.min(axis=0), points.max(axis=0)) if points.size else (np.zeros(2), np.ones(2))
+    low, high = (
+        (points.min(axis=0), points.max(axis=0)) if points.size else (np.zeros(2), np.ones(2))
+    )
     margin = 0.2 * max(float((high - low).max()), 1.0)
     x, y = (np.linspace(low[k] - margin, high[k] + margin, _BLANK) for k in (0, 1))
     grid = f"the coordinates of {layer}, which is not resampled to this grid"
     caption = f"Places are in {grid}; no map is shown, no mask."
-    return Ground(np.full((_BLANK, _BLANK), np.nan), y, x, Scale(0.0, 1.0, GREYS), f"the layer {layer}", caption)
+    return Ground(
+        np.full((_BLANK, _BLANK), np.nan),
+        y,
+        x,
+        Scale(0.0, 1.0, GREYS),
+        f"the layer {layer}",
+        caption,
+    )
 
 
 def _draw_arrows(
-    canvas: draw.Canvas, axes: draw.Axes, starts: Array, vectors: Array, *, width_share: float, max_share: float,
-    label: str, width: float,
-) -> draw.Magnified:  # fmt: skip
+    canvas: draw.Canvas,
+    axes: draw.Axes,
+    starts: Array,
+    vectors: Array,
+    *,
+    width_share: float,
+    max_share: float,
+    label: str,
+    width: float,
+) -> draw.Magnified:
     """Draw vectors, the longest over a share of the width, with a scale bar of their own beside that of the ground."""
     magnification = draw.magnified(vectors, width_share * axes.shown.width)
     axes.arrows(starts, magnification.times * vectors, colour=ARROW, width=width)
     if magnification.longest > 1e-9:
         canvas.scale_bar(
-            axes.x + 0.4 * axes.width, axes.height + draw.BELOW + 6, width=axes.width,
-            um=axes.shown.width / magnification.times, max_share=max_share, colour=ARROW, label=label,
-        )  # fmt: skip
+            axes.x + 0.4 * axes.width,
+            axes.height + draw.BELOW + 6,
+            width=axes.width,
+            um=axes.shown.width / magnification.times,
+            max_share=max_share,
+            colour=ARROW,
+            label=label,
+        )
     return magnification
 
 
 def with_tiles_named(pairs: xr.Dataset, marks: xr.Dataset) -> xr.Dataset:
     """Pairs of a registration by all its marks: ``is_tile`` says which are tiles of texture, without a diameter."""
-    is_tile = np.any([marks[f"{plane}_source"].values == "tile" for plane in ("moving", "fixed")], axis=0)
+    is_tile = np.any(
+        [marks[f"{plane}_source"].values == "tile" for plane in ("moving", "fixed")], axis=0
+    )
     return pairs.assign_coords(is_tile=("mark", is_tile[paired(marks)]))
 
 
@@ -98,7 +130,13 @@ def judged(r: RegistrationFacts | None) -> RegistrationFacts | None:
 
 
 def draw_registration(
-    r: RegistrationFacts, ground: Ground, marks: xr.Dataset, *, hole_um: float, moving_layer: str, width: float
+    r: RegistrationFacts,
+    ground: Ground,
+    marks: xr.Dataset,
+    *,
+    hole_um: float,
+    moving_layer: str,
+    width: float,
 ) -> draw.Picture:
     """Draw a ground with its numbered marks (``fixed_*``), ``hole_um`` wide, and the residual of each as an arrow."""
     canvas, axes = ground.draw(width)
@@ -108,13 +146,21 @@ def draw_registration(
     _draw_marks(axes, marks, hole_um=hole_um, font_size=14 if width == draw.FULL else 11)
     # A residual is the mark in the image minus the mark that was carried over: the arrow shows where that one falls.
     magnification = _draw_arrows(
-        canvas, axes, fixed_xy, -points_of(marks, "residual"), width_share=0.09, max_share=0.12, label="{} of residual",
+        canvas,
+        axes,
+        fixed_xy,
+        -points_of(marks, "residual"),
+        width_share=0.09,
+        max_share=0.12,
+        label="{} of residual",
         width=3.0 if width == draw.FULL else 2.2,
-    )  # fmt: skip
+    )
     note_text = f"Blue: edge of {with_article(ground.edge_of)}. " if ground.edge is not None else ""
     if (direction := machine_direction(r, moving_layer)) is not None:
         _draw_direction(canvas, axes, direction[0], fixed_xy)
-        note_text += f"MD: machine direction, {direction[0] % 180:.0f}° from x clockwise ({direction[1]}). "
+        note_text += (
+            f"MD: machine direction, {direction[0] % 180:.0f}° from x clockwise ({direction[1]}). "
+        )
     mark_table: dict[str, list[object]] = {"mark": list(range(1, marks.sizes["mark"] + 1))}
     if "label" in marks:
         mark_table["label"] = [str(label) for label in marks["label"].values]
@@ -124,16 +170,20 @@ def draw_registration(
     return canvas.picture(
         title=f"Marks in {with_article(r.to)} and their residuals",
         caption=(
-            f"{capital(ground.name)} with n = {_marks_in_words(marks, hole_um)}. Red arrows "
-            f"point from each mark to its transformed partner in {with_article(moving_layer)}, {magnification.words}. "
-            f"{note_text}{ground.caption}"
+            f"{capital(ground.name)} with n = {_marks_in_words(marks, hole_um)}. Red arrows point"
+            f" from each mark to its transformed partner in {with_article(moving_layer)},"
+            f" {magnification.words}. {note_text}{ground.caption}"
         ),
         data={"marks": mark_table},
     )
 
 
 def _tiles_of(marks: xr.Dataset) -> NDArray[np.bool_]:
-    return marks["is_tile"].values if "is_tile" in marks.coords else np.zeros(marks.sizes["mark"], dtype=np.bool_)
+    return (
+        marks["is_tile"].values
+        if "is_tile" in marks.coords
+        else np.zeros(marks.sizes["mark"], dtype=np.bool_)
+    )
 
 
 def _marks_in_words(marks: xr.Dataset, hole_um: float) -> str:
@@ -148,50 +198,97 @@ def _draw_marks(axes: draw.Axes, marks: xr.Dataset, *, hole_um: float, font_size
     """Draw holes as numbered circles, and tiles, which have no diameter, as numbered crosses."""
     angles = np.linspace(0, 2 * np.pi, 49)
     circle = hole_um / 2 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    for k, ((x, y), is_tile) in enumerate(zip(points_of(marks, "fixed"), _tiles_of(marks), strict=True), 1):
-        away_um, shift, halo = (0.0, (-5, -4), draw.INK) if is_tile else (0.42 * hole_um, (-2, -2), "")
+    for k, ((x, y), is_tile) in enumerate(
+        zip(points_of(marks, "fixed"), _tiles_of(marks), strict=True), 1
+    ):
+        away_um, shift, halo = (
+            (0.0, (-5, -4), draw.INK) if is_tile else (0.42 * hole_um, (-2, -2), "")
+        )
         if not is_tile:
             axes.line(circle + np.array([x, y]), colour=_MARK, width=1.9)
-        axes.text(x, y, "+", shift=(0, 0.32 * font_size), size=font_size, anchor="middle", colour=_MARK, halo=halo)
+        axes.text(
+            x,
+            y,
+            "+",
+            shift=(0, 0.32 * font_size),
+            size=font_size,
+            anchor="middle",
+            colour=_MARK,
+            halo=halo,
+        )
         label_xy = x - away_um, y - away_um
-        axes.text(*label_xy, str(k), shift=shift, size=font_size, anchor="end", colour=_MARK, halo=draw.INK, bold=True)
+        axes.text(
+            *label_xy,
+            str(k),
+            shift=shift,
+            size=font_size,
+            anchor="end",
+            colour=_MARK,
+            halo=draw.INK,
+            bold=True,
+        )
 
 
 def draw_expected_error(
-    error: xr.DataArray, marks: xr.Dataset | None, *, hole_um: float, width: float, reference: str, layer: str
+    error: xr.DataArray,
+    marks: xr.Dataset | None,
+    *,
+    hole_um: float,
+    width: float,
+    reference: str,
+    layer: str,
 ) -> draw.Picture | None:
     """Draw the expected error of ``layer`` on ``reference``, with contour lines and marks; None if unknown."""
     y, x = error["y"].values, error["x"].values
     finite_errors = error.values[np.isfinite(error.values)].astype(np.float64)
     if finite_errors.size == 0:
         return None
-    least, mean, most = float(finite_errors.min()), float(finite_errors.mean()), float(finite_errors.max())
+    least, mean, most = (
+        float(finite_errors.min()),
+        float(finite_errors.mean()),
+        float(finite_errors.max()),
+    )
     scale = limits(finite_errors, GEOMETRY, percent=0.1)
     levels, step = draw.levels_between(least, most, steps=5)
     if not most - least > 0.02 * abs(mean):  # colours would show differences that nobody can use
         scale, levels = Scale(0.0, 2 * mean or 1.0, GEOMETRY), np.empty(0)
-    canvas, axes = draw.draw_map(error.values, y, x, scale=scale, label="expected error / µm", width=width)
-    axes.contours(levels, labels=True, avoided=np.empty((0, 2)) if marks is None else points_of(marks, "fixed"))
+    canvas, axes = draw.draw_map(
+        error.values, y, x, scale=scale, label="expected error / µm", width=width
+    )
+    axes.contours(
+        levels,
+        labels=True,
+        avoided=np.empty((0, 2)) if marks is None else points_of(marks, "fixed"),
+    )
     shared_text = "an error that all marks share is not included"
     if marks is not None:
         _draw_marks(axes, marks, hole_um=hole_um, font_size=14 if width == draw.FULL else 11)
         if _tiles_of(marks).all():
-            shared_text = "of an error that all tiles share, only what light from one side explains is included"
+            shared_text = (
+                "of an error that all tiles share, only what light from one side explains is"
+                " included"
+            )
     contour_text = f"Contour lines every {length(step, 1)}. " if levels.size else ""
-    marks_text = "Orange: the marks, numbered as in the figure of their residuals. " if marks is not None else ""
+    marks_text = (
+        "Orange: the marks, numbered as in the figure of their residuals. "
+        if marks is not None
+        else ""
+    )
     return canvas.picture(
         title="Expected error",
         caption=(
-            f"Expected error of the position in {with_article(reference)} (rms, from the scatter of the marks): "
-            f"{length(least, 2)} to {length(most, 2)}, median {length(float(np.median(finite_errors)), 2)}. "
-            f"{contour_text}{marks_text}It grows away from the marks; {shared_text}. n "
-            f"= {draw.n_of(finite_errors)} pixels of {draw.pixel_of(x)}; unit µm; mask: where {with_article(layer)} is "
-            "shown."
+            f"Expected error of the position in {with_article(reference)} (rms, from the scatter of"
+            f" the marks): {length(least, 2)} to {length(most, 2)}, median"
+            f" {length(float(np.median(finite_errors)), 2)}. {contour_text}{marks_text}It grows"
+            f" away from the marks; {shared_text}. n = {draw.n_of(finite_errors)} pixels of"
+            f" {draw.pixel_of(x)}; unit µm; mask: where {with_article(layer)} is shown."
         ),
     )
 
 
-def draw_lags(lag: LagNumbers | None, ground: Ground, *, moving_text: str, reference_text: str) -> draw.Picture | None:
+def draw_lags(
+    lag: LagNumbers | None, ground: Ground, *, moving_text: str, reference_text: str
+) -> draw.Picture | None:
     """Draw the lags of the tiles of two maps, named in words, that have a distinct one; None where there are none."""
     if lag is None:
         return None
@@ -202,18 +299,30 @@ def draw_lags(lag: LagNumbers | None, ground: Ground, *, moving_text: str, refer
     axes.dots(silent_xy, size=4, colour=_SILENT, halo="white")
     axes.dots(distinct_xy, size=4, colour=ARROW, halo="white")
     magnification = _draw_arrows(
-        canvas, axes, distinct_xy, lags, width_share=0.11, max_share=0.16, label="{} of lag", width=2.2
+        canvas,
+        axes,
+        distinct_xy,
+        lags,
+        width_share=0.11,
+        max_share=0.16,
+        label="{} of lag",
+        width=2.2,
     )
-    doubt_text = " The check as a whole is inconclusive: read the arrows with caution." if lag.silence else ""
+    doubt_text = (
+        " The check as a whole is inconclusive: read the arrows with caution."
+        if lag.silence
+        else ""
+    )
     size_text = f" of {plain(lag.tile_um)}" if is_known(lag.tile_um) else ""
     return canvas.picture(
         title="Image-based check, tile by tile",
         caption=(
-            f"Arrows point from where the registration puts a piece of {moving_text} to where {reference_text} shows "
-            f"it, {magnification.words}. Parallel arrows are a shift; arrows that turn or diverge are a rotation or a "
-            f"stretch; disordered arrows are chance. n = {count(len(distinct_xy))} of "
-            f"{count(len(distinct_xy) + len(silent_xy))} overlapping tiles{size_text} with a distinct lag, grey dots "
-            f"the others.{doubt_text} {ground.caption}"
+            f"Arrows point from where the registration puts a piece of {moving_text} to where"
+            f" {reference_text} shows it, {magnification.words}. Parallel arrows are a shift;"
+            " arrows that turn or diverge are a rotation or a stretch; disordered arrows are"
+            f" chance. n = {count(len(distinct_xy))} of {count(len(distinct_xy) + len(silent_xy))}"
+            f" overlapping tiles{size_text} with a distinct lag, grey dots the others.{doubt_text}"
+            f" {ground.caption}"
         ),
     )
 
@@ -224,7 +333,11 @@ def machine_direction(r: RegistrationFacts, moving_layer: str) -> tuple[float, s
     if o.md_deg_fixed is not None:
         return o.md_deg_fixed, f"given for {with_article(r.to)}"
     carried_deg = o.md_deg_fixed_from_moving
-    return None if carried_deg is None else (carried_deg, f"carried over from {with_article(moving_layer)}")
+    return (
+        None
+        if carried_deg is None
+        else (carried_deg, f"carried over from {with_article(moving_layer)}")
+    )
 
 
 def lag_places(lag: LagNumbers, ground: Ground) -> tuple[Array, Array, Array]:
@@ -232,22 +345,39 @@ def lag_places(lag: LagNumbers, ground: Ground) -> tuple[Array, Array, Array]:
 
     Tiles count from the middle of the first pixel that was compared, which may be the mean of several.
     """
-    y0, x0 = (float(c[0]) + (p - draw.pitch(c)) / 2 for c, p in zip((ground.y, ground.x), lag.pixel_um, strict=True))
-    tile_rows = np.array([(t.x + x0, t.y + y0, *t.lag_um) for t in lag.tiles], dtype=np.float64).reshape(-1, 4)
+    y0, x0 = (
+        float(c[0]) + (p - draw.pitch(c)) / 2
+        for c, p in zip((ground.y, ground.x), lag.pixel_um, strict=True)
+    )
+    tile_rows = np.array(
+        [(t.x + x0, t.y + y0, *t.lag_um) for t in lag.tiles], dtype=np.float64
+    ).reshape(-1, 4)
     is_distinct = np.array([t.distinct and is_known(t.lag_um) for t in lag.tiles], dtype=bool)
     return tile_rows[is_distinct, :2], tile_rows[is_distinct, 2:], tile_rows[~is_distinct, :2]
 
 
-def _draw_direction(canvas: draw.Canvas, axes: draw.Axes, angle_deg: float, marks_xy: Array) -> None:
+def _draw_direction(
+    canvas: draw.Canvas, axes: draw.Axes, angle_deg: float, marks_xy: Array
+) -> None:
     corners = np.array([(0, 0), (axes.width, 0), (0, axes.height), (axes.width, axes.height)])
     mark_pixels = axes.place(marks_xy[np.isfinite(marks_xy).all(axis=1)])
     offsets = (corners[:, None] - mark_pixels[None]).transpose(2, 0, 1)
-    x, y = corners[int(np.argmax(np.hypot(*offsets).min(axis=1)))] if mark_pixels.size else corners[0]
+    x, y = (
+        corners[int(np.argmax(np.hypot(*offsets).min(axis=1)))] if mark_pixels.size else corners[0]
+    )
     left_px = axes.x + (8 if x == 0 else axes.width - _AXIS - 8)
     top_px = axes.y + (8 if y == 0 else axes.height - _AXIS - 8)
     canvas.box(left_px, top_px, _AXIS, _AXIS, fill="rgba(255,255,255,0.86)")
     corner_axes = canvas.axes(left_px, top_px, _AXIS, _AXIS, (-1, 1, 1, -1))
     direction = np.array([math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))])
     normal = np.array([-direction[1], direction[0]])
-    corner_axes.arrows([-0.22 * normal] * 2, [0.92 * direction, -0.92 * direction], colour=draw.INK, width=2.0, halo="")
-    corner_axes.text(0.36 * normal[0], 0.36 * normal[1], "MD", shift=(0, 4), anchor="middle", bold=True)
+    corner_axes.arrows(
+        [-0.22 * normal] * 2,
+        [0.92 * direction, -0.92 * direction],
+        colour=draw.INK,
+        width=2.0,
+        halo="",
+    )
+    corner_axes.text(
+        0.36 * normal[0], 0.36 * normal[1], "MD", shift=(0, 4), anchor="middle", bold=True
+    )

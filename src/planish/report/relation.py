@@ -14,9 +14,31 @@ from numpy.typing import ArrayLike
 from planish.core.area import common_means, valid_in_all
 from planish.core.bands import thinned
 from planish.core.facts import is_known
-from planish.core.numbers import axis_label, capital, count, in_words, number, plain, to_spread, unit
+from planish.core.numbers import (
+    axis_label,
+    capital,
+    count,
+    in_words,
+    number,
+    plain,
+    to_spread,
+    unit,
+)
 from planish.report.colours import PROPERTY, Array, Scale
-from planish.report.draw import ACCENT, FULL, POINT, SMALL, SOFT, THIRD, Axes, Canvas, Picture, ShownMap, Table, pitch
+from planish.report.draw import (
+    ACCENT,
+    FULL,
+    POINT,
+    SMALL,
+    SOFT,
+    THIRD,
+    Axes,
+    Canvas,
+    Picture,
+    ShownMap,
+    Table,
+    pitch,
+)
 from planish.report.statement import r_sentence
 from planish.report.text import HOLES, REGISTERED, unit_of
 from planish.results import ComparisonRow, CorrelationRow
@@ -40,8 +62,11 @@ class MapPair:
 
     @classmethod
     def of(
-        cls, linked: Mapping[str, xr.Dataset], rows: Sequence[CorrelationRow], density: float | None = None
-    ) -> MapPair | None:  # fmt: skip
+        cls,
+        linked: Mapping[str, xr.Dataset],
+        rows: Sequence[CorrelationRow],
+        density: float | None = None,
+    ) -> MapPair | None:
         """Take both maps of correlations; None where one is not at hand."""
         row = rows[0]
         if row.a_map not in linked.get(row.a, ()) or row.b_map not in linked.get(row.b, ()):
@@ -60,7 +85,9 @@ class MapPair:
         return block_means(self.a, self.b, point_um=self.coarse.point_um, valid=self.valid)
 
 
-def block_means(a: xr.DataArray, b: xr.DataArray, *, point_um: float, valid: Sequence[xr.DataArray] = ()) -> Points:
+def block_means(
+    a: xr.DataArray, b: xr.DataArray, *, point_um: float, valid: Sequence[xr.DataArray] = ()
+) -> Points:
     """Average two maps (y, x) on one grid over points of ``point_um``, over the pixels that are known in both.
 
     ``valid`` are masks of pixels that count. Points less than half known do not count; none are smaller than pixels.
@@ -75,8 +102,12 @@ def block_means(a: xr.DataArray, b: xr.DataArray, *, point_um: float, valid: Seq
 
 
 def draw_pair(
-    pair: MapPair, *, names: tuple[str, str], excluded_text: str = HOLES, registered: str = REGISTERED
-) -> Picture:  # fmt: skip
+    pair: MapPair,
+    *,
+    names: tuple[str, str],
+    excluded_text: str = HOLES,
+    registered: str = REGISTERED,
+) -> Picture:
     """Draw map b over map a: density of the pixels, and beside it larger points or the difference of the two.
 
     ``excluded_text`` says what the masks leave out. The difference of two maps of the same quantity is drawn over their
@@ -86,35 +117,46 @@ def draw_pair(
     is_valid, density = valid_in_all((p, q), masks), pair.density
     units, ends = (unit_of(pair.a), unit_of(pair.b)), (pair.rows[0], pair.coarse)
     points, (fine, coarse), units, labels = as_drawn(pair.points, ends, names, units, density)
-    pixel_values = (p if density is None else p * density)[is_valid].astype(np.float64), q[is_valid].astype(np.float64)
+    pixel_values = (
+        (p if density is None else p * density)[is_valid].astype(np.float64),
+        q[is_valid].astype(np.float64),
+    )
     canvas = Canvas(FULL, 475)
     axes = _draw_density(canvas, (_LEFT, _TOP, _WIDE, _HIGH), pixel_values, counted_text="pixels")
-    panels, right_text = [(axes, fine)], "right, area means over the valid pixels of each larger point. "
+    panels, right_text = (
+        [(axes, fine)],
+        "right, area means over the valid pixels of each larger point. ",
+    )
     if coarse.same_quantity:
         ends = min(axes.extent), max(axes.extent)
         axes.line([(v, v) for v in ends], colour=SOFT, width=1.3, dash="6 4")
         _draw_differences(canvas, *points, coarse, units[0])
         right_text = (
-            "right, the difference (map on the vertical axis minus map on the horizontal one) of points of "
-            f"{plain(round(coarse.point_um, 4))} over the mean of the two, with its mean and the limits of 95 % of "
-            "normal differences. Dashed, left: both equal. "
+            "right, the difference (map on the vertical axis minus map on the horizontal one) of"
+            f" points of {plain(round(coarse.point_um, 4))} over the mean of the two, with its mean"
+            " and the limits of 95 % of normal differences. Dashed, left: both equal. "
         )
     else:
         panels.append((draw_dots(canvas, points, (_RIGHT, _TOP, _WIDE, _HIGH), bar_px=70), coarse))
     for axes, row in panels:
         _draw_lines(axes, row)
         canvas.ticks(axes, *labels)
-        _draw_heading(canvas, axes.x, f"Points of {plain(round(row.point_um, 4))}", _correlation_text(row, units))
+        _draw_heading(
+            canvas,
+            axes.x,
+            f"Points of {plain(round(row.point_um, 4))}",
+            _correlation_text(row, units),
+        )
     stride_text = f", one in {stride} of each row and column" if stride > 1 else ""
     return canvas.picture(
         title=f"{capital(in_words(names[1]))} over {in_words(names[0])}",
         caption=(
-            f"Left, number of pixels{stride_text} (logarithmic colours); {right_text}A point counts when half of its "
-            "area is valid in both maps. Lines are least squares: solid, y on x; dashed, x on y; a "
-            "perfect relation without errors would lie between them. The left axes span the "
-            "0.05th to the 99.95th percentile of the pixels, the right ones the points. Mask: measured, without "
-            f"{excluded_text}. n counts points, which resemble their neighbours; the interval rests on independent "
-            f"ones. {capital(registered)}."
+            f"Left, number of pixels{stride_text} (logarithmic colours); {right_text}A point counts"
+            " when half of its area is valid in both maps. Lines are least squares: solid, y on x;"
+            " dashed, x on y; a perfect relation without errors would lie between them. The left"
+            " axes span the 0.05th to the 99.95th percentile of the pixels, the right ones the"
+            f" points. Mask: measured, without {excluded_text}. n counts points, which resemble"
+            f" their neighbours; the interval rests on independent ones. {capital(registered)}."
         ),
         data={"points": points_table(points, labels)},
     )
@@ -122,7 +164,7 @@ def draw_pair(
 
 def draw_points(
     pair: MapPair, *, names: tuple[str, str], height: float, registered: str = REGISTERED
-) -> Picture:  # fmt: skip
+) -> Picture:
     """Draw the larger points of two maps on a third of the page, with both lines of least squares."""
     units = unit_of(pair.a), unit_of(pair.b)
     points, (row,), _, labels = as_drawn(pair.points, (pair.coarse,), names, units, pair.density)
@@ -137,29 +179,40 @@ def draw_points(
     return canvas.picture(
         title=f"Points of {size_text}",
         caption=(
-            f"n = {count(row.n)} squares of {size_text}{n_eff_text}; mask: at least half valid in both maps. Lines of "
-            "least squares: solid, y on x; dashed, x on y. "
-            f"{capital(registered)}.{doubt_text}"
+            f"n = {count(row.n)} squares of {size_text}{n_eff_text}; mask: at least half valid in"
+            " both maps. Lines of least squares: solid, y on x; dashed, x on y."
+            f" {capital(registered)}.{doubt_text}"
         ),
         data={"points": points_table(points, labels)},
     )
 
 
 def as_drawn(
-    points: Points, rows: Sequence[CorrelationRow], titles: tuple[str, str], units: tuple[str, str],
+    points: Points,
+    rows: Sequence[CorrelationRow],
+    titles: tuple[str, str],
+    units: tuple[str, str],
     density: float | None,
-) -> tuple[Points, list[CorrelationRow], tuple[str, str], list[str]]:  # fmt: skip
+) -> tuple[Points, list[CorrelationRow], tuple[str, str], list[str]]:
     """Return points, correlations and units as the axes of a figure have them, and the labels of its axes.
 
     With a density (g/cm3), which its label states, the first map, a thickness in um, is a weight: um x g/cm3 = g/m2.
     """
     if density is not None:
         points = points[0] * density, points[1]
-        titles = f"{titles[0].replace('Coating thickness', 'Coating')}, at {density:.3g} g/cm³", titles[1]
+        titles = (
+            f"{titles[0].replace('Coating thickness', 'Coating')}, at {density:.3g} g/cm³",
+            titles[1],
+        )
         units, weight_rows = ("g/m²", units[1]), list[CorrelationRow]()
         for row in rows:
-            weight_slopes = {"slope": row.slope / density, "slope_x_on_y": row.slope_x_on_y * density}
-            weight_rows.append(row.model_copy(update=weight_slopes | {"mean_a": row.mean_a * density}))
+            weight_slopes = {
+                "slope": row.slope / density,
+                "slope_x_on_y": row.slope_x_on_y * density,
+            }
+            weight_rows.append(
+                row.model_copy(update=weight_slopes | {"mean_a": row.mean_a * density})
+            )
         rows = weight_rows
     return points, [*rows], units, [*map(axis_label, titles, units)]
 
@@ -176,7 +229,12 @@ def _draw_lines(axes: Axes, row: CorrelationRow) -> None:
         return
     fit_lines = [([(x, row.intercept + row.slope * x) for x in axes.extent[:2]], "")]
     if row.slope_x_on_y and is_known(row.slope_x_on_y) and is_known(row.mean_a):
-        fit_lines.append(([(row.mean_a + row.slope_x_on_y * (y - row.mean_b), y) for y in axes.extent[2:]], "7 4"))
+        fit_lines.append(
+            (
+                [(row.mean_a + row.slope_x_on_y * (y - row.mean_b), y) for y in axes.extent[2:]],
+                "7 4",
+            )
+        )
     for line_ends, dash in fit_lines:
         draw_fit(axes, line_ends, dash=dash)
 
@@ -198,36 +256,62 @@ def _draw_differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, u
     line_levels = [v for v in (row.difference_mean, *row.limits) if is_known(v)]
     low, high = _axis_limits(differences)
     margin = 0.04 * (high - low)
-    y_limits = (min(low, *line_levels) - margin, max(high, *line_levels) + margin) if line_levels else (low, high)
+    y_limits = (
+        (min(low, *line_levels) - margin, max(high, *line_levels) + margin)
+        if line_levels
+        else (low, high)
+    )
     axes = canvas.axes(_RIGHT, _TOP, _WIDE, _HIGH, (*_axis_limits(mean), *y_limits))
     axes.across(0.0, width=1)
-    axes.dots(np.stack([mean, differences], axis=1), colour=POINT, size=3 if mean.size > 2000 else 4.4, opacity=0.5)
+    axes.dots(
+        np.stack([mean, differences], axis=1),
+        colour=POINT,
+        size=3 if mean.size > 2000 else 4.4,
+        opacity=0.5,
+    )
     for k, value in enumerate(line_levels):
         draw_fit(axes, [(x, value) for x in axes.extent[:2]], dash="7 4" if k else "", width=2)
     canvas.ticks(axes, axis_label("mean of the two", units), axis_label("difference", units))
     mean, spread, lower, upper = written_difference(row)
     unit_text = f" {units}" if units else ""
-    numbers_text = f"mean {mean}{unit_text}\u2003s. d. {spread}{unit_text}\u2003limits {lower} to {upper}{unit_text}"
-    _draw_heading(canvas, _RIGHT, f"Difference, points of {plain(round(row.point_um, 4))}", numbers_text)
+    numbers_text = (
+        f"mean {mean}{unit_text}\u2003s. d. {spread}{unit_text}\u2003limits {lower} to"
+        f" {upper}{unit_text}"
+    )
+    _draw_heading(
+        canvas, _RIGHT, f"Difference, points of {plain(round(row.point_um, 4))}", numbers_text
+    )
 
 
 def written_difference(row: CorrelationRow) -> tuple[str, ...]:
     """Return mean, standard deviation and limits of a difference, all to two digits of the standard deviation."""
-    return tuple(to_spread(v, row.difference_sd) for v in (row.difference_mean, row.difference_sd, *row.limits))
+    return tuple(
+        to_spread(v, row.difference_sd)
+        for v in (row.difference_mean, row.difference_sd, *row.limits)
+    )
 
 
-def draw_dots(canvas: Canvas, points: Points, box: tuple[float, float, float, float], *, bar_px: float = 0.0) -> Axes:
+def draw_dots(
+    canvas: Canvas, points: Points, box: tuple[float, float, float, float], *, bar_px: float = 0.0
+) -> Axes:
     """Draw larger points one by one; where they are many and there is room for a colour ``bar_px``, their density."""
     if bar_px and points[0].size > 5000:
-        return _draw_density(canvas, (*box[:2], box[2] - bar_px, box[3]), points, counted_text="points")
+        return _draw_density(
+            canvas, (*box[:2], box[2] - bar_px, box[3]), points, counted_text="points"
+        )
     axes = canvas.axes(*box, (*_axis_limits(points[0], 0.0), *_axis_limits(points[1], 0.0)))
     dot_px, opacity = (3, 0.5) if points[0].size > 2000 else (4.6, 0.7)
     axes.dots(np.stack(points, axis=1), colour=POINT, size=dot_px, opacity=opacity)
     return axes
 
 
-def _draw_density(canvas: Canvas, box: tuple[float, float, float, float], points: Points, *, counted_text: str) -> Axes:
-    ranges, (left_px, top_px, width, height) = (_axis_limits(points[0]), _axis_limits(points[1])), box
+def _draw_density(
+    canvas: Canvas, box: tuple[float, float, float, float], points: Points, *, counted_text: str
+) -> Axes:
+    ranges, (left_px, top_px, width, height) = (
+        (_axis_limits(points[0]), _axis_limits(points[1])),
+        box,
+    )
     bins = int(np.clip(np.sqrt(points[0].size) / 1.5, _LEAST_BINS, _BINS))
     counts = np.histogram2d(*points, bins=bins, range=ranges)[0].T[::-1]
     scale = Scale(0.0, float(np.log10(max(counts.max(initial=1.0), 10.0))), PROPERTY)
@@ -255,5 +339,9 @@ def _axis_limits(values: Array, percent: float = 0.05) -> tuple[float, float]:
 def _correlation_text(row: CorrelationRow, units: tuple[str, str]) -> str:
     if not is_known(row.r):
         return "no correlation: too few points, or a constant map"
-    unit_text = f"{' ' + units[1] if units[1] else ''} per {units[0]}" if units[0] and units[0] != units[1] else ""
+    unit_text = (
+        f"{' ' + units[1] if units[1] else ''} per {units[0]}"
+        if units[0] and units[0] != units[1]
+        else ""
+    )
     return f"{r_sentence(row)}\u2003n = {count(row.n)}\u2003slope {number(row.slope)}{unit_text}"

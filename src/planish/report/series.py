@@ -20,7 +20,19 @@ from planish.core.numbers import NONE, axis_label, plain, round_step
 from planish.report import series_words as words
 from planish.report import statement, text
 from planish.report.colours import image_uri, limits
-from planish.report.draw import ACCENT, HALF, INK, POINT, SMALL, SOFT, Canvas, Picture, ShownMap, multiples, reduced
+from planish.report.draw import (
+    ACCENT,
+    HALF,
+    INK,
+    POINT,
+    SMALL,
+    SOFT,
+    Canvas,
+    Picture,
+    ShownMap,
+    multiples,
+    reduced,
+)
 from planish.series_results import SeriesResults, SeriesSpecimen
 
 _ROW, _TOP, _LETTER = 30.0, 14.0, 6.3  # pixels: of a group, above the first, of a letter
@@ -44,16 +56,29 @@ def series_page(results: SeriesResults, maps: Sequence[SmallMap]) -> str:
     str
         The same input gives the same text.
     """
-    columns = list(range(min(len(results.quantities), 8)))  # quantities of the table of specimens, and of figures
-    factors = [name for name in results.factors if any(name in member.factors for member in results.members)]
+    # Quantities of the table of specimens, and of figures.
+    columns = list(range(min(len(results.quantities), 8)))
+    factors = [
+        name
+        for name in results.factors
+        if any(name in member.factors for member in results.members)
+    ]
     page = text.template("planish.report", "series.html.j2").render(
-        results=results, words=words, statement=statement, text=text, factors=factors,
-        columns=columns, lines=[_specimen_line(specimen, factors, columns, results) for specimen in results.specimens],
+        results=results,
+        words=words,
+        statement=statement,
+        text=text,
+        factors=factors,
+        columns=columns,
+        lines=[
+            _specimen_line(specimen, factors, columns, results) for specimen in results.specimens
+        ],
         orders=_specimen_orders(results, factors),
         pictures=[picture for k in columns if (picture := draw_groups(results, k))],
-        tiled=_tile_maps(maps), out=[specimen for specimen in results.specimens if specimen.member.state != "whole"],
+        tiled=_tile_maps(maps),
+        out=[specimen for specimen in results.specimens if specimen.member.state != "whole"],
         linked=any(specimen.kind not in (None, "map") for specimen in results.specimens),
-    )  # fmt: skip
+    )
     return f"{page}\n"
 
 
@@ -69,7 +94,12 @@ def _specimen_line(
         doubt_text = cell.why_not if has_own_reason else "" if cell.trust == "ok" else cell.trust
         cells[k] = words.cell_text(cell, results.quantities[k]), doubt_text
     link = "" if specimen.kind is None else f"{quote(specimen.member.run or '')}/report.html"
-    return {"specimen": specimen, "link": link, "factors": [specimen.factor(f) for f in factors], "cells": cells}
+    return {
+        "specimen": specimen,
+        "link": link,
+        "factors": [specimen.factor(f) for f in factors],
+        "cells": cells,
+    }
 
 
 def _specimen_orders(results: SeriesResults, factors: Sequence[str]) -> list[tuple[str, list[int]]]:
@@ -79,12 +109,22 @@ def _specimen_orders(results: SeriesResults, factors: Sequence[str]) -> list[tup
         ("state", [(s.member.state != "whole", s.member.state, s.light or "") for s in specimens]),
     ]
     factor_names = sorted(factors, key=lambda name: name not in results.grouped_by)
-    sort_keys += [(f, [(not s.factor(f), natural(s.factor(f))) for s in specimens]) for f in factor_names[:3]]
+    sort_keys += [
+        (f, [(not s.factor(f), natural(s.factor(f))) for s in specimens]) for f in factor_names[:3]
+    ]
     for k, q in enumerate(results.quantities):
         if q.map == results.quantities[0].map:
-            title = {"mean": "mean", "sd": "standard deviation", "thin_share": "thin share", "r": "r"}[q.what]
+            title = {
+                "mean": "mean",
+                "sd": "standard deviation",
+                "thin_share": "thin share",
+                "r": "r",
+            }[q.what]
             map_values = [s.cells[k].value if s.cells else None for s in specimens]
-            finite_first = [(False, v) if v is not None and math.isfinite(v) else (True, 0.0) for v in map_values]
+            finite_first = [
+                (False, v) if v is not None and math.isfinite(v) else (True, 0.0)
+                for v in map_values
+            ]
             sort_keys.append((title, finite_first))
     orders = [("as listed", list(range(len(specimens))))]
     for name, sort_key in sort_keys:
@@ -115,11 +155,15 @@ def small_map(specimen: str, data: xr.DataArray | None, *, pixels: float) -> Sma
     if data is None:
         return SmallMap(specimen=specimen)
     y, x = (data[d].values.astype(np.float64) for d in data.dims)
-    ratio = min(1.0, data.shape[1] * abs(float(x[1] - x[0])) / (data.shape[0] * abs(float(y[1] - y[0]))))
+    ratio = min(
+        1.0, data.shape[1] * abs(float(x[1] - x[0])) / (data.shape[0] * abs(float(y[1] - y[0])))
+    )
     shown = reduced(data.values, y, x, width=pixels * ratio / 1.35)
     values = np.round(shown.values.astype(np.float32), 6).astype(np.float64)  # a page needs no more
     shown = ShownMap(values, shown.extent)
-    return SmallMap(specimen=specimen, shown=shown, title=text.title_of(data), unit=text.unit_of(data))
+    return SmallMap(
+        specimen=specimen, shown=shown, title=text.title_of(data), unit=text.unit_of(data)
+    )
 
 
 def _tile_maps(maps: Sequence[SmallMap]) -> dict[str, Any]:
@@ -127,14 +171,23 @@ def _tile_maps(maps: Sequence[SmallMap]) -> dict[str, Any]:
 
     ``images`` are specimen, address, width and height in CSS pixels; ``missing`` the specimens without.
     """
-    shown_maps = {m.specimen: m.shown for m in maps if m.shown is not None and bool(np.isfinite(m.shown.values).any())}
+    shown_maps = {
+        m.specimen: m.shown
+        for m in maps
+        if m.shown is not None and bool(np.isfinite(m.shown.values).any())
+    }
     missing_names = [m.specimen for m in maps if m.specimen not in shown_maps]
     if not shown_maps:
         return {"images": [], "missing": missing_names}
     scale = limits(np.concatenate([m.values.ravel() for m in shown_maps.values()]))
     um_per_px = max(max(m.width, m.height) for m in shown_maps.values()) / _WIDE
     images = [
-        (name, image_uri(m.values, scale), max(m.width / um_per_px, _LEAST), max(m.height / um_per_px, _LEAST))
+        (
+            name,
+            image_uri(m.values, scale),
+            max(m.width / um_per_px, _LEAST),
+            max(m.height / um_per_px, _LEAST),
+        )
         for name, m in shown_maps.items()
     ]
     # The colours of all small maps, and a length on them.
@@ -156,11 +209,12 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
     factor = 100.0 if q.what == "thin_share" else 1.0
     fields = [  # sheet and value of every specimen of a group that counts
         [
-            (s.sheet, float(s.cells[k].value or 0.0)) for s in results.specimens
+            (s.sheet, float(s.cells[k].value or 0.0))
+            for s in results.specimens
             if s.cells and s.cells[k].counts and all(s.factor(f) == v for f, v in g.group.items())
         ]
         for g in groups
-    ]  # fmt: skip
+    ]
     plotted = [v * factor for group_fields in fields for _, v in group_fields]
     plotted += [v * factor for g in groups for v in g.interval if is_known(v)]
     low, high = min(plotted), max(plotted)
@@ -169,7 +223,9 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
     left_px = min(max(len(_short_label(g.group)) for g in groups) * _LETTER + 16, _WIDEST_NAME)
     right_px, bottom_px = HALF - 20, _TOP + _ROW * len(groups)
     canvas = Canvas(HALF, bottom_px + 50)
-    axes = canvas.axes(left_px, _TOP, right_px - left_px, bottom_px - _TOP, (low, high, float(len(groups)), 0.0))
+    axes = canvas.axes(
+        left_px, _TOP, right_px - left_px, bottom_px - _TOP, (low, high, float(len(groups)), 0.0)
+    )
     for i, (g, group_fields) in enumerate(zip(groups, fields, strict=True)):
         y, sheets = i + 0.5, dict[str, list[float]]()
         axes.dots([(v * factor, y - 0.18) for _, v in group_fields], colour="#9db4c6", size=4)
@@ -184,16 +240,32 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
     canvas.line([(left_px, bottom_px), (right_px, bottom_px)], colour=SOFT, width=0.8)
     ticks = multiples(low, high, round_step((high - low) / 4))
     canvas.number_axes(axes, [(v, f"{v + 0.0:.6g}".replace("-", "−")) for v in ticks], [])
-    canvas.text((left_px + right_px) / 2, bottom_px + 38, axis_label(words.title(q), words.units(q)), anchor="middle")
-    rows = [(words.label(g.group), *field) for g, of_group in zip(groups, fields, strict=True) for field in of_group]
-    means = [f"{words.label(g.group)} {words.value(g.mean, q)} ({words.sheets_text(g.sheets)})" for g in groups]
+    canvas.text(
+        (left_px + right_px) / 2,
+        bottom_px + 38,
+        axis_label(words.title(q), words.units(q)),
+        anchor="middle",
+    )
+    rows = [
+        (words.label(g.group), *field)
+        for g, of_group in zip(groups, fields, strict=True)
+        for field in of_group
+    ]
+    means = [
+        f"{words.label(g.group)} {words.value(g.mean, q)} ({words.sheets_text(g.sheets)})"
+        for g in groups
+    ]
     return canvas.picture(
         title=words.title(q),
         caption=(
-            "Pale: single specimens; blue: sheets; red: mean over sheets with its 95 % interval, where there are 3 "
-            f"sheets. Means: {'; '.join(means)}."
+            "Pale: single specimens; blue: sheets; red: mean over sheets with its 95 % interval,"
+            f" where there are 3 sheets. Means: {'; '.join(means)}."
         ),
-        data={"sheets": dict(zip(("group", "sheet", "value"), map(list, zip(*rows, strict=True)), strict=True))},
+        data={
+            "sheets": dict(
+                zip(("group", "sheet", "value"), map(list, zip(*rows, strict=True)), strict=True)
+            )
+        },
     )
 
 
@@ -202,6 +274,9 @@ def _short_label(group: Mapping[str, str]) -> str:
     full_label, max_letters = words.label(group), int((_WIDEST_NAME - 16) / _LETTER)
     if len(full_label) <= max_letters:
         return full_label
-    letters = max(max_letters // len(group) - 3, 4)  # of each level, and what shorter ones leave over
+    # Of each level, and what shorter ones leave over.
+    letters = max(max_letters // len(group) - 3, 4)
     letters += sum(max(letters - len(level), 0) for level in group.values())
-    return words.label({f: v if len(v) <= letters else f"{v[: letters - 1]}…" for f, v in group.items()})
+    return words.label(
+        {f: v if len(v) <= letters else f"{v[: letters - 1]}…" for f, v in group.items()}
+    )

@@ -5,7 +5,17 @@ from collections.abc import Mapping, Sequence
 from itertools import groupby
 
 from planish.core.facts import is_known
-from planish.core.numbers import NONE, axis_label, capital, count, fixed, number, to_spread, typeset, unit
+from planish.core.numbers import (
+    NONE,
+    axis_label,
+    capital,
+    count,
+    fixed,
+    number,
+    to_spread,
+    typeset,
+    unit,
+)
 from planish.report.statement import decimals_of_r, p_text
 from planish.report.summary import KeyFigure
 from planish.series_results import Cell, DifferenceFacts, GroupFacts, Quantity, SeriesResults
@@ -14,9 +24,12 @@ _LED = 2  # differences of one quantity in the first sentences
 _CLOSE, _OF_CLOSE = 0.995, 5  # r of two measurements of one quantity, and its decimals
 _NAMED = 6  # specimens that are left out, in a cell
 _STATES = {
-    "whole": "complete", "withheld": "with a check that failed", "refused": "refused", "damaged": "damaged",
+    "whole": "complete",
+    "withheld": "with a check that failed",
+    "refused": "refused",
+    "damaged": "damaged",
     "open": "not done yet",
-}  # fmt: skip
+}
 
 
 def lead(results: SeriesResults) -> str:
@@ -24,24 +37,38 @@ def lead(results: SeriesResults) -> str:
     if not any(specimen.kind for specimen in results.specimens):
         return f"No specimen has a run that can be read. {states(results)}"
     if results.differences:
-        same_quantity = [d for d in results.differences if d.quantity == results.differences[0].quantity]
+        same_quantity = [
+            d for d in results.differences if d.quantity == results.differences[0].quantity
+        ]
         sentences = [difference(d, results) for d in same_quantity[:_LED]]
         if len(same_quantity) > _LED:
             sentences.append(f"{len(same_quantity) - _LED} more of this quantity are listed below.")
         verdicts = [d.verdict for d in results.differences]
-        n_differences, n_differ, n_unknown = len(verdicts), verdicts.count("differ"), verdicts.count("unknown")
+        n_differences, n_differ, n_unknown = (
+            len(verdicts),
+            verdicts.count("differ"),
+            verdicts.count("unknown"),
+        )
         if n_unknown == n_differences > 1:
             sentences.append(f"None of {n_differences} differences is known.")
         elif n_differences > 1:
-            differ_text = "none is" if n_differ == 0 else "1 is" if n_differ == 1 else f"{n_differ} are"
+            differ_text = (
+                "none is" if n_differ == 0 else "1 is" if n_differ == 1 else f"{n_differ} are"
+            )
             unknown_text = f"; {n_unknown} not known" if n_unknown else ""
-            sentences.append(f"Of {n_differences} differences, {differ_text} distinguishable after Holm{unknown_text}.")
+            sentences.append(
+                f"Of {n_differences} differences, {differ_text} distinguishable after"
+                f" Holm{unknown_text}."
+            )
         return " ".join(sentences)
     groups = [g for g in results.groups if g.fields]
     if not groups:
         return f"Nothing can be compared: no figure of any specimen counts. {states(results)}"
     main_groups = [g for g in groups if results.quantities[g.quantity].what in ("mean", "r")]
-    return " ".join(group_sentence(g, results) for g in [g for g in main_groups if g.group == groups[0].group][:2])
+    return " ".join(
+        group_sentence(g, results)
+        for g in [g for g in main_groups if g.group == groups[0].group][:2]
+    )
 
 
 def states(results: SeriesResults) -> str:
@@ -49,7 +76,10 @@ def states(results: SeriesResults) -> str:
     counts, total = Counter(member.state for member in results.members), len(results.specimens)
     if counts["whole"] == total:
         return f"All {total} specimens are complete." if total > 1 else "The specimen is complete."
-    return f"Of {total} specimens, {', '.join(f'{counts[s]} {text}' for s, text in _STATES.items() if counts[s])}."
+    return (
+        f"Of {total} specimens,"
+        f" {', '.join(f'{counts[s]} {text}' for s, text in _STATES.items() if counts[s])}."
+    )
 
 
 def light_of(results: SeriesResults) -> str:
@@ -105,8 +135,12 @@ def interval(limits: tuple[float, float] | None, q: Quantity) -> str:
 def short(q: Quantity) -> str:
     """Heading of a column: the statistic with its unit."""
     size_text = "" if q.at_um is None else f"{q.at_um:g} µm"
-    name = {"mean": "Mean", "sd": "Standard deviation", "thin_share": f"Below {size_text}" if q.at_um else "Bare",
-            "r": f"r with {q.other_layer or 'the image'}, points of {size_text}"}[q.what]  # fmt: skip
+    name = {
+        "mean": "Mean",
+        "sd": "Standard deviation",
+        "thin_share": f"Below {size_text}" if q.at_um else "Bare",
+        "r": f"r with {q.other_layer or 'the image'}, points of {size_text}",
+    }[q.what]
     return axis_label(name, units(q))
 
 
@@ -114,13 +148,17 @@ def cell_text(cell: Cell, q: Quantity) -> str:
     """Write a quantity of one specimen; r with its interval below."""
     if q.what == "r" and cell.low is not None and cell.high is not None:
         digits = decimals_of_r((cell.low, cell.high))
-        return f"{fixed(cell.value, digits)}\n{fixed(cell.low, digits)} to {fixed(cell.high, digits)}"
+        return (
+            f"{fixed(cell.value, digits)}\n{fixed(cell.low, digits)} to {fixed(cell.high, digits)}"
+        )
     return value(cell.value, q)
 
 
 def label(group: Mapping[str, str]) -> str:
     """Name a group by the levels of its factors."""
-    return ", ".join(level or f"{name} not given" for name, level in group.items()) or "all specimens"
+    return (
+        ", ".join(level or f"{name} not given" for name, level in group.items()) or "all specimens"
+    )
 
 
 def sheets_text(n: int) -> str:
@@ -149,7 +187,9 @@ def difference(d: DifferenceFacts, results: SeriesResults) -> str:
     quantity_text, names = typeset(q.title), f"{first} and {second}"
     if not is_known(d.interval):
         reason = d.reason or "no figure counts"
-        return capital(f"{group_text}it is not known whether {names} differ in {quantity_text}: {reason}.")
+        return capital(
+            f"{group_text}it is not known whether {names} differ in {quantity_text}: {reason}."
+        )
     verb = "differ" if d.verdict == "differ" else f"are {verdict(d)}"
     change_text, equivalence_text = with_units(signed(d, q), q, change=True), ""
     if d.equivalence is not None and d.equivalence.verdict != "unknown":
@@ -160,8 +200,8 @@ def difference(d: DifferenceFacts, results: SeriesResults) -> str:
             "undecided": f" Smaller than {declared_text} or not: undecided.",
         }[d.equivalence.verdict]
     return capital(
-        f"{group_text}{names} {verb} in {quantity_text}: {second} − {first} = {change_text} "
-        f"(95 %: {with_units(interval(d.interval, q), q, change=True)}; {sampled(d)}).{equivalence_text}"
+        f"{group_text}{names} {verb} in {quantity_text}: {second} − {first} = {change_text} (95 %:"
+        f" {with_units(interval(d.interval, q), q, change=True)}; {sampled(d)}).{equivalence_text}"
     )
 
 
@@ -180,7 +220,10 @@ def sampled(d: DifferenceFacts) -> str:
 
 def verdict(d: DifferenceFacts) -> str:
     """The verdict on a difference, short."""
-    verdict_texts = {"not after Holm": "not distinguishable after Holm", "unknown": d.reason or "no figure counts"}
+    verdict_texts = {
+        "not after Holm": "not distinguishable after Holm",
+        "unknown": d.reason or "no figure counts",
+    }
     return verdict_texts.get(d.verdict, d.verdict)
 
 
@@ -202,7 +245,9 @@ def equivalent(d: DifferenceFacts, q: Quantity) -> str:
         "undecided": f"undecided at ± {margin}",
         "unknown": f"± {margin}: not known",
     }[e.verdict]
-    return verdict_text + (f" (90 %: {interval(e.interval, q)}; p {p_text(e.p)})" if is_known(e.interval) else "")
+    return verdict_text + (
+        f" (90 %: {interval(e.interval, q)}; p {p_text(e.p)})" if is_known(e.interval) else ""
+    )
 
 
 def tiles(results: SeriesResults) -> list[KeyFigure]:
@@ -215,14 +260,22 @@ def tiles(results: SeriesResults) -> list[KeyFigure]:
             continue
         if d is not None:
             group_text = f"{label(d.within)}; " if d.within else ""
-            limits_text = f"95 %: {interval(d.interval, q)}; " if is_known(d.interval) else "no interval: "
+            limits_text = (
+                f"95 %: {interval(d.interval, q)}; " if is_known(d.interval) else "no interval: "
+            )
             label_text = f"{d.levels[1]} − {d.levels[0]}: {typeset(q.title)}"
             note = f"{group_text}{limits_text}{verdict(d)}"
             figures.append(KeyFigure(signed(d, q), units(q, change=True), label_text, note))
         elif g is not None:
-            note = f"95 %: {interval(g.interval, q)}" if is_known(g.interval) else f"no interval: {g.reason}"
+            note = (
+                f"95 %: {interval(g.interval, q)}"
+                if is_known(g.interval)
+                else f"no interval: {g.reason}"
+            )
             note = f"{f'{label(g.group)}, ' if g.group else ''}{sheets_text(g.sheets)}; {note}"
-            figures.append(KeyFigure(value(g.mean, q, g.interval), units(q), typeset(q.title), note))
+            figures.append(
+                KeyFigure(value(g.mean, q, g.interval), units(q), typeset(q.title), note)
+            )
     return figures
 
 
@@ -232,16 +285,22 @@ def heterogeneous(g: GroupFacts, q: Quantity) -> str:
         z = g.between_sheets
         if z is None:
             return "one sheet: nothing to compare" if g.sheets == 1 else NONE
-        verdict_text = "sheets differ beyond their own scatter" if z.p < 0.05 else "no more than their own scatter"
-        return f"{verdict_text}: I² {number(100 * z.i2, 2)}\u202f%, Q {number(z.q)}, p {p_text(z.p)}"
+        verdict_text = (
+            "sheets differ beyond their own scatter"
+            if z.p < 0.05
+            else "no more than their own scatter"
+        )
+        return (
+            f"{verdict_text}: I² {number(100 * z.i2, 2)}\u202f%, Q {number(z.q)}, p {p_text(z.p)}"
+        )
     v = g.variances
     if v is None or not is_known(v.sd_within) or not is_known(v.share):
         return (v.reason if v else "") or NONE
     low_text, high_text = (number(100 * share, 2) for share in v.share_interval)
     limits_text = f" (95 %: {low_text} to {high_text}\u202f%)" if is_known(v.share_interval) else ""
     return (
-        f"sd {value(v.sd_between, q)} between, {value(v.sd_within, q)} within; between: {number(100 * v.share, 2)}"
-        f"\u202f% of the variance{limits_text}, p {p_text(v.p)}"
+        f"sd {value(v.sd_between, q)} between, {value(v.sd_within, q)} within; between:"
+        f" {number(100 * v.share, 2)}\u202f% of the variance{limits_text}, p {p_text(v.p)}"
     )
 
 
@@ -259,8 +318,17 @@ def declared(results: SeriesResults) -> list[tuple[str, str]]:
         ("Compared by", f"{compared_by}{'' if options.get('compare') else ' (usual)'}"),
         ("Groups", ", ".join(results.grouped_by) or "one"),
         ("Maps", ", ".join(dict.fromkeys(q.map for q in results.quantities)) or NONE),
-        ("Margins", ", ".join(f"{k} {v:g}" for k, v in margins.items()) if isinstance(margins, dict) and margins
-         else "none declared"),
+        (
+            "Margins",
+            (
+                ", ".join(f"{k} {v:g}" for k, v in margins.items())
+                if isinstance(margins, dict) and margins
+                else "none declared"
+            ),
+        ),
         ("Doubtful figures", "included" if options.get("doubtful") else "left out"),
-        ("Sheets", "named in the table" if results.sheets_given else "not all named: see the cautions"),
-    ]  # fmt: skip
+        (
+            "Sheets",
+            "named in the table" if results.sheets_given else "not all named: see the cautions",
+        ),
+    ]

@@ -42,7 +42,10 @@ class Slice:
         face_heights = np.concatenate([v[is_inside] for v in self.lines.values()])
         face_heights = face_heights[np.isfinite(face_heights)]
         if face_heights.size:
-            low, high = max(low, float(face_heights.min()) - margin), min(high, float(face_heights.max()) + margin)
+            low, high = (
+                max(low, float(face_heights.min()) - margin),
+                min(high, float(face_heights.max()) + margin),
+            )
         return left, right, low, high
 
     @property
@@ -56,46 +59,74 @@ def draw_slices(slices: xr.Dataset, surfaces: xr.Dataset) -> list[Picture]:
     cuts = [take_slice(slices, surfaces, k) for k in range(slices.sizes["slice"])]
     thickness = float(np.nanmedian(surfaces["top"].values - surfaces["bottom"].values))
     scale = limits(
-        np.concatenate([c.grey.ravel()[:: max(1, c.grey.size // 200_000)] for c in cuts]), GREYS, percent=0.3
+        np.concatenate([c.grey.ravel()[:: max(1, c.grey.size // 200_000)] for c in cuts]),
+        GREYS,
+        percent=0.3,
     )
     margin = 0.8 * abs(thickness)
     spans = [_overview_window(cut, margin) for cut in cuts]
     windows = _detail_windows(cuts, spans, 0.35 * margin)
     cut_axis = str(surfaces.attrs["row_axis"])
     zoom = _px_per_um(spans, FULL - 2)
-    canvas, top_px = Canvas(FULL, sum((s[3] - s[2]) * zoom for s in spans) + 32 * len(cuts) + 30), 0.0
-    for letter, cut, span, (left, right, low, high) in zip(ascii_uppercase, cuts, spans, windows, strict=False):
+    canvas, top_px = (
+        Canvas(FULL, sum((s[3] - s[2]) * zoom for s in spans) + 32 * len(cuts) + 30),
+        0.0,
+    )
+    for letter, cut, span, (left, right, low, high) in zip(
+        ascii_uppercase, cuts, spans, windows, strict=False
+    ):
         canvas.text(1, top_px + 18, f"Slice {letter}", bold=True)
         canvas.text(62, top_px + 18, f"{cut_axis} = {plain(cut.place_um)}", colour=SOFT)
         axes = _draw_window(canvas, cut, span, (1, top_px + 26), zoom, scale, 1.1)
-        axes.line([(left, low), (left, high), (right, high), (right, low), (left, low)], colour=_MARKED, width=1.4)
-        axes.text(left, high, letter, shift=(3, -4), size=SMALL, colour=_MARKED, halo="black", bold=True)
+        axes.line(
+            [(left, low), (left, high), (right, high), (right, low), (left, low)],
+            colour=_MARKED,
+            width=1.4,
+        )
+        axes.text(
+            left, high, letter, shift=(3, -4), size=SMALL, colour=_MARKED, halo="black", bold=True
+        )
         top_px += axes.height + 32
     canvas.scale_bar(1, top_px - 2, width=FULL, um=FULL / zoom)
-    is_whole = all(s[1] - s[0] >= float(c.x[-1] - c.x[0]) - 1e-6 for s, c in zip(spans, cuts, strict=True))
+    is_whole = all(
+        s[1] - s[0] >= float(c.x[-1] - c.x[0]) - 1e-6 for s, c in zip(spans, cuts, strict=True)
+    )
     stretch_um = spans[0][1] - spans[0][0]
-    stretch_text = "" if is_whole else f" Only a stretch of {length(stretch_um)} is drawn, so that the sheet shows."
+    stretch_text = (
+        ""
+        if is_whole
+        else f" Only a stretch of {length(stretch_um)} is drawn, so that the sheet shows."
+    )
     overview = canvas.picture(
         title="Slices with the surfaces found",
         caption=(
-            f"{len(cuts)} slices across {cut_axis}; {surfaces.attrs['through']} runs through the sheet, the top side "
-            f"is up. Heights and widths have the same scale.{stretch_text} n = {count(cuts[0].x.size)} columns of "
-            f"{pixel_of(cuts[0].x)} in each slice; lines in µm; mask: faces are pale where the column is left out "
-            "(rims), and missing where none was found."
+            f"{len(cuts)} slices across {cut_axis}; {surfaces.attrs['through']} runs through the"
+            f" sheet, the top side is up. Heights and widths have the same scale.{stretch_text} n ="
+            f" {count(cuts[0].x.size)} columns of {pixel_of(cuts[0].x)} in each slice; lines in µm;"
+            " mask: faces are pale where the column is left out (rims), and missing where none was"
+            " found."
         ),
     )
     return [overview, _draw_details(cuts, windows, scale)]
 
 
 def _draw_window(
-    canvas: Canvas, cut: Slice, window: Window, corner_px: tuple[float, float], zoom: float, scale: Scale, width: float
+    canvas: Canvas,
+    cut: Slice,
+    window: Window,
+    corner_px: tuple[float, float],
+    zoom: float,
+    scale: Scale,
+    width: float,
 ) -> Axes:
     left, right, low, high = window
     width_px = (right - left) * zoom
     axes = canvas.axes(*corner_px, width_px, (high - low) * zoom, window)
     cols = (cut.x >= left - 1e-6) & (cut.x <= right + 1e-6)
     rows = (cut.heights >= low - 1e-6) & (cut.heights <= high + 1e-6)
-    axes.image(reduced(cut.grey[np.ix_(rows, cols)], cut.heights[rows], cut.x[cols], width=width_px), scale)
+    axes.image(
+        reduced(cut.grey[np.ix_(rows, cols)], cut.heights[rows], cut.x[cols], width=width_px), scale
+    )
     stride = slice(None, None, max(1, cut.x.size // 1400))  # points of a line
     for name, _, colour, dash in LINES:
         line = np.stack([cut.x, cut.lines[name]], axis=1)
@@ -119,18 +150,26 @@ def _draw_details(cuts: list[Slice], windows: list[Window], scale: Scale) -> Pic
         canvas.text(left_px, 18, f"Detail of slice {ascii_uppercase[k]}", bold=True)
         _draw_window(canvas, cut, window, (left_px, 26), zoom, scale, 2.0)
     canvas.scale_bar(1, 28 + height_px, width=width, um=width / zoom)
-    drawn_lines = [line for line in LINES if any(np.isfinite(cut.lines[line[0]]).any() for cut in cuts)]
+    drawn_lines = [
+        line for line in LINES if any(np.isfinite(cut.lines[line[0]]).any() for cut in cuts)
+    ]
     canvas.box(0, height_px + 60, FULL, 28, fill="#2a2d30")
     for k, (_, name, colour, dash) in enumerate(drawn_lines):
         left_px = 14 + k * 205.0
-        canvas.line([(left_px, height_px + 74), (left_px + 28, height_px + 74)], colour=colour, width=2.6, dash=dash)
+        canvas.line(
+            [(left_px, height_px + 74), (left_px + 28, height_px + 74)],
+            colour=colour,
+            width=2.6,
+            dash=dash,
+        )
         canvas.text(left_px + 36, height_px + 78, name, colour="white")
     voxel = pixel_of(cuts[0].x, cuts[0].heights[::-1])
     return canvas.picture(
         title="The layers, close up",
         caption=(
-            f"The red windows, each {length(widest_um)} wide; voxels of {voxel} as they are, lines in µm at sub-voxel "
-            f"heights. n = {count(round(widest_um / pitch(cuts[0].x)))} columns in each window; mask as above."
+            f"The red windows, each {length(widest_um)} wide; voxels of {voxel} as they are, lines"
+            f" in µm at sub-voxel heights. n = {count(round(widest_um / pitch(cuts[0].x)))} columns"
+            " in each window; mask as above."
         ),
     )
 
@@ -165,12 +204,19 @@ def take_slice(slices: xr.Dataset, surfaces: xr.Dataset, k: int) -> Slice:
     # A column may be several voxels wide: each voxel shows the surfaces of its column.
     centres = surfaces["x"].values.astype(np.float64)
     cols = np.clip(np.rint((x - centres[0]) / pitch(centres)), 0, centres.size - 1).astype(int)
-    lines = {name: sign * surfaces[name].values[row, cols].astype(np.float64) for name, *_ in LINES if name in surfaces}
+    lines = {
+        name: sign * surfaces[name].values[row, cols].astype(np.float64)
+        for name, *_ in LINES
+        if name in surfaces
+    }
     return Slice(
-        grey=slices["grey"].values[k].astype(np.float64)[order], heights=heights[order], x=x,
+        grey=slices["grey"].values[k].astype(np.float64)[order],
+        heights=heights[order],
+        x=x,
         lines={name: lines.get(name, np.full(x.shape, np.nan)) for name, *_ in LINES},
-        used=np.isfinite(surfaces["thickness"].values[row, cols]), place_um=float(slices["slice"].values[k]),
-    )  # fmt: skip
+        used=np.isfinite(surfaces["thickness"].values[row, cols]),
+        place_um=float(slices["slice"].values[k]),
+    )
 
 
 def _overview_window(cut: Slice, margin: float) -> Window:
@@ -181,7 +227,13 @@ def _overview_window(cut: Slice, margin: float) -> Window:
         return whole_window
     # A flat sheet: more air above and below first, then less of its length.
     floor, ceiling = cut.range
-    extra_um = max(0.0, min((right - left) / _FLATTEST, ceiling - floor) - (whole_window[3] - whole_window[2])) / 2
+    extra_um = (
+        max(
+            0.0,
+            min((right - left) / _FLATTEST, ceiling - floor) - (whole_window[3] - whole_window[2]),
+        )
+        / 2
+    )
     low, high = max(whole_window[2] - extra_um, floor), min(whole_window[3] + extra_um, ceiling)
     max_width_um = 2 * _FLATTEST * (high - low)
     if right - left <= max_width_um:
@@ -193,10 +245,18 @@ def _overview_window(cut: Slice, margin: float) -> Window:
 def _clear_place(cut: Slice, span: Window) -> float:
     step = pitch(cut.x)
     n_columns = max(1, min(round(_WINDOW_UM / step), cut.x.size))
-    measured_share = np.convolve(cut.used.astype(np.float64), np.ones(n_columns) / n_columns, mode="valid")
+    measured_share = np.convolve(
+        cut.used.astype(np.float64), np.ones(n_columns) / n_columns, mode="valid"
+    )
     centres_um = cut.x[: measured_share.size] + (n_columns - 1) / 2 * step
-    is_inside = (centres_um - _WINDOW_UM / 2 >= span[0] - step) & (centres_um + _WINDOW_UM / 2 <= span[1] + step)
+    is_inside = (centres_um - _WINDOW_UM / 2 >= span[0] - step) & (
+        centres_um + _WINDOW_UM / 2 <= span[1] + step
+    )
     if not is_inside.any():
         return (span[0] + span[1]) / 2
     distance = np.abs(centres_um - (span[0] + span[1]) / 2) / max(span[1] - span[0], step)
-    return float(centres_um[int(np.argmax(np.where(is_inside, np.round(measured_share, 1) - distance, -np.inf)))])
+    return float(
+        centres_um[
+            int(np.argmax(np.where(is_inside, np.round(measured_share, 1) - distance, -np.inf)))
+        ]
+    )

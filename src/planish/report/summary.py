@@ -8,7 +8,19 @@ from planish.analyze import LagNumbers
 from planish.core import numbers
 from planish.core.checks import State
 from planish.core.facts import Trust, is_known
-from planish.core.numbers import NONE, capital, count, fixed, in_words, length, number, percent, plain, typeset, unit
+from planish.core.numbers import (
+    NONE,
+    capital,
+    count,
+    fixed,
+    in_words,
+    length,
+    number,
+    percent,
+    plain,
+    typeset,
+    unit,
+)
 from planish.report.relation import largest, written_difference
 from planish.report.statement import r2_interval_text, r2_text, r_interval_text, r_text
 from planish.report.text import registered_by
@@ -39,7 +51,11 @@ def summarise(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
     """Return the result of a run in one sentence and a few numbers, as far as it goes and no further."""
     if not results.is_link:
         return _map_summary(results, titles)
-    return _pair_summary(results, titles) if len(results.moving) == 1 else _layers_summary(results, titles)
+    return (
+        _pair_summary(results, titles)
+        if len(results.moving) == 1
+        else _layers_summary(results, titles)
+    )
 
 
 def check_summary(results: Results) -> str:
@@ -51,7 +67,12 @@ def check_summary(results: Results) -> str:
     subjects = {n: "it concerns" if n == 1 else "they concern" for n in (fail, look)}
     clauses = [
         f"{fail} failed, and what {subjects[fail]} is withheld" if fail else "",
-        f"{look} {'asks' if look == 1 else 'ask'} for a look, and what {subjects[look]} is doubtful" if look else "",
+        (
+            f"{look} {'asks' if look == 1 else 'ask'} for a look, and what {subjects[look]} is"
+            " doubtful"
+            if look
+            else ""
+        ),
         f"{unknown} could not be answered" if unknown else "",
     ]
     return f"Of {total} checks, {'; '.join(part for part in clauses if part)}."
@@ -60,7 +81,11 @@ def check_summary(results: Results) -> str:
 def doubt(results: Results, trust: Trust, layers: Sequence[str]) -> str:
     """Say why a figure of some layers is kept out of the headline."""
     state: State = "fail" if trust == "withheld" else "look"
-    checks = (c for c in results.checks_in(state) if c.figures and (not c.layers or set(c.layers) & set(layers)))
+    checks = (
+        c
+        for c in results.checks_in(state)
+        if c.figures and (not c.layers or set(c.layers) & set(layers))
+    )
     return f"is {trust} ({', '.join(dict.fromkeys(check.name for check in checks))})"
 
 
@@ -69,7 +94,9 @@ def key_of(pair: CorrelationRow | EvidenceFacts) -> PairKey:
     return pair.a, pair.a_map, pair.b, pair.b_map
 
 
-def titles_of(pair: CorrelationRow | EvidenceFacts, titles: Titles, *, with_layers: bool = False) -> tuple[str, str]:
+def titles_of(
+    pair: CorrelationRow | EvidenceFacts, titles: Titles, *, with_layers: bool = False
+) -> tuple[str, str]:
     """Return the titles of both maps of a pair, their names where they have none; on request with their layers."""
 
     def title(layer: str, name: str) -> str:
@@ -94,8 +121,13 @@ def by_pair(results: Results) -> list[list[CorrelationRow]]:
 
 def headline_pair(results: Results, moving: LayerFacts) -> list[CorrelationRow]:
     """Return the correlations of the maps that stand for a layer and for the reference; empty where there are none."""
-    map_keys = {(moving.name, moving.headline), (results.reference.name, results.reference.headline)}
-    pair_groups = (g for g in by_pair(results) if {(g[0].a, g[0].a_map), (g[0].b, g[0].b_map)} == map_keys)
+    map_keys = {
+        (moving.name, moving.headline),
+        (results.reference.name, results.reference.headline),
+    }
+    pair_groups = (
+        g for g in by_pair(results) if {(g[0].a, g[0].a_map), (g[0].b, g[0].b_map)} == map_keys
+    )
     return next(pair_groups, [])
 
 
@@ -110,7 +142,9 @@ def lead_pair(results: Results) -> list[CorrelationRow]:
     if len(results.moving) == 1:
         return headline_pair(results, results.moving[0])
     reference = results.reference.name
-    pair_groups = (g for g in by_pair(results) if reference in (g[0].a, g[0].b) and is_known(largest(g).r2))
+    pair_groups = (
+        g for g in by_pair(results) if reference in (g[0].a, g[0].b) and is_known(largest(g).r2)
+    )
     return min(pair_groups, key=lambda group: largest(group).r2, default=[])
 
 
@@ -122,9 +156,15 @@ def density_of(results: Results, row: CorrelationRow) -> float | None:
 def quantities(results: Results) -> list[str]:
     """Say of every image what its values are."""
     images = [(layer.name, layer.image) for layer in results.layers if layer.image is not None]
-    texts = [f"{capital(numbers.with_article(name))}: {typeset(image.sentence)}." for name, image in images]
+    texts = [
+        f"{capital(numbers.with_article(name))}: {typeset(image.sentence)}."
+        for name, image in images
+    ]
     if any(image.quantity != "reflectance" for _, image in images):
-        texts.append("Relative grey is the brightness that the file holds: larger is brighter, in no physical unit.")
+        texts.append(
+            "Relative grey is the brightness that the file holds: larger is brighter, in no"
+            " physical unit."
+        )
     return texts
 
 
@@ -138,8 +178,8 @@ def _map_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]
     measured_share, strain = sheet.surfaces.shares.get("measured"), sheet.flatten.edge_strain_p95
     map_names = [in_words(titles.get((layer, name), name)) for name in sheet.properties]
     sentence = (
-        f"The sheet was found in {percent(measured_share, 2)} of the columns and flattened; mapped: "
-        f"{', '.join(map_names) if map_names else 'no property'}. No image was linked."
+        f"The sheet was found in {percent(measured_share, 2)} of the columns and flattened; mapped:"
+        f" {', '.join(map_names) if map_names else 'no property'}. No image was linked."
     )
     if not {"coating_top", "coating_bottom"} & set(sheet.properties):
         sentence += " No coating was found."
@@ -151,10 +191,15 @@ def _map_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]
     columns_text = f"of {count(sheet.surfaces.columns)}"
     return sentence, [
         KeyFigure(number(mean_um), "µm", "mean sheet thickness", spread_text),
-        KeyFigure(_percent_text(measured_share), "%", "of the volume's columns are measured", columns_text),
+        KeyFigure(
+            _percent_text(measured_share), "%", "of the volume's columns are measured", columns_text
+        ),
         KeyFigure(number(100 * strain, 2), "%", "edge strain", "95th percentile over the mesh"),
         KeyFigure(
-            number(sheet.flatten.largest_move_um), "µm", "largest displacement", "between projection and flat sheet"
+            number(sheet.flatten.largest_move_um),
+            "µm",
+            "largest displacement",
+            "between projection and flat sheet",
         ),
     ]
 
@@ -170,25 +215,45 @@ def _pair_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure
     if held_out is not None:
         sentence = f"{held_out.sentence} With the place fitted to both: {sentence}"
     if marks is not None:
-        loo_um, marks_text, e = marks.leave_one_out_rms_um, f"rms of {marks.matched} marks", marks.expected_error
+        loo_um, marks_text, e = (
+            marks.leave_one_out_rms_um,
+            f"rms of {marks.matched} marks",
+            marks.expected_error,
+        )
         sentence += (
-            f" {marks.matched} marks were used." if loo_um is None
-            else f" Each of the {marks.matched} marks is predicted by the others to {length(loo_um, 2)} (rms)."
-        )  # fmt: skip
+            f" {marks.matched} marks were used."
+            if loo_um is None
+            else (
+                f" Each of the {marks.matched} marks is predicted by the others to"
+                f" {length(loo_um, 2)} (rms)."
+            )
+        )
         if e and e.trust == "ok" and e.median_um is not None:
             median, largest_error = length(e.median_um, 2), length(e.largest_um, 2)
             marks_text += f"; expected error of a pixel {median} (median), {largest_error} at most"
-    points_text, pixel_text = (f", points of {point_of(largest(rows))}", f", {point_of(rows[0])}") if rows else ("", "")
+    points_text, pixel_text = (
+        (f", points of {point_of(largest(rows))}", f", {point_of(rows[0])}") if rows else ("", "")
+    )
     r_figures = [
         _r_figure(results, largest(rows) if rows else None, f"r{points_text}"),
         _r_figure(results, rows[0] if rows else None, f"r at the pixel{pixel_text}"),
     ]
     if held_out is not None and rows and rows[0].trust == "ok":
         low, high = held_out.interval or (None, None)
-        note = f"95 %: {low:.2f} to {high:.2f}" if is_known(low) and is_known(high) else "beside unrelated maps"
+        note = (
+            f"95 %: {low:.2f} to {high:.2f}"
+            if is_known(low) and is_known(high)
+            else "beside unrelated maps"
+        )
         label = "r on held-out tiles" if is_known(low) else "r after the search"
-        r_figures = [KeyFigure(number(held_out.r, 2), "", label, f"{note}; without waves above 1 mm"), r_figures[0]]
-    return sentence, [*r_figures, KeyFigure(number(loo_um, 2), "µm", "leave-one-out error", marks_text)]
+        r_figures = [
+            KeyFigure(number(held_out.r, 2), "", label, f"{note}; without waves above 1 mm"),
+            r_figures[0],
+        ]
+    return sentence, [
+        *r_figures,
+        KeyFigure(number(loo_um, 2), "µm", "leave-one-out error", marks_text),
+    ]
 
 
 def point_of(row: CorrelationRow) -> str:
@@ -199,11 +264,18 @@ def point_of(row: CorrelationRow) -> str:
 def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles: Titles) -> str:
     if not pair_rows or (pair_rows[0].trust == "ok" and not is_known(pair_rows[0].r)):
         n = count(pair_rows[0].n if pair_rows else 0)
-        return f"The two layers could not be correlated: {n} pixels are valid in both, or one of the maps is constant."
+        return (
+            f"The two layers could not be correlated: {n} pixels are valid in both, or one of the"
+            " maps is constant."
+        )
     pixel, row = pair_rows[0], largest(pair_rows)
     is_image = results.layer(pixel.b).kind == "image"
     are_images = is_image and results.layer(pixel.a).kind == "image"
-    a, b = map(numbers.with_article, (pixel.a, pixel.b)) if are_images else names_in_words(pixel, titles)
+    a, b = (
+        map(numbers.with_article, (pixel.a, pixel.b))
+        if are_images
+        else names_in_words(pixel, titles)
+    )
     if pixel.trust != "ok":
         return f"The correlation of {a} and {b} {doubt(results, pixel.trust, (pixel.a, pixel.b))}."
     if not are_images:
@@ -214,7 +286,9 @@ def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles
     if not is_known(row.interval):
         return f"No statement on {a} and {b} is possible: {points_text} ({registered_by(results)})."
     interval = f"a 95 % interval of {r_interval_text(row)}"
-    limits_text = f"r = {r_text(row)} with {interval}, over {points_text} ({registered_by(results)})."
+    limits_text = (
+        f"r = {r_text(row)} with {interval}, over {points_text} ({registered_by(results)})."
+    )
     if not row.direction:
         return f"It is not certain that {b} is related to {a}: {limits_text}"
     comparative = (("brighter", "darker") if is_image else ("larger", "smaller"))[row.direction < 0]
@@ -237,8 +311,8 @@ def declared(results: Results) -> str:
     if results.evidence[0].declared:
         return "The map that leads was declared in the study, before r was looked at."
     return (
-        "The map that leads is the usual one, the coating that is seen or else the thickness; the study declared none. "
-        "No map was chosen by its r."
+        "The map that leads is the usual one, the coating that is seen or else the thickness; the"
+        " study declared none. No map was chosen by its r."
     )
 
 
@@ -248,14 +322,17 @@ def _difference_sentence(row: CorrelationRow, titles: Titles) -> str:
         return ""
     units, (mean, _, low, high) = unit(row.units or ""), written_difference(row)
     return (
-        f" Over points of {point_of(row)}, {names_in_words(row, titles)[0]} of {row.b} minus that of {row.a} is "
-        f"{mean} {units} on average, with 95 % limits of {low} to {high} {units}."
+        f" Over points of {point_of(row)}, {names_in_words(row, titles)[0]} of {row.b} minus that"
+        f" of {row.a} is {mean} {units} on average, with 95 % limits of {low} to {high} {units}."
     )
 
 
 def _layers_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
     reference, moving = results.reference.name, [layer.name for layer in results.moving]
-    sentence = f"The layers {', '.join(moving[:-1])} and {moving[-1]} were brought onto the pixels of {reference}."
+    sentence = (
+        f"The layers {', '.join(moving[:-1])} and {moving[-1]} were brought onto the pixels of"
+        f" {reference}."
+    )
     registrations = [layer.registration for layer in results.moving if layer.registration]
     expected_errors = [e for r in registrations if (e := r.expected_error) and e.trust == "ok"]
     expected_errors = expected_errors if len(registrations) == len(results.moving) else []
@@ -266,16 +343,36 @@ def _layers_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigu
         median = f"{length(median_um, 2)} (rms, median over the worst layer)"
         sentence += f" The expected error is {median}, at most {length(max_um, 2)}."
     rows = [largest(group) for group in by_pair(results)]
-    sentence += next((text for row in rows if row.trust == "ok" and (text := _difference_sentence(row, titles))), "")
+    sentence += next(
+        (text for row in rows if row.trust == "ok" and (text := _difference_sentence(row, titles))),
+        "",
+    )
     lead = lead_pair(results)
     weakest_row = largest(lead) if lead else None
-    r_figure = _r_figure(results, weakest_row, f"weakest r, points of {point_of(weakest_row)}" if weakest_row else "r")
-    least_share = min((s for layer in results.moving if (s := layer.share_of_reference) is not None), default=None)
+    r_figure = _r_figure(
+        results,
+        weakest_row,
+        f"weakest r, points of {point_of(weakest_row)}" if weakest_row else "r",
+    )
+    least_share = min(
+        (s for layer in results.moving if (s := layer.share_of_reference) is not None), default=None
+    )
     return sentence, [
-        KeyFigure(count(len(results.layers)), "", "layers on one grid", f"{reference} is the reference"),
+        KeyFigure(
+            count(len(results.layers)), "", "layers on one grid", f"{reference} is the reference"
+        ),
         KeyFigure(number(max_um, 2), "µm", "largest expected error", median_text),
-        KeyFigure(_percent_text(least_share), "%", "of the reference is covered", "by the layer that covers least"),
-        r_figure._replace(note=f"{weakest_row.a} and {weakest_row.b}: {r_figure.note}") if weakest_row else r_figure,
+        KeyFigure(
+            _percent_text(least_share),
+            "%",
+            "of the reference is covered",
+            "by the layer that covers least",
+        ),
+        (
+            r_figure._replace(note=f"{weakest_row.a} and {weakest_row.b}: {r_figure.note}")
+            if weakest_row
+            else r_figure
+        ),
     ]
 
 
@@ -285,13 +382,17 @@ def _r_figure(results: Results, row: CorrelationRow | None, label: str) -> KeyFi
     has_interval = is_known(row.interval)
     note_text = f"95 %: {r_interval_text(row)}" if has_interval else "no interval"
     if is_known(row.r2):
-        note_text += f"; r² {r2_text(row)}" + (f" ({r2_interval_text(row)})" if has_interval else "")
+        note_text += f"; r² {r2_text(row)}" + (
+            f" ({r2_interval_text(row)})" if has_interval else ""
+        )
     if is_known(row.n_eff):
         note_text += f"; {count(round(row.n_eff))} independent points of {count(row.n)}"
     return KeyFigure(r_text(row), "", label, f"{note_text}; {registered_by(results)}")
 
 
-def lag_verdict(lag: LagNumbers | None, *, moving_text: str, reference_text: str) -> LagVerdict | None:
+def lag_verdict(
+    lag: LagNumbers | None, *, moving_text: str, reference_text: str
+) -> LagVerdict | None:
     """Return what the lag of two maps, named in words, means; None where none was looked for."""
     if lag is None:
         return None
@@ -301,19 +402,21 @@ def lag_verdict(lag: LagNumbers | None, *, moving_text: str, reference_text: str
         end_text = (
             "The marks give no expected error to compare the result with."
             if is_known(lag.length_um)
-            else "The result is inconclusive: it speaks neither for nor against the registration, whose error is known "
-            "from the marks alone."
+            else (
+                "The result is inconclusive: it speaks neither for nor against the registration,"
+                " whose error is known from the marks alone."
+            )
         )
     elif not lag.agrees:
         state = "amber"
         end_text = (
-            "They do not coincide within the expected error. Until the cause is known, a position is known to about "
-            f"{length(lag.length_um, 2)} and no better."
+            "They do not coincide within the expected error. Until the cause is known, a position"
+            f" is known to about {length(lag.length_um, 2)} and no better."
         )
     elif se_um > lag.expected_um > 0:
         end_text = (
-            "They coincide, but locate the maps less precisely than the marks do: an error of up to about "
-            f"{length(2 * se_um, 2)} would not be noticed."
+            "They coincide, but locate the maps less precisely than the marks do: an error of up"
+            f" to about {length(2 * se_um, 2)} would not be noticed."
         )
     else:
         end_text = "They coincide within the error expected from the marks."

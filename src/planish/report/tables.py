@@ -25,15 +25,22 @@ class PairLine(NamedTuple):
 
 
 # Status of columns -> class of the style; all others are lost
-_COLOURS = {"measured": "measured", "rim": "rim", "no_sheet": "none", "leaves_volume": "none",
-            "normal_leaves_sheet": "normal"}  # fmt: skip
+_COLOURS = {
+    "measured": "measured",
+    "rim": "rim",
+    "no_sheet": "none",
+    "leaves_volume": "none",
+    "normal_leaves_sheet": "normal",
+}
 
 
 def columns(surfaces: SurfaceFacts) -> list[tuple[str, float, str]]:
     """Return the status of the volume's columns: class of the style, share of all columns, and what it means."""
     names = {status.label: status.sentence for status in Status}
     shares = {name: surfaces.shares.get(name) for name in (*_COLOURS, *surfaces.shares)}
-    return [(_COLOURS.get(name, "lost"), v, names.get(name, name)) for name, v in shares.items() if v]
+    return [
+        (_COLOURS.get(name, "lost"), v, names.get(name, name)) for name, v in shares.items() if v
+    ]
 
 
 def comparison(results: Results) -> list[PairLine]:
@@ -48,7 +55,9 @@ def comparison(results: Results) -> list[PairLine]:
         if is_known(row.difference):
             change_text = f"{fixed(row.difference, 3)}\n{interval_text(row.difference_interval, 3)}"
         marks_text, is_best = number(rows[0].marks_rms_um, 3), name.startswith("flattened")
-        lines.append(PairLine(capital(name), rows, before=(marks_text,), best=is_best, after=(change_text,)))
+        lines.append(
+            PairLine(capital(name), rows, before=(marks_text,), best=is_best, after=(change_text,))
+        )
     return lines
 
 
@@ -63,21 +72,27 @@ def comparison_sentence(results: Results) -> str:
         return ""
     best = max(projected_rows, key=lambda row: row.r2)
     text = (
-        f"Over points of {plain(best.point_um)}, r is {r_text(flat_rows[-1])} flattened and {r_text(best)} by the "
-        f"better projection ({best.registration})"
+        f"Over points of {plain(best.point_um)}, r is {r_text(flat_rows[-1])} flattened and"
+        f" {r_text(best)} by the better projection ({best.registration})"
     )
     if not is_known(best.difference_interval):
         return f"{text}; it is not known whether they differ."
     low, high = best.difference_interval
     verdict = "not distinguishable" if low <= 0 <= high else "distinguishable"
-    text += f": {verdict}; r changes by {fixed(best.difference, 3)} (95 %: {interval_text((low, high), 3)})."
+    text += (
+        f": {verdict}; r changes by {fixed(best.difference, 3)} (95 %:"
+        f" {interval_text((low, high), 3)})."
+    )
     # Slopes brighten one side of a thick place, and a shift can raise r.
-    lag = next((layer.registration.lag for layer in results.layers if layer.registration is not None), None)
+    lag = next(
+        (layer.registration.lag for layer in results.layers if layer.registration is not None), None
+    )
     if lag is not None and lag.light >= SIDE_LIGHT:
         share_text = f"{100 * lag.light:.0f} % of what it shares with the sheet is slopes alone"
         text += (
-            f" The image also shows the slopes of the face, as light from one side does ({share_text}): then a map "
-            "that is displaced towards the light can have a larger r. Judge the registration by its marks."
+            " The image also shows the slopes of the face, as light from one side does"
+            f" ({share_text}): then a map that is displaced towards the light can have a larger r."
+            " Judge the registration by its marks."
         )
     return text
 
@@ -92,18 +107,24 @@ def correlations(results: Results, titles: Titles) -> list[PairLine]:
         row, (a, b) = largest(group), titles_of(group[0], titles)
         rows_by_size = {round(r.point_um, 4): r for r in group}
         # One quantity of two layers needs its name only once.
-        is_short = has_two_layers and (a == b if row.same_quantity else results.layer(row.b).kind == "image")
+        is_short = has_two_layers and (
+            a == b if row.same_quantity else results.layer(row.b).kind == "image"
+        )
         difference_text, units = NONE, unit(row.units or "")
         if row.same_quantity:
             mean, spread, low, high = written_difference(row)
             difference_text = f"{mean} ± {spread} {units}\n{low} to {high} {units}"
-        lines.append(PairLine(
-            name=a if is_short else f"{row.a}: {in_words(a)}",
-            second="" if is_short else f"{row.b}: {in_words(b)}",
-            rows=[rows_by_size.get(s) for s in sizes],
-            after=(difference_text,) if has_differences else (),
-            best=has_two_layers and group in headlines and len(results.correlations) > len(group),
-        ))  # fmt: skip
+        lines.append(
+            PairLine(
+                name=a if is_short else f"{row.a}: {in_words(a)}",
+                second="" if is_short else f"{row.b}: {in_words(b)}",
+                rows=[rows_by_size.get(s) for s in sizes],
+                after=(difference_text,) if has_differences else (),
+                best=has_two_layers
+                and group in headlines
+                and len(results.correlations) > len(group),
+            )
+        )
     return lines
 
 
@@ -123,12 +144,18 @@ def parameters(values: Mapping[str, Any]) -> list[tuple[str, list[tuple[str, str
     for section, value in values.items():
         if isinstance(value, (list, tuple)) and value and isinstance(value[0], Mapping):
             tables = cast("Sequence[Mapping[str, Any]]", value)
-            sections += [(f"{section}, {table.get('name', k)}", table) for k, table in enumerate(tables, 1)]
+            sections += [
+                (f"{section}, {table.get('name', k)}", table) for k, table in enumerate(tables, 1)
+            ]
         elif isinstance(value, Mapping):
             sections.append((section, cast("Mapping[str, Any]", value)))
         else:
             unsectioned[section] = value
-    return [(name, rows) for name, table in [*sections, ("others", unsectioned)] if (rows := [*_flat_rows(table)])]
+    return [
+        (name, rows)
+        for name, table in [*sections, ("others", unsectioned)]
+        if (rows := [*_flat_rows(table)])
+    ]
 
 
 def _flat_rows(section: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
     from planish.results import Results
 
-REGISTERED = "registration: marks only"  # stands beside every correlation: how its maps were registered
+# Stands beside every correlation: how its maps were registered.
+REGISTERED = "registration: marks only"
 BY_TEXTURE = "registration: the texture of both maps"
 BY_BOTH = "registration: marks and the texture of both maps"
 HOLES = "holes and rims"  # what the mask of valid pixels leaves out where no regions were declared
@@ -52,7 +53,11 @@ def template(package: str, name: str) -> Template:
 
     loader = ChoiceLoader([PackageLoader(package), PackageLoader("planish.report")])
     environment = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=loader,
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
     filter_names = ("capital", "count", "fixed", "in_words", "number", "percent", "unit")
     filters: dict[str, Any] = {name: getattr(numbers, name) for name in filter_names}

@@ -49,16 +49,25 @@ def locate(uv, first, pitch, segment, low, high, triangle, weight, twice, begin,
             triangle[y, x] = -1
     for i in range(rows - 1):
         for s in range(low.shape[1]):
-            if min(low[i, s], low[i + 1, s]) - _EDGE > end - 1 or max(high[i, s], high[i + 1, s]) + _EDGE < begin:
+            if (
+                min(low[i, s], low[i + 1, s]) - _EDGE > end - 1
+                or max(high[i, s], high[i + 1, s]) + _EDGE < begin
+            ):
                 continue
             start = s * segment
             # Corners of the quad: a = 0, b = 1, c = 2, d = 3; b and c are a and d of the next one.
             bx, by = (uv[i, start, 0] - first_u) * per_u, (uv[i, start, 1] - first_v) * per_v
-            cx, cy = (uv[i + 1, start, 0] - first_u) * per_u, (uv[i + 1, start, 1] - first_v) * per_v
+            cx, cy = (
+                (uv[i + 1, start, 0] - first_u) * per_u,
+                (uv[i + 1, start, 1] - first_v) * per_v,
+            )
             for j in range(start, min(start + segment, cols - 1)):
                 ax, ay, dx, dy = bx, by, cx, cy
                 bx, by = (uv[i, j + 1, 0] - first_u) * per_u, (uv[i, j + 1, 1] - first_v) * per_v
-                cx, cy = (uv[i + 1, j + 1, 0] - first_u) * per_u, (uv[i + 1, j + 1, 1] - first_v) * per_v
+                cx, cy = (
+                    (uv[i + 1, j + 1, 0] - first_u) * per_u,
+                    (uv[i + 1, j + 1, 1] - first_v) * per_v,
+                )
                 total = (ax + bx) + (cx + dx) + ((ay + by) + (cy + dy))
                 if total - total != 0.0:  # a corner is missing
                     continue
@@ -71,7 +80,8 @@ def locate(uv, first, pitch, segment, low, high, triangle, weight, twice, begin,
                 ex, ey = bx - ax, by - ay
                 fx, fy = cx - ax, cy - ay
                 gx, gy = dx - ax, dy - ay
-                upper = ex * fy - fx * ey  # twice the area of 0-1-2, and of 0-2-3: negative when turned over
+                # Twice the area of 0-1-2, and of 0-2-3: negative when turned over.
+                upper = ex * fy - fx * ey
                 lower = fx * gy - gx * fy
                 number = 2 * (i * cols + j)
                 for y in range(int(top), int(bottom) + 1):
@@ -84,12 +94,19 @@ def locate(uv, first, pitch, segment, low, high, triangle, weight, twice, begin,
                         if area < 0.0:
                             area, nb, nc = -area, -nb, -nc
                         slack = _EDGE * area
-                        if not (area > 0.0 and nb >= -slack and nc >= -slack and nb + nc <= area + slack):
+                        if not (
+                            area > 0.0 and nb >= -slack and nc >= -slack and nb + nc <= area + slack
+                        ):
                             t, area, nb, nc = 1, lower, p * gy - gx * q, -across
                             if area < 0.0:
                                 area, nb, nc = -area, -nb, -nc
                             slack = _EDGE * area
-                            if not (area > 0.0 and nb >= -slack and nc >= -slack and nb + nc <= area + slack):
+                            if not (
+                                area > 0.0
+                                and nb >= -slack
+                                and nc >= -slack
+                                and nb + nc <= area + slack
+                            ):
                                 continue
                         inverse = 1.0 / area
                         wb, wc = max(nb * inverse, 0.0), max(nc * inverse, 0.0)
@@ -100,7 +117,9 @@ def locate(uv, first, pitch, segment, low, high, triangle, weight, twice, begin,
                             weight[0, y, x] = wb
                             weight[1, y, x] = wc
                         elif twice[y, x] == 0:
-                            r0, c0 = _place(np.int64(triangle[y, x]), weight[0, y, x], weight[1, y, x], cols)
+                            r0, c0 = _place(
+                                np.int64(triangle[y, x]), weight[0, y, x], weight[1, y, x], cols
+                            )
                             r1, c1 = _place(number + t, wb, wc, cols)
                             if abs(r0 - r1) > _SAME or abs(c0 - c1) > _SAME:
                                 twice[y, x] = 1
@@ -111,7 +130,11 @@ def locate(uv, first, pitch, segment, low, high, triangle, weight, twice, begin,
 @njit(cache=True, nogil=True)
 def _corners(number, corners, cols):
     if corners.shape[0] > 0:
-        return np.int64(corners[number, 0]), np.int64(corners[number, 1]), np.int64(corners[number, 2])
+        return (
+            np.int64(corners[number, 0]),
+            np.int64(corners[number, 1]),
+            np.int64(corners[number, 2]),
+        )
     node, half = np.int64(number) >> 1, np.int64(number) & 1
     return node, node + 1 + half * cols, node + 1 + cols - half
 
@@ -235,7 +258,9 @@ def _under(sums, x0, y0, x1, y1):
         across = rows == 0 or (cols > 0 and next_x <= next_y)
         then = 1.0 if last else next_x if across else next_y
         base = sums[r, c]
-        total += (then - now) * (base + (y0 - r + 0.5 * (now + then) * dy) * (sums[r + 1, c] - base))
+        total += (then - now) * (
+            base + (y0 - r + 0.5 * (now + then) * dy) * (sums[r + 1, c] - base)
+        )
         if last:
             return dx * total
         now = then

@@ -16,9 +16,13 @@ from planish.resample.warp import warp_image
 
 
 def resample_maps(
-    surfaces: xr.Dataset, flat: xr.Dataset, *, onto: Grid | None = None, transform: Any = None,
+    surfaces: xr.Dataset,
+    flat: xr.Dataset,
+    *,
+    onto: Grid | None = None,
+    transform: Any = None,
     map_um: float | None = None,
-) -> xr.Dataset:  # fmt: skip
+) -> xr.Dataset:
     """Bring the properties of a sheet onto its flat maps, or in one step onto the pixels of a reference.
 
     Parameters
@@ -61,7 +65,9 @@ def resample_maps(
     grid = covering_grid(uv, pixel)
     places = find_places(uv, grid, least_um=min(step))
     column_fields = _on_columns(surfaces, flat, names, ("projected_u", "projected_v"))
-    maps = resample_dataset(column_fields, places, dims=("v", "u"), coords={"v": grid.y_um, "u": grid.x_um})
+    maps = resample_dataset(
+        column_fields, places, dims=("v", "u"), coords={"v": grid.y_um, "u": grid.x_um}
+    )
     maps = _as_stored(maps, surfaces, names, pixel, Similarity())
     is_measured = np.isfinite(maps["thickness"].values)
     maps["valid"] = (("v", "u"), is_measured, {"long_name": "Measured"})
@@ -110,14 +116,25 @@ def _as_stored(
     properties, errors, layers = names
     maps = _with_angles(maps, similarity)
     for name in errors:
-        maps[name] = maps[name].copy(data=_mean_se(maps[name].values, surfaces[name].attrs, pixel_um))
+        maps[name] = maps[name].copy(
+            data=_mean_se(maps[name].values, surfaces[name].attrs, pixel_um)
+        )
     # Geometry stays double.
-    float32_names = [name for name in [*properties, *errors] if "support_um" not in surfaces[name].attrs] + layers
-    return maps.assign({name: maps[name].astype(np.float32) for name in float32_names if name in maps})
+    float32_names = [
+        name for name in [*properties, *errors] if "support_um" not in surfaces[name].attrs
+    ] + layers
+    return maps.assign(
+        {name: maps[name].astype(np.float32) for name in float32_names if name in maps}
+    )
 
 
 def resample_image(
-    image: xr.DataArray, onto: Grid, transform: Any, *, memory_bytes: int = 2**31, must_meet: bool = True
+    image: xr.DataArray,
+    onto: Grid,
+    transform: Any,
+    *,
+    memory_bytes: int = 2**31,
+    must_meet: bool = True,
 ) -> xr.Dataset:
     """Bring an image (y, x) onto the pixels of a reference.
 
@@ -141,7 +158,12 @@ def resample_image(
     rows, cols = image.attrs["pixel_um"]
     pixel_um = float(rows), float(cols)
     values = warp_image(
-        image.values, onto, transform.inverse, pixel_um=pixel_um, memory_bytes=memory_bytes, must_meet=must_meet
+        image.values,
+        onto,
+        transform.inverse,
+        pixel_um=pixel_um,
+        memory_bytes=memory_bytes,
+        must_meet=must_meet,
     )
     return xr.Dataset({"image": (("y", "x"), values, image_attrs(image))}, coords=onto.coords)
 
@@ -156,15 +178,23 @@ class Lattice:
     """Some of a grid's places, evenly spaced, at most some 200 x 200: ``places`` (rows, cols, 2), (x, y) in um."""
 
     def __init__(self, grid: Grid) -> None:
-        self._nodes_um = [np.linspace(v[0], v[-1], min(v.size, 200)) for v in (grid.y_um, grid.x_um)]
+        self._nodes_um = [
+            np.linspace(v[0], v[-1], min(v.size, 200)) for v in (grid.y_um, grid.x_um)
+        ]
         self.places: Floats = np.stack(np.meshgrid(self._nodes_um[1], self._nodes_um[0]), axis=-1)
 
     def between(self, values: Floats, part: Grid) -> Floats:
         """Values (rows, cols) of the places on some pixels of the grid, by bilinear interpolation."""
-        for axis, (nodes_um, pixels_um) in enumerate(zip(self._nodes_um, (part.y_um, part.x_um), strict=True)):
-            low = np.clip(np.searchsorted(nodes_um, pixels_um, side="right") - 1, 0, max(nodes_um.size - 2, 0))
+        for axis, (nodes_um, pixels_um) in enumerate(
+            zip(self._nodes_um, (part.y_um, part.x_um), strict=True)
+        ):
+            low = np.clip(
+                np.searchsorted(nodes_um, pixels_um, side="right") - 1, 0, max(nodes_um.size - 2, 0)
+            )
             high = np.minimum(low + 1, nodes_um.size - 1)
-            share = (pixels_um - nodes_um[low]) / np.where(high > low, nodes_um[high] - nodes_um[low], 1.0)
+            share = (pixels_um - nodes_um[low]) / np.where(
+                high > low, nodes_um[high] - nodes_um[low], 1.0
+            )
             share = share[:, None] if axis == 0 else share
             values = values.take(low, axis) * (1.0 - share) + values.take(high, axis) * share
         return values
@@ -173,12 +203,20 @@ class Lattice:
 def _variable_names(surfaces: xr.Dataset) -> Names:
     attributes = {str(name): variable.attrs for name, variable in surfaces.data_vars.items()}
     properties = [name for name, attrs in attributes.items() if attrs.get("role") == "property"]
-    supported = [name for name, attrs in attributes.items() if "support_um" in attrs and name not in properties]
+    supported = [
+        name
+        for name, attrs in attributes.items()
+        if "support_um" in attrs and name not in properties
+    ]
     if not properties + supported:
         raise SurfaceError("The surfaces hold no properties. Measure them first (planish measure).")
     errors = [f"{name}_se" for name in [*properties, *supported] if f"{name}_se" in surfaces]
     errors = [name for name in errors if np.isfinite(surfaces[name].values).any()]
-    return properties + supported, errors, [name for name, attrs in attributes.items() if "layer" in attrs]
+    return (
+        properties + supported,
+        errors,
+        [name for name, attrs in attributes.items() if "layer" in attrs],
+    )
 
 
 def _mean_se(se: Floats, attrs: dict[str, Any], pixel_um: float) -> Floats:
@@ -190,7 +228,9 @@ def _mean_se(se: Floats, attrs: dict[str, Any], pixel_um: float) -> Floats:
     if "patch_um2" not in attrs:
         return se
     x = pixel_um / np.sqrt(float(attrs["patch_um2"]) / (2 * np.pi))
-    share = np.sqrt(2 * np.pi) / x * special.erf(x / np.sqrt(2)) - 2 * -np.expm1(-0.5 * x * x) / x**2
+    share = (
+        np.sqrt(2 * np.pi) / x * special.erf(x / np.sqrt(2)) - 2 * -np.expm1(-0.5 * x * x) / x**2
+    )
     common_se = float(attrs["common_um"])
     variance = se**2
     variance -= common_se**2
@@ -200,29 +240,45 @@ def _mean_se(se: Floats, attrs: dict[str, Any], pixel_um: float) -> Floats:
     return np.sqrt(variance, out=variance)
 
 
-def _on_columns(surfaces: xr.Dataset, flat: xr.Dataset, names: Names, coordinates: tuple[str, str]) -> xr.Dataset:
-    fields = surfaces[[*names[0], *names[1], *names[2]]].assign({name: flat[name] for name in coordinates})
+def _on_columns(
+    surfaces: xr.Dataset, flat: xr.Dataset, names: Names, coordinates: tuple[str, str]
+) -> xr.Dataset:
+    fields = surfaces[[*names[0], *names[1], *names[2]]].assign(
+        {name: flat[name] for name in coordinates}
+    )
     frame, is_flattened = Frame.of(surfaces), np.isfinite(flat["u"].values)
-    positions = {frame.rows: surfaces["y"].values[:, None], frame.cols: surfaces["x"].values[None, :]}
+    positions = {
+        frame.rows: surfaces["y"].values[:, None],
+        frame.cols: surfaces["x"].values[None, :],
+    }
     positions[frame.through] = surfaces["centre"].values
     for axis in ("x", "y", "z"):
         attrs = {"units": "um", "long_name": f"Centre surface, {axis} in the volume"}
-        fields[f"volume_{axis}"] = ("y", "x"), np.where(is_flattened, positions[axis], np.nan), attrs
+        fields[f"volume_{axis}"] = (
+            ("y", "x"),
+            np.where(is_flattened, positions[axis], np.nan),
+            attrs,
+        )
     return fields
 
 
 def _with_angles(maps: xr.Dataset, similarity: Similarity) -> xr.Dataset:
     """Turn axial directions with the sheet, and work the angles out again from their averaged components."""
-    for name in [str(n).removesuffix("_angle") for n in maps.data_vars if str(n).endswith("_angle")]:
+    for name in [
+        str(n).removesuffix("_angle") for n in maps.data_vars if str(n).endswith("_angle")
+    ]:
         parts = f"{name}_cos2", f"{name}_sin2"
         if any(part not in maps for part in parts):
             continue
         cos2, sin2 = (maps[part].values for part in parts)
         if similarity.rotation_rad or similarity.mirrored:
-            hand = -1.0 if similarity.mirrored else 1.0  # x reversed: an angle a becomes 180 - a, its double -2a
+            # x reversed: an angle a becomes 180 - a, its double -2a.
+            hand = -1.0 if similarity.mirrored else 1.0
             c, s = np.cos(2 * similarity.rotation_rad), np.sin(2 * similarity.rotation_rad)
             cos2, sin2 = c * cos2 - s * hand * sin2, s * cos2 + c * hand * sin2
-            maps = maps.assign({k: maps[k].copy(data=v) for k, v in zip(parts, (cos2, sin2), strict=True)})
+            maps = maps.assign(
+                {k: maps[k].copy(data=v) for k, v in zip(parts, (cos2, sin2), strict=True)}
+            )
         angle = np.where(np.isfinite(cos2) & np.isfinite(sin2), axial_angle(cos2, sin2), np.nan)
         maps = maps.assign({f"{name}_angle": maps[f"{name}_angle"].copy(data=angle)})
     return maps

@@ -25,7 +25,8 @@ from planish.resample._kernels import locate, sample
 Indices = NDArray[np.int32]
 Method = Literal["quads", "delaunay"]
 Result = TypeVar("Result")
-_SEGMENT = 32  # quads whose extent is known together, passed over where they touch no band of pixels
+# Quads whose extent is known together, passed over where they touch no band of pixels.
+_SEGMENT = 32
 _LEAST_ROWS = 32  # of a band: below that, starting a thread takes longer than the work
 
 
@@ -33,21 +34,31 @@ class Places(ResultModel):
     """The place of each pixel of a regular grid in the mesh; good for any number of fields."""
 
     triangle: Indices = Field(
-        description="(rows * fine, cols * fine) int32: number of the triangle a sub-pixel lies in; -1 outside. "
-        "Triangle 2 n + t is the first (t = 0) or second half of the quad whose first corner is node n, unless "
-        "`corners` numbers them."
+        description=(
+            "(rows * fine, cols * fine) int32: number of the triangle a sub-pixel lies in; -1"
+            " outside. Triangle 2 n + t is the first (t = 0) or second half of the quad whose first"
+            " corner is node n, unless `corners` numbers them."
+        )
     )
     weight: Floats = Field(
-        description="(2, rows * fine, cols * fine): weights of the triangle's second and third corner, the first one "
-        "has the rest of 1; anything outside."
+        description=(
+            "(2, rows * fine, cols * fine): weights of the triangle's second and third corner, the"
+            " first one has the rest of 1; anything outside."
+        )
     )
     corners: Indices = Field(
-        description="(triangles, 3) int32: nodes of each triangle, for Delaunay's; without rows for the quads."
+        description=(
+            "(triangles, 3) int32: nodes of each triangle, for Delaunay's; without rows for the"
+            " quads."
+        )
     )
     mesh: tuple[int, int] = Field(description="Rows and columns of the mesh.")
     fine: int = Field(description="Sub-pixels per pixel and axis; values are means over them.")
     overlaps: int = Field(
-        description="Sub-pixels covered by more than one quad: 0 unless the mesh is folded, and always 0 for Delaunay."
+        description=(
+            "Sub-pixels covered by more than one quad: 0 unless the mesh is folded, and always 0"
+            " for Delaunay."
+        )
     )
 
     @property
@@ -56,7 +67,9 @@ class Places(ResultModel):
         return self.triangle.shape[0] // self.fine, self.triangle.shape[1] // self.fine
 
 
-def find_places(uv: Floats, grid: Grid, *, least_um: float | None = None, method: Method = "quads") -> Places:
+def find_places(
+    uv: Floats, grid: Grid, *, least_um: float | None = None, method: Method = "quads"
+) -> Places:
     """Locate the pixels of a regular grid in a mesh with flat coordinates ``uv``.
 
     Parameters
@@ -86,11 +99,14 @@ def find_places(uv: Floats, grid: Grid, *, least_um: float | None = None, method
     """
     shape = grid.shape
     if min(shape) < 1 or shape[0] * shape[1] > 2**31:
-        raise SurfaceError(f"A grid of {shape[0]} x {shape[1]} pixels cannot be made. Check the pixel size.")
+        raise SurfaceError(
+            f"A grid of {shape[0]} x {shape[1]} pixels cannot be made. Check the pixel size."
+        )
     # Two triangles per node are numbered in 32 bits.
     if uv.ndim != 3 or uv.shape[2] != 2 or uv.shape[0] * uv.shape[1] > 2**30:
         raise SurfaceError(
-            f"The flat coordinates have the shape {uv.shape}; (rows, cols, 2) is needed, with 2^30 nodes at most."
+            f"The flat coordinates have the shape {uv.shape}; (rows, cols, 2) is needed, with 2^30"
+            " nodes at most."
         )
     pixel, origin = grid.pixel_um, grid.origin_um
     fine = min(max(1, int(np.ceil(max(pixel) / least_um - 1e-6))), 32) if least_um else 1
@@ -98,7 +114,11 @@ def find_places(uv: Floats, grid: Grid, *, least_um: float | None = None, method
     # The first sub-pixel's centre lies half a pixel less half a sub-pixel before the pixel's.
     first = origin[0] - 0.5 * (pixel[1] - step[0]), origin[1] - 0.5 * (pixel[0] - step[1])
     size, mesh = (shape[0] * fine, shape[1] * fine), (uv.shape[0], uv.shape[1])
-    uv, corners, overlaps = np.ascontiguousarray(uv, dtype=np.float64), np.empty((0, 3), dtype=np.int32), 0
+    uv, corners, overlaps = (
+        np.ascontiguousarray(uv, dtype=np.float64),
+        np.empty((0, 3), dtype=np.int32),
+        0,
+    )
     triangle, weight = np.empty(size, np.int32), np.empty((2, *size))
     if method == "delaunay":
         corners = _locate_in_delaunay(uv, first, step, triangle, weight)
@@ -107,10 +127,24 @@ def find_places(uv: Floats, grid: Grid, *, least_um: float | None = None, method
         is_double = np.zeros(size, np.uint8)
 
         def band(begin: int, end: int) -> int:
-            return locate(uv, first, step, _SEGMENT, segment_low, segment_high, triangle, weight, is_double, begin, end)
+            return locate(
+                uv,
+                first,
+                step,
+                _SEGMENT,
+                segment_low,
+                segment_high,
+                triangle,
+                weight,
+                is_double,
+                begin,
+                end,
+            )
 
         overlaps = sum(each_band(band, size[0]))
-    return Places(triangle=triangle, weight=weight, corners=corners, mesh=mesh, fine=fine, overlaps=overlaps)
+    return Places(
+        triangle=triangle, weight=weight, corners=corners, mesh=mesh, fine=fine, overlaps=overlaps
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -126,21 +160,30 @@ class Mesh:
     @classmethod
     def of(cls, uv: Floats, *, least_um: float) -> Mesh:
         """``least_um`` is the pitch of the mesh, as for :func:`find_places`."""
-        low, high = map(np.stack, zip(*(_extents(uv[..., k], 0.0, 1.0) for k in range(2)), strict=True))
+        low, high = map(
+            np.stack, zip(*(_extents(uv[..., k], 0.0, 1.0) for k in range(2)), strict=True)
+        )
         low, high = np.minimum(low[:, :-1], low[:, 1:]), np.maximum(high[:, :-1], high[:, 1:])
         return cls(uv=uv, least_um=least_um, _low=low, _high=high)
 
     def under(self, grid: Grid) -> tuple[tuple[slice, slice], Places]:
         """Return the nodes that lie under the pixels of a grid, and where each pixel lies among them."""
         touched = np.ones(self._low.shape[1:], dtype=bool)
-        for k, (centres_um, pixel) in enumerate(((grid.x_um, grid.pixel_um[1]), (grid.y_um, grid.pixel_um[0]))):
-            touched &= (self._low[k] <= centres_um[-1] + pixel) & (self._high[k] >= centres_um[0] - pixel)
+        for k, (centres_um, pixel) in enumerate(
+            ((grid.x_um, grid.pixel_um[1]), (grid.y_um, grid.pixel_um[0]))
+        ):
+            touched &= (self._low[k] <= centres_um[-1] + pixel) & (
+                self._high[k] >= centres_um[0] - pixel
+            )
         rows, segments = (np.flatnonzero(touched.any(axis=axis)) for axis in (1, 0))
         if rows.size == 0:
             nodes = slice(0, 1), slice(0, 1)  # a single node covers nothing
         else:
             last = min((segments[-1] + 1) * _SEGMENT, self.uv.shape[1] - 1)
-            nodes = slice(int(rows[0]), int(rows[-1]) + 2), slice(int(segments[0]) * _SEGMENT, int(last) + 1)
+            nodes = (
+                slice(int(rows[0]), int(rows[-1]) + 2),
+                slice(int(segments[0]) * _SEGMENT, int(last) + 1),
+            )
         return nodes, find_places(self.uv[nodes], grid, least_um=self.least_um)
 
 
@@ -154,10 +197,14 @@ def covering_grid(uv: Floats, pixel_um: float) -> Grid:
     """
     points = uv[np.isfinite(uv).all(axis=-1)]
     if not points.size:
-        raise SurfaceError("No node of the mesh has flat coordinates. Check the surface and how it was flattened.")
+        raise SurfaceError(
+            "No node of the mesh has flat coordinates. Check the surface and how it was flattened."
+        )
     low, high = np.floor(points.min(axis=0) / pixel_um), np.ceil(points.max(axis=0) / pixel_um)
     size = (high - low).astype(int) + 1
-    return Grid.regular((int(size[1]), int(size[0])), pixel_um, (float(low[0] * pixel_um), float(low[1] * pixel_um)))
+    return Grid.regular(
+        (int(size[1]), int(size[0])), pixel_um, (float(low[0] * pixel_um), float(low[1] * pixel_um))
+    )
 
 
 def each_band(work: Callable[[int, int], Result], rows: int) -> list[Result]:
@@ -184,7 +231,9 @@ def _extents(v: Floats, first: float, step: float) -> tuple[Floats, Floats]:
     return bounds[0], bounds[1]
 
 
-def _locate_in_delaunay(uv: Floats, first_um: Pair, step_um: Pair, triangle: Indices, weight: Floats) -> Indices:
+def _locate_in_delaunay(
+    uv: Floats, first_um: Pair, step_um: Pair, triangle: Indices, weight: Floats
+) -> Indices:
     """Locate pixels in triangles made anew as in the paper: they bridge gaps and bays, and notice no fold."""
     from scipy.spatial import Delaunay, QhullError
 
@@ -194,17 +243,22 @@ def _locate_in_delaunay(uv: Floats, first_um: Pair, step_um: Pair, triangle: Ind
         triangulation = Delaunay(nodes[finite_nodes])
     except (QhullError, ValueError) as error:
         raise SurfaceError(
-            f"The {finite_nodes.size} known nodes cannot be triangulated; at least 3 are needed that do not lie in one "
-            "line. Check the flat coordinates."
+            f"The {finite_nodes.size} known nodes cannot be triangulated; at least 3 are needed"
+            " that do not lie in one line. Check the flat coordinates."
         ) from error
-    u, v = (a + b * np.arange(n) for a, b, n in zip(first_um, step_um, triangle.shape[::-1], strict=True))
+    u, v = (
+        a + b * np.arange(n)
+        for a, b, n in zip(first_um, step_um, triangle.shape[::-1], strict=True)
+    )
     for begin in range(0, v.size, _LEAST_ROWS):
         rows = slice(begin, begin + _LEAST_ROWS)
         points = np.stack(np.meshgrid(u, v[rows]), axis=-1)
         triangle[rows] = triangulation.find_simplex(points)
         # Weights of the first two corners; without a triangle they are not used.
         barycentric = triangulation.transform[triangle[rows]]
-        corner_weights = np.einsum("yxij,yxj->yxi", barycentric[..., :2, :], points - barycentric[..., 2, :])
+        corner_weights = np.einsum(
+            "yxij,yxj->yxi", barycentric[..., :2, :], points - barycentric[..., 2, :]
+        )
         weight[0, rows] = corner_weights[..., 1]
         weight[1, rows] = 1.0 - corner_weights.sum(axis=-1)
     return np.ascontiguousarray(finite_nodes[triangulation.simplices], dtype=np.int32)
@@ -268,7 +322,11 @@ def resample_dataset(
     """
     variables: dict[str, xr.Variable] = {}
     for name, variable in data.data_vars.items():
-        attrs = {k: variable.attrs[k] for k in ("units", "long_name", "role", "support_um") if k in variable.attrs}
+        attrs = {
+            k: variable.attrs[k]
+            for k in ("units", "long_name", "role", "support_um")
+            if k in variable.attrs
+        }
         if np.issubdtype(variable.dtype, np.floating):
             variables[str(name)] = xr.Variable(dims, resample(variable.values, places), attrs)
     return xr.Dataset(variables, coords={k: (k, v, {"units": "um"}) for k, v in coords.items()})
@@ -278,7 +336,8 @@ def _sampled(field: NDArray[Any], places: Places, share: Floats) -> Floats:
     """Values; ``share`` is set to the share of each pixel that is known where it is not empty."""
     if field.shape != places.mesh:
         raise SurfaceError(
-            f"The field has the shape {field.shape}, the mesh {places.mesh}. Give a field on the nodes of that mesh."
+            f"The field has the shape {field.shape}, the mesh {places.mesh}. Give a field on the"
+            " nodes of that mesh."
         )
     nodes, p = np.ascontiguousarray(field, dtype=np.float64).reshape(-1), places
     out = np.empty(p.shape)

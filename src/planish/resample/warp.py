@@ -31,14 +31,20 @@ _TILE = (512, 4096)  # target pixels that a thread works on, always the same one
 _BLOCK = 256  # target pixels
 _NODES = np.array([0.0, 1.0, 2.0, 3.0]) / 3
 _TEST = np.array([1.0, 3.0, 5.0]) / 6
-_EDGE = 1e-9  # of the weights: a pixel of the source with less does not count, so none is lost to rounding
+# Of the weights: a pixel of the source with less does not count, so none is lost to rounding.
+_EDGE = 1e-9
 _FLAT = 1e-6  # of the square of its diagonal: an area below that is none
 
 
 def warp_image(
-    image: NDArray[np.floating[Any]], grid: Grid, to_source: Mapping, *, pixel_um: Pair = (1.0, 1.0),
-    memory_bytes: int = 2**31, must_meet: bool = True,
-) -> NDArray[np.floating[Any]]:  # fmt: skip
+    image: NDArray[np.floating[Any]],
+    grid: Grid,
+    to_source: Mapping,
+    *,
+    pixel_um: Pair = (1.0, 1.0),
+    memory_bytes: int = 2**31,
+    must_meet: bool = True,
+) -> NDArray[np.floating[Any]]:
     """Warp an image by a transformation.
 
     Parameters
@@ -86,19 +92,26 @@ def warp_image(
     """
     shape, size = grid.shape, image.shape
     if image.ndim != 2 or min(size) < 1 or image.dtype.kind != "f":
-        raise InputError(f"The image has the shape {size} and {image.dtype} values; (rows, cols) of floats is needed.")
+        raise InputError(
+            f"The image has the shape {size} and {image.dtype} values; (rows, cols) of floats is"
+            " needed."
+        )
     if min(shape) < 1 or not np.isfinite(grid.origin_um).all():
         raise SizeError(
-            f"A grid of {shape[0]} x {shape[1]} pixels cannot be made. Check the pixel size and the origin."
+            f"A grid of {shape[0]} x {shape[1]} pixels cannot be made. Check the pixel size and the"
+            " origin."
         )
     for image_name, (rows, cols) in (("image", pixel_um), ("target", grid.pixel_um)):
         if not (0 < rows < np.inf and 0 < cols < np.inf):
-            raise SizeError(f"The pixel size of the {image_name} is {rows:g} x {cols:g} um. Give positive numbers.")
+            raise SizeError(
+                f"The pixel size of the {image_name} is {rows:g} x {cols:g} um. Give positive"
+                " numbers."
+            )
     needed = shape[0] * shape[1] * image.dtype.itemsize
     if needed > memory_bytes:
         raise ResourceError(
-            f"The warped image needs {needed / 1e9:.2f} GB of memory, {memory_bytes / 1e9:.2f} GB are allowed. "
-            "Allow more, or warp to a smaller or coarser grid."
+            f"The warped image needs {needed / 1e9:.2f} GB of memory, {memory_bytes / 1e9:.2f} GB"
+            " are allowed. Allow more, or warp to a smaller or coarser grid."
         )
 
     def mapping(points: Floats) -> Floats:
@@ -118,9 +131,9 @@ def warp_image(
         where_text = f"to x {round(a)} to {round(c)}, y {round(b)} to {round(d)} um of the image"
     height_um, width_um = size[0] * pixel_um[0], size[1] * pixel_um[1]
     raise CannotRegister(
-        f"The transformation takes the target {where_text}, which is {width_um:.0f} um wide and {height_um:.0f} um "
-        "high: nothing overlaps. Check the pixel sizes and the origin, and that the transformation goes from target to "
-        "image (else use its inverse)."
+        f"The transformation takes the target {where_text}, which is {width_um:.0f} um wide and"
+        f" {height_um:.0f} um high: nothing overlaps. Check the pixel sizes and the origin, and"
+        " that the transformation goes from target to image (else use its inverse)."
     )
 
 
@@ -128,10 +141,19 @@ def _warp_tile(image: NDArray[Any], mapping: Mapping, out: NDArray[Any], tile: T
     """Set one tile of ``out``, which is NaN before."""
     for (y0, y1, x0, x1), nodes in zip(*find_patches(mapping, tile, image.shape), strict=True):
         sides = y1 - y0, x1 - x0
-        down, across = ((nodes[k] - nodes[0, 0]) / n for k, n in zip(((-1, 0), (0, -1)), sides, strict=True))
-        if abs(down[0] * across[1] - down[1] * across[0]) <= _FLAT * max(down @ down, across @ across):
-            continue  # a line or a point of the source: one value spread over the patch would look like a map
-        longest = [np.linalg.norm(np.diff(nodes[::3, ::3], axis=k), axis=-1).max() / n for k, n in enumerate(sides)]
+        down, across = (
+            (nodes[k] - nodes[0, 0]) / n for k, n in zip(((-1, 0), (0, -1)), sides, strict=True)
+        )
+        if abs(down[0] * across[1] - down[1] * across[0]) <= _FLAT * max(
+            down @ down, across @ across
+        ):
+            # a line or a point of the source: one value spread over the patch would look like a
+            # map.
+            continue
+        longest = [
+            np.linalg.norm(np.diff(nodes[::3, ::3], axis=k), axis=-1).max() / n
+            for k, n in enumerate(sides)
+        ]
         if max(longest) > LARGER:
             v, u = (np.arange(n + 1) / n for n in sides)
             out[y0:y1, x0:x1] = _averaged(image, places(nodes, v, u))
@@ -147,8 +169,8 @@ def _part(image: NDArray[Any], positions: Floats, margin: int) -> tuple[NDArray[
     pixel_count = np.prod((high - low).astype(np.float64))
     if pixel_count > 2**26:
         raise ResourceError(
-            f"{pixel_count:.1e} pixels of the source lie under one pixel. Warp to smaller pixels first, then take "
-            "means."
+            f"{pixel_count:.1e} pixels of the source lie under one pixel. Warp to smaller pixels"
+            " first, then take means."
         )
     part = np.full((high - low)[::-1], np.nan, dtype=image.dtype)
     first, last = np.maximum(low, 0), np.minimum(high, image.shape[::-1])
@@ -200,13 +222,18 @@ def find_patches(mapping: Mapping, tile: Tile, source: tuple[int, ...]) -> tuple
 
     while len(bounds):
         nodes, tests = places_at(_NODES), places_at(_TEST)
-        is_defined = np.concatenate([np.isfinite(a).all(axis=-1).reshape(len(a), -1) for a in (nodes, tests)], axis=1)
+        is_defined = np.concatenate(
+            [np.isfinite(a).all(axis=-1).reshape(len(a), -1) for a in (nodes, tests)], axis=1
+        )
         is_finite = is_defined.all(axis=1)
         error = np.linalg.norm(places(nodes, _TEST, _TEST) - tests, axis=-1).max(axis=(1, 2))
         error = np.where(is_finite, error, np.inf)
         low, high = nodes.min(axis=(1, 2)), nodes.max(axis=(1, 2))
-        margin = (2 * error + 2.0)[:, None]  # a patch that is further away from the source shows nothing of it
-        is_outside = np.any((high + margin < 0) | (low - margin > (source[1] - 1, source[0] - 1)), axis=1)
+        # a patch that is further away from the source shows nothing of it.
+        margin = (2 * error + 2.0)[:, None]
+        is_outside = np.any(
+            (high + margin < 0) | (low - margin > (source[1] - 1, source[0] - 1)), axis=1
+        )
         is_empty = (is_finite & is_outside) | ~is_defined.any(axis=1)
         is_single = (bounds[:, 1] - bounds[:, 0] == 1) & (bounds[:, 3] - bounds[:, 2] == 1)
         # Where it is tested the polynomial may err by half; the rest is for between the tests. What is summed for area
@@ -220,7 +247,9 @@ def find_patches(mapping: Mapping, tile: Tile, source: tuple[int, ...]) -> tuple
         quarters = (y0, y, x0, x), (y0, y, x, x1), (y, y1, x0, x), (y, y1, x, x1)
         bounds = np.concatenate([np.stack(quarter, axis=1) for quarter in quarters])
         bounds = bounds[(bounds[:, 1] > bounds[:, 0]) & (bounds[:, 3] > bounds[:, 2])]
-    return np.concatenate([bounds for bounds, _ in patches]), np.concatenate([nodes for _, nodes in patches])
+    return np.concatenate([bounds for bounds, _ in patches]), np.concatenate(
+        [nodes for _, nodes in patches]
+    )
 
 
 def places(nodes: Floats, v: Floats, u: Floats) -> Floats:
@@ -231,4 +260,7 @@ def places(nodes: Floats, v: Floats, u: Floats) -> Floats:
 
 def _weights(shares: Floats) -> Floats:
     """Weights (n, 4) of the nodes in the polynomial through them, at shares (n,) of the way."""
-    return np.stack([np.prod([(shares - b) / (a - b) for b in _NODES if b != a], axis=0) for a in _NODES], axis=-1)
+    return np.stack(
+        [np.prod([(shares - b) / (a - b) for b in _NODES if b != a], axis=0) for a in _NODES],
+        axis=-1,
+    )

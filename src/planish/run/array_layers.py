@@ -46,10 +46,16 @@ class ArrayLayer:
         """Write it as a working store, or as TIFF in the type that it was made from."""
         if self.kind == "volume":
             volume = self.array.assign_attrs(voxel_um=list(self.size_um))
-            write_store(volume, self.path, memory_bytes=compute.block_bytes, threads=compute.threads)
+            write_store(
+                volume, self.path, memory_bytes=compute.block_bytes, threads=compute.threads
+            )
             return
-        values, stored_dtype = self.array.values, np.dtype(self.array.attrs.get("stored_dtype", "f4"))
-        if stored_dtype.kind == "u" and np.array_equal(values, np.rint(values)):  # not of a luminance
+        values, stored_dtype = (
+            self.array.values,
+            np.dtype(self.array.attrs.get("stored_dtype", "f4")),
+        )
+        # Not of a luminance.
+        if stored_dtype.kind == "u" and np.array_equal(values, np.rint(values)):
             values = values.astype(stored_dtype)
         with writing(self.path, needed=values.nbytes):
             tifffile.imwrite(self.path, values, photometric="minisblack", metadata=None)
@@ -78,7 +84,9 @@ def layer_sources(
             folder.mkdir(parents=True, exist_ok=True)
         for k, source in enumerate(sources):
             if isinstance(source, ArrayLayer):
-                default_name, suffix = ("sheet", ".zarr") if source.kind == "volume" else ("image", ".tif")
+                default_name, suffix = (
+                    ("sheet", ".zarr") if source.kind == "volume" else ("image", ".tif")
+                )
                 stem = default_name if kinds.count(source.kind) == 1 else f"{source.kind}{k + 1}"
                 sources[k] = replace(source, path=folder / f"{stem}{suffix}")
         yield sources
@@ -95,7 +103,9 @@ def layer_sources(
 def _source(layer: LayerInput, call_text: str) -> str | Path | ArrayLayer:
     if isinstance(layer, Run):
         if layer.folder is None:
-            raise FileError("The run stands in no folder. Give out= to the call that made it, and link it then.")
+            raise FileError(
+                "The run stands in no folder. Give out= to the call that made it, and link it then."
+            )
         return layer.folder
     if isinstance(layer, str | Path):
         return layer

@@ -26,9 +26,14 @@ _OF_BOTH = ("override_size", "unusual_size")  # said once, of volumes and images
 
 
 def map_sheet(
-    layer: str | Path | xr.DataArray, /, *, out: str | Path | None = None, compute: Compute | None = None,
-    progress: Progress = silent, **options: Any,
-) -> Run:  # fmt: skip
+    layer: str | Path | xr.DataArray,
+    /,
+    *,
+    out: str | Path | None = None,
+    compute: Compute | None = None,
+    progress: Progress = silent,
+    **options: Any,
+) -> Run:
     """Map the sheet in a volume: flattened maps of all properties.
 
     Parameters
@@ -60,13 +65,19 @@ def map_sheet(
     --------
     ``run = pl.map_sheet("volume.tif", out="run", voxel_um=3, through="y")``
     """
-    return _make([layer], out, options, ("about", "volume", *MAP_SECTIONS), compute, progress, "pl.map_sheet")
+    return _make(
+        [layer], out, options, ("about", "volume", *MAP_SECTIONS), compute, progress, "pl.map_sheet"
+    )
 
 
 def link(
-    *layers: str | Path | Run | xr.DataArray, out: str | Path | None = None, chain: bool = False,
-    compute: Compute | None = None, progress: Progress = silent, **options: Any,
-) -> Run:  # fmt: skip
+    *layers: str | Path | Run | xr.DataArray,
+    out: str | Path | None = None,
+    chain: bool = False,
+    compute: Compute | None = None,
+    progress: Progress = silent,
+    **options: Any,
+) -> Run:
     """Link layers of one specimen to the last of them, the reference.
 
     Parameters
@@ -101,16 +112,27 @@ def link(
     ``run = pl.link("volume.tif", "image.tif", out="run", image_side="bottom", memory="4GB")``
     """
     if len(layers) < 2:
-        raise StudyError("Something to link it to is missing: give two layers or more, the reference last.")
+        raise StudyError(
+            "Something to link it to is missing: give two layers or more, the reference last."
+        )
     return _make(layers, out, options, tuple(SECTIONS), compute, progress, "pl.link", chain=chain)
 
 
 def _make(
-    layers: Sequence[LayerInput], out: str | Path | None, options: Mapping[str, Any], sections: Sequence[str],
-    compute: Compute | None, progress: Progress, call_text: str, *, chain: bool = False,
-) -> Run:  # fmt: skip
+    layers: Sequence[LayerInput],
+    out: str | Path | None,
+    options: Mapping[str, Any],
+    sections: Sequence[str],
+    compute: Compute | None,
+    progress: Progress,
+    call_text: str,
+    *,
+    chain: bool = False,
+) -> Run:
     section_options, compute = sections_of(options, sections, compute, call=call_text)
-    with layer_sources(layers, out, f"{call_text}({{}}{', ...' if len(layers) > 1 else ''})") as sources:
+    with layer_sources(
+        layers, out, f"{call_text}({{}}{', ...' if len(layers) > 1 else ''})"
+    ) as sources:
         study = study_of(sources, section_options, chain=chain)
         for source in sources:
             if isinstance(source, ArrayLayer):
@@ -120,7 +142,10 @@ def _make(
 
 
 def study_of(
-    layers: Sequence[str | Path | ArrayLayer], sections: Mapping[str, Mapping[str, Any]], *, chain: bool = False
+    layers: Sequence[str | Path | ArrayLayer],
+    sections: Mapping[str, Mapping[str, Any]],
+    *,
+    chain: bool = False,
 ) -> Study:
     """Put a study together of paths, or arrays that will have one, and options.
 
@@ -131,7 +156,10 @@ def study_of(
     """
     options = {name: dict(values) for name, values in sections.items()}
     if unknown := sorted(set(options) - set(SECTIONS)):
-        raise StudyError(f"There is no group of options called {', '.join(unknown)}; there are {', '.join(SECTIONS)}.")
+        raise StudyError(
+            f"There is no group of options called {', '.join(unknown)}; there are"
+            f" {', '.join(SECTIONS)}."
+        )
     sources = [_source(layer, is_link=len(layers) > 1) for layer in layers]
     # What is given and means nothing without a volume.
     unused = [name for group in MAP_SECTIONS for name in options.get(group, {})]
@@ -139,19 +167,26 @@ def study_of(
     if unused and all(source.kind != "volume" for source in sources):
         flags = ", ".join(map(flag_of, unused))
         raise StudyError(
-            f"{flags}: for volumes only, and {', '.join(source.path.name for source in sources)} is none. A run keeps "
-            "the options that it was made with; map the volume again to change them."
+            f"{flags}: for volumes only, and {', '.join(source.path.name for source in sources)} is"
+            " none. A run keeps the options that it was made with; map the volume again to change"
+            " them."
         )
     if len(sources) > 2 and options.get("registration", {}).get("marks"):
         raise StudyError(
-            "--marks holds pairs of two layers, but more are given. Write them into a study file (docs/linking.md)."
+            "--marks holds pairs of two layers, but more are given. Write them into a study file"
+            " (docs/linking.md)."
         )
-    tables = [_table(name, source, options) for name, source in zip(_all_names(sources), sources, strict=True)]
+    tables = [
+        _table(name, source, options)
+        for name, source in zip(_all_names(sources), sources, strict=True)
+    ]
     link_options = {k: options[k] for k in ("about", *LINK_SECTIONS) if k in options}
     try:
         return Study.model_validate({"layers": tables, "chain": chain, **link_options})
     except ValidationError as error:
-        raise StudyError("; ".join(dict.fromkeys(fault_texts(error, Study, as_flags(words_of()))))) from error
+        raise StudyError(
+            "; ".join(dict.fromkeys(fault_texts(error, Study, as_flags(words_of()))))
+        ) from error
 
 
 class PathLayer(NamedTuple):
@@ -173,7 +208,8 @@ def _source(layer: str | Path | ArrayLayer, *, is_link: bool) -> PathLayer | Arr
             name, path = prefix, Path(path_text)
         elif find_place(path_text).path.exists():
             raise StudyError(
-                f"{prefix!r} is no name of a layer: letters from A to Z, digits, - and _ are possible, at most 40."
+                f"{prefix!r} is no name of a layer: letters from A to Z, digits, - and _ are"
+                " possible, at most 40."
             )
     kind: Kind = "volume"
     if is_link and is_run(path):
@@ -183,14 +219,19 @@ def _source(layer: str | Path | ArrayLayer, *, is_link: bool) -> PathLayer | Arr
     return PathLayer(path, kind, name)
 
 
-def _table(name: str, source: PathLayer | ArrayLayer, options: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+def _table(
+    name: str, source: PathLayer | ArrayLayer, options: Mapping[str, dict[str, Any]]
+) -> dict[str, Any]:
     table, volume = {"path": str(source.path.absolute())}, options.get("volume", {})
     array_options = source.options if isinstance(source, ArrayLayer) else {}
     if source.kind == "run":
         return {"name": name, "run": table["path"], "md_deg": volume.get("md_deg")}
     if source.kind == "image":
         size_options = {name: volume[name] for name in _OF_BOTH if name in volume}
-        return {"name": name, "image": size_options | array_options | options.get("image", {}) | table}
+        return {
+            "name": name,
+            "image": size_options | array_options | options.get("image", {}) | table,
+        }
     map_options = {k: options[k] for k in MAP_SECTIONS if k in options}
     return {"name": name, "volume": array_options | volume | table, **map_options}
 
@@ -205,9 +246,13 @@ def _all_names(sources: Sequence[PathLayer | ArrayLayer]) -> list[str]:
     if len(set(default_names)) == len(default_names):
         return [source.name or word for source, word in zip(sources, default_names, strict=True)]
     data_places = [find_place(source.path.absolute()) for source in sources]
-    stems = [source.name or as_name(place.stem) for source, place in zip(sources, data_places, strict=True)]
+    stems = [
+        source.name or as_name(place.stem)
+        for source, place in zip(sources, data_places, strict=True)
+    ]
     return [
-        source.name or (f"{as_name(place.path.parent.name)}-{stem}"[:40] if stems.count(stem) > 1 else stem)
+        source.name
+        or (f"{as_name(place.path.parent.name)}-{stem}"[:40] if stems.count(stem) > 1 else stem)
         for source, place, stem in zip(sources, data_places, stems, strict=True)
     ]
 
@@ -217,8 +262,12 @@ def sections_of(
 ) -> tuple[dict[str, dict[str, Any]], Compute | None]:
     """Sort what a call was given into sections of a study, and what may be used; StudyError names all faults."""
     word_places = words_of([*sections, "compute"])
-    tables: dict[str, Any] = {} if compute is None else {"compute": params_of(Compute, compute, call).model_dump()}
-    given_words = {word: value for word, value in options.items() if value is not None and word in word_places}
+    tables: dict[str, Any] = (
+        {} if compute is None else {"compute": params_of(Compute, compute, call).model_dump()}
+    )
+    given_words = {
+        word: value for word, value in options.items() if value is not None and word in word_places
+    }
     faults: list[str] = []
     for word, value in options.items():
         if isinstance(value, Params) and word in sections:
@@ -226,11 +275,16 @@ def sections_of(
         elif isinstance(value, Mapping) and word in sections:
             tables[word] = deepcopy(dict[str, Any](value))
         elif word in sections:
-            faults.append(f"{word}={value!r}: needed is a dict of options, or one of them by itself.")
+            faults.append(
+                f"{word}={value!r}: needed is a dict of options, or one of them by itself."
+            )
         elif word not in word_places and value is not None:
             faults.append(_unknown(word, [*sections, *word_places, "out", "progress", "chain"]))
     repeated = put_options(tables, word_places, given_words)
-    faults += [f"{word}= is given twice, by itself and in {word_places[word][0]}=. Leave one out." for word in repeated]
+    faults += [
+        f"{word}= is given twice, by itself and in {word_places[word][0]}=. Leave one out."
+        for word in repeated
+    ]
     if faults:
         raise StudyError(f"{call}: {' '.join(faults)}")
     compute_options = tables.pop("compute", None)

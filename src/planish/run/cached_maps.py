@@ -15,7 +15,8 @@ from planish.run.run import is_run, open_results, open_sheet
 from planish.run.sheet import asked_corrections, made_corrections
 from planish.run.study import RUN_TOML, Study, changed, read_study, to_dict
 
-_REQUEST = ".request"  # file of such a run: what was asked for, as a hash, and the study of the link
+# File of such a run: what was asked for, as a hash, and the study of the link.
+_REQUEST = ".request"
 
 
 class CachedMaps(NamedTuple):
@@ -25,19 +26,29 @@ class CachedMaps(NamedTuple):
     key: str
 
     @classmethod
-    def of_link(cls, study: Study, hashes: Sequence[str], out: Path, compute: Compute) -> dict[str, CachedMaps]:
+    def of_link(
+        cls, study: Study, hashes: Sequence[str], out: Path, compute: Compute
+    ) -> dict[str, CachedMaps]:
         """Those of all volumes of a link to ``out``, by layer: ``OUT-NAME-map`` where there are several.
 
         Each is the folder with the maps of the volume as the link asks for them, or a name that is free.
         """
         caches = dict[str, CachedMaps]()
         is_link = len(study.layers) > 1
-        volumes = [pair for pair in zip(study.layers, hashes, strict=True) if pair[0].kind == "volume" and is_link]
+        volumes = [
+            pair
+            for pair in zip(study.layers, hashes, strict=True)
+            if pair[0].kind == "volume" and is_link
+        ]
         for layer, sha256 in volumes:
             name = out.name if len(volumes) == 1 else f"{out.name}-{layer.name}"
             mapping_params = changed(layer, marks=None, surface={"corrections": None})
             # The memory decides how wide the columns are.
-            input_hashes = [sha256, str(compute.memory_bytes), *filter(None, [asked_corrections(layer)])]
+            input_hashes = [
+                sha256,
+                str(compute.memory_bytes),
+                *filter(None, [asked_corrections(layer)]),
+            ]
             request_key = run_key(to_dict(Study(layers=(mapping_params,))), input_hashes)
             path, k = out.with_name(f"{name}-map"), 1
             while path.exists() and _request(path)[:1] != [request_key]:
@@ -55,27 +66,39 @@ class CachedMaps(NamedTuple):
 
     def note(self, folder: Path, study: Study) -> None:
         """Mark the folder that will stand there with what was asked for, and the link that was refused."""
-        (folder / _REQUEST).write_text(f"{self.key}\n{study.model_dump_json()}\n", encoding="utf-8", newline="\n")
+        (folder / _REQUEST).write_text(
+            f"{self.key}\n{study.model_dump_json()}\n", encoding="utf-8", newline="\n"
+        )
 
 
-def sheets_of(old: Path, study: Study, hashes: Sequence[str]) -> tuple[dict[str, Layer], dict[str, Layer]]:
+def sheets_of(
+    old: Path, study: Study, hashes: Sequence[str]
+) -> tuple[dict[str, Layer], dict[str, Layer]]:
     """Give the sheets of a run that a study asks for, of the same files and by this code of planish.
 
     The first have the same parameters; the second the same surface, and other properties, flattening, or corrections.
     """
     ready_sheets, similar_sheets = dict[str, Layer](), dict[str, Layer]()
     try:
-        results, old_layers = open_results(old), {layer.name: layer for layer in read_study(old / RUN_TOML).layers}
+        results, old_layers = (
+            open_results(old),
+            {layer.name: layer for layer in read_study(old / RUN_TOML).layers},
+        )
     except PlanishError:
         return ready_sheets, similar_sheets
     sources = {layer.name: layer.source.sha256 for layer in results.layers}
-    is_own_map = len(results.layers) == 1 or [layer.kind for layer in results.layers] == ["sheet", "image"]
+    is_own_map = len(results.layers) == 1 or [layer.kind for layer in results.layers] == [
+        "sheet",
+        "image",
+    ]
     for layer, sha256 in zip(study.layers, hashes, strict=True):
         old_layer = old_layers.get(layer.name)
         if layer.kind != "volume" or old_layer is None or not results.is_of_this_code:
             continue
         sheet_folder = old if is_own_map else old / "layers" / layer.name
-        old_surface, new_surface = (changed(params.surface, corrections=None) for params in (old_layer, layer))
+        old_surface, new_surface = (
+            changed(params.surface, corrections=None) for params in (old_layer, layer)
+        )
         is_same_file = old_layer.volume == layer.volume and sources.get(layer.name) == sha256
         if not (is_same_file and old_surface == new_surface and is_run(sheet_folder)):
             continue
@@ -94,7 +117,10 @@ def next_step(error: PlanishError, caches: Mapping[str, CachedMaps], study: Stud
         return f"planish view {quoted(map_folder)} {quoted(study.layers[-1].path)}"
 
     if map_folders := [str(cache.path) for cache in caches.values() if cache.path.exists()]:
-        text = f"The maps of the volume are kept in {' and '.join(map_folders)}; the same command goes on from there."
+        text = (
+            f"The maps of the volume are kept in {' and '.join(map_folders)}; the same command goes"
+            " on from there."
+        )
         marks_refused = isinstance(error, CannotRegister | MarkError) and study.is_sheet_on_image
         return f"{text} To set the marks by hand: {view(map_folders[0])}" if marks_refused else text
     volume = next((layer for layer in study.layers if layer.kind == "volume"), None)
@@ -103,7 +129,11 @@ def next_step(error: PlanishError, caches: Mapping[str, CachedMaps], study: Stud
     map_folder = str(caches[volume.name].path)
     command = f"planish map {quoted(volume.path)} --out {quoted(map_folder)}"
     text = f"To map the volume without it, with the same options: {command}"
-    return f"{text}; then, to set the marks by hand: {view(map_folder)}" if study.is_sheet_on_image else text
+    return (
+        f"{text}; then, to set the marks by hand: {view(map_folder)}"
+        if study.is_sheet_on_image
+        else text
+    )
 
 
 def noted_study(path: Path) -> Study | None:

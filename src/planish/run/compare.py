@@ -15,7 +15,10 @@ from planish.run.regions import regions_on
 
 
 def correlate_maps(
-    linked: xr.Dataset, *, params: CorrelateParams | None = None, names: tuple[str, str] = ("sheet", "image")
+    linked: xr.Dataset,
+    *,
+    params: CorrelateParams | None = None,
+    names: tuple[str, str] = ("sheet", "image"),
 ) -> tuple[CorrelationRow, ...]:
     """Correlate every property with the image, per pixel and over larger points.
 
@@ -38,18 +41,25 @@ def correlate_maps(
         If ``params.regions`` are of no use, or come after a screen was taken off the image.
     """
     check_dataset(
-        linked, "image", "valid", expected="linked maps", call_format="pl.correlate_maps({})",
+        linked,
+        "image",
+        "valid",
+        expected="linked maps",
+        call_format="pl.correlate_maps({})",
         source="pl.resample_maps(measured, flat, onto=image, registration=registration)",
-    )  # fmt: skip
+    )
     params = params_of(CorrelateParams, params, "pl.correlate_maps")
     if params.regions is not None:
         regions = regions_on(read_regions(params.regions), grid := Grid.of(linked), params.regions)
         if "reach_um" in linked["image"].attrs:
             raise InputError(
-                "A screen was taken off the image before the regions were known, and what they hold has reached their "
-                "neighbours. Give --regions to 'planish link' instead."
+                "A screen was taken off the image before the regions were known, and what they hold"
+                " has reached their neighbours. Give --regions to 'planish link' instead."
             )
-        valid_bands = [valid & ~regions.inside(grid.part(rows)) for rows, (valid,) in read_bands(linked["valid"])]
+        valid_bands = [
+            valid & ~regions.inside(grid.part(rows))
+            for rows, (valid,) in read_bands(linked["valid"])
+        ]
         linked = linked.assign(valid=(("y", "x"), np.concatenate(valid_bands)))
     layers = {names[0]: linked.drop_vars("image"), names[1]: linked[["image", "valid"]]}
     return tuple(correlate_layers(*names, layers, params.point_um))

@@ -21,7 +21,14 @@ from pydantic import BeforeValidator
 from planish import __version__
 from planish.core.errors import InputError, ResourceError
 from planish.core.frame import Frame
-from planish.core.memory import HELD_TIMES, MAPS_SHARE, PROGRAM_BYTES, RETURNED_BYTES, bytes_to_map, enough_gb
+from planish.core.memory import (
+    HELD_TIMES,
+    MAPS_SHARE,
+    PROGRAM_BYTES,
+    RETURNED_BYTES,
+    bytes_to_map,
+    enough_gb,
+)
 from planish.core.options import Params, option
 from planish.core.source_hash import hash_sources
 from planish.core.tiles import Engine
@@ -37,7 +44,8 @@ def silent(_stage: str, _detail: str) -> None:
     """Report nothing."""
 
 
-_WIDEST_UM = 12.0  # a column wider than this would be coarser than the maps that are compared with images
+# a column wider than this would be coarser than the maps that are compared with images.
+_WIDEST_UM = 12.0
 _UNITS = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12}
 
 
@@ -56,10 +64,16 @@ class Compute(Params):
     """What a run may use; no result depends on it."""
 
     memory_bytes: Annotated[int, BeforeValidator(_bytes_of)] | None = option(
-        None, cli="--memory", metavar="SIZE", help="Most memory to use, such as 4GB; half of what is free."
+        None,
+        cli="--memory",
+        metavar="SIZE",
+        help="Most memory to use, such as 4GB; half of what is free.",
     )
     threads: int | None = option(
-        None, ge=1, metavar="N", help="Local threads; one a processor that planish may use, eight at most."
+        None,
+        ge=1,
+        metavar="N",
+        help="Local threads; one a processor that planish may use, eight at most.",
     )
     scheduler: str | None = option(
         None, metavar="tcp://HOST:PORT", help="Work on a dask cluster instead of local threads."
@@ -85,10 +99,16 @@ class Compute(Params):
         """Most memory, in bytes."""
         from planish.io.guard import default_memory_limit
 
-        return self.memory_bytes if self.memory_bytes is not None else int(default_memory_limit() * 2 / 3)
+        return (
+            self.memory_bytes
+            if self.memory_bytes is not None
+            else int(default_memory_limit() * 2 / 3)
+        )
 
 
-def column_step(volume: xr.DataArray, frame: Frame, column_um: float | None, compute: Compute) -> int:
+def column_step(
+    volume: xr.DataArray, frame: Frame, column_um: float | None, compute: Compute
+) -> int:
     """Width of the measured columns in voxels: ``column_um``, or single voxels, or as wide as the memory demands.
 
     Raises
@@ -102,16 +122,19 @@ def column_step(volume: xr.DataArray, frame: Frame, column_um: float | None, com
     pitch = (voxel[frame.rows] * voxel[frame.cols]) ** 0.5
     if column_um is not None:
         if column_um < 0.999 * pitch:
-            raise InputError(f"--column-um {column_um:g} is less than a voxel of {pitch:g} um. Give a multiple of it.")
+            raise InputError(
+                f"--column-um {column_um:g} is less than a voxel of {pitch:g} um. Give a multiple"
+                " of it."
+            )
         return max(1, round(column_um / pitch))
     columns = volume.sizes[frame.rows] * volume.sizes[frame.cols]
     step = max(1, math.ceil((bytes_to_map(columns) / compute.for_work) ** 0.5))
     if step > 1 and step * pitch > _WIDEST_UM:
         needed = bytes_to_map(columns / max(int(_WIDEST_UM / pitch), 1) ** 2) + PROGRAM_BYTES
         raise ResourceError(
-            f"The maps of {columns / 1e6:.0f} million columns need {enough_gb(needed)} GB of memory even with columns "
-            f"of {_WIDEST_UM:g} um; {compute.memory / 1e9:.1f} GB are allowed. Give more with --memory, or crop the "
-            "volume."
+            f"The maps of {columns / 1e6:.0f} million columns need {enough_gb(needed)} GB of memory"
+            f" even with columns of {_WIDEST_UM:g} um; {compute.memory / 1e9:.1f} GB are allowed."
+            " Give more with --memory, or crop the volume."
         )
     return step
 
@@ -136,28 +159,36 @@ def engine(compute: Compute, *, tiles: Path | None = None) -> Generator[Engine]:
         from distributed.comm.core import CommClosedError
     except ImportError as error:
         raise InputError(
-            '--scheduler needs the library distributed, which is not installed. Run: pip install "planish[cluster]"'
+            "--scheduler needs the library distributed, which is not installed. Run: pip install"
+            ' "planish[cluster]"'
         ) from error
     try:
         opened: Any = Client(compute.scheduler, timeout="10s", set_as_default=False)
     except (OSError, ValueError) as error:
         raise InputError(
-            f"No scheduler answers at {compute.scheduler}: {error}. Start one with 'dask scheduler' and give the "
-            "address that it prints."
+            f"No scheduler answers at {compute.scheduler}: {error}. Start one with 'dask scheduler'"
+            " and give the address that it prints."
         ) from error
     with opened as client:
         with suppress(TimeoutError):  # those that were just started need a moment
             client.wait_for_workers(1, timeout=20)
         workers = sum(client.ncores().values())
         if not workers:
-            raise InputError(f"The scheduler {compute.scheduler} has no workers. Start some with 'dask worker'.")
+            raise InputError(
+                f"The scheduler {compute.scheduler} has no workers. Start some with 'dask worker'."
+            )
         try:
-            yield Engine(executor=client.get_executor(pure=False), workers=workers, memory_bytes=memory, folder=tiles)
+            yield Engine(
+                executor=client.get_executor(pure=False),
+                workers=workers,
+                memory_bytes=memory,
+                folder=tiles,
+            )
         except (CancelledError, CommClosedError, KilledWorker) as error:
             raise ResourceError(
-                f"The scheduler {compute.scheduler} was lost, or its workers died again and again at one part of the "
-                "work. See what it says, give its workers more memory if they ran out of it, and give the same command "
-                "again: it goes on where it stood."
+                f"The scheduler {compute.scheduler} was lost, or its workers died again and again"
+                " at one part of the work. See what it says, give its workers more memory if they"
+                " ran out of it, and give the same command again: it goes on where it stood."
             ) from error
 
 

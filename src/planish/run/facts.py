@@ -56,7 +56,9 @@ def surface_facts(surfaces: xr.Dataset) -> SurfaceFacts:
     shares = {name: float((status.values == k).mean()) for k, name in enumerate(status_names)}
     search_facts = {k: surfaces.attrs.get(k) for k in SurfaceFacts.model_fields}
     counts = {k: int(search_facts[k] or 0) for k in ("particles_removed", "half_closed_holes")}
-    return SurfaceFacts.model_validate(search_facts | counts | {"columns": status.size, "shares": shares})
+    return SurfaceFacts.model_validate(
+        search_facts | counts | {"columns": status.size, "shares": shares}
+    )
 
 
 def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
@@ -70,7 +72,11 @@ def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
             continue
         p5, p50, p95 = np.percentile(values, [5, 50, 95])
         error = surfaces.get(f"{name}_se")
-        errors = np.empty(0) if error is None else error.values[np.isfinite(error.values)].astype(np.float64)
+        errors = (
+            np.empty(0)
+            if error is None
+            else error.values[np.isfinite(error.values)].astype(np.float64)
+        )
         mean_facts: dict[str, Any] = {}
         if error is not None and errors.size and "patch_um2" in error.attrs:
             patches_per_column = math.prod(pitch(surfaces)) / float(error.attrs["patch_um2"])
@@ -80,28 +86,50 @@ def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
             mean_error = float(np.sqrt(variance / n_independent + common_um**2))
             mean_facts = {"n_independent": int(n_independent), "mean_standard_error": mean_error}
         facts[str(name)] = PropertyFacts(
-            units=str(data.attrs["units"]), n=int(values.size), mean=float(values.mean()), sd=float(values.std()),
-            p5=float(p5), median=float(p50), p95=float(p95), support_um=data.attrs.get("support_um"),
-            standard_error=float(np.median(errors)) if errors.size else None, **mean_facts,
-        )  # fmt: skip
+            units=str(data.attrs["units"]),
+            n=int(values.size),
+            mean=float(values.mean()),
+            sd=float(values.std()),
+            p5=float(p5),
+            median=float(p50),
+            p95=float(p95),
+            support_um=data.attrs.get("support_um"),
+            standard_error=float(np.median(errors)) if errors.size else None,
+            **mean_facts,
+        )
     return facts
 
 
 def section_facts(sections: xr.Dataset) -> SectionFacts:
     """How serial sections were joined."""
     attrs, aligned = sections.attrs, sections["aligned"].values
-    shift_rms_um = [float(np.sqrt(np.mean(sections[f"shift_{axis}"].values[aligned] ** 2))) for axis in ("row", "col")]
+    shift_rms_um = [
+        float(np.sqrt(np.mean(sections[f"shift_{axis}"].values[aligned] ** 2)))
+        for axis in ("row", "col")
+    ]
     row, col = (float(v) for v in attrs["jitter_left_um"])
     alignment = {k: v for k, v in attrs.items() if k in SectionFacts.model_fields}
-    return SectionFacts.model_validate(alignment | {
-        "count": int(aligned.size), "not_aligned": int(np.count_nonzero(~aligned)),
-        "gain_sd": float(np.std(sections["gain"].values[aligned])), "shift_row_rms_um": shift_rms_um[0],
-        "shift_col_rms_um": shift_rms_um[1], "jitter_left_row_um": row, "jitter_left_col_um": col,
-    })  # fmt: skip
+    return SectionFacts.model_validate(
+        alignment
+        | {
+            "count": int(aligned.size),
+            "not_aligned": int(np.count_nonzero(~aligned)),
+            "gain_sd": float(np.std(sections["gain"].values[aligned])),
+            "shift_row_rms_um": shift_rms_um[0],
+            "shift_col_rms_um": shift_rms_um[1],
+            "jitter_left_row_um": row,
+            "jitter_left_col_um": col,
+        }
+    )
 
 
 def layer_facts(
-    layer: Layer, maps: xr.Dataset, link: Link | None, side: Side, lag: LagNumbers | None, headline: str | None
+    layer: Layer,
+    maps: xr.Dataset,
+    link: Link | None,
+    side: Side,
+    lag: LagNumbers | None,
+    headline: str | None,
 ) -> LayerFacts:
     """What a layer is, how much of the reference it covers, and how it was registered.
 
@@ -110,31 +138,56 @@ def layer_facts(
     shown = maps["volume_z" if layer.kind == "sheet" else "image"]
     pixels = sum(int(np.count_nonzero(np.isfinite(values))) for _, (values,) in read_bands(shown))
     return LayerFacts(
-        name=layer.name, kind=layer.kind, source=layer.source, headline=headline_of(maps, side, headline),
-        share_of_reference=pixels / shown.size, sheet=layer.facts,
+        name=layer.name,
+        kind=layer.kind,
+        source=layer.source,
+        headline=headline_of(maps, side, headline),
+        share_of_reference=pixels / shown.size,
+        sheet=layer.facts,
         image=None if layer.params.image is None else image_facts(layer.params.image),
         registration=None if link is None else _registration_facts(layer, link, maps, lag),
-    )  # fmt: skip
+    )
 
 
-def _registration_facts(layer: Layer, link: Link, maps: xr.Dataset, lag: LagNumbers | None) -> RegistrationFacts:
+def _registration_facts(
+    layer: Layer, link: Link, maps: xr.Dataset, lag: LagNumbers | None
+) -> RegistrationFacts:
     registration, fit = link.registration, link.registration.fit
     _, (error,) = thinned(maps["expected_error"])
     error = error[np.isfinite(error)]
     return RegistrationFacts(
-        to=link.path[1].name, path=tuple(layer.name for layer in link.path), source=registration.source,
-        found_moving=registration.count("moving"), found_fixed=registration.count("fixed"),
-        matched=int(np.count_nonzero(fit.robust_weights)), second_best=registration.second_best,
-        match_sentence=registration.sentence, design=registration.design, tilt=registration.tilt, model=fit.model,
-        model_sentence=fit.sentence, warnings=fit.warnings, rms_um=fit.rms_um,
-        leave_one_out_rms_um=fit.leave_one_out_rms_um, scale=fit.transform.scale, mirrored=fit.mirrored,
-        expected_error=ExpectedError(
-            median_um=np.median(error), largest_um=error.max(), shares=error_shares(maps, has_shared=fit.shared_um > 0)
-        ) if error.size else None,
-        rotation_deg=float(np.rad2deg(fit.transform.rotation_rad)), shift_um=fit.transform.shift_um,
-        orientation=_orientation_facts(layer, link.path[1], fit), lag=lag,
+        to=link.path[1].name,
+        path=tuple(layer.name for layer in link.path),
+        source=registration.source,
+        found_moving=registration.count("moving"),
+        found_fixed=registration.count("fixed"),
+        matched=int(np.count_nonzero(fit.robust_weights)),
+        second_best=registration.second_best,
+        match_sentence=registration.sentence,
+        design=registration.design,
+        tilt=registration.tilt,
+        model=fit.model,
+        model_sentence=fit.sentence,
+        warnings=fit.warnings,
+        rms_um=fit.rms_um,
+        leave_one_out_rms_um=fit.leave_one_out_rms_um,
+        scale=fit.transform.scale,
+        mirrored=fit.mirrored,
+        expected_error=(
+            ExpectedError(
+                median_um=np.median(error),
+                largest_um=error.max(),
+                shares=error_shares(maps, has_shared=fit.shared_um > 0),
+            )
+            if error.size
+            else None
+        ),
+        rotation_deg=float(np.rad2deg(fit.transform.rotation_rad)),
+        shift_um=fit.transform.shift_um,
+        orientation=_orientation_facts(layer, link.path[1], fit),
+        lag=lag,
         false_probability=registration.false_probability,
-    )  # fmt: skip
+    )
 
 
 def _orientation_facts(moving: Layer, fixed: Layer, fit: FittedTransform) -> OrientationFacts:
@@ -146,16 +199,27 @@ def _orientation_facts(moving: Layer, fixed: Layer, fit: FittedTransform) -> Ori
         x, y = fit.transform.matrix() @ (np.cos(angle_rad), np.sin(angle_rad))
         md_fixed_deg = float(np.rad2deg(np.arctan2(y, x)) % 180.0)
     sentences = [
-        f"{capital(with_article(layer.name))} shows the {layer.side} side of the sheet, as given."
-        if layer.side_given is not None
-        else f"Side of {with_article(layer.name)} not given; its texture is mirrored, so it shows the bottom side."
-        if layer.side_found is not None
-        else f"Side of {with_article(layer.name)} not given; top side assumed (--image-side)."
+        (
+            f"{capital(with_article(layer.name))} shows the {layer.side} side of the sheet, as"
+            " given."
+            if layer.side_given is not None
+            else (
+                f"Side of {with_article(layer.name)} not given; its texture is mirrored, so it"
+                " shows the bottom side."
+                if layer.side_found is not None
+                else (
+                    f"Side of {with_article(layer.name)} not given; top side assumed"
+                    " (--image-side)."
+                )
+            )
+        )
         for layer in (moving, fixed)
         if layer.kind == "image"
     ]
     if is_reversed:
-        sentences.append(f"The marks fit mirrored only: the {moving.name} is numbered against the usual sense.")
+        sentences.append(
+            f"The marks fit mirrored only: the {moving.name} is numbered against the usual sense."
+        )
     md_text = "The machine direction lies at"
     if md_fixed_deg is not None:
         given_text = "." if fixed.md_deg is None else f"; {_angle(fixed.md_deg)} was given there."
@@ -163,14 +227,20 @@ def _orientation_facts(moving: Layer, fixed: Layer, fit: FittedTransform) -> Ori
         sentences.append(f"{md_text} {_angle(moving.md_deg)} in the {moving.name} and {fixed_text}")
     elif fixed.md_deg is not None:
         missing_text = f"none was given for the {moving.name}."
-        sentences.append(f"{md_text} {_angle(fixed.md_deg)} in the {fixed.name}, as given; {missing_text}")
+        sentences.append(
+            f"{md_text} {_angle(fixed.md_deg)} in the {fixed.name}, as given; {missing_text}"
+        )
     else:
         sentences.append("Machine direction not given (--md-deg, --image-md-deg).")
     return OrientationFacts(
-        image_side=fixed.side, side_given=fixed.side_given is not None or fixed.kind == "sheet",
-        mirrored_volume=is_reversed, md_deg_moving=moving.md_deg, md_deg_fixed=fixed.md_deg,
-        md_deg_fixed_from_moving=md_fixed_deg, sentence=" ".join(sentences),
-    )  # fmt: skip
+        image_side=fixed.side,
+        side_given=fixed.side_given is not None or fixed.kind == "sheet",
+        mirrored_volume=is_reversed,
+        md_deg_moving=moving.md_deg,
+        md_deg_fixed=fixed.md_deg,
+        md_deg_fixed_from_moving=md_fixed_deg,
+        sentence=" ".join(sentences),
+    )
 
 
 def _angle(deg: float | None) -> str:
@@ -182,7 +252,10 @@ def linked_area(linked: xr.Dataset, mask: Callable[[Grid], Bools]) -> LinkedArea
     grid, counts = Grid.of(linked), np.zeros(3, dtype=np.int64)
     for rows, (u, valid) in read_bands(linked["u"], linked["valid"]):
         is_sheet = np.isfinite(u)
-        counts += [np.count_nonzero(mask_part) for mask_part in (is_sheet, is_sheet & mask(grid.part(rows)), valid)]
+        counts += [
+            np.count_nonzero(mask_part)
+            for mask_part in (is_sheet, is_sheet & mask(grid.part(rows)), valid)
+        ]
     (n_on_sheet, n_off_holes, valid), pixels = map(int, counts), math.prod(grid.shape)
     return LinkedArea(
         pixels=pixels,
@@ -198,7 +271,17 @@ def figures_text(results: Results) -> str:
 
     ``trust`` is ``ok``, ``doubtful`` or ``withheld`` (then there is no value), ``checks`` names the checks that say so.
     """
-    header = ("layers", "figure", "statistic", "value", "standard_error", "units", "n", "trust", "checks")
+    header = (
+        "layers",
+        "figure",
+        "statistic",
+        "value",
+        "standard_error",
+        "units",
+        "n",
+        "trust",
+        "checks",
+    )
     return table_text(header, [*_figure_rows(results)])
 
 
@@ -216,16 +299,46 @@ def _figure_rows(results: Results) -> Iterator[Sequence[Any]]:
             yield layer.name, name, "mean", text(p.mean), text(p.mean_standard_error), *common_cells
             yield layer.name, name, "sd", text(p.sd), "", *common_cells
             if p.standard_error is not None:
-                yield layer.name, name, "standard error of a column", text(p.standard_error), "", *common_cells
+                yield (
+                    layer.name,
+                    name,
+                    "standard error of a column",
+                    text(p.standard_error),
+                    "",
+                    *common_cells,
+                )
         r = layer.registration
         if r is not None and (e := r.expected_error) is not None:
             common_cells = "um", r.matched, e.trust, why((layer.name,), "position")
             for statistic, um in (("median", e.median_um), ("largest", e.largest_um)):
-                yield layer.name, "expected error of the position", statistic, text(um), "", *common_cells
+                yield (
+                    layer.name,
+                    "expected error of the position",
+                    statistic,
+                    text(um),
+                    "",
+                    *common_cells,
+                )
     for row in results.correlations:
-        figure_name, size_text = f"r of {row.a_map} and {row.b_map}", f"points of {row.point_um:g} um"
+        figure_name, size_text = (
+            f"r of {row.a_map} and {row.b_map}",
+            f"points of {row.point_um:g} um",
+        )
         first_cells = f"{row.a} {row.b}", figure_name
-        trust_cells = row.trust, why((row.a, row.b), row.a_map, row.b_map, "position", "correlation")
+        trust_cells = (
+            row.trust,
+            why((row.a, row.b), row.a_map, row.b_map, "position", "correlation"),
+        )
         yield *first_cells, size_text, text(row.r), "", "1", row.n, *trust_cells
-        for side, limit in zip(("lower", "upper"), row.interval if is_known(row.interval) else (), strict=False):
-            yield *first_cells, f"{size_text}, {side} 95 % limit", limit, "", "1", round(row.n_eff), *trust_cells
+        for side, limit in zip(
+            ("lower", "upper"), row.interval if is_known(row.interval) else (), strict=False
+        ):
+            yield (
+                *first_cells,
+                f"{size_text}, {side} 95 % limit",
+                limit,
+                "",
+                "1",
+                round(row.n_eff),
+                *trust_cells,
+            )

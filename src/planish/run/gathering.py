@@ -75,46 +75,76 @@ def gather_sheet(sheet: Layer, study: Study) -> Run:
     study = changed(study, layers=(sheet.params,), correlate={"regions": None})
     # The coating of the top stands for it, or the thickness where there is none.
     headline = "coating_top" if "coating_top" in sheet.facts.properties else "thickness"
-    facts = LayerFacts(name=sheet.name, kind="sheet", source=sheet.source, headline=headline, sheet=sheet.facts)
+    facts = LayerFacts(
+        name=sheet.name, kind="sheet", source=sheet.source, headline=headline, sheet=sheet.facts
+    )
     results = _results(study, [facts], for_layers(sheet.checks, sheet.name))
     return Run(study=study, results=results, groups=sheet.groups, unchanged=sheet.unchanged)
 
 
 def _results(
-    study: Study, layers: Iterable[LayerFacts], checks: Iterable[Check], *, by_this_code: bool = True, **fields: Any
+    study: Study,
+    layers: Iterable[LayerFacts],
+    checks: Iterable[Check],
+    *,
+    by_this_code: bool = True,
+    **fields: Any,
 ) -> Results:
     libraries = ("numpy", "scipy", "numba", "xarray", "zarr", "tifffile")
     results = Results(
-        planish=__version__, code=hash_sources() if by_this_code else "", layers=tuple(layers), checks=tuple(checks),
+        planish=__version__,
+        code=hash_sources() if by_this_code else "",
+        layers=tuple(layers),
+        checks=tuple(checks),
         versions={name: version(name) for name in libraries},
         # Paths say where files lie and not what was done.
-        parameters=to_dict(with_paths(study, lambda _: None)), **fields,
-    )  # fmt: skip
+        parameters=to_dict(with_paths(study, lambda _: None)),
+        **fields,
+    )
     return apply_checks(results)
 
 
 def gather_link(linked: LinkedLayers) -> Run:
     """Correlate linked layers in pairs, and put the numbers, checks and groups of their run together."""
-    study, layers, maps, correlate = linked.study, linked.layers, linked.maps, linked.study.correlate
+    study, layers, maps, correlate = (
+        linked.study,
+        linked.layers,
+        linked.maps,
+        linked.study.correlate,
+    )
     pairs = [*combinations(layers, 2)]
     result_fields: dict[str, Any] = {
         "chain": study.chain,
-        "correlations": [row for a, b in pairs for row in correlate_layers(a.name, b.name, maps, correlate.point_um)],
+        "correlations": [
+            row
+            for a, b in pairs
+            for row in correlate_layers(a.name, b.name, maps, correlate.point_um)
+        ],
     }
     textures: Textures = {
         (a.name, b.name): texture_of(
-            maps[a.name], maps[b.name], (a.name, b.name), side=_side_of(a, b),
+            maps[a.name],
+            maps[b.name],
+            (a.name, b.name),
+            side=_side_of(a, b),
             is_given=all(layer.side_given is not None for layer in (a, b) if layer.kind == "image"),
-        ) for a, b in pairs if a.kind != b.kind or a.side == b.side
-    }  # fmt: skip
+        )
+        for a, b in pairs
+        if a.kind != b.kind or a.side == b.side
+    }
     reference = linked.reference
     lags = {a: texture.lag for (a, b), texture in textures.items() if b == reference.name}
     facts = tuple(
         layer_facts(
-            layer, maps[layer.name], linked.links.get(layer.name), _side_of(layer, reference), lags.get(layer.name),
+            layer,
+            maps[layer.name],
+            linked.links.get(layer.name),
+            _side_of(layer, reference),
+            lags.get(layer.name),
             correlate.headline,
-        ) for layer in layers
-    )  # fmt: skip
+        )
+        for layer in layers
+    )
     by_name = {layer.name: layer for layer in facts}
     facts = tuple(_with_held_out(layer, by_name, linked) for layer in facts)
     checks = [*_checks(linked, facts, textures)]
@@ -132,17 +162,29 @@ def gather_link(linked: LinkedLayers) -> Run:
         groups = sheet.groups | {LINKED: linked_maps}
         result_fields["linked"] = linked_area(linked_maps, linked.mask)
         result_fields["comparison"] = comparison_rows(
-            linked_maps, sheet.groups, linked.links[sheet.name].registration.fit, name=facts[0].headline,
-            point_um=correlate.point_um, away=linked.mask,
-        )  # fmt: skip
+            linked_maps,
+            sheet.groups,
+            linked.links[sheet.name].registration.fit,
+            name=facts[0].headline,
+            point_um=correlate.point_um,
+            away=linked.mask,
+        )
         checks += run_checks(result_fields["linked"], sheet.name, layers[1].name)
     if study.registration.refine is not None:
-        groups["refined"], result_fields["refinement"] = _refined(linked, facts, study.registration.refine)
+        groups["refined"], result_fields["refinement"] = _refined(
+            linked, facts, study.registration.refine
+        )
     regions = linked.mask.regions
     if regions is not None:
         result_fields["regions"] = region_facts(regions, reference.grid)
     study = changed(study, layers=tuple(layer.params for layer in layers))
-    results = _results(study, facts, checks, by_this_code=all(layer.by_this_code for layer in layers), **result_fields)
+    results = _results(
+        study,
+        facts,
+        checks,
+        by_this_code=all(layer.by_this_code for layer in layers),
+        **result_fields,
+    )
     return Run(
         study=study,
         results=results,
@@ -150,7 +192,11 @@ def gather_link(linked: LinkedLayers) -> Run:
         regions=regions,
         registrations={name: link.registration for name, link in linked.links.items()},
         unchanged=layers[0].unchanged if is_one_sheet else {},
-        sheets={} if is_one_sheet else {layer.name: layer for layer in layers if layer.params.kind == "volume"},
+        sheets=(
+            {}
+            if is_one_sheet
+            else {layer.name: layer for layer in layers if layer.params.kind == "volume"}
+        ),
     )
 
 
@@ -165,8 +211,13 @@ def _evidence(linked: LinkedLayers, facts: tuple[LayerFacts, ...]) -> Iterator[E
         layer.name: SheetColumns(
             measured=layer.groups["surfaces"],
             flat=layer.groups["flat"],
-            similarity=linked.links[layer.name].chain.similarity if layer.name in linked.links else Similarity(),
-            interpolated="sections" in layer.groups and bool(layer.groups["sections"].attrs["missing"]),
+            similarity=(
+                linked.links[layer.name].chain.similarity
+                if layer.name in linked.links
+                else Similarity()
+            ),
+            interpolated="sections" in layer.groups
+            and bool(layer.groups["sections"].attrs["missing"]),
         )
         for layer in linked.layers
         if layer.kind == "sheet"
@@ -181,9 +232,13 @@ def _evidence(linked: LinkedLayers, facts: tuple[LayerFacts, ...]) -> Iterator[E
     for layer in facts[:-1]:
         if layer.headline in linked.maps[layer.name]:
             evidence = correlation_diagnostics(
-                linked.maps, (layer.name, layer.headline), (facts[-1].name, facts[-1].headline), params=params,
-                columns=columns, md_deg=md_deg,
-            )  # fmt: skip
+                linked.maps,
+                (layer.name, layer.headline),
+                (facts[-1].name, facts[-1].headline),
+                params=params,
+                columns=columns,
+                md_deg=md_deg,
+            )
             if evidence is not None:
                 yield evidence
 
@@ -197,8 +252,14 @@ def _refined(
     """
     (layer, reference), grid, sink = linked.layers, linked.reference.grid, linked.sink
     data = linked.maps[layer.name], linked.maps[reference.name]
-    moving, fixed = (maps[name] for maps, name in zip(data, _compared_names(facts[0], facts[1], *data), strict=True))
-    valid, fit = data[0]["valid"].values & data[1]["valid"].values, linked.links[layer.name].registration.fit
+    moving, fixed = (
+        maps[name]
+        for maps, name in zip(data, _compared_names(facts[0], facts[1], *data), strict=True)
+    )
+    valid, fit = (
+        data[0]["valid"].values & data[1]["valid"].values,
+        linked.links[layer.name].registration.fit,
+    )
     transform, refinement = refine_link(moving, fixed, valid, grid, fit, model)
     if isinstance(shown := layer.shown, xr.DataArray):
         on_part = partial(resample_image, shown, transform=transform, must_meet=False)
@@ -209,29 +270,48 @@ def _refined(
     return sink.group("refined"), refinement
 
 
-def _compared_names(layer: LayerFacts, reference: LayerFacts, moving: xr.Dataset, fixed: xr.Dataset) -> list[str]:
+def _compared_names(
+    layer: LayerFacts, reference: LayerFacts, moving: xr.Dataset, fixed: xr.Dataset
+) -> list[str]:
     """The maps by which two layers are compared: the headlines, of two sheets one that both have."""
-    common_names = [name for name in (layer.headline, reference.headline) if name in moving and name in fixed]
+    common_names = [
+        name for name in (layer.headline, reference.headline) if name in moving and name in fixed
+    ]
     return 2 * common_names[:1] or [layer.headline, reference.headline]
 
 
-def _checks(linked: LinkedLayers, facts: tuple[LayerFacts, ...], textures: Textures) -> Iterator[Check]:
+def _checks(
+    linked: LinkedLayers, facts: tuple[LayerFacts, ...], textures: Textures
+) -> Iterator[Check]:
     layers, maps, reference = linked.layers, linked.maps, linked.reference
     for layer, layer_results in zip(layers, facts, strict=True):
         scale_checks = [*_scale_checks(linked, layer)]
         scale_check_names = {check.name for check in scale_checks}
-        yield from for_layers((check for check in layer.checks if check.name not in scale_check_names), layer.name)
+        yield from for_layers(
+            (check for check in layer.checks if check.name not in scale_check_names), layer.name
+        )
         yield from scale_checks
         if layer_results.registration is not None:
             yield from _registration_checks(linked, layer, layer_results)
     for name, link in linked.links.items():
         moving, fixed = link.path[:2]
-        if moving.kind == "sheet" and fixed is reference and link.registration.source in ("found", "both"):
-            holes = HolesOnSheet(sheet=maps[name], marks=link.registration.marks, layer=name, reference=reference.name)
+        if (
+            moving.kind == "sheet"
+            and fixed is reference
+            and link.registration.source in ("found", "both")
+        ):
+            holes = HolesOnSheet(
+                sheet=maps[name],
+                marks=link.registration.marks,
+                layer=name,
+                reference=reference.name,
+            )
             yield from run_checks(holes, name, reference.name)
     for layer in layers if any(layer.kind == "sheet" for layer in layers) else ():
         if layer.kind == "image":  # whether its greys are cut off where all layers are valid
-            _, (grey, *valid) = thinned(maps[layer.name]["image"], *(data["valid"] for data in maps.values()))
+            _, (grey, *valid) = thinned(
+                maps[layer.name]["image"], *(data["valid"] for data in maps.values())
+            )
             yield from run_checks(SheetImage(grey[np.logical_and.reduce(valid)]), layer.name)
     for (a, b), texture in textures.items():
         # Where two layers lie is judged where one of them is the reference.
@@ -245,11 +325,20 @@ def _checks(linked: LinkedLayers, facts: tuple[LayerFacts, ...], textures: Textu
         yield from run_checks(TextureChecks(*checks), a, b)
 
 
-def _with_held_out(layer: LayerFacts, facts: Mapping[str, LayerFacts], linked: LinkedLayers) -> LayerFacts:
+def _with_held_out(
+    layer: LayerFacts, facts: Mapping[str, LayerFacts], linked: LinkedLayers
+) -> LayerFacts:
     """What a layer is, with r that its place by texture was not tuned on."""
-    if (registration := layer.registration) is None or registration.source not in ("texture", "both"):
+    if (registration := layer.registration) is None or registration.source not in (
+        "texture",
+        "both",
+    ):
         return layer
-    sheet, reference, grid = linked.maps[layer.name], linked.maps[registration.path[-1]], linked.reference.grid
+    sheet, reference, grid = (
+        linked.maps[layer.name],
+        linked.maps[registration.path[-1]],
+        linked.reference.grid,
+    )
     name, fixed_name = _compared_names(layer, facts[registration.path[-1]], sheet, reference)
     seen = _bounds(sheet["valid"])
     valid = sheet["valid"][seen].values & reference["valid"][seen].values
@@ -257,9 +346,15 @@ def _with_held_out(layer: LayerFacts, facts: Mapping[str, LayerFacts], linked: L
         return layer
     a, b = (data[seen].values.astype(np.float64) for data in (sheet[name], reference[fixed_name]))
     face = f"topography_{linked.reference.side}"
-    heights = sheet[face][seen].values.astype(np.float64) if face in sheet and fixed_name == "image" else None
+    heights = (
+        sheet[face][seen].values.astype(np.float64)
+        if face in sheet and fixed_name == "image"
+        else None
+    )
     held_out = held_out_r(a, b, heights, valid, grid.pixel_um)
-    return layer.model_copy(update={"registration": registration.model_copy(update={"held_out": held_out})})
+    return layer.model_copy(
+        update={"registration": registration.model_copy(update={"held_out": held_out})}
+    )
 
 
 def _bounds(valid: xr.DataArray) -> tuple[slice, slice]:
@@ -275,14 +370,20 @@ def _registration_checks(linked: LinkedLayers, layer: Layer, facts: LayerFacts) 
     assert facts.registration is not None
     (_, fixed, *_), registration, _ = linked.links[layer.name]
     registered_layer = RegisteredLayer(
-        layer=layer.name, facts=facts.registration, fit=registration.fit, agreement=registration.agreement(),
-        hole_um=sum(linked.study.holes.hole_um) / 2, pixel_um=max(*layer.grid.pixel_um, *fixed.grid.pixel_um),
-    )  # fmt: skip
+        layer=layer.name,
+        facts=facts.registration,
+        fit=registration.fit,
+        agreement=registration.agreement(),
+        hole_um=sum(linked.study.holes.hole_um) / 2,
+        pixel_um=max(*layer.grid.pixel_um, *fixed.grid.pixel_um),
+    )
     yield from run_checks(registered_layer, layer.name, fixed.name)
     if registration.source in ("found", "both"):
         for searched_layer in (layer, fixed):
             for holes in linked.holes.searched(searched_layer):
-                yield from run_checks(DetectedHoles(searched_layer.name, holes), layer.name, fixed.name)
+                yield from run_checks(
+                    DetectedHoles(searched_layer.name, holes), layer.name, fixed.name
+                )
     yield from run_checks(facts, layer.name, facts.registration.path[-1])
 
 

@@ -28,9 +28,11 @@ class Layer:
 
     params: LayerParams  # with the sizes and pitches that were used
     source: InputFile
-    md_deg: float | None = None  # machine direction, deg clockwise on screen from the x axis, if it was given
+    # Machine direction, deg clockwise on screen from the x axis, if it was given.
+    md_deg: float | None = None
     image: xr.DataArray | None = None
-    compared: xr.DataArray | None = None  # an image as it is compared; holes are found in the image itself
+    # An image as it is compared; holes are found in the image itself.
+    compared: xr.DataArray | None = None
     # Of a sheet: ``surfaces`` and ``flat`` (y, x), ``strain`` (row, col), ``maps`` (v, u), ``slices``, and
     # ``sections`` of serial sections.
     groups: dict[str, xr.Dataset] = field(default_factory=dict[str, xr.Dataset])
@@ -80,10 +82,14 @@ class LayerHoles:
 
     def of(self, layer: Layer, to: Layer) -> xr.Dataset:
         """Holes of an image, or of a sheet, which is seen from its top, in the face that the layer ``to`` shows."""
-        face_data, side = (layer.groups["maps"], to.side) if layer.image is None else (layer.image, layer.side)
+        face_data, side = (
+            (layer.groups["maps"], to.side) if layer.image is None else (layer.image, layer.side)
+        )
         face: tuple[str, Side] = (layer.name, side)
         if face not in self._holes:
-            self._holes[face] = find_holes(face_data, params=self.params, side=side, layer=layer.name)
+            self._holes[face] = find_holes(
+                face_data, params=self.params, side=side, layer=layer.name
+            )
         return self._holes[face]
 
     def searched(self, layer: Layer) -> list[xr.Dataset]:

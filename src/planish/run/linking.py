@@ -39,10 +39,18 @@ class LinkInputs(NamedTuple):
 
 
 def link_layers(
-    study: Study, link_inputs: LinkInputs, sheets: Mapping[str, Layer], progress: Progress, sink: StoredMaps
+    study: Study,
+    link_inputs: LinkInputs,
+    sheets: Mapping[str, Layer],
+    progress: Progress,
+    sink: StoredMaps,
 ) -> Run:
     """Register layers, ``sheets`` of volumes among them, to the last one; bring all onto its pixels and correlate."""
-    layers_by_name, regions, holes = {**sheets, **link_inputs.layers}, link_inputs.regions, link_inputs.holes
+    layers_by_name, regions, holes = (
+        {**sheets, **link_inputs.layers},
+        link_inputs.regions,
+        link_inputs.holes,
+    )
     layers = [layers_by_name[params.name] for params in study.layers]
     reference = layers[-1]
     if reference.params.kind == "volume" and regions is not None:
@@ -52,9 +60,17 @@ def link_layers(
     for k, k_fixed in enumerate(next_of):
         layer, fixed = layers[k], layers[k_fixed]
         progress("register", f"{layer.name} to {fixed.name}")
-        register = register_layers_by_texture if uses_texture(layer, fixed, holes, study) else register_layers
+        register = (
+            register_layers_by_texture
+            if uses_texture(layer, fixed, holes, study)
+            else register_layers
+        )
         registration = registrations[layer.name] = register(layer, fixed, holes, study)
-        is_of_sheet = layer.kind != fixed.kind and registration.source == "texture" and not study.registration.mirror
+        is_of_sheet = (
+            layer.kind != fixed.kind
+            and registration.source == "texture"
+            and not study.registration.mirror
+        )
         for image_k in (k, k_fixed) if is_of_sheet and registration.fit.mirrored else ():
             if layers[image_k].kind == "image" and layers[image_k].side_given is None:
                 layers[image_k] = replace(layers[image_k], side_found="bottom")
@@ -65,11 +81,15 @@ def link_layers(
     reference = layers[-1]
     chains = {name: link.chain for name, link in links.items()}
     progress("link", f"{' x '.join(map(str, reference.grid.shape))} pixels of the {reference.name}")
-    rims_um = [float(layer.groups["surfaces"].attrs["rim_um"]) for layer in layers if layer.kind == "sheet"]
+    rims_um = [
+        float(layer.groups["surfaces"].attrs["rim_um"]) for layer in layers if layer.kind == "sheet"
+    ]
     # Around holes of images by themselves 100 um.
     rim_um = max(rims_um, default=100.0) + max(reach_um(layer.params.image) for layer in layers)
     circles = [
-        hole_circles(link.registration.marks, plane, rim_um, chain=chains.get(layer.name), image=layer.image)
+        hole_circles(
+            link.registration.marks, plane, rim_um, chain=chains.get(layer.name), image=layer.image
+        )
         for link in links.values()
         for plane, layer in zip(("moving", "fixed"), link.path, strict=False)
     ]
@@ -93,13 +113,19 @@ def read_inputs(study: Study, regions: Regions | None, progress: Progress) -> Li
             md_deg = sheet.md_deg if params.md_deg is None else params.md_deg
             if study.is_sheet_on_image and sheet.params.volume is not None:
                 # The study of the run becomes part of this one: the volume linked to the image has the same bytes.
-                params = changed(sheet.params, name=params.name, marks=params.marks, volume={"md_deg": md_deg})
+                params = changed(
+                    sheet.params, name=params.name, marks=params.marks, volume={"md_deg": md_deg}
+                )
             layers[params.name] = replace(sheet, params=params, md_deg=md_deg)
             continue
         image = read_image(params.path, **params.image.how)
-        sized_params = changed(params, image={"pixel_um": tuple(float(v) for v in image.attrs["pixel_um"])})
+        sized_params = changed(
+            params, image={"pixel_um": tuple(float(v) for v in image.attrs["pixel_um"])}
+        )
         source = input_file(image, params.path)
-        layers[params.name] = Layer(params=sized_params, source=source, image=image, md_deg=params.image.md_deg)
+        layers[params.name] = Layer(
+            params=sized_params, source=source, image=image, md_deg=params.image.md_deg
+        )
     names = [params.name for params in study.layers]
     for k, params in enumerate(study.layers[:-1]):
         fixed_name = names[k + 1] if study.chain else names[-1]
@@ -112,7 +138,11 @@ def read_inputs(study: Study, regions: Regions | None, progress: Progress) -> Li
     for name, layer in layers.items():
         if layer.image is not None and layer.params.image is not None:
             # Artefacts that are declared on an image do not reach their neighbours.
-            image_regions = regions if layer is reference and layer.params.image.screen_um is not None else None
+            image_regions = (
+                regions if layer is reference and layer.params.image.screen_um is not None else None
+            )
             is_compared = None if image_regions is None else ~image_regions.inside(layer.grid)
-            layers[name] = replace(layer, compared=compared_image(layer.image, layer.params.image, mask=is_compared))
+            layers[name] = replace(
+                layer, compared=compared_image(layer.image, layer.params.image, mask=is_compared)
+            )
     return LinkInputs(layers, regions, holes)

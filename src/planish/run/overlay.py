@@ -39,10 +39,15 @@ class ValidMask:
     @property
     def sentence(self) -> str:
         """What a valid pixel is."""
-        return f"Measured, and away from holes and their rims{', outside of declared regions' if self.regions else ''}"
+        return (
+            "Measured, and away from holes and their"
+            f" rims{', outside of declared regions' if self.regions else ''}"
+        )
 
 
-def _on_tiles(layer_data: Shown, chain: Chain | None, grid: Grid) -> Callable[[Tile, Grid], xr.Dataset]:
+def _on_tiles(
+    layer_data: Shown, chain: Chain | None, grid: Grid
+) -> Callable[[Tile, Grid], xr.Dataset]:
     """Give the function from a tile of a reference to a layer's maps there, with errors where a chain moved it."""
     is_image = isinstance(layer_data, xr.DataArray)
     if chain is None:
@@ -52,10 +57,14 @@ def _on_tiles(layer_data: Shown, chain: Chain | None, grid: Grid) -> Callable[[T
         else:
             maps = layer_data["maps"].rename({"v": "y", "u": "x"})
             dropped_prefixes = ("projected_", "presence", "valid")
-            maps = maps.drop_vars([name for name in maps.data_vars if str(name).startswith(dropped_prefixes)])
+            maps = maps.drop_vars(
+                [name for name in maps.data_vars if str(name).startswith(dropped_prefixes)]
+            )
         return lambda tile, _: maps.isel(y=tile.rows, x=tile.cols)
     errors = PositionErrors(None if is_image else layer_data, chain, grid)
-    sheet = None if is_image else SheetOnto(layer_data["surfaces"], layer_data["flat"], transform=chain)
+    sheet = (
+        None if is_image else SheetOnto(layer_data["surfaces"], layer_data["flat"], transform=chain)
+    )
 
     def moved(_: Tile, tile_grid: Grid) -> xr.Dataset:
         if isinstance(layer_data, xr.DataArray):
@@ -69,9 +78,13 @@ def _on_tiles(layer_data: Shown, chain: Chain | None, grid: Grid) -> Callable[[T
 
 
 def resample_layers(
-    layer_sources: Mapping[str, tuple[Shown, Chain | None]], mask: ValidMask, grid: Grid, sink: StoredMaps, *,
+    layer_sources: Mapping[str, tuple[Shown, Chain | None]],
+    mask: ValidMask,
+    grid: Grid,
+    sink: StoredMaps,
+    *,
     joint_group: str | None = None,
-) -> dict[str, xr.Dataset]:  # fmt: skip
+) -> dict[str, xr.Dataset]:
     """Bring sheets and images onto a grid, tile by tile, and mark what is valid there.
 
     Put into ``sink`` are all maps of each sheet, or ``image``, ``valid``, and ``expected_error`` of what was moved with
@@ -92,7 +105,11 @@ def resample_layers(
 
     tiles = map_tiles(grid.shape)
     for tile, maps in zip(tiles, read_ahead(bring, tiles), strict=True):
-        absent = [k for k in absent if not np.isfinite(maps[k]["image" if "image" in maps[k] else "u"].values).any()]
+        absent = [
+            k
+            for k in absent
+            if not np.isfinite(maps[k]["image" if "image" in maps[k] else "u"].values).any()
+        ]
         if joint_group is None:
             for name, data in maps.items():
                 sink.add(f"layers/{name}", grid, tile, data)
@@ -102,16 +119,24 @@ def resample_layers(
             sink.add(joint_group, grid, tile, sheet.assign(image=image["image"], valid=valid))
     if absent:
         raise CannotRegister(
-            f"The layer {absent[0]} does not meet the reference: by its marks it lies beside it. Check the marks."
+            f"The layer {absent[0]} does not meet the reference: by its marks it lies beside it."
+            " Check the marks."
         )
     if joint_group is None:
         return {name: sink.group(f"layers/{name}") for name in layer_sources}
     linked = sink.group(joint_group)
-    return dict(zip(layer_sources, (linked.drop_vars("image"), linked[["image", "valid"]]), strict=True))
+    return dict(
+        zip(layer_sources, (linked.drop_vars("image"), linked[["image", "valid"]]), strict=True)
+    )
 
 
 def hole_circles(
-    marks: xr.Dataset, side: str, rim_um: float, *, chain: Chain | None = None, image: xr.DataArray | None = None
+    marks: xr.Dataset,
+    side: str,
+    rim_um: float,
+    *,
+    chain: Chain | None = None,
+    image: xr.DataArray | None = None,
 ) -> Floats:
     """Circles (n, 3: x, y, radius in um) around all holes of one layer, on the reference.
 
@@ -123,7 +148,10 @@ def hole_circles(
     holes = holes.isel(mark=np.flatnonzero(np.isfinite(holes["diameter"].values)))
     hole_sets = [holes] if image is None else [holes, cut_holes(image, holes)]
     circles = np.concatenate(
-        [np.stack([h["x"].values, h["y"].values, 0.5 * h["diameter"].values], axis=1) for h in hole_sets]
+        [
+            np.stack([h["x"].values, h["y"].values, 0.5 * h["diameter"].values], axis=1)
+            for h in hole_sets
+        ]
     )
     if chain is not None:
         circles = np.column_stack([chain(circles[:, :2]), circles[:, 2] * chain.similarity.scale])
@@ -132,9 +160,13 @@ def hole_circles(
 
 
 def resample_maps(
-    measured: xr.Dataset, flat: xr.Dataset, *, onto: xr.DataArray | None = None,
-    registration: Registration | None = None, map_um: float | None = None,
-) -> xr.Dataset:  # fmt: skip
+    measured: xr.Dataset,
+    flat: xr.Dataset,
+    *,
+    onto: xr.DataArray | None = None,
+    registration: Registration | None = None,
+    map_um: float | None = None,
+) -> xr.Dataset:
     """Bring a sheet's properties onto a regular grid: of the flat sheet, or the pixels of an image.
 
     Values are interpolated once, from the columns of the volume to the pixels of the result.
@@ -176,38 +208,55 @@ def resample_maps(
         call_format="pl.resample_maps({}, flat)",
     )
     check_dataset(
-        flat, "u", "v", expected="flat coordinates", source="pl.flatten_sheet(surfaces).flat",
+        flat,
+        "u",
+        "v",
+        expected="flat coordinates",
+        source="pl.flatten_sheet(surfaces).flat",
         call_format="pl.resample_maps(measured, {})",
-    )  # fmt: skip
+    )
     check_same_grid(measured, flat)
     if onto is None and registration is None:
         return flat_maps(measured, flat, map_um=map_um)
     if onto is None or registration is None:
-        raise InputError("onto and registration belong together: give both, or neither for the flat maps.")
+        raise InputError(
+            "onto and registration belong together: give both, or neither for the flat maps."
+        )
     check_image(onto, "pl.resample_maps(measured, flat, onto={}, registration=registration)")
-    plane_titles = [about_layer(registration.marks, plane).get("title") for plane in ("moving", "fixed")]
+    plane_titles = [
+        about_layer(registration.marks, plane).get("title") for plane in ("moving", "fixed")
+    ]
     if plane_titles == ["image", "sheet"]:
         raise MarkError(
-            "The registration goes from the image to the sheet; needed is one from the sheet to the image. Write "
-            "pl.register_marks(pl.find_holes(maps), pl.find_holes(image))."
+            "The registration goes from the image to the sheet; needed is one from the sheet to the"
+            " image. Write pl.register_marks(pl.find_holes(maps), pl.find_holes(image))."
         )
     grid = Grid.of(onto)
     # Marks beside the image show that the registration belongs to another one, or its pixels have another size.
     fixed_um, pixel_um = registration.fit.fixed, max(grid.pixel_um)
-    low_um, high_um = np.array(grid.origin_um) - pixel_um, np.array([grid.x_um[-1], grid.y_um[-1]]) + pixel_um
+    low_um, high_um = (
+        np.array(grid.origin_um) - pixel_um,
+        np.array([grid.x_um[-1], grid.y_um[-1]]) + pixel_um,
+    )
     n_outside = int(np.count_nonzero(((fixed_um < low_um) | (fixed_um > high_um)).any(axis=1)))
     if n_outside:
         raise MarkError(
-            f"{n_outside} of {len(fixed_um)} marks of the registration lie beside the image. It belongs to another "
-            "image, or the pixel size is another one: give the image that was registered."
+            f"{n_outside} of {len(fixed_um)} marks of the registration lie beside the image. It"
+            " belongs to another image, or the pixel size is another one: give the image that was"
+            " registered."
         )
     chain = Chain(fits=(registration.fit,))
     rim_um = float(measured.attrs["rim_um"]) + float(onto.attrs.get("reach_um", 0.0))
     marks, sink = registration.marks, StoredMaps()
-    circles = hole_circles(marks, "moving", rim_um, chain=chain), hole_circles(marks, "fixed", rim_um, image=onto)
+    circles = (
+        hole_circles(marks, "moving", rim_um, chain=chain),
+        hole_circles(marks, "fixed", rim_um, image=onto),
+    )
     layer_sources: dict[str, tuple[Shown, Chain | None]] = {
         "sheet": ({"surfaces": measured, "flat": flat}, chain),
         "image": (onto, None),
     }
-    resample_layers(layer_sources, ValidMask(np.concatenate(circles)), grid, sink, joint_group="linked")
+    resample_layers(
+        layer_sources, ValidMask(np.concatenate(circles)), grid, sink, joint_group="linked"
+    )
     return sink.group("linked")

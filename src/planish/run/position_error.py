@@ -36,8 +36,14 @@ _SHARES = {  # their words, and what would lower them
         "the surface that is taken to stay unstrained",
         "a flatter specimen, or the surface that stays unstrained known from elsewhere (--neutral)",
     ),
-    "smoothing": ("smoothing of the centre surface", "a shorter --cutoff-um, or fewer holes with narrower rims"),
-    "sections": ("poses of the sections", "a volume in place of sections, or sections with more in common"),
+    "smoothing": (
+        "smoothing of the centre surface",
+        "a shorter --cutoff-um, or fewer holes with narrower rims",
+    ),
+    "sections": (
+        "poses of the sections",
+        "a volume in place of sections, or sections with more in common",
+    ),
 }
 
 
@@ -51,7 +57,9 @@ class PositionErrors:
     def __init__(self, sheet: Mapping[str, xr.Dataset] | None, chain: Chain, grid: Grid) -> None:
         self._lattice = Lattice(grid)
         places = self._lattice.places
-        self._shares = {"marks": np.asarray(chain.expected_error_um(chain.inverse(places)), dtype=np.float64)}
+        self._shares = {
+            "marks": np.asarray(chain.expected_error_um(chain.inverse(places)), dtype=np.float64)
+        }
         self._whole = sheet is None
         if sheet is None:
             return
@@ -64,13 +72,21 @@ class PositionErrors:
         sections, through = sheet["sections"], Frame.of(sheet["surfaces"]).through
         n_between_marks = sections.sizes["section"] / np.sqrt(max(chain.fits[0].moving.shape[0], 1))
         variance_um2 = 0.0
-        for axis, name, jitter_um in zip("yx", ("row", "col"), sections.attrs["jitter_left_um"], strict=True):
+        for axis, name, jitter_um in zip(
+            "yx", ("row", "col"), sections.attrs["jitter_left_um"], strict=True
+        ):
             if axis == through:
                 continue
             variance_um2 += (_SHARED * float(jitter_um)) ** 2
             if name not in sections.attrs.get("fixed", ()):
-                variance_um2 += (_WANDER * float(np.std(sections[f"shift_{name}"].values))) ** 2 * n_between_marks / 6
-        self._shares["sections"] = np.full(places.shape[:2], float(np.sqrt(variance_um2)) * chain.similarity.scale)
+                variance_um2 += (
+                    (_WANDER * float(np.std(sections[f"shift_{name}"].values))) ** 2
+                    * n_between_marks
+                    / 6
+                )
+        self._shares["sections"] = np.full(
+            places.shape[:2], float(np.sqrt(variance_um2)) * chain.similarity.scale
+        )
 
     def on(self, part: Grid, layer_values: Floats) -> dict[str, xr.DataArray]:
         """Errors of the place of some pixels of the reference (y, x), rms, um: ``expected_error``, and shares of it.
@@ -79,14 +95,23 @@ class PositionErrors:
         ``error_neutral``, ``error_smoothing`` and ``error_sections`` where they exist.
         """
         is_shown = np.isfinite(layer_values)
-        shares = {k: np.where(is_shown, self._lattice.between(v, part), np.nan) for k, v in self._shares.items()}
+        shares = {
+            k: np.where(is_shown, self._lattice.between(v, part), np.nan)
+            for k, v in self._shares.items()
+        }
         total_um = np.sqrt(np.sum([share**2 for share in shares.values()], axis=0))
         maps = {"expected_error": (total_um, "Expected error of the place, rms")}
         if not self._whole:
-            maps |= {f"error_{k}": (share, f"Expected error by {_SHARES[k][0]}") for k, share in shares.items()}
+            maps |= {
+                f"error_{k}": (share, f"Expected error by {_SHARES[k][0]}")
+                for k, share in shares.items()
+            }
         return {
             name: xr.DataArray(
-                values.astype(np.float32), part.coords, ("y", "x"), attrs={"long_name": title, "units": "um"}
+                values.astype(np.float32),
+                part.coords,
+                ("y", "x"),
+                attrs={"long_name": title, "units": "um"},
             )
             for name, (values, title) in maps.items()
         }
@@ -100,7 +125,10 @@ def error_shares(maps: xr.Dataset, *, has_shared: bool = False) -> ErrorShares |
     rms = {k: rms_of(maps[f"error_{k}"]) or 0.0 for k in _SHARES if f"error_{k}" in maps}
     if not rms:
         return None
-    total_um, largest_share = float(np.sqrt(sum(v**2 for v in rms.values()))), max(rms, key=lambda name: rms[name])
+    total_um, largest_share = (
+        float(np.sqrt(sum(v**2 for v in rms.values()))),
+        max(rms, key=lambda name: rms[name]),
+    )
     shares_text = ", ".join(f"{_SHARES[name][0]} {value:.2g}" for name, value in rms.items())
     sentence = f"Expected error {total_um:.2g} um rms over the map: {shares_text} um. "
     if total_um > 0:
@@ -110,7 +138,10 @@ def error_shares(maps: xr.Dataset, *, has_shared: bool = False) -> ErrorShares |
     sentence += (
         "What light from one side moves all tiles by is in it."
         if has_shared
-        else "A shift that all marks share is not in it: no mark can show that, only the maps themselves."
+        else (
+            "A shift that all marks share is not in it: no mark can show that, only the maps"
+            " themselves."
+        )
     )
     return ErrorShares.model_validate(
         {f"{name}_um": value for name, value in rms.items()}
@@ -124,14 +155,27 @@ def _moved(sheet: Mapping[str, xr.Dataset], chain: Chain, places: Floats) -> dic
     if "centre_shorter" not in surfaces or "neutral" not in attrs:
         return {}  # of a run that does not say what was flattened
     neutral_kind, centre_plane = str(attrs["neutral"]), np.zeros(surfaces["centre"].shape)
-    base_middle = surfaces["base_middle"].values.astype(np.float64) if "base_middle" in surfaces else None
+    base_middle = (
+        surfaces["base_middle"].values.astype(np.float64) if "base_middle" in surfaces else None
+    )
     neutral = base_middle if neutral_kind == "base" and base_middle is not None else centre_plane
-    other_neutral, error_factor = centre_plane if neutral_kind == "base" else base_middle, NEUTRAL[neutral_kind]
+    other_neutral, error_factor = (
+        centre_plane if neutral_kind == "base" else base_middle,
+        NEUTRAL[neutral_kind],
+    )
     if other_neutral is None:
         # Where no coating is seen, the neutral surface lies off by so much of the thickness.
-        other_neutral, error_factor = centre_plane + 0.01 * float(surfaces.attrs["thickness_um"]), 1.0
+        other_neutral, error_factor = (
+            centre_plane + 0.01 * float(surfaces.attrs["thickness_um"]),
+            1.0,
+        )
     shorter = neutral + surfaces["centre_shorter"].values
-    moves = flat_moves(surfaces, {"neutral": other_neutral, "smoothing": shorter}, neutral=neutral, rest=attrs["rest"])
+    moves = flat_moves(
+        surfaces,
+        {"neutral": other_neutral, "smoothing": shorter},
+        neutral=neutral,
+        rest=attrs["rest"],
+    )
     # From the nodes of their mesh to places of the flat map, carried on beyond the sheet.
     nodes = sheet["flat"][["u", "v"]].sel(y=moves["y"], x=moves["x"])
     nodes_uv = np.stack([nodes[axis].values for axis in "uv"], axis=-1)
@@ -141,13 +185,18 @@ def _moved(sheet: Mapping[str, xr.Dataset], chain: Chain, places: Floats) -> dic
     (x, y), (dy_um, dx_um), (rows, cols) = grid.origin_um, grid.pixel_um, grid.shape
 
     def moves_of(name: str, uv: Floats) -> Floats:
-        row, col = np.clip((uv[..., 1] - y) / dy_um, 0, rows - 1), np.clip((uv[..., 0] - x) / dx_um, 0, cols - 1)
+        row, col = (
+            np.clip((uv[..., 1] - y) / dy_um, 0, rows - 1),
+            np.clip((uv[..., 0] - x) / dx_um, 0, cols - 1),
+        )
         return np.stack([bilinear(fields[f"{name}_{axis}"], row, col) for axis in "uv"], axis=-1)
 
     fit, uv = chain.fits[0], chain.inverse(places)
     errors_um: dict[str, Floats] = {}
     for name, scale in (("neutral", error_factor), ("smoothing", 1.0)):
-        shifted_places = fit.refitted(fit.moving + moves_of(name, fit.moving))(uv + moves_of(name, uv))
+        shifted_places = fit.refitted(fit.moving + moves_of(name, fit.moving))(
+            uv + moves_of(name, uv)
+        )
         for link in chain.fits[1:]:
             shifted_places = link(shifted_places)
         errors_um[name] = scale * filled(np.linalg.norm(shifted_places - chain(uv), axis=-1))

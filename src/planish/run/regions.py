@@ -21,9 +21,9 @@ def regions_on(declared: Regions, grid: Grid, path: str | None) -> Regions:
     if share in (0, 1):
         x, y = (f"{coords_um[0]:g} to {coords_um[-1]:g} um" for coords_um in (grid.x_um, grid.y_um))
         raise InputError(
-            f"{Path(str(path)).name}: {'every' if share else 'no'} pixel of the reference lies in a region. Its pixels "
-            f"lie at x from {x} and y from {y}. Give regions of this reference: GeoJSON in um, selections of ImageJ in "
-            "its pixels."
+            f"{Path(str(path)).name}: {'every' if share else 'no'} pixel of the reference lies in a"
+            f" region. Its pixels lie at x from {x} and y from {y}. Give regions of this reference:"
+            " GeoJSON in um, selections of ImageJ in its pixels."
         )
     return regions
 
@@ -44,7 +44,12 @@ def region_facts(regions: Regions, grid: Grid) -> RegionsFacts:
         count=len(regions.declared),
         share=n_inside / n_pixels,
         regions=tuple(
-            RegionFacts(name=region.name, reason=region.reason, author=region.author, share=int(n) / n_pixels)
+            RegionFacts(
+                name=region.name,
+                reason=region.reason,
+                author=region.author,
+                share=int(n) / n_pixels,
+            )
             for region, n in zip(regions.declared, pixels_of_each, strict=True)
         ),
     )

@@ -40,7 +40,8 @@ class Run:
     #: ``sections`` of serial sections. Of a sheet linked to an image also ``linked`` (y, x of the image), and
     #: ``refined``. Of other links ``layers/NAME`` on the pixels of the reference.
     groups: Mapping[str, xr.Dataset]
-    registrations: Mapping[str, Registration] = field(default_factory=dict[str, Registration])  #: by the moving layer
+    # : by the moving layer.
+    registrations: Mapping[str, Registration] = field(default_factory=dict[str, Registration])
     #: Sheets that were mapped on the way to a link of other layers than one sheet and one image.
     sheets: dict[str, Layer] = field(default_factory=dict[str, Layer])
     regions: Regions | None = None  #: declared artefacts, in um of the reference of a link
@@ -69,7 +70,9 @@ class Run:
         """All marks of the only registration, matched or not."""
         if len(self.registrations) != 1:
             names = ", ".join(self.registrations) or "none"
-            raise FileError(f"The run has {len(self.registrations)} registrations ({names}). Take one of them.")
+            raise FileError(
+                f"The run has {len(self.registrations)} registrations ({names}). Take one of them."
+            )
         return next(iter(self.registrations.values())).marks
 
     @property
@@ -94,8 +97,8 @@ class Run:
         missing = [name for name in _OF_A_SHEET if name not in self.groups]
         if facts is None or facts.sheet is None or missing:
             raise FileError(
-                f"{self.folder or 'The run'} holds no map of one sheet. Give a run of one volume, from 'planish map' "
-                "or 'planish link VOLUME IMAGE'."
+                f"{self.folder or 'The run'} holds no map of one sheet. Give a run of one volume,"
+                " from 'planish map' or 'planish link VOLUME IMAGE'."
             )
         params = next(layer for layer in self.study.layers if layer.name == facts.name)
         return Layer(
@@ -115,16 +118,26 @@ class Run:
         states = Counter(check.state for check in self.checks)
         checks = ", ".join(f"{count} {state}" for state, count in states.items()) or "none"
         lines = ["Run" if self.folder is None else f"Run in {self.folder}"]
-        lines += [f"{layer.name}: {layer.source.name}" for layer in self.results.layers[:_MOST_LAYERS]]
+        lines += [
+            f"{layer.name}: {layer.source.name}" for layer in self.results.layers[:_MOST_LAYERS]
+        ]
         if omitted_layers := self.results.layers[_MOST_LAYERS:]:
             lines.append(f"and {len(omitted_layers)} more layers")
         lines.append(f"checks: {checks}")
         if pair := lead_pair(self.results):
             row = largest(pair)
             r = f"{row.r:.2f}" if is_known(row.r) else "withheld"
-            lines.append(f"r = {r}: {row.a_map} of {row.a}, {row.b_map} of {row.b}, points of {row.point_um:g} um")
-        groups = ", ".join(f"{name} {'x'.join(map(str, data.sizes.values()))}" for name, data in self.groups.items())
-        lines.append(f"groups: {groups if len(groups) < _MOST_LETTERS else f'{groups[:_MOST_LETTERS]} ...'}")
+            lines.append(
+                f"r = {r}: {row.a_map} of {row.a}, {row.b_map} of {row.b}, points of"
+                f" {row.point_um:g} um"
+            )
+        groups = ", ".join(
+            f"{name} {'x'.join(map(str, data.sizes.values()))}"
+            for name, data in self.groups.items()
+        )
+        lines.append(
+            f"groups: {groups if len(groups) < _MOST_LETTERS else f'{groups[:_MOST_LETTERS]} ...'}"
+        )
         return "\n  ".join(lines)
 
     def _repr_html_(self) -> str:
@@ -136,7 +149,11 @@ class Run:
         if name not in self.groups:
             raise FileError(
                 f"The run has no {name}; it holds {', '.join(self.groups)}."
-                + (" Link it to an image first: planish link RUN IMAGE --out OTHER." if name == "linked" else "")
+                + (
+                    " Link it to an image first: planish link RUN IMAGE --out OTHER."
+                    if name == "linked"
+                    else ""
+                )
             )
         return self.groups[name]
 
@@ -189,7 +206,9 @@ def open_sheet(path: str | Path) -> Layer:
     """
     folder = Path(path)
     results, study = open_results(folder), read_study(folder / RUN_TOML)
-    sheet = Run(study=study, results=results, groups=open_tree(folder / MAPS, _SHEET_GROUPS), folder=folder).sheet()
+    sheet = Run(
+        study=study, results=results, groups=open_tree(folder / MAPS, _SHEET_GROUPS), folder=folder
+    ).sheet()
     unchanged = dict.fromkeys(sheet.groups, folder / MAPS) if results.is_of_this_code else {}
     return replace(sheet, by_this_code=results.is_of_this_code, unchanged=unchanged)
 
@@ -198,7 +217,9 @@ def open_results(folder: Path) -> Results:
     """The numbers of a run folder."""
     check_exists(folder)
     if not is_run(folder):
-        raise FileError(f"{folder} is no run. Give the folder that 'planish map' or 'planish link' made.")
+        raise FileError(
+            f"{folder} is no run. Give the folder that 'planish map' or 'planish link' made."
+        )
     return Results.read(folder / "results.json")
 
 

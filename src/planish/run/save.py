@@ -33,9 +33,14 @@ from planish.run.study import Study, changed, to_dict, with_layer, write_study
 
 
 def run_study(
-    study: Study, out: str | Path | None = None, *, compute: Compute | None = None, progress: Progress = silent,
-    old: Path | None = None, figures: bool = False,
-) -> Run:  # fmt: skip
+    study: Study,
+    out: str | Path | None = None,
+    *,
+    compute: Compute | None = None,
+    progress: Progress = silent,
+    old: Path | None = None,
+    figures: bool = False,
+) -> Run:
     """Do what a study says, and write the run folder ``out`` where it is given.
 
     A run that was killed goes on where it stood when it is started again.
@@ -75,19 +80,30 @@ def run_study(
         hashes = [hash_of_input(layer.path) for layer in study.layers]
         with work_folder(out, run_key(to_dict(study), hashes)) as work_dir:
             caches = CachedMaps.of_link(study, hashes, out, compute)
-            sheets = {name: sheet for name, cache in caches.items() if (sheet := cache.read()) is not None}
+            sheets = {
+                name: sheet for name, cache in caches.items() if (sheet := cache.read()) is not None
+            }
             similar_sheets: dict[str, Layer] = {}
             if old is not None:
                 ready_sheets, similar_sheets = sheets_of(old, study, hashes)
                 sheets |= ready_sheets
             for name in sheets:
                 progress("read", f"{name}, mapped before")
-            sink_folder = work_dir / f".{secrets.token_hex(4)}.partial" if len(study.layers) > 1 else None
+            sink_folder = (
+                work_dir / f".{secrets.token_hex(4)}.partial" if len(study.layers) > 1 else None
+            )
             sink = StoredMaps(sink_folder, keep_bytes=int(fixed_compute.memory * KEPT_SHARE))
             run = _make(
-                study, regions, sheets, similar_sheets, fixed_compute, progress,
-                caches=caches, work_dir=work_dir, sink=sink,
-            )  # fmt: skip
+                study,
+                regions,
+                sheets,
+                similar_sheets,
+                fixed_compute,
+                progress,
+                caches=caches,
+                work_dir=work_dir,
+                sink=sink,
+            )
             progress("write", str(out))
             # About the bytes of its pages, and of its maps, which hold noise, with overviews.
             needed_bytes = 5_000_000 + sum(data.nbytes for data in run.groups.values()) * 4 // 3
@@ -98,12 +114,23 @@ def run_study(
 
 
 def _make(
-    study: Study, regions: Regions | None, ready_sheets: Mapping[str, Layer], similar_sheets: Mapping[str, Layer],
-    compute: Compute, progress: Progress, *, caches: Mapping[str, CachedMaps] | None = None,
-    work_dir: Path | None = None, sink: StoredMaps | None = None,
-) -> Run:  # fmt: skip
+    study: Study,
+    regions: Regions | None,
+    ready_sheets: Mapping[str, Layer],
+    similar_sheets: Mapping[str, Layer],
+    compute: Compute,
+    progress: Progress,
+    *,
+    caches: Mapping[str, CachedMaps] | None = None,
+    work_dir: Path | None = None,
+    sink: StoredMaps | None = None,
+) -> Run:
     """Map the volumes that are not ready, and link the layers; maps of a refused link are kept in ``caches``."""
-    sheets, tile_dir, is_link = {**ready_sheets}, work_dir and work_dir / "tiles", len(study.layers) > 1
+    sheets, tile_dir, is_link = (
+        {**ready_sheets},
+        work_dir and work_dir / "tiles",
+        len(study.layers) > 1,
+    )
     try:
         # Volumes come last: what is wrong with images, runs, marks and regions should not cost their time.
         link_inputs = read_inputs(study, regions, progress) if is_link else None
@@ -120,21 +147,28 @@ def _make(
     except PlanishError as error:
         if not caches or work_dir is None:
             raise
-        with suppress(PlanishError, OSError):  # a disk that is full now does not hide what was wrong before
+        # a disk that is full now does not hide what was wrong before.
+        with suppress(PlanishError, OSError):
             for name, cache in caches.items():
                 if cache.path.exists():
                     cache.note(cache.path, study)
                 elif name in sheets and name not in ready_sheets:
                     sheet = sheets[name]
                     with new_folder(cache.path, inside=work_dir) as folder:
-                        save_run(gather_sheet(sheet, Study(layers=(sheet.params,))), folder, home=cache.path)
+                        save_run(
+                            gather_sheet(sheet, Study(layers=(sheet.params,))),
+                            folder,
+                            home=cache.path,
+                        )
                         cache.note(folder, study)
         if advice_text := next_step(error, caches, study):
             raise type(error)(f"{error.text} {advice_text}") from error
         raise
 
 
-def save_run(run: Run, folder: Path, *, home: Path, store: StoredMaps | None = None, figures: bool = False) -> None:
+def save_run(
+    run: Run, folder: Path, *, home: Path, store: StoredMaps | None = None, figures: bool = False
+) -> None:
     """Write all files of a run into ``folder``, which will stand at ``home``, on request those of its figures, too.
 
     The store ``store``, which holds some of its groups, becomes that of the run. A volume that was mapped on the way to
@@ -155,7 +189,9 @@ def save_run(run: Run, folder: Path, *, home: Path, store: StoredMaps | None = N
     if run.regions is not None:
         (folder / REGIONS).write_text(geojson_text(run.regions), encoding="utf-8", newline="\n")
         study = changed(study, correlate={"regions": str(home / REGIONS)})
-    write_study(_with_files_of_run(study, run, folder, home), folder, home=home, version=__version__)
+    write_study(
+        _with_files_of_run(study, run, folder, home), folder, home=home, version=__version__
+    )
     write_report(folder / "report.html", run, figures=folder / FIGURES if figures else None)
     stored = [] if store is None else store.stored
     if store is not None and store.path is not None and stored:
@@ -166,7 +202,9 @@ def save_run(run: Run, folder: Path, *, home: Path, store: StoredMaps | None = N
     for name, data in [*groups.items()]:
         has_overviews = name in ("maps", LINKED, "refined") or name.startswith("layers/")
         if has_overviews and f"{OVERVIEWS}/{name}/1" not in groups:
-            groups |= {f"{OVERVIEWS}/{name}/{k}": smaller for k, smaller in enumerate(overviews(data), 1)}
+            groups |= {
+                f"{OVERVIEWS}/{name}/{k}": smaller for k, smaller in enumerate(overviews(data), 1)
+            }
     write_tree(folder / MAPS, {name: data for name, data in groups.items() if name not in stored})
 
 
@@ -187,11 +225,14 @@ def _with_files_of_run(study: Study, run: Run, folder: Path, final_folder: Path)
     }
     correction_files = {name: f"layers/{name}/{CORRECTIONS}" for name in run.sheets}
     corrections_files = {
-        name: str(final_folder / file) if (folder / file).is_file() else None for name, file in correction_files.items()
+        name: str(final_folder / file) if (folder / file).is_file() else None
+        for name, file in correction_files.items()
     }
     if "surfaces" in run.groups:
         corrections_text = made_corrections(run.groups["surfaces"])
-        corrections_files[study.layers[0].name] = str(final_folder / CORRECTIONS) if corrections_text else None
+        corrections_files[study.layers[0].name] = (
+            str(final_folder / CORRECTIONS) if corrections_text else None
+        )
         if corrections_text:
             (folder / CORRECTIONS).parent.mkdir(exist_ok=True)
             (folder / CORRECTIONS).write_text(corrections_text, encoding="utf-8", newline="\n")
@@ -199,7 +240,9 @@ def _with_files_of_run(study: Study, run: Run, folder: Path, final_folder: Path)
         if layer.name in marks_files and is_of_a_run(layer.marks):
             study = with_layer(study, layer.name, marks=marks_files[layer.name])
         if layer.kind == "volume" and layer.name in corrections_files:
-            study = with_layer(study, layer.name, surface={"corrections": corrections_files[layer.name]})
+            study = with_layer(
+                study, layer.name, surface={"corrections": corrections_files[layer.name]}
+            )
     if len(run.registrations) == 1 and marks_files and is_of_a_run(study.registration.marks):
         study = changed(study, registration={"marks": next(iter(marks_files.values()))})
     return study

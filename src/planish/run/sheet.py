@@ -31,7 +31,12 @@ CORRECTIONS = "edits/surface.json"
 
 
 def map_layer(
-    layer: LayerParams, *, compute: Compute, progress: Progress, tile_dir: Path | None, old_sheet: Layer | None
+    layer: LayerParams,
+    *,
+    compute: Compute,
+    progress: Progress,
+    tile_dir: Path | None,
+    old_sheet: Layer | None,
 ) -> Layer:
     """Go from a volume to flattened maps of its properties.
 
@@ -42,7 +47,9 @@ def map_layer(
     v = layer.volume
     assert v is not None
     local = Engine(threads=compute.threads, memory_bytes=compute.for_work // 2)
-    volume, sections, surfaces, columns = _measure(layer, old_sheet, local, tile_dir, compute, progress)
+    volume, sections, surfaces, columns = _measure(
+        layer, old_sheet, local, tile_dir, compute, progress
+    )
     with thread_pool(compute.threads) as pool:
         # They need no flat map, and are worked out beside it.
         checks_and_numbers = pool.submit(_judged, layer, volume, sections, columns, local)
@@ -70,7 +77,9 @@ def map_layer(
     md_deg = v.md_deg if layer.md_deg is None else layer.md_deg
     if volume is None:
         assert old_sheet is not None
-        sheet = Layer(params=params, source=old_sheet.source, groups=groups, facts=facts, md_deg=md_deg)
+        sheet = Layer(
+            params=params, source=old_sheet.source, groups=groups, facts=facts, md_deg=md_deg
+        )
         return _remapped(old_sheet, sheet)
     step = column_step(volume, v.frame, v.column_um, compute)
     groups["slices"] = some_slices(volume, v.frame, step)
@@ -88,7 +97,12 @@ def map_layer(
 
 
 def _measure(
-    layer: LayerParams, old: Layer | None, local: Engine, tile_dir: Path | None, compute: Compute, progress: Progress
+    layer: LayerParams,
+    old: Layer | None,
+    local: Engine,
+    tile_dir: Path | None,
+    compute: Compute,
+    progress: Progress,
 ) -> tuple[xr.DataArray | None, xr.Dataset | None, xr.Dataset, xr.Dataset]:
     """Give volume (None where not read), sections, surfaces and measured columns; a similar sheet may have them."""
     v = layer.volume
@@ -104,7 +118,9 @@ def _measure(
     corrections = asked_corrections(layer)
     if old is None:
         volume, sections = read()
-        surfaces = search_sheet(volume, layer, compute=compute, progress=progress, tile_dir=tile_dir)
+        surfaces = search_sheet(
+            volume, layer, compute=compute, progress=progress, tile_dir=tile_dir
+        )
     else:
         columns, sections = old.groups["surfaces"], old.groups.get("sections")
         surfaces, is_same_surface = surfaces_of(columns), made_corrections(columns) == corrections
@@ -126,13 +142,19 @@ def _measure(
 
 
 def _judged(
-    layer: LayerParams, volume: xr.DataArray | None, sections: xr.Dataset | None, columns: xr.Dataset, local: Engine
+    layer: LayerParams,
+    volume: xr.DataArray | None,
+    sections: xr.Dataset | None,
+    columns: xr.Dataset,
+    local: Engine,
 ) -> tuple[tuple[Check, ...], SheetNumbers | None]:
     """Checks of a scan and numbers of its sheet; neither where the volume was not read."""
     if volume is None:
         return (), None
     is_labelled = layer.surface.labels is not None
-    checks = check_scan(volume, columns, sections=sections is not None, labels=is_labelled, threads=local.threads)
+    checks = check_scan(
+        volume, columns, sections=sections is not None, labels=is_labelled, threads=local.threads
+    )
     return checks, sheet_numbers(columns, volume=volume, params=layer.properties, engine=local)
 
 
@@ -142,22 +164,30 @@ def _remapped(old_sheet: Layer, sheet: Layer) -> Layer:
     assert sheet.facts is not None
     # A store has no order.
     properties = {name: sheet.facts.properties[name] for name in old_sheet.facts.properties}
-    facts = sheet.facts.model_copy(update={"properties": properties, "numbers": old_sheet.facts.numbers})
+    facts = sheet.facts.model_copy(
+        update={"properties": properties, "numbers": old_sheet.facts.numbers}
+    )
     checks = run_checks(MeasuredSheet(facts, sheet.groups["surfaces"]))
     check_names = {check.name for check in checks}
     return replace(
         sheet,
         facts=facts,
         groups=sheet.groups | {"slices": old_sheet.groups["slices"]},
-        unchanged={k: v for k, v in old_sheet.unchanged.items() if k in ("surfaces", "slices", "sections")},
+        unchanged={
+            k: v for k, v in old_sheet.unchanged.items() if k in ("surfaces", "slices", "sections")
+        },
         checks=(*checks, *(check for check in old_sheet.checks if check.name not in check_names)),
     )
 
 
 def search_sheet(
-    volume: xr.DataArray, layer: LayerParams, *, compute: Compute, progress: Progress = silent,
+    volume: xr.DataArray,
+    layer: LayerParams,
+    *,
+    compute: Compute,
+    progress: Progress = silent,
     tile_dir: Path | None = None,
-) -> xr.Dataset:  # fmt: skip
+) -> xr.Dataset:
     """Find the surfaces of a sheet; errors as those of :func:`planish.find_surfaces`."""
     v = layer.volume
     assert v is not None
@@ -166,7 +196,12 @@ def search_sheet(
     progress("surface", " x ".join(map(str, volume.shape)) + " voxels" + columns_text)
     with engine(compute, tiles=tile_dir and tile_dir / str(step)) as tile_engine:
         return find_surfaces(
-            volume, frame=v.frame, params=layer.surface, step=step, engine=tile_engine, unusual_size=v.unusual_size
+            volume,
+            frame=v.frame,
+            params=layer.surface,
+            step=step,
+            engine=tile_engine,
+            unusual_size=v.unusual_size,
         )
 
 

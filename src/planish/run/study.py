@@ -40,22 +40,39 @@ class AboutParams(Params):
     """What the page says of the run for those it is handed on to; no number depends on it."""
 
     model_config = ConfigDict(coerce_numbers_to_str=True)
-    title: str | None = option(None, min_length=1, max_length=200, help="Title of the page, such as paper and trial.")
-    author: str | None = option(None, min_length=1, max_length=200, help="Who made the run; the page names them.")
-    date: Annotated[str | None, BeforeValidator(lambda v: str(v) if isinstance(v, datetime.date) else v)] = option(
+    title: str | None = option(
+        None, min_length=1, max_length=200, help="Title of the page, such as paper and trial."
+    )
+    author: str | None = option(
+        None, min_length=1, max_length=200, help="Who made the run; the page names them."
+    )
+    date: Annotated[
+        str | None, BeforeValidator(lambda v: str(v) if isinstance(v, datetime.date) else v)
+    ] = option(
         None, min_length=1, max_length=60, help="Date that the page states, such as 2026-03-31."
     )
-    note: str | None = option(None, min_length=1, max_length=2000, help="A few words for the page, such as the paper.")
+    note: str | None = option(
+        None, min_length=1, max_length=2000, help="A few words for the page, such as the paper."
+    )
 
 
 SECTIONS: dict[str, type[Params]] = {
-    "about": AboutParams, "volume": VolumeParams, "image": ImageParams, "surface": SurfaceParams,
-    "properties": MeasureParams, "flatten": FlattenParams, "holes": HoleParams, "registration": RegistrationParams,
+    "about": AboutParams,
+    "volume": VolumeParams,
+    "image": ImageParams,
+    "surface": SurfaceParams,
+    "properties": MeasureParams,
+    "flatten": FlattenParams,
+    "holes": HoleParams,
+    "registration": RegistrationParams,
     "correlate": CorrelateParams,
-}  # fmt: skip
+}
 """Sections of a study with options, and the models of these."""
 
-MAP_SECTIONS, LINK_SECTIONS = ("surface", "properties", "flatten"), ("holes", "registration", "correlate")
+MAP_SECTIONS, LINK_SECTIONS = (
+    ("surface", "properties", "flatten"),
+    ("holes", "registration", "correlate"),
+)
 """Sections of the mapping of a volume, and of a link."""
 
 
@@ -64,14 +81,21 @@ class LayerParams(Params):
 
     name: Annotated[
         str,
-        Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=40, description="Name of the layer; each one once."),
+        Field(
+            pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$",
+            max_length=40,
+            description="Name of the layer; each one once.",
+        ),
     ]
     volume: VolumeParams | None = None
     image: ImageParams | None = None
     run: str | None = Field(default=None, description="Folder of a run of one volume.")
-    md_deg: float | None = Field(default=None, ge=-180, le=180, description="Machine direction in the map of a run.")
+    md_deg: float | None = Field(
+        default=None, ge=-180, le=180, description="Machine direction in the map of a run."
+    )
     marks: str | None = Field(
-        default=None, description="Marks of this layer (moving) and the one it is registered to (fixed)."
+        default=None,
+        description="Marks of this layer (moving) and the one it is registered to (fixed).",
     )
     surface: SurfaceParams = SurfaceParams()
     properties: MeasureParams = MeasureParams()
@@ -103,7 +127,10 @@ class Study(Params):
     """
 
     layers: tuple[LayerParams, ...]
-    chain: bool = Field(default=False, description="Register each layer to the next one, and carry it on from there.")
+    chain: bool = Field(
+        default=False,
+        description="Register each layer to the next one, and carry it on from there.",
+    )
     about: AboutParams = AboutParams()
     holes: HoleParams = HoleParams()
     registration: RegistrationParams = RegistrationParams()
@@ -117,15 +144,25 @@ class Study(Params):
         # Names of files: on Windows, CT and ct are one.
         small = [name.casefold() for name in names]
         if twice := sorted({name for name in names if small.count(name.casefold()) > 1}):
-            raise ValueError(f"every layer needs a name of its own (NAME=PATH); more than one is {', '.join(twice)}")
+            raise ValueError(
+                "every layer needs a name of its own (NAME=PATH); more than one is"
+                f" {', '.join(twice)}"
+            )
         if fault := next(filter(None, map(fault_of_name, names)), None):
             raise ValueError(f"a layer cannot have one of the names {', '.join(names)}: {fault}")
         if len(names) == 1 and self.layers[0].kind != "volume":
-            raise ValueError("a single layer has to be a volume; a run or an image is linked to something")
+            raise ValueError(
+                "a single layer has to be a volume; a run or an image is linked to something"
+            )
         if self.layers[-1].marks is not None:
-            raise ValueError("the last layer is the reference: it is registered to nothing and has no marks")
+            raise ValueError(
+                "the last layer is the reference: it is registered to nothing and has no marks"
+            )
         if len(names) == 1 and self.correlate.regions is not None:
-            raise ValueError("regions are left out of correlations, and a single layer has none; link it to something")
+            raise ValueError(
+                "regions are left out of correlations, and a single layer has none; link it to"
+                " something"
+            )
         if self.registration.refine is not None and len(names) != 2:
             raise ValueError("refine is for two layers; link these two alone")
         return self
@@ -153,14 +190,17 @@ def read_study(path: Path) -> Study:
     tables = toml_tables(path, text)
     tables.pop("planish", None)
     if {"specimens", "watch"} & set(tables):
-        raise FileError(f"{path} is a series of specimens. Do it with: planish study {path} --out OUT.")
+        raise FileError(
+            f"{path} is a series of specimens. Do it with: planish study {path} --out OUT."
+        )
     return with_paths(checked_study(path, text, tables), lambda p: _absolute(path.parent / p))
 
 
 def toml_tables(path: Path, text: str) -> dict[str, Any]:
     """Tables in the text of a file; FileError says where it is no TOML."""
     try:
-        return tomllib.loads(f"{text}\n")  # with a line end, what is wrong in the last line has a number, too
+        # With a line end, what is wrong in the last line has a number, too.
+        return tomllib.loads(f"{text}\n")
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise FileError(f"{path} is not a TOML file: {toml_fault(error, text)}") from error
 
@@ -231,13 +271,23 @@ def with_values(study: Study, changes: Sequence[str]) -> Study:
         name = keys.pop(0) if len(keys) > 2 and keys[0] in kinds else None
         if keys[0] in layer_sections:
             kind = "image" if keys[0] == "image" else "volume"
-            root_tables = [m for m in data["layers"] if name in (None, m["name"]) and kinds[m["name"]] == kind]
+            root_tables = [
+                m for m in data["layers"] if name in (None, m["name"]) and kinds[m["name"]] == kind
+            ]
         else:
-            root_tables = [data] if name is None and keys[0] in Study.model_fields and keys[0] != "layers" else []
+            root_tables = (
+                [data]
+                if name is None and keys[0] in Study.model_fields and keys[0] != "layers"
+                else []
+            )
         if not (equals and root_tables):
             sections = ", ".join((*layer_sections, *LINK_SECTIONS, "about"))
-            hint_text = "; no layer of this study has it" if equals and keys[0] in layer_sections else ""
-            faults.append(f"{text!r}: write SECTION.NAME=VALUE with a section of {sections}{hint_text}")
+            hint_text = (
+                "; no layer of this study has it" if equals and keys[0] in layer_sections else ""
+            )
+            faults.append(
+                f"{text!r}: write SECTION.NAME=VALUE with a section of {sections}{hint_text}"
+            )
             continue
         for root in root_tables:
             table = root
@@ -278,7 +328,9 @@ def _value(text: str) -> Any:
 def write_study(study: Study, folder: Path, *, home: Path, version: str) -> None:
     """Write ``run.toml`` into ``folder``, with paths relative to ``home``, the place where the folder will stand."""
     study = with_paths(study, lambda path: relative_path(path, home))
-    (folder / RUN_TOML).write_text(tomli_w.dumps({"planish": version} | to_dict(study)), encoding="utf-8", newline="\n")
+    (folder / RUN_TOML).write_text(
+        tomli_w.dumps({"planish": version} | to_dict(study)), encoding="utf-8", newline="\n"
+    )
 
 
 def relative_path(path: str | Path, base_folder: Path) -> str:
@@ -305,7 +357,9 @@ def with_paths(params: P, change: Callable[[str], str | None]) -> P:
     """Change all paths of a study: those of the files that it reads."""
     update: dict[str, Any] = {}
     for name, value in params:
-        if name in {"path", "run", "marks", "design", "regions", "corrections"} and isinstance(value, str):
+        if name in {"path", "run", "marks", "design", "regions", "corrections"} and isinstance(
+            value, str
+        ):
             update[name] = change(value)
         elif isinstance(value, Params):
             update[name] = with_paths(value, change)
@@ -316,7 +370,11 @@ def with_paths(params: P, change: Callable[[str], str | None]) -> P:
 
 def changed(params: P, **values: Any) -> P:
     """The same parameters with some values changed; a dict changes those of a section."""
-    sections = {name: changed(getattr(params, name), **part) for name, part in values.items() if isinstance(part, dict)}
+    sections = {
+        name: changed(getattr(params, name), **part)
+        for name, part in values.items()
+        if isinstance(part, dict)
+    }
     return params.model_copy(update=values | sections)
 
 

@@ -14,13 +14,23 @@ from planish.run.run import is_run
 from planish.run.study import LINK_SECTIONS, MAP_SECTIONS, SECTIONS, in_study_words, relative_path
 
 _TITLES = {
-    "about": "What the page says of the run", "surface": "How the faces of the sheet are found",
-    "properties": "What is measured", "flatten": "How the sheet is flattened", "holes": "The laser holes",
-    "registration": "How image and sheet are registered", "correlate": "How image and maps are compared",
-}  # fmt: skip
+    "about": "What the page says of the run",
+    "surface": "How the faces of the sheet are found",
+    "properties": "What is measured",
+    "flatten": "How the sheet is flattened",
+    "holes": "The laser holes",
+    "registration": "How image and sheet are registered",
+    "correlate": "How image and maps are compared",
+}
 _NOT_IN_FILES = {
-    "volume": {"top": "which end of the axis is the top side", "md_deg": "the machine direction in the map"},
-    "image": {"side": "the side of the sheet that the image shows", "md_deg": "the machine direction in the image"},
+    "volume": {
+        "top": "which end of the axis is the top side",
+        "md_deg": "the machine direction in the map",
+    },
+    "image": {
+        "side": "the side of the sheet that the image shows",
+        "md_deg": "the machine direction in the image",
+    },
 }
 """Options that no file states, with what they are."""
 
@@ -85,7 +95,11 @@ def draft_study(
 def _options(model: type[Params]) -> list[tuple[str, FieldInfo, Shown]]:
     """All options of a model, those last that are tables of their own: a key behind a table would belong to it."""
     flags = {name: shown for name, _, shown in options_of(model)}
-    options = [(k, field, flags.get(k, Shown(flags=()))) for k, field in model.model_fields.items() if k != "path"]
+    options = [
+        (k, field, flags.get(k, Shown(flags=())))
+        for k, field in model.model_fields.items()
+        if k != "path"
+    ]
     return sorted(options, key=lambda option: bool(models_in(option[1].annotation)))
 
 
@@ -93,33 +107,58 @@ def _head(name: str, missing: list[Missing]) -> list[str]:
     lines = [
         f"# A study of planish. Fill it in, then: planish run {name or 'STUDY.toml'}",
         "#",
-        "# A key behind a # is an option with its default: take the # away to change it. Where an option has no",
-        "# default, what is needed stands in capitals. Paths are relative to this file and stand in single quotes.",
+        (
+            "# A key behind a # is an option with its default: take the # away to change it. Where"
+            " an option has no"
+        ),
+        (
+            "# default, what is needed stands in capitals. Paths are relative to this file and"
+            " stand in single quotes."
+        ),
     ]
-    for is_needed, title in ((True, "To fill in:"), (False, "Stated in no file; is the default right?")):
-        if item_lines := [f"#   line {m.line}: {m.key}: {m.why}" for m in missing if m.needed is is_needed]:
+    for is_needed, title in (
+        (True, "To fill in:"),
+        (False, "Stated in no file; is the default right?"),
+    ):
+        if item_lines := [
+            f"#   line {m.line}: {m.key}: {m.why}" for m in missing if m.needed is is_needed
+        ]:
             lines += ["#", f"# {title}", *item_lines]
     return lines
 
 
 def _input(
-    lines: list[str], missing: list[Missing], section: Literal["volume", "image"], path: Path, home: Path
+    lines: list[str],
+    missing: list[Missing],
+    section: Literal["volume", "image"],
+    path: Path,
+    home: Path,
 ) -> None:
     if is_run(path):
         raise StudyError(
-            f"{path} is a run, which was mapped already. Link it: planish link {path} IMAGE --out RUN. For a study "
-            "give the volume."
+            f"{path} is a run, which was mapped already. Link it: planish link {path} IMAGE --out"
+            " RUN. For a study give the volume."
         )
     facts = describe(path)
     if (facts["kind"] == "image") is not (section == "image"):
         kind_text = "an image" if facts["kind"] == "image" else "a volume"
         raise StudyError(
-            f"{path} is {kind_text}. Give the volume first, then the image: planish new STUDY.toml VOLUME IMAGE."
+            f"{path} is {kind_text}. Give the volume first, then the image: planish new STUDY.toml"
+            " VOLUME IMAGE."
         )
     # A path stands in single quotes, which Windows' paths need; as any text where it holds one.
     path_toml = relative_path(path.absolute(), home.absolute())
-    path_toml = f"'{path_toml}'" if "'" not in path_toml and path_toml.isprintable() else _value(path_toml)
-    lines += ["", "", *_comment(_description(facts, section)), "", f"[{section}]", f"path = {path_toml}"]
+    path_toml = (
+        f"'{path_toml}'" if "'" not in path_toml and path_toml.isprintable() else _value(path_toml)
+    )
+    lines += [
+        "",
+        "",
+        *_comment(_description(facts, section)),
+        "",
+        f"[{section}]",
+        f"path = {path_toml}",
+    ]
     size_key = "voxel_um" if section == "volume" else "pixel_um"
     for key, field, shown in _options(SECTIONS[section]):
         *comment_lines, option_line = _option(key, field, shown, section)
@@ -141,20 +180,34 @@ def _input(
 
 def _description(facts: dict[str, Any], section: str) -> list[str]:
     elements, axes = ("voxels", "z, y, x") if section == "volume" else ("pixels", "y, x")
-    format_name, shape_text = facts.get("format") or facts["kind"], " x ".join(map(str, facts["shape"]))
-    file_text = f"{facts['file_name']}: {format_name}, {shape_text} {elements} ({axes}), {facts['dtype']}"
+    format_name, shape_text = (
+        facts.get("format") or facts["kind"],
+        " x ".join(map(str, facts["shape"])),
+    )
+    file_text = (
+        f"{facts['file_name']}: {format_name}, {shape_text} {elements} ({axes}), {facts['dtype']}"
+    )
     sentences = [f"{file_text}, {facts['bytes'] / 1e6:.1f} MB."]
     if facts["size_um"]:
-        size_text, extent_text = (" x ".join(f"{v:.6g}" for v in facts[k]) for k in ("size_um", "extent_um"))
+        size_text, extent_text = (
+            " x ".join(f"{v:.6g}" for v in facts[k]) for k in ("size_um", "extent_um")
+        )
         sentences.append(
-            f"{elements.capitalize()} of {size_text} um ({axes}), from {facts['size_source']}; extent {extent_text} um."
+            f"{elements.capitalize()} of {size_text} um ({axes}), from {facts['size_source']};"
+            f" extent {extent_text} um."
         )
     else:
         sentences.append(f"No {elements[:-1]} size is stated in it.")
     if facts["min"] is not None:
-        percentiles_text = ", ".join(f"{level:.5g} ({k} %)" for k, level in facts["percentiles"].items())
-        sentences.append(f"Grey {facts['min']:.5g} to {facts['max']:.5g}; percentiles {percentiles_text}.")
-    return sentences + [f"Look: {warning}" for warning in facts["warnings"] if warning != facts["size_problem"]]
+        percentiles_text = ", ".join(
+            f"{level:.5g} ({k} %)" for k, level in facts["percentiles"].items()
+        )
+        sentences.append(
+            f"Grey {facts['min']:.5g} to {facts['max']:.5g}; percentiles {percentiles_text}."
+        )
+    return sentences + [
+        f"Look: {warning}" for warning in facts["warnings"] if warning != facts["size_problem"]
+    ]
 
 
 def _option(key: str, field: FieldInfo, shown: Shown, section: str) -> list[str]:
@@ -166,14 +219,24 @@ def _option(key: str, field: FieldInfo, shown: Shown, section: str) -> list[str]
             lines += _option(name, nested_field, nested_shown, f"{section}.{key}")[1:]
         return lines
     kinds = kinds_of(field.annotation)
-    literals = [str(word) for kind in kinds if get_origin(kind) is Literal for word in get_args(kind)]
+    literals = [
+        str(word) for kind in kinds if get_origin(kind) is Literal for word in get_args(kind)
+    ]
     default = field.get_default()
-    note_text = "names in quotes, with commas between them" if kinds == [tuple[str, ...]] else unit_of(key) or ""
+    note_text = (
+        "names in quotes, with commas between them"
+        if kinds == [tuple[str, ...]]
+        else unit_of(key) or ""
+    )
     if default is None and literals and len(kinds) == 1:
         default = literals[0]
     value = _placeholder(kinds, shown) if default is None else _value(default)
-    if alternatives := [word for word in literals if word != str(literals[0] if default is None else default)]:
-        choices_text = " or ".join(map(_value, alternatives)) + (" or a number" if float in kinds else "")
+    if alternatives := [
+        word for word in literals if word != str(literals[0] if default is None else default)
+    ]:
+        choices_text = " or ".join(map(_value, alternatives)) + (
+            " or a number" if float in kinds else ""
+        )
         note_text = f"{note_text}; or {choices_text}" if note_text else f"or {choices_text}"
     return [*lines, f"#{key} = {value}" + (f"  # {note_text}" if note_text else "")]
 
@@ -192,7 +255,11 @@ def _placeholder(kinds: list[Any], shown: Shown) -> str:
 
 def _comment(sentences: list[str]) -> list[str]:
     wrapper = textwrap.TextWrapper(
-        100, initial_indent="# ", subsequent_indent="# ", break_long_words=False, break_on_hyphens=False
+        100,
+        initial_indent="# ",
+        subsequent_indent="# ",
+        break_long_words=False,
+        break_on_hyphens=False,
     )
     return [line for sentence in sentences for line in wrapper.wrap(sentence)]
 

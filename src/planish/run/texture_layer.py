@@ -25,12 +25,15 @@ class TextureLayer:
     """Maps of a layer that may show in an image, or the image, each (rows, cols)."""
 
     maps: dict[str, Array]
-    face: dict[str, Array]  # height of the face that is seen; its slopes show in light from one side
+    # Height of the face that is seen; its slopes show in light from one side.
+    face: dict[str, Array]
     valid: Bools | None  # where the maps may be looked at, if not everywhere
     grid: Grid
 
     @classmethod
-    def of(cls, layer: xr.Dataset | xr.DataArray, side: Side = "top", holes: xr.Dataset | None = None) -> TextureLayer:
+    def of(
+        cls, layer: xr.Dataset | xr.DataArray, side: Side = "top", holes: xr.Dataset | None = None
+    ) -> TextureLayer:
         """Take the maps that may show in an image of a side, or an image without its holes; InputError for none."""
         if isinstance(layer, xr.DataArray):
             grid, valid = Grid.of(layer), None
@@ -39,11 +42,23 @@ class TextureLayer:
                 valid = ~hole_mask(grid, centres_um, 0.5 * holes["diameter"].values + _RIM_UM)
             return cls(maps={"image": layer.values}, face={}, valid=valid, grid=grid)
         names = (f"coating_{side}", "base_thickness", "thickness")
-        maps = {name: layer[name].values for name in names if name in layer and np.isfinite(layer[name].values).any()}
+        maps = {
+            name: layer[name].values
+            for name in names
+            if name in layer and np.isfinite(layer[name].values).any()
+        }
         if not maps:
-            raise InputError("The maps hold no thickness whose texture could be searched. Measure one (--property).")
+            raise InputError(
+                "The maps hold no thickness whose texture could be searched. Measure one"
+                " (--property)."
+            )
         face = {name: layer[name].values for name in (f"topography_{side}",) if name in layer}
-        return cls(maps=maps, face=face, valid=layer["valid"].values if "valid" in layer else None, grid=Grid.of(layer))
+        return cls(
+            maps=maps,
+            face=face,
+            valid=layer["valid"].values if "valid" in layer else None,
+            grid=Grid.of(layer),
+        )
 
     @property
     def is_sheet(self) -> bool:
@@ -75,16 +90,20 @@ class TextureLayer:
         """What lies between two places ``(x, y)``."""
         rows, cols = (
             slice(*np.searchsorted(axis, [low, high]).tolist())
-            for axis, low, high in zip((self.grid.y_um, self.grid.x_um), low_um[::-1], high_um[::-1], strict=True)
+            for axis, low, high in zip(
+                (self.grid.y_um, self.grid.x_um), low_um[::-1], high_um[::-1], strict=True
+            )
         )
 
         def cut(values: Array) -> Array:
             return values[rows, cols]
 
         return TextureLayer(
-            maps={k: cut(m) for k, m in self.maps.items()}, face={k: cut(m) for k, m in self.face.items()},
-            valid=None if self.valid is None else cut(self.valid), grid=self.grid.part(rows, cols),
-        )  # fmt: skip
+            maps={k: cut(m) for k, m in self.maps.items()},
+            face={k: cut(m) for k, m in self.face.items()},
+            valid=None if self.valid is None else cut(self.valid),
+            grid=self.grid.part(rows, cols),
+        )
 
     def texture(self, pixel_um: float, *, slopes: bool = False) -> tuple[Textures, Floats]:
         """Textures on pixels of about a size, with the slopes of its face; ``(x, y)`` of the middle of the first."""
@@ -93,9 +112,14 @@ class TextureLayer:
         shown_maps = dict(self.maps)
         for name, heights in self.face.items() if slopes else ():
             # With noise on them, slopes would take up less of the light than there is.
-            is_valid = np.isfinite(heights) if self.valid is None else np.isfinite(heights) & self.valid
+            is_valid = (
+                np.isfinite(heights) if self.valid is None else np.isfinite(heights) & self.valid
+            )
             shown_maps[name] = without_white_noise(heights, is_valid)
-        shown = {k: common_means([m], (factors[0], factors[1]), masks=masks)[0] for k, m in shown_maps.items()}
+        shown = {
+            k: common_means([m], (factors[0], factors[1]), masks=masks)[0]
+            for k, m in shown_maps.items()
+        }
         coarse_um: Pair = factors[0] * self.grid.pixel_um[0], factors[1] * self.grid.pixel_um[1]
         is_known = np.any([np.isfinite(m) for m in shown.values()], axis=0)
         first = [0.5 * (c - p) for c, p in zip(coarse_um, self.grid.pixel_um, strict=True)]

@@ -29,12 +29,18 @@ _SEARCH_UM, _FINE_UM = 20.0, 8.0  # pixels: at 36 um a weak texture is at chance
 _SEARCHED_UM = 5000.0  # of the middle of a sheet: it says enough
 _TUNED_UM = 25.0  # by which the search may be off at the corners of the map
 _AROUND_UM = 200.0  # of the image around the sheet
-_HOLE_UM = 60.0  # by which a hole of the sheet may lie off that of the image, at a rotation between two of the search
+# By which a hole of the sheet may lie off that of the image, at a rotation between two of the
+# search.
+_HOLE_UM = 60.0
 _NEAR_UM = 500.0  # of a place that was given without a radius
-_SCALE_GUESS = 1.15  # of an image whose pixel size is hardly known: between two sizes that are tried
+# Of an image whose pixel size is hardly known: between two sizes that are tried.
+_SCALE_GUESS = 1.15
 _GUESS_TOLERANCE = 0.08
 _LEAST_TILES = 4
-_ABOUT_THICKNESS = " The thickness leads, so the image may be one of transmitted light, or of a side without coating."
+_ABOUT_THICKNESS = (
+    " The thickness leads, so the image may be one of transmitted light, or of a side without"
+    " coating."
+)
 _FEW_HOLES = 2  # that fix no place, and narrow the search
 
 
@@ -119,19 +125,24 @@ def register_texture(
         layers, found = _searched_sides(moving, fixed, fit_params, mirrored, holes)
         if not (search := found.search).is_sure:
             raise _undecided(found, layers)
-        tiles = _tiles_near(layers, found.place, scaled=found.scaled, names=search.best.names, off_um=_TUNED_UM)
+        tiles = _tiles_near(
+            layers, found.place, scaled=found.scaled, names=search.best.names, off_um=_TUNED_UM
+        )
     if len(tiles.moving_um) < _LEAST_TILES:
         raise CannotRegister(
-            f"{len(tiles.moving_um)} parts of the sheet show by themselves where they lie about its place, and "
-            f"{_LEAST_TILES} are needed to say how well that is known. Image or scan a larger field, or give pairs of "
-            "points (--marks)."
+            f"{len(tiles.moving_um)} parts of the sheet show by themselves where they lie about its"
+            f" place, and {_LEAST_TILES} are needed to say how well that is known. Image or scan a"
+            " larger field, or give pairs of points (--marks)."
         )
     registration = _fitted(layers, tiles, holes, np.empty((0, 2), dtype=np.intp), fit_params)
     if search is None:
         return replace(
-            registration, sentence=f"The place was given; {len(tiles.moving_um)} tiles of the texture show it."
+            registration,
+            sentence=f"The place was given; {len(tiles.moving_um)} tiles of the texture show it.",
         )
-    return replace(registration, sentence=_decided(search, tiles), false_probability=search.false_probability)
+    return replace(
+        registration, sentence=_decided(search, tiles), false_probability=search.false_probability
+    )
 
 
 def uses_texture(layer: Layer, fixed: Layer, holes: LayerHoles, study: Study) -> bool:
@@ -144,7 +155,9 @@ def uses_texture(layer: Layer, fixed: Layer, holes: LayerHoles, study: Study) ->
     return any(holes.of(*pair).sizes["mark"] < 3 for pair in ((layer, fixed), (fixed, layer)))
 
 
-def register_layers_by_texture(layer: Layer, fixed: Layer, holes: LayerHoles, study: Study) -> Registration:
+def register_layers_by_texture(
+    layer: Layer, fixed: Layer, holes: LayerHoles, study: Study
+) -> Registration:
     """Register one layer of a link to another one by the texture of both; what holes there are is masked."""
     pair, params = (holes.of(layer, fixed), holes.of(fixed, layer)), study.registration
     moving, image = (of.groups["maps"] if of.image is None else of.shown for of in (layer, fixed))
@@ -154,7 +167,9 @@ def register_layers_by_texture(layer: Layer, fixed: Layer, holes: LayerHoles, st
     if params.by == "both":
         known = register_layers(layer, fixed, holes, study)
         return _with_tiles(known, moving, image, params, pair, "bottom" if is_mirrored else "top")
-    knows_side = layer.kind == fixed.kind or any(of.side_given for of in (layer, fixed) if of.kind == "image")
+    knows_side = layer.kind == fixed.kind or any(
+        of.side_given for of in (layer, fixed) if of.kind == "image"
+    )
     try:
         hand = is_mirrored if knows_side else None
         return register_texture(moving, image, params=params, mirrored=hand, holes=pair)
@@ -176,11 +191,17 @@ class _Layers(NamedTuple):
 
     @classmethod
     def of(
-        cls, moving: xr.Dataset | xr.DataArray, fixed: xr.Dataset | xr.DataArray, side: Side,
+        cls,
+        moving: xr.Dataset | xr.DataArray,
+        fixed: xr.Dataset | xr.DataArray,
+        side: Side,
         holes: tuple[xr.Dataset, xr.Dataset] | None,
-    ) -> _Layers:  # fmt: skip
+    ) -> _Layers:
         moving_holes, fixed_holes = holes or (None, None)
-        first, second = TextureLayer.of(moving, side, moving_holes), TextureLayer.of(fixed, side, fixed_holes)
+        first, second = (
+            TextureLayer.of(moving, side, moving_holes),
+            TextureLayer.of(fixed, side, fixed_holes),
+        )
         is_swapped = second.is_sheet and not first.is_sheet
         return cls(second, first, is_swapped) if is_swapped else cls(first, second, is_swapped)
 
@@ -195,9 +216,12 @@ class _Found(NamedTuple):
 
 
 def _searched_sides(
-    moving: xr.Dataset | xr.DataArray, fixed: xr.Dataset | xr.DataArray, params: RegistrationParams,
-    mirrored: bool | None, holes: tuple[xr.Dataset, xr.Dataset] | None,
-) -> tuple[_Layers, _Found]:  # fmt: skip
+    moving: xr.Dataset | xr.DataArray,
+    fixed: xr.Dataset | xr.DataArray,
+    params: RegistrationParams,
+    mirrored: bool | None,
+    holes: tuple[xr.Dataset, xr.Dataset] | None,
+) -> tuple[_Layers, _Found]:
     """Search by the maps of one side or of either, where holes say so first; stop where the place is sure."""
     tried: list[tuple[_Layers, _Found]] = []
     for is_bottom in (False, True) if mirrored is None else (mirrored,):
@@ -218,9 +242,11 @@ def _nears(
         x, y, *radius = params.near
         radius_um = radius[0] if radius else _NEAR_UM
         if radius_um <= 0:
-            raise InputError(f"The radius of --near is {radius_um:g} um. Give one above 0, such as {_NEAR_UM:g}.")
+            raise InputError(
+                f"The radius of --near is {radius_um:g} um. Give one above 0, such as {_NEAR_UM:g}."
+            )
         if layers.swapped:  # the middle of the second layer lies there in the first one
-            (mx, my) = layers.b.middle_um.tolist()
+            mx, my = layers.b.middle_um.tolist()
             yield [Near(fixed_um=(mx, my), radius_um=radius_um, moving_um=(x, y))]
         else:
             yield [Near(fixed_um=(x, y), radius_um=radius_um)]
@@ -229,12 +255,15 @@ def _nears(
         places = [np.stack([h["x"].values, h["y"].values], axis=1).tolist() for h in holes]
         first, second = reversed(places) if layers.swapped else places
         yield [
-            Near(fixed_um=(b[0], b[1]), radius_um=_HOLE_UM, moving_um=(a[0], a[1])) for a, b in product(first, second)
+            Near(fixed_um=(b[0], b[1]), radius_um=_HOLE_UM, moving_um=(a[0], a[1]))
+            for a, b in product(first, second)
         ]
     yield ()
 
 
-def _searched(layers: _Layers, params: RegistrationParams, *, mirrored: bool | None, near: Sequence[Near]) -> _Found:
+def _searched(
+    layers: _Layers, params: RegistrationParams, *, mirrored: bool | None, near: Sequence[Near]
+) -> _Found:
     """Search the smaller layer in the larger one, at all sizes of the second one that the tolerance allows."""
     half = 0.5 * _SEARCHED_UM
     a = layers.a.part(layers.a.middle_um - half, layers.a.middle_um + half)
@@ -242,25 +271,38 @@ def _searched(layers: _Layers, params: RegistrationParams, *, mirrored: bool | N
     tolerance = min(params.scale_tolerance, _GUESS_TOLERANCE)
     beyond = math.log((1.0 + params.scale_tolerance) / (1.0 + _GUESS_TOLERANCE))
     count = max(math.ceil(beyond / math.log(_SCALE_GUESS)), 0)
-    guesses = sorted((_SCALE_GUESS**k for k in range(-count, count + 1)), key=lambda g: abs(math.log(g)))
+    guesses = sorted(
+        (_SCALE_GUESS**k for k in range(-count, count + 1)), key=lambda g: abs(math.log(g))
+    )
     for guess in guesses:
         b = layers.b.scaled(guess)
         b_texture, b_first = b.texture(_SEARCH_UM)
         if not (a_texture.known.any() and b_texture.known.any()):
-            raise CannotRegister("A layer shows no texture: it is empty, or none of it is valid. Check both files.")
+            raise CannotRegister(
+                "A layer shows no texture: it is empty, or none of it is valid. Check both files."
+            )
         places = [_of_textures(n, a, a_first, b_first, guess) for n in near]
         if b_texture.area_um2 < a_texture.area_um2:
             inverse = [
-                Near(fixed_um=n.moving_um or (0, 0), radius_um=n.radius_um, moving_um=n.fixed_um) for n in places
+                Near(fixed_um=n.moving_um or (0, 0), radius_um=n.radius_um, moving_um=n.fixed_um)
+                for n in places
             ]
-            found = search_place(b_texture, a_texture, mirrored=mirrored, scale_tolerance=tolerance, near=inverse)
+            found = search_place(
+                b_texture, a_texture, mirrored=mirrored, scale_tolerance=tolerance, near=inverse
+            )
             search = found.inverse
         else:
-            search = search_place(a_texture, b_texture, mirrored=mirrored, scale_tolerance=tolerance, near=places)
-        search = replace(search, false_probability=min(len(guesses) * search.false_probability, 1.0))
+            search = search_place(
+                a_texture, b_texture, mirrored=mirrored, scale_tolerance=tolerance, near=places
+            )
+        search = replace(
+            search, false_probability=min(len(guesses) * search.false_probability, 1.0)
+        )
         places_um = [_moved(c.place, a_first, b_first) for c in search.candidates]
         if best is None or search.false_probability < best.search.false_probability:
-            fixed_places = tuple(_between_layers(p, guess, swapped=layers.swapped) for p in places_um)
+            fixed_places = tuple(
+                _between_layers(p, guess, swapped=layers.swapped) for p in places_um
+            )
             best = _Found(search, places_um[0], guess, fixed_places)
         if best.search.is_sure:
             break
@@ -276,15 +318,25 @@ def _between_layers(place: Similarity, scaled: float, *, swapped: bool) -> Simil
     return replace(place, scale=place.scale / scaled, shift_um=(x / scaled, y / scaled))
 
 
-def _of_textures(near: Near, a: TextureLayer, a_first: Floats, b_first: Floats, guess: float) -> Near:
+def _of_textures(
+    near: Near, a: TextureLayer, a_first: Floats, b_first: Floats, guess: float
+) -> Near:
     """A rough place between layers, between their textures, whose first pixels lie elsewhere."""
     middle = a.middle_um if near.moving_um is None else np.array(near.moving_um)
-    (ax, ay), (bx, by) = (middle - a_first).tolist(), (guess * np.array(near.fixed_um) - b_first).tolist()
+    (ax, ay), (bx, by) = (
+        (middle - a_first).tolist(),
+        (guess * np.array(near.fixed_um) - b_first).tolist(),
+    )
     return Near(fixed_um=(bx, by), radius_um=guess * near.radius_um, moving_um=(ax, ay))
 
 
 def _tiles_near(
-    layers: _Layers, place: Similarity, *, scaled: float = 1.0, names: Names | None = None, off_um: float = 0.0
+    layers: _Layers,
+    place: Similarity,
+    *,
+    scaled: float = 1.0,
+    names: Names | None = None,
+    off_um: float = 0.0,
 ) -> TilePlaces:
     """Tune a place of the first layer in the second one, ``scaled``, by as much as it may be off, and find tiles there.
 
@@ -294,9 +346,14 @@ def _tiles_near(
     seen = place(a.corners_um)
     b = b.part(seen.min(axis=0) - _AROUND_UM, seen.max(axis=0) + _AROUND_UM)
     if not all(b.grid.shape):
-        raise CannotRegister("The other layer shows no texture at this place: it lies beside it. Give another place.")
+        raise CannotRegister(
+            "The other layer shows no texture at this place: it lies beside it. Give another place."
+        )
     has_light = not b.is_sheet
-    (moving, moving_first), (fixed, fixed_first) = a.texture(_FINE_UM, slopes=has_light), b.texture(_FINE_UM)
+    (moving, moving_first), (fixed, fixed_first) = (
+        a.texture(_FINE_UM, slopes=has_light),
+        b.texture(_FINE_UM),
+    )
     light = tuple(name for name in a.light if has_light and name in moving.maps)
     place = _moved(place, -moving_first, -fixed_first)
     names = names or leading_maps(moving, fixed, place)
@@ -306,15 +363,20 @@ def _tiles_near(
         place = tuned_place(moving, fixed, names, place, reach_um=off_um, beside=(*beside, *light))
     tiles = tile_places(moving, fixed, names, place, beside=beside, light=light)
     return tiles._replace(
-        moving_um=tiles.moving_um + moving_first, fixed_um=(tiles.fixed_um + fixed_first) / scaled,
-        covariance_um2=tiles.covariance_um2 / scaled**2, shared_um2=tiles.shared_um2 / scaled**2,
-    )  # fmt: skip
+        moving_um=tiles.moving_um + moving_first,
+        fixed_um=(tiles.fixed_um + fixed_first) / scaled,
+        covariance_um2=tiles.covariance_um2 / scaled**2,
+        shared_um2=tiles.shared_um2 / scaled**2,
+    )
 
 
 def _fitted(
-    layers: _Layers, tiles: TilePlaces, holes: tuple[xr.Dataset, xr.Dataset] | None, pairs: Ints,
+    layers: _Layers,
+    tiles: TilePlaces,
+    holes: tuple[xr.Dataset, xr.Dataset] | None,
+    pairs: Ints,
     params: RegistrationParams,
-) -> Registration:  # fmt: skip
+) -> Registration:
     """Fit the transformation to tiles and, by ``pairs`` of their rows, to holes of the moving and the fixed layer."""
     count, (a_holes, b_holes) = len(tiles.moving_um), holes or (None, None)
     if layers.swapped:
@@ -335,30 +397,42 @@ def _fitted(
         sources[: len(rows)][rows[:, k] < count] = "tile"
         marks[f"{side}_source"] = marks[f"{side}_source"].copy(data=sources)
     # Holes show what all tiles share.
-    fit = fit if len(pairs) else replace(fit, shared_um=math.sqrt(float(np.trace(tiles.shared_um2))))
+    fit = (
+        fit if len(pairs) else replace(fit, shared_um=math.sqrt(float(np.trace(tiles.shared_um2))))
+    )
     return Registration(fit=fit, marks=with_residuals(marks, fit), source="texture")
 
 
 def _with_tiles(
-    known: Registration, moving: xr.Dataset | xr.DataArray, fixed: xr.Dataset | xr.DataArray,
-    params: RegistrationParams, holes: tuple[xr.Dataset, xr.Dataset], side: Side,
-) -> Registration:  # fmt: skip
+    known: Registration,
+    moving: xr.Dataset | xr.DataArray,
+    fixed: xr.Dataset | xr.DataArray,
+    params: RegistrationParams,
+    holes: tuple[xr.Dataset, xr.Dataset],
+    side: Side,
+) -> Registration:
     """Fit holes and the tiles that are found at the place by holes in one, and say how far apart both lie."""
     layers = _Layers.of(moving, fixed, side, holes)
     place = known.fit.transform.similarity
     tiles = _tiles_near(layers, place.inverse if layers.swapped else place)
     if len(tiles.moving_um) < _LEAST_TILES:
         raise CannotRegister(
-            f"{len(tiles.moving_um)} parts of the texture show where they lie, and {_LEAST_TILES} are needed beside "
-            "the holes. Link by the holes alone (--by holes)."
+            f"{len(tiles.moving_um)} parts of the texture show where they lie, and {_LEAST_TILES}"
+            " are needed beside the holes. Link by the holes alone (--by holes)."
         )
     is_paired = paired(known.marks)
-    pairs = np.stack([
-        np.array([
-            int(np.argmin(np.hypot(h["x"].values - x, h["y"].values - y)))
-            for x, y in points_of(known.marks, layer)[is_paired].tolist()
-        ]) for h, layer in zip(holes, ("moving", "fixed"), strict=True)
-    ], axis=1)  # fmt: skip
+    pairs = np.stack(
+        [
+            np.array(
+                [
+                    int(np.argmin(np.hypot(h["x"].values - x, h["y"].values - y)))
+                    for x, y in points_of(known.marks, layer)[is_paired].tolist()
+                ]
+            )
+            for h, layer in zip(holes, ("moving", "fixed"), strict=True)
+        ],
+        axis=1,
+    )
     pairs = pairs[known.fit.weights > 0]
     alone = _fitted(layers, tiles, None, np.empty((0, 2), dtype=np.intp), params).fit
     middle = TextureLayer.of(moving, side).middle_um
@@ -368,15 +442,26 @@ def _with_tiles(
     # An error that tiles share does not get smaller with their number.
     tiles = tiles._replace(covariance_um2=tiles.covariance_um2 + count * tiles.shared_um2)
     return replace(
-        _fitted(layers, tiles, holes, pairs, params), source="both", apart_um=(apart_um, expected_um),
-        sentence=f"{known.sentence or ''} {count} tiles of the texture are fitted with the holes.".strip(),
-        second_best=known.second_best, design=known.design, tilt=known.tilt,
-    )  # fmt: skip
+        _fitted(layers, tiles, holes, pairs, params),
+        source="both",
+        apart_um=(apart_um, expected_um),
+        sentence=(
+            f"{known.sentence or ''} {count} tiles of the texture are fitted with the holes.".strip()
+        ),
+        second_best=known.second_best,
+        design=known.design,
+        tilt=known.tilt,
+    )
 
 
-def _marks(um: Floats, covariance_um2: Floats, holes: xr.Dataset | None, layer: TextureLayer) -> xr.Dataset:
+def _marks(
+    um: Floats, covariance_um2: Floats, holes: xr.Dataset | None, layer: TextureLayer
+) -> xr.Dataset:
     columns = {"x": um[:, 0], "y": um[:, 1], "diameter": np.full(len(um), np.nan)}
-    columns |= {f"cov_{axes}": covariance_um2[:, j, k] for axes, j, k in (("xx", 0, 0), ("xy", 0, 1), ("yy", 1, 1))}
+    columns |= {
+        f"cov_{axes}": covariance_um2[:, j, k]
+        for axes, j, k in (("xx", 0, 0), ("xy", 0, 1), ("yy", 1, 1))
+    }
     tiles = xr.Dataset({name: ("mark", values) for name, values in columns.items()})
     if holes is not None:
         tiles = xr.concat([tiles, holes[[*columns]]], dim="mark")
@@ -391,18 +476,27 @@ def _moved(place: Similarity, moving_first: Floats, fixed_first: Floats) -> Simi
 
 def _decided(search: PlaceSearch, tiles: TilePlaces) -> str:
     best = search.best
-    probability = f"below {1e-6:g}" if search.false_probability < 1e-6 else f"{search.false_probability:.1g}"
-    next_best = f", the next best place {search.candidates[1].z:.1f}" if len(search.candidates) > 1 else ""
+    probability = (
+        f"below {1e-6:g}" if search.false_probability < 1e-6 else f"{search.false_probability:.1g}"
+    )
+    next_best = (
+        f", the next best place {search.candidates[1].z:.1f}" if len(search.candidates) > 1 else ""
+    )
     return (
-        f"Found by texture: {_title(best.names)} go together at one place (r = {tiles.r:.2f}; {best.z:.0f} standard "
-        f"deviations of chance{next_best}; probability of a false link {probability}). {len(tiles.moving_um)} tiles "
-        f"give the place.{_ABOUT_THICKNESS if 'image' in best.names and 'thickness' in _title(best.names) else ''}"
+        f"Found by texture: {_title(best.names)} go together at one place (r = {tiles.r:.2f};"
+        f" {best.z:.0f} standard "
+        f"deviations of chance{next_best}; probability of a false link {probability})."
+        f" {len(tiles.moving_um)} tiles "
+        "give the"
+        f" place.{_ABOUT_THICKNESS if 'image' in best.names and 'thickness' in _title(best.names) else ''}"
     )
 
 
 def _title(names: Names) -> str:
     a, b = (name.replace("_", " ") for name in names)
-    return f"{a} and {b}" if a != b else f"the maps of {a} of both" if a != "image" else "both images"
+    return (
+        f"{a} and {b}" if a != b else f"the maps of {a} of both" if a != "image" else "both images"
+    )
 
 
 def _undecided(found: _Found, layers: _Layers) -> Undecided:
@@ -412,16 +506,22 @@ def _undecided(found: _Found, layers: _Layers) -> Undecided:
         for candidate, place in zip(search.candidates, found.places, strict=True)
         for x, y in (place(middle_um),)
     )
-    text = f"Best places, in standard deviations of chance: {'; '.join(place.sentence for place in places[:3])}."
+    text = (
+        "Best places, in standard deviations of chance:"
+        f" {'; '.join(place.sentence for place in places[:3])}."
+    )
     if search.has_rival and search.false_probability <= FALSE:
         return Undecided(
-            f"Two places of the sheet in the image are nearly alike. {text} A pattern that repeats, such as a screen "
-            "or wire marks, looks like that: take it off the image (--screen-um), say about where the sheet lies "
-            "(--near), or give marks (--marks).", places,
-        )  # fmt: skip
+            f"Two places of the sheet in the image are nearly alike. {text} A pattern that repeats,"
+            " such as a screen or wire marks, looks like that: take it off the image"
+            " (--screen-um), say about where the sheet lies (--near), or give marks (--marks).",
+            places,
+        )
     return Undecided(
-        f"No place of the sheet in the image stands out by its texture: an unrelated image reaches the best one with a "
-        f"probability of {search.false_probability:.2g}, and {FALSE:g} is allowed. {text} Is it this piece of paper, "
-        "this side (--image-side, --mirror), and are the pixel sizes right (--scale-tolerance)? A larger field helps, "
-        "and so do marks (--marks) or a rough place that you know from elsewhere (--near).", places,
-    )  # fmt: skip
+        "No place of the sheet in the image stands out by its texture: an unrelated image reaches"
+        f" the best one with a probability of {search.false_probability:.2g}, and {FALSE:g} is"
+        f" allowed. {text} Is it this piece of paper, this side (--image-side, --mirror), and are"
+        " the pixel sizes right (--scale-tolerance)? A larger field helps, and so do marks"
+        " (--marks) or a rough place that you know from elsewhere (--near).",
+        places,
+    )

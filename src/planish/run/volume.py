@@ -29,7 +29,9 @@ def read_sheet_volume(
         _in_parts(volume, path, compute, COPIES_OF_SECTIONS, f" --through {params.through}")
         return volume, sections
     if params.fixed_rows is not None or params.fixed_cols is not None:
-        raise InputError(f"--fixed-rows and --fixed-cols are for serial sections; {path.name} is a volume.")
+        raise InputError(
+            f"--fixed-rows and --fixed-cols are for serial sections; {path.name} is a volume."
+        )
     volume = _read(params, compute)
     _in_parts(volume, path, compute)
     return volume, None
@@ -45,7 +47,9 @@ def _read(params: VolumeParams, compute: Compute) -> xr.DataArray:
     return computed(volume, partial(_read_by_name, params.path, tuple(read_options.items())))
 
 
-def _read_by_name(path: str, read_options: tuple[tuple[str, Any], ...], window: Where) -> NDArray[Any]:
+def _read_by_name(
+    path: str, read_options: tuple[tuple[str, Any], ...], window: Where
+) -> NDArray[Any]:
     return _opened(path, read_options).variable[window].values
 
 
@@ -67,35 +71,53 @@ def read_whole(params: VolumeParams, compute: Compute, progress: Progress) -> xr
     return volume.assign_attrs(sections=section_facts(sections).model_dump())
 
 
-def _in_parts(volume: xr.DataArray, path: Path, compute: Compute, copies: int = 1, options: str = "") -> None:
+def _in_parts(
+    volume: xr.DataArray, path: Path, compute: Compute, copies: int = 1, options: str = ""
+) -> None:
     if volume.encoding.get("whole_slices"):
         size = volume.size * volume.dtype.itemsize
         needed = enough_gb(bytes_to_hold(copies * size) + PROGRAM_BYTES)
         raise ResourceError(
-            f"{path.name} has {size / 1e9:.1f} GB, and its slices can only be decoded whole. To hold it, give --memory "
-            f"{needed}GB ({compute.memory / 1e9:.1f} GB are allowed), or bring it into a "
-            f"store first: planish import {path.name}{options} --out {path.stem}.zarr"
+            f"{path.name} has {size / 1e9:.1f} GB, and its slices can only be decoded whole. To"
+            f" hold it, give --memory {needed}GB ({compute.memory / 1e9:.1f} GB are allowed), or"
+            f" bring it into a store first: planish import {path.name}{options} --out"
+            f" {path.stem}.zarr"
         )
 
 
-def _join_sections(params: VolumeParams, compute: Compute, progress: Progress) -> tuple[xr.DataArray, xr.Dataset]:
+def _join_sections(
+    params: VolumeParams, compute: Compute, progress: Progress
+) -> tuple[xr.DataArray, xr.Dataset]:
     """Align serial sections and join them to a volume; return it with what was done to each of them."""
     path = Path(params.path)
     if compute.scheduler is not None:
-        raise InputError(f"{path.name} holds sections, which one computer joins. Leave out --scheduler.")
+        raise InputError(
+            f"{path.name} holds sections, which one computer joins. Leave out --scheduler."
+        )
     if params.through == "z":
         raise VolumeError(
-            f"{path.name} holds sections, which show the sheet edge on: its normal cannot run from section to section. "
-            "Give --through y where it runs along the rows of the photographs, x where along their columns."
+            f"{path.name} holds sections, which show the sheet edge on: its normal cannot run from"
+            " section to section. Give --through y where it runs along the rows of the"
+            " photographs, x where along their columns."
         )
-    stack = read_section_stack(path, **params.how, memory_bytes=compute.volume_bytes // COPIES_OF_SECTIONS)
+    stack = read_section_stack(
+        path, **params.how, memory_bytes=compute.volume_bytes // COPIES_OF_SECTIONS
+    )
     progress("align", f"{stack.values.shape[0]} sections")
-    from planish.sections import SectionSeries, align_sections, fixed_places, normalise_sections, regular_volume
+    from planish.sections import (
+        SectionSeries,
+        align_sections,
+        fixed_places,
+        normalise_sections,
+        regular_volume,
+    )
 
     series = SectionSeries(stack.values, stack.positions_um, stack.pixel_um)
     fixed_features = None
     if params.fixed_rows is not None or params.fixed_cols is not None:
-        fixed_features = fixed_places(stack.values, stack.pixel_um, rows=params.fixed_rows, cols=params.fixed_cols)
+        fixed_features = fixed_places(
+            stack.values, stack.pixel_um, rows=params.fixed_rows, cols=params.fixed_cols
+        )
     poses, gains = align_sections(series, fixed=fixed_features), normalise_sections(series)
     volume = regular_volume(series, alignment=poses, gains=gains, attrs=stack.attrs)
     first_um = float(volume.attrs["first_position_um"])
@@ -109,7 +131,11 @@ def _join_sections(params: VolumeParams, compute: Compute, progress: Progress) -
     }
     sections = xr.Dataset(
         {
-            name: ("section", values, ({} if units is None else {"units": units}) | {"long_name": title})
+            name: (
+                "section",
+                values,
+                ({} if units is None else {"units": units}) | {"long_name": title},
+            )
             for name, (values, title, units) in section_columns.items()
         },
         attrs={
@@ -120,7 +146,11 @@ def _join_sections(params: VolumeParams, compute: Compute, progress: Progress) -
             "jitter_left_um": [float(v) for v in poses.jitter_left_um],
             "pairs_used": poses.pairs_used,
             "pairs_refused": poses.pairs_refused,
-            "fixed": [name for name, is_fixed in zip(("row", "col", "rotation"), poses.fixed, strict=True) if is_fixed],
+            "fixed": [
+                name
+                for name, is_fixed in zip(("row", "col", "rotation"), poses.fixed, strict=True)
+                if is_fixed
+            ],
         },
     )
     return volume, sections
@@ -130,11 +160,16 @@ def some_slices(volume: xr.DataArray, frame: Frame, step: int) -> xr.Dataset:
     """A few slices through the sheet, to draw its surfaces on; ``row`` is the row of columns that each lies in."""
     rows = volume.sizes[frame.rows] // step * step
     row_indices = np.unique(np.linspace(0, rows - 1, 5).astype(int)[1:-1])
-    slices_2d = [frame.columns(volume.isel({frame.rows: slice(k, k + 1)}).load()).values[0] for k in row_indices]
+    slices_2d = [
+        frame.columns(volume.isel({frame.rows: slice(k, k + 1)}).load()).values[0]
+        for k in row_indices
+    ]
     values = np.stack([np.ascontiguousarray(slice_2d.T) for slice_2d in slices_2d])
     axes = {"slice": frame.rows, "height": frame.through, "x": frame.cols}
     coords = {name: volume.coords[axis].values for name, axis in axes.items()}
     coords["slice"] = coords["slice"][row_indices]
     grey = (tuple(axes), values, {"long_name": "Grey value", "units": "1"})
     data = {"grey": grey, "row": ("slice", row_indices // step)}
-    return xr.Dataset(data, {k: ((k,), v, {"units": "um"}) for k, v in coords.items()}, frame.attrs())
+    return xr.Dataset(
+        data, {k: ((k,), v, {"units": "um"}) for k, v in coords.items()}, frame.attrs()
+    )

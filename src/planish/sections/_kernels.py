@@ -98,7 +98,9 @@ def pair_sums(a, b, x, y, pitch, chunks, limit, trust, sums, shared=0.0):
         off = np.float32((k - 0.5 * (rows - 1)) * pitch[0])
         for chunk in range(chunks):
             s0 = s1 = s2 = s3 = s4 = s5 = t0 = t1 = t2 = dd = ss = used = held = zero
-            for c in range(max(1, cols * chunk // chunks), min(cols - 1, cols * (chunk + 1) // chunks)):
+            for c in range(
+                max(1, cols * chunk // chunks), min(cols - 1, cols * (chunk + 1) // chunks)
+            ):
                 d = b1[c] - a1[c]
                 gr = half_r * (a2[c] - a0[c] + (b2[c] - b0[c]))
                 gc = half_c * (a1[c + 1] - a1[c - 1] + (b1[c + 1] - b1[c - 1]))

@@ -13,12 +13,20 @@ from planish.core.facts import ResultModel
 from planish.core.threads import map_threads
 from planish.core.typing import Bools, Floats, Ints, Pair
 from planish.sections.band import SectionSeries, Stack
-from planish.sections.network import LEAST_SHARE, quick_places, section_components, slow_part, solve_places
+from planish.sections.network import (
+    LEAST_SHARE,
+    quick_places,
+    section_components,
+    slow_part,
+    solve_places,
+)
 from planish.sections.pairs import FINEST_UM, GROUPS, SectionPairs, compare
 
-_REACH, _REACH_FIRST = 5, 2  # each section is compared with so many on either side, and in the first rounds
+# Each section is compared with so many on either side, and in the first rounds.
+_REACH, _REACH_FIRST = 5, 2
 _CUTOFF_PITCHES = 50.0  # corrections with longer wavelengths are not applied
-_SURER = 0.5  # sigma of fine over that of coarse pairs of neighbours, above which the fine ones show noise
+# Sigma of fine over that of coarse pairs of neighbours, above which the fine ones show noise.
+_SURER = 0.5
 
 
 class Alignment(ResultModel):
@@ -30,24 +38,39 @@ class Alignment(ResultModel):
     """
 
     shift_um: Floats = Field(
-        description="(sections, 2): along (row, col), in um; 0 where a section could not be aligned."
+        description=(
+            "(sections, 2): along (row, col), in um; 0 where a section could not be aligned."
+        )
     )
-    rotation_rad: Floats = Field(description="(sections,), shortened by the share that is its own error.")
+    rotation_rad: Floats = Field(
+        description="(sections,), shortened by the share that is its own error."
+    )
     aligned: Bools = Field(
-        description="(sections,), False for one with less than two good pairs: torn, blurred, or not of this sheet."
+        description=(
+            "(sections,), False for one with less than two good pairs: torn, blurred, or not of"
+            " this sheet."
+        )
     )
     jitter_left_um: Floats = Field(
-        description="Standard deviation of what is left of the quick errors along (row, col), from solutions that "
-        "leave out one sixth of the columns each (jackknife). What all columns share is not in it."
+        description=(
+            "Standard deviation of what is left of the quick errors along (row, col), from"
+            " solutions that leave out one sixth of the columns each (jackknife). What all columns"
+            " share is not in it."
+        )
     )
     pairs_used: int = Field(description="Pairs of sections that were used.")
     pairs_refused: int = Field(description="Pairs that were refused.")
     cutoff_um: float = Field(
-        description="Waves longer than this along the cut were left alone, except where something fixed shows them."
+        description=(
+            "Waves longer than this along the cut were left alone, except where something fixed"
+            " shows them."
+        )
     )
     fixed: tuple[bool, ...] = Field(
         default=(False, False, False),
-        description="Whether (row, col, rotation) were held by something fixed, slow waves included.",
+        description=(
+            "Whether (row, col, rotation) were held by something fixed, slow waves included."
+        ),
     )
 
 
@@ -90,7 +113,9 @@ def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Ali
     for is_compared in (is_near, is_near, np.ones_like(is_near)):
         coarse_pairs = compare(series, pose, first[is_compared], second[is_compared])
         places, is_used = _join_pairs(coarse_pairs, n)
-        components = section_components(coarse_pairs.first[is_used], coarse_pairs.second[is_used], n)
+        components = section_components(
+            coarse_pairs.first[is_used], coarse_pairs.second[is_used], n
+        )
         pose = quick_places(places + sheet_course, away_um, components, cutoff_um=cutoff_um)
     # Coarse texture wanders along the columns with the fibres that come and go; fine texture less. The place along the
     # columns is measured once more in it, now that the sections lie near enough.
@@ -99,7 +124,9 @@ def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Ali
     coarse_pose = pose
     for _ in range(2 if max(series.pixel_um) <= FINEST_UM and is_close.any() else 0):
         finer_pairs = compare(series, pose, first[is_close], second[is_close], is_fine=True)
-        if not np.median(finer_pairs.sigma[:, 1]) < _SURER * np.median(coarse_pairs.sigma[is_close, 1]):
+        if not np.median(finer_pairs.sigma[:, 1]) < _SURER * np.median(
+            coarse_pairs.sigma[is_close, 1]
+        ):
             fine_pairs, pose = None, coarse_pose
             break
         fine_pairs = finer_pairs
@@ -107,22 +134,39 @@ def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Ali
         pose = quick_places(places + sheet_course, away_um, components, cutoff_um=cutoff_um)
     # Sections that hang together with others, by two pairs or more.
     pair_counts = np.bincount(np.concatenate([first[is_used], second[is_used]]), minlength=n)
-    aligned = np.isin(np.arange(n), np.concatenate([*components, []])) & (pair_counts >= min(2, n - 1))
+    aligned = np.isin(np.arange(n), np.concatenate([*components, []])) & (
+        pair_counts >= min(2, n - 1)
+    )
     pose[~aligned] = 0.0
     pose_variance = _jackknife_variance(series, coarse_pairs, fine_pairs, components, aligned)
     # A narrow image determines rotations badly: they are shortened to what is more than their own error (Wiener).
     mean_square_rotation = float(np.mean(pose[aligned, 2] ** 2)) if aligned.any() else 0.0
-    pose[:, 2] *= max(0.0, 1.0 - pose_variance[2] / mean_square_rotation) if mean_square_rotation > 0 else 0.0
-    is_fixed = _add_fixed_drift(pose, fixed, away_um, cutoff_um, aligned) if fixed is not None else [False] * 3
+    pose[:, 2] *= (
+        max(0.0, 1.0 - pose_variance[2] / mean_square_rotation) if mean_square_rotation > 0 else 0.0
+    )
+    is_fixed = (
+        _add_fixed_drift(pose, fixed, away_um, cutoff_um, aligned)
+        if fixed is not None
+        else [False] * 3
+    )
     return Alignment(
-        shift_um=pose[:, :2].copy(), rotation_rad=pose[:, 2].copy(), aligned=aligned,
-        jitter_left_um=np.sqrt(pose_variance[:2]), pairs_used=int(is_used.sum()), pairs_refused=int((~is_used).sum()),
-        cutoff_um=cutoff_um, fixed=tuple(is_fixed),
-    )  # fmt: skip
+        shift_um=pose[:, :2].copy(),
+        rotation_rad=pose[:, 2].copy(),
+        aligned=aligned,
+        jitter_left_um=np.sqrt(pose_variance[:2]),
+        pairs_used=int(is_used.sum()),
+        pairs_refused=int((~is_used).sum()),
+        cutoff_um=cutoff_um,
+        fixed=tuple(is_fixed),
+    )
 
 
 def _jackknife_variance(
-    series: SectionSeries, coarse: SectionPairs, fine: SectionPairs | None, components: list[Ints], aligned: Bools
+    series: SectionSeries,
+    coarse: SectionPairs,
+    fine: SectionPairs | None,
+    components: list[Ints],
+    aligned: Bools,
 ) -> Floats:
     """Variance of the poses (3,) from solutions that each leave out a run of columns, of the surface too; or NaN."""
     if not aligned.any():
@@ -134,16 +178,24 @@ def _jackknife_variance(
         if fine is not None:
             places[:, 1] = _join_columns(fewer_pairs, fine.without(k), len(series.away_um))
         places += _sheet_course(series, left_out_group=k)
-        poses.append(quick_places(places, series.away_um, components, cutoff_um=_CUTOFF_PITCHES * series.pitch_um))
+        poses.append(
+            quick_places(
+                places, series.away_um, components, cutoff_um=_CUTOFF_PITCHES * series.pitch_um
+            )
+        )
     return np.var(poses, axis=0)[aligned].mean(axis=0) * (GROUPS - 1)
 
 
-def _add_fixed_drift(pose: Floats, fixed: Floats, away_um: Floats, cutoff_um: float, aligned: Bools) -> list[bool]:
+def _add_fixed_drift(
+    pose: Floats, fixed: Floats, away_um: Floats, cutoff_um: float, aligned: Bools
+) -> list[bool]:
     """Add the slow part of what something fixed shows; True for each axis that it shows."""
     is_fixed = [bool(share >= 0.5) for share in np.isfinite(fixed).mean(axis=0)]
     for axis in np.flatnonzero(is_fixed):
         weights = np.isfinite(fixed[:, axis]).astype(np.float64)
-        drift = slow_part(away_um, np.nan_to_num(fixed[:, axis]), cutoff_um=cutoff_um, weights=weights)
+        drift = slow_part(
+            away_um, np.nan_to_num(fixed[:, axis]), cutoff_um=cutoff_um, weights=weights
+        )
         pose[aligned, axis] += drift[aligned]
     return is_fixed
 
@@ -153,7 +205,12 @@ def neighbours(away_um: Floats, pitch_um: float, reach: int) -> tuple[Ints, Ints
     n = away_um.size
     # Neighbours farther apart show other fibres: three missing sections are bridged, no more.
     n_gaps = np.cumsum(np.concatenate([[0], np.diff(away_um) > 4.5 * pitch_um]))
-    pairs = [(i, j) for i in range(n) for j in range(i + 1, min(i + reach + 1, n)) if n_gaps[i] == n_gaps[j]]
+    pairs = [
+        (i, j)
+        for i in range(n)
+        for j in range(i + 1, min(i + reach + 1, n))
+        if n_gaps[i] == n_gaps[j]
+    ]
     first, second = np.array(pairs, np.intp).reshape(-1, 2).T
     return first, second
 
@@ -175,7 +232,11 @@ def _join_pairs(pairs: SectionPairs, n: int) -> tuple[Floats, Bools]:
     is_sound = pairs.is_sound
     for axis in range(3):
         places[:, axis], weight_shares[is_sound, axis] = solve_places(
-            pairs.first[is_sound], pairs.second[is_sound], pairs.offset[is_sound, axis], pairs.sigma[is_sound, axis], n
+            pairs.first[is_sound],
+            pairs.second[is_sound],
+            pairs.offset[is_sound, axis],
+            pairs.sigma[is_sound, axis],
+            n,
         )
     return places, is_sound & (np.min(weight_shares, axis=1) > LEAST_SHARE)
 
@@ -185,7 +246,12 @@ def _join_columns(coarse_pairs: SectionPairs, fine_pairs: SectionPairs, n: int) 
     # The coarse ones bridge what the fine ones do not hold together, and take over where noise hides fine texture.
     # Coarse pairs over the same sections, and the next ones, share their errors: hence the factor on their sigma.
     column_offsets = [
-        (p.first[p.is_sound], p.second[p.is_sound], p.offset[p.is_sound, 1], sigma_factor * p.sigma[p.is_sound, 1])
+        (
+            p.first[p.is_sound],
+            p.second[p.is_sound],
+            p.offset[p.is_sound, 1],
+            sigma_factor * p.sigma[p.is_sound, 1],
+        )
         for p, sigma_factor in ((coarse_pairs, 4.0), (fine_pairs, 1.0))
     ]
     first, second, offset, sigma = map(np.concatenate, zip(*column_offsets, strict=True))
@@ -193,11 +259,14 @@ def _join_columns(coarse_pairs: SectionPairs, fine_pairs: SectionPairs, n: int) 
 
 
 Strip = tuple[int, int]
-_PARTS = 12  # pieces along the line: their spread says how sure a place is, their course gives the rotation
+# Pieces along the line: their spread says how sure a place is, their course gives the rotation.
+_PARTS = 12
 _LEAST = 4  # pixels across a strip
 
 
-def fixed_places(stack: Stack, pixel_um: Pair, *, rows: Strip | None = None, cols: Strip | None = None) -> Floats:
+def fixed_places(
+    stack: Stack, pixel_um: Pair, *, rows: Strip | None = None, cols: Strip | None = None
+) -> Floats:
     """Find the place of every section against lines that lie still.
 
     Parameters
@@ -227,8 +296,9 @@ def fixed_places(stack: Stack, pixel_um: Pair, *, rows: Strip | None = None, col
         size, (low, high) = stack.shape[1 + axis], strip
         if not 0 <= low <= high - _LEAST < size - _LEAST:
             raise VolumeError(
-                f"The strip {low} to {high} of a fixed line does not lie in the photographs, which have {size} "
-                f"{'rows' if axis == 0 else 'columns'}, or is narrower than {_LEAST} pixels. Give first and last one."
+                f"The strip {low} to {high} of a fixed line does not lie in the photographs, which"
+                f" have {size} {'rows' if axis == 0 else 'columns'}, or is narrower than {_LEAST}"
+                " pixels. Give first and last one."
             )
         places[:, axis], turn = _line_places(stack, axis, strip, pixel_um)
         if np.isnan(places[:, 2]).all():
@@ -240,7 +310,11 @@ def fixed_places(stack: Stack, pixel_um: Pair, *, rows: Strip | None = None, col
 
 def _line_places(stack: Stack, axis: int, strip: Strip, pixel_um: Pair) -> tuple[Floats, Floats]:
     """Place in um and slope of the line of each section, against their mean."""
-    across_um, length_px, strip_slice = pixel_um[axis], stack.shape[2 - axis], slice(strip[0], strip[1] + 1)
+    across_um, length_px, strip_slice = (
+        pixel_um[axis],
+        stack.shape[2 - axis],
+        slice(strip[0], strip[1] + 1),
+    )
     piece_edges = np.linspace(0, length_px, _PARTS + 1).astype(int)
 
     def cut(i: int) -> Floats:
@@ -251,21 +325,28 @@ def _line_places(stack: Stack, axis: int, strip: Strip, pixel_um: Pair) -> tuple
     profiles = np.stack(map_threads(cut, range(stack.shape[0])))  # (sections, pieces, across)
     shift = np.zeros(profiles.shape[:2])
     correlation = np.zeros(profiles.shape[:2])
-    for sigma_um in (12.0, 4.0, 2.0):  # from coarse to fine: the first reaches as far as sections are off
-        smoothed = gaussian_filter1d(profiles, max(sigma_um / across_um, 0.5), axis=2, mode="nearest")
+    # From coarse to fine: the first reaches as far as sections are off.
+    for sigma_um in (12.0, 4.0, 2.0):
+        smoothed = gaussian_filter1d(
+            profiles, max(sigma_um / across_um, 0.5), axis=2, mode="nearest"
+        )
         for _ in range(4):
             shifted = _shifted(smoothed, shift)
             shift_step, correlation = _match_template(shifted, np.median(shifted, axis=0))
             shift += np.clip(shift_step, -2 * sigma_um / across_um, 2 * sigma_um / across_um)
             shift -= np.median(shift)
-    shows_line = correlation > 0.7  # correlation with the mean profile below which a piece does not show the line
+    # Correlation with the mean profile below which a piece does not show the line.
+    shows_line = correlation > 0.7
     is_clear = shows_line.sum(axis=1) >= _PARTS // 2
     if np.count_nonzero(is_clear) < 0.5 * is_clear.size:
         raise VolumeError(
-            f"The {'columns' if axis else 'rows'} {strip[0]} to {strip[1]} show no line or edge that lies still in "
-            "most sections. Look at a few photographs and give a strip that shows the same straight line throughout."
+            f"The {'columns' if axis else 'rows'} {strip[0]} to {strip[1]} show no line or edge"
+            " that lies still in most sections. Look at a few photographs and give a strip that"
+            " shows the same straight line throughout."
         )
-    along_um = (0.5 * (piece_edges[1:] + piece_edges[:-1] - 1) - 0.5 * (length_px - 1)) * pixel_um[1 - axis]
+    along_um = (0.5 * (piece_edges[1:] + piece_edges[:-1] - 1) - 0.5 * (length_px - 1)) * pixel_um[
+        1 - axis
+    ]
     # The mean course of all sections is the line's own and is taken off.
     shift *= across_um
     line_course, has_line = np.zeros(_PARTS), shows_line.any(axis=0)

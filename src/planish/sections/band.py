@@ -10,7 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.ndimage import distance_transform_edt, gaussian_filter, gaussian_filter1d, label, median_filter
+from scipy.ndimage import (
+    distance_transform_edt,
+    gaussian_filter,
+    gaussian_filter1d,
+    label,
+    median_filter,
+)
 
 from planish.core.errors import VolumeError
 from planish.core.facts import ResultModel
@@ -28,16 +34,23 @@ class SheetBand(ResultModel):
     """Course of the sheet."""
 
     row: Floats = Field(
-        description="(sections, blocks): middle of the sheet, in pixels along the rows; smooth along both axes."
+        description=(
+            "(sections, blocks): middle of the sheet, in pixels along the rows; smooth along both"
+            " axes."
+        )
     )
     at_col: Floats = Field(description="(blocks,): middle column of each block, in pixels.")
     jump: Floats = Field(
-        description="(sections,): by how many rows the sheet lies off the smooth surface in this section: a first "
-        "guess of its shift."
+        description=(
+            "(sections,): by how many rows the sheet lies off the smooth surface in this section: a"
+            " first guess of its shift."
+        )
     )
     half_um: float = Field(description="Half the sheet's thickness across the rows, in um.")
     background: Floats = Field(description="(sections,): rough grey level off the sheet.")
-    contrast: Floats = Field(description="(sections,): that of the sheet less that of the background.")
+    contrast: Floats = Field(
+        description="(sections,): that of the sheet less that of the background."
+    )
 
     def heights(self, section: int, cols: int) -> NDArray[np.float32]:
         """Row of the sheet in each of ``cols`` columns of a section, in pixels."""
@@ -56,7 +69,8 @@ class SectionSeries:
 
     #: (section, row, col), of any integer or real type; NaN is missing; the sheet is a band along the columns.
     stack: Stack
-    positions_um: Floats  #: (sections,), true places along the cut, monotonic; missing sections are gaps
+    # : (sections,), true places along the cut, monotonic; missing sections are gaps.
+    positions_um: Floats
     pixel_um: tuple[float, float]  #: (row, col)
 
     def __post_init__(self) -> None:
@@ -64,12 +78,14 @@ class SectionSeries:
         stack, positions = self.stack, self.positions_um
         if stack.ndim != 3 or stack.dtype.kind not in "uif" or min(stack.shape) < 2:
             raise VolumeError(
-                f"The sections have the shape {' x '.join(map(str, stack.shape))} and type {stack.dtype}. Needed are "
-                "grey values, (sections, rows, cols), with at least two of each."
+                f"The sections have the shape {' x '.join(map(str, stack.shape))} and type"
+                f" {stack.dtype}. Needed are grey values, (sections, rows, cols), with at least two"
+                " of each."
             )
         if positions.shape != stack.shape[:1]:
             raise VolumeError(
-                f"There are {stack.shape[0]} sections and {positions.size} positions. Each section needs one."
+                f"There are {stack.shape[0]} sections and {positions.size} positions. Each section"
+                " needs one."
             )
         if not all(np.isfinite(p) and p > 0 for p in self.pixel_um):
             pixel = "{:g} x {:g}".format(*self.pixel_um)
@@ -77,8 +93,9 @@ class SectionSeries:
         if wrong := np.flatnonzero(~(np.diff(self.away_um) > 0)).tolist():
             i = wrong[0]
             raise VolumeError(
-                f"The sections {i + 1} and {i + 2} lie at {positions[i]:g} and {positions[i + 1]:g} um. Positions "
-                "have to be monotonic: correct the cut counter or put the sections in order."
+                f"The sections {i + 1} and {i + 2} lie at {positions[i]:g} and {positions[i + 1]:g}"
+                " um. Positions have to be monotonic: correct the cut counter or put the sections"
+                " in order."
             )
 
     @cached_property
@@ -105,8 +122,11 @@ class SectionSeries:
             return block_means(self.stack[i], block_rows, block_cols)
 
         blocks = np.stack(map_threads(means, range(n)))
-        margin = max(1, int(0.15 * blocks.shape[1]))  # rows at each end that are taken to be background
-        background = _row_medians(np.concatenate([blocks[:, :margin], blocks[:, -margin:]], axis=1).reshape(n, -1))
+        # Rows at each end that are taken to be background.
+        margin = max(1, int(0.15 * blocks.shape[1]))
+        background = _row_medians(
+            np.concatenate([blocks[:, :margin], blocks[:, -margin:]], axis=1).reshape(n, -1)
+        )
         is_sheet, weight = _find_sheet(blocks, background)
         thickness = is_sheet.sum(axis=1)
         typical = float(np.median(thickness[thickness > 0]))
@@ -114,7 +134,8 @@ class SectionSeries:
         is_sound = (thickness >= 0.5 * typical) & (thickness <= 2.0 * typical) & (weight_sum > 0)
         if not is_sound.any():
             raise VolumeError(
-                "No sheet of an even thickness found in the sections. Check the files and the pixel size."
+                "No sheet of an even thickness found in the sections. Check the files and the pixel"
+                " size."
             )
         moment = (weight * np.arange(blocks.shape[1])[:, None]).sum(axis=1)
         middle = np.where(is_sound, moment / np.where(weight_sum > 0, weight_sum, 1.0), np.nan)
@@ -125,10 +146,13 @@ class SectionSeries:
         contrast = _row_medians(np.where(is_sheet, blocks, np.nan).reshape(n, -1)) - background
         median_contrast = float(np.nanmedian(contrast))
         # A section without a sheet has no contrast of its own; a drift of colour is far less than a factor of two.
-        is_plausible = np.isfinite(contrast) & (np.abs(contrast - median_contrast) < 0.5 * abs(median_contrast))
+        is_plausible = np.isfinite(contrast) & (
+            np.abs(contrast - median_contrast) < 0.5 * abs(median_contrast)
+        )
         return SheetBand(
             row=smooth_row,
-            at_col=np.arange(blocks.shape[2], dtype=np.float64) * block_cols + 0.5 * (block_cols - 1),
+            at_col=np.arange(blocks.shape[2], dtype=np.float64) * block_cols
+            + 0.5 * (block_cols - 1),
             jump=jump,
             half_um=0.5 * typical * block_rows * self.pixel_um[0],
             background=np.where(np.isfinite(background), background, np.nanmedian(background)),
@@ -143,10 +167,14 @@ def _find_sheet(blocks: NDArray[np.float32], background: Floats) -> tuple[Bools,
     sample = smoothed_difference[:: max(1, len(blocks) // 200)].ravel()
     bin_counts, bin_edges = np.histogram(sample, 512)
     of_bins = (bin_counts, bin_counts * (0.5 * (bin_edges[1:] + bin_edges[:-1])))
-    (border,) = otsu_borders(*(np.concatenate([[0.0], np.cumsum(values)]) for values in of_bins), classes=2)
+    (border,) = otsu_borders(
+        *(np.concatenate([[0.0], np.cumsum(values)]) for values in of_bins), classes=2
+    )
     labels, n_labels = label(smoothed_difference > float(bin_edges[border]))
     if n_labels == 0:
-        raise VolumeError("No sheet found in the sections: all grey levels are alike. Check the files.")
+        raise VolumeError(
+            "No sheet found in the sections: all grey levels are alike. Check the files."
+        )
     largest_label = 1 + int(np.argmax(np.bincount(labels.ravel())[1:]))
     is_sheet = labels == largest_label
     return is_sheet, np.where(is_sheet, difference, 0.0)
@@ -156,21 +184,31 @@ def block_means(section: NDArray[Any], rows: int, cols: int) -> NDArray[np.float
     """Means of blocks of rows x cols pixels; NaN where a block holds a NaN, and what is left over is left out."""
     n_down, n_across = section.shape[0] // rows, section.shape[1] // cols
     interior = section[: n_down * rows, : n_across * cols].reshape(n_down, rows, n_across * cols)
-    total = interior.sum(axis=1, dtype=np.float32).reshape(n_down, n_across, cols).sum(axis=2, dtype=np.float64)
+    total = (
+        interior.sum(axis=1, dtype=np.float32)
+        .reshape(n_down, n_across, cols)
+        .sum(axis=2, dtype=np.float64)
+    )
     return (total / (rows * cols)).astype(np.float32)
 
 
 def _row_medians(values: NDArray[Any]) -> Floats:
     is_valid = np.isfinite(values)
-    return np.array([np.median(v[h]) if h.any() else np.nan for v, h in zip(values, is_valid, strict=True)], np.float64)
+    return np.array(
+        [np.median(v[h]) if h.any() else np.nan for v, h in zip(values, is_valid, strict=True)],
+        np.float64,
+    )
 
 
 def _smooth_surface(middle_row: Floats, away_um: Floats) -> Floats:
     """Smooth the middle of the sheet (sections, blocks) along both axes and fill it where it is NaN."""
     is_valid = np.isfinite(middle_row)
-    nearest_indices: NDArray[Any] = distance_transform_edt(~is_valid, return_distances=False, return_indices=True)
+    nearest_indices: NDArray[Any] = distance_transform_edt(
+        ~is_valid, return_distances=False, return_indices=True
+    )
     filled_row = median_filter(middle_row[tuple(nearest_indices)], size=(1, 3), mode="nearest")
-    weights = np.where(is_valid, 1.0, 1e-3)  # weight of a place where the sheet was not found, against 1
+    # Weight of a place where the sheet was not found, against 1.
+    weights = np.where(is_valid, 1.0, 1e-3)
     cutoff_um = 30.0 * float(np.median(np.diff(away_um)))  # shortest wave of the surface
     rows = zip(filled_row.T, weights.T, strict=True)
     courses = [slow_part(away_um, y, cutoff_um=cutoff_um, weights=w) for y, w in rows]
@@ -232,7 +270,11 @@ def normalise_sections(series: SectionSeries) -> Gains:
 
 
 def core_and_background(
-    section: NDArray[Any], height: NDArray[np.float32], near_px: float, far_px: float, strides: tuple[int, int]
+    section: NDArray[Any],
+    height: NDArray[np.float32],
+    near_px: float,
+    far_px: float,
+    strides: tuple[int, int],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Grey levels of the sheet's core and of the background.
 
@@ -242,7 +284,10 @@ def core_and_background(
     row, sheet_row = np.arange(section.shape[0])[:, None], height.astype(np.float64)
     is_core = (row >= sheet_row - near_px) & (row <= sheet_row + near_px)
     is_background = (row <= sheet_row - far_px) | (row >= sheet_row + far_px)
-    samples = (section[m][::k].astype(np.float32) for m, k in zip((is_core, is_background), strides, strict=True))
+    samples = (
+        section[m][::k].astype(np.float32)
+        for m, k in zip((is_core, is_background), strides, strict=True)
+    )
     core, background = (greys[~np.isnan(greys)][: 2 * _MOST] for greys in samples)
     return core, background
 

@@ -22,7 +22,9 @@ _HALF = 1.0 / np.sqrt(0.5) - 1.0
 """(1 - H)^2 = 1/2 of the smoother applied twice, H = 1 / (1 + l w^8), so l w^8 = 1 / _HALF at the cut-off."""
 
 
-def solve_places(first: Ints, second: Ints, offset: Floats, sigma: Floats, n: int) -> tuple[Floats, Floats]:
+def solve_places(
+    first: Ints, second: Ints, offset: Floats, sigma: Floats, n: int
+) -> tuple[Floats, Floats]:
     """Find the places whose differences are the offsets.
 
     ``offset`` (pairs,) is the place of the second section of a pair less that of the first, which comes before it, and
@@ -64,16 +66,22 @@ def section_components(first: Ints, second: Ints, n: int) -> list[Ints]:
     return [np.flatnonzero(labels == k) for k in np.flatnonzero(sizes >= min(6, n))]
 
 
-def quick_places(places: Floats, away_um: Floats, components: list[Ints], *, cutoff_um: float) -> Floats:
+def quick_places(
+    places: Floats, away_um: Floats, components: list[Ints], *, cutoff_um: float
+) -> Floats:
     """Take the slow part off places (sections, axes), in each part by itself; 0 for sections in none."""
     quick = np.zeros_like(places)
     for component in components:
         for axis in range(places.shape[1]):
-            quick[component, axis] = quick_part(away_um[component], places[component, axis], cutoff_um=cutoff_um)
+            quick[component, axis] = quick_part(
+                away_um[component], places[component, axis], cutoff_um=cutoff_um
+            )
     return quick
 
 
-def slow_part(at_um: Floats, values: Floats, *, cutoff_um: float, weights: Floats | None = None) -> Floats:
+def slow_part(
+    at_um: Floats, values: Floats, *, cutoff_um: float, weights: Floats | None = None
+) -> Floats:
     """Low-pass a series at uneven places; slopes and curvature pass unchanged, up to the ends.
 
     Places increase; values are finite where the weight is not 0. Of the wavelength ``cutoff_um`` half the amplitude
@@ -98,7 +106,9 @@ def slow_part(at_um: Floats, values: Floats, *, cutoff_um: float, weights: Float
     band = np.zeros((_ORDER + 1, n))
     for k in range(_ORDER + 1):
         for m in range(k, _ORDER + 1):
-            band[_ORDER - (m - k), m : rows + m] += stiffness * length * coefficients[k] * coefficients[m]
+            band[_ORDER - (m - k), m : rows + m] += (
+                stiffness * length * coefficients[k] * coefficients[m]
+            )
     # A weight that is 0 everywhere would leave the system without a solution.
     positive_weights = np.maximum(weights, 1e-9)
     band[_ORDER] += positive_weights

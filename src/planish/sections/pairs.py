@@ -23,7 +23,8 @@ _PART_UM = 150.0  # five times the reach of the texture
 _PARTS = (8, 48)
 GROUPS = 6  # runs of parts that are left out in turn: parts side by side share some of their errors
 _OUTLIER_SIGMAS = 4.0
-_TURN_UM = 1000.0  # rotations are carried as the shift at this distance, so that all unknowns are alike in size
+# Rotations are carried as the shift at this distance, so that all unknowns are alike in size.
+_TURN_UM = 1000.0
 _ALIKE = 0.5  # correlation of two bands below which they do not show the same sheet
 _BLOCK = 32  # sections that a thread takes at a time
 
@@ -49,7 +50,9 @@ class SectionPairs(NamedTuple):
         """Return the same pairs without one group of the columns, of `GROUPS`."""
         n_parts = self.normal_sums.shape[1]
         sums = self.normal_sums[:, np.arange(n_parts) * GROUPS // n_parts != group]
-        return _solve(sums, self.first, self.second, self.base_offset, self.is_same_sheet, self.is_fine)
+        return _solve(
+            sums, self.first, self.second, self.base_offset, self.is_same_sheet, self.is_fine
+        )
 
 
 class Bands(NamedTuple):
@@ -82,14 +85,31 @@ class Bands(NamedTuple):
         ``pose``, (row, col) in um and rotation in rad, is taken off.
         """
         _, rows, cols = self.stack.shape
-        (down, across), (pitch_r, pitch_c), (pixel_r, pixel_c) = self.step, self.pitch_um, self.pixel_um
+        (down, across), (pitch_r, pitch_c), (pixel_r, pixel_c) = (
+            self.step,
+            self.pitch_um,
+            self.pixel_um,
+        )
         height = self.band.heights(section, cols)
         n_rows = max(5, round(2 * (self.band.half_um + _MARGIN_UM) / pitch_r))
         samples = np.zeros((n_rows, cols // across), np.float32)
         in_pixels = np.array(
-            [pose[0] / pixel_r, pose[1] / pixel_c, pose[2] * pixel_c / pixel_r, pose[2] * pixel_r / pixel_c]
+            [
+                pose[0] / pixel_r,
+                pose[1] / pixel_c,
+                pose[2] * pixel_c / pixel_r,
+                pose[2] * pixel_r / pixel_c,
+            ]
         )
-        straighten(self.stack[section], height, -0.5 * (n_rows * down - 1), down, across, in_pixels, samples)
+        straighten(
+            self.stack[section],
+            height,
+            -0.5 * (n_rows * down - 1),
+            down,
+            across,
+            in_pixels,
+            samples,
+        )
         samples -= np.float32(self.band.background[section])
         samples /= np.float32(self.band.contrast[section])
         self._replace_knife_marks(samples)
@@ -125,17 +145,25 @@ class Bands(NamedTuple):
     def normal_sums(self, pose: Floats, first: Ints, second: Ints) -> Floats:
         """Sums of `pair_sums` for pairs that are ordered by the first section; (pairs, parts, 13)."""
         cols = self.stack.shape[2] // self.step[1]
-        x = ((np.arange(cols) + 0.5) * self.step[1] - 0.5 - 0.5 * (self.stack.shape[2] - 1)) * self.pixel_um[1]
+        x = (
+            (np.arange(cols) + 0.5) * self.step[1] - 0.5 - 0.5 * (self.stack.shape[2] - 1)
+        ) * self.pixel_um[1]
         n_parts = int(np.clip(self.stack.shape[2] * self.pixel_um[1] / _PART_UM, *_PARTS))
 
         # A block of sections at a time: each band is made once or twice, and few are held.
         def block(k: int) -> Floats:
-            block_pairs = slice(np.searchsorted(first, k * _BLOCK), np.searchsorted(first, (k + 1) * _BLOCK))
-            return self._block_sums(pose, first[block_pairs], second[block_pairs], x.astype(np.float32), n_parts)
+            block_pairs = slice(
+                np.searchsorted(first, k * _BLOCK), np.searchsorted(first, (k + 1) * _BLOCK)
+            )
+            return self._block_sums(
+                pose, first[block_pairs], second[block_pairs], x.astype(np.float32), n_parts
+            )
 
         return np.concatenate(map_threads(block, range(-(-pose.shape[0] // _BLOCK))))
 
-    def _block_sums(self, pose: Floats, first: Ints, second: Ints, x_um: Samples, n_parts: int) -> Floats:
+    def _block_sums(
+        self, pose: Floats, first: Ints, second: Ints, x_um: Samples, n_parts: int
+    ) -> Floats:
         sums = np.zeros((first.size, n_parts, 13))
         bands: dict[int, tuple[Samples, Samples]] = {}
         for k, (i, j) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
@@ -149,23 +177,49 @@ class Bands(NamedTuple):
             # which are rough, count less. No row counts more than the median row, or the empty resin would count.
             difference = np.abs(a[:, ::4] - b[:, ::4])
             is_valid = np.isfinite(difference)
-            mean_difference = np.where(is_valid, difference, 0.0).sum(axis=1) / np.maximum(is_valid.sum(axis=1), 1)
-            mean_difference = np.maximum(mean_difference, max(float(np.median(mean_difference)), 1e-6))
-            limit, trust = _OUTLIER_SIGMAS * 1.2533 * mean_difference, (mean_difference.min() / mean_difference) ** 2
+            mean_difference = np.where(is_valid, difference, 0.0).sum(axis=1) / np.maximum(
+                is_valid.sum(axis=1), 1
+            )
+            mean_difference = np.maximum(
+                mean_difference, max(float(np.median(mean_difference)), 1e-6)
+            )
+            limit, trust = (
+                _OUTLIER_SIGMAS * 1.2533 * mean_difference,
+                (mean_difference.min() / mean_difference) ** 2,
+            )
             # Columns move along the sheet here, not at a fixed row: where the sheet is tilted, its faces would else
             # tell the shift along the columns, and every unevenness of the smooth surface would count as one. What
             # this neglects vanishes with the shift itself, after two or three rounds.
-            pair_sums(a, b, x_um, 0.5 * (y_a + y_b), self.pitch_um, n_parts, limit, trust, sums[k], float(self.is_fine))
+            pair_sums(
+                a,
+                b,
+                x_um,
+                0.5 * (y_a + y_b),
+                self.pitch_um,
+                n_parts,
+                limit,
+                trust,
+                sums[k],
+                float(self.is_fine),
+            )
         return sums
 
 
 def _smoothed(samples: Samples, row_weights: Samples, col_weights: Samples) -> Samples:
     out = np.empty_like(samples)
-    smooth(samples, row_weights, col_weights, np.empty(samples.shape[1] + col_weights.size, np.float32), out)
+    smooth(
+        samples,
+        row_weights,
+        col_weights,
+        np.empty(samples.shape[1] + col_weights.size, np.float32),
+        out,
+    )
     return out
 
 
-def compare(series: SectionSeries, pose: Floats, first: Ints, second: Ints, *, is_fine: bool = False) -> SectionPairs:
+def compare(
+    series: SectionSeries, pose: Floats, first: Ints, second: Ints, *, is_fine: bool = False
+) -> SectionPairs:
     """Offsets of pairs of sections, ordered by the first, in bands that are straightened by their poses.
 
     Fine bands show neither a rotation nor whether both are of one sheet.
@@ -176,11 +230,18 @@ def compare(series: SectionSeries, pose: Floats, first: Ints, second: Ints, *, i
     total = normal_sums.sum(axis=1)
     likeness = 1.0 - total[:, 9] / np.maximum(total[:, 10], 1e-12)
     is_same_sheet = (likeness > _ALIKE) & (total[:, 11] > 0.5 * total[:, 12]) & (total[:, 12] > 0)
-    return _solve(normal_sums, first, second, pose[second] - pose[first], is_same_sheet | is_fine, is_fine)
+    return _solve(
+        normal_sums, first, second, pose[second] - pose[first], is_same_sheet | is_fine, is_fine
+    )
 
 
 def _solve(
-    normal_sums: Floats, first: Ints, second: Ints, base_offset: Floats, is_same_sheet: Bools, is_fine: bool
+    normal_sums: Floats,
+    first: Ints,
+    second: Ints,
+    base_offset: Floats,
+    is_same_sheet: Bools,
+    is_fine: bool,
 ) -> SectionPairs:
     n_unknowns = 2 if is_fine else 3
     scale = np.array([1.0, 1.0, _TURN_UM])[:n_unknowns]
@@ -196,24 +257,34 @@ def _solve(
     for _ in range(3):
         total_matrix = (part_weights[..., None, None] * normal_matrix).sum(axis=1) + ridge
         inverse = np.linalg.inv(total_matrix)
-        solution = np.einsum("pij,pj->pi", inverse, (part_weights[..., None] * right_side).sum(axis=1))
+        solution = np.einsum(
+            "pij,pj->pi", inverse, (part_weights[..., None] * right_side).sum(axis=1)
+        )
         # What each part would still pull: the spread of these is the error, and a part that pulls too far is torn.
         residual = right_side - np.einsum("pkij,pj->pki", normal_matrix, solution)
         scatter = np.einsum("pk,pki,pkj->pij", part_weights**2, residual, residual)
         covariance = np.einsum("pij,pjk,pkl->pil", inverse, scatter, inverse)
         # A part of the columns weighs less where it pulls farther than the others.
-        pull = np.abs(residual / np.sqrt(np.maximum(np.einsum("pkii->pki", normal_matrix), 0.0) + 1e-12))
+        pull = np.abs(
+            residual / np.sqrt(np.maximum(np.einsum("pkii->pki", normal_matrix), 0.0) + 1e-12)
+        )
         sigmas = np.max(pull / (1.4826 * np.median(pull, axis=1, keepdims=True) + 1e-12), axis=2)
-        part_weights = np.where(sigmas > _OUTLIER_SIGMAS, _OUTLIER_SIGMAS / np.maximum(sigmas, 1e-9), 1.0)
+        part_weights = np.where(
+            sigmas > _OUTLIER_SIGMAS, _OUTLIER_SIGMAS / np.maximum(sigmas, 1e-9), 1.0
+        )
     offset = base_offset.copy()
     offset[:, :n_unknowns] += solution / scale
     n_parts = normal_sums.shape[1]
     sigma = np.full((first.size, 3), np.inf)
-    sigma[:, :n_unknowns] = np.sqrt(np.einsum("pii->pi", covariance) * n_parts / max(n_parts - 1, 1))
+    sigma[:, :n_unknowns] = np.sqrt(
+        np.einsum("pii->pi", covariance) * n_parts / max(n_parts - 1, 1)
+    )
     is_sound = is_same_sheet & np.isfinite(solution).all(axis=1) & (sigma[:, :2] < 5.0).all(axis=1)
     sigma = np.maximum(sigma, 0.02)  # no pair is better than this, whatever its parts say
     sigma[:, 2] /= _TURN_UM
-    return SectionPairs(first, second, offset, sigma, is_same_sheet, is_sound, normal_sums, base_offset, is_fine)
+    return SectionPairs(
+        first, second, offset, sigma, is_same_sheet, is_sound, normal_sums, base_offset, is_fine
+    )
 
 
 def _gaussian(sigma: float) -> Samples:

@@ -64,18 +64,21 @@ def regular_volume(
     used_sections = np.arange(n) if alignment is None else np.flatnonzero(alignment.aligned)
     if used_sections.size < 2:
         raise VolumeError(
-            f"{used_sections.size} of {n} sections could be aligned, two are needed. Check that they show one "
-            "sheet, in order."
+            f"{used_sections.size} of {n} sections could be aligned, two are needed. Check that"
+            " they show one sheet, in order."
         )
     missing = np.rint(np.diff(series.away_um[used_sections]) / series.pitch_um).astype(int) - 1
     gaps = np.flatnonzero(missing > most_missing)
     if gaps.size and not real:
         used_um = series.positions_um[used_sections]
-        named = ", ".join(f"{missing[k]} between {used_um[k]:g} and {used_um[k + 1]:g} um" for k in gaps[:5])
+        named = ", ".join(
+            f"{missing[k]} between {used_um[k]:g} and {used_um[k + 1]:g} um" for k in gaps[:5]
+        )
         more = f" and {gaps.size - 5} more" if gaps.size > 5 else ""
         raise VolumeError(
-            f"Sections are missing or could not be aligned: {named}{more}. At most {most_missing} in a row can be "
-            "interpolated: add the sections, or split the series there and treat each part as a volume of its own."
+            f"Sections are missing or could not be aligned: {named}{more}. At most {most_missing}"
+            " in a row can be interpolated: add the sections, or split the series there and treat"
+            " each part as a volume of its own."
         )
     planes = _place_planes(series, used_sections, gaps, alignment, gains)
     values: NDArray[Any] | Planes = planes
@@ -84,11 +87,16 @@ def regular_volume(
         map_threads(planes.fill, range(planes.shape[0]), values)
     voxel = (series.pitch_um, *map(float, series.pixel_um))
     volume_attrs: dict[str, Any] = {
-        "units": "1", "long_name": "Grey value", "voxel_um": list(voxel), "voxel_um_source": "given",
-        "full_scale": None if real else int(np.iinfo(stack.dtype).max), **(attrs or {}),
-        "sections": int(used_sections.size), "sections_missing": int(np.maximum(missing, 0).sum()),
+        "units": "1",
+        "long_name": "Grey value",
+        "voxel_um": list(voxel),
+        "voxel_um_source": "given",
+        "full_scale": None if real else int(np.iinfo(stack.dtype).max),
+        **(attrs or {}),
+        "sections": int(used_sections.size),
+        "sections_missing": int(np.maximum(missing, 0).sum()),
         "first_position_um": float(series.positions_um[used_sections[0]]),
-    }  # fmt: skip
+    }
     if alignment is not None:
         volume_attrs["jitter_left_um"] = [float(v) for v in alignment.jitter_left_um]
     return labelled(values, "zyx", voxel, name="volume", attrs=volume_attrs)
@@ -103,9 +111,13 @@ def _place_planes(
 ) -> Planes:
     """Place the planes of a regular grid between the sections that are used; those in one of the gaps are empty."""
     places_um, pitch_um, n = series.away_um[used_sections], series.pitch_um, series.stack.shape[0]
-    planes_um = places_um[0] + pitch_um * np.arange(int(np.ptp(places_um) / pitch_um + 0.5 * _ON_SECTION) + 1)
+    planes_um = places_um[0] + pitch_um * np.arange(
+        int(np.ptp(places_um) / pitch_um + 0.5 * _ON_SECTION) + 1
+    )
     last_index, tolerance_um = used_sections.size - 1, _ON_SECTION * pitch_um
-    before = np.clip(np.searchsorted(places_um, planes_um + tolerance_um, side="right") - 1, 0, last_index)
+    before = np.clip(
+        np.searchsorted(places_um, planes_um + tolerance_um, side="right") - 1, 0, last_index
+    )
     after = np.minimum(before + 1, last_index)
     spacing_um = np.where(after > before, places_um[after] - places_um[before], 1.0)
     weight = np.clip((planes_um - places_um[before]) / spacing_um, 0.0, 1.0)
@@ -118,10 +130,18 @@ def _place_planes(
         poses[:, 2] = alignment.rotation_rad * series.pixel_um[1] / series.pixel_um[0]
         poses[:, 3] = alignment.rotation_rad * series.pixel_um[0] / series.pixel_um[1]
     return Planes(
-        stack=series.stack, before=used_sections[before], after=used_sections[after], weight=weight,
-        empty=(weight > 0) & (weight < 1) & np.isin(before, gaps), poses=poses,
-        grades=np.tile([1.0, 0.0], (n, 1)) if gains is None else np.stack([gains.gain, gains.offset], axis=1),
-    )  # fmt: skip
+        stack=series.stack,
+        before=used_sections[before],
+        after=used_sections[after],
+        weight=weight,
+        empty=(weight > 0) & (weight < 1) & np.isin(before, gaps),
+        poses=poses,
+        grades=(
+            np.tile([1.0, 0.0], (n, 1))
+            if gains is None
+            else np.stack([gains.gain, gains.offset], axis=1)
+        ),
+    )
 
 
 @dataclass(kw_only=True, eq=False)

@@ -9,19 +9,37 @@ class Declared(Params):
     """What is compared, and which difference would matter."""
 
     compare: str | None = option(
-        None, cli="--by", metavar="FACTOR",
-        help="Factor whose levels are compared; where not given the first that varies of treatment, paper, side.",
-    )  # fmt: skip
+        None,
+        cli="--by",
+        metavar="FACTOR",
+        help=(
+            "Factor whose levels are compared; where not given the first that varies of treatment,"
+            " paper, side."
+        ),
+    )
     headline: tuple[str, ...] = option(
-        (), metavar="MAP", help="Map to compare; repeatable, the leading one first. Those of the runs where not given."
+        (),
+        metavar="MAP",
+        help=(
+            "Map to compare; repeatable, the leading one first. Those of the runs where not given."
+        ),
     )
     margin: dict[str, float] = option(
-        {}, cli=None, help="Largest difference that does not matter, by MAP (its mean), MAP.sd, MAP.thin_share or r."
+        {},
+        cli=None,
+        help=(
+            "Largest difference that does not matter, by MAP (its mean), MAP.sd, MAP.thin_share"
+            " or r."
+        ),
     )
     thin_um: float | None = option(
-        None, ge=0, help="Limit of the thin share that is compared; that of the runs where not given."
+        None,
+        ge=0,
+        help="Limit of the thin share that is compared; that of the runs where not given.",
     )
-    doubtful: bool = option(False, cli="--with-doubtful", help="Take doubtful figures into means and comparisons, too.")
+    doubtful: bool = option(
+        False, cli="--with-doubtful", help="Take doubtful figures into means and comparisons, too."
+    )
 
     @field_validator("margin")
     @classmethod

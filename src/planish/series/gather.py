@@ -65,9 +65,11 @@ class RunSummary:
 class Gathered:
     """Specimens of a series as their runs are now."""
 
-    members: tuple[Member, ...]  #: with the state of the run that was read; ``damaged`` where it could not be
+    # : with the state of the run that was read; ``damaged`` where it could not be.
+    members: tuple[Member, ...]
     rows: list[FigureRow] = field(default_factory=list[FigureRow])
-    runs: dict[str, RunSummary] = field(default_factory=dict[str, RunSummary])  #: by name, of runs that could be read
+    # : by name, of runs that could be read.
+    runs: dict[str, RunSummary] = field(default_factory=dict[str, RunSummary])
 
     def rows_of_series(self) -> list[FigureRow]:
         """Rows in which the only sheet and the only image of each specimen, which need no name, have none."""
@@ -75,10 +77,18 @@ class Gathered:
         is_only_image = all(len(run.images) <= 1 for run in self.runs.values())
 
         def shown_layer(row: FigureRow, layer: str) -> str:
-            return "" if (is_only_sheet if layer in self.runs[row.specimen].sheets else is_only_image) else layer
+            return (
+                ""
+                if (is_only_sheet if layer in self.runs[row.specimen].sheets else is_only_image)
+                else layer
+            )
 
         return [
-            replace(row, layer=shown_layer(row, row.layer), other_layer=shown_layer(row, row.other_layer))
+            replace(
+                row,
+                layer=shown_layer(row, row.layer),
+                other_layer=shown_layer(row, row.other_layer),
+            )
             for row in self.rows
         ]
 
@@ -100,7 +110,8 @@ def gather(members: Sequence[Member], home: Path) -> Gathered:
     """
     judged_members, rows, runs = list[Member](), list[FigureRow](), dict[str, RunSummary]()
     for timed_member in members:
-        member = timed_member.model_copy(update={"seconds": None})  # of a clock: no two runs take the same
+        # Of a clock: no two runs take the same.
+        member = timed_member.model_copy(update={"seconds": None})
         folder = member.folder(home)
         if folder is not None and member.state not in ("refused", "damaged"):
             try:
@@ -120,13 +131,20 @@ def as_judged(member: Member, results: Results) -> Member:
     """A member with the state of its run, and what the failed checks say where it says nothing yet."""
     if results.passed:
         return member.model_copy(update={"state": "whole"})
-    failures = [f"{check.name}: {check.sentence} {check.advice}".rstrip() for check in results.checks_in("fail")]
-    return member.model_copy(update={"state": "withheld", "message": member.message or " ".join(failures)})
+    failures = [
+        f"{check.name}: {check.sentence} {check.advice}".rstrip()
+        for check in results.checks_in("fail")
+    ]
+    return member.model_copy(
+        update={"state": "withheld", "message": member.message or " ".join(failures)}
+    )
 
 
 def _summary(member: Member, results: Results) -> RunSummary:
     sheets = [layer for layer in results.layers if layer.kind == "sheet"]
-    registrations = [layer.registration for layer in results.moving if layer.registration is not None]
+    registrations = [
+        layer.registration for layer in results.moving if layer.registration is not None
+    ]
     widths_um = [um for layer in sheets for um in layer.source.size_um[1:]]
     for layer in sheets:
         if layer.sheet is not None and layer.sheet.numbers is not None:
@@ -135,14 +153,24 @@ def _summary(member: Member, results: Results) -> RunSummary:
     kind = "layers" if results.is_link else "map"
     if results.is_link and len(results.layers) == 2 and sheets:
         kind = "two volumes" if len(sheets) == 2 else "sheet on image"
-    instruments = (_instruments(member, results, e, e.twice) for e in results.evidence if e.twice is not None)
+    instruments = (
+        _instruments(member, results, e, e.twice) for e in results.evidence if e.twice is not None
+    )
     return RunSummary(
         specimen=SeriesSpecimen(
-            member=member, kind=kind, light=results.state,
-            spoken={s: tuple(c.name for c in checks) for s in _STATES if (checks := results.checks_in(s))},
+            member=member,
+            kind=kind,
+            light=results.state,
+            spoken={
+                s: tuple(c.name for c in checks)
+                for s in _STATES
+                if (checks := results.checks_in(s))
+            },
             marks_used=min((r.matched for r in registrations), default=None),
             leave_one_out_um=_largest([r.leave_one_out_rms_um for r in registrations]),
-            expected_error_um=_largest([e.median_um for r in registrations if (e := r.expected_error)]),
+            expected_error_um=_largest(
+                [e.median_um for r in registrations if (e := r.expected_error)]
+            ),
         ),
         sheets=tuple(layer.name for layer in sheets),
         images=tuple(layer.name for layer in results.layers if layer.kind == "image"),
@@ -151,14 +179,16 @@ def _summary(member: Member, results: Results) -> RunSummary:
         thin_um=float(thin_um) if isinstance(thin_um, int | float) else None,
         column_um=max(widths_um, default=None),
         instruments=tuple(facts for facts in instruments if facts is not None),
-    )  # fmt: skip
+    )
 
 
 def _largest(lengths: Sequence[float | None]) -> float | None:
     return None if None in lengths else max((um for um in lengths if um is not None), default=None)
 
 
-def _instruments(member: Member, results: Results, e: EvidenceFacts, twice: Twice) -> InstrumentFacts | None:
+def _instruments(
+    member: Member, results: Results, e: EvidenceFacts, twice: Twice
+) -> InstrumentFacts | None:
     """How two measurements of the map that stands for both sheets differ; None where they are of two quantities."""
     rows = [row for row in results.correlations if key_of(row) == key_of(e)]
     if is_known(twice.point_um):
@@ -170,14 +200,25 @@ def _instruments(member: Member, results: Results, e: EvidenceFacts, twice: Twic
     if row.trust != "withheld":
         has_slopes = is_known(row.slope) and row.slope_x_on_y
         figures = {
-            "bias": row.difference_mean, "bias_interval": twice.bias_interval, "limits": row.limits,
-            "limit_intervals": twice.limit_intervals, "shared_um": twice.resolution_um,
-            "slopes": (row.slope, 1 / row.slope_x_on_y) if has_slopes else None, "sentence": twice.sentence or "",
-        }  # fmt: skip
+            "bias": row.difference_mean,
+            "bias_interval": twice.bias_interval,
+            "limits": row.limits,
+            "limit_intervals": twice.limit_intervals,
+            "shared_um": twice.resolution_um,
+            "slopes": (row.slope, 1 / row.slope_x_on_y) if has_slopes else None,
+            "sentence": twice.sentence or "",
+        }
     return InstrumentFacts(
-        specimen=member.name, a=e.a, b=e.b, map=e.a_map, trust=row.trust, unit=row.units or "1", point_um=row.point_um,
-        n=row.n, **figures,
-    )  # fmt: skip
+        specimen=member.name,
+        a=e.a,
+        b=e.b,
+        map=e.a_map,
+        trust=row.trust,
+        unit=row.units or "1",
+        point_um=row.point_um,
+        n=row.n,
+        **figures,
+    )
 
 
 def rows_of(member: Member, results: Results) -> list[FigureRow]:
@@ -200,25 +241,38 @@ def rows_of(member: Member, results: Results) -> list[FigureRow]:
         rows += _of_layer(layer, results, make_row)
     rows += _of_pairs(results, make_row)
     states: tuple[State, ...] = ("fail", "look", "unknown", "pass")
-    return rows + [make_row(f"checks_{state}", float(len(results.checks_in(state)))) for state in states]
+    return rows + [
+        make_row(f"checks_{state}", float(len(results.checks_in(state)))) for state in states
+    ]
 
 
 def _of_layer(layer: LayerFacts, results: Results, make_row: MakeRow) -> Iterator[FigureRow]:
     sheet, registration = layer.sheet, layer.registration
     make_row = partial(make_row, layer=layer.name)
     if sheet is not None:
-        thin_by_side, roughness_by_side = (sheet.numbers.thin, sheet.numbers.roughness) if sheet.numbers else ({}, {})
+        thin_by_side, roughness_by_side = (
+            (sheet.numbers.thin, sheet.numbers.roughness) if sheet.numbers else ({}, {})
+        )
         for name, stats in sheet.properties.items():
-            make_map_row = partial(make_row, map=name, **_trusted(stats.trust, results, (layer.name,), (name,)))
+            make_map_row = partial(
+                make_row, map=name, **_trusted(stats.trust, results, (layer.name,), (name,))
+            )
             for quantity in ("mean", "sd", "p5", "median", "p95"):
                 yield make_map_row(quantity, getattr(stats, quantity), stats.units)
             yield make_map_row("columns", float(stats.n))
-            for quantity, unit in (("n_independent", "1"), ("mean_standard_error", stats.units), ("support_um", "um")):
+            for quantity, unit in (
+                ("n_independent", "1"),
+                ("mean_standard_error", stats.units),
+                ("support_um", "um"),
+            ):
                 if (value := getattr(stats, quantity)) is not None:
                     yield make_map_row(quantity, float(value), unit)
             for side in SIDES:
-                if name == f"coating_{side}" and side in thin_by_side:  # those of a withheld map are withheld as well
-                    for limit, share in zip(thin_by_side[side].thinner_than_um, thin_by_side[side].share, strict=True):
+                # Those of a withheld map are withheld as well.
+                if name == f"coating_{side}" and side in thin_by_side:
+                    for limit, share in zip(
+                        thin_by_side[side].thinner_than_um, thin_by_side[side].share, strict=True
+                    ):
                         yield make_map_row("thin_share", share, at_um=limit)
                 if name == f"topography_{side}" and side in roughness_by_side:
                     yield make_map_row("sa", roughness_by_side[side].sa, "um")
@@ -238,7 +292,9 @@ def _of_layer(layer: LayerFacts, results: Results, make_row: MakeRow) -> Iterato
 def _of_pairs(results: Results, make_row: MakeRow) -> Iterator[FigureRow]:
     twice_by_pair = {key_of(e): e.twice for e in results.evidence}
     for c in results.correlations:
-        trust_fields = _trusted(c.trust, results, (c.a, c.b), (c.a_map, c.b_map, "position", "correlation"))
+        trust_fields = _trusted(
+            c.trust, results, (c.a, c.b), (c.a_map, c.b_map, "position", "correlation")
+        )
         pair_fields = {"layer": c.a, "map": c.a_map, "other_layer": c.b, "other_map": c.b_map}
         make_pair_row = partial(make_row, **pair_fields, **trust_fields, at_um=c.point_um)
         low, high = map(_number, c.interval)
@@ -247,13 +303,18 @@ def _of_pairs(results: Results, make_row: MakeRow) -> Iterator[FigureRow]:
             quantity_name = "points" if quantity == "n" else quantity
             yield make_pair_row(quantity_name, _number(float(getattr(c, quantity))))
         if c.same_quantity:
-            yield from _differences(c, twice_by_pair.get(key_of(c)), partial(make_pair_row, unit=c.units or "1"))
+            yield from _differences(
+                c, twice_by_pair.get(key_of(c)), partial(make_pair_row, unit=c.units or "1")
+            )
     for image in results.mottle:
         for band in image.bands:
             yield make_row(
-                "coefficient_of_variation", band.coefficient_of_variation, layer=image.layer, map="image",
+                "coefficient_of_variation",
+                band.coefficient_of_variation,
+                layer=image.layer,
+                map="image",
                 at_um=band.longest_um,
-            )  # fmt: skip
+            )
 
 
 def _number(value: float) -> float | None:
@@ -274,8 +335,12 @@ def _differences(c: CorrelationRow, twice: Twice | None, make_row: MakeRow) -> I
         yield make_row("shared_um", twice.resolution_um, unit="um")
 
 
-def _trusted(trust: Trust, results: Results, layers: Sequence[str], figures: Sequence[str]) -> dict[str, Any]:
+def _trusted(
+    trust: Trust, results: Results, layers: Sequence[str], figures: Sequence[str]
+) -> dict[str, Any]:
     if trust == "ok":
         return {"trust": trust}
-    names = (c.name for c in concerned(results.checks, layers, figures) if c.state in ("look", "fail"))
+    names = (
+        c.name for c in concerned(results.checks, layers, figures) if c.state in ("look", "fail")
+    )
     return {"trust": trust, "checks": "; ".join(dict.fromkeys(names))}

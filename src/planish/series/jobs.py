@@ -40,7 +40,8 @@ class Note(ResultModel):
     """What is remembered of a specimen beside its run: what was asked for, and why there is no run."""
 
     key: str
-    stamps: dict[str, str] = Field(default_factory=dict[str, str])  # an input that kept its is not hashed again
+    # An input that kept its is not hashed again.
+    stamps: dict[str, str] = Field(default_factory=dict[str, str])
     hashes: dict[str, str] = Field(default_factory=dict[str, str])
     state: MemberState = "open"
     message: str = ""
@@ -114,7 +115,9 @@ class SeriesState:
             folder = self.home / RUNS / folder_name
             old_note = self._read(folder)
             is_same_job = old_note is not None and old_note.key == note.key
-            if (k == 1 or folder_name.casefold() not in self._reserved) and (is_same_job or not folder.exists()):
+            if (k == 1 or folder_name.casefold() not in self._reserved) and (
+                is_same_job or not folder.exists()
+            ):
                 break
             k += 1
         if is_run(folder):
@@ -128,7 +131,11 @@ class SeriesState:
         # The same words wherever the series stands.
         note = note.model_copy(update={"message": note.message.replace(f"{self.home}{os.sep}", "")})
         self._write(job.folder, note)
-        return self.member(specimen, job.folder) if is_run(job.folder) else _without_run(specimen, note)
+        return (
+            self.member(specimen, job.folder)
+            if is_run(job.folder)
+            else _without_run(specimen, note)
+        )
 
     def member(self, specimen: PlannedSpecimen, folder: Path) -> Member:
         """A specimen with its run, as its results judge it."""
@@ -161,13 +168,18 @@ class SeriesState:
         except PlanishError as error:
             return Estimate(words=f"refused: {error.text}")
         notes = [self._read(Path(path.stem)) for path in (self.home / NOTES).glob("*.json")]
-        seconds = [note.seconds for note in notes if note and note.seconds and note.state in ("whole", "withheld")]
+        seconds = [
+            note.seconds
+            for note in notes
+            if note and note.seconds and note.state in ("whole", "withheld")
+        ]
         modelled_s = _START_S + _PER_VOXEL_S * voxels + _PER_PIXEL_S * pixels
         return Estimate(
-            words="to do", seconds=modelled_s if len(seconds) < 3 else median(seconds),
+            words="to do",
+            seconds=modelled_s if len(seconds) < 3 else median(seconds),
             memory_bytes=PROGRAM_BYTES + min(compute.for_work, volume_bytes + _PER_PIXEL * pixels),
             disk_bytes=_PER_COLUMN * columns + _PER_PIXEL * pixels,
-        )  # fmt: skip
+        )
 
     def _note_of(self, study: Study, specimen: PlannedSpecimen) -> Note:
         """What tells whether a run may be taken again, wherever the series was moved to."""
@@ -181,15 +193,20 @@ class SeriesState:
         old = self._read(self.home / RUNS / specimen.name)
         stamps = {str(k): stamp_of(Path(path)) for k, path in enumerate(paths)}
         hashes = {
-            k: old.hashes[k] if old is not None and old.stamps.get(k) == stamp and k in old.hashes
-            else hash_of_input(path)
+            k: (
+                old.hashes[k]
+                if old is not None and old.stamps.get(k) == stamp and k in old.hashes
+                else hash_of_input(path)
+            )
             for (k, stamp), path in zip(stamps.items(), paths, strict=True)
-        }  # fmt: skip
+        }
         return Note(key=run_key(options, list(hashes.values())), stamps=stamps, hashes=hashes)
 
     def _read(self, folder: Path) -> Note | None:
         with suppress(OSError, ValidationError):
-            return Note.model_validate_json((self.home / NOTES / f"{folder.name}.json").read_bytes())
+            return Note.model_validate_json(
+                (self.home / NOTES / f"{folder.name}.json").read_bytes()
+            )
         return None
 
     def _write(self, folder: Path, note: Note) -> None:
@@ -203,22 +220,28 @@ def do(job: Job) -> Note:
     begin, outcome = time.perf_counter(), {"state": "damaged", "message": ""}
     try:
         # Of a worker that was lost when all was written, there is a run.
-        has_passed = is_run(job.folder) or run_study(job.study, job.folder, compute=job.compute).passed
+        has_passed = (
+            is_run(job.folder) or run_study(job.study, job.folder, compute=job.compute).passed
+        )
         outcome["state"] = "whole" if has_passed else "withheld"
     except PlanishError as error:
         outcome = _reason_of(error)
     except MemoryError:
         outcome["message"] = "The memory is used up. Give fewer --jobs, or more --memory."
     except Exception as error:  # noqa: BLE001  one specimen stops no other
-        outcome["message"] = f"A fault of planish: {type(error).__name__}: {error}. Please report it."
+        outcome["message"] = (
+            f"A fault of planish: {type(error).__name__}: {error}. Please report it."
+        )
     return job.note.model_copy(update={**outcome, "seconds": round(time.perf_counter() - begin, 1)})
 
 
 # State and message of a job whose process ended again and again
 KILLED = {
     "state": "damaged",
-    "message": "Its process ended without a word, most likely because the memory was used up. Give fewer --jobs or a "
-    "limit (--memory), and give the same command again.",
+    "message": (
+        "Its process ended without a word, most likely because the memory was used up. Give fewer"
+        " --jobs or a limit (--memory), and give the same command again."
+    ),
 }
 
 
@@ -235,7 +258,8 @@ def stamp_of(path: Path) -> str:
     """Number, size and times of change of the files of an input, those that its headers name among them."""
     files = list(path.rglob("*")) if path.is_dir() else [path]
     if not path.is_dir():
-        with suppress(PlanishError):  # a header whose values are not there yet is a file like another one
+        # a header whose values are not there yet is a file like another one.
+        with suppress(PlanishError):
             place = find_place(path)
             files = [place.path]
             files = files_of(place)

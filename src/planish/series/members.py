@@ -11,7 +11,9 @@ from planish.run.study import relative_path
 from planish.series_results import Member
 
 
-def members_of(runs: Sequence[Path], *, home: Path, table: Path | None = None) -> tuple[Member, ...]:
+def members_of(
+    runs: Sequence[Path], *, home: Path, table: Path | None = None
+) -> tuple[Member, ...]:
     """Make members of runs.
 
     Parameters
@@ -39,15 +41,22 @@ def members_of(runs: Sequence[Path], *, home: Path, table: Path | None = None) -
     csv_table = None
     if table is not None:
         advice = "It needs a column run or name."
-        csv_table = parse_table(read_text(table), table.name, needed=(), error=InputError, advice=advice)
+        csv_table = parse_table(
+            read_text(table), table.name, needed=(), error=InputError, advice=advice
+        )
         if not {"run", "name"} & set(csv_table.header):
-            csv_table.faults.append(f"neither a column run nor name (found {', '.join(csv_table.header)[:120]})")
+            csv_table.faults.append(
+                f"neither a column run nor name (found {', '.join(csv_table.header)[:120]})"
+            )
         csv_table.check("Correct the table.")
         if not csv_table.rows:
             raise InputError(f"{csv_table.name} has a header and no rows. Give a row for each run.")
     if csv_table is not None and not runs:
         if "run" not in csv_table.header:
-            raise InputError(f"{csv_table.name} has no column run. Add one with the folders of the runs, or name them.")
+            raise InputError(
+                f"{csv_table.name} has no column run. Add one with the folders of the runs, or name"
+                " them."
+            )
         runs = [_from_table(table, csv_table.text(row, "run")) for row in csv_table.rows]
     folders = [_folder_of(run) for run in runs]
     _refuse_twice(runs, folders)
@@ -73,7 +82,9 @@ def _folder_of(run: Path) -> Path:
     if not fault and not is_run(run) and not (run / "results.json").is_file():
         fault = "is no run"
     if fault:
-        raise FileError(f"{run} {fault}. Give the folder that 'planish map' or 'planish link' made.")
+        raise FileError(
+            f"{run} {fault}. Give the folder that 'planish map' or 'planish link' made."
+        )
     return run.resolve()
 
 
@@ -88,16 +99,20 @@ def _refuse_twice(runs: Sequence[Path], folders: Sequence[Path]) -> None:
         content = file.read_bytes() if file.is_file() else b""
         if content and content in run_by_content:
             raise InputError(
-                f"{run_by_content[content]} and {run} hold the same results, byte by byte: one is a copy. Give one of "
-                "them: a specimen counts once."
+                f"{run_by_content[content]} and {run} hold the same results, byte by byte: one is a"
+                " copy. Give one of them: a specimen counts once."
             )
         run_by_content[content] = run
 
 
-def _factors(csv_table: CsvTable, table: Path | None, folders: Sequence[Path]) -> list[dict[str, str]]:
+def _factors(
+    csv_table: CsvTable, table: Path | None, folders: Sequence[Path]
+) -> list[dict[str, str]]:
     def is_row_of(row: CsvRow, folder: Path) -> bool:
         run_cell = csv_table.text(row, "run")
-        paths = (_from_table(table, run_cell).resolve(), Path(run_cell).resolve()) if run_cell else ()
+        paths = (
+            (_from_table(table, run_cell).resolve(), Path(run_cell).resolve()) if run_cell else ()
+        )
         return folder in paths or folder.name in (run_cell, csv_table.text(row, "name"))
 
     factors, used = list[dict[str, str]](), set[int]()
@@ -106,16 +121,22 @@ def _factors(csv_table: CsvTable, table: Path | None, folders: Sequence[Path]) -
         if len(rows) != 1:
             few = "no row" if not rows else f"{len(rows)} rows"
             raise InputError(
-                f"{csv_table.name} has {few} for the run {folder.name}. Give it one row: its path or name in the "
-                f"column {'run' if 'run' in csv_table.header else 'name'}."
+                f"{csv_table.name} has {few} for the run {folder.name}. Give it one row: its path"
+                f" or name in the column {'run' if 'run' in csv_table.header else 'name'}."
             )
         used.add(rows[0].line)
-        cells = {name: csv_table.text(rows[0], name) for name in csv_table.header if name not in ("run", "name", "")}
+        cells = {
+            name: csv_table.text(rows[0], name)
+            for name in csv_table.header
+            if name not in ("run", "name", "")
+        }
         factors.append({name: cell for name, cell in cells.items() if cell})
     if idle := [row for row in csv_table.rows if row.line not in used]:
-        shown = ", ".join(csv_table.text(row, "run") or csv_table.text(row, "name") or "empty" for row in idle[:5])
+        shown = ", ".join(
+            csv_table.text(row, "run") or csv_table.text(row, "name") or "empty" for row in idle[:5]
+        )
         raise InputError(
-            f"{csv_table.name} has {len(idle)} row{'s' if len(idle) > 1 else ''} without a run that was given: "
-            f"{shown}. Give these runs, too, or take the rows out."
+            f"{csv_table.name} has {len(idle)} row{'s' if len(idle) > 1 else ''} without a run that"
+            f" was given: {shown}. Give these runs, too, or take the rows out."
         )
     return factors

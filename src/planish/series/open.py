@@ -13,8 +13,25 @@ from planish.core.tables import parse_table, read_bytes
 from planish.series.pages import RESULTS, VALUES, factor_columns
 from planish.series_results import SeriesResults
 
-_OF_PAIRS = ("r", "r2", "slope", "points", "n_eff", "n_eff_interval", "bias", "limit_low", "limit_high", "shared_um")
-_OF_REGISTRATIONS = ("marks_used", "residual", "leave_one_out", "expected_error", "largest_expected_error")
+_OF_PAIRS = (
+    "r",
+    "r2",
+    "slope",
+    "points",
+    "n_eff",
+    "n_eff_interval",
+    "bias",
+    "limit_low",
+    "limit_high",
+    "shared_um",
+)
+_OF_REGISTRATIONS = (
+    "marks_used",
+    "residual",
+    "leave_one_out",
+    "expected_error",
+    "largest_expected_error",
+)
 _SIZES = {"thin_share": "limit_um", "coefficient_of_variation": "wave_um"}
 # Quantities whose trust stands for all of their dims
 _JUDGED = {"mean": "trust", "r": "pair_trust", "expected_error": "registration_trust"}
@@ -55,33 +72,56 @@ def open_study(path: str | Path) -> xr.Dataset:
     missing = [name for name in (RESULTS, VALUES) if not (folder / name).is_file()]
     if missing:
         raise FileError(
-            f"{folder} holds no {' and no '.join(missing)}. Give the folder that 'planish study' or 'planish compare "
-            "--out' made."
+            f"{folder} holds no {' and no '.join(missing)}. Give the folder that 'planish study' or"
+            " 'planish compare --out' made."
         )
     results = SeriesResults.read(folder / RESULTS)
-    text = read_bytes(folder / VALUES, what="table of a series", most_bytes=2 * 10**9).decode("utf-8", errors="replace")
-    needed = ("specimen", "layer", "map", "other_layer", "other_map", "at_um", "quantity", "value", "unit", "low",
-              "high", "trust")  # fmt: skip
+    text = read_bytes(folder / VALUES, what="table of a series", most_bytes=2 * 10**9).decode(
+        "utf-8", errors="replace"
+    )
+    needed = (
+        "specimen",
+        "layer",
+        "map",
+        "other_layer",
+        "other_map",
+        "at_um",
+        "quantity",
+        "value",
+        "unit",
+        "low",
+        "high",
+        "trust",
+    )
     table = parse_table(text, VALUES, needed=needed, error=FileError)
-    figure_rows = [dict(zip(table.header, table_row.cells, strict=True)) for table_row in table.rows]
+    figure_rows = [
+        dict(zip(table.header, table_row.cells, strict=True)) for table_row in table.rows
+    ]
     table.check("Write the series again.")
     names = [specimen.name for specimen in results.specimens]
     if unknown := {row["specimen"] for row in figure_rows} - set(names):
         raise FileError(
-            f"{VALUES} has figures of {', '.join(sorted(unknown)[:3])}, which {RESULTS} does not know: the two files "
-            "are of different series. Write the series again."
+            f"{VALUES} has figures of {', '.join(sorted(unknown)[:3])}, which {RESULTS} does not"
+            " know: the two files are of different series. Write the series again."
         )
-    has_several_sheets = any(specimen.kind in ("two volumes", "layers") for specimen in results.specimens)
+    has_several_sheets = any(
+        specimen.kind in ("two volumes", "layers") for specimen in results.specimens
+    )
     arrays: dict[str, xr.DataArray] = {}
     for quantity in dict.fromkeys(row["quantity"] for row in figure_rows):
         arrays |= _arrays(
-            quantity, [row for row in figure_rows if row["quantity"] == quantity], names, has_several_sheets
+            quantity,
+            [row for row in figure_rows if row["quantity"] == quantity],
+            names,
+            has_several_sheets,
         )
     study = xr.Dataset(arrays).assign_coords(specimen=("specimen", np.array(names, dtype=object)))
     reserved_names = {"state", *map(str, study.dims), *map(str, study.data_vars)}
     for name, column in zip(results.factors, factor_columns(results.factors), strict=True):
         levels = [specimen.factor(name) for specimen in results.specimens]
-        study = study.assign_coords({f"factor_{name}" if column in reserved_names else column: ("specimen", levels)})
+        study = study.assign_coords(
+            {f"factor_{name}" if column in reserved_names else column: ("specimen", levels)}
+        )
     study = study.assign_coords(state=("specimen", [member.state for member in results.members]))
     return study.assign_attrs(planish=results.planish, compared_by=results.compared_by or "")
 
@@ -96,29 +136,42 @@ def _labels(row: Mapping[str, str], has_several_sheets: bool) -> dict[str, Any]:
         return {"registration": f"{layer}/{other_layer}"}
     first_map = f"{layer}.{row['map']}" if has_several_sheets and layer else row["map"]
     if quantity in _OF_PAIRS:
-        second_map = f"{other_layer}.{row['other_map']}" if has_several_sheets and other_layer else row["other_map"]
+        second_map = (
+            f"{other_layer}.{row['other_map']}"
+            if has_several_sheets and other_layer
+            else row["other_map"]
+        )
         return {"pair": f"{first_map}/{second_map}", "point_um": _number(row["at_um"])}
-    return {"map": first_map} | ({_SIZES[quantity]: _number(row["at_um"])} if quantity in _SIZES else {})
+    return {"map": first_map} | (
+        {_SIZES[quantity]: _number(row["at_um"])} if quantity in _SIZES else {}
+    )
 
 
 def _number(text: str) -> float:
     try:
         return float(text) if text else math.nan
     except ValueError:
-        raise FileError(f"{VALUES} is damaged: {text!r} is no number. Write the series again.") from None
+        raise FileError(
+            f"{VALUES} is damaged: {text!r} is no number. Write the series again."
+        ) from None
 
 
 def _arrays(
     quantity: str, rows: Sequence[Mapping[str, str]], names: Sequence[str], has_several_sheets: bool
 ) -> dict[str, xr.DataArray]:
     """A quantity as an array, the ends of its intervals where it has any, and what the checks leave of it."""
-    figure_labels = [{"specimen": row["specimen"]} | _labels(row, has_several_sheets) for row in rows]
+    figure_labels = [
+        {"specimen": row["specimen"]} | _labels(row, has_several_sheets) for row in rows
+    ]
     labels: dict[str, list[Any]] = {"specimen": list(names)}
     for dim in [*figure_labels[0]][1:]:  # texts as they come, numbers in their order
         dim_labels = list(dict.fromkeys(label_of[dim] for label_of in figure_labels))
         labels[dim] = dim_labels if isinstance(dim_labels[0], str) else sorted(dim_labels)
-    positions = {dim: {label: k for k, label in enumerate(dim_labels)} for dim, dim_labels in labels.items()}
-    values = np.full((3, *map(len, labels.values())), np.nan)  # the figure and the ends of its interval
+    positions = {
+        dim: {label: k for k, label in enumerate(dim_labels)} for dim, dim_labels in labels.items()
+    }
+    # The figure and the ends of its interval.
+    values = np.full((3, *map(len, labels.values())), np.nan)
     trust = np.full(values.shape[1:], -1, dtype=np.int8)
     for row, label_of in zip(rows, figure_labels, strict=True):
         index = tuple(positions[dim][label] for dim, label in label_of.items())
@@ -126,13 +179,19 @@ def _arrays(
         trust[index] = _TRUST.get(row["trust"], -1)
     units = {row["unit"] for row in rows}
     attrs: dict[str, Any] = {"units": units.pop()} if len(units) == 1 else {}
-    coords = {dim: np.array(dim_labels, dtype=object if isinstance(dim_labels[0], str) else np.float64)
-              for dim, dim_labels in labels.items() if dim != "specimen"}  # fmt: skip
+    coords = {
+        dim: np.array(dim_labels, dtype=object if isinstance(dim_labels[0], str) else np.float64)
+        for dim, dim_labels in labels.items()
+        if dim != "specimen"
+    }
     variables = {quantity: (values[0], attrs)}
     if np.isfinite(values[1]).any():
         variables |= {f"{quantity}_low": (values[1], attrs), f"{quantity}_high": (values[2], attrs)}
     if quantity in _JUDGED:
-        variables[_JUDGED[quantity]] = trust, {"flag_values": [0, 1, 2], "flag_meanings": " ".join(_TRUST)}
+        variables[_JUDGED[quantity]] = (
+            trust,
+            {"flag_values": [0, 1, 2], "flag_meanings": " ".join(_TRUST)},
+        )
     return {
         name: xr.DataArray(array, dims=list(labels), coords=coords, attrs=dict(array_attrs))
         for name, (array, array_attrs) in variables.items()

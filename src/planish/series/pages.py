@@ -25,19 +25,44 @@ from planish.series_results import Cell, Member, Quantity, RunKind, SeriesResult
 
 # Names of the files of a series
 REPORT, RESULTS, SPECIMENS, VALUES, PARQUET = (
-    "report.html", "results.json", "specimens.csv", "values.csv", "values.parquet",
-)  # fmt: skip
+    "report.html",
+    "results.json",
+    "specimens.csv",
+    "values.csv",
+    "values.parquet",
+)
 
 _OF_A_ROW = (
-    "layer", "map", "other_layer", "other_map", "at_um", "quantity", "value", "unit", "low", "high", "trust", "checks",
-)  # fmt: skip
+    "layer",
+    "map",
+    "other_layer",
+    "other_map",
+    "at_um",
+    "quantity",
+    "value",
+    "unit",
+    "low",
+    "high",
+    "trust",
+    "checks",
+)
 _OF_A_SPECIMEN = (
-    "specimen", "state", "kind", "counts_as_sheet", "light", "checks_fail", "checks_look", "marks_used",
-    "leave_one_out_um", "expected_error_um",
-)  # fmt: skip
+    "specimen",
+    "state",
+    "kind",
+    "counts_as_sheet",
+    "light",
+    "checks_fail",
+    "checks_look",
+    "marks_used",
+    "leave_one_out_um",
+    "expected_error_um",
+)
 
 
-def write_series(members: Sequence[Member], home: Path, declared: Declared, out: Path) -> SeriesResults:
+def write_series(
+    members: Sequence[Member], home: Path, declared: Declared, out: Path
+) -> SeriesResults:
     """Write the page of a series, its numbers and its tables.
 
     Parameters
@@ -81,9 +106,10 @@ def write_series(members: Sequence[Member], home: Path, declared: Declared, out:
     for name, content in (
         (VALUES, table_text(header, rows).encode()),
         (PARQUET, parquet_bytes(header, rows) if find_spec("pyarrow") is not None else None),
-        (SPECIMENS, _specimens_text(results).encode()), (RESULTS, results.to_json().encode()),
+        (SPECIMENS, _specimens_text(results).encode()),
+        (RESULTS, results.to_json().encode()),
         (REPORT, series_page(results, small_maps).encode()),
-    ):  # fmt: skip
+    ):
         if content is None:
             delete(out / name)  # one of an earlier time would say something else
         else:
@@ -95,7 +121,8 @@ def _small_maps(results: SeriesResults, home: Path) -> list[SmallMap]:
     """The map that leads of every specimen that has it, one read after the other; without values where none can be."""
     small_maps: list[SmallMap] = []
     # The maps of more than 250 specimens have fewer pixels: the page has to stay below 10 MB.
-    pixels = 150.0 * min(1.0, math.sqrt(250 / max(len(results.specimens), 1)))  # along the longer side
+    # Along the longer side.
+    pixels = 150.0 * min(1.0, math.sqrt(250 / max(len(results.specimens), 1)))
     for specimen in results.specimens if results.quantities else ():
         folder, quantity = specimen.member.folder(home), results.quantities[0]
         if specimen.kind is None or folder is None or specimen.cells[0].why_not == "not measured":
@@ -111,11 +138,18 @@ def _small_maps(results: SeriesResults, home: Path) -> list[SmallMap]:
 def _read_map(store: Path, kind: RunKind, quantity: Quantity) -> xr.DataArray | None:
     """The map of a sheet, flat or, of two sheets, on the pixels of the reference; the smallest copy that will do."""
     name, layer_group = quantity.map, f"layers/{quantity.layer}"
-    for group in (f"{layer_group}/maps", layer_group, "maps", *(() if kind == "map" else ("linked",))):
+    for group in (
+        f"{layer_group}/maps",
+        layer_group,
+        "maps",
+        *(() if kind == "map" else ("linked",)),
+    ):
         if (store / group / name).is_dir():
             smallest_group = [group, *overviews_of(store, group, name)][-1]
             data = read_group(
-                store, smallest_group, [v for v in (name, "valid") if (store / smallest_group / v).is_dir()]
+                store,
+                smallest_group,
+                [v for v in (name, "valid") if (store / smallest_group / v).is_dir()],
             )
             values = data[name].values.astype(np.float64)
             if "valid" in data:
@@ -124,16 +158,24 @@ def _read_map(store: Path, kind: RunKind, quantity: Quantity) -> xr.DataArray | 
     return None
 
 
-def factor_columns(factors: Sequence[str], columns: Sequence[str] = ("specimen", *_OF_A_ROW)) -> list[str]:
+def factor_columns(
+    factors: Sequence[str], columns: Sequence[str] = ("specimen", *_OF_A_ROW)
+) -> list[str]:
     """Columns of factors, none with the name of another column."""
     return [f"factor_{name}" if name in columns else name for name in factors]
 
 
-def figures_table(rows: Sequence[FigureRow], factors: Sequence[str]) -> tuple[list[str], list[list[Any]]]:
+def figures_table(
+    rows: Sequence[FigureRow], factors: Sequence[str]
+) -> tuple[list[str], list[list[Any]]]:
     """Header and cells of values.csv: one row a figure."""
     header = ["specimen", *factor_columns(factors), *_OF_A_ROW]
     return header, [
-        [row.specimen, *(row.factors.get(name, "") for name in factors), *(getattr(row, name) for name in _OF_A_ROW)]
+        [
+            row.specimen,
+            *(row.factors.get(name, "") for name in factors),
+            *(getattr(row, name) for name in _OF_A_ROW),
+        ]
         for row in rows
     ]
 
@@ -145,7 +187,10 @@ def parquet_bytes(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> bytes
 
     columns = list(zip(*rows, strict=True)) or [()] * len(header)
     numbers = {"at_um", "value", "low", "high"}
-    arrays = [pa.array(c, pa.float64() if n in numbers else pa.string()) for n, c in zip(header, columns, strict=True)]
+    arrays = [
+        pa.array(c, pa.float64() if n in numbers else pa.string())
+        for n, c in zip(header, columns, strict=True)
+    ]
     data = io.BytesIO()
     pq.write_table(pa.table(arrays, names=list(header)), data, compression="zstd")
     return data.getvalue()
@@ -167,12 +212,25 @@ def _specimens_text(results: SeriesResults) -> str:
         header += [f"{name}{suffix}" for suffix in suffixes]
     rows: list[list[Any]] = []
     for specimen in results.specimens:
-        row: list[Any] = [specimen.name, *map(specimen.factor, results.factors), specimen.member.state, specimen.kind]
-        row += [specimen.sheet, specimen.light, *("; ".join(specimen.spoken.get(s, ())) for s in ("fail", "look"))]
+        row: list[Any] = [
+            specimen.name,
+            *map(specimen.factor, results.factors),
+            specimen.member.state,
+            specimen.kind,
+        ]
+        row += [
+            specimen.sheet,
+            specimen.light,
+            *("; ".join(specimen.spoken.get(s, ())) for s in ("fail", "look")),
+        ]
         row += [specimen.marks_used, specimen.leave_one_out_um, specimen.expected_error_um]
         cells = specimen.cells or [Cell()] * len(results.quantities)
         for quantity, cell in zip(results.quantities, cells, strict=True):
             interval_cells = [cell.low, cell.high, cell.n_eff] if quantity.what == "r" else []
-            row += [cell.value, *interval_cells, cell.trust if cell.value is not None or cell.trust != "ok" else None]
+            row += [
+                cell.value,
+                *interval_cells,
+                cell.trust if cell.value is not None or cell.trust != "ok" else None,
+            ]
         rows.append([*row, specimen.member.message, specimen.member.run])
     return table_text([*header, "message", "run"], rows)

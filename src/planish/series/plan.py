@@ -16,7 +16,14 @@ from planish.core.parameter_faults import fault_texts, key_lines
 from planish.core.tables import parse_table, raise_faults, read_text
 from planish.io import find_place
 from planish.run.build import study_of
-from planish.run.study import Study, checked_study, in_study_words, toml_tables, with_paths, with_values
+from planish.run.study import (
+    Study,
+    checked_study,
+    in_study_words,
+    toml_tables,
+    with_paths,
+    with_values,
+)
 from planish.series.declared import Declared
 from planish.series_results import Member
 
@@ -32,13 +39,18 @@ class PlannedSpecimen(Params):
 
     name: str = Field(description="Name of the specimen and of the folder of its run.")
     files: tuple[str, ...] = Field(
-        description="Volume and image, or layers with the reference last; absolute, `NAME=PATH` where a layer has a "
-        "name."
+        description=(
+            "Volume and image, or layers with the reference last; absolute, `NAME=PATH` where a"
+            " layer has a name."
+        )
     )
     factors: dict[str, str] = Field(
-        default={}, description="Text by factor, in the order of the table; empty cells are left out."
+        default={},
+        description="Text by factor, in the order of the table; empty cells are left out.",
     )
-    changes: tuple[str, ...] = Field(default=(), description="Options of this specimen alone, `SECTION.NAME=VALUE`.")
+    changes: tuple[str, ...] = Field(
+        default=(), description="Options of this specimen alone, `SECTION.NAME=VALUE`."
+    )
 
     @property
     def member(self) -> Member:
@@ -54,9 +66,15 @@ class Plan(Params):
     sections: dict[str, dict[str, Any]] = Field(
         default={}, description="Options of all specimens, by section, as in a study file."
     )
-    declared: Declared = Field(default=Declared(), description="What is compared, of the table `compare`.")
-    watch: dict[str, Any] = Field(default={}, description="The table `watch`, empty where there is none.")
-    changes: tuple[str, ...] = Field(default=(), description="Options of all specimens, `SECTION.NAME=VALUE`.")
+    declared: Declared = Field(
+        default=Declared(), description="What is compared, of the table `compare`."
+    )
+    watch: dict[str, Any] = Field(
+        default={}, description="The table `watch`, empty where there is none."
+    )
+    changes: tuple[str, ...] = Field(
+        default=(), description="Options of all specimens, `SECTION.NAME=VALUE`."
+    )
 
     def study(self, specimen: PlannedSpecimen) -> Study:
         """The study of one specimen.
@@ -94,7 +112,11 @@ def read_plan(path: Path, changes: Sequence[str] = ()) -> Plan:
     """
     text = read_text(path, what="table of specimens")
     plan = Plan(specimens=(), home=path.absolute().parent, changes=tuple(changes))
-    return _of_toml(path, text, plan) if path.suffix.lower() == ".toml" else _checked(path, _rows_of(path, text), plan)
+    return (
+        _of_toml(path, text, plan)
+        if path.suffix.lower() == ".toml"
+        else _checked(path, _rows_of(path, text), plan)
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,12 +136,18 @@ class _TableRow:
 def _rows_of(path: Path, text: str) -> list[_TableRow]:
     table = parse_table(text, path.name, needed=(), error=InputError, advice=f"{_NEEDED}.")
     if not {"volume", "layers"} & set(table.header):
-        table.faults.append(f"neither a column volume nor layers (found {', '.join(table.header)[:120]}). {_NEEDED}")
+        table.faults.append(
+            f"neither a column volume nor layers (found {', '.join(table.header)[:120]}). {_NEEDED}"
+        )
     table.check("Correct the table.")
     rows: list[_TableRow] = []
     for row in table.rows:
-        cell_texts = {name: cell for name in table.header if name and (cell := table.text(row, name))}
-        layers = tuple(part.strip() for part in cell_texts.pop("layers", "").split(";") if part.strip())
+        cell_texts = {
+            name: cell for name in table.header if name and (cell := table.text(row, name))
+        }
+        layers = tuple(
+            part.strip() for part in cell_texts.pop("layers", "").split(";") if part.strip()
+        )
         options = tuple(f"{name}={cell}" for name, cell in cell_texts.items() if "." in name)
         cells = {name: cell for name, cell in cell_texts.items() if "." not in name}
         rows.append(_TableRow(f"row {row.line}", cells, options, layers))
@@ -130,12 +158,14 @@ def _of_toml(path: Path, text: str, plan: Plan) -> Plan:
     sections = toml_tables(path, text)
     if not {"specimens", "watch"} & set(sections):
         raise FileError(
-            f"{path} is the study of one specimen. Do it with: planish run {path}. A series has a table [[specimens]] "
-            "for each of them."
+            f"{path} is the study of one specimen. Do it with: planish run {path}. A series has a"
+            " table [[specimens]] for each of them."
         )
     lines = key_lines(text)
     tables = sections.pop("specimens", [])
-    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in cast("list[Any]", tables)):
+    if not isinstance(tables, list) or not all(
+        isinstance(table, dict) for table in cast("list[Any]", tables)
+    ):
         raise InputError(f"{path}: specimens are tables, each under a line [[specimens]].")
     compare, watch = sections.pop("compare", {}), sections.pop("watch", {})
     sections.pop("planish", None)
@@ -143,7 +173,9 @@ def _of_toml(path: Path, text: str, plan: Plan) -> Plan:
     try:
         declared = Declared.model_validate(compare)
     except ValidationError as error:
-        faults = fault_texts(error, Declared, lambda loc: (("compare", *loc), lines.of(("compare", *loc))))
+        faults = fault_texts(
+            error, Declared, lambda loc: (("compare", *loc), lines.of(("compare", *loc)))
+        )
         raise InputError(f"{path}: {'; '.join(faults)}.") from error
     faults, rows = list[str](), list[_TableRow]()
     for k, table in enumerate(cast("list[dict[str, Any]]", tables)):
@@ -151,30 +183,42 @@ def _of_toml(path: Path, text: str, plan: Plan) -> Plan:
         cells, list_cells = dict[str, str](), dict[str, tuple[str, ...]]()
         for name, value in table.items():
             if name in _EXAMPLES:
-                if not isinstance(value, list) or not all(isinstance(v, str) for v in cast("list[Any]", value)):
-                    faults.append(f"{location}: {name} is a list of texts, such as {_EXAMPLES[name]}")
+                if not isinstance(value, list) or not all(
+                    isinstance(v, str) for v in cast("list[Any]", value)
+                ):
+                    faults.append(
+                        f"{location}: {name} is a list of texts, such as {_EXAMPLES[name]}"
+                    )
                 else:
                     list_cells[name] = tuple(cast("list[str]", value))
             elif isinstance(value, (str, int, float)) and not isinstance(value, bool):
                 cells[name] = str(value)
             else:
-                faults.append(f"{location}: {name} has to be a text or a number; options stand in set = [...]")
-        rows.append(_TableRow(location, cells, list_cells.get("set", ()), list_cells.get("layers", ())))
+                faults.append(
+                    f"{location}: {name} has to be a text or a number; options stand in set = [...]"
+                )
+        rows.append(
+            _TableRow(location, cells, list_cells.get("set", ()), list_cells.get("layers", ()))
+        )
     raise_faults(path.name, faults, "Correct these lines.", error=InputError)
     for kind in ("volume", "image"):  # stands for the specimens that name none
         if common := sections.get(kind, {}).pop("path", None):
             for row in rows:
                 if not row.layers:
                     row.cells.setdefault(kind, str(common))
-    return _checked(path, rows, plan.model_copy(update={"sections": sections, "declared": declared, "watch": watch}))
+    return _checked(
+        path,
+        rows,
+        plan.model_copy(update={"sections": sections, "declared": declared, "watch": watch}),
+    )
 
 
 def _check_common(path: Path, text: str, sections: Mapping[str, Any]) -> None:
     """Refuse options that no study has; each with its line."""
     if "layers" in sections:
         raise InputError(
-            f"{path}: line {key_lines(text).of(('layers',))}, layers: each specimen names its own; take them out, or "
-            f"write layers = {_EXAMPLES['layers']} under [[specimens]]."
+            f"{path}: line {key_lines(text).of(('layers',))}, layers: each specimen names its own;"
+            f" take them out, or write layers = {_EXAMPLES['layers']} under [[specimens]]."
         )
     tables = dict(sections)
     for kind in ("volume", "image"):
@@ -193,12 +237,20 @@ def _checked(path: Path, rows: Sequence[_TableRow], plan: Plan) -> Plan:
         if not row.layers and "volume" not in row.cells:
             faults.append(f"{row.location}: no volume")
         if fault := _fault_of(name):
-            faults.append(f"{row.location}: {name!r} cannot name a specimen: {fault}; give it another name")
-        files = row.layers or tuple(row.cells[kind] for kind in ("volume", "image") if kind in row.cells)
-        specimens.append(PlannedSpecimen(
-            name=name, files=tuple(_absolute(file, plan.home) for file in files), changes=row.changes,
-            factors=row.factors,
-        ))  # fmt: skip
+            faults.append(
+                f"{row.location}: {name!r} cannot name a specimen: {fault}; give it another name"
+            )
+        files = row.layers or tuple(
+            row.cells[kind] for kind in ("volume", "image") if kind in row.cells
+        )
+        specimens.append(
+            PlannedSpecimen(
+                name=name,
+                files=tuple(_absolute(file, plan.home) for file in files),
+                changes=row.changes,
+                factors=row.factors,
+            )
+        )
     first_locations: dict[Any, str] = {}
     for row, specimen in zip(rows, specimens, strict=True):
         for clash_text, key in (
@@ -209,7 +261,11 @@ def _checked(path: Path, rows: Sequence[_TableRow], plan: Plan) -> Plan:
                 faults.append(f"{row.location}: {clash_text} as {location}")
     raise_faults(path.name, faults, "Correct the table.", error=InputError)
     factors = sorted({factor for specimen in specimens for factor in specimen.factors})
-    if (compared := plan.declared.compare) is not None and compared not in factors and not plan.watch:
+    if (
+        (compared := plan.declared.compare) is not None
+        and compared not in factors
+        and not plan.watch
+    ):
         raise InputError(
             f"{path}: compare names {compared}, and no specimen has that factor; there are "
             f"{', '.join(factors) or 'none'}. Add a column {compared}, or name another one."
@@ -220,7 +276,10 @@ def _checked(path: Path, rows: Sequence[_TableRow], plan: Plan) -> Plan:
 def _names(rows: Sequence[_TableRow], home: Path) -> list[str]:
     """Names as given; else the factors, or the files, whichever tells all specimens apart."""
     by_factor = ["-".join(row.factors.values()) for row in rows]
-    first_files = [(row.layers[0] if row.layers else row.cells.get("volume", "")).rpartition("=")[2] for row in rows]
+    first_files = [
+        (row.layers[0] if row.layers else row.cells.get("volume", "")).rpartition("=")[2]
+        for row in rows
+    ]
     by_file = [find_place(home / file).stem if file else "" for file in first_files]
     width = len(str(len(rows)))
     guesses = [f"specimen-{k:0{width}d}" for k in range(1, len(rows) + 1)]

@@ -22,7 +22,8 @@ def check_maps_known(declared: Declared) -> None:
     for name in maps_of(declared):
         if name not in registered():
             raise InputError(
-                f"There is no map {name}; there are {', '.join(sorted(registered()))}.{likely(name, registered())}"
+                f"There is no map {name}; there are"
+                f" {', '.join(sorted(registered()))}.{likely(name, registered())}"
             )
 
 
@@ -54,18 +55,26 @@ def quantities_of(
     for name in declared_maps if runs else ():
         if name not in maps:
             raise InputError(
-                f"No run has a map {name}; there are {', '.join(sorted(maps)) or 'none'}.{likely(name, maps)} Name one "
-                "of them."
+                f"No run has a map {name}; there are"
+                f" {', '.join(sorted(maps)) or 'none'}.{likely(name, maps)} Name one of them."
             )
     headline_counts = Counter(name for run in runs.values() for name in run.headlines).most_common()
     limits = Counter(run.thin_um for run in runs.values() if run.thin_um is not None)
-    thin_um = declared.thin_um if declared.thin_um is not None else max(limits, key=limits.__getitem__, default=None)
+    thin_um = (
+        declared.thin_um
+        if declared.thin_um is not None
+        else max(limits, key=limits.__getitem__, default=None)
+    )
     quantities: list[Quantity] = []
-    for name in dict.fromkeys([*(declared.headline or (name for name, _ in headline_counts)), *declared_maps]):
+    for name in dict.fromkeys(
+        [*(declared.headline or (name for name, _ in headline_counts)), *declared_maps]
+    ):
         map_rows = [row for row in rows if name in (row.map, row.other_map)]
         for layer in dict.fromkeys(row.layer for row in map_rows if row.quantity == "mean"):
             map_title = _in_words(name, layer)
-            thin_limit = f"with {map_title} below {thin_um:g} um" if thin_um else f"without {map_title}"
+            thin_limit = (
+                f"with {map_title} below {thin_um:g} um" if thin_um else f"without {map_title}"
+            )
             titles: dict[What, str] = {
                 "mean": f"mean {map_title}",
                 "sd": f"standard deviation of {map_title}",
@@ -73,13 +82,24 @@ def quantities_of(
             }
             for statistic, title in titles.items():
                 at_um = thin_um if statistic == "thin_share" else None
-                statistic_rows = (r for r in map_rows if (r.map, r.layer, r.quantity) == (name, layer, statistic))
-                row = next((r for r in statistic_rows if at_um is None or _alike(r.at_um, at_um)), None)
+                statistic_rows = (
+                    r for r in map_rows if (r.map, r.layer, r.quantity) == (name, layer, statistic)
+                )
+                row = next(
+                    (r for r in statistic_rows if at_um is None or _alike(r.at_um, at_um)), None
+                )
                 if row is not None and (statistic != "thin_share" or at_um is not None):
-                    quantities.append(Quantity(
-                        layer=layer, map=name, what=statistic, at_um=at_um, unit=row.unit, title=title,
-                        map_title=map_title
-                    ))  # fmt: skip
+                    quantities.append(
+                        Quantity(
+                            layer=layer,
+                            map=name,
+                            what=statistic,
+                            at_um=at_um,
+                            unit=row.unit,
+                            title=title,
+                            map_title=map_title,
+                        )
+                    )
         quantities += _correlations(map_rows, name)
     return tuple(quantities)
 
@@ -95,17 +115,28 @@ def _correlations(rows: Sequence[FigureRow], name: str) -> list[Quantity]:
     """Correlations of a map with the images, or with the same map of another sheet, at the usual points."""
     size_counts: dict[Pair, Counter[float]] = {}
     for specimen in dict.fromkeys(row.specimen for row in rows):
-        for pair, size in _largest_points([row for row in rows if row.specimen == specimen], name).items():
+        for pair, size in _largest_points(
+            [row for row in rows if row.specimen == specimen], name
+        ).items():
             size_counts.setdefault(pair, Counter())[round(size, 3)] += 1
     quantities: list[Quantity] = []
     for (layer, first, other_layer, second), counts in size_counts.items():
         at_um = max(counts, key=lambda size: (counts[size], size))
         map_title = _in_words(first, layer)
         other = other_layer or "the image" if second == "image" else f"that of {other_layer}"
-        quantities.append(Quantity(
-            layer=layer, map=first, what="r", other_layer=other_layer, other_map=second, at_um=at_um, unit="1",
-            title=f"r of {map_title} and {other}, points of {at_um:g} um", map_title=map_title,
-        ))  # fmt: skip
+        quantities.append(
+            Quantity(
+                layer=layer,
+                map=first,
+                what="r",
+                other_layer=other_layer,
+                other_map=second,
+                at_um=at_um,
+                unit="1",
+                title=f"r of {map_title} and {other}, points of {at_um:g} um",
+                map_title=map_title,
+            )
+        )
     return quantities
 
 
@@ -113,7 +144,13 @@ def _largest_points(rows: Iterable[FigureRow], name: str) -> dict[Pair, float]:
     largest_um: dict[Pair, float] = {}
     for row in rows:
         pair = _pair_of(row)
-        if row.quantity == "points" and row.value and row.at_um and pair is not None and pair[1] == name:
+        if (
+            row.quantity == "points"
+            and row.value
+            and row.at_um
+            and pair is not None
+            and pair[1] == name
+        ):
             largest_um[pair] = max(largest_um.get(pair, 0.0), row.at_um)
     return largest_um
 
@@ -146,11 +183,19 @@ def _cell_of_r(rows: Sequence[FigureRow], q: Quantity, *, with_doubtful: bool) -
     pair_rows = [row for row in rows if row.other_map and _pair_of(row) == pair]
     largest_um = _largest_points(pair_rows, q.map)
     if pair not in largest_um:
-        return Cell(why_not="not linked" if not any(row.quantity == "r" for row in rows) else "not measured")
-    usual_sizes = (row.at_um for row in pair_rows if row.quantity == "r" and _alike(row.at_um, q.at_um))
+        return Cell(
+            why_not="not linked" if not any(row.quantity == "r" for row in rows) else "not measured"
+        )
+    usual_sizes = (
+        row.at_um for row in pair_rows if row.quantity == "r" and _alike(row.at_um, q.at_um)
+    )
     at_um = next(usual_sizes, largest_um[pair])
     row_by_quantity = {row.quantity: row for row in pair_rows if row.at_um == at_um}
-    r, n_eff, scatter = row_by_quantity["r"], row_by_quantity["n_eff"].value, row_by_quantity["n_eff_interval"].value
+    r, n_eff, scatter = (
+        row_by_quantity["r"],
+        row_by_quantity["n_eff"].value,
+        row_by_quantity["n_eff_interval"].value,
+    )
     reason = _why_not(r, with_doubtful=with_doubtful)
     if not reason and not _alike(at_um, q.at_um):
         reason = f"points of {at_um:g} um, others of {q.at_um:g} um"
@@ -158,9 +203,15 @@ def _cell_of_r(rows: Sequence[FigureRow], q: Quantity, *, with_doubtful: bool) -
     if not reason and (scatter is None or scatter <= 4.0 or abs(r.value or 0.0) >= 1):
         reason = "too few independent points"
     return Cell(
-        value=r.value, low=r.low, high=r.high, n_eff=n_eff, n_eff_interval=scatter, trust=r.trust, counts=not reason,
+        value=r.value,
+        low=r.low,
+        high=r.high,
+        n_eff=n_eff,
+        n_eff_interval=scatter,
+        trust=r.trust,
+        counts=not reason,
         why_not=reason,
-    )  # fmt: skip
+    )
 
 
 def _why_not(row: FigureRow, *, with_doubtful: bool) -> str:

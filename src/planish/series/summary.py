@@ -13,7 +13,13 @@ from planish.series.cautions import NEST, cautions_of
 from planish.series.declared import Declared
 from planish.series.gather import FigureRow, Gathered
 from planish.series.quantities import cell_of, margin_of, quantities_of
-from planish.series_results import DifferenceFacts, GroupFacts, Quantity, SeriesResults, SeriesSpecimen
+from planish.series_results import (
+    DifferenceFacts,
+    GroupFacts,
+    Quantity,
+    SeriesResults,
+    SeriesSpecimen,
+)
 
 _MOST_LEVELS = 8
 
@@ -45,7 +51,12 @@ def summary_of(gathered: Gathered, declared: Declared) -> SeriesResults:
     """
     factors = tuple(dict.fromkeys(name for member in gathered.members for name in member.factors))
     compared_by = _compared_by(gathered, factors, declared)
-    separate_factors = ["paper", "treatment", "side", *([] if compared_by is None else [compared_by])]
+    separate_factors = [
+        "paper",
+        "treatment",
+        "side",
+        *([] if compared_by is None else [compared_by]),
+    ]
     grouped_by = tuple(f for f in dict.fromkeys(separate_factors) if _varies(gathered, f))
     rows = gathered.rows_of_series()
     quantities = quantities_of(rows, gathered.runs, declared)
@@ -59,49 +70,72 @@ def summary_of(gathered: Gathered, declared: Declared) -> SeriesResults:
     pairs = [] if compared_by is None else [*_pairs(counted, quantities, compared_by, grouped_by)]
     adjusted = analyze.p_of_tables([difference for _, difference in pairs])
     return SeriesResults(
-        planish=planish.__version__, declared=declared.model_dump(mode="json"), quantities=quantities,
-        headline_declared=bool(declared.headline), factors=factors, grouped_by=grouped_by, compared_by=compared_by,
+        planish=planish.__version__,
+        declared=declared.model_dump(mode="json"),
+        quantities=quantities,
+        headline_declared=bool(declared.headline),
+        factors=factors,
+        grouped_by=grouped_by,
+        compared_by=compared_by,
         sheets_given=bool(counted) and all(specimen.factor("sheet") for specimen in counted),
-        specimens=tuple(specimens), groups=tuple(groups),
+        specimens=tuple(specimens),
+        groups=tuple(groups),
         differences=tuple(
             DifferenceFacts.holding(
-                difference, **labels, smallest_seen=difference.smallest_seen(),
-                equivalence=None if margin is None else analyze.equivalence(difference, margin=margin),
+                difference,
+                **labels,
+                smallest_seen=difference.smallest_seen(),
+                equivalence=(
+                    None if margin is None else analyze.equivalence(difference, margin=margin)
+                ),
             )
             for (labels, _), difference in zip(pairs, adjusted, strict=True)
             for margin in (margin_of(quantities[labels["quantity"]], declared),)
         ),
         instruments=tuple(facts for run in gathered.runs.values() for facts in run.instruments),
-        cautions=tuple(cautions_of(gathered, specimens, quantities, grouped_by, compared_by, _MOST_LEVELS)),
-    )  # fmt: skip
+        cautions=tuple(
+            cautions_of(gathered, specimens, quantities, grouped_by, compared_by, _MOST_LEVELS)
+        ),
+    )
 
 
 def _compared_by(gathered: Gathered, factors: Sequence[str], declared: Declared) -> str | None:
     name = declared.compare
     if name is None:
-        return next((factor for factor in ("treatment", "paper", "side") if _varies(gathered, factor)), None)
+        return next(
+            (factor for factor in ("treatment", "paper", "side") if _varies(gathered, factor)), None
+        )
     if name not in factors:  # tables are read in small letters
         name = next((f for f in factors if f.casefold() == name.casefold()), name)
     if name in NEST:
         raise InputError(
-            f"{name.capitalize()}s are the sample and are not compared with each other. Compare by another factor: "
-            f"{', '.join(f for f in factors if f not in NEST) or 'the table has none yet'}."
+            f"{name.capitalize()}s are the sample and are not compared with each other. Compare by"
+            " another factor:"
+            f" {', '.join(f for f in factors if f not in NEST) or 'the table has none yet'}."
         )
     if name not in factors:
         raise InputError(
-            f"No specimen has a factor {name}; there are {', '.join(factors) or 'none'}.{likely(name, factors)} Add "
-            "such a column to the table, or compare by another factor."
+            f"No specimen has a factor {name}; there are"
+            f" {', '.join(factors) or 'none'}.{likely(name, factors)} Add such a column to the"
+            " table, or compare by another factor."
         )
     return name
 
 
 def _varies(gathered: Gathered, factor: str) -> bool:
-    levels = {member.factors.get(factor, "") for member in gathered.members if member.name in gathered.runs}
+    levels = {
+        member.factors.get(factor, "")
+        for member in gathered.members
+        if member.name in gathered.runs
+    }
     return len(levels - {""}) > 1
 
 
 def _specimens(
-    gathered: Gathered, rows: Sequence[FigureRow], quantities: Sequence[Quantity], declared: Declared
+    gathered: Gathered,
+    rows: Sequence[FigureRow],
+    quantities: Sequence[Quantity],
+    declared: Declared,
 ) -> list[SeriesSpecimen]:
     rows_by_specimen, first_of_volume = dict[str, list[FigureRow]](), dict[tuple[str, ...], str]()
     for row in rows:
@@ -115,12 +149,19 @@ def _specimens(
         # Without a sheet's name, the same volume is the same sheet for certain.
         volume_name = f"specimen {first_of_volume.setdefault(run.volumes, member.name)}"
         paper, sheet = member.factors.get("paper", ""), member.factors.get("sheet", "")
-        specimens.append(run.specimen.model_copy(update={
-            "sheet": " ".join(filter(None, (paper, f"sheet {sheet}"))) if sheet else volume_name,
-            "cells": tuple(
-                cell_of(rows_by_specimen[member.name], q, with_doubtful=declared.doubtful) for q in quantities
-            ),
-        }))  # fmt: skip
+        specimens.append(
+            run.specimen.model_copy(
+                update={
+                    "sheet": (
+                        " ".join(filter(None, (paper, f"sheet {sheet}"))) if sheet else volume_name
+                    ),
+                    "cells": tuple(
+                        cell_of(rows_by_specimen[member.name], q, with_doubtful=declared.doubtful)
+                        for q in quantities
+                    ),
+                }
+            )
+        )
     return specimens
 
 
@@ -128,7 +169,9 @@ def _levels_of(specimen: SeriesSpecimen, factors: Sequence[str]) -> tuple[str, .
     return tuple(specimen.factor(name) for name in factors)
 
 
-def _fields(specimens: Sequence[SeriesSpecimen], k: int, *, with_names: bool = False) -> analyze.Fields:
+def _fields(
+    specimens: Sequence[SeriesSpecimen], k: int, *, with_names: bool = False
+) -> analyze.Fields:
     """One quantity of some specimens; those that do not count are missing."""
     cells = [specimen.cells[k] for specimen in specimens]
     values = [cell.value if cell.counts and cell.value is not None else math.nan for cell in cells]
@@ -136,14 +179,20 @@ def _fields(specimens: Sequence[SeriesSpecimen], k: int, *, with_names: bool = F
     return analyze.Fields(values, [specimen.sheet for specimen in specimens], names)
 
 
-def _group(specimens: Sequence[SeriesSpecimen], k: int, quantity: Quantity, group: Mapping[str, str]) -> GroupFacts:
-    members = [s for s in specimens if all(s.factor(name) == level for name, level in group.items())]
+def _group(
+    specimens: Sequence[SeriesSpecimen], k: int, quantity: Quantity, group: Mapping[str, str]
+) -> GroupFacts:
+    members = [
+        s for s in specimens if all(s.factor(name) == level for name, level in group.items())
+    ]
     fields = _fields(members, k)
     if quantity.what == "r":
         n_effs = [specimen.cells[k].n_eff_interval for specimen in members]
         mean = analyze.pooled_r(fields, [math.nan if n_eff is None else n_eff for n_eff in n_effs])
     else:
-        mean = analyze.over_sheets(fields).model_copy(update={"variances": analyze.variances_of(fields)})
+        mean = analyze.over_sheets(fields).model_copy(
+            update={"variances": analyze.variances_of(fields)}
+        )
     return GroupFacts.holding(mean, quantity=k, group=dict(group), left_out=_left_out(members, k))
 
 
@@ -152,7 +201,10 @@ def _left_out(specimens: Sequence[SeriesSpecimen], k: int) -> tuple[str, ...]:
 
 
 def _pairs(
-    specimens: Sequence[SeriesSpecimen], quantities: Sequence[Quantity], factor: str, grouped_by: Sequence[str]
+    specimens: Sequence[SeriesSpecimen],
+    quantities: Sequence[Quantity],
+    factor: str,
+    grouped_by: Sequence[str],
 ) -> Iterator[tuple[dict[str, Any], analyze.SheetDifference]]:
     """Compare every quantity of every two levels of a factor, within each level of the others that make groups."""
     other_factors = [name for name in grouped_by if name != factor]
@@ -167,12 +219,20 @@ def _pairs(
         specimens_by_level.setdefault(specimen.factor(factor), []).append(specimen)
     for k, quantity in enumerate(quantities):
         for stratum, specimens_by_level in strata.items():
-            for first, second in combinations((level for level in levels if level in specimens_by_level), 2):
+            for first, second in combinations(
+                (level for level in levels if level in specimens_by_level), 2
+            ):
                 before, after = specimens_by_level[first], specimens_by_level[second]
-                yield {
-                    "quantity": k, "within": dict(zip(other_factors, stratum, strict=True)), "factor": factor,
-                    "levels": (first, second), "left_out": _left_out([*before, *after], k),
-                }, _compare(before, after, k, quantity)  # fmt: skip
+                yield (
+                    {
+                        "quantity": k,
+                        "within": dict(zip(other_factors, stratum, strict=True)),
+                        "factor": factor,
+                        "levels": (first, second),
+                        "left_out": _left_out([*before, *after], k),
+                    },
+                    _compare(before, after, k, quantity),
+                )
 
 
 def _compare(
@@ -180,9 +240,12 @@ def _compare(
 ) -> analyze.SheetDifference:
     """Compare two sets of specimens: paired where they have sheets in common, by named fields."""
     paired = not {s.sheet for s in first}.isdisjoint(s.sheet for s in second)
-    field_keys = [[(s.sheet, s.factor("field")) for s in specimens] for specimens in (first, second)]
+    field_keys = [
+        [(s.sheet, s.factor("field")) for s in specimens] for specimens in (first, second)
+    ]
     has_fields = paired and all(
-        all(field for _, field in set_keys) and len({*set_keys}) == len(set_keys) for set_keys in field_keys
+        all(field for _, field in set_keys) and len({*set_keys}) == len(set_keys)
+        for set_keys in field_keys
     )
     fields = [_fields(specimens, k, with_names=has_fields) for specimens in (first, second)]
     if quantity.what == "r":
@@ -190,4 +253,6 @@ def _compare(
     else:
         difference = analyze.paired_over_sheets(*fields) if paired else analyze.two_groups(*fields)
     sheets = dict.fromkeys(specimen.sheet for specimen in (*first, *second))
-    return difference.model_copy(update={"unpaired": tuple(sheet for sheet in sheets if sheet in difference.unpaired)})
+    return difference.model_copy(
+        update={"unpaired": tuple(sheet for sheet in sheets if sheet in difference.unpaired)}
+    )

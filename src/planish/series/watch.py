@@ -21,29 +21,44 @@ _FACTOR = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
 class WatchParams(Params):
     """How the files of a folder pair."""
 
-    volume: str = Field(description="Name of a volume with its factors in braces, such as {sheet}_ct.tif.")
-    image: str | None = Field(default=None, description="Name of its image, such as {sheet}_img.tif.")
+    volume: str = Field(
+        description="Name of a volume with its factors in braces, such as {sheet}_ct.tif."
+    )
+    image: str | None = Field(
+        default=None, description="Name of its image, such as {sheet}_img.tif."
+    )
 
 
 def watch_params(plan: Plan) -> WatchParams:
     """The patterns of a plan; InputError where they are missing or do not fit together."""
     example = "[watch] with volume = '{sheet}_ct.tif' and image = '{sheet}_img.tif'"
     if not plan.watch:
-        raise InputError(f"--watch needs to know how files pair. Write a table {example} into the study.")
+        raise InputError(
+            f"--watch needs to know how files pair. Write a table {example} into the study."
+        )
     with naming_faults("The study", f"Needed: {example}.", error=InputError, key_prefix=("watch",)):
         params = WatchParams.model_validate(plan.watch)
     names = _FACTOR.findall(params.volume)
     if not names or len(set(names)) < len(names):
-        raise InputError(f"watch.volume {params.volume!r} needs each factor once, in braces. Needed: {example}.")
+        raise InputError(
+            f"watch.volume {params.volume!r} needs each factor once, in braces. Needed: {example}."
+        )
     if params.image is not None and sorted(set(_FACTOR.findall(params.image))) != sorted(names):
-        raise InputError(f"watch.image {params.image!r} needs the factors of watch.volume. Needed: {example}.")
+        raise InputError(
+            f"watch.image {params.image!r} needs the factors of watch.volume. Needed: {example}."
+        )
     return params
 
 
 def watched(
-    plan: Plan, folder: Path, *, settle_s: float, idle_s: float | None, tell: Callable[[str], None],
+    plan: Plan,
+    folder: Path,
+    *,
+    settle_s: float,
+    idle_s: float | None,
+    tell: Callable[[str], None],
     clock: Callable[[], float] = time.monotonic,
-) -> Iterator[PlannedSpecimen | None]:  # fmt: skip
+) -> Iterator[PlannedSpecimen | None]:
     """Give specimens as their files are whole; None where there is none as yet.
 
     A file is taken when it has not changed for ``settle_s`` and its own reader finds it complete. One that is not
@@ -52,9 +67,13 @@ def watched(
     params = watch_params(plan)
     volume_place = find_place(params.volume)
     name_parts = _FACTOR.split(str(volume_place.path))  # a name with its factors as groups
-    pattern_parts = (re.escape(part) if k % 2 == 0 else f"(?P<{part}>[^/\\\\]+?)" for k, part in enumerate(name_parts))
+    pattern_parts = (
+        re.escape(part) if k % 2 == 0 else f"(?P<{part}>[^/\\\\]+?)"
+        for k, part in enumerate(name_parts)
+    )
     pattern = re.compile("".join(pattern_parts))
-    judged_stamps: dict[str, str] = {}  # name of a specimen that was taken or refused -> stamp of its files
+    # Name of a specimen that was taken or refused -> stamp of its files.
+    judged_stamps: dict[str, str] = {}
     since: dict[str, tuple[str, float]] = {}  # stamp of files, and when it was first seen
     last = clock()
     while True:
@@ -80,7 +99,9 @@ def watched(
                 tell(f"{name}: {fault} It is tried again when the file changes.")
                 continue
             has_new, last = True, clock()
-            yield PlannedSpecimen(name=name, files=tuple(str(file.absolute()) for file in files), factors=factors)
+            yield PlannedSpecimen(
+                name=name, files=tuple(str(file.absolute()) for file in files), factors=factors
+            )
         if not has_new:
             if idle_s is not None and clock() - last >= idle_s:
                 return

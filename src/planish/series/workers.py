@@ -28,9 +28,15 @@ _END: Final = object()
 
 
 def run_series(
-    plan: Plan, out: Path, *, compute: Compute, jobs: int = 1, tell: Tell, members: dict[str, Member],
+    plan: Plan,
+    out: Path,
+    *,
+    compute: Compute,
+    jobs: int = 1,
+    tell: Tell,
+    members: dict[str, Member],
     coming: Iterable[PlannedSpecimen | None] | None = None,
-) -> None:  # fmt: skip
+) -> None:
     """Do all specimens of a series that are not done, each into ``out/runs/NAME``; ``out`` exists.
 
     Memory and threads are shared out among ``jobs`` specimens at a time; with a scheduler, whole specimens go to its
@@ -40,10 +46,14 @@ def run_series(
     """
     state, specimens = SeriesState(out, plan), dict[str, PlannedSpecimen]()
     if compute.scheduler is not None:  # one thread, since the scheduler counts threads
-        job_compute = compute.model_copy(update={"scheduler": None, "threads": compute.threads or 1})
+        job_compute = compute.model_copy(
+            update={"scheduler": None, "threads": compute.threads or 1}
+        )
     elif jobs > 1:
         threads = compute.threads or max(1, count_threads(None) // jobs)
-        job_compute = compute.model_copy(update={"memory_bytes": compute.memory // jobs, "threads": threads})
+        job_compute = compute.model_copy(
+            update={"memory_bytes": compute.memory // jobs, "threads": threads}
+        )
     else:
         job_compute = compute
 
@@ -80,7 +90,9 @@ def _workers(compute: Compute, jobs: int) -> Generator[_Cluster | _Processes]:
         processes.stop()
 
 
-def _run_jobs(jobs: Iterator[Job | None], workers: _Cluster | _Processes) -> Generator[tuple[Job, Note]]:
+def _run_jobs(
+    jobs: Iterator[Job | None], workers: _Cluster | _Processes
+) -> Generator[tuple[Job, Note]]:
     """Keep all workers busy with jobs, taken as there is room (None: none as yet); give outcomes as they come."""
     running: dict[Future[Note], Job] = {}
     tries: Counter[str] = Counter()
@@ -98,7 +110,9 @@ def _run_jobs(jobs: Iterator[Job | None], workers: _Cluster | _Processes) -> Gen
             if is_idle:
                 time.sleep(_PAUSE)
             continue
-        finished, _ = wait(running, timeout=_PAUSE if is_idle else None, return_when=FIRST_COMPLETED)
+        finished, _ = wait(
+            running, timeout=_PAUSE if is_idle else None, return_when=FIRST_COMPLETED
+        )
         for future in finished:
             job = running.pop(future)
             try:
@@ -147,7 +161,9 @@ class _Processes:
         spawn_context = multiprocessing.get_context("spawn")
         while True:
             pool = (
-                self._free.pop() if self._free else ProcessPoolExecutor(1, mp_context=spawn_context, initializer=_begin)
+                self._free.pop()
+                if self._free
+                else ProcessPoolExecutor(1, mp_context=spawn_context, initializer=_begin)
             )
             with suppress(BrokenProcessPool):  # it ended while it had nothing to do
                 future = pool.submit(do, job)

@@ -47,7 +47,22 @@ def _misfit(g, lo, hi, w, at, other, fringe, ratio):
 
 
 @njit(cache=True, nogil=True)
-def draw_edges(columns, expected, error, band, other, rides, sign, width, noise, least, gain, fringe, ratio, result):
+def draw_edges(
+    columns,
+    expected,
+    error,
+    band,
+    other,
+    rides,
+    sign,
+    width,
+    noise,
+    least,
+    gain,
+    fringe,
+    ratio,
+    result,
+):
     """Find one edge of every column near the place where it is expected.
 
     columns  : (n, depth) float32, grey above the air, read from outside to inside

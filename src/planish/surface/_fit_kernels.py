@@ -129,7 +129,12 @@ def _evaluate(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, 
     matrix[0, 0] = scale * m00
     matrix[1, 0], matrix[1, 1] = scale * m10, scale * m11
     matrix[2, 0], matrix[2, 1], matrix[2, 2] = scale * m20, scale * m21, scale * m22
-    matrix[3, 0], matrix[3, 1], matrix[3, 2], matrix[3, 3] = scale * m30, scale * m31, scale * m32, scale * m33
+    matrix[3, 0], matrix[3, 1], matrix[3, 2], matrix[3, 3] = (
+        scale * m30,
+        scale * m31,
+        scale * m32,
+        scale * m33,
+    )
     for i in range(4):
         if spread[i] > 0.0:
             k = 1.0 / (spread[i] * spread[i])
@@ -150,7 +155,9 @@ def _evaluate(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, 
 
 
 @njit(cache=True, nogil=True)
-def fit_column(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, fringe=None, ratio=1.0):
+def fit_column(
+    g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, fringe=None, ratio=1.0
+):
     """Fit p = (h, t, c, b) to g[lo:hi+1] by Levenberg-Marquardt; return the cost per sample.
 
     ``prior`` and ``spread`` (4): Gaussian prior on p; a spread of 0 means none, below 0 holds the value fixed.
@@ -158,7 +165,9 @@ def fit_column(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step,
     """
     damping = 1e-3
     old = np.empty((6, 4))  # matrix, step and p before a trial
-    cost = _evaluate(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, fringe, ratio)
+    cost = _evaluate(
+        g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, fringe, ratio
+    )
     for _ in range(_STEPS):
         for i in range(4):
             for j in range(i + 1):
@@ -174,7 +183,9 @@ def fit_column(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step,
         for i in range(4):
             p[i] += step[i]
         p[1] = max(p[1], 0.0)
-        new = _evaluate(g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, fringe, ratio)
+        new = _evaluate(
+            g, lo, hi, air, noise, w, p, prior, spread, coated, matrix, step, fringe, ratio
+        )
         if new <= cost:
             cost = new
             damping *= 0.1
@@ -254,9 +265,24 @@ def _guess(g, d0, air, w, middle, prior, coated):
 
 @njit(cache=True, nogil=True)
 def fit_faces(
-    slab, expected, other, tilt, air, width, noise, prior, spread, coated, search, result, window=0.0, amid=0.0,
-    fringe=None, ratio=1.0, reverse=False,
-):  # fmt: skip
+    slab,
+    expected,
+    other,
+    tilt,
+    air,
+    width,
+    noise,
+    prior,
+    spread,
+    coated,
+    search,
+    result,
+    window=0.0,
+    amid=0.0,
+    fringe=None,
+    ratio=1.0,
+    reverse=False,
+):
     """Fit the outer face and the interface of every column of a slab, read from outside to inside.
 
     slab          : (rows, cols, depth) float32, grey, oriented so that the sheet is brighter than the air
@@ -285,7 +311,8 @@ def fit_faces(
     local = spread.copy()
     local[0] = 0.0
     base_level = air + 0.5 * (prior[3] - air)
-    if coated:  # where the noise is as strong as half of the base, the coating or a wall passes more
+    # Where the noise is as strong as half of the base, the coating or a wall passes more.
+    if coated:
         base_level = max(base_level, air + min(2.5 * noise, 0.25 * (prior[2] - air)))
     for i in range(rows):
         for j in range(cols):
@@ -305,7 +332,9 @@ def fit_faces(
             deepest = e + 0.75 * (other[i, j] - e) if coated else middle
             start = int(floor(e - search / tilt[i, j]))
             stop = int(floor(min(e + search / tilt[i, j], middle))) + 1
-            d0 = nearest(g, e, search, amid) if amid > 0.0 else outermost(g, start, stop, base_level)
+            d0 = (
+                nearest(g, e, search, amid) if amid > 0.0 else outermost(g, start, stop, base_level)
+            )
             if d0 < 0:
                 continue
             gap = darkest(g, d0, int(4.0 * v) + 2, noise) if amid > 0.0 else 0
@@ -330,12 +359,29 @@ def fit_faces(
                 if not fine or hi - lo < 4 or h0 < 2.0 * v or h0 + thick > depth - 1 - 2.0 * v:
                     continue
                 local[3] = spread[3]
-                now = fit_column(g, lo, hi, air, noise, w, p, prior, local, coated, matrix, step, fringe, ratio)
+                now = fit_column(
+                    g, lo, hi, air, noise, w, p, prior, local, coated, matrix, step, fringe, ratio
+                )
                 if coated and p[3] > 0.5 * (prior[2] + prior[3]):
                     # No base is as bright: this is coating in a valley that the blur dims from the sides.
                     local[3] = -1.0
                     p[0], p[1], p[2], p[3] = h0, thick, prior[2], prior[3]
-                    now = fit_column(g, lo, hi, air, noise, w, p, prior, local, coated, matrix, step, fringe, ratio)
+                    now = fit_column(
+                        g,
+                        lo,
+                        hi,
+                        air,
+                        noise,
+                        w,
+                        p,
+                        prior,
+                        local,
+                        coated,
+                        matrix,
+                        step,
+                        fringe,
+                        ratio,
+                    )
                 if now < cost:
                     cost = now
                     best[0], best[1], best[2], best[3] = p[0], p[1], p[2], p[3]

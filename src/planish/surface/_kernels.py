@@ -95,9 +95,17 @@ def blend(grey, slope, weights, down, right, out):
                 else:
                     if f < 0:
                         k, f = k - 1, f + np.float32(1.0)
-                    w0 = weight * f * (np.float32(-0.5) + f * (np.float32(1.0) - np.float32(0.5) * f))
-                    w1 = weight * (np.float32(1.0) + f * f * (np.float32(-2.5) + np.float32(1.5) * f))
-                    w2 = weight * f * (np.float32(0.5) + f * (np.float32(2.0) - np.float32(1.5) * f))
+                    w0 = (
+                        weight
+                        * f
+                        * (np.float32(-0.5) + f * (np.float32(1.0) - np.float32(0.5) * f))
+                    )
+                    w1 = weight * (
+                        np.float32(1.0) + f * f * (np.float32(-2.5) + np.float32(1.5) * f)
+                    )
+                    w2 = (
+                        weight * f * (np.float32(0.5) + f * (np.float32(2.0) - np.float32(1.5) * f))
+                    )
                     w3 = weight * f * f * (np.float32(-0.5) + np.float32(0.5) * f)
                     a, b = min(max(1 - k, 0), depth), max(min(depth - 2 - k, depth), 0)
                     for d in range(a, b):
@@ -146,7 +154,22 @@ def trilinear(flat, shape, first, deep, r, c, d, fr, fc):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def presence(slab, first, deep, lead_r, lead_c, centre, normal_r, normal_c, normal_d, offsets, layers, air, base, out):
+def presence(
+    slab,
+    first,
+    deep,
+    lead_r,
+    lead_c,
+    centre,
+    normal_r,
+    normal_c,
+    normal_d,
+    offsets,
+    layers,
+    air,
+    base,
+    out,
+):
     """Share of material along each normal, layer by layer: mean of (g - air) / (base - air), cut to 0..1.
 
     slab           : (rows + halo, cols + halo, depth) float32, contiguous; carries ``lead_r`` more rows and ``lead_c``
@@ -191,7 +214,11 @@ def block_sums(voxels, wide, corner, sums, bad, holds):
                        voxels are not finite, ``holds`` whether a voxel has the value of the corner
     """
     last = np.array([n - 1 for n in sums.shape])
-    total, lost, seen = np.empty(voxels.shape[2]), np.empty(voxels.shape[2]), np.empty(voxels.shape[2])
+    total, lost, seen = (
+        np.empty(voxels.shape[2]),
+        np.empty(voxels.shape[2]),
+        np.empty(voxels.shape[2]),
+    )
     for p in range(sums.shape[0]):
         end_i = voxels.shape[0] if p == last[0] else (p + 1) * wide[0]
         for i in range(p * wide[0], end_i):
@@ -248,7 +275,11 @@ def mean_columns(voxels, step, slope_r, slope_c, missing, out):
                     if some or d + low < 0 or d + high > depth - 1:
                         for m in range(wide):
                             value = row[m, min(max(d + shift[m], 0), depth - 1)]
-                            total[d, m] += np.float32(np.nan) if some and value == missing else np.float32(value)
+                            total[d, m] += (
+                                np.float32(np.nan)
+                                if some and value == missing
+                                else np.float32(value)
+                            )
                     elif low == high:  # all alike: many columns at once
                         for m in range(wide):
                             total[d, m] += np.float32(row[m, d])

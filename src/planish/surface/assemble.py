@@ -24,9 +24,11 @@ from planish.surface.regions import half_closed, regions
 Variable = tuple[tuple[str, str], NDArray[np.generic], dict[str, object]]
 _SHORTER = 0.625  # of the cut-off: 250 for 400 um
 _TITLES = {
-    "top": "Top face", "bottom": "Bottom face", "interface_top": "Interface between top coating and base",
+    "top": "Top face",
+    "bottom": "Bottom face",
+    "interface_top": "Interface between top coating and base",
     "interface_bottom": "Interface between bottom coating and base",
-}  # fmt: skip
+}
 
 
 class ColumnStates(NamedTuple):
@@ -44,7 +46,12 @@ class ColumnStates(NamedTuple):
         runs_out = may_run_out & ~has_faces
         is_touching = may_touch & ~runs_out
         has_faces = has_faces & ~is_touching
-        return cls(has_faces, is_touching, runs_out, faces.below_particle & ~(has_faces | is_touching | runs_out))
+        return cls(
+            has_faces,
+            is_touching,
+            runs_out,
+            faces.below_particle & ~(has_faces | is_touching | runs_out),
+        )
 
     @property
     def is_sheet(self) -> Bools:
@@ -55,17 +62,22 @@ class ColumnStates(NamedTuple):
         """Give the status of each column."""
         status = np.select(
             [~(has_centre & in_sheet), in_rim, self.has_faces, self.below_particle],
-            [Status.NO_SHEET, Status.RIM, Status.MEASURED, Status.PARTICLE], Status.FACE_NOT_FOUND,
-        )  # fmt: skip
+            [Status.NO_SHEET, Status.RIM, Status.MEASURED, Status.PARTICLE],
+            Status.FACE_NOT_FOUND,
+        )
         status[self.is_touching & in_sheet] = Status.TOUCHING
         status[self.runs_out & (status > 0)] = Status.LEAVES_VOLUME
         return status.astype(np.uint8)
 
 
 def assemble(
-    columns: Columns, params: SurfaceParams, faces: Faces, doubt: tuple[Bools, Bools], levels: Pair,
+    columns: Columns,
+    params: SurfaceParams,
+    faces: Faces,
+    doubt: tuple[Bools, Bools],
+    levels: Pair,
     engine: Engine,
-) -> xr.Dataset:  # fmt: skip
+) -> xr.Dataset:
     """Build the result of :func:`planish.surface.find_surfaces` but for the grey levels in its attributes.
 
     ``doubt``: columns in which the sheet touches another or itself, and in which it may run out of the volume;
@@ -75,7 +87,8 @@ def assemble(
     states = ColumnStates.of(faces, columns.frame.sign, *doubt)
     if not states.has_faces.any():
         raise VolumeError(
-            "There is no sheet in the volume: no column shows two faces. Check --through and --sheet-grey."
+            "There is no sheet in the volume: no column shows two faces. Check --through and"
+            " --sheet-grey."
         )
     heights = {name: np.where(states.has_faces, faces.heights[name], np.nan) for name in _TITLES}
     thickness = float(np.median(np.abs(heights["top"] - heights["bottom"])[states.has_faces]))
@@ -83,68 +96,102 @@ def assemble(
     face_mean = np.where(in_sheet & ~in_rim, 0.5 * (heights["top"] + heights["bottom"]), np.nan)
     if not np.isfinite(face_mean).any():
         raise VolumeError(
-            f"The sheet is {thickness:.3g} um thick and consists of holes and their rims of {params.rim_um:g} um only. "
-            "Is the voxel size in um? Check --voxel-um, --rim-um and --sheet-grey."
+            f"The sheet is {thickness:.3g} um thick and consists of holes and their rims of"
+            f" {params.rim_um:g} um only. Is the voxel size in um? Check --voxel-um, --rim-um and"
+            " --sheet-grey."
         )
     centre, cutoff_used = centre_surface(face_mean, in_outline, pitch, params)
     variables = {name: _variable(height, _TITLES[name]) for name, height in heights.items()}
     for side, (level_error, mean_um) in faces.level_errors.items():
         title = f"Standard error of the {side} face from the wall's grey"
-        variables[f"level_{side}_error"] = _variable(level_error.astype(np.float32), title, common_um=mean_um)
+        variables[f"level_{side}_error"] = _variable(
+            level_error.astype(np.float32), title, common_um=mean_um
+        )
     variables["centre"] = _variable(centre, "Centre surface")
     if params.envelope_um is not None:
         variables |= _envelopes(heights, columns.frame.sign, pitch, params.envelope_um)
     base_offset = 0.5 * (heights["interface_top"] + heights["interface_bottom"]) - face_mean
     surfaces = alternative_surfaces(base_offset, face_mean, centre, in_outline, pitch, params)
-    variables |= {name: _variable(height.astype(np.float32), title) for name, (height, title) in surfaces.items()}
+    variables |= {
+        name: _variable(height.astype(np.float32), title)
+        for name, (height, title) in surfaces.items()
+    }
     variables |= {
         name: _variable(share, f"Material {_PLACES[name]}", "1", layer=list(LAYERS[name]))
-        for name, share in find_presence(columns, centre, thickness, columns.frame.sign, levels, engine).items()
+        for name, share in find_presence(
+            columns, centre, thickness, columns.frame.sign, levels, engine
+        ).items()
     }
     is_bridged = cutoff_used > params.cutoff_um
     if is_bridged.any():
         variables["centre_cutoff_um"] = _variable(
-            cutoff_used.astype(np.float32), "Cut-off of the centre surface, wider than stated across gaps"
+            cutoff_used.astype(np.float32),
+            "Cut-off of the centre surface, wider than stated across gaps",
         )
     status = states.status(in_sheet, in_rim, np.isfinite(centre))
     variables["status"] = ("y", "x"), status, status_flags()
     is_bridged_off_rims = is_bridged[(status != Status.NO_SHEET) & (status != Status.RIM)]
-    hole_centres, lateral_um = half_closed(states.is_sheet, states.runs_out, pitch), columns.lateral_um()
-    attrs = columns.frame.attrs() | {
-        "thickness_um": thickness,
-        "cutoff_um": params.cutoff_um,
-        "bridged_share": float(np.count_nonzero(is_bridged) / np.count_nonzero(np.isfinite(centre))),
-        "bridged_off_rims_share": float(is_bridged_off_rims.mean()) if is_bridged_off_rims.size else 0.0,
-        "rim_um": params.rim_um,
-        "voxel_um": [voxel_pitch(columns.volume, axis) for axis in ("z", "y", "x")],
-        "particles_removed": faces.particles,
-        "half_closed_holes": len(hole_centres),
-        "half_closed_at_um": [
-            float(np.interp(index, np.arange(um.size), um))
-            for hole_centre in hole_centres for index, um in zip(hole_centre, lateral_um, strict=True)
-        ],
-    } | ({} if params.method == "profile" else {"method": params.method})  # fmt: skip
+    hole_centres, lateral_um = (
+        half_closed(states.is_sheet, states.runs_out, pitch),
+        columns.lateral_um(),
+    )
+    attrs = (
+        columns.frame.attrs()
+        | {
+            "thickness_um": thickness,
+            "cutoff_um": params.cutoff_um,
+            "bridged_share": float(
+                np.count_nonzero(is_bridged) / np.count_nonzero(np.isfinite(centre))
+            ),
+            "bridged_off_rims_share": (
+                float(is_bridged_off_rims.mean()) if is_bridged_off_rims.size else 0.0
+            ),
+            "rim_um": params.rim_um,
+            "voxel_um": [voxel_pitch(columns.volume, axis) for axis in ("z", "y", "x")],
+            "particles_removed": faces.particles,
+            "half_closed_holes": len(hole_centres),
+            "half_closed_at_um": [
+                float(np.interp(index, np.arange(um.size), um))
+                for hole_centre in hole_centres
+                for index, um in zip(hole_centre, lateral_um, strict=True)
+            ],
+        }
+        | ({} if params.method == "profile" else {"method": params.method})
+    )
     return xr.Dataset(
-        variables, {axis: (axis, um, {"units": "um"}) for axis, um in zip("yx", lateral_um, strict=True)}, attrs
+        variables,
+        {axis: (axis, um, {"units": "um"}) for axis, um in zip("yx", lateral_um, strict=True)},
+        attrs,
     )
 
 
-def _envelopes(heights: dict[str, Floats], sign: float, pitch: Pair, radius_um: float) -> dict[str, Variable]:
+def _envelopes(
+    heights: dict[str, Floats], sign: float, pitch: Pair, radius_um: float
+) -> dict[str, Variable]:
     envelopes: dict[str, Variable] = {}
     for name, outwards in (("top", sign), ("bottom", -sign)):
         outward = outwards * heights[name]
-        rolled_over = np.where(np.isfinite(outward), rolled(filled(outward), pitch, radius_um), np.nan)
+        rolled_over = np.where(
+            np.isfinite(outward), rolled(filled(outward), pitch, radius_um), np.nan
+        )
         title = f"{_TITLES[name]} below a ball of {radius_um:g} um"
         envelopes[f"{name}_envelope"] = _variable(outwards * rolled_over, title)
     return envelopes
 
 
-def _variable(field: NDArray[np.generic], title: str, units: str = "um", **attrs: object) -> Variable:
+def _variable(
+    field: NDArray[np.generic], title: str, units: str = "um", **attrs: object
+) -> Variable:
     return ("y", "x"), field, {"units": units, "long_name": title, **attrs}
 
 
 def alternative_surfaces(
-    base_offset: Floats, face_mean: Floats, centre: Floats, in_outline: Bools, pitch: Pair, params: SurfaceParams
+    base_offset: Floats,
+    face_mean: Floats,
+    centre: Floats,
+    in_outline: Bools,
+    pitch: Pair,
+    params: SurfaceParams,
 ) -> dict[str, tuple[Floats, str]]:
     """Give the heights over the centre surface of alternatives that could stand for it, smoothed alike and carried on.
 
@@ -161,14 +208,21 @@ def alternative_surfaces(
         base_middle = centre_surface(base_offset, in_outline, pitch, params)[0]
         surfaces["base_middle"] = base_middle, "Middle of the base, over the centre surface"
     has_centre = np.isfinite(centre)
-    return {name: (np.where(has_centre, filled(height), np.nan), title) for name, (height, title) in surfaces.items()}
+    return {
+        name: (np.where(has_centre, filled(height), np.nan), title)
+        for name, (height, title) in surfaces.items()
+    }
 
 
-def centre_surface(face_mean: Floats, in_outline: Bools, pitch: Pair, params: SurfaceParams) -> tuple[Floats, Floats]:
+def centre_surface(
+    face_mean: Floats, in_outline: Bools, pitch: Pair, params: SurfaceParams
+) -> tuple[Floats, Floats]:
     """Smooth the mean of the faces and carry it across holes; the centre surface and the cut-off used, in um."""
     cutoff_um = params.cutoff_um
     if params.method == "paper":
-        centre = np.where(in_outline, slice_smoothed(face_mean, pitch[1], cutoff_um=cutoff_um), np.nan)
+        centre = np.where(
+            in_outline, slice_smoothed(face_mean, pitch[1], cutoff_um=cutoff_um), np.nan
+        )
         return centre, np.where(np.isfinite(centre), cutoff_um, np.nan)
     centre = gaussian_regression(face_mean, pitch, cutoff_um=cutoff_um)
     used_um = np.full(centre.shape, cutoff_um)
@@ -178,14 +232,28 @@ def centre_surface(face_mean: Floats, in_outline: Bools, pitch: Pair, params: Su
         if is_gap[in_outline].any():
             bridge = gaussian_regression(face_mean, pitch, cutoff_um=wider_um)
             centre, used_um = np.where(is_gap, bridge, centre), np.where(is_gap, wider_um, used_um)
-    return np.where(in_outline, centre, np.nan), np.where(in_outline & np.isfinite(centre), used_um, np.nan)
+    return np.where(in_outline, centre, np.nan), np.where(
+        in_outline & np.isfinite(centre), used_um, np.nan
+    )
 
 
-_FROM, _TO, _STEPS = 0.1, 0.42, 7  # of the thickness, and places between; the bottom's layer mirrors the top's
-_INNER = _FROM + (_TO - _FROM) / (_STEPS - 1)  # the centre's layer reaches to the second place of either neighbour
-LAYERS = {"presence": (_FROM, _TO), "presence_centre": (-_INNER, _INNER), "presence_bottom": (-_TO, -_FROM)}
+# Of the thickness, and places between; the bottom's layer mirrors the top's.
+_FROM, _TO, _STEPS = 0.1, 0.42, 7
+# The centre's layer reaches to the second place of either neighbour.
+_INNER = _FROM + (_TO - _FROM) / (_STEPS - 1)
+LAYERS = {
+    "presence": (_FROM, _TO),
+    "presence_centre": (-_INNER, _INNER),
+    "presence_bottom": (-_TO, -_FROM),
+}
 """First and last place of each layer in shares of the thickness, from the centre surface towards the top."""
-_PLACES = dict(zip(LAYERS, ("below the top face", "around the centre surface", "above the bottom face"), strict=True))
+_PLACES = dict(
+    zip(
+        LAYERS,
+        ("below the top face", "around the centre surface", "above the bottom face"),
+        strict=True,
+    )
+)
 
 
 def find_presence(
@@ -201,14 +269,23 @@ def find_presence(
     pitch = columns.pitch
     slope = [np.gradient(centre, p, axis=i) for i, p in enumerate(pitch[:2])]
     length = np.sqrt(1 + slope[0] ** 2 + slope[1] ** 2)
-    normals = [up_sign * n / length / p for n, p in zip((-slope[0], -slope[1], 1.0), pitch, strict=True)]
+    normals = [
+        up_sign * n / length / p for n, p in zip((-slope[0], -slope[1], 1.0), pitch, strict=True)
+    ]
     depth = (centre - float(columns.depth_um[0])) / pitch[2]
 
     def job(tile: Tile) -> tuple[Columns, list[Floats], float, Pair]:
-        return columns, [field[tile.rows, tile.cols] for field in (depth, *normals)], thickness, levels
+        return (
+            columns,
+            [field[tile.rows, tile.cols] for field in (depth, *normals)],
+            thickness,
+            levels,
+        )
 
     # Larger tiles have less of a border that is read twice.
-    share = min(float(np.nanmax(depth) - np.nanmin(depth) + thickness / pitch[2]) / columns.shape[2], 1.0)
+    share = min(
+        float(np.nanmax(depth) - np.nanmin(depth) + thickness / pitch[2]) / columns.shape[2], 1.0
+    )
     presence_by_tile = engine.map("layers", _tile_presence, job, columns.tiles(engine, share=share))
     shares = join_tiles(presence_by_tile, np.full((len(LAYERS), *columns.shape[:2]), np.nan))
     return dict(zip(LAYERS, shares, strict=True))
@@ -225,20 +302,38 @@ def _tile_presence(job: tuple[Columns, list[Floats], float, Pair], tile: Tile) -
     # either neighbour that lie in it, and three of its own.
     top_offsets = np.linspace(_FROM, _TO, _STEPS)
     inner_offset = 2 * top_offsets[0] - top_offsets[1]
-    offsets = thickness * np.concatenate([top_offsets, -top_offsets, [0.0, inner_offset, -inner_offset]])
+    offsets = thickness * np.concatenate(
+        [top_offsets, -top_offsets, [0.0, inner_offset, -inner_offset]]
+    )
     centre_indices = [0, 1, _STEPS, _STEPS + 1, *range(2 * _STEPS, offsets.size)]
     layer_indices = np.array([range(_STEPS), centre_indices, range(_STEPS, 2 * _STEPS)])
     # Only what the normals pass through is read.
-    end_depths = [centre_depth[is_sheet] + s * normal[2][is_sheet] for s in (offsets.min(), offsets.max())]
+    end_depths = [
+        centre_depth[is_sheet] + s * normal[2][is_sheet] for s in (offsets.min(), offsets.max())
+    ]
     min_depth, max_depth = float(np.min(end_depths)), float(np.max(end_depths))
     if max_depth < 0 or min_depth > depth_count - 1:
         return shares
     first_px = min(max(int(np.floor(min_depth)), 0), depth_count - 2)
-    halo = [int(np.ceil(np.abs(offsets).max() * float(np.abs(n[is_sheet]).max()))) + 1 for n in normal[:2]]
+    halo = [
+        int(np.ceil(np.abs(offsets).max() * float(np.abs(n[is_sheet]).max()))) + 1
+        for n in normal[:2]
+    ]
     tile_with_halo = tile.grown(halo[0], halo[1], columns.shape[:2])
     lead = tile.within(tile_with_halo)[::2]
-    grey = columns.grey(tile_with_halo, depth=slice(first_px, min(int(np.ceil(max_depth)) + 2, depth_count)))
+    grey = columns.grey(
+        tile_with_halo, depth=slice(first_px, min(int(np.ceil(max_depth)) + 2, depth_count))
+    )
     _kernels.presence(
-        grey, first_px, depth_count, *lead, centre_depth, *normal, offsets, layer_indices, *grey_levels, shares
+        grey,
+        first_px,
+        depth_count,
+        *lead,
+        centre_depth,
+        *normal,
+        offsets,
+        layer_indices,
+        *grey_levels,
+        shares,
     )
     return shares

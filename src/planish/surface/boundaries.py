@@ -26,16 +26,22 @@ from planish.surface.survey import survey_labels
 _BINS = 128
 
 
-def find_faces_by_slice(columns: Columns, guide: Guide, priors: Priors, engine: Engine, particles: int = 0) -> Faces:
+def find_faces_by_slice(
+    columns: Columns, guide: Guide, priors: Priors, engine: Engine, particles: int = 0
+) -> Faces:
     """Find the faces and interfaces of every column with its slice's own thresholds; ``particles`` float in the air."""
     rows, cols, depth = columns.shape
     # Whole rows: a threshold belongs to a slice. A voxel of a slab takes 16 bytes.
-    rows_per_tile = max(int(engine.memory_bytes / (engine.at_once + 1) / (cols * columns.step**2 * depth * 16)), 1)
+    rows_per_tile = max(
+        int(engine.memory_bytes / (engine.at_once + 1) / (cols * columns.step**2 * depth * 16)), 1
+    )
 
     def job(tile: Tile) -> FitJob:
         return columns, guide.part(priors.scale.grown(tile, (rows, cols))), priors, None
 
-    depths_by_tile = engine.map("slices", _fit_slices, job, tiles_of((rows, cols), (rows_per_tile, cols)))
+    depths_by_tile = engine.map(
+        "slices", _fit_slices, job, tiles_of((rows, cols), (rows_per_tile, cols))
+    )
     depths = join_tiles(depths_by_tile, np.empty((4, rows, cols)))
     return faces_from_depths(depths, columns, priors.coated, particles=particles)
 
@@ -55,7 +61,9 @@ def _fit_slices(job: FitJob, tile: Tile) -> Floats:
         near_grey = row_grey[is_near & np.isfinite(row_grey)]
         if near_grey.size < 100:
             continue
-        paper_level, coating_level = otsu(near_grey.astype(np.float64), 3 if any(priors.coated) else 2)
+        paper_level, coating_level = otsu(
+            near_grey.astype(np.float64), 3 if any(priors.coated) else 2
+        )
         for k, from_high in enumerate((True, False)):
             profiles = (row_grey[:, ::-1] if from_high else row_grey).astype(np.float64)
             outer, opposite = (a[i] for a in guide.faces(grey.shape[2], from_high=from_high))
@@ -79,7 +87,9 @@ def _outer_boundaries(
     is_clear = 0.25 * grey[:, :-2] + 0.5 * grey[:, 1:-1] + 0.25 * grey[:, 2:] > paper
     is_entered = np.zeros(grey.shape, dtype=bool)
     is_entered[:, 1:-2] = is_clear[:, :-1] & is_clear[:, 1:]
-    d = first_where(is_entered & (np.arange(depth) <= middle[:, None]), np.maximum(np.floor(start), 1))
+    d = first_where(
+        is_entered & (np.arange(depth) <= middle[:, None]), np.maximum(np.floor(start), 1)
+    )
     has_face = d < depth
     # The smoothed grey passes up to a voxel beside the grey itself.
     is_outside = ~is_above & (np.arange(depth) < d[:, None])
@@ -87,9 +97,13 @@ def _outer_boundaries(
     d = np.minimum(first_where(is_above, d), depth - 2)
     face = d - 1 + crossing(grey, d - 1, paper)
     first = np.minimum(first_where(is_bright, d), np.maximum(np.minimum(middle, d + 4), d))
-    last = np.minimum(first_where(~is_bright, first) - 1, np.maximum(np.minimum(middle, depth - 2), first))
+    last = np.minimum(
+        first_where(~is_bright, first) - 1, np.maximum(np.minimum(middle, depth - 2), first)
+    )
     is_coated = is_bright[np.arange(cols), first]
-    thickness = np.where(is_coated, np.maximum(last + crossing(grey, last, coating) - face, 0.0), 0.0)
+    thickness = np.where(
+        is_coated, np.maximum(last + crossing(grey, last, coating) - face, 0.0), 0.0
+    )
     return np.where(has_face, face, np.nan), np.where(has_face, thickness, np.nan)
 
 
@@ -101,7 +115,9 @@ def otsu(grey: Floats, classes: int) -> Pair:
     low, high = np.percentile(grey, [0.1, 99.9])
     if not high > low:
         return float(low), float("inf")
-    counts, edges = np.histogram(np.clip(grey, low, high), bins=_BINS, range=(float(low), float(high)))
+    counts, edges = np.histogram(
+        np.clip(grey, low, high), bins=_BINS, range=(float(low), float(high))
+    )
     middle = 0.5 * (edges[1:] + edges[:-1])
     cumulative_share = np.concatenate([[0.0], np.cumsum(counts / counts.sum())])
     cumulative_mean = np.concatenate([[0.0], np.cumsum(middle * counts / counts.sum())])
@@ -129,8 +145,8 @@ class LabelColumns(Columns):
             out[raw == label] = code
         if (out == _UNKNOWN).any():
             raise VolumeError(
-                f"The volume holds the label {raw[out == _UNKNOWN].flat[0]}, and its meaning is not given. Give it "
-                "with --label-air, --label-base, --label-coating or --label-void."
+                f"The volume holds the label {raw[out == _UNKNOWN].flat[0]}, and its meaning is not"
+                " given. Give it with --label-air, --label-base, --label-coating or --label-void."
             )
         return (out > 0).astype(np.uint8) if self.sheet else out
 
@@ -141,28 +157,36 @@ def surfaces_from_labels(
     """Find the surfaces in labels: a boundary lies half way between the voxels, there are no grey levels."""
     if not np.issubdtype(labels.dtype, np.integer) and labels.dtype != np.bool_:
         raise VolumeError(
-            f"Labels are integers; this volume holds {labels.dtype}. Give the label volume, not the grey."
+            f"Labels are integers; this volume holds {labels.dtype}. Give the label volume, not the"
+            " grey."
         )
     code_of_label: dict[int, int] = {}
     for material, code in _CODES.items():
         for label in getattr(meaning, material):
             if code_of_label.setdefault(int(label), code) != code:
                 raise VolumeError(
-                    f"The label {label} was given two meanings, one of them {material}. Give each label once."
+                    f"The label {label} was given two meanings, one of them {material}. Give each"
+                    " label once."
                 )
     columns = LabelColumns(volume=labels, frame=frame, codes=dict(sorted(code_of_label.items())))
     coarse, empty_share = survey_labels(columns, params, engine)
     guide, coded = make_guide(coarse, columns), replace(columns, sheet=False)
     search_px = 2.0 + 1.5 * coarse.block * max(columns.pitch[:2]) / columns.pitch[2]
-    by_tile = engine.map("labels", _boundaries, lambda t: (coded, guide.part(t), search_px), columns.tiles(engine))
+    by_tile = engine.map(
+        "labels", _boundaries, lambda t: (coded, guide.part(t), search_px), columns.tiles(engine)
+    )
     depths = join_tiles(by_tile, np.empty((4, *columns.shape[:2])))
     # A side with a coating in fewer than 2 % of its columns has none.
     is_coated = [thickness[np.isfinite(thickness)] > 0 for thickness in depths[1::2]]
     high_coated, low_coated = (bool(mask.size and mask.mean() > 0.02) for mask in is_coated)
     surfaces = assemble(
-        columns, params, faces_from_depths(depths, columns, (high_coated, low_coated), particles=coarse.specks),
-        doubtful(guide, coarse, 0.0, columns.shape[2]), (0.0, 1.0), engine,
-    )  # fmt: skip
+        columns,
+        params,
+        faces_from_depths(depths, columns, (high_coated, low_coated), particles=coarse.specks),
+        doubtful(guide, coarse, 0.0, columns.shape[2]),
+        (0.0, 1.0),
+        engine,
+    )
     codes_text = " ".join(f"{label}:{code}" for label, code in columns.codes.items())
     return surfaces.assign_attrs(empty_share=empty_share, from_labels=codes_text)
 
@@ -183,6 +207,8 @@ def _boundaries(job: tuple[LabelColumns, Guide, float], tile: Tile) -> Floats:
         is_coating = codes_inward == _CODES["coating"]
         face = first_where(is_coating | (codes_inward == _CODES["base"]), np.floor(start))
         coating_end = first_where(~is_coating, face)
-        is_boundary = has_sheet & (face > 0) & (face <= np.minimum(middle.astype(int), last_index - 1))
+        is_boundary = (
+            has_sheet & (face > 0) & (face <= np.minimum(middle.astype(int), last_index - 1))
+        )
         depths[2 * k : 2 * k + 2] = np.where(is_boundary, [face - 0.5, coating_end - face], np.nan)
     return depths

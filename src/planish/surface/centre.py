@@ -24,7 +24,10 @@ def gaussian_regression(height: Floats, pitch_um: Pair, *, cutoff_um: float) -> 
     """
     # The result has no wavelengths below the cut-off, so blocks of a 25th of it lose nothing.
     # A field that is hardly wider than that is cut into four all the same.
-    block = [max(1, min(int(cutoff_um / 25 / p), n // 4)) for p, n in zip(pitch_um, height.shape, strict=True)]
+    block = [
+        max(1, min(int(cutoff_um / 25 / p), n // 4))
+        for p, n in zip(pitch_um, height.shape, strict=True)
+    ]
     is_finite = np.isfinite(height)
     row_starts, col_starts = (np.arange(0, n, b) for n, b in zip(height.shape, block, strict=True))
     block_sum, finite_count = (
@@ -34,7 +37,9 @@ def gaussian_regression(height: Floats, pitch_um: Pair, *, cutoff_um: float) -> 
     # A partial block's mean does not lie at its nominal centre; it is left out unless it is (nearly) whole.
     is_block_whole = finite_count >= 0.5 * block[0] * block[1]
     pad_nodes = 8  # the spline forgets its end condition by a factor of four a node
-    mean = np.pad(np.where(is_block_whole, block_sum / np.maximum(finite_count, 1.0), 0.0), pad_nodes)
+    mean = np.pad(
+        np.where(is_block_whole, block_sum / np.maximum(finite_count, 1.0), 0.0), pad_nodes
+    )
     weight = np.pad(np.where(is_block_whole, finite_count / (block[0] * block[1]), 0.0), pad_nodes)
     regression = _Regression(weight, (pitch_um[0] * block[0], pitch_um[1] * block[1]), cutoff_um)
     coarse = regression(mean)
@@ -54,7 +59,9 @@ def interpolate(field: Floats, axis_positions: Sequence[Floats], *, order: Liter
     if not is_finite.any():
         return np.full(positions[0].shape, np.nan)
     interpolated = ndimage.map_coordinates(filled(field), positions, order=order, mode="nearest")
-    is_near_finite = ndimage.map_coordinates(is_finite.astype(np.uint8), positions, order=0, mode="nearest")
+    is_near_finite = ndimage.map_coordinates(
+        is_finite.astype(np.uint8), positions, order=0, mode="nearest"
+    )
     return np.where(is_near_finite > 0, interpolated, np.nan)
 
 
@@ -72,7 +79,9 @@ def slice_smoothed(height: Floats, pitch_um: float, *, cutoff_um: float) -> Floa
         # Mirrored through its ends, so that a slope goes on beyond them.
         reach_px = min(int(np.ceil(3 * sigma)), filled_row.size - 1)
         mirrored = np.pad(filled_row, reach_px, mode="reflect", reflect_type="odd")
-        smoothed[i] = ndimage.gaussian_filter1d(mirrored, sigma, truncate=3.0)[reach_px : reach_px + filled_row.size]
+        smoothed[i] = ndimage.gaussian_filter1d(mirrored, sigma, truncate=3.0)[
+            reach_px : reach_px + filled_row.size
+        ]
     return smoothed
 
 
@@ -86,26 +95,35 @@ class _Regression:
         self.weight = weight
         self.axes: list[tuple[Floats, Floats]] = []
         for p in pitch:
-            half_width = max(2, int(np.ceil(1.5 * scale / p)))  # in units of GAMMA lambda; the weight there is 0.0009
-            x: Floats = np.asarray(np.arange(-half_width, half_width + 1) * p / scale, dtype=np.float64)
+            # In units of GAMMA lambda; the weight there is 0.0009.
+            half_width = max(2, int(np.ceil(1.5 * scale / p)))
+            x: Floats = np.asarray(
+                np.arange(-half_width, half_width + 1) * p / scale, dtype=np.float64
+            )
             self.axes.append((x, np.exp(-np.pi * x * x)))
         moments = self._moments(weight, [(i, j) for i in range(5) for j in range(5 - i)])
         full_weight = float(self.axes[0][1].sum() * self.axes[1][1].sum())
         # A field of view much smaller than the cut-off has no full neighbourhood anywhere; its own fullest counts then.
         # Below so much of it the surface would be extrapolated. Where there is data nothing is, however few the
         # neighbours are.
-        self.good = (weight > 0) | (moments[0, 0] > 0.04 * min(full_weight, 4.0 * float(moments[0, 0].max())))
+        self.good = (weight > 0) | (
+            moments[0, 0] > 0.04 * min(full_weight, 4.0 * float(moments[0, 0].max()))
+        )
         self.moments = {power: moment[self.good] for power, moment in moments.items()}
         self.ridge = 1e-9 * full_weight * np.eye(6)
 
-    def _moments(self, field: Floats, powers: list[tuple[int, int]]) -> dict[tuple[int, int], Floats]:
+    def _moments(
+        self, field: Floats, powers: list[tuple[int, int]]
+    ) -> dict[tuple[int, int], Floats]:
         (y, wy), (x, wx) = self.axes
 
         def down(i: int) -> Floats:
             return ndimage.correlate1d(field, wy * y**i, axis=0, mode="constant")
 
         def across(power: tuple[int, int]) -> Floats:
-            return ndimage.correlate1d(down_moments[power[0]], wx * x ** power[1], axis=1, mode="constant")
+            return ndimage.correlate1d(
+                down_moments[power[0]], wx * x ** power[1], axis=1, mode="constant"
+            )
 
         down_moments = map_threads(down, range(1 + max(i for i, _ in powers)))
         return dict(zip(powers, map_threads(across, powers), strict=True))
@@ -120,7 +138,10 @@ class _Regression:
         sums = np.stack([weighted_moments[term][self.good] for term in _TERMS], axis=-1)
 
         def constant_terms(nodes: slice) -> Floats:
-            rows = [np.stack([self.moments[i + k, j + m][nodes] for k, m in _TERMS], axis=-1) for i, j in _TERMS]
+            rows = [
+                np.stack([self.moments[i + k, j + m][nodes] for k, m in _TERMS], axis=-1)
+                for i, j in _TERMS
+            ]
             solved = np.linalg.solve(np.stack(rows, axis=1) + self.ridge, sums[nodes, :, None])
             return np.asarray(solved[..., 0, 0] + offset, dtype=np.float64)
 

@@ -19,7 +19,9 @@ Surroundings = Literal["air", "others", "material"]
 _SIGMAS = 6.0  # a block is material when it differs from the air by so many standard deviations
 
 
-def make_choice(columns: Columns, block: int, shape: tuple[int, ...], params: SurfaceParams) -> Choice:
+def make_choice(
+    columns: Columns, block: int, shape: tuple[int, ...], params: SurfaceParams
+) -> Choice:
     """Give the width of a block, the seed point in block indices, and the words for a place in block indices."""
     volume, wide = columns.volume, block * columns.step
     scale = dict(zip(columns.axes, (wide, wide, 1), strict=True))
@@ -27,7 +29,9 @@ def make_choice(columns: Columns, block: int, shape: tuple[int, ...], params: Su
     def describe(block_index: tuple[int, int, int]) -> str:
         place_um: dict[str, float] = {}
         for (axis, block_px), i in zip(scale.items(), block_index, strict=True):
-            place_um[axis] = float(volume[axis].values[min(int((i + 0.5) * block_px), volume.sizes[axis] - 1)])
+            place_um[axis] = float(
+                volume[axis].values[min(int((i + 0.5) * block_px), volume.sizes[axis] - 1)]
+            )
         return ",".join(f"{place_um[axis]:.4g}" for axis in ("z", "y", "x"))
 
     choice = Choice(block=block, describe=describe)
@@ -39,22 +43,30 @@ def make_choice(columns: Columns, block: int, shape: tuple[int, ...], params: Su
         index = (seed_um - float(coords_um[0])) / voxel_pitch(volume, axis)
         if not -0.5 <= index < coords_um.size - 0.5:
             raise VolumeError(
-                f"The seed point lies outside the volume: its {axis} is {seed_um:g} um, the volume goes from "
-                f"{float(coords_um[0]):g} to {float(coords_um[-1]):g} um. Check --seed-um and --voxel-um."
+                f"The seed point lies outside the volume: its {axis} is {seed_um:g} um, the volume"
+                f" goes from {float(coords_um[0]):g} to {float(coords_um[-1]):g} um. Check"
+                " --seed-um and --voxel-um."
             )
         seed.append(min(int((index + 0.5) / block_px), most - 1))
     return replace(choice, seed=(seed[0], seed[1], seed[2]))
 
 
 def choose_sheet(
-    blocks: Blocks, sharp_blocks: Blocks, air: float, params: SurfaceParams, choice: Choice, scatter: float | None
+    blocks: Blocks,
+    sharp_blocks: Blocks,
+    air: float,
+    params: SurfaceParams,
+    choice: Choice,
+    scatter: float | None,
 ) -> tuple[CoarseSheet, Surroundings, float]:
     """Find the sheet in the block means; return it, what lies beside it, and its polarity."""
     if params.sheet_grey is not None:
         low, high = params.sheet_grey
         grey = blocks if choice.seed is None else sharp_blocks
         polarity, edge = (1.0, low) if 0.5 * (low + high) >= air else (-1.0, high)
-        sheet = search_sheet(polarity * (grey - air), (grey >= low) & (grey <= high), abs(edge - air), choice)
+        sheet = search_sheet(
+            polarity * (grey - air), (grey >= low) & (grey <= high), abs(edge - air), choice
+        )
         return sheet, "air" if choice.seed is None else "material", polarity
     polarity, threshold, min_threshold = material(blocks, air, scatter)
     oriented = _above_air(blocks, air, polarity)
@@ -80,7 +92,9 @@ def choose_sheet(
             unseeded = None
     try:
         # Layers may be thinner than what the blocks are smoothed over.
-        sheet, is_embedded = _seeded(oriented, _above_air(sharp_blocks, air, polarity), threshold, choice)
+        sheet, is_embedded = _seeded(
+            oriented, _above_air(sharp_blocks, air, polarity), threshold, choice
+        )
     except VolumeError:
         if unseeded is None:
             raise
@@ -88,7 +102,11 @@ def choose_sheet(
     if unseeded is not None:
         # A sheet that was found without the seed is the one at the seed, in as many columns: then nothing lies beside
         # it, and its faces need not be told from those of others, which takes sheets of few voxels for their own blur.
-        thicknesses_px = [float(np.median((s.high - s.low)[s.is_whole])) for s in (unseeded, sheet) if s.is_whole.any()]
+        thicknesses_px = [
+            float(np.median((s.high - s.low)[s.is_whole]))
+            for s in (unseeded, sheet)
+            if s.is_whole.any()
+        ]
         is_alike = len(thicknesses_px) < 2 or abs(thicknesses_px[0] - thicknesses_px[1]) <= 2.0
         if is_alike and unseeded.is_whole.sum() >= sheet.is_whole.sum():
             return unseeded, "air", polarity
@@ -101,14 +119,17 @@ def _has_others_beside(oriented: Blocks, sheet: CoarseSheet) -> bool:
     # With so much air beside it no search for its faces meets another object.
     min_gap_px = max(12, 4 + 3 * sheet.block)
     depth_index, near_count = np.arange(oriented.shape[2]), 0
-    for block_row, low, high in zip(oriented, sheet.low, sheet.high, strict=True):  # one by one: it takes less memory
+    # One by one: it takes less memory.
+    for block_row, low, high in zip(oriented, sheet.low, sheet.high, strict=True):
         distance_px = np.fmax(low[:, None] - depth_index, depth_index - high[:, None])
         is_object = (block_row > sheet.threshold) & (distance_px > 2) & (distance_px < min_gap_px)
         near_count += np.count_nonzero(is_object.any(axis=1))
     return bool(near_count >= 0.001 * sheet.low.size)
 
 
-def material(blocks: Blocks, air: float, air_scatter: float | None = None) -> tuple[float, float, float]:
+def material(
+    blocks: Blocks, air: float, air_scatter: float | None = None
+) -> tuple[float, float, float]:
     """Return polarity, the threshold of a first, coarse search, and the least that noise allows, both above the air.
 
     ``blocks`` are block means; a sheet is what stands out from the air's own scatter, which is that of the half nearest
@@ -117,17 +138,24 @@ def material(blocks: Blocks, air: float, air_scatter: float | None = None) -> tu
     sampled_grey = blocks.ravel()[:: 1 + blocks.size // 2**21]  # enough to tell the levels from
     deviation = sampled_grey[np.isfinite(sampled_grey)].astype(np.float64) - air
     contrast = np.abs(deviation)
-    scatter = mad_sd(deviation[contrast <= np.percentile(contrast, 50)]) if air_scatter is None else air_scatter
+    scatter = (
+        mad_sd(deviation[contrast <= np.percentile(contrast, 50)])
+        if air_scatter is None
+        else air_scatter
+    )
     scatter = max(scatter, 1e-3 * float(np.ptp(deviation)), 1e-9)
     is_bright, is_dark = deviation > _SIGMAS * scatter, deviation < -_SIGMAS * scatter
     if max(np.count_nonzero(is_bright), np.count_nonzero(is_dark)) < 1e-4 * deviation.size:
         raise VolumeError(
-            f"There is no sheet in the volume: all of it lies within {_SIGMAS:g} standard deviations of the air's grey "
-            f"({air:.4g}). Check that this is the reconstructed volume, and --through."
+            f"There is no sheet in the volume: all of it lies within {_SIGMAS:g} standard"
+            f" deviations of the air's grey ({air:.4g}). Check that this is the reconstructed"
+            " volume, and --through."
         )
     polarity = 1.0 if contrast[is_bright].sum() >= contrast[is_dark].sum() else -1.0
     typical_contrast = float(np.median(contrast[is_bright if polarity > 0 else is_dark]))
-    end_grey = np.concatenate([blocks[..., :3].ravel(), blocks[..., -3:].ravel()]).astype(np.float64)
+    end_grey = np.concatenate([blocks[..., :3].ravel(), blocks[..., -3:].ravel()]).astype(
+        np.float64
+    )
     min_threshold = max(4.5 * mad_sd(end_grey), 0.08 * typical_contrast)
     return polarity, max(_SIGMAS * scatter, 0.35 * typical_contrast), min_threshold
 
@@ -145,8 +173,8 @@ def _refined(oriented: Blocks, threshold: float, choice: Choice) -> CoarseSheet:
     rows, cols = np.nonzero(sheet.is_whole)
     if rows.size == 0:
         raise VolumeError(
-            "No column of the volume shows both faces of the sheet: it leaves the volume on one side, or --through "
-            "names another axis."
+            "No column of the volume shows both faces of the sheet: it leaves the volume on one"
+            " side, or --through names another axis."
         )
     low, high = sheet.low[rows, cols], sheet.high[rows, cols]
     depth = np.rint(low[:, None] + (high - low)[:, None] * np.linspace(*CORE, 7)).astype(int)
@@ -157,14 +185,17 @@ def _refined(oriented: Blocks, threshold: float, choice: Choice) -> CoarseSheet:
     return search_sheet(oriented, oriented > threshold, threshold, choice)
 
 
-def _seeded(oriented: Blocks, sharp_blocks: Blocks, threshold: float, choice: Choice) -> tuple[CoarseSheet, bool]:
+def _seeded(
+    oriented: Blocks, sharp_blocks: Blocks, threshold: float, choice: Choice
+) -> tuple[CoarseSheet, bool]:
     """Find the sheet at the seed, and tell whether what lies beside it is other material and not air."""
     assert choice.seed is not None
     last_error: VolumeError | None = None
     # In air the usual threshold will do. Amid other material it is raised until the sheet stands alone.
     try:
         sheet = _refined(oriented, threshold, choice)
-        if _touching_share(sheet) < 0.15:  # of the sheet that may touch others; with a higher threshold it may be less
+        # Of the sheet that may touch others; with a higher threshold it may be less.
+        if _touching_share(sheet) < 0.15:
             return sheet, False
     except VolumeError as error:
         last_error = error
@@ -174,7 +205,8 @@ def _seeded(oriented: Blocks, sharp_blocks: Blocks, threshold: float, choice: Ch
         raise last_error
     # The best of them shows both faces, without a neighbour, in the most columns.
     max_columns, best_sheet = 0, None
-    for share in np.linspace(0.5, 0.95, 19):  # what is brighter than 1.6 times that grey is not the same object
+    # What is brighter than 1.6 times that grey is not the same object.
+    for share in np.linspace(0.5, 0.95, 19):
         is_inside = (sharp_blocks > share * grey_at_seed) & (sharp_blocks < 1.6 * grey_at_seed)
         try:
             sheet = followed_sheet(sharp_blocks, is_inside, float(share * grey_at_seed), choice)
@@ -182,18 +214,23 @@ def _seeded(oriented: Blocks, sharp_blocks: Blocks, threshold: float, choice: Ch
             last_error = error
             continue
         whole_columns = int(np.count_nonzero(sheet.is_whole))
-        if whole_columns > max_columns and _touching_share(sheet) < 0.6:  # above it the sheet cannot be followed
+        # Above it the sheet cannot be followed.
+        if whole_columns > max_columns and _touching_share(sheet) < 0.6:
             max_columns, best_sheet = whole_columns, sheet
     if best_sheet is not None:
         return best_sheet, True
     raise VolumeError(
-        f"The object at the seed point {choice.describe(choice.seed)} um (z, y, x) touches others at every grey. "
-        "Crop the volume to a part where it stands alone, or choose another point with --seed-um."
+        f"The object at the seed point {choice.describe(choice.seed)} um (z, y, x) touches others"
+        " at every grey. Crop the volume to a part where it stands alone, or choose another point"
+        " with --seed-um."
     ) from last_error
 
 
 def _touching_share(sheet: CoarseSheet) -> float:
-    is_measured, touching_count = np.isfinite(sheet.low) | np.isfinite(sheet.high), np.count_nonzero(sheet.is_touching)
+    is_measured, touching_count = (
+        np.isfinite(sheet.low) | np.isfinite(sheet.high),
+        np.count_nonzero(sheet.is_touching),
+    )
     return touching_count / max(np.count_nonzero(is_measured) + touching_count, 1)
 
 

@@ -21,8 +21,8 @@ CORE = (0.35, 0.65)  # share of the way through the sheet that counts as its cor
 _LEAVES = 0.5  # share of columns that may run out of the volume
 _LEAST_COVER = 0.02
 _CHOOSE = (
-    "Choose one by its grey values with --sheet-grey LOW,HIGH, by a point in it with --seed-um Z,Y,X, or crop the "
-    "volume."
+    "Choose one by its grey values with --sheet-grey LOW,HIGH, by a point in it with --seed-um"
+    " Z,Y,X, or crop the volume."
 )
 MERGED = 1.6
 """Times the usual thickness: two sheets that touch, or one that folds back."""
@@ -41,7 +41,8 @@ class Companion(NamedTuple):
 class CoarseSheet:
     """Extent of the sheet in each block column, in voxels of depth, NaN where there is none."""
 
-    low: Floats  # (block rows, block cols): first and last depth index, interpolated to the threshold
+    # (block rows, block cols): first and last depth index, interpolated to the threshold.
+    low: Floats
     high: Floats
     block: int  # edge of a block in voxels
     is_leaving: Bools  # (block rows, block cols): where the sheet runs out of the volume
@@ -63,7 +64,8 @@ class Choice:
     """Which object is the sheet."""
 
     block: int  # edge of a block in voxels
-    describe: Callable[[tuple[int, int, int]], str]  # turns such a point into what a user would give as a seed
+    # Turns such a point into what a user would give as a seed.
+    describe: Callable[[tuple[int, int, int]], str]
     # Block row, block column and depth of a point in it; the largest object where not given.
     seed: tuple[int, int, int] | None = None
     may_lead: bool = False  # of several, the one that is coated or thicker than the others
@@ -76,21 +78,25 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
     labels, n_objects = ndimage.label(inside)
     if n_objects == 0:
         raise VolumeError(
-            "There is no sheet in the volume: nothing has the grey that was asked for. Check --sheet-grey."
+            "There is no sheet in the volume: nothing has the grey that was asked for. Check"
+            " --sheet-grey."
         )
     # Columns in which each object appears.
     n_covered, n_blocks = np.zeros((2, n_objects + 1), dtype=np.int64)
     for label_row in labels:
         ordered = np.sort(label_row, axis=-1)
-        n_covered += np.bincount(ordered[np.diff(ordered, axis=-1, prepend=-1) > 0], minlength=n_objects + 1)
+        n_covered += np.bincount(
+            ordered[np.diff(ordered, axis=-1, prepend=-1) > 0], minlength=n_objects + 1
+        )
         n_blocks += np.bincount(ordered.ravel(), minlength=n_objects + 1)
     by_cover, n_columns = np.argsort(n_covered[1:])[::-1] + 1, labels[..., 0].size
     largest_label = int(by_cover[0])
     covered_share = n_covered[largest_label] / n_columns
     if covered_share < _LEAST_COVER:
         raise VolumeError(
-            f"There is no sheet in the volume: the largest connected object covers {100 * covered_share:.2g} % of the "
-            "columns. Check --through (the axis that runs through the sheet) and --sheet-grey."
+            "There is no sheet in the volume: the largest connected object covers"
+            f" {100 * covered_share:.2g} % of the columns. Check --through (the axis that runs"
+            " through the sheet) and --sheet-grey."
         )
     sheet_labels = [int(k) for k in by_cover[:6] if n_covered[k] > 0.25 * n_covered[largest_label]]
     leading_label = _leading(labels, sheet_labels, blocks) if choice.may_lead else None
@@ -100,15 +106,19 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
     elif len(sheet_labels) > 1:
         shares_text = ", ".join(f"{100 * n_covered[k] / n_columns:.0f} %" for k in sheet_labels)
         raise VolumeError(
-            f"The volume shows {len(sheet_labels)} separate sheets (they cover {shares_text} of the columns). {_CHOOSE}"
+            f"The volume shows {len(sheet_labels)} separate sheets (they cover {shares_text} of the"
+            f" columns). {_CHOOSE}"
             f" {_points_text([labels == k for k in sheet_labels], blocks, inside, threshold, choice)}"
         )
     in_sheet = labels == largest_label
-    leaving_share, end = max((in_sheet[..., k].mean() / covered_share, end) for end, k in (("low", 0), ("high", -1)))
+    leaving_share, end = max(
+        (in_sheet[..., k].mean() / covered_share, end) for end, k in (("low", 0), ("high", -1))
+    )
     if leaving_share > _LEAVES:
         raise VolumeError(
-            f"Material reaches the {end} end of the axis through the sheet in {100 * leaving_share:.0f} % of the "
-            f"columns: the sheet leaves the volume there, or several sheets lie behind each other. {_CHOOSE}"
+            f"Material reaches the {end} end of the axis through the sheet in"
+            f" {100 * leaving_share:.0f} % of the columns: the sheet leaves the volume there, or"
+            f" several sheets lie behind each other. {_CHOOSE}"
         )
     n_filled = in_sheet.sum(axis=-1)
     low, high = first_and_last(in_sheet)
@@ -116,19 +126,31 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
     filled_share = np.median(n_filled[has_sheet] / (high - low + 1)[has_sheet])
     if filled_share < 0.4:
         raise VolumeError(
-            f"Along the axis through the sheet the material has gaps: half of the columns are filled by less than "
-            f"{100 * filled_share:.0f} %, so several sheets lie behind each other. {_CHOOSE}"
+            "Along the axis through the sheet the material has gaps: half of the columns are"
+            f" filled by less than {100 * filled_share:.0f} %, so several sheets lie behind each"
+            f" other. {_CHOOSE}"
         )
-    low, high = _extent(blocks, np.where(has_sheet, low, -1), np.where(has_sheet, high, -1), threshold)
+    low, high = _extent(
+        blocks, np.where(has_sheet, low, -1), np.where(has_sheet, high, -1), threshold
+    )
     return CoarseSheet(
-        low=low, high=high, block=choice.block, is_leaving=in_sheet[..., 0] | in_sheet[..., -1], threshold=threshold,
+        low=low,
+        high=high,
+        block=choice.block,
+        is_leaving=in_sheet[..., 0] | in_sheet[..., -1],
+        threshold=threshold,
         is_touching=np.zeros(has_sheet.shape, bool),
-        specks=int(np.count_nonzero(n_blocks[1:] >= 8)) - len(sheet_labels),  # fewer blocks are noise
-        companions=tuple(_companion(labels == k, low, high) for k in sheet_labels if k != largest_label),
-    )  # fmt: skip
+        # Fewer blocks are noise.
+        specks=int(np.count_nonzero(n_blocks[1:] >= 8)) - len(sheet_labels),
+        companions=tuple(
+            _companion(labels == k, low, high) for k in sheet_labels if k != largest_label
+        ),
+    )
 
 
-def _points_text(objects: Sequence[Bools], blocks: Blocks, inside: Bools, threshold: float, choice: Choice) -> str:
+def _points_text(
+    objects: Sequence[Bools], blocks: Blocks, inside: Bools, threshold: float, choice: Choice
+) -> str:
     points: list[str] = []
     for in_object in objects:
         rows, cols = np.nonzero(in_object.any(axis=-1))
@@ -140,11 +162,16 @@ def _points_text(objects: Sequence[Bools], blocks: Blocks, inside: Bools, thresh
             points.append(choice.describe(point))
     if points:
         return f"Points to start from: {'; '.join(points)}."
-    return "No point leads to a whole sheet: each of them leaves the volume, so crop it or check --through."
+    return (
+        "No point leads to a whole sheet: each of them leaves the volume, so crop it or check"
+        " --through."
+    )
 
 
 _BRIGHTER, _THICKER = 1.3, 1.2  # times the others
-_UNEVEN = 1.25  # brightest tenth of an object over its median: film is of one grey, paper is coated or full of pores
+# Brightest tenth of an object over its median: film is of one grey, paper is coated or full of
+# pores.
+_UNEVEN = 1.25
 
 
 def _leading(labels: NDArray[np.integer], candidates: Sequence[int], blocks: Blocks) -> int | None:
@@ -165,8 +192,12 @@ def _leading(labels: NDArray[np.integer], candidates: Sequence[int], blocks: Blo
         return None
     leader = is_uneven.index(True)
     for other in range(len(candidates)):
-        is_ahead = bright[leader] >= _BRIGHTER * bright[other] or thick[leader] >= _THICKER * thick[other]
-        lies_across = np.count_nonzero(covered[leader] & covered[other]) >= 0.5 * np.count_nonzero(covered[other])
+        is_ahead = (
+            bright[leader] >= _BRIGHTER * bright[other] or thick[leader] >= _THICKER * thick[other]
+        )
+        lies_across = np.count_nonzero(covered[leader] & covered[other]) >= 0.5 * np.count_nonzero(
+            covered[other]
+        )
         if other != leader and not (is_ahead and lies_across):
             return None
     return candidates[leader]
@@ -196,19 +227,25 @@ def followed_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choi
     material_indices = np.argwhere(inside[window])
     if material_indices.size == 0:
         raise VolumeError(
-            f"There is only air at the seed point {choice.describe(choice.seed)} um (z, y, x). Give a point inside the "
-            "sheet with --seed-um."
+            f"There is only air at the seed point {choice.describe(choice.seed)} um (z, y, x). Give"
+            " a point inside the sheet with --seed-um."
         )
     # The nearest block of material to the seed point.
     material_indices += window_start
-    row, col, depth = material_indices[int(np.argmin(np.sum((material_indices - seed) ** 2, axis=1)))].tolist()
+    row, col, depth = material_indices[
+        int(np.argmin(np.sum((material_indices - seed) ** 2, axis=1)))
+    ].tolist()
     run = inside[row, col]
     outside = np.flatnonzero(~run)
     start = int(outside[outside < depth].max(initial=-1)) + 1
     stop = int(outside[outside > depth].min(initial=run.size)) - 1
     # The seed's own run says roughly how thick the sheet is, the median of what was found then says it well.
     shape = inside.shape[:2]
-    low, high, is_merged = np.empty(shape, np.int64), np.empty(shape, np.int64), np.empty(shape, np.bool_)
+    low, high, is_merged = (
+        np.empty(shape, np.int64),
+        np.empty(shape, np.int64),
+        np.empty(shape, np.bool_),
+    )
     max_run = 2.0 * (stop - start + 1) + 2.0
     for _ in range(2):
         low[:], high[:], is_merged[:] = -1, -1, False
@@ -218,41 +255,56 @@ def followed_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choi
     place_text = choice.describe((row, col, depth))
     if has_sheet.mean() < _LEAST_COVER:
         raise VolumeError(
-            f"The object at the seed point {place_text} um (z, y, x) covers {100 * has_sheet.mean():.2g} % of the "
-            "columns only. Check --through (the axis that runs through the sheet) and --seed-um."
+            f"The object at the seed point {place_text} um (z, y, x) covers"
+            f" {100 * has_sheet.mean():.2g} % of the columns only. Check --through (the axis that"
+            " runs through the sheet) and --seed-um."
         )
     is_leaving = has_sheet & ((low == 0) | (high == inside.shape[2] - 1))
     if np.mean(is_leaving[has_sheet]) > _LEAVES:
         raise VolumeError(
-            f"The object at the seed point {place_text} um (z, y, x) reaches an end of the axis through the sheet in "
-            f"{100 * np.mean(is_leaving[has_sheet]):.0f} % of its columns. Check --through and --seed-um."
+            f"The object at the seed point {place_text} um (z, y, x) reaches an end of the axis"
+            f" through the sheet in {100 * np.mean(is_leaving[has_sheet]):.0f} % of its columns."
+            " Check --through and --seed-um."
         )
     extent = dict(zip(("low", "high"), _extent(blocks, low, high, threshold), strict=True))
-    return CoarseSheet(**extent, block=choice.block, is_leaving=is_leaving, threshold=threshold, is_touching=is_merged)
+    return CoarseSheet(
+        **extent,
+        block=choice.block,
+        is_leaving=is_leaving,
+        threshold=threshold,
+        is_touching=is_merged,
+    )
 
 
 def flags_to_columns(field: Bools, block: int, shape: tuple[int, int]) -> Bools:
     """Give every column the flag of its block."""
-    r, c = (np.minimum(np.arange(n) // block, m - 1) for n, m in zip(shape, field.shape, strict=True))
+    r, c = (
+        np.minimum(np.arange(n) // block, m - 1) for n, m in zip(shape, field.shape, strict=True)
+    )
     return field[np.ix_(r, c)]
 
 
 def to_columns(field: Floats, block: int, shape: tuple[int, int]) -> Floats:
     """Interpolate a block map to single columns; NaN where the nearest block is NaN."""
     axis_positions = [
-        np.clip((np.arange(n) - 0.5 * (block - 1)) / block, 0, m - 1) for n, m in zip(shape, field.shape, strict=True)
+        np.clip((np.arange(n) - 0.5 * (block - 1)) / block, 0, m - 1)
+        for n, m in zip(shape, field.shape, strict=True)
     ]
     return interpolate(field, axis_positions, order=1)
 
 
-def _extent(blocks: Blocks, low: NDArray[np.int64], high: NDArray[np.int64], threshold: float) -> tuple[Floats, Floats]:
+def _extent(
+    blocks: Blocks, low: NDArray[np.int64], high: NDArray[np.int64], threshold: float
+) -> tuple[Floats, Floats]:
     """Move first and last index (-1: none) outwards to where the grey crosses the threshold."""
     # A sheet that touches the end of its column is cut there: its face is not in the volume, and that end is NaN.
     extents: list[Floats] = []
     last = blocks.shape[-1] - 1
     for index, outward, end in ((low, -1, 0), (high, 1, last)):
         a, b = (
-            np.take_along_axis(blocks, np.clip(index + step, 0, last)[..., None], axis=-1)[..., 0].astype(float)
+            np.take_along_axis(blocks, np.clip(index + step, 0, last)[..., None], axis=-1)[
+                ..., 0
+            ].astype(float)
             for step in (0, outward)
         )
         share = np.clip((a - threshold) / np.where(np.abs(a - b) > 1e-12, a - b, 1.0), 0.0, 1.0)

@@ -59,7 +59,11 @@ class Columns:
     def lateral_um(self) -> tuple[Floats, Floats]:
         """Coordinates of the rows and of the columns: the middle of the voxels that they hold."""
         rows_um, cols_um = (
-            self.volume.coords[axis].values[: n * self.step].astype(np.float64).reshape(n, self.step).mean(axis=1)
+            self.volume.coords[axis]
+            .values[: n * self.step]
+            .astype(np.float64)
+            .reshape(n, self.step)
+            .mean(axis=1)
             for axis, n in zip(self.axes[:2], self.shape[:2], strict=True)
         )
         return rows_um, cols_um
@@ -82,7 +86,10 @@ class Columns:
         stored = self.voxels(tile, depth)
         if self.step > 1:
             missing = np.nan if self.padding is None else self.padding
-            slope_r, slope_c = (np.ascontiguousarray(a) for a in slope or (np.zeros(tile.shape), np.zeros(tile.shape)))
+            slope_r, slope_c = (
+                np.ascontiguousarray(a)
+                for a in slope or (np.zeros(tile.shape), np.zeros(tile.shape))
+            )
             grey = np.empty((*tile.shape, stored.shape[2]), dtype=np.float32)
             _kernels.mean_columns(stored, self.step, slope_r, slope_c, missing, grey)
             return grey
@@ -100,16 +107,27 @@ class Columns:
         """
         rows, cols, depth = self.shape
         # A voxel of a tile takes 12 bytes while it is worked on, beside its own.
-        column_bytes = share * depth * self.step**2 * (self.volume.dtype.itemsize + 12 / self.step**2)
+        column_bytes = (
+            share * depth * self.step**2 * (self.volume.dtype.itemsize + 12 / self.step**2)
+        )
         budget_bytes = engine.memory_bytes / (engine.at_once + 1) / 2
         # Columns in a chunk of the file where they fit into it evenly.
         chunk_sizes = [chunks_of(self.volume)["zyx".index(axis)] for axis in self.axes[:2]]
-        chunk_columns = [n // self.step for n in chunk_sizes if n % self.step == 0 and n // self.step <= _TILE]
+        chunk_columns = [
+            n // self.step for n in chunk_sizes if n % self.step == 0 and n // self.step <= _TILE
+        ]
         multiple = math.lcm(multiple, *chunk_columns)
-        rows_per_tile = max(int(np.clip(np.sqrt(budget_bytes / column_bytes), 8, _TILE)) // multiple, 1) * multiple
+        rows_per_tile = (
+            max(int(np.clip(np.sqrt(budget_bytes / column_bytes), 8, _TILE)) // multiple, 1)
+            * multiple
+        )
         # Along the rows of the file as far as memory allows, so that neighbours in the file are read together.
-        cols_per_tile = max(int(budget_bytes / column_bytes / rows_per_tile) // multiple, 1) * multiple
-        return tiles_of((rows, cols), (rows_per_tile, max(min(cols_per_tile, 4 * rows_per_tile), rows_per_tile)))
+        cols_per_tile = (
+            max(int(budget_bytes / column_bytes / rows_per_tile) // multiple, 1) * multiple
+        )
+        return tiles_of(
+            (rows, cols), (rows_per_tile, max(min(cols_per_tile, 4 * rows_per_tile), rows_per_tile))
+        )
 
 
 def join_tiles(tile_fields: Iterable[tuple[Tile, Floats]], out: Floats) -> Floats:
@@ -148,16 +166,23 @@ class Guide(NamedTuple):
 def make_guide(coarse_sheet: CoarseSheet, columns: Columns) -> Guide:
     """Bring the coarse sheet to single columns."""
     shape, pitch = columns.shape[:2], columns.pitch
-    low, high = (to_columns(field, coarse_sheet.block, shape) for field in (coarse_sheet.low, coarse_sheet.high))
+    low, high = (
+        to_columns(field, coarse_sheet.block, shape)
+        for field in (coarse_sheet.low, coarse_sheet.high)
+    )
     smoothed_um = gaussian_regression(
-        0.5 * (low + high) * pitch[2], pitch[:2],
-        cutoff_um=max(8 * coarse_sheet.block * max(pitch[:2]), 2 * float(np.nanmedian(high - low)) * pitch[2]),
-    )  # fmt: skip
+        0.5 * (low + high) * pitch[2],
+        pitch[:2],
+        cutoff_um=max(
+            8 * coarse_sheet.block * max(pitch[:2]), 2 * float(np.nanmedian(high - low)) * pitch[2]
+        ),
+    )
     slopes = np.gradient(smoothed_um, *pitch[:2])
     cosine = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
     rise_px = [s * p / columns.step / pitch[2] for s, p in zip(slopes, pitch[:2], strict=True)]
     slope_r, slope_c, cos_tilt = (
-        np.where(np.isfinite(a), a, b) for a, b in ((rise_px[0], 0.0), (rise_px[1], 0.0), (cosine, 1.0))
+        np.where(np.isfinite(a), a, b)
+        for a, b in ((rise_px[0], 0.0), (rise_px[1], 0.0), (cosine, 1.0))
     )
     return Guide(low=low, high=high, slope_r=slope_r, slope_c=slope_c, cos_tilt=cos_tilt)
 
@@ -168,7 +193,8 @@ class GreyScale:
 
     air_grey: float  # its level becomes 0
     polarity: float  # -1 where the sheet is darker than the air
-    blend_sd: float = 0.0  # standard deviation of the Gaussian over neighbouring columns, in columns
+    # Standard deviation of the Gaussian over neighbouring columns, in columns.
+    blend_sd: float = 0.0
 
     @property
     def halo(self) -> int:
@@ -180,7 +206,9 @@ class GreyScale:
         return tile.grown(self.halo, self.halo, shape)
 
 
-def oriented(columns: Columns, tile: Tile, guide: Guide, scale: GreyScale) -> tuple[NDArray[np.float32], Guide]:
+def oriented(
+    columns: Columns, tile: Tile, guide: Guide, scale: GreyScale
+) -> tuple[NDArray[np.float32], Guide]:
     """Grey above the air of the columns of a tile, (rows, cols, depth), and its guide from that of the grown tile."""
     tile_with_halo = scale.grown(tile, columns.shape[:2])
     tile_within = tile.within(tile_with_halo)
@@ -192,7 +220,11 @@ def oriented(columns: Columns, tile: Tile, guide: Guide, scale: GreyScale) -> tu
         return grey, guide
     weights = np.exp(-0.5 * (np.arange(scale.halo + 1) / scale.blend_sd) ** 2)
     weights = (weights / (2 * weights.sum() - 1)).astype(np.float32)
-    blended, rise_r, rise_c = np.empty_like(grey), guide.slope_r * columns.step, guide.slope_c * columns.step
+    blended, rise_r, rise_c = (
+        np.empty_like(grey),
+        guide.slope_r * columns.step,
+        guide.slope_c * columns.step,
+    )
     _kernels.blend(grey, rise_r, weights, 1, 0, blended)
     _kernels.blend(blended, rise_c, weights, 0, 1, grey)
     return np.ascontiguousarray(grey[tile_within.rows, tile_within.cols]), guide.part(tile_within)
@@ -221,7 +253,8 @@ class Edge:
 class Side:
     """Prior of the layers on one side of a column, (4,): what is expected, and how far a column may differ."""
 
-    level: Floats  # of face, thickness, grey of the coating (or of what lies outside), grey of the base
+    # Of face, thickness, grey of the coating (or of what lies outside), grey of the base.
+    level: Floats
     spread: Floats  # of the same; only those of the greys are used
     coated: bool
     # Grey of a fibre's wall above the air, where no coating covers a base of walls and pores; 0 elsewhere.
@@ -238,14 +271,18 @@ class Priors:
     scale: GreyScale
     noise: float  # standard deviation of what the fit sees in the air
     single_noise: float  # that of a column that is not averaged with its neighbours
-    scatter: float  # standard deviation by which the fit takes a sample to differ from its model: the noise or more
+    # Standard deviation by which the fit takes a sample to differ from its model: the noise or
+    # more.
+    scatter: float
     base_level: float  # level of the base above the air
     base_texture: float  # variance of the base's grey along a column, per voxel
     edge: Edge  # blur and fringe
     search_px: float  # how far outside the expected face the search starts, in voxels
-    embedded_level: float  # grey that separates a sheet from other material; 0 where air lies beside the sheet
+    # Grey that separates a sheet from other material; 0 where air lies beside the sheet.
+    embedded_level: float
     sides: Sides
-    covers_px: dict[bool, float]  # thickness of tape or film that touches, by whether at the high end; 0 for none
+    # Thickness of tape or film that touches, by whether at the high end; 0 for none.
+    covers_px: dict[bool, float]
 
     @property
     def coated(self) -> tuple[bool, bool]:
@@ -260,13 +297,23 @@ class Priors:
             for side in (self.sides[frame.top == "high"], self.sides[frame.top == "low"])
         )
         return {
-            "grey_air": air_grey, "grey_base": polarity * self.base_level + air_grey, "grey_coating_top": top,
-            "grey_coating_bottom": bottom, "grey_noise": self.noise, "grey_noise_single": self.single_noise,
-            "averaged_columns": self.scale.blend_sd, "base_texture_um": self.base_texture * pitch_um,
-            "polarity": polarity, "blur_um": edge.width * pitch_um, "fringe": edge.fringe,
+            "grey_air": air_grey,
+            "grey_base": polarity * self.base_level + air_grey,
+            "grey_coating_top": top,
+            "grey_coating_bottom": bottom,
+            "grey_noise": self.noise,
+            "grey_noise_single": self.single_noise,
+            "averaged_columns": self.scale.blend_sd,
+            "base_texture_um": self.base_texture * pitch_um,
+            "polarity": polarity,
+            "blur_um": edge.width * pitch_um,
+            "fringe": edge.fringe,
             "fringe_um": edge.fringe_width * pitch_um if edge.fringe else 0.0,
             **{
-                f"cover_{'top' if from_high == (frame.top == 'high') else 'bottom'}_um": cover_px * pitch_um
-                for from_high, cover_px in self.covers_px.items() if cover_px
+                f"cover_{'top' if from_high == (frame.top == 'high') else 'bottom'}_um": (
+                    cover_px * pitch_um
+                )
+                for from_high, cover_px in self.covers_px.items()
+                if cover_px
             },
-        }  # fmt: skip
+        }

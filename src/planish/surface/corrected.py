@@ -22,9 +22,13 @@ _HEIGHTS = ("top", "bottom", "interface_top", "interface_bottom")
 
 
 def correct_surfaces(
-    surfaces: xr.Dataset, volume: xr.DataArray, corrections: Corrections, *, params: SurfaceParams | None = None,
+    surfaces: xr.Dataset,
+    volume: xr.DataArray,
+    corrections: Corrections,
+    *,
+    params: SurfaceParams | None = None,
     engine: Engine | None = None,
-) -> xr.Dataset:  # fmt: skip
+) -> xr.Dataset:
     """Draw the faces of surfaces to the points of corrections.
 
     Parameters
@@ -60,21 +64,29 @@ def correct_surfaces(
     original = uncorrected(surfaces)
     if not corrections.stretches:
         return original
-    if "from_labels" in original.attrs or "grey_noise" not in original.attrs or params.method != "profile":
+    if (
+        "from_labels" in original.attrs
+        or "grey_noise" not in original.attrs
+        or params.method != "profile"
+    ):
         raise InputError(
-            "Faces are corrected in grey values, with --surface-method profile. Correct labels in the program that "
-            "made them, or leave --corrections out."
+            "Faces are corrected in grey values, with --surface-method profile. Correct labels in"
+            " the program that made them, or leave --corrections out."
         )
     drawn = Drawing(original, volume, corrections, engine)
     corrected = _with_drawn(original, drawn, params)
-    return corrected.assign_attrs(corrections=corrections.to_json(), corrected_tiles=len(drawn.tiles))
+    return corrected.assign_attrs(
+        corrections=corrections.to_json(), corrected_tiles=len(drawn.tiles)
+    )
 
 
 def uncorrected(surfaces: xr.Dataset) -> xr.Dataset:
     """Give the surfaces as they were before corrections, to the last bit."""
     if "corrections" not in surfaces.attrs:
         return surfaces
-    names = [str(name) for name in surfaces.data_vars if str(name).startswith(("found_", "correction_"))]
+    names = [
+        str(name) for name in surfaces.data_vars if str(name).startswith(("found_", "correction_"))
+    ]
     original = surfaces.drop_vars(names)
     is_changed = surfaces["found_status"].values != _UNCHANGED
     is_centre_moved = np.isfinite(surfaces["found_centre"].values)
@@ -108,21 +120,32 @@ def preview_faces(
     """
     boxes = [(stretch, _box(stretch, surfaces)) for stretch in corrections.stretches]
     near_boxes = [
-        (stretch, box) for stretch, box in boxes
+        (stretch, box)
+        for stretch, box in boxes
         if all(a.start < b.stop and a.stop > b.start for a, b in zip(box, part, strict=True))
-    ]  # fmt: skip
+    ]
     if not near_boxes:
         return None
     rows, cols = (
-        slice(min(box[k].start for _, box in near_boxes), max(box[k].stop for _, box in near_boxes)) for k in (0, 1)
+        slice(min(box[k].start for _, box in near_boxes), max(box[k].stop for _, box in near_boxes))
+        for k in (0, 1)
     )
     frame, step = Frame.of(surfaces), columns_of(surfaces, volume).step
     near_surfaces = uncorrected(surfaces.isel(y=rows, x=cols).load())
-    voxel_slices = {axis: slice(k.start * step, k.stop * step) for axis, k in ((frame.rows, rows), (frame.cols, cols))}
-    near_corrections = corrections.model_copy(update={"stretches": tuple(stretch for stretch, _ in near_boxes)})
-    heights = Drawing(near_surfaces, volume.isel(voxel_slices), near_corrections, Engine(threads=1)).heights
+    voxel_slices = {
+        axis: slice(k.start * step, k.stop * step)
+        for axis, k in ((frame.rows, rows), (frame.cols, cols))
+    }
+    near_corrections = corrections.model_copy(
+        update={"stretches": tuple(stretch for stretch, _ in near_boxes)}
+    )
+    heights = Drawing(
+        near_surfaces, volume.isel(voxel_slices), near_corrections, Engine(threads=1)
+    ).heights
     is_crossed = frame.sign * (heights["top"] - heights["bottom"]) <= 0
-    return (rows, cols), {face: np.where(is_crossed, near_surfaces[face].values, heights[face]) for face in SIDES}
+    return (rows, cols), {
+        face: np.where(is_crossed, near_surfaces[face].values, heights[face]) for face in SIDES
+    }
 
 
 def _box(stretch: Stretch, surfaces: xr.Dataset) -> list[slice]:
@@ -160,7 +183,9 @@ def _with_drawn(surfaces: xr.Dataset, drawn: Drawing, params: SurfaceParams) -> 
             found_field = np.where(is_changed, original, _UNCHANGED).astype(np.uint8)
         else:
             attrs["units"] = "um"
-            found_field = np.where(field != original if name == "centre" else is_changed, original, np.nan)
+            found_field = np.where(
+                field != original if name == "centre" else is_changed, original, np.nan
+            )
         variables[f"found_{name}"] = (("y", "x"), found_field, attrs)
     for face in SIDES:
         correction_flags = np.where(is_changed, drawn.how[face], 0).astype(np.uint8)
@@ -168,19 +193,26 @@ def _with_drawn(surfaces: xr.Dataset, drawn: Drawing, params: SurfaceParams) -> 
         attrs = {"long_name": f"How the {face} face was corrected", **flags}
         variables[f"correction_{face}"] = (("y", "x"), correction_flags, attrs)
         error = np.where(correction_flags > 0, drawn.error_um[face], np.nan).astype(np.float32)
-        attrs = {"units": "um", "long_name": f"Standard error that the correction adds to the {face} face"}
+        attrs = {
+            "units": "um",
+            "long_name": f"Standard error that the correction adds to the {face} face",
+        }
         variables[f"correction_{face}_error"] = (("y", "x"), error, attrs)
     return surfaces.assign(variables)
 
 
-def _moved_centre(surfaces: xr.Dataset, corrected: dict[str, NDArray[Any]], params: SurfaceParams) -> Floats:
+def _moved_centre(
+    surfaces: xr.Dataset, corrected: dict[str, NDArray[Any]], params: SurfaceParams
+) -> Floats:
     original = {name: surfaces[name].values for name in (*SIDES, "status")}
     face_means = [
         np.where(faces["status"] == Status.MEASURED, 0.5 * (faces["top"] + faces["bottom"]), np.nan)
         for faces in (original, corrected)
     ]
     centre, steps = surfaces["centre"].values, pitch(surfaces)
-    is_different = ~((face_means[0] == face_means[1]) | (np.isnan(face_means[0]) & np.isnan(face_means[1])))
+    is_different = ~(
+        (face_means[0] == face_means[1]) | (np.isnan(face_means[0]) & np.isnan(face_means[1]))
+    )
     if not is_different.any():
         return centre
     slices: list[slice] = []
@@ -188,10 +220,14 @@ def _moved_centre(surfaces: xr.Dataset, corrected: dict[str, NDArray[Any]], para
         # The smoothing reaches three cut-offs.
         changed_lines = np.flatnonzero(is_different.any(axis=1 - axis))
         reach = int(np.ceil(3.0 * params.cutoff_um / step))
-        slices.append(slice(max(int(changed_lines[0]) - reach, 0), int(changed_lines[-1]) + reach + 1))
+        slices.append(
+            slice(max(int(changed_lines[0]) - reach, 0), int(changed_lines[-1]) + reach + 1)
+        )
     window = slices[0], slices[1]
     outline = np.isfinite(centre[window])
-    centres = [centre_surface(face_mean[window], outline, steps, params)[0] for face_mean in face_means]
+    centres = [
+        centre_surface(face_mean[window], outline, steps, params)[0] for face_mean in face_means
+    ]
     moved_centre, shift_um = centre.copy(), centres[1] - centres[0]
     # Where a correction moves it by less than a nanometre it stays.
     moved_centre[window] += np.where(np.abs(shift_um) >= 0.001, shift_um, 0.0)

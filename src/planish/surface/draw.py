@@ -32,34 +32,64 @@ RING_UM = 25.0
 _CLICK = 0.5  # voxels: standard error of a point, and of a face that was found
 _WRONG = 3.0  # standard errors beyond which a face is
 _MISFIT = 0.03  # of the base's contrast: no column is a staircase to within less
-_LEAST, _LEAST_INNER = 0.15, 0.3  # of the step of the base, or of the interface: smaller ones are texture
-_EDGE = 1.0  # voxels by which an edge may be off where something misled the search: it has levels of its own
+# Of the step of the base, or of the interface: smaller ones are texture.
+_LEAST, _LEAST_INNER = 0.15, 0.3
+# Voxels by which an edge may be off where something misled the search: it has levels of its own.
+_EDGE = 1.0
 
 
 def columns_of(surfaces: xr.Dataset, volume: xr.DataArray) -> Columns:
     """The columns of a volume in which surfaces were found."""
     frame, pitch_um = Frame.of(surfaces), pitch(surfaces)
     voxel_um = dict(zip("zyx", map(float, surfaces.attrs["voxel_um"]), strict=True))
-    step = max(1, round(float(np.sqrt(pitch_um[0] * pitch_um[1] / (voxel_um[frame.rows] * voxel_um[frame.cols])))))
+    step = max(
+        1,
+        round(
+            float(
+                np.sqrt(pitch_um[0] * pitch_um[1] / (voxel_um[frame.rows] * voxel_um[frame.cols]))
+            )
+        ),
+    )
     return Columns(volume=volume, frame=frame, step=step, padding=surfaces.attrs.get("padding"))
 
 
 class Patch:
     """Columns around the points (n, 3) of a stretch: rows and columns (``window``), and how far each is ``away``."""
 
-    def __init__(self, lateral_um: tuple[Floats, Floats], points: Floats, reach_um: float, voxel_um: float) -> None:
-        self.points, self.voxel_um, self.far_um = points, voxel_um, reach_um + max(RING_UM, 0.5 * reach_um)
+    def __init__(
+        self, lateral_um: tuple[Floats, Floats], points: Floats, reach_um: float, voxel_um: float
+    ) -> None:
+        self.points, self.voxel_um, self.far_um = (
+            points,
+            voxel_um,
+            reach_um + max(RING_UM, 0.5 * reach_um),
+        )
         low, high = points[:, :2].min(axis=0) - self.far_um, points[:, :2].max(axis=0) + self.far_um
-        starts = [int(np.searchsorted(um, first)) for um, first in zip(lateral_um, low, strict=True)]
-        stops = [int(np.searchsorted(um, last, "right")) for um, last in zip(lateral_um, high, strict=True)]
-        rows, cols = (slice(start, max(stop, start + 1)) for start, stop in zip(starts, stops, strict=True))
+        starts = [
+            int(np.searchsorted(um, first)) for um, first in zip(lateral_um, low, strict=True)
+        ]
+        stops = [
+            int(np.searchsorted(um, last, "right"))
+            for um, last in zip(lateral_um, high, strict=True)
+        ]
+        rows, cols = (
+            slice(start, max(stop, start + 1)) for start, stop in zip(starts, stops, strict=True)
+        )
         self.window: Window = rows, cols
-        self.grid = np.stack(np.meshgrid(lateral_um[0][rows], lateral_um[1][cols], indexing="ij"), axis=-1)
+        self.grid = np.stack(
+            np.meshgrid(lateral_um[0][rows], lateral_um[1][cols], indexing="ij"), axis=-1
+        )
         self.away = distance_to_line(self.grid, points[:, :2])
         self.reach_um = reach_um
 
     def expect(
-        self, field: Floats, is_trusted: Bools, is_wanted: Bools, pitch: Pair, *, uses_points: bool = False
+        self,
+        field: Floats,
+        is_trusted: Bools,
+        is_wanted: Bools,
+        pitch: Pair,
+        *,
+        uses_points: bool = False,
     ) -> tuple[Floats, Floats] | None:
         """Krige a field, and its error, where it is wanted from where it is trusted, and from the points."""
         sample_indices = subsample(np.argwhere(is_trusted), 160)
@@ -68,36 +98,57 @@ class Patch:
         if not (len(points) + len(sample_indices) and is_wanted.any()):
             return None
         lag_um = max(0.25 * self.reach_um, 2 * max(pitch))
-        slope = variogram_slope(np.where(is_trusted, field, np.nan), pitch, lag_um, least=(0.25 * self.voxel_um) ** 2)
+        slope = variogram_slope(
+            np.where(is_trusted, field, np.nan), pitch, lag_um, least=(0.25 * self.voxel_um) ** 2
+        )
         heights = np.concatenate([points[:, 2], field[rows, cols]])
         return krige(
-            self.grid[is_wanted], places=np.concatenate([points[:, :2], self.grid[rows, cols]]), heights=heights,
-            variances=np.full(heights.size, (_CLICK * self.voxel_um) ** 2), slope=slope,
-        )  # fmt: skip
+            self.grid[is_wanted],
+            places=np.concatenate([points[:, :2], self.grid[rows, cols]]),
+            heights=heights,
+            variances=np.full(heights.size, (_CLICK * self.voxel_um) ** 2),
+            slope=slope,
+        )
 
 
 class Drawing:
     """Heights as corrections leave them, (rows, cols); ``how`` and ``error_um`` by face; ``tiles`` searched again."""
 
-    def __init__(self, surfaces: xr.Dataset, volume: xr.DataArray, corrections: Corrections, engine: Engine) -> None:
+    def __init__(
+        self, surfaces: xr.Dataset, volume: xr.DataArray, corrections: Corrections, engine: Engine
+    ) -> None:
         self.columns, self.engine = columns_of(surfaces, volume), engine
         self.attrs, self.pitch = surfaces.attrs, pitch(surfaces)
         self.contrast = abs(self.attrs["grey_base"] - self.attrs["grey_air"])
         blend_sd = float(self.attrs.get("averaged_columns", 0.0))
-        self.scale = GreyScale(air_grey=self.attrs["grey_air"], polarity=self.attrs["polarity"], blend_sd=blend_sd)
+        self.scale = GreyScale(
+            air_grey=self.attrs["grey_air"], polarity=self.attrs["polarity"], blend_sd=blend_sd
+        )
         self.lateral_um, self.voxel_um = self.columns.lateral_um(), self.columns.pitch[2]
         names = [name for face in SIDES for name in (face, f"interface_{face}")]
         self.heights = {name: surfaces[name].values.astype(np.float64) for name in names}
         self.status: NDArray[np.uint8] = surfaces["status"].values
-        self.how: dict[Side, NDArray[np.uint8]] = {face: np.zeros(self.status.shape, np.uint8) for face in SIDES}
-        self.error_um: dict[Side, Floats] = {face: np.full(self.status.shape, np.nan) for face in SIDES}
+        self.how: dict[Side, NDArray[np.uint8]] = {
+            face: np.zeros(self.status.shape, np.uint8) for face in SIDES
+        }
+        self.error_um: dict[Side, Floats] = {
+            face: np.full(self.status.shape, np.nan) for face in SIDES
+        }
         self.tiles: set[Tile] = set()
         # Slopes and tilt of the sheet, from its centre surface.
         centre = surfaces["centre"].values.astype(np.float64)
         slopes = [np.where(np.isfinite(s), s, 0.0) for s in np.gradient(centre, *self.pitch)]
-        rise_px = [s * p / self.columns.step / self.voxel_um for s, p in zip(slopes, self.pitch, strict=True)]
-        no_depth, cos_tilt = np.full(centre.shape, np.nan), 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
-        self.guide = Guide(low=no_depth, high=no_depth, slope_r=rise_px[0], slope_c=rise_px[1], cos_tilt=cos_tilt)
+        rise_px = [
+            s * p / self.columns.step / self.voxel_um
+            for s, p in zip(slopes, self.pitch, strict=True)
+        ]
+        no_depth, cos_tilt = (
+            np.full(centre.shape, np.nan),
+            1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2),
+        )
+        self.guide = Guide(
+            low=no_depth, high=no_depth, slope_r=rise_px[0], slope_c=rise_px[1], cos_tilt=cos_tilt
+        )
         for stretch in corrections.stretches:
             for face in SIDES:
                 if stretch.of(face):
@@ -106,7 +157,9 @@ class Drawing:
     def _draw(self, stretch: Stretch, face: Side) -> None:
         patch = Patch(self.lateral_um, self._points(stretch, face), stretch.reach_um, self.voxel_um)
         measured_um, in_reach = self._measured(face, patch.window), patch.away <= patch.reach_um
-        is_inside = in_reach & ~np.isin(self.status[patch.window], (Status.NO_SHEET, Status.LEAVES_VOLUME))
+        is_inside = in_reach & ~np.isin(
+            self.status[patch.window], (Status.NO_SHEET, Status.LEAVES_VOLUME)
+        )
         is_around = np.isfinite(measured_um) & ~in_reach & (patch.away <= patch.far_um)
         expected = patch.expect(measured_um, is_around, is_inside, self.pitch, uses_points=True)
         if expected is None:
@@ -119,7 +172,9 @@ class Drawing:
         # Beside what is wrong a face turns towards it.
         blur_columns = int(np.ceil(2 * self.attrs["blur_um"] / min(self.pitch))) + 1
         is_wrong = ndimage.binary_dilation(is_wrong, iterations=blur_columns) & is_inside
-        is_near_wrong = ndimage.binary_dilation(is_wrong, iterations=max(2, int(np.ceil(RING_UM / min(self.pitch)))))
+        is_near_wrong = ndimage.binary_dilation(
+            is_wrong, iterations=max(2, int(np.ceil(RING_UM / min(self.pitch))))
+        )
         is_right = is_near_wrong & ~is_wrong & np.isfinite(measured_um) & (is_inside | is_around)
         is_right = is_right if np.count_nonzero(is_right) >= 10 else is_around
         expected = patch.expect(measured_um, is_right, is_wrong, self.pitch, uses_points=True)
@@ -137,38 +192,58 @@ class Drawing:
     def _points(self, stretch: Stretch, face: Side) -> Floats:
         """Points of a face as (row, col, height) in um; InputError if one lies outside the columns."""
         axes = self.columns.axes
-        points = np.array([[getattr(point, axis) for axis in axes] for point in stretch.of(face)], dtype=np.float64)
-        for axis, um, points_um in zip(axes, (*self.lateral_um, self.columns.depth_um), points.T, strict=True):
+        points = np.array(
+            [[getattr(point, axis) for axis in axes] for point in stretch.of(face)],
+            dtype=np.float64,
+        )
+        for axis, um, points_um in zip(
+            axes, (*self.lateral_um, self.columns.depth_um), points.T, strict=True
+        ):
             is_outside = (points_um < um[0] - 1e-6) | (points_um > um[-1] + 1e-6)
             if is_outside.any():
                 point = stretch.of(face)[is_outside.argmax()]
                 raise InputError(
-                    f"A point of correction {stretch.id}, z, y, x = {point.z:g}, {point.y:g}, {point.x:g} um, lies "
-                    f"outside the volume: its {axis} goes from {um[0]:g} to {um[-1]:g} um. Move the point or take the "
-                    "correction out."
+                    f"A point of correction {stretch.id}, z, y, x = {point.z:g}, {point.y:g},"
+                    f" {point.x:g} um, lies outside the volume: its {axis} goes from {um[0]:g} to"
+                    f" {um[-1]:g} um. Move the point or take the correction out."
                 )
         return points
 
     def _measured(self, face: Side, window: Window) -> Floats:
         return np.where(self.status[window] == Status.MEASURED, self.heights[face][window], np.nan)
 
-    def _redraw(self, face: Side, window: Window, is_redrawn: Bools, expected: tuple[Floats, Floats]) -> None:
+    def _redraw(
+        self, face: Side, window: Window, is_redrawn: Bools, expected: tuple[Floats, Floats]
+    ) -> None:
         height, error = expected
         interface, heights = self.heights[f"interface_{face}"], self.heights[face]
         offset_px = np.full(height.size, np.nan)
         if np.isfinite(interface).any():
             offset_px[:] = np.nanmedian(np.abs(interface - heights)[window]) / self.voxel_um
         edge_heights = self._edges(
-            face, window, is_redrawn, expected, offset_px, is_relative=True, sign=1.0, min_step=_LEAST * self.contrast
+            face,
+            window,
+            is_redrawn,
+            expected,
+            offset_px,
+            is_relative=True,
+            sign=1.0,
+            min_step=_LEAST * self.contrast,
         )
         has_edge = np.isfinite(edge_heights)
         # Both say where the face is, each as sure as it is.
         edge_weight = error**2 / (error**2 + (_EDGE * self.voxel_um) ** 2)
-        heights[window][is_redrawn] = np.where(has_edge, height + edge_weight * (edge_heights - height), height)
+        heights[window][is_redrawn] = np.where(
+            has_edge, height + edge_weight * (edge_heights - height), height
+        )
         self.how[face][window][is_redrawn] = np.where(has_edge, IMAGE, INTERPOLATED)
-        self.error_um[face][window][is_redrawn] = np.where(has_edge, np.sqrt(1 - edge_weight) * error, error)
+        self.error_um[face][window][is_redrawn] = np.where(
+            has_edge, np.sqrt(1 - edge_weight) * error, error
+        )
 
-    def _redraw_interface(self, face: Side, patch: Patch, is_redrawn: Bools, is_near: Bools) -> None:
+    def _redraw_interface(
+        self, face: Side, patch: Patch, is_redrawn: Bools, is_near: Bools
+    ) -> None:
         """Move an interface with its face that was redrawn: to edges in the image, or by the coating around."""
         interface, window = self.heights[f"interface_{face}"], patch.window
         if not np.isfinite(interface).any() or not is_redrawn.any():
@@ -182,13 +257,21 @@ class Drawing:
         height, error = face_height + inward * np.maximum(thickness[0], 0.0), thickness[1]
         grey_step = self.attrs["grey_base"] - self.attrs[f"grey_coating_{face}"]
         edge_heights = self._edges(
-            face, window, is_redrawn, (height, error), self._depth(face_height, face), is_relative=False,
-            sign=1.0 if self.attrs["polarity"] * grey_step > 0 else -1.0, min_step=_LEAST_INNER * abs(grey_step),
-        )  # fmt: skip
+            face,
+            window,
+            is_redrawn,
+            (height, error),
+            self._depth(face_height, face),
+            is_relative=False,
+            sign=1.0 if self.attrs["polarity"] * grey_step > 0 else -1.0,
+            min_step=_LEAST_INNER * abs(grey_step),
+        )
         has_edge = np.isfinite(edge_heights) & (inward * (edge_heights - face_height) > 0)
         interface[window][is_redrawn] = np.where(has_edge, edge_heights, height)
         face_error_um = self.error_um[face][window][is_redrawn]
-        self.error_um[face][window][is_redrawn] = np.where(has_edge, face_error_um, np.hypot(face_error_um, error))
+        self.error_um[face][window][is_redrawn] = np.where(
+            has_edge, face_error_um, np.hypot(face_error_um, error)
+        )
 
     def _depth(self, height: Floats, face: Side) -> Floats:
         depth = (height - float(self.columns.depth_um[0])) / self.voxel_um
@@ -198,33 +281,60 @@ class Drawing:
         return (face == "top") == (self.columns.frame.top == "high")
 
     def _edges(
-        self, face: Side, window: Window, is_searched: Bools, expected: tuple[Floats, Floats], second_edge: Floats, *,
-        is_relative: bool, sign: float, min_step: float,
-    ) -> Floats:  # fmt: skip
+        self,
+        face: Side,
+        window: Window,
+        is_searched: Bools,
+        expected: tuple[Floats, Floats],
+        second_edge: Floats,
+        *,
+        is_relative: bool,
+        sign: float,
+        min_step: float,
+    ) -> Floats:
         """Heights of edges near those that are expected, (n,); NaN where the image shows none."""
         columns, is_high = self.columns, self._is_high(face)
-        column_indices = np.stack(np.nonzero(is_searched)) + np.array([[window[0].start], [window[1].start]])
+        column_indices = np.stack(np.nonzero(is_searched)) + np.array(
+            [[window[0].start], [window[1].start]]
+        )
         blur_px = self.attrs["blur_um"] / self.voxel_um
         error_px = np.maximum(expected[1] / self.voxel_um, 0.25)
-        band_px = np.clip(2.0 * error_px + 1, 2.0, 8.0)  # how far from the expected place an edge is sought, in voxels
+        # How far from the expected place an edge is sought, in voxels.
+        band_px = np.clip(2.0 * error_px + 1, 2.0, 8.0)
         edge_searches = np.stack([self._depth(expected[0], face), error_px, band_px, second_edge])
         # The noise; the least step, and how much it gains: an edge of five standard errors; the fringe.
         search_options = (
-            max(self.attrs["grey_noise"], _MISFIT * self.contrast), max(min_step, 4 * self.attrs["grey_noise"]), 25.0,
-            self.attrs.get("fringe", 0.0), blur_px / (self.attrs.get("fringe_um", 0.0) / self.voxel_um or FRINGE_PX),
-        )  # fmt: skip
+            max(self.attrs["grey_noise"], _MISFIT * self.contrast),
+            max(min_step, 4 * self.attrs["grey_noise"]),
+            25.0,
+            self.attrs.get("fringe", 0.0),
+            blur_px / (self.attrs.get("fringe_um", 0.0) / self.voxel_um or FRINGE_PX),
+        )
 
         def job(tile: Tile) -> EdgeJob:
-            in_tile, guide = _in_tile(column_indices, tile), self.guide.part(self.scale.grown(tile, columns.shape[:2]))
+            in_tile, guide = (
+                _in_tile(column_indices, tile),
+                self.guide.part(self.scale.grown(tile, columns.shape[:2])),
+            )
             reading = columns, guide, self.scale, is_high, blur_px
-            return reading, column_indices[:, in_tile], edge_searches[:, in_tile], (is_relative, sign), search_options
+            return (
+                reading,
+                column_indices[:, in_tile],
+                edge_searches[:, in_tile],
+                (is_relative, sign),
+                search_options,
+            )
 
         tiles = [t for t in columns.tiles(self.engine) if _in_tile(column_indices, t).any()]
         self.tiles.update(tiles)
         depths = np.full(column_indices.shape[1], np.nan)
         # Named by what is asked for: a run that goes on with other corrections finds nothing of these.
-        request = hashlib.sha256(b"".join(a.tobytes() for a in (*column_indices, *expected, second_edge)))
-        for tile, tile_depths in self.engine.map(f"drawn-{request.hexdigest()[:16]}", _search_edges, job, tiles):
+        request = hashlib.sha256(
+            b"".join(a.tobytes() for a in (*column_indices, *expected, second_edge))
+        )
+        for tile, tile_depths in self.engine.map(
+            f"drawn-{request.hexdigest()[:16]}", _search_edges, job, tiles
+        ):
             depths[_in_tile(column_indices, tile)] = tile_depths
         if is_high:
             depths = columns.shape[2] - 1 - depths
@@ -232,7 +342,11 @@ class Drawing:
 
 
 EdgeJob = tuple[
-    tuple[Columns, Guide, GreyScale, bool, float], NDArray[np.intp], Floats, tuple[bool, float], tuple[float, ...]
+    tuple[Columns, Guide, GreyScale, bool, float],
+    NDArray[np.intp],
+    Floats,
+    tuple[bool, float],
+    tuple[float, ...],
 ]
 """What the profiles of a tile are read with, whether from the high end, and their blur; rows and columns of the edges;
 for each the depth expected, its error, how far from it an edge may be, and the other depth; options of the search."""
@@ -244,13 +358,21 @@ def _in_tile(places: NDArray[np.intp], tile: Tile) -> Bools:
 
 
 def _search_edges(job: EdgeJob, tile: Tile) -> Floats:
-    (columns, guide, scale, is_high, blur_px), (rows, cols), edge_searches, edge_kind, search_options = job
+    (
+        (columns, guide, scale, is_high, blur_px),
+        (rows, cols),
+        edge_searches,
+        edge_kind,
+        search_options,
+    ) = job
     grey, guide = oriented(columns, tile, guide, scale)
     tile_indices = rows - tile.r0, cols - tile.c0
     profiles = np.ascontiguousarray(grey[tile_indices][:, ::-1] if is_high else grey[tile_indices])
     width_px = blur_px / guide.cos_tilt[tile_indices]
     depths = np.empty(len(profiles))
-    _draw_kernels.draw_edges(profiles, *edge_searches, *edge_kind, width_px, *search_options, depths)
+    _draw_kernels.draw_edges(
+        profiles, *edge_searches, *edge_kind, width_px, *search_options, depths
+    )
     return depths
 
 
@@ -260,8 +382,14 @@ def distance_to_line(grid: Floats, places: Floats) -> Floats:
     for start, end in pairwise(places):
         segment = end - start
         length = float(segment @ segment)
-        share = np.clip(((grid - start) @ segment) / length, 0, 1) if length > 0 else np.zeros(grid.shape[:-1])
-        distance = np.minimum(distance, np.hypot(*np.moveaxis(grid - start - share[..., None] * segment, -1, 0)))
+        share = (
+            np.clip(((grid - start) @ segment) / length, 0, 1)
+            if length > 0
+            else np.zeros(grid.shape[:-1])
+        )
+        distance = np.minimum(
+            distance, np.hypot(*np.moveaxis(grid - start - share[..., None] * segment, -1, 0))
+        )
     return distance
 
 
@@ -276,7 +404,9 @@ def krige(
     centroid, n = places.mean(axis=0), len(heights)
     plane = np.zeros(3)
     if n >= 6:
-        plane = np.linalg.lstsq(np.column_stack([np.ones(n), places - centroid]), heights, rcond=1e-6)[0]
+        plane = np.linalg.lstsq(
+            np.column_stack([np.ones(n), places - centroid]), heights, rcond=1e-6
+        )[0]
     residuals = heights - plane[0] - (places - centroid) @ plane[1:]
 
     def semivariance(points: Floats) -> Floats:
@@ -292,7 +422,9 @@ def krige(
         semivariances = np.ones((len(targets[chunk]), n + 1))
         semivariances[:, :n] = -semivariance(targets[chunk])
         weights = semivariances @ inverse
-        height[chunk] = weights[:, :n] @ residuals + plane[0] + (targets[chunk] - centroid) @ plane[1:]
+        height[chunk] = (
+            weights[:, :n] @ residuals + plane[0] + (targets[chunk] - centroid) @ plane[1:]
+        )
         error[chunk] = np.sqrt(np.maximum(-np.sum(weights * semivariances, axis=1), 0.0))
     return height, error
 
@@ -306,10 +438,14 @@ def variogram_slope(heights: Floats, pitch: Pair, lag_um: float, *, least: float
     for axis, step in enumerate(pitch):
         k = max(1, round(lag_um / step))
         if heights.shape[axis] > k:
-            first, second = (np.take(heights, range(a, heights.shape[axis] - k + a), axis) for a in (0, k))
+            first, second = (
+                np.take(heights, range(a, heights.shape[axis] - k + a), axis) for a in (0, k)
+            )
             squares_at_lag = (second - first)[np.isfinite(second - first)] ** 2
             squared_differences.append(squares_at_lag * lag_um / (k * step))
     squares_at_lag = np.concatenate(squared_differences) if squared_differences else np.empty(0)
     # The median of the square of a normal deviate is 0.4549 of its variance.
-    typical_variance = float(np.median(squares_at_lag)) / (2 * 0.4549) if squares_at_lag.size else 0.0
+    typical_variance = (
+        float(np.median(squares_at_lag)) / (2 * 0.4549) if squares_at_lag.size else 0.0
+    )
     return max(typical_variance, least) / lag_um

@@ -40,7 +40,9 @@ class Faces:
     level_errors: dict[str, tuple[Floats, float]] = field(default_factory=dict)
 
 
-def find_faces(columns: Columns, guide: Guide, priors: Priors, engine: Engine, particles: int = 0) -> Faces:
+def find_faces(
+    columns: Columns, guide: Guide, priors: Priors, engine: Engine, particles: int = 0
+) -> Faces:
     """Fit every column from both ends; ``particles`` float in the air beside the sheet."""
     shape, depth = columns.shape[:2], columns.shape[2]
 
@@ -48,18 +50,26 @@ def find_faces(columns: Columns, guide: Guide, priors: Priors, engine: Engine, p
         return columns, guide.part(priors.scale.grown(tile, shape)), priors, None
 
     tiles = columns.tiles(engine)
-    depths = join_tiles(engine.map("faces", _fit_tile, job, tiles), np.empty((_planes(priors), *shape)))
+    depths = join_tiles(
+        engine.map("faces", _fit_tile, job, tiles), np.empty((_planes(priors), *shape))
+    )
     if not priors.embedded_level:
         # The coarse sheet is one connected object: what is seen far outside it hangs on nothing, and the face is looked
         # for again below it. Where the gap is so narrow that the coarse search saw one object, a plate with a step all
         # around is tried too. Such plates are counted here; what floats farther away was counted by the coarse search.
         is_floating, expected_depths = np.zeros((2, *shape), dtype=bool), np.empty((2, *shape))
-        plates_by_end, opened_faces = zip(*map_threads(_plates, -depths[:4:2], repeat(columns.pitch)), strict=True)
+        plates_by_end, opened_faces = zip(
+            *map_threads(_plates, -depths[:4:2], repeat(columns.pitch)), strict=True
+        )
         for k, from_high in enumerate((True, False)):
             plate_labels, opened = plates_by_end[k], opened_faces[k]
-            expected_depths[k] = np.where(plate_labels > 0, -opened, guide.faces(depth, from_high=from_high)[0])
+            expected_depths[k] = np.where(
+                plate_labels > 0, -opened, guide.faces(depth, from_high=from_high)[0]
+            )
             with np.errstate(invalid="ignore"):
-                is_floating[k] = (expected_depths[k] - depths[2 * k] > _FLOATS / guide.cos_tilt) | (plate_labels > 0)
+                is_floating[k] = (expected_depths[k] - depths[2 * k] > _FLOATS / guide.cos_tilt) | (
+                    plate_labels > 0
+                )
         search_depths = np.where(is_floating, expected_depths, np.nan)
 
         def job_below(tile: Tile) -> FitJob:
@@ -71,7 +81,9 @@ def find_faces(columns: Columns, guide: Guide, priors: Priors, engine: Engine, p
         for k, plate_labels in enumerate(plates_by_end):
             is_better = is_floating[k] & np.isfinite(depths_below[2 * k])
             # A plate floats when there is a face below most of it.
-            is_floating_plate = np.append(False, _share(is_better, plate_labels, int(plate_labels.max())) > _MOST_OF)
+            is_floating_plate = np.append(
+                False, _share(is_better, plate_labels, int(plate_labels.max())) > _MOST_OF
+            )
             particles += int(np.count_nonzero(is_floating_plate))
             is_better &= (plate_labels == 0) | is_floating_plate[plate_labels]
             depths[2 * k][is_floating_plate[plate_labels] & ~is_better] = np.nan
@@ -95,12 +107,18 @@ def faces_from_depths(
     from the low end, in voxels, and how far either face moves with the wall's grey; ``coated`` and ``cleaned`` in the
     same order. ``cleaned``: take off spikes and attached particles; ``particles`` were removed before.
     """
-    first_um, step_um, last_index = float(columns.depth_um[0]), columns.pitch[2], columns.shape[2] - 1
+    first_um, step_um, last_index = (
+        float(columns.depth_um[0]),
+        columns.pitch[2],
+        columns.shape[2] - 1,
+    )
     below_particle = np.zeros(depths.shape[1:], dtype=bool)
     heights: dict[str, Floats] = {}
     level_errors: dict[str, tuple[Floats, float]] = {}
     faces = map_threads(_cleaned, depths[:4:2], repeat(columns.pitch), cleaned)
-    for k, side in enumerate(("top", "bottom") if columns.frame.top == "high" else ("bottom", "top")):
+    for k, side in enumerate(
+        ("top", "bottom") if columns.frame.top == "high" else ("bottom", "top")
+    ):
         (outer, is_particle), thickness = faces[k], depths[2 * k + 1]
         if len(depths) > 4:
             # The rms of neighbours: whether a wall is seen or not is chance in one column.
@@ -113,23 +131,33 @@ def faces_from_depths(
         interface = np.where(np.isfinite(outer) & coated[k], outer + thickness, np.nan)
         for name, depth in ((side, outer), (f"interface_{side}", interface)):
             heights[name] = first_um + step_um * (last_index - depth if k == 0 else depth)
-    return Faces(heights=heights, below_particle=below_particle, particles=particles, level_errors=level_errors)
+    return Faces(
+        heights=heights,
+        below_particle=below_particle,
+        particles=particles,
+        level_errors=level_errors,
+    )
 
 
-def _cleaned(outer: Floats, pitch: tuple[float, float, float], is_asked: bool) -> tuple[Floats, Bools]:
+def _cleaned(
+    outer: Floats, pitch: tuple[float, float, float], is_asked: bool
+) -> tuple[Floats, Bools]:
     """Give a face without spikes and attached particles, and where these are; as it is where that is not asked."""
     if not is_asked or not np.isfinite(outer).any():
         return outer, np.zeros(outer.shape, dtype=bool)
     # Columns whose face stands far off its neighbours' are dust, or fits that went astray.
     is_finite, step_um = np.isfinite(outer), pitch[2]
     deviation_px = np.abs(outer - ndimage.median_filter(filled(outer), size=5, mode="nearest"))
-    limit_px = max(8.0 * mad_sd(deviation_px[is_finite]) + 1.0, 3.0 / step_um, 3.0)  # 3 um or voxels
+    # 3 um or voxels.
+    limit_px = max(8.0 * mad_sd(deviation_px[is_finite]) + 1.0, 3.0 / step_um, 3.0)
     outer = np.where(is_finite & (deviation_px <= limit_px), outer, np.nan)
     # What stands 6 um or 3 voxels out of the face, and by more than its roughness, in a narrow place.
     is_finite, filled_face = np.isfinite(outer), filled(-outer)
     rows, cols = (max(int(15.0 / p), 1) + 1 for p in pitch[:2])  # an attached particle is narrower
     top_hat = filled_face - _opened(filled_face, (rows, cols))
-    is_particle = is_finite & (top_hat > max(8.0 * mad_sd(top_hat[is_finite]) + 1.0, 6.0 / step_um, 3.0))
+    is_particle = is_finite & (
+        top_hat > max(8.0 * mad_sd(top_hat[is_finite]) + 1.0, 6.0 / step_um, 3.0)
+    )
     return np.where(is_particle, np.nan, outer), is_particle
 
 
@@ -139,9 +167,12 @@ def _plates(outward: Floats, pitch: tuple[float, float, float]) -> tuple[NDArray
     if not is_finite.any():
         return np.zeros(outward.shape, np.int32), outward
     filled_face = filled(outward)
-    opened = _opened(filled_face, (int(100.0 / pitch[0]) + 2, int(100.0 / pitch[1]) + 2))  # as wide as it may be, in um
+    # As wide as it may be, in um.
+    opened = _opened(filled_face, (int(100.0 / pitch[0]) + 2, int(100.0 / pitch[1]) + 2))
     top_hat = filled_face - opened
-    labels, count = ndimage.label(is_finite & (top_hat > max(_FLOATS - 0.5, 8.0 * mad_sd(top_hat[is_finite]))))
+    labels, count = ndimage.label(
+        is_finite & (top_hat > max(_FLOATS - 0.5, 8.0 * mad_sd(top_hat[is_finite])))
+    )
     if not count:
         return np.asarray(labels, np.int32), opened
     # A bump, or a fibre that lies on others with its ends, has no step all around.
@@ -154,14 +185,18 @@ def _opened(height: Floats, size: tuple[int, int]) -> Floats:
     """Opening of a face that goes on beyond its border with the slope it has there."""
     pad_widths = [(min(n, m - 1),) * 2 for n, m in zip(size, height.shape, strict=True)]
     padded = np.pad(height, pad_widths, mode="reflect", reflect_type="odd")
-    inner_window = tuple(slice(a, n - a) for (a, _), n in zip(pad_widths, padded.shape, strict=True))
+    inner_window = tuple(
+        slice(a, n - a) for (a, _), n in zip(pad_widths, padded.shape, strict=True)
+    )
     return ndimage.grey_opening(padded, size=size)[inner_window]
 
 
 def _share(mask: Bools, labels: NDArray[np.integer], count: int) -> Floats:
     flat_labels = labels.ravel()
     column_count = np.bincount(flat_labels, minlength=count + 1)[1:]
-    return np.bincount(flat_labels, weights=mask.ravel(), minlength=count + 1)[1:] / np.maximum(column_count, 1)
+    return np.bincount(flat_labels, weights=mask.ravel(), minlength=count + 1)[1:] / np.maximum(
+        column_count, 1
+    )
 
 
 def _fit_tile(job: FitJob, tile: Tile) -> Floats:
@@ -175,21 +210,47 @@ def _fit_tile(job: FitJob, tile: Tile) -> Floats:
     cos_tilt = np.ascontiguousarray(guide.cos_tilt)
     depths, fit = np.zeros((_planes(priors), *tile.shape)), np.empty((5, *tile.shape))
     for k, from_high in enumerate((True, False)):
-        outer, opposite = (np.ascontiguousarray(a) for a in guide.faces(grey.shape[2], from_high=from_high))
-        side, embedded_level, search_px = priors.sides[from_high], priors.embedded_level, priors.search_px
+        outer, opposite = (
+            np.ascontiguousarray(a) for a in guide.faces(grey.shape[2], from_high=from_high)
+        )
+        side, embedded_level, search_px = (
+            priors.sides[from_high],
+            priors.embedded_level,
+            priors.search_px,
+        )
         if search_depths is not None:
             outer, embedded_level = np.ascontiguousarray(search_depths[k]), 0.5 * priors.base_level
         if side.wall_level:
             start = outer - (1.0 if search_depths is not None else search_px) / cos_tilt
             inward_grey = grey[..., ::-1] if from_high else grey
-            levels = [0.5 * side.wall_level * (1.0 + doubt) for doubt in (0.0, -_LEVEL_DOUBT, _LEVEL_DOUBT)]
-            face, outwards, inwards = (outermost_crossing(inward_grey, start, opposite, level) for level in levels)
+            levels = [
+                0.5 * side.wall_level * (1.0 + doubt)
+                for doubt in (0.0, -_LEVEL_DOUBT, _LEVEL_DOUBT)
+            ]
+            face, outwards, inwards = (
+                outermost_crossing(inward_grey, start, opposite, level) for level in levels
+            )
             depths[2 * k], depths[4 + k] = face, 0.5 * (inwards - outwards)
             continue
         _fit_kernels.fit_faces(
-            grey, outer, opposite, cos_tilt, 0.0, edge.width, priors.scatter, side.level, side.spread, side.coated,
-            search_px, fit, 0.0, embedded_level, edge.fringe or None, edge.ratio, from_high,
-        )  # fmt: skip
+            grey,
+            outer,
+            opposite,
+            cos_tilt,
+            0.0,
+            edge.width,
+            priors.scatter,
+            side.level,
+            side.spread,
+            side.coated,
+            search_px,
+            fit,
+            0.0,
+            embedded_level,
+            edge.fringe or None,
+            edge.ratio,
+            from_high,
+        )
         depths[2 * k : 2 * k + 2] = fit[:2]
     return depths
 
@@ -198,9 +259,13 @@ def _planes(priors: Priors) -> int:
     return 6 if any(side.wall_level for side in priors.sides.values()) else 4
 
 
-def outermost_crossing(grey: NDArray[np.floating], start: Floats, stop: Floats, level: float) -> Floats:
+def outermost_crossing(
+    grey: NDArray[np.floating], start: Floats, stop: Floats, level: float
+) -> Floats:
     """Depth (...) at which ``grey`` (..., depth), read from outside, first passes level; NaN for nowhere."""
-    inside = first_where(grey > level, np.where(np.isfinite(start), np.maximum(np.floor(start), 1), grey.shape[-1]))
+    inside = first_where(
+        grey > level, np.where(np.isfinite(start), np.maximum(np.floor(start), 1), grey.shape[-1])
+    )
     is_found = inside <= np.minimum(stop, grey.shape[-1] - 1)
     outside = np.where(is_found, inside - 1, 0)
     return np.where(is_found, outside + crossing(grey, outside, level), np.nan)
@@ -215,6 +280,8 @@ def first_where(mask: Bools, start: NDArray[Any]) -> NDArray[np.intp]:
 def crossing(grey: NDArray[np.floating], first_sample: NDArray[np.intp], level: float) -> Floats:
     """Share of the way from one sample of ``grey`` (..., depth) to the next at which level is passed."""
     next_sample = np.minimum(first_sample + 1, grey.shape[-1] - 1)
-    a, b = (np.take_along_axis(grey, k[..., None], axis=-1)[..., 0] for k in (first_sample, next_sample))
+    a, b = (
+        np.take_along_axis(grey, k[..., None], axis=-1)[..., 0] for k in (first_sample, next_sample)
+    )
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(b != a, np.clip((level - a) / (b - a), 0.0, 1.0), 0.5)

@@ -24,9 +24,16 @@ from planish.surface.survey import Survey, take_survey
 
 
 def find_surfaces(
-    volume: xr.DataArray, *, through: Axis | None = None, top: End | None = None, frame: Frame | None = None,
-    params: SurfaceParams | None = None, step: int = 1, engine: Engine | None = None, unusual_size: bool = False,
-) -> xr.Dataset:  # fmt: skip
+    volume: xr.DataArray,
+    *,
+    through: Axis | None = None,
+    top: End | None = None,
+    frame: Frame | None = None,
+    params: SurfaceParams | None = None,
+    step: int = 1,
+    engine: Engine | None = None,
+    unusual_size: bool = False,
+) -> xr.Dataset:
     """Find top, bottom, interfaces and centre surface of the sheet in a volume.
 
     Parameters
@@ -84,7 +91,10 @@ def find_surfaces(
     spread that is learnt from the same volume, which keeps thin layers from taking the width of the blur.
     """
     check_volume(volume, "pl.find_surfaces({})")
-    frame, params = Frame.asked(volume, frame, through, top), params_of(SurfaceParams, params, "pl.find_surfaces")
+    frame, params = (
+        Frame.asked(volume, frame, through, top),
+        params_of(SurfaceParams, params, "pl.find_surfaces"),
+    )
     try:
         surfaces = _search(volume, frame, params, step, engine or Engine())
         check_sheet(surfaces, unusual_size=unusual_size)
@@ -95,13 +105,18 @@ def find_surfaces(
     return surfaces
 
 
-def _search(volume: xr.DataArray, frame: Frame, params: SurfaceParams, step: int, engine: Engine) -> xr.Dataset:
+def _search(
+    volume: xr.DataArray, frame: Frame, params: SurfaceParams, step: int, engine: Engine
+) -> xr.Dataset:
     if params.labels is not None:
         if params.corrections is not None:
-            raise InputError("Faces are corrected in grey values. Correct labels in the program that made them.")
+            raise InputError(
+                "Faces are corrected in grey values. Correct labels in the program that made them."
+            )
         if step > 1:
             raise InputError(
-                f"The labels of {step} x {step} voxels have no mean. Give more memory (--memory), or crop the volume."
+                f"The labels of {step} x {step} voxels have no mean. Give more memory (--memory),"
+                " or crop the volume."
             )
         return surfaces_from_labels(volume, frame, params.labels, params, engine)
     columns = Columns(volume=volume, frame=frame, step=step)
@@ -113,10 +128,13 @@ def _search(volume: xr.DataArray, frame: Frame, params: SurfaceParams, step: int
     air_grey = priors.scale.air_grey
     find_by_method = find_faces if params.method == "profile" else find_faces_by_slice
     surfaces = assemble(
-        columns, params, find_by_method(columns, guide, priors, engine, survey.coarse.specks),
+        columns,
+        params,
+        find_by_method(columns, guide, priors, engine, survey.coarse.specks),
         doubtful(guide, survey.coarse, priors.edge.width, columns.shape[2]),
-        (air_grey, priors.scale.polarity * priors.base_level + air_grey), engine,
-    )  # fmt: skip
+        (air_grey, priors.scale.polarity * priors.base_level + air_grey),
+        engine,
+    )
     share_attrs = {"missing_share": survey.missing_share, "empty_share": survey.empty_share}
     surfaces.attrs |= priors.attrs(columns.pitch[2], frame) | share_attrs
     if survey.padding is not None:
@@ -128,7 +146,9 @@ def _search(volume: xr.DataArray, frame: Frame, params: SurfaceParams, step: int
     return correct_surfaces(surfaces, volume, corrections, params=params, engine=engine)
 
 
-def _attrs_of_companions(companions: Sequence[Companion], voxel_um: float, frame: Frame) -> dict[str, str | float]:
+def _attrs_of_companions(
+    companions: Sequence[Companion], voxel_um: float, frame: Frame
+) -> dict[str, str | float]:
     """Words for the objects that were left out beside the sheet, and the narrowest gap to one of them."""
     if not companions:
         return {}
@@ -137,11 +157,15 @@ def _attrs_of_companions(companions: Sequence[Companion], voxel_um: float, frame
         f"{'top' if c.end == frame.top else 'bottom'} side, in {100 * c.share:.0f} % of the columns"
         for c in companions
     ]
-    return {"beside": "; ".join(texts), "beside_gap_um": voxel_um * min(c.gap_px for c in companions)}
+    return {
+        "beside": "; ".join(texts),
+        "beside_gap_um": voxel_um * min(c.gap_px for c in companions),
+    }
 
 
 _LEAST_SHARE = 0.15  # of the columns with more than air: with less there is no map
-_LEAVES = 0.2  # of the columns: where the sheet leaves the volume in fewer, its axis is not questioned
+# Of the columns: where the sheet leaves the volume in fewer, its axis is not questioned.
+_LEAVES = 0.2
 
 
 def check_sheet(surfaces: xr.Dataset, *, unusual_size: bool) -> None:
@@ -152,17 +176,18 @@ def check_sheet(surfaces: xr.Dataset, *, unusual_size: bool) -> None:
     if not min_um <= thickness_um <= max_um:
         voxel_text = ", ".join(f"{v:g}" for v in surfaces.attrs["voxel_um"])
         raise VolumeError(
-            f"The sheet would be {thickness_um:.3g} um thick; sheets of {min_um:g} to {max_um:g} um are mapped. The "
-            f"voxel size of {voxel_text} um (z, y, x) is probably in another unit. Give the right one with --voxel-um "
-            "and --override-size, or add --unusual-size if it is no paper."
+            f"The sheet would be {thickness_um:.3g} um thick; sheets of {min_um:g} to {max_um:g} um"
+            f" are mapped. The voxel size of {voxel_text} um (z, y, x) is probably in another unit."
+            " Give the right one with --voxel-um and --override-size, or add --unusual-size if it"
+            " is no paper."
         )
     measured_share = float((surfaces["status"].values == 0).mean())
     measured_share /= max(1.0 - float(surfaces.attrs.get("empty_share", 0.0)), measured_share)
     if measured_share < _LEAST_SHARE:
         raise VolumeError(
-            f"Both faces of the sheet were found in {100 * measured_share:.1f} % of the columns that are not all air; "
-            f"{100 * _LEAST_SHARE:.0f} % are needed. Check --through and --sheet-grey, and that the sheet stays in the "
-            "volume."
+            f"Both faces of the sheet were found in {100 * measured_share:.1f} % of the columns"
+            f" that are not all air; {100 * _LEAST_SHARE:.0f} % are needed. Check --through and"
+            " --sheet-grey, and that the sheet stays in the volume."
         )
 
 
@@ -184,11 +209,13 @@ def check_axis(columns: Columns, survey: Survey, params: SurfaceParams, engine: 
     except VolumeError:
         return
     sheets_and_columns = (coarse_sheet, columns), (turned_sheet, turned_columns)
-    thicknesses_um = [float(np.nanmedian((s.high - s.low) * c.pitch[2])) for s, c in sheets_and_columns]
+    thicknesses_um = [
+        float(np.nanmedian((s.high - s.low) * c.pitch[2])) for s, c in sheets_and_columns
+    ]
     # A sheet that is seen edge on measures a sixth of its run, or less, along its normal.
     if turned_sheet.is_leaving.mean() < _LEAVES and thicknesses_um[1] < 1 / 6 * thicknesses_um[0]:
         raise VolumeError(
-            f"The sheet is seen edge on: along {columns.frame.through} it leaves the volume in "
-            f"{100 * coarse_sheet.is_leaving.mean():.0f} % of the columns, and is {thicknesses_um[0]:.0f} um thick in "
-            "the others."
+            f"The sheet is seen edge on: along {columns.frame.through} it leaves the volume in"
+            f" {100 * coarse_sheet.is_leaving.mean():.0f} % of the columns, and is"
+            f" {thicknesses_um[0]:.0f} um thick in the others."
         )

@@ -26,8 +26,10 @@ _LEAST_COVER_UM = 15.0  # from a face to a brighter layer: a coating's brightest
 # Of the core's variance, what acts on a face: the solid below it is denser. By drawn fibres, and pores of a voxel.
 _BELOW_FACE = 0.3
 POROUS = 0.35  # spread of the core's grey over its median: where it is less, no pores show
-_OF_COATING = 0.45  # share of a coating's grey that has to stand out from the noise where the base has pores
-_PLAIN, _PLAIN_SHARE = 5.5, 0.05  # widths of the blur, and share of columns: such a layer shows its grey beyond doubt
+# Share of a coating's grey that has to stand out from the noise where the base has pores.
+_OF_COATING = 0.45
+# Widths of the blur, and share of columns: such a layer shows its grey beyond doubt.
+_PLAIN, _PLAIN_SHARE = 5.5, 0.05
 
 
 def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: SurfaceParams) -> Priors:
@@ -40,17 +42,27 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
     profiles = {k: learner.profile(sample, base_level) for k, sample in samples.items()}
     is_separated = params.sheet_grey is not None or survey.surroundings == "material"
     if params.coating_grey is None:
-        sides = {k: learner.first_side(profile, base_level, base_sd, is_separated) for k, profile in profiles.items()}
+        sides = {
+            k: learner.first_side(profile, base_level, base_sd, is_separated)
+            for k, profile in profiles.items()
+        }
     else:
-        sides = dict.fromkeys(samples, learner.preset_side(params.coating_grey, base_level, base_sd))
+        sides = dict.fromkeys(
+            samples, learner.preset_side(params.coating_grey, base_level, base_sd)
+        )
     wall_levels: dict[bool, float] = {}
     # Not what streaks and noise that neighbours share add: the air shows them too.
     texture = base_sd**2 + learner.voxel_noise**2 - learner.single_noise**2
     has_pores = texture >= (POROUS * base_level) ** 2
-    if has_pores and survey.surroundings == "air" and not any(side.coated for side in sides.values()):
+    if (
+        has_pores
+        and survey.surroundings == "air"
+        and not any(side.coated for side in sides.values())
+    ):
         wall_levels = {k: learner.wall_level(sample) for k, sample in samples.items()}
     clear_level = min(wall_levels.values(), default=0.0)
-    is_plain = not learner.embedded_level  # amid other material, a face is sought by the darkest place beside it
+    # Amid other material, a face is sought by the darkest place beside it.
+    is_plain = not learner.embedded_level
     if has_pores and is_plain and all(side.coated for side in sides.values()):
         clear_level = _OF_COATING * min(side.level[2] for side in sides.values())
     if clear_level > base_level:
@@ -65,34 +77,60 @@ def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: Surface
     if has_fringe:
         edge, _ = learner.with_fringe(samples, sides, edge, [])
     is_preset = params.coating_grey is not None
-    thin_sides = [k for k, sample in samples.items() if not is_preset and learner.is_thin(sample, sides[k], edge)]
+    thin_sides = [
+        k
+        for k, sample in samples.items()
+        if not is_preset and learner.is_thin(sample, sides[k], edge)
+    ]
     if thin_sides:
         fit_thin = learner.with_fringe if has_fringe else learner.thin_levels
         edge, sides = fit_thin(learner.quiet(samples, edge.width), sides, edge, thin_sides)
     narrowed_sides: Sides = {}
     for from_high, sample in samples.items():
-        side = learner.narrowed(sample, sides[from_high], edge, is_preset or from_high in thin_sides)
+        side = learner.narrowed(
+            sample, sides[from_high], edge, is_preset or from_high in thin_sides
+        )
         # A coating of a grey that was set is none where it is thinner than this in half of the columns.
-        if is_preset and not float(np.nanmedian(learner.fit(sample, side, edge)[1])) > 0.15 * edge.width:
-            level, spread = np.array([0.0, 0.0, 0.0, base_level]), np.array([0.0, 0.0, -1.0, side.spread[3]])
-            side = learner.narrowed(sample, Side(level=level, spread=spread, coated=False), edge, True)
+        if (
+            is_preset
+            and not float(np.nanmedian(learner.fit(sample, side, edge)[1])) > 0.15 * edge.width
+        ):
+            level, spread = (
+                np.array([0.0, 0.0, 0.0, base_level]),
+                np.array([0.0, 0.0, -1.0, side.spread[3]]),
+            )
+            side = learner.narrowed(
+                sample, Side(level=level, spread=spread, coated=False), edge, True
+            )
         narrowed_sides[from_high] = replace(side, wall_level=wall_levels.get(from_high, 0.0))
     return Priors(
-        scale=learner.scale, noise=learner.noise, single_noise=learner.single_noise, scatter=learner.scatter,
-        base_level=base_level, base_texture=learner.base_texture(samples[True]), edge=edge,
-        search_px=learner.search_px, embedded_level=learner.embedded_level,
+        scale=learner.scale,
+        noise=learner.noise,
+        single_noise=learner.single_noise,
+        scatter=learner.scatter,
+        base_level=base_level,
+        base_texture=learner.base_texture(samples[True]),
+        edge=edge,
+        search_px=learner.search_px,
+        embedded_level=learner.embedded_level,
         sides=narrowed_sides,
-        covers_px={} if learner.embedded_level else {k: learner.cover(profile) for k, profile in profiles.items()},
-    )  # fmt: skip
+        covers_px=(
+            {}
+            if learner.embedded_level
+            else {k: learner.cover(profile) for k, profile in profiles.items()}
+        ),
+    )
 
 
-_NEAR = ((1.0, 2.0), (2.0, 3.2), (3.2, 4.8))  # from the face, in widths of the blur: where an undershoot may be seen
+# From the face, in widths of the blur: where an undershoot may be seen.
+_NEAR = ((1.0, 2.0), (2.0, 3.2), (3.2, 4.8))
 _BETWEEN = (4.8, 8.0)  # a fringe is over here; a streak along the sheet is not
 _FAR = (8.0, 14.0)  # the air that it is compared with
 _SIGMAS = 4.5  # that tell the undershoot from chance
 _LEAST = 0.0015  # of the contrast: what else may be wrong with the air
 _FEW_COLUMNS, _ROWS = 8, 5  # columns of a row, and rows, that must show the air
-_WINDOW = 1.3  # widths of the blur: the blur that is found may be wider than the one without a fringe
+# Widths of the blur: the blur that is found may be wider than the one without a fringe.
+_WINDOW = 1.3
 
 
 class _Learner(Sampler):
@@ -101,8 +139,12 @@ class _Learner(Sampler):
         core_grey = self._core_grey(sample)
         level = float(np.median(core_grey))
         if level <= 0:
-            raise VolumeError("The core of the sheet is not brighter than the air around it. Check --sheet-grey.")
-        return level, float(np.sqrt(max(mad_sd(core_grey) ** 2 - self.noise**2, (0.05 * level) ** 2)))
+            raise VolumeError(
+                "The core of the sheet is not brighter than the air around it. Check --sheet-grey."
+            )
+        return level, float(
+            np.sqrt(max(mad_sd(core_grey) ** 2 - self.noise**2, (0.05 * level) ** 2))
+        )
 
     def _core_grey(self, sample: Sample) -> Floats:
         depth_shares = np.linspace(*CORE, 9)
@@ -118,14 +160,23 @@ class _Learner(Sampler):
         From means of three samples side by side, in the core; what is brighter or darker as a whole does not count.
         The solid below a face is denser than the core, and varies by so much less.
         """
-        first = np.rint(0.5 * (sample.outer + sample.opposite))[0].astype(int)[:, None] + np.arange(-3, 3)
-        grey = np.take_along_axis(sample.grey[0], np.clip(first, 0, sample.grey.shape[2] - 1), axis=1)
+        first = np.rint(0.5 * (sample.outer + sample.opposite))[0].astype(int)[:, None] + np.arange(
+            -3, 3
+        )
+        grey = np.take_along_axis(
+            sample.grey[0], np.clip(first, 0, sample.grey.shape[2] - 1), axis=1
+        )
         means = grey.astype(np.float64).reshape(-1, 2, 3).mean(axis=2)
         difference = means[:, 1] - means[:, 0]
         difference = difference[np.isfinite(difference)]
         if not difference.size:
             return 0.0
-        return _BELOW_FACE * 3.0 * 0.5 * float(np.var(np.clip(difference, *np.percentile(difference, [1, 99]))))
+        return (
+            _BELOW_FACE
+            * 3.0
+            * 0.5
+            * float(np.var(np.clip(difference, *np.percentile(difference, [1, 99]))))
+        )
 
     def wall_level(self, sample: Sample) -> float:
         """Grey of a fibre's wall above the air, in a base with pores.
@@ -137,7 +188,9 @@ class _Learner(Sampler):
         void_share = float(np.mean(core_grey < 0.3 * np.percentile(core_grey, 99)))
         share = 0.88 + 0.119 * min(void_share / 0.35, 1.0)
         median, brightest = np.quantile(core_grey, [0.5, share])
-        return float(median + np.sqrt(max((brightest - median) ** 2 - (ndtri(share) * self.noise) ** 2, 0.0)))
+        return float(
+            median + np.sqrt(max((brightest - median) ** 2 - (ndtri(share) * self.noise) ** 2, 0.0))
+        )
 
     def preset_side(self, coating_grey: float, base_level: float, base_sd: float) -> Side:
         """Take the grey of the coating as it was set."""
@@ -145,24 +198,40 @@ class _Learner(Sampler):
         coating_level = polarity * (coating_grey - air_grey)
         if coating_level < 1.05 * base_level:
             raise VolumeError(
-                f"The coating's grey {coating_grey:g} does not stand out from the base "
-                f"({polarity * base_level + air_grey:.4g}) on the side away from the air ({air_grey:.4g}). Check "
-                "--coating-grey."
+                f"The coating's grey {coating_grey:g} does not stand out from the base"
+                f" ({polarity * base_level + air_grey:.4g}) on the side away from the air"
+                f" ({air_grey:.4g}). Check --coating-grey."
             )
         spread = np.array([0.0, 0.0, 0.02 * coating_level, max(base_sd, 0.25 * base_level)])
-        return Side(level=np.array([0.0, 0.0, coating_level, base_level]), spread=spread, coated=True)
+        return Side(
+            level=np.array([0.0, 0.0, coating_level, base_level]), spread=spread, coated=True
+        )
 
     def profile(self, sample: Sample, base_level: float) -> Floats:
         """Median grey inwards from the first sample above the air, to the middle of the sheet."""
-        grey, outer, search_px, embedded_level = sample.grey[0], sample.outer[0], self.search_px, self.embedded_level
-        start_index = np.array([
-            _fit_kernels.nearest(g, e, search_px, embedded_level) if embedded_level
-            else _fit_kernels.outermost(g, max(int(e - search_px), 0), int(e + search_px) + 1, 0.5 * base_level)
-            for g, e in zip(grey, outer, strict=True)
-        ])  # fmt: skip
+        grey, outer, search_px, embedded_level = (
+            sample.grey[0],
+            sample.outer[0],
+            self.search_px,
+            self.embedded_level,
+        )
+        start_index = np.array(
+            [
+                (
+                    _fit_kernels.nearest(g, e, search_px, embedded_level)
+                    if embedded_level
+                    else _fit_kernels.outermost(
+                        g, max(int(e - search_px), 0), int(e + search_px) + 1, 0.5 * base_level
+                    )
+                )
+                for g, e in zip(grey, outer, strict=True)
+            ]
+        )
         has_start = start_index > 0
         half_depth = int(np.median(sample.opposite[0] - outer)) // 2
-        depth_index = np.clip(start_index[has_start][:, None] + np.arange(max(half_depth, 2)), 0, grey.shape[1] - 1)
+        depth_index = np.clip(
+            start_index[has_start][:, None] + np.arange(max(half_depth, 2)), 0, grey.shape[1] - 1
+        )
         return np.nanmedian(np.take_along_axis(grey[has_start], depth_index, axis=1), axis=0)
 
     def cover(self, profile: Floats) -> float:
@@ -177,9 +246,13 @@ class _Learner(Sampler):
             return 0.0
         is_even = float(np.ptp(plateau)) < 0.15 * float(np.median(plateau))
         passes = np.flatnonzero(profile > 0.5 * (np.median(plateau) + profile[brightest]))
-        return float(passes[0]) if is_even and np.median(plateau) < 0.8 * profile[brightest] else 0.0
+        return (
+            float(passes[0]) if is_even and np.median(plateau) < 0.8 * profile[brightest] else 0.0
+        )
 
-    def first_side(self, profile: Floats, base_level: float, base_sd: float, is_separated: bool) -> Side:
+    def first_side(
+        self, profile: Floats, base_level: float, base_sd: float, is_separated: bool
+    ) -> Side:
         """Look for a coating in the median profile below the face; wide spreads."""
         half_depth, embedded_level = profile.size, self.embedded_level
         peak_level = float(profile[: max(2, int(0.8 * half_depth))].max())
@@ -188,8 +261,19 @@ class _Learner(Sampler):
         coated = peak_level > 1.25 * (1.2 * solid_level if is_separated else solid_level)
         # Without a coating the third level is what lies outside: the air, unless the sheet is amid other material.
         outside_level = (1.0 if embedded_level else 0.5) * base_level if is_separated else -1.0
-        spread = np.array([0.0, 0.0, 0.25 * peak_level if coated else outside_level, max(base_sd, 0.25 * base_level)])
-        return Side(level=np.array([0.0, 0.0, peak_level if coated else 0.0, base_level]), spread=spread, coated=coated)
+        spread = np.array(
+            [
+                0.0,
+                0.0,
+                0.25 * peak_level if coated else outside_level,
+                max(base_sd, 0.25 * base_level),
+            ]
+        )
+        return Side(
+            level=np.array([0.0, 0.0, peak_level if coated else 0.0, base_level]),
+            spread=spread,
+            coated=coated,
+        )
 
     def blur(self, samples: Samples, sides: Sides, fringe: float) -> float:
         """Width of the blur in voxels: the one with which the staircase fits the sample best."""
@@ -201,12 +285,18 @@ class _Learner(Sampler):
             finite_costs = [cost[np.isfinite(cost)] for cost in fits]
             max_cost = min((cost_limit(cost) for cost in finite_costs if cost.size), default=0.0)
             # A blur so wide that it reaches the end of every column cannot be tried.
-            costs += [float(np.mean(np.minimum(cost, max_cost))) if cost.size else np.inf for cost in finite_costs]
+            costs += [
+                float(np.mean(np.minimum(cost, max_cost))) if cost.size else np.inf
+                for cost in finite_costs
+            ]
         best_index = int(np.argmin(costs))
         if 0 < best_index < costs.size - 1 and np.isfinite(costs[best_index + 1]):
             a, b, c = costs[best_index - 1 : best_index + 2]
             shift = 0.5 * (a - c) / max(a - 2 * b + c, 1e-12)
-            return float(_WIDTHS[best_index] * np.exp(np.clip(shift, -1, 1) * np.log(_WIDTHS[1] / _WIDTHS[0])))
+            return float(
+                _WIDTHS[best_index]
+                * np.exp(np.clip(shift, -1, 1) * np.log(_WIDTHS[1] / _WIDTHS[0]))
+            )
         return float(_WIDTHS[best_index])
 
     def is_thin(self, sample: Sample, side: Side, edge: Edge) -> bool:
@@ -226,7 +316,8 @@ class _Learner(Sampler):
             if side.coated and is_preset:
                 spread[2] = 0.02 * level[2]
             elif side.coated:
-                is_thick = has_face & (fit[1] * sample.cos_tilt > 3.0 * edge.width)  # shows its own grey
+                # Shows its own grey.
+                is_thick = has_face & (fit[1] * sample.cos_tilt > 3.0 * edge.width)
                 if np.count_nonzero(is_thick) < 50:
                     is_thick = has_face & (fit[1] >= np.nanpercentile(fit[1], 75))
                 level[2] = float(np.median(fit[2][is_thick]))
@@ -244,11 +335,17 @@ class _Learner(Sampler):
             row_undershoots = self._undershoots_by_row(sample, sides[from_high], edge)
             row_count = np.isfinite(row_undershoots).sum(axis=1)
             row_undershoots = np.where(row_count[:, None] >= _ROWS, row_undershoots, 0.0)
-            undershoot_error = np.nanstd(row_undershoots, axis=1) / np.sqrt(np.maximum(row_count - 1, 1))
+            undershoot_error = np.nanstd(row_undershoots, axis=1) / np.sqrt(
+                np.maximum(row_count - 1, 1)
+            )
             # Sides whose contrast differs are weighted by what their rows' scatter tells.
             is_clear = (row_count >= _ROWS) & (undershoot_error > 0)
-            side_weights.append(np.where(is_clear, 1.0 / np.maximum(undershoot_error, 1e-12) ** 2, 0.0))
-            weighted_sums.append(np.where(is_clear, side_weights[-1] * np.nanmean(row_undershoots, axis=1), 0.0))
+            side_weights.append(
+                np.where(is_clear, 1.0 / np.maximum(undershoot_error, 1e-12) ** 2, 0.0)
+            )
+            weighted_sums.append(
+                np.where(is_clear, side_weights[-1] * np.nanmean(row_undershoots, axis=1), 0.0)
+            )
         total_weight = np.sum(side_weights, axis=0)
         if not total_weight.all():
             return False
@@ -262,8 +359,12 @@ class _Learner(Sampler):
         """Grey of the air near the faces above that farther away, as a share of the contrast; (distances, rows)."""
         face_depth = self.fit(sample, side, edge)[0, 0]
         unit_px, cos_tilt = max(edge.width, 1.0), sample.cos_tilt[0]
-        first_index = np.where(np.isfinite(face_depth), face_depth - unit_px * _FAR[1] / cos_tilt, 0.0).astype(int)
-        depth_index = first_index[:, None] + np.arange(int(np.ceil(unit_px * _FAR[1] / float(cos_tilt.min()))) + 2)
+        first_index = np.where(
+            np.isfinite(face_depth), face_depth - unit_px * _FAR[1] / cos_tilt, 0.0
+        ).astype(int)
+        depth_index = first_index[:, None] + np.arange(
+            int(np.ceil(unit_px * _FAR[1] / float(cos_tilt.min()))) + 2
+        )
         is_inside = (depth_index >= 0) & (depth_index < sample.grey.shape[2])
         grey = np.take_along_axis(sample.grey[0], np.where(is_inside, depth_index, 0), axis=1)
         distance = (face_depth[:, None] - depth_index) * cos_tilt[:, None] / unit_px
@@ -275,13 +376,24 @@ class _Learner(Sampler):
         def mean_grey(start: float, stop: float) -> Floats:
             in_range = is_air & (distance >= start) & (distance < stop)
             column_count = np.bincount(row_number[in_range], minlength=row_count)
-            grey_sum = np.bincount(row_number[in_range], weights=grey[in_range], minlength=row_count)
-            return np.where(column_count >= _FEW_COLUMNS, grey_sum / np.maximum(column_count, 1), np.nan)
+            grey_sum = np.bincount(
+                row_number[in_range], weights=grey[in_range], minlength=row_count
+            )
+            return np.where(
+                column_count >= _FEW_COLUMNS, grey_sum / np.maximum(column_count, 1), np.nan
+            )
 
         far_grey, contrast = mean_grey(*_FAR), side.level[2 if side.coated else 3]
-        return np.stack([mean_grey(*distance_range) - far_grey for distance_range in (*_NEAR, _BETWEEN)]) / contrast
+        return (
+            np.stack(
+                [mean_grey(*distance_range) - far_grey for distance_range in (*_NEAR, _BETWEEN)]
+            )
+            / contrast
+        )
 
-    def with_fringe(self, samples: Samples, sides: Sides, edge: Edge, thin_sides: list[bool]) -> tuple[Edge, Sides]:
+    def with_fringe(
+        self, samples: Samples, sides: Sides, edge: Edge, thin_sides: list[bool]
+    ) -> tuple[Edge, Sides]:
         """Blur and fringe, and greys of coatings that are nowhere thick, with which the staircase fits the sample best.
 
         The edge is returned as it came where the best has no fringe.
@@ -289,8 +401,13 @@ class _Learner(Sampler):
         misfit = self._misfit(samples, sides, edge, thin_sides, _WINDOW * max(edge.width, 1.0))
 
         def trial_of(vector: Floats) -> tuple[Edge, Sides]:
-            width, fringe_width = edge.width * float(np.exp(vector[0])), FRINGE_PX * float(np.exp(vector[2]))
-            fringed_edge = Edge(width=width, fringe=max(float(vector[1]), 0.0), fringe_width=fringe_width)
+            width, fringe_width = (
+                edge.width * float(np.exp(vector[0])),
+                FRINGE_PX * float(np.exp(vector[2])),
+            )
+            fringed_edge = Edge(
+                width=width, fringe=max(float(vector[1]), 0.0), fringe_width=fringe_width
+            )
             return fringed_edge, _brighter(sides, thin_sides, vector[3:])
 
         def cost(vector: Floats) -> float:
@@ -302,11 +419,16 @@ class _Learner(Sampler):
         # Logarithms of a thin coating's grey over the brightest that was seen.
         start_shares = (0.0, 0.2, 0.45) if thin_sides else (0.0,)
         starts = [np.array([0.1, 0.1, 0.0] + [share] * len(thin_sides)) for share in start_shares]
-        optimum = min((_simplex(cost, start, steps, 90) for start in starts), key=lambda optimum: float(optimum.fun))
+        optimum = min(
+            (_simplex(cost, start, steps, 90) for start in starts),
+            key=lambda optimum: float(optimum.fun),
+        )
         fitted_edge, brighter_sides = trial_of(optimum.x)
         return (fitted_edge, brighter_sides) if fitted_edge.fringe > 0.005 else (edge, sides)
 
-    def thin_levels(self, samples: Samples, sides: Sides, edge: Edge, thin_sides: list[bool]) -> tuple[Edge, Sides]:
+    def thin_levels(
+        self, samples: Samples, sides: Sides, edge: Edge, thin_sides: list[bool]
+    ) -> tuple[Edge, Sides]:
         """Blur, and greys of coatings that are nowhere thick, with which the staircase fits the sample best.
 
         Grey and thickness of one thin layer can hardly be separated; the shape of many profiles helps a little.
@@ -314,7 +436,9 @@ class _Learner(Sampler):
         misfit = self._misfit(samples, sides, edge, thin_sides, _WINDOW * edge.width)
 
         def trial_of(vector: Floats) -> tuple[Edge, Sides]:
-            return replace(edge, width=edge.width * float(np.exp(vector[0]))), _brighter(sides, thin_sides, vector[1:])
+            return replace(edge, width=edge.width * float(np.exp(vector[0]))), _brighter(
+                sides, thin_sides, vector[1:]
+            )
 
         def cost(vector: Floats) -> float:
             # A layer's grey is seldom far from the brightest that was seen of it.
@@ -326,7 +450,11 @@ class _Learner(Sampler):
         # Brighter layers with a wider blur look nearly the same: the search goes along that valley first.
         optimum_of_share: dict[float, Any] = {
             share: optimize.minimize_scalar(
-                cost_of_width, args=(share,), bounds=(-0.2, 0.6), method="bounded", options={"xatol": 0.01}
+                cost_of_width,
+                args=(share,),
+                bounds=(-0.2, 0.6),
+                method="bounded",
+                options={"xatol": 0.01},
             )
             for share in (0.0, 0.15, 0.3, 0.45, 0.6, 0.75)
         }
@@ -339,9 +467,15 @@ class _Learner(Sampler):
     def _misfit(
         self, samples: Samples, sides: Sides, edge: Edge, thin_sides: list[bool], window: float
     ) -> Callable[[Edge, Sides], float]:
-        subset = {from_high: sample.thinned(3 if thin_sides else 4) for from_high, sample in samples.items()}
+        subset = {
+            from_high: sample.thinned(3 if thin_sides else 4)
+            for from_high, sample in samples.items()
+        }
         column_count = max(sum(s.outer.size for s in subset.values()), 1)
-        max_costs = {k: cost_limit(self.fit(sample, sides[k], edge, window)[4]) for k, sample in subset.items()}
+        max_costs = {
+            k: cost_limit(self.fit(sample, sides[k], edge, window)[4])
+            for k, sample in subset.items()
+        }
 
         def misfit(trial_edge: Edge, trial_sides: Sides) -> float:
             total = 0.0
@@ -364,8 +498,17 @@ def _brighter(sides: Sides, thin_sides: list[bool], shares: Floats) -> Sides:
     return brighter
 
 
-def _simplex(cost: Callable[[Floats], float], start: Floats, steps: Floats, trials: int) -> optimize.OptimizeResult:
+def _simplex(
+    cost: Callable[[Floats], float], start: Floats, steps: Floats, trials: int
+) -> optimize.OptimizeResult:
     return optimize.minimize(
-        cost, start, method="Nelder-Mead",
-        options={"initial_simplex": np.vstack([start, start + steps]), "xatol": 2e-3, "fatol": 1e-7, "maxfev": trials},
-    )  # fmt: skip
+        cost,
+        start,
+        method="Nelder-Mead",
+        options={
+            "initial_simplex": np.vstack([start, start + steps]),
+            "xatol": 2e-3,
+            "fatol": 1e-7,
+            "maxfev": trials,
+        },
+    )

@@ -47,40 +47,66 @@ class SurfaceParams(Params):
     """
 
     sheet_grey: tuple[float, float] | None = option(
-        None, metavar="LOW,HIGH", help="Grey range of the sheet, where the volume shows other material beside it."
+        None,
+        metavar="LOW,HIGH",
+        help="Grey range of the sheet, where the volume shows other material beside it.",
     )
     seed_um: tuple[float, float, float] | None = option(
         None,
         metavar="Z,Y,X",
-        help="A point inside the sheet, where there are several sheets or layers; with --sheet-grey, the part of that "
-        "grey range that holds the point.",
+        help=(
+            "A point inside the sheet, where there are several sheets or layers; with --sheet-grey,"
+            " the part of that grey range that holds the point."
+        ),
     )
     coating_grey: float | None = option(
-        None, metavar="GREY", help="Grey of the coating; needed where it is nowhere thicker than half the blur."
+        None,
+        metavar="GREY",
+        help="Grey of the coating; needed where it is nowhere thicker than half the blur.",
     )
     fringe: Fringe = option(
         "auto",
         metavar="auto|off|SIZE",
-        help="Phase-contrast fringe beside every edge: learnt, none, or its size as a share of the edge's step.",
+        help=(
+            "Phase-contrast fringe beside every edge: learnt, none, or its size as a share of the"
+            " edge's step."
+        ),
     )
     envelope_um: float | None = option(
-        None, gt=0, help="Radius of a ball that rolls over both faces (50 to 250): loose fibres do not lift envelopes."
+        None,
+        gt=0,
+        help=(
+            "Radius of a ball that rolls over both faces (50 to 250): loose fibres do not lift"
+            " envelopes."
+        ),
     )
     method: Literal["profile", "paper"] = option(
         "profile",
         cli="--surface-method",
-        help="profile: fit the grey profile of every column; paper: slice by slice as Hirn et al. (2009).",
+        help=(
+            "profile: fit the grey profile of every column; paper: slice by slice as Hirn et al."
+            " (2009)."
+        ),
     )
     labels: LabelParams | None = option(
         None,
         cli="--labels",
-        help="The volume holds labels of another program: 0 air, 1 base, 2 coating where not given otherwise.",
+        help=(
+            "The volume holds labels of another program: 0 air, 1 base, 2 coating where not given"
+            " otherwise."
+        ),
     )
     corrections: str | None = option(
-        None, metavar="FILE", help="Corrections of the faces: JSON with points that they are drawn to."
+        None,
+        metavar="FILE",
+        help="Corrections of the faces: JSON with points that they are drawn to.",
     )
-    cutoff_um: float = option(400.0, gt=0, help="Wavelength of the centre surface that its smoothing passes by half.")
-    rim_um: float = option(100.0, ge=0, help="Zone around holes and gaps that is left out of all results.")
+    cutoff_um: float = option(
+        400.0, gt=0, help="Wavelength of the centre surface that its smoothing passes by half."
+    )
+    rim_um: float = option(
+        100.0, ge=0, help="Zone around holes and gaps that is left out of all results."
+    )
 
 
 REACH_UM = 60.0
@@ -143,5 +169,7 @@ def read_corrections(path: str | Path) -> Corrections:
         If it cannot be read, or holds something else; all faults are named.
     """
     text = read_text(path, what="file of corrections")
-    with naming_faults(f"{Path(path).name} holds no corrections of surfaces", _REMEDY, error=FileError):
+    with naming_faults(
+        f"{Path(path).name} holds no corrections of surfaces", _REMEDY, error=FileError
+    ):
         return Corrections.model_validate_json(text)

@@ -10,7 +10,9 @@ from planish.surface.columns import Guide
 _HOLE_UM = 600.0  # a gap wider than this is missing sheet, not a hole
 
 
-def regions(is_sheet: Bools, runs_out: Bools, pitch: Pair, rim_um: float) -> tuple[Bools, Bools, Bools]:
+def regions(
+    is_sheet: Bools, runs_out: Bools, pitch: Pair, rim_um: float
+) -> tuple[Bools, Bools, Bools]:
     """Return where the sheet is, the rims of its holes and edges, and its outline with the holes filled.
 
     A hole is a gap no wider than 600 um; ``rim_um`` around it is burnt. Other gaps are the end of the sheet or of the
@@ -22,9 +24,10 @@ def regions(is_sheet: Bools, runs_out: Bools, pitch: Pair, rim_um: float) -> tup
     padded = np.pad(is_sheet, 2 * radius_px, mode="edge")
     inner = (slice(2 * radius_px, -2 * radius_px),) * 2
     is_closed = ndimage.binary_closing(padded, _disc(radius_px))
-    in_sheet = (ndimage.binary_opening(is_closed, _disc(radius_px)) | ndimage.binary_erosion(is_closed, _disc(1)))[
-        inner
-    ]
+    in_sheet = (
+        ndimage.binary_opening(is_closed, _disc(radius_px))
+        | ndimage.binary_erosion(is_closed, _disc(1))
+    )[inner]
     labels, gap_count = ndimage.label(~in_sheet)
     border_labels = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
     column_count = np.bincount(labels.ravel(), minlength=gap_count + 1)
@@ -43,19 +46,27 @@ def regions(is_sheet: Bools, runs_out: Bools, pitch: Pair, rim_um: float) -> tup
     return in_sheet, in_rim & in_sheet, in_sheet | in_hole
 
 
-def doubtful(guide: Guide, coarse_sheet: CoarseSheet, width: float, depth: int) -> tuple[Bools, Bools]:
+def doubtful(
+    guide: Guide, coarse_sheet: CoarseSheet, width: float, depth: int
+) -> tuple[Bools, Bools]:
     """Columns in which the sheet touches another or itself, and those in which it may run out of the volume."""
     extent = (guide.high - guide.low) * guide.cos_tilt
     is_finite = np.isfinite(extent)
     typical_extent = float(np.median(extent[is_finite])) if is_finite.any() else np.inf
-    is_touching = is_finite & (np.where(is_finite, extent, 0.0) > MERGED * typical_extent + 2.0 * width)
+    is_touching = is_finite & (
+        np.where(is_finite, extent, 0.0) > MERGED * typical_extent + 2.0 * width
+    )
     is_touching |= flags_to_columns(coarse_sheet.is_touching, coarse_sheet.block, extent.shape)
     if is_touching.any():
-        is_touching = ndimage.binary_dilation(is_touching, _disc(2))  # the columns beside whose faces it disturbs
+        # The columns beside whose faces it disturbs.
+        is_touching = ndimage.binary_dilation(is_touching, _disc(2))
     # Two widths of the blur and the block's own inaccuracy are needed outside a face.
     margin_px = 2.0 * width / guide.cos_tilt + 2.0
     is_near_end = (guide.low < margin_px) | (guide.high > depth - 1 - margin_px)
-    return is_touching, flags_to_columns(coarse_sheet.is_leaving, coarse_sheet.block, extent.shape) | is_near_end
+    return (
+        is_touching,
+        flags_to_columns(coarse_sheet.is_leaving, coarse_sheet.block, extent.shape) | is_near_end,
+    )
 
 
 def _near(region: Bools, pitch: Pair, distance_um: float) -> Bools:
@@ -76,7 +87,9 @@ def half_closed(is_sheet: Bools, runs_out: Bools, pitch: Pair) -> Floats:
     half closed with a straight edge is a smaller ellipse of its own. ``is_sheet``: columns with a sheet; ``runs_out``:
     columns in which it goes on beyond the volume.
     """
-    hole_centres, open_um2, ellipse_um2 = np.split(all_holes(is_sheet | runs_out, pitch), (2, 3), axis=1)
+    hole_centres, open_um2, ellipse_um2 = np.split(
+        all_holes(is_sheet | runs_out, pitch), (2, 3), axis=1
+    )
     typical_um2 = float(np.median(ellipse_um2)) if len(ellipse_um2) >= 3 else 0.0
     return hole_centres[(open_um2 < 0.7 * np.maximum(ellipse_um2, typical_um2))[:, 0]]
 
@@ -94,7 +107,9 @@ def all_holes(in_sheet: Bools, pitch: Pair) -> Floats:
     for k, bounds in enumerate(ndimage.find_objects(gap_labels)[:gap_count], start=1):
         if any(s.start == 0 or s.stop == n for s, n in zip(bounds, in_sheet.shape, strict=True)):
             continue
-        points_um = np.argwhere(in_gap[bounds] & (gap_labels[bounds] == k)).astype(np.float64) * np.array(pitch)
+        points_um = np.argwhere(in_gap[bounds] & (gap_labels[bounds] == k)).astype(
+            np.float64
+        ) * np.array(pitch)
         if points_um.shape[0] < 8 or np.ptp(points_um, axis=0).min() <= 0:
             continue
         ellipse_um2 = _ellipse(points_um)
@@ -118,5 +133,7 @@ def _ellipse(points: Floats) -> float:
     centre = np.array([((x + x1) * cross).sum(), ((y + y1) * cross).sum()]) / (6 * area)
     xx = ((x * x + x * x1 + x1 * x1) * cross).sum() / (12 * area) - centre[0] ** 2
     yy = ((y * y + y * y1 + y1 * y1) * cross).sum() / (12 * area) - centre[1] ** 2
-    xy = ((x * y1 + 2 * x * y + 2 * x1 * y1 + x1 * y) * cross).sum() / (24 * area) - centre[0] * centre[1]
+    xy = ((x * y1 + 2 * x * y + 2 * x1 * y1 + x1 * y) * cross).sum() / (24 * area) - centre[
+        0
+    ] * centre[1]
     return float(4 * np.pi * np.sqrt(max(xx * yy - xy * xy, 0.0)))

@@ -40,7 +40,9 @@ Samples = dict[bool, Sample]  # by whether they are read from the high end
 
 def subsample(indices: Ints, max_count: int) -> Ints:
     """Take so many of an index (n, ...) at most, spread over all of it."""
-    return indices[np.unique(np.linspace(0, len(indices) - 1, min(len(indices), max_count)).astype(int))]
+    return indices[
+        np.unique(np.linspace(0, len(indices) - 1, min(len(indices), max_count)).astype(int))
+    ]
 
 
 class Sampler:
@@ -62,7 +64,10 @@ class Sampler:
         # golden section.
         start_shares = (np.arange(row_indices.size) * 0.6180339887498949) % 1.0
         col_starts = (start_shares * (columns.shape[1] - col_count + 1)).astype(int).tolist()
-        self.rows = [Tile(r, r + 1, c, c + col_count) for r, c in zip(row_indices.tolist(), col_starts, strict=True)]
+        self.rows = [
+            Tile(r, r + 1, c, c + col_count)
+            for r, c in zip(row_indices.tolist(), col_starts, strict=True)
+        ]
         self.cache: dict[tuple[float, Tile], NDArray[np.float32]] = {}  # by the blending
 
     def _blend(self, blend_sd: float) -> None:
@@ -70,14 +75,16 @@ class Sampler:
 
     def _read(self, tile: Tile, *, from_high: bool) -> NDArray[np.float32]:
         scale = self.scale
-        if (scale.blend_sd, tile) not in self.cache:  # The same columns are looked at several times: all are read.
+        # The same columns are looked at several times: all are read.
+        if (scale.blend_sd, tile) not in self.cache:
 
             def read(tile: Tile) -> NDArray[np.float32]:
                 guide = self.guide.part(scale.grown(tile, self.columns.shape[:2]))
                 return oriented(self.columns, tile, guide, scale)[0][0]
 
             self.cache |= {
-                (scale.blend_sd, row): grey for row, grey in zip(self.rows, map_threads(read, self.rows), strict=True)
+                (scale.blend_sd, row): grey
+                for row, grey in zip(self.rows, map_threads(read, self.rows), strict=True)
             }
         grey = self.cache[scale.blend_sd, tile]
         return np.ascontiguousarray(grey[:, ::-1]) if from_high else grey
@@ -88,14 +95,22 @@ class Sampler:
         row_samples: list[Sample] = []
         for row_number, tile in enumerate(self.rows):
             guide = self.guide.part(tile)
-            outer, opposite = (a[0] for a in guide.faces(self.columns.shape[2], from_high=from_high))
-            columns = subsample(np.flatnonzero(np.isfinite(outer) & np.isfinite(opposite)), columns_per_row)
+            outer, opposite = (
+                a[0] for a in guide.faces(self.columns.shape[2], from_high=from_high)
+            )
+            columns = subsample(
+                np.flatnonzero(np.isfinite(outer) & np.isfinite(opposite)), columns_per_row
+            )
             if columns.size:
                 row = np.full(columns.size, row_number)
                 grey = self._read(tile, from_high=from_high)[columns]
-                row_samples.append(Sample(grey, outer[columns], opposite[columns], guide.cos_tilt[0, columns], row))
+                row_samples.append(
+                    Sample(grey, outer[columns], opposite[columns], guide.cos_tilt[0, columns], row)
+                )
         if not row_samples:
-            raise VolumeError("No column of the volume shows both faces of the sheet. Check --through.")
+            raise VolumeError(
+                "No column of the volume shows both faces of the sheet. Check --through."
+            )
         return Sample(*(np.concatenate(arrays)[None] for arrays in zip(*row_samples, strict=True)))
 
     def calm(self, base_level: float) -> None:
@@ -131,7 +146,10 @@ class Sampler:
             for from_high in (True, False):
                 grey = self._read(tile, from_high=from_high)
                 outer = self.guide.part(tile).faces(grey.shape[1], from_high=from_high)[0][0]
-                first_index = np.where(np.isfinite(outer), outer - self.search_px, -1.0).astype(int) - width_px
+                first_index = (
+                    np.where(np.isfinite(outer), outer - self.search_px, -1.0).astype(int)
+                    - width_px
+                )
                 for start_index in (first_index, first_index - width_px):
                     columns = np.flatnonzero(start_index >= 0)
                     air_samples.append(grey[columns, start_index[columns]])
@@ -139,8 +157,12 @@ class Sampler:
 
     def quiet(self, samples: Samples, width: float) -> Samples:
         """Sample columns that are means over their neighbours, as far as the sheet's slope does not widen the blur."""
-        steep_slope = float(np.nanpercentile(np.hypot(self.guide.slope_r, self.guide.slope_c), 90)) * self.columns.step
-        blend_sd, previous_sd = min(2.0, 0.3 * width / max(steep_slope, 1e-3)), self.scale.blend_sd  # columns
+        steep_slope = (
+            float(np.nanpercentile(np.hypot(self.guide.slope_r, self.guide.slope_c), 90))
+            * self.columns.step
+        )
+        # columns.
+        blend_sd, previous_sd = min(2.0, 0.3 * width / max(steep_slope, 1e-3)), self.scale.blend_sd
         if blend_sd <= max(previous_sd, 0.3):
             return samples
         self._blend(blend_sd)
@@ -153,9 +175,24 @@ class Sampler:
         fits = np.empty((5, *sample.outer.shape))
         grey, outer, opposite, cos_tilt = map(np.ascontiguousarray, sample[:4])
         _fit_kernels.fit_faces(
-            grey, outer, opposite, cos_tilt, 0.0, edge.width, self.scatter, side.level, side.spread, side.coated,
-            self.search_px, fits, window, self.embedded_level, edge.fringe or None, edge.ratio, False,
-        )  # fmt: skip
+            grey,
+            outer,
+            opposite,
+            cos_tilt,
+            0.0,
+            edge.width,
+            self.scatter,
+            side.level,
+            side.spread,
+            side.coated,
+            self.search_px,
+            fits,
+            window,
+            self.embedded_level,
+            edge.fringe or None,
+            edge.ratio,
+            False,
+        )
         return fits
 
 

@@ -45,33 +45,51 @@ def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Surv
     if params.seed_um is None:
         sharp_blocks = blocks  # only a seed needs both
     if missing_share > 0.9:
-        raise VolumeError("More than 90 % of the volume's voxels are NaN or infinite. Check how it was exported.")
+        raise VolumeError(
+            "More than 90 % of the volume's voxels are NaN or infinite. Check how it was exported."
+        )
     choice = make_choice(columns, reading.block, blocks.shape, params)
     # The level comes from means over blocks: where the export has cut the air's noise at 0, single voxels crowd there.
     end_grey = _ends(blocks.reshape(-1, depth), np.isfinite(blocks).reshape(-1, depth))
-    end_voxels = _ends(profiles, np.ones(profiles.shape, bool) if padding is None else profiles != padding)
+    end_voxels = _ends(
+        profiles, np.ones(profiles.shape, bool) if padding is None else profiles != padding
+    )
     scatter = None
     if choice.seed is not None:
         end_grey, end_voxels = _airy(end_grey, end_voxels, seed_grey(sharp_blocks, choice.seed))
         scatter = mad_sd(end_grey)
     air_grey = mode(end_grey)
-    coarse_sheet, surroundings, polarity = choose_sheet(blocks, sharp_blocks, air_grey, params, choice, scatter)
+    coarse_sheet, surroundings, polarity = choose_sheet(
+        blocks, sharp_blocks, air_grey, params, choice, scatter
+    )
     min_contrast = 6.0 * mad_sd(end_grey)  # what is nowhere above that is air from end to end
-    empty_share = np.mean([~(polarity * (row - air_grey) > min_contrast).any(axis=1) for row in blocks])
+    empty_share = np.mean(
+        [~(polarity * (row - air_grey) > min_contrast).any(axis=1) for row in blocks]
+    )
     return Survey(
-        coarse=coarse_sheet, air_grey=air_grey, noise=voxel_noise(end_voxels, air_grey), polarity=polarity,
-        padding=padding, missing_share=missing_share, empty_share=float(empty_share), surroundings=surroundings,
-    )  # fmt: skip
+        coarse=coarse_sheet,
+        air_grey=air_grey,
+        noise=voxel_noise(end_voxels, air_grey),
+        polarity=polarity,
+        padding=padding,
+        missing_share=missing_share,
+        empty_share=float(empty_share),
+        surroundings=surroundings,
+    )
 
 
-def survey_labels(columns: Columns, params: SurfaceParams, engine: Engine) -> tuple[CoarseSheet, float]:
+def survey_labels(
+    columns: Columns, params: SurfaceParams, engine: Engine
+) -> tuple[CoarseSheet, float]:
     """Find the sheet roughly where every voxel is labelled as sheet (1) or not (0); and the share of empty columns.
 
     VolumeError as of :func:`take_survey`.
     """
     reading = _read(columns, engine)
     shares = reading.blocks(None)[1]
-    coarse_sheet = search_sheet(shares, shares > 0.5, 0.5, make_choice(columns, reading.block, shares.shape, params))
+    coarse_sheet = search_sheet(
+        shares, shares > 0.5, 0.5, make_choice(columns, reading.block, shares.shape, params)
+    )
     return coarse_sheet, float(1.0 - (shares > 0).any(axis=2).mean())
 
 
@@ -79,8 +97,8 @@ def _block(columns: Columns) -> tuple[int, tuple[int, int]]:
     rows, cols, depth = columns.shape
     if min(columns.volume.shape) < 8:
         raise VolumeError(
-            f"The volume has the shape {' x '.join(map(str, columns.volume.shape))} (z, y, x); at least 8 voxels are "
-            "needed along every axis. Check that this is the whole stack."
+            f"The volume has the shape {' x '.join(map(str, columns.volume.shape))} (z, y, x); at"
+            " least 8 voxels are needed along every axis. Check that this is the whole stack."
         )
     wanted = np.sqrt(rows * cols / _SAMPLE)
     block = int(np.clip(round(wanted), 1, 4))  # columns along the edge of a block
@@ -97,8 +115,10 @@ def _block(columns: Columns) -> tuple[int, tuple[int, int]]:
 class _Reading:
     """What one reading of all columns leaves."""
 
-    means: NDArray[np.float32]  # (block rows, block cols, depth), of blocks; not finite where a voxel is not
-    holds_corner: Bools  # blocks with a voxel of the volume's first value, which may be that of the padding
+    # (block rows, block cols, depth), of blocks; not finite where a voxel is not.
+    means: NDArray[np.float32]
+    # Blocks with a voxel of the volume's first value, which may be that of the padding.
+    holds_corner: Bools
     profiles: NDArray[Any]  # (rows, cols, depth), of the sampled columns
     missing_share: float  # voxels that are NaN or infinite
     block: int
@@ -109,7 +129,12 @@ class _Reading:
         if padding is not None:
             is_missing |= self.holds_corner
         if not is_missing.any():
-            return ndimage.uniform_filter(means, (3, 3, 3) if self.block < 3 else (1, 1, 3), mode="nearest"), means
+            return (
+                ndimage.uniform_filter(
+                    means, (3, 3, 3) if self.block < 3 else (1, 1, 3), mode="nearest"
+                ),
+                means,
+            )
         means[is_missing] = np.nan
         return means, means
 
@@ -119,15 +144,21 @@ def _read(columns: Columns, engine: Engine) -> _Reading:
     rows, cols, depth = columns.shape
     means = np.empty((max(rows // block, 1), max(cols // block, 1), depth), dtype=np.float32)
     holds_corner, missing_count = np.empty(means.shape, dtype=bool), 0.0
-    profiles = np.empty((-(-rows // stride[0]), -(-cols // stride[1]), depth), dtype=columns.volume.dtype)
+    profiles = np.empty(
+        (-(-rows // stride[0]), -(-cols // stride[1]), depth), dtype=columns.volume.dtype
+    )
     corner = float(columns.voxels(Tile(0, 1, 0, 1), slice(1))[0, 0, 0])
     tiles = [
         # What remains belongs to the last block of the axis, and so to the last tile.
-        Tile(t.r0, rows if t.r1 > rows - block else t.r1, t.c0, cols if t.c1 > cols - block else t.c1)
+        Tile(
+            t.r0, rows if t.r1 > rows - block else t.r1, t.c0, cols if t.c1 > cols - block else t.c1
+        )
         for t in columns.tiles(engine, multiple=block)
         if t.r0 <= max(rows - block, 0) and t.c0 <= max(cols - block, 0)
     ]
-    for tile, found in engine.map("survey", _read_tile, lambda _tile: (columns, block, stride, corner), tiles):
+    for tile, found in engine.map(
+        "survey", _read_tile, lambda _tile: (columns, block, stride, corner), tiles
+    ):
         row, col = tile.r0 // block, tile.c0 // block
         sample_row, sample_col = -(-tile.r0 // stride[0]), -(-tile.c0 // stride[1])
         for field, part, r, c in (
@@ -138,7 +169,13 @@ def _read(columns: Columns, engine: Engine) -> _Reading:
             field[r : r + part.shape[0], c : c + part.shape[1]] = part
         missing_count += float(found["missing"])
     missing_share = missing_count / (rows * cols * depth * columns.step**2)
-    return _Reading(means=means, holds_corner=holds_corner, profiles=profiles, missing_share=missing_share, block=block)
+    return _Reading(
+        means=means,
+        holds_corner=holds_corner,
+        profiles=profiles,
+        missing_share=missing_share,
+        block=block,
+    )
 
 
 def _read_tile(job: tuple[Columns, int, tuple[int, int], float], tile: Tile) -> NDArray[Any]:
@@ -149,19 +186,33 @@ def _read_tile(job: tuple[Columns, int, tuple[int, int], float], tile: Tile) -> 
     block_counts = [max(n // block_px, 1) for n in voxels.shape[:2]]
     # As it lies in memory: the depth may be the first, the second or the last axis.
     axis_order = np.argsort(voxels.strides, kind="stable")[::-1]
-    sums_shape, block_sides = np.array([*block_counts, voxels.shape[2]]), np.array([block_px, block_px, 1])
-    sums, missing, holds_corner = (np.zeros(sums_shape[axis_order], dtype) for dtype in (float, float, bool))
+    sums_shape, block_sides = (
+        np.array([*block_counts, voxels.shape[2]]),
+        np.array([block_px, block_px, 1]),
+    )
+    sums, missing, holds_corner = (
+        np.zeros(sums_shape[axis_order], dtype) for dtype in (float, float, bool)
+    )
     stored = np.ascontiguousarray(voxels.transpose(axis_order))
     block_sums(stored, tuple(block_sides[axis_order].tolist()), corner, sums, missing, holds_corner)
     sums, holds_corner = (field.transpose(np.argsort(axis_order)) for field in (sums, holds_corner))
-    block_widths = [np.diff([*(block_px * np.arange(k)), n]) for k, n in zip(block_counts, voxels.shape, strict=False)]
+    block_widths = [
+        np.diff([*(block_px * np.arange(k)), n])
+        for k, n in zip(block_counts, voxels.shape, strict=False)
+    ]
     # Columns of the sample lie at multiples of the stride in the whole grid.
-    sampled = voxels[tuple(slice((-k % n) * columns.step, None, n * columns.step)
-                           for k, n in zip(tile[::2], stride, strict=True))]  # fmt: skip
+    sampled = voxels[
+        tuple(
+            slice((-k % n) * columns.step, None, n * columns.step)
+            for k, n in zip(tile[::2], stride, strict=True)
+        )
+    ]
     fields = {
-        "means": (sums / np.multiply.outer(*block_widths)[..., None]).astype(np.float32), "holds_corner": holds_corner,
-        "profiles": sampled, "missing": missing.sum(),
-    }  # fmt: skip
+        "means": (sums / np.multiply.outer(*block_widths)[..., None]).astype(np.float32),
+        "holds_corner": holds_corner,
+        "profiles": sampled,
+        "missing": missing.sum(),
+    }
     record = np.empty((), [(name, field.dtype, field.shape) for name, field in fields.items()])
     for name, field in fields.items():
         record[name] = field
@@ -196,7 +247,9 @@ def mode(values: Floats) -> float:
     """Half-sample mode: the value around which the data crowd, whatever lies beside."""
     crowd = np.sort(values[np.isfinite(values)].ravel())
     if crowd.size == 0:
-        raise VolumeError("The volume holds no finite value at the ends of the axis through the sheet.")
+        raise VolumeError(
+            "The volume holds no finite value at the ends of the axis through the sheet."
+        )
     while crowd.size > 3:
         half = (crowd.size + 1) // 2
         width = crowd[half - 1 :] - crowd[: crowd.size - half + 1]
@@ -235,7 +288,9 @@ def padding_value(columns: NDArray[np.generic]) -> float | None:
     rows = np.flatnonzero(is_cut & (first > 0))
     if rows.size < 10:
         rows, first, profiles = np.flatnonzero(is_cut), last_index - last, profiles[:, ::-1]
-    inner_grey = profiles[rows[:, None], np.minimum(first[rows][:, None] + np.arange(2, 6), last_index)]
+    inner_grey = profiles[
+        rows[:, None], np.minimum(first[rows][:, None] + np.arange(2, 6), last_index)
+    ]
     inner_level = float(np.median(inner_grey))
     scatter = max(mad_sd(inner_grey - inner_level), 1e-9)
     running_mean = (profiles[rows, :-2] + profiles[rows, 1:-1] + profiles[rows, 2:]) / 3
@@ -249,7 +304,9 @@ def padding_value(columns: NDArray[np.generic]) -> float | None:
 def voxel_noise(ends: Floats, air: float) -> float:
     """Standard deviation of one voxel, from samples (n, 3) of neighbouring voxels in the air."""
     distance = np.abs(ends - air)
-    steps = np.diff(ends, axis=1)[distance[:, :-1] <= max(float(np.nanpercentile(distance, 60)), 1e-12)]
+    steps = np.diff(ends, axis=1)[
+        distance[:, :-1] <= max(float(np.nanpercentile(distance, 60)), 1e-12)
+    ]
     if not steps.size:
         return 0.0
     robust_sd = mad_sd(steps) / np.sqrt(2.0)

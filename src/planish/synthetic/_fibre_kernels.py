@@ -19,8 +19,17 @@ def _trace(x, y, angle, length, half_width, curl, stamp, fibre_number, nodes, to
         step_height[t] = -1e9
         for k in range(-n_across, n_across + 1):
             offset = half_width * k / n_across
-            i, j = int(floor(y + offset * cos(angle) + 0.5)), int(floor(x - offset * sin(angle) + 0.5))
-            if i < 0 or j < 0 or i >= top.shape[0] or j >= top.shape[1] or n_nodes >= nodes.shape[0]:
+            i, j = (
+                int(floor(y + offset * cos(angle) + 0.5)),
+                int(floor(x - offset * sin(angle) + 0.5)),
+            )
+            if (
+                i < 0
+                or j < 0
+                or i >= top.shape[0]
+                or j >= top.shape[1]
+                or n_nodes >= nodes.shape[0]
+            ):
                 continue
             step_height[t] = max(step_height[t], top[i, j])
             if stamp[i, j] != fibre_number:
@@ -44,7 +53,21 @@ def _fill(column, bottom, top, cell):
 
 
 @njit(cache=True, nogil=True)
-def lay_ribbons(shares, top, ground, starts, angles, lengths, widths, curls, walls, lumens, flexibility, cell, wall_um):
+def lay_ribbons(
+    shares,
+    top,
+    ground,
+    starts,
+    angles,
+    lengths,
+    widths,
+    curls,
+    walls,
+    lumens,
+    flexibility,
+    cell,
+    wall_um,
+):
     """Lay ribbons (n) on the heights ``top`` (rows, cols), in um, which rise by them; one after the other.
 
     ``starts`` (n, tries, 2): of the places (x, y) of a ribbon's beginning, that over the lowest ground is taken.
@@ -76,9 +99,18 @@ def lay_ribbons(shares, top, ground, starts, angles, lengths, widths, curls, wal
             if n_samples and height_sum / n_samples < lowest_mean:
                 best, lowest_mean = c, height_sum / n_samples
         n_nodes, n_steps = _trace(
-            starts[n, best, 0], starts[n, best, 1], angles[n], lengths[n], 0.5 * widths[n], curls[n], stamp, n + 1,
-            nodes, top, step_height,
-        )  # fmt: skip
+            starts[n, best, 0],
+            starts[n, best, 1],
+            angles[n],
+            lengths[n],
+            0.5 * widths[n],
+            curls[n],
+            stamp,
+            n + 1,
+            nodes,
+            top,
+            step_height,
+        )
         for t in range(1, n_steps):
             step_height[t] = max(step_height[t], step_height[t - 1] - flexibility[n])
         for t in range(n_steps - 2, -1, -1):
@@ -148,7 +180,9 @@ def press(out, low, sign, shares, heights, ground, pressed, cell, void_floor):
 
 
 @njit(cache=True, nogil=True)
-def raise_fibres(out, low, sign, face, starts, angles, lengths, widths, curls, thickness, rises, cell):
+def raise_fibres(
+    out, low, sign, face, starts, angles, lengths, widths, curls, thickness, rises, cell
+):
     """Add fibres (n) that leave a face at their beginning and stand off it by ``rises`` um at their free end."""
     stamp = np.zeros(face.shape, np.int32)
     longest = int(lengths.max()) + 2
@@ -156,9 +190,18 @@ def raise_fibres(out, low, sign, face, starts, angles, lengths, widths, curls, t
     nodes = np.empty((longest * (int(widths.max()) + 3) * 2, 4), np.int32)
     for n in range(starts.shape[0]):
         n_nodes, n_steps = _trace(
-            starts[n, 0], starts[n, 1], angles[n], lengths[n], 0.5 * widths[n], curls[n], stamp, n + 1, nodes, face,
+            starts[n, 0],
+            starts[n, 1],
+            angles[n],
+            lengths[n],
+            0.5 * widths[n],
+            curls[n],
+            stamp,
+            n + 1,
+            nodes,
+            face,
             step_height,
-        )  # fmt: skip
+        )
         root_height = step_height[0]
         for q in range(n_nodes):
             i, j = nodes[q, 0], nodes[q, 1]

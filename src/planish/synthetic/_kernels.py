@@ -33,8 +33,18 @@ def frame_at(w, curve, u, v):
     h10 = f * (1 - f) * (1 - f)
     h01 = f * f * (3 - 2 * f)
     h11 = f * f * (f - 1)
-    big_x = h00 * curve[i, 0] + h10 * h * curve[i, 2] + h01 * curve[i + 1, 0] + h11 * h * curve[i + 1, 2]
-    big_z = h00 * curve[i, 1] + h10 * h * curve[i, 3] + h01 * curve[i + 1, 1] + h11 * h * curve[i + 1, 3]
+    big_x = (
+        h00 * curve[i, 0]
+        + h10 * h * curve[i, 2]
+        + h01 * curve[i + 1, 0]
+        + h11 * h * curve[i + 1, 2]
+    )
+    big_z = (
+        h00 * curve[i, 1]
+        + h10 * h * curve[i, 3]
+        + h01 * curve[i + 1, 1]
+        + h11 * h * curve[i + 1, 3]
+    )
     psi = w[14] + w[2] * sin(w[3] * p + w[4])
     psi += 0.5 * w[15] * (1.0 + tanh((p - w[16]) / (2.0 * w[17]))) if w[15] != 0.0 else 0.0
     c, s = cos(psi), sin(psi)
@@ -128,9 +138,28 @@ def columns(w, curve, ys, xs):
 
 @njit(cache=True, nogil=True)
 def paint(
-    slab, w, curve, ys, xs, first, step, shift_x, shift_z, turn, middle, under, half_um, fields, origin, pitch, grey,
-    structure, structure_low, cell, film
-):  # fmt: skip
+    slab,
+    w,
+    curve,
+    ys,
+    xs,
+    first,
+    step,
+    shift_x,
+    shift_z,
+    turn,
+    middle,
+    under,
+    half_um,
+    fields,
+    origin,
+    pitch,
+    grey,
+    structure,
+    structure_low,
+    cell,
+    film,
+):
     """Fill slab (rows, cols, depth) with what the unblurred sheet adds to the grey of air, and nothing around it.
 
     With ``z = (first + k) * step`` and x', z' counted from ``middle`` (x, z), the voxel (i, j, k) shows the point
@@ -173,7 +202,10 @@ def paint(
                 top, low = _bilinear(fields, r, c, fy, fx, 0), _bilinear(fields, r, c, fy, fx, 3)
                 crack = _bilinear(fields, r, c, fy, fx, 8)
                 high = max(top + max(crack, 0.0), structure_high)
-                if s > high + step or s < (min(low, structure_low) if has_cells else low) + min(crack, 0.0) - step:
+                if (
+                    s > high + step
+                    or s < (min(low, structure_low) if has_cells else low) + min(crack, 0.0) - step
+                ):
                     continue
                 for n in range(_SINGLE):
                     at[n] = _bilinear(fields, r, c, fy, fx, n)
@@ -184,24 +216,38 @@ def paint(
                 in_sheet = _ramp((top - s) / step) * _ramp((s - low) / step)
                 in_base = _ramp((inner_top - s) / step) * _ramp((s - inner_low) / step)
                 outside = s - top if crack > 0.0 else low - s
-                in_crack = _ramp(outside / step) * _ramp((abs(crack) - outside) / step) if crack != 0.0 else 0.0
+                in_crack = (
+                    _ramp(outside / step) * _ramp((abs(crack) - outside) / step)
+                    if crack != 0.0
+                    else 0.0
+                )
                 if has_cells:
                     coat_share = max(in_sheet - in_base, 0.0)
                     fibre = 0.0
                     if coat_share < 1.0:
                         height, half = (s - structure_low) / cell, 0.5 * step / cell
-                        density = _cells_between(structure, r, c, fy, fx, height - half, height + half)
+                        density = _cells_between(
+                            structure, r, c, fy, fx, height - half, height + half
+                        )
                         fibre = (1.0 - coat_share) * density
-                    value = fibre * grey[0] + coat_share * grey[1] * (at[6] * at[7]) + in_crack * grey[2]
+                    value = (
+                        fibre * grey[0]
+                        + coat_share * grey[1] * (at[6] * at[7])
+                        + in_crack * grey[2]
+                    )
                     slab[i, j, k] = value * (1.0 if s < film else solid)
                     continue
-                depth = min(max((s - inner_low) / max(inner_top - inner_low, 1e-6), 0.0), 1.0) * (layers - 1)
+                depth = min(max((s - inner_low) / max(inner_top - inner_low, 1e-6), 0.0), 1.0) * (
+                    layers - 1
+                )
                 layer = min(int(depth), layers - 2)
                 f = depth - layer
                 under_it = _bilinear(fields, r, c, fy, fx, _SINGLE + layer)
                 above_it = _bilinear(fields, r, c, fy, fx, _SINGLE + 1 + layer)
                 density = under_it * (1 - f) + above_it * f
-                value = in_base * grey[0] * density + max(in_sheet - in_base, 0.0) * grey[1] * (at[6] * at[7])
+                value = in_base * grey[0] * density + max(in_sheet - in_base, 0.0) * grey[1] * (
+                    at[6] * at[7]
+                )
                 slab[i, j, k] = (value + in_crack * grey[2]) * solid
 
 
@@ -219,7 +265,9 @@ def _cells_between(cells, r, c, fy, fx, low, high):
     for k in range(first, last + 1):
         upper_row = cells[r, c, k] * (1 - fx) + cells[r, c + 1, k] * fx
         lower_row = cells[r + 1, c, k] * (1 - fx) + cells[r + 1, c + 1, k] * fx
-        density_sum += (upper_row * (1 - fy) + lower_row * fy) * (min(high, k + 1.0) - max(low, float(k)))
+        density_sum += (upper_row * (1 - fy) + lower_row * fy) * (
+            min(high, k + 1.0) - max(low, float(k))
+        )
     return 0.01 * density_sum / (high - low)
 
 

@@ -29,14 +29,26 @@ _SHEETS = 200  # of a pile that nothing shines through: 200 sheets of 10 g/m2
 
 def base_weight(paper: PaperParams, base_mass: ArrayLike = 1.0) -> Floats:
     """Grammage of the base in kg/m2: mean thickness by density, times the relative grammage of the place."""
-    return paper.base_um * paper.base_g_per_cm3 * _KG_PER_M2 * np.asarray(base_mass, dtype=np.float64)
+    return (
+        paper.base_um * paper.base_g_per_cm3 * _KG_PER_M2 * np.asarray(base_mass, dtype=np.float64)
+    )
 
 
 def coated(
-    backing: ArrayLike, coating_um: ArrayLike, density: ArrayLike, paper: PaperParams, *, outwards: bool = True
+    backing: ArrayLike,
+    coating_um: ArrayLike,
+    density: ArrayLike,
+    paper: PaperParams,
+    *,
+    outwards: bool = True,
 ) -> Floats:
     """Reflectance of the triple coating over what lies below it, which is the base unless ``outwards`` is false."""
-    weight = paper.coating_g_per_cm3 * _KG_PER_M2 * np.asarray(coating_um, float) * np.asarray(density, float)
+    weight = (
+        paper.coating_g_per_cm3
+        * _KG_PER_M2
+        * np.asarray(coating_um, float)
+        * np.asarray(density, float)
+    )
     layers = list(zip(COATING_S_M2_PER_KG, COATING_SHARES, strict=True))
     result = np.asarray(backing, dtype=np.float64)
     for s, share in layers if outwards else layers[::-1]:
@@ -60,7 +72,9 @@ def sheet_reflectance(
     """
     reflectance = pile_reflectance(paper) if backing == "pile" else 0.0
     reflectance = coated(reflectance, coating_bottom_um, coating_density, paper, outwards=False)
-    reflectance = layer_over(reflectance, base_s_m2_per_kg, BASE_K_M2_PER_KG, base_weight(paper, base_mass))
+    reflectance = layer_over(
+        reflectance, base_s_m2_per_kg, BASE_K_M2_PER_KG, base_weight(paper, base_mass)
+    )
     return coated(reflectance, coating_top_um, coating_density, paper)
 
 
@@ -69,7 +83,9 @@ def pile_reflectance(paper: PaperParams) -> float:
     reflectance = np.zeros(())
     for _ in range(_SHEETS):
         reflectance = coated(reflectance, paper.coating_bottom_um, 1.0, paper, outwards=False)
-        reflectance = layer_over(reflectance, BASE_S_M2_PER_KG, BASE_K_M2_PER_KG, base_weight(paper))
+        reflectance = layer_over(
+            reflectance, BASE_S_M2_PER_KG, BASE_K_M2_PER_KG, base_weight(paper)
+        )
         reflectance = coated(reflectance, paper.coating_top_um, 1.0, paper)
     return float(reflectance)
 
@@ -78,8 +94,11 @@ _HOLE = 0.04  # reflectance of a hole with nothing in it
 _CHAR_GREY = 0.2  # of burnt paper down in a hole: its wall, and what closes its lower end
 _CHAR_RIM = 0.6  # share of the reflectance that is left at the rim, where sheet.char is 0.5
 _BASE_S_SD_M2_PER_KG = 3.0
-_PAPER_UM, _TONE_UM = 200.0, 300.0  # correlation lengths: of the base's scattering and the nuisance; of the tone
-_COARSE_STEP = 4  # pitches between nodes of those smooth fields: 12 um, where interpolation loses 0.1 % of the variance
+# Correlation lengths: of the base's scattering and the nuisance; of the tone.
+_PAPER_UM, _TONE_UM = 200.0, 300.0
+# Pitches between nodes of those smooth fields: 12 um, where interpolation loses 0.1 % of the
+# variance.
+_COARSE_STEP = 4
 _ORACLE_UM = 100.0  # points at which r2 of the true maps is stated
 _HOLE_CLEARANCE_UM = 100.0  # from the holes' rims: two and a half times the burnt width
 _FEWEST = 20  # of those points
@@ -104,7 +123,9 @@ def photograph(
     """
     # As ``seed.spawn`` makes them, which counts in the caller's object and gives others next time.
     seeds = (np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, k)) for k in range(5))
-    for_scatter, for_nuisance, for_tone, for_noise, for_print_noise = map(np.random.default_rng, seeds)
+    for_scatter, for_nuisance, for_tone, for_noise, for_print_noise = map(
+        np.random.default_rng, seeds
+    )
     u, v = image_material(pose, shape, camera.pixel_um)
     top, coating, rim, hole, image = _bare_sheet(sheet, camera, u, v, for_scatter)
     nuisance, gain = _coarse_noise(sheet, _PAPER_UM, for_nuisance), camera.nuisance_sd
@@ -113,8 +134,11 @@ def photograph(
         gain = _oracle_gain(truth_maps, rim > _HOLE_CLEARANCE_UM, camera.pixel_um, camera.oracle_r2)
     screen = (camera.screen or PrintParams()) if printed else None
     tone = _coarse_noise(sheet, _TONE_UM, for_tone)
-    first_cell, radius_um = _dot_radii(sheet, screen, tone) if screen else ((0, 0), np.empty((0, 0)))
-    for rows in _row_blocks(len(image)):  # what is not due to the coating, the print, and the burnt rims
+    first_cell, radius_um = (
+        _dot_radii(sheet, screen, tone) if screen else ((0, 0), np.empty((0, 0)))
+    )
+    # What is not due to the coating, the print, and the burnt rims.
+    for rows in _row_blocks(len(image)):
         uv = (u[rows], v[rows])
         reflectance = image[rows] + gain * _sample(sheet, nuisance, *uv)
         if screen:
@@ -124,7 +148,8 @@ def photograph(
             i = np.clip(row.astype(int) - first_cell[0], 0, radius_um.shape[0] - 1)
             j = np.clip(col.astype(int) - first_cell[1], 0, radius_um.shape[1] - 1)
             ink_share = np.clip((radius_um[i, j] - distance) / camera.pixel_um + 0.5, 0, 1)
-            reflectance = reflectance * (1 - ink_share) + screen.ink * ink_share  # Murray and Davies
+            # Murray and Davies.
+            reflectance = reflectance * (1 - ink_share) + screen.ink * ink_share
         image[rows] = reflectance * (1 - 2 * (1 - _CHAR_RIM) * (1 - sheet.at(sheet.char, *uv)))
     paper_share = np.clip(rim / camera.pixel_um + 0.5, 0, 1)
     image = np.asarray(hole + (image - hole) * paper_share, dtype=np.float32)
@@ -137,7 +162,9 @@ def _bare_sheet(
     """Top face, top coating and distance to a rim in um at each pixel; reflectances of a hole and of the sheet."""
     pixel_um = camera.pixel_um
     scattering_field = _BASE_S_SD_M2_PER_KG * _coarse_noise(sheet, _PAPER_UM, rng)
-    top_um, coating_um, rim_um, hole_reflectance, reflectance = (np.empty(u.shape, dtype=np.float32) for _ in range(5))
+    top_um, coating_um, rim_um, hole_reflectance, reflectance = (
+        np.empty(u.shape, dtype=np.float32) for _ in range(5)
+    )
     for rows in _row_blocks(u.shape[0]):
         uv = (u[rows], v[rows])
         faces = [sheet.at(face, *uv) for face in sheet.faces]
@@ -153,12 +180,16 @@ def _bare_sheet(
             coating_bottom_um=np.maximum(faces[2] - faces[3], 0),
             coating_density=sheet.at(sheet.coating_density, *uv),
             base_mass=sheet.at(sheet.base_mass, *uv),
-            base_s_m2_per_kg=np.maximum(BASE_S_M2_PER_KG + _sample(sheet, scattering_field, *uv), 0),
+            base_s_m2_per_kg=np.maximum(
+                BASE_S_M2_PER_KG + _sample(sheet, scattering_field, *uv), 0
+            ),
         )
     return top_um, coating_um, rim_um, hole_reflectance, reflectance
 
 
-def _expose(image: Field, top_um: Field, paper_share: Field, camera: CameraParams, rng: np.random.Generator) -> Field:
+def _expose(
+    image: Field, top_um: Field, paper_share: Field, camera: CameraParams, rng: np.random.Generator
+) -> Field:
     """Shade the sheet by its topography, holes apart; add blur, vignetting and noise; round to the bits."""
     shape = (image.shape[0], image.shape[1])
     if camera.shading > 0:
@@ -169,14 +200,17 @@ def _expose(image: Field, top_um: Field, paper_share: Field, camera: CameraParam
         image = ndimage.gaussian_filter(image, camera.lens_um / camera.pixel_um, mode="nearest")
     if camera.vignetting > 0:
         y, x = (np.linspace(-1, 1, n) * n for n in shape)
-        radius_squared = (y[:, None] ** 2 + x[None, :] ** 2) / (shape[0] ** 2 + shape[1] ** 2)  # 1 in the corners
+        # 1 in the corners.
+        radius_squared = (y[:, None] ** 2 + x[None, :] ** 2) / (shape[0] ** 2 + shape[1] ** 2)
         image *= 1 - camera.vignetting * radius_squared.astype(np.float32)
     image += np.float32(camera.noise) * rng.standard_normal(shape, dtype=np.float32)
     grey_levels = 2**camera.bits - 1
     return (np.rint(np.clip(image, 0, 1) * grey_levels) / grey_levels).astype(np.float32)
 
 
-def image_material(pose: CameraPose, shape: tuple[int, int], pixel_um: float) -> tuple[Floats, Floats]:
+def image_material(
+    pose: CameraPose, shape: tuple[int, int], pixel_um: float
+) -> tuple[Floats, Floats]:
     """Material coordinates (u, v) in um shown by each pixel of an image of ``shape`` (rows, cols)."""
     u, v = np.empty(shape), np.empty(shape)
     y, x = (np.arange(n) * pixel_um for n in shape)
@@ -200,46 +234,70 @@ def _oracle_gain(
     n_points = int(is_finite.sum())
     if n_points < _FEWEST:
         raise ValueError(
-            f"oracle_r2 asks for {_FEWEST} points of {_ORACLE_UM:g} um away from the holes and the image has "
-            f"{n_points}; take a larger image or fewer holes, or set nuisance_sd instead."
+            f"oracle_r2 asks for {_FEWEST} points of {_ORACLE_UM:g} um away from the holes and the"
+            f" image has {n_points}; take a larger image or fewer holes, or set nuisance_sd"
+            " instead."
         )
     (tt, tr, tn), (_, rr, rn), (_, _, nn) = np.cov([m[is_finite] for m in means])
     clean_r2 = float(tr * tr / (tt * rr)) if tt > 0 and tr > 0 else 0.0
     if not 0 < target <= clean_r2:
         raise ValueError(
-            f"oracle_r2 = {target:g} is out of reach: without any nuisance, r2 of coating thickness and reflectance is "
-            f"{clean_r2:.3f}, and a nuisance can only lower it. Ask for less, but more than 0."
+            f"oracle_r2 = {target:g} is out of reach: without any nuisance, r2 of coating thickness"
+            f" and reflectance is {clean_r2:.3f}, and a nuisance can only lower it. Ask for less,"
+            " but more than 0."
         )
     scaled_target = target * tt
-    roots = np.roots([tn * tn - scaled_target * nn, 2 * (tr * tn - scaled_target * rn), tr * tr - scaled_target * rr])
+    roots = np.roots(
+        [
+            tn * tn - scaled_target * nn,
+            2 * (tr * tn - scaled_target * rn),
+            tr * tr - scaled_target * rr,
+        ]
+    )
     gains = [g.real for g in roots if abs(g.imag) < 1e-12 and g.real >= 0 and tr + g.real * tn > 0]
     if not gains:
         raise ValueError(
-            f"oracle_r2 = {target:g} is out of reach: over {n_points} points even the nuisance alone has an r2 of "
-            f"{tn * tn / (tt * nn):.3f} with the thickness. Ask for more, or take a larger image or another seed."
+            f"oracle_r2 = {target:g} is out of reach: over {n_points} points even the nuisance"
+            f" alone has an r2 of {tn * tn / (tt * nn):.3f} with the thickness. Ask for more, or"
+            " take a larger image or another seed."
         )
     return float(min(gains))
 
 
-def _dot_radii(sheet: DrawnSheet, screen: PrintParams, tone: Floats) -> tuple[tuple[int, int], Floats]:
+def _dot_radii(
+    sheet: DrawnSheet, screen: PrintParams, tone: Floats
+) -> tuple[tuple[int, int], Floats]:
     """Radii of the dots of the whole sheet, one to each cell of the turned screen, and the (row, col) of the first."""
     rows, cols = sheet.char.shape
     u = sheet.origin[0] + PITCH_UM * np.array([0, cols - 1, 0, cols - 1])
     v = sheet.origin[1] + PITCH_UM * np.array([0, 0, rows - 1, rows - 1])
     a, b = _screen_coordinates(u, v, screen)
     first_cell = (int(np.floor(b.min())), int(np.floor(a.min())))
-    cell_shape = (int(np.floor(b.max())) - first_cell[0] + 1, int(np.floor(a.max())) - first_cell[1] + 1)
+    cell_shape = (
+        int(np.floor(b.max())) - first_cell[0] + 1,
+        int(np.floor(a.max())) - first_cell[1] + 1,
+    )
     sample_offsets = (np.arange(_CELL_SAMPLES) + 0.5) / _CELL_SAMPLES
     b, a = np.meshgrid(
-        *((k + np.arange(n)[:, None] + sample_offsets).ravel() for k, n in zip(first_cell, cell_shape, strict=True)),
+        *(
+            (k + np.arange(n)[:, None] + sample_offsets).ravel()
+            for k, n in zip(first_cell, cell_shape, strict=True)
+        ),
         indexing="ij",
     )
     pitch, angle = 1e4 / screen.screen_per_cm, np.deg2rad(screen.angle_deg)
-    u, v = pitch * (a * np.cos(angle) - b * np.sin(angle)), pitch * (a * np.sin(angle) + b * np.cos(angle))
+    u, v = (
+        pitch * (a * np.cos(angle) - b * np.sin(angle)),
+        pitch * (a * np.sin(angle) + b * np.cos(angle)),
+    )
     coating = np.maximum(sheet.at(sheet.faces[0], u, v) - sheet.at(sheet.faces[1], u, v), 0)
     mean_coating_um = float(np.mean(sheet.faces[0] - sheet.faces[1], dtype=np.float64))
-    tone_change = screen.gain_sd * _sample(sheet, tone, u, v) - screen.gain_per_um * (coating - mean_coating_um)
-    cell_change = tone_change.reshape(cell_shape[0], _CELL_SAMPLES, cell_shape[1], _CELL_SAMPLES).mean(axis=(1, 3))
+    tone_change = screen.gain_sd * _sample(sheet, tone, u, v) - screen.gain_per_um * (
+        coating - mean_coating_um
+    )
+    cell_change = tone_change.reshape(
+        cell_shape[0], _CELL_SAMPLES, cell_shape[1], _CELL_SAMPLES
+    ).mean(axis=(1, 3))
     # A larger dot would touch its neighbours: then the tone is no longer pi r^2.
     dot_area = np.clip(screen.tone + cell_change, 0.0, 0.25 * np.pi)
     return first_cell, pitch * np.sqrt(dot_area / np.pi)
@@ -254,13 +312,17 @@ def _screen_coordinates(u: Floats, v: Floats, screen: PrintParams) -> tuple[Floa
 def _coarse_noise(sheet: DrawnSheet, correlation_um: float, rng: np.random.Generator) -> Floats:
     """Random field of unit standard deviation over the sheet, on every 4th node of its grid and a little beyond."""
     rows, cols = sheet.char.shape
-    return noise((rows // _COARSE_STEP + 2, cols // _COARSE_STEP + 2), correlation_um / _COARSE_STEP, rng)
+    return noise(
+        (rows // _COARSE_STEP + 2, cols // _COARSE_STEP + 2), correlation_um / _COARSE_STEP, rng
+    )
 
 
 def _sample(sheet: DrawnSheet, coarse_field: Floats, u: Floats, v: Floats) -> Floats:
     pitch_um = PITCH_UM * _COARSE_STEP
     node_positions = np.stack([(v - sheet.origin[1]) / pitch_um, (u - sheet.origin[0]) / pitch_um])
-    return np.asarray(ndimage.map_coordinates(coarse_field, node_positions, order=1, mode="nearest"))
+    return np.asarray(
+        ndimage.map_coordinates(coarse_field, node_positions, order=1, mode="nearest")
+    )
 
 
 def _row_blocks(rows: int) -> list[slice]:

@@ -19,10 +19,12 @@ from planish.synthetic.params import FilmParams, PaperParams, generator
 
 WALL_G_PER_CM3 = 1.5
 _FILLER_G_PER_CM3, _FILLER_UM3 = 2.7, 4.2  # of calcite; volume of a grain of 2 um
-_GRAIN = 110  # what a grain adds to a cell of 1 um; 100 is wall: it fills half and is twice as bright
+# What a grain adds to a cell of 1 um; 100 is wall: it fills half and is twice as bright.
+_GRAIN = 110
 _TRIES = 6  # places of a fibre, of which it takes the lowest
 _FACE_ROWS = 64
-_DEEPEST = (2.5, 10.5)  # height of a sheet before the press over its solid thickness, and more with hollow fibres
+# Height of a sheet before the press over its solid thickness, and more with hollow fibres.
+_DEEPEST = (2.5, 10.5)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +34,8 @@ class Structure:
     density: NDArray[np.uint8]
     low_um: float
     cell_um: float
-    film_um: float = -np.inf  # height of the upper side of a film below the sheet, which has no holes
+    # Height of the upper side of a film below the sheet, which has no holes.
+    film_um: float = -np.inf
 
     @property
     def high_um(self) -> float:
@@ -46,15 +49,30 @@ class Structure:
         low_um = float(np.floor(min(self.low_um, film_top_um - film.film_um - 2 * self.cell_um)))
         n_cells_below = int(np.ceil((self.low_um - low_um) / self.cell_um))
         density = np.pad(self.density, ((0, 0), (0, 0), (n_cells_below, 0)))
-        cell_borders = self.low_um + self.cell_um * (np.arange(density.shape[2] + 1) - n_cells_below)
-        upper_um = np.minimum(bottom, contact_um + 30.0) if film.is_tape else np.full(bottom.shape, film_top_um)
+        cell_borders = self.low_um + self.cell_um * (
+            np.arange(density.shape[2] + 1) - n_cells_below
+        )
+        upper_um = (
+            np.minimum(bottom, contact_um + 30.0)
+            if film.is_tape
+            else np.full(bottom.shape, film_top_um)
+        )
         cols = slice(0, round(film.share * bottom.shape[1]))
         for k, (start_um, stop_um) in enumerate(pairwise(cell_borders)):
-            filled_um = np.minimum(stop_um, upper_um[:, cols]) - max(start_um, film_top_um - film.film_um)
+            filled_um = np.minimum(stop_um, upper_um[:, cols]) - max(
+                start_um, film_top_um - film.film_um
+            )
             share = np.clip(filled_um, 0.0, None) / self.cell_um
             film_cells = density[:, cols, k]
-            film_cells[:] = np.maximum(film_cells, np.rint(np.minimum(100 * film.grey * share, 255)).astype(np.uint8))
-        return Structure(density=density, low_um=float(cell_borders[0]), cell_um=self.cell_um, film_um=film_top_um)
+            film_cells[:] = np.maximum(
+                film_cells, np.rint(np.minimum(100 * film.grey * share, 255)).astype(np.uint8)
+            )
+        return Structure(
+            density=density,
+            low_um=float(cell_borders[0]),
+            cell_um=self.cell_um,
+            film_um=film_top_um,
+        )
 
     def face(self, blur_um: float, pitch_um: float, *, top: bool) -> NDArray[np.float32]:
         """Height (rows, cols) of a face without coating, NaN where there is none.
@@ -68,14 +86,22 @@ class Structure:
         face = np.full((rows, cols), np.nan, dtype=np.float32)
         for start in range(0, rows, _FACE_ROWS):
             halo_start, stop = max(start - halo_rows, 0), min(start + _FACE_ROWS, rows)
-            wall_share = self.density[halo_start : min(stop + halo_rows, rows)].astype(np.float32) / 100.0
+            wall_share = (
+                self.density[halo_start : min(stop + halo_rows, rows)].astype(np.float32) / 100.0
+            )
             sigmas = (sigma / pitch_um, sigma / pitch_um, sigma / self.cell_um)
-            blurred = ndimage.gaussian_filter(np.minimum(wall_share, 1.0), sigmas)[start - halo_start :][: stop - start]
+            blurred = ndimage.gaussian_filter(np.minimum(wall_share, 1.0), sigmas)[
+                start - halo_start :
+            ][: stop - start]
             blurred = blurred[..., ::-1] if top else blurred
-            outer_blurred = np.concatenate([np.zeros_like(blurred[..., :1]), blurred[..., :-1]], axis=2)
+            outer_blurred = np.concatenate(
+                [np.zeros_like(blurred[..., :1]), blurred[..., :-1]], axis=2
+            )
             is_face = (blurred >= 0.5) & (outer_blurred < 0.5)
             k = is_face.argmax(axis=2)[..., None]
-            outer, inner = (np.take_along_axis(a, k, axis=2)[..., 0] for a in (outer_blurred, blurred))
+            outer, inner = (
+                np.take_along_axis(a, k, axis=2)[..., 0] for a in (outer_blurred, blurred)
+            )
             crossing = k[..., 0] - (inner - 0.5) / np.maximum(inner - outer, 1e-6) + 0.5
             height = (n_cells - crossing if top else crossing) * self.cell_um + self.low_um
             face[start:stop] = np.where(is_face.any(axis=2), height, np.nan)
@@ -85,7 +111,9 @@ class Structure:
 class FibreMat:
     """Fibres of a base before the press: one half above its middle, one below, which is kept upside down."""
 
-    def __init__(self, paper: PaperParams, shape: tuple[int, int], pitch_um: float, ground: Floats, seed: int) -> None:
+    def __init__(
+        self, paper: PaperParams, shape: tuple[int, int], pitch_um: float, ground: Floats, seed: int
+    ) -> None:
         """Lay the fibres; ``ground`` is the height of the middle, on which both halves begin."""
         fibres = paper.fibres
         assert fibres is not None
@@ -108,25 +136,46 @@ class FibreMat:
         lengths, widths, walls, lumens = self._drawn(shape, solid_um, rng)
         n_fibres = lengths.size
         angles = (
-            rng.vonmises(0.0, 0.5 * np.log(self._paper.anisotropy), n_fibres) / 2 + rng.integers(0, 2, n_fibres) * np.pi
+            rng.vonmises(0.0, 0.5 * np.log(self._paper.anisotropy), n_fibres) / 2
+            + rng.integers(0, 2, n_fibres) * np.pi
         )
         curls = rng.normal(0.0, 4e-4, n_fibres) * pitch
         lengths, widths = lengths / pitch, widths / pitch
-        middles = rng.uniform(0.0, 1.0, (n_fibres, _TRIES, 2)) * (np.array(shape[::-1]) + lengths[:, None, None])
+        middles = rng.uniform(0.0, 1.0, (n_fibres, _TRIES, 2)) * (
+            np.array(shape[::-1]) + lengths[:, None, None]
+        )
         middles -= 0.5 * lengths[:, None, None]
-        starts = middles - 0.5 * lengths[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)[:, None]
+        starts = (
+            middles
+            - 0.5
+            * lengths[:, None, None]
+            * np.stack([np.cos(angles), np.sin(angles)], axis=-1)[:, None]
+        )
         flexibility = rng.uniform(*p.flexibility, n_fibres) * pitch
         hollow_share = 0.5 * sum(p.lumen_um) / sum(p.wall_um)
         n_cells = int((_DEEPEST[0] + _DEEPEST[1] * hollow_share) * solid_um / p.cell_um) + 8
         shares = np.zeros((*shape, n_cells), dtype=np.uint8)
         top = ground.copy()
         _fibre_kernels.lay_ribbons(
-            shares, top, ground, starts, angles - 0.5 * curls * lengths, lengths, widths, curls, walls, lumens,
-            flexibility, p.cell_um, solid_um * shape[0] * shape[1],
-        )  # fmt: skip
+            shares,
+            top,
+            ground,
+            starts,
+            angles - 0.5 * curls * lengths,
+            lengths,
+            widths,
+            curls,
+            walls,
+            lumens,
+            flexibility,
+            p.cell_um,
+            solid_um * shape[0] * shape[1],
+        )
         return shares, np.minimum(top, ground + shares.shape[2] * p.cell_um)
 
-    def _drawn(self, shape: tuple[int, int], solid_um: float, rng: np.random.Generator) -> tuple[Floats, ...]:
+    def _drawn(
+        self, shape: tuple[int, int], solid_um: float, rng: np.random.Generator
+    ) -> tuple[Floats, ...]:
         """Draw lengths, widths, walls and lumens of more fibres than are laid."""
         p, pitch = self._fibres, self._pitch
         area = float(shape[0] * shape[1]) * pitch**2
@@ -134,7 +183,9 @@ class FibreMat:
         # A fibre begins outside as often as inside: the field grows by its length, which its middle may lie in.
         while volume_um3 < 1.1 * solid_um * area:
             is_fine = rng.random(512) < p.fines
-            lengths = np.where(is_fine, rng.uniform(60.0, 250.0, 512), rng.uniform(*p.length_um, 512))
+            lengths = np.where(
+                is_fine, rng.uniform(60.0, 250.0, 512), rng.uniform(*p.length_um, 512)
+            )
             widths = np.where(is_fine, rng.uniform(6.0, 15.0, 512), rng.uniform(*p.width_um, 512))
             walls = rng.uniform(*p.wall_um, 512)
             lumens = np.where(is_fine, 0.0, rng.uniform(*p.lumen_um, 512))
@@ -150,13 +201,23 @@ class FibreMat:
         far as walls and the height before the press allow.
         """
         p = self._paper
-        solids = [shares.sum(axis=2, dtype=np.float64) * self._fibres.cell_um / 100 for shares in self._shares]
-        solids = [np.minimum(solid, h - g) for solid, h, g in zip(solids, self.heights, self._grounds, strict=True)]
-        voids = [h - g - solid for h, g, solid in zip(self.heights, self._grounds, solids, strict=True)]
+        solids = [
+            shares.sum(axis=2, dtype=np.float64) * self._fibres.cell_um / 100
+            for shares in self._shares
+        ]
+        solids = [
+            np.minimum(solid, h - g)
+            for solid, h, g in zip(solids, self.heights, self._grounds, strict=True)
+        ]
+        voids = [
+            h - g - solid for h, g, solid in zip(self.heights, self._grounds, solids, strict=True)
+        ]
 
         def faces(flattening: float) -> list[Floats]:
             """Faces whose distances from their mean are multiplied by ``flat``."""
-            open_share = (p.base_um - float(sum(s.mean() for s in solids))) / float(sum(v.mean() for v in voids))
+            open_share = (p.base_um - float(sum(s.mean() for s in solids))) / float(
+                sum(v.mean() for v in voids)
+            )
             pressed_halves: list[Floats] = []
             for ground, solid, void in zip(self._grounds, solids, voids, strict=True):
                 height = ground + solid + max(open_share, 0.0) * void
@@ -185,14 +246,20 @@ class FibreMat:
         for sign, shares, heights, ground, target in zip(
             (1.0, -1.0), self._shares, self.heights, self._grounds, (top, -bottom), strict=True
         ):
-            _fibre_kernels.press(density, low_um, sign, shares, heights, ground, target, p.cell_um, p.void_floor)
+            _fibre_kernels.press(
+                density, low_um, sign, shares, heights, ground, target, p.cell_um, p.void_floor
+            )
         cell_um3 = self._pitch**2 * p.cell_um
-        grain_probability = paper.filler * paper.base_g_per_cm3 / _FILLER_G_PER_CM3 / _FILLER_UM3 * cell_um3
+        grain_probability = (
+            paper.filler * paper.base_g_per_cm3 / _FILLER_G_PER_CM3 / _FILLER_UM3 * cell_um3
+        )
         rng = generator(self._seed, "filler")
         for k in range(n_cells) if grain_probability else ():
             height = low_um + (k + 0.5) * p.cell_um
             is_grain = (
-                (rng.random(top.shape, dtype=np.float32) < grain_probability) & (height < top) & (height > bottom)
+                (rng.random(top.shape, dtype=np.float32) < grain_probability)
+                & (height < top)
+                & (height > bottom)
             )
             density[..., k] += (_GRAIN / p.cell_um * is_grain).astype(np.uint8)
         for sign, outward_face in ((1.0, top), (-1.0, -bottom)) if p.fuzz_per_mm2 else ():
@@ -200,9 +267,17 @@ class FibreMat:
             n = max(int(p.fuzz_per_mm2 * top.size * self._pitch**2 * 1e-6), 1)
             lengths = rng.uniform(100.0, 350.0, n) / self._pitch
             _fibre_kernels.raise_fibres(
-                density, low_um, sign, outward_face, rng.uniform(0, 1, (n, 2)) * top.shape[::-1],
-                rng.uniform(0, 2 * np.pi, n), lengths, rng.uniform(12.0, 22.0, n) / self._pitch,
-                rng.normal(0, 2e-3, n) * self._pitch, rng.uniform(3.0, 6.0, n), rng.uniform(*p.fuzz_um, n),
+                density,
+                low_um,
+                sign,
+                outward_face,
+                rng.uniform(0, 1, (n, 2)) * top.shape[::-1],
+                rng.uniform(0, 2 * np.pi, n),
+                lengths,
+                rng.uniform(12.0, 22.0, n) / self._pitch,
+                rng.normal(0, 2e-3, n) * self._pitch,
+                rng.uniform(3.0, 6.0, n),
+                rng.uniform(*p.fuzz_um, n),
                 p.cell_um,
-            )  # fmt: skip
+            )
         return Structure(density=density, low_um=low_um - neutral_um, cell_um=p.cell_um)

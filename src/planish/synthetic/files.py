@@ -57,7 +57,9 @@ def _write_stack(specimen: Specimen, folder: Path) -> InstrumentFiles:
     def to_physical(points: Floats, _sections: xr.Dataset | None = None) -> Floats:
         return points
 
-    return InstrumentFiles(volume=path, voxel_um=(voxel, voxel, voxel), through="z", to_physical=to_physical)
+    return InstrumentFiles(
+        volume=path, voxel_um=(voxel, voxel, voxel), through="z", to_physical=to_physical
+    )
 
 
 def _write_scan(specimen: Specimen, folder: Path) -> InstrumentFiles:
@@ -77,7 +79,9 @@ def _write_scan(specimen: Specimen, folder: Path) -> InstrumentFiles:
     def to_physical(points: Floats, _sections: xr.Dataset | None = None) -> Floats:
         return np.stack([points[:, 0], last_um - points[:, 2], points[:, 1]], axis=1)
 
-    return InstrumentFiles(volume=scan_folder, voxel_um=(voxel, voxel, voxel), through="y", to_physical=to_physical)
+    return InstrumentFiles(
+        volume=scan_folder, voxel_um=(voxel, voxel, voxel), through="y", to_physical=to_physical
+    )
 
 
 def _rec_log(specimen: Specimen) -> str:
@@ -87,7 +91,8 @@ def _rec_log(specimen: Specimen) -> str:
         "System": {"Scanner": "synthetic", "Camera Pixel Size (um)": "7.4"},
         "Acquisition": {
             "Filename Prefix": _PREFIX.removesuffix("_rec"),
-            "Image Pixel Size (um)": f"{p.voxel_um * 1.0006:.6f}",  # before the fine tuning of the reconstruction
+            # Before the fine tuning of the reconstruction.
+            "Image Pixel Size (um)": f"{p.voxel_um * 1.0006:.6f}",
         },
         "Reconstruction": {
             "Reconstruction Program": "NRecon",
@@ -109,7 +114,10 @@ def _rec_log(specimen: Specimen) -> str:
         },
         "File name convention": {"Filename Index Length": "8", "Filename Prefix": _PREFIX},
     }
-    lines = [f"[{name}]\n" + "".join(f"{k}={v}\n" for k, v in keys.items()) for name, keys in sections.items()]
+    lines = [
+        f"[{name}]\n" + "".join(f"{k}={v}\n" for k, v in keys.items())
+        for name, keys in sections.items()
+    ]
     return "".join(lines)
 
 
@@ -121,7 +129,9 @@ def _write_sections(specimen: Specimen, folder: Path) -> InstrumentFiles:
     lines = ["# kind: block-face", "file,position_um"]
     for k, picture in enumerate(microtome.pictures()):
         name = f"section_{int(poses.index[k]):05d}.tif"
-        tifffile.imwrite(photo_folder / name, picture, resolution=(per_cm, per_cm), resolutionunit="CENTIMETER")
+        tifffile.imwrite(
+            photo_folder / name, picture, resolution=(per_cm, per_cm), resolutionunit="CENTIMETER"
+        )
         lines.append(f"{name},{poses.counter_um[k]:.3f}")
     (photo_folder / COUNTER).write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
     middle = 0.5 * (np.array(microtome.shape[::-1]) - 1) * p.pixel_um
@@ -130,19 +140,27 @@ def _write_sections(specimen: Specimen, folder: Path) -> InstrumentFiles:
         """Undo what the run took off each section, then put on what was truly there."""
         x, z, position = points[:, 0], points[:, 1], points[:, 2]
         if sections is not None:
-            aligned = {name: np.interp(position, sections["position"].values, sections[name].values)
-                     for name in ("shift_row", "shift_col", "rotation")}  # fmt: skip
+            aligned = {
+                name: np.interp(position, sections["position"].values, sections[name].values)
+                for name in ("shift_row", "shift_col", "rotation")
+            }
             dx, dz = x - middle[0], z - middle[1]
             x = x + aligned["shift_col"] - aligned["rotation"] * dz
             z = z + aligned["shift_row"] + aligned["rotation"] * dx
             position = position + float(sections.attrs["first_position_um"])
         turn = np.interp(position, poses.counter_um, poses.turn_rad)
-        true_x = x + np.interp(position, poses.counter_um, poses.shift_x_um) - turn * (z - middle[1])
-        true_z = z + np.interp(position, poses.counter_um, poses.shift_z_um) + turn * (x - middle[0])
+        true_x = (
+            x + np.interp(position, poses.counter_um, poses.shift_x_um) - turn * (z - middle[1])
+        )
+        true_z = (
+            z + np.interp(position, poses.counter_um, poses.shift_z_um) + turn * (x - middle[0])
+        )
         return np.stack([true_x, np.interp(position, poses.counter_um, poses.y_um), true_z], axis=1)
 
     voxel = (p.section_um, p.pixel_um, p.pixel_um)
-    return InstrumentFiles(volume=photo_folder, voxel_um=voxel, through="y", to_physical=to_physical)
+    return InstrumentFiles(
+        volume=photo_folder, voxel_um=voxel, through="y", to_physical=to_physical
+    )
 
 
 def write_image(specimen: Specimen, path: Path, *, printed: bool = False) -> Path:
@@ -150,15 +168,23 @@ def write_image(specimen: Specimen, path: Path, *, printed: bool = False) -> Pat
     reflectance = (specimen.printed if printed else specimen.image).values
     grey = np.clip(np.rint(reflectance * 65535), 0, 65535).astype(np.uint16)
     pixel = specimen.params.camera.pixel_um
-    size: dict[str, Any] = {"resolution": (1e4 / pixel, 1e4 / pixel), "resolutionunit": "CENTIMETER"}
+    size: dict[str, Any] = {
+        "resolution": (1e4 / pixel, 1e4 / pixel),
+        "resolutionunit": "CENTIMETER",
+    }
     if path.name.endswith(".ome.tif"):
         unit = {"PhysicalSizeXUnit": "µm", "PhysicalSizeYUnit": "µm"}
-        size |= {"ome": True, "metadata": {"axes": "YX", "PhysicalSizeX": pixel, "PhysicalSizeY": pixel, **unit}}
+        size |= {
+            "ome": True,
+            "metadata": {"axes": "YX", "PhysicalSizeX": pixel, "PhysicalSizeY": pixel, **unit},
+        }
     tifffile.imwrite(path, grey, **size)
     return path
 
 
-def write_specimen(options: SpecimenOptions, folder: Path, *, progress: Callable[[str], None] | None = None) -> None:
+def write_specimen(
+    options: SpecimenOptions, folder: Path, *, progress: Callable[[str], None] | None = None
+) -> None:
     """Make the specimen that ``options`` order and write it: scan/, sections/, images, and truth/ apart from them."""
     specimen = make_specimen(options.params())
     large = options.size == "T3"  # without voxels: nodes of the centre surface instead
@@ -183,7 +209,9 @@ def write_nodes(specimen: Specimen, path: Path) -> None:
     u, v = columns[..., 0], columns[..., 1]
     faces = specimen.sheet.faces
     coating = specimen.sheet.at(faces[0], u, v) - specimen.sheet.at(faces[1], u, v)
-    np.savez_compressed(path, points=specimen.warp.points(u, v), u=u, v=v, coating_top=coating.astype(np.float32))
+    np.savez_compressed(
+        path, points=specimen.warp.points(u, v), u=u, v=v, coating_top=coating.astype(np.float32)
+    )
 
 
 def write_truth(specimen: Specimen, folder: Path) -> None:
@@ -192,9 +220,12 @@ def write_truth(specimen: Specimen, folder: Path) -> None:
     pixel = specimen.params.camera.pixel_um
     for name, field in specimen.truth.data_vars.items():
         tifffile.imwrite(
-            folder / f"{name}.tif", field.values.astype(np.float32), imagej=True, resolution=(1 / pixel, 1 / pixel),
+            folder / f"{name}.tif",
+            field.values.astype(np.float32),
+            imagej=True,
+            resolution=(1 / pixel, 1 / pixel),
             metadata={"unit": "um", "axes": "YX"},
-        )  # fmt: skip
+        )
     holes = specimen.sheet.holes
     image_xy, volume_xyz = specimen.pose(holes), specimen.warp.points(holes[:, 0], holes[:, 1])
     names = ("u_um", "v_um", "image_x_um", "image_y_um", "x_um", "y_um", "z_um")
@@ -202,8 +233,14 @@ def write_truth(specimen: Specimen, folder: Path) -> None:
     poses = specimen.poses
     names = ("counter_um", "y_um", "shift_x_um", "shift_z_um", "turn_rad")
     _table(folder / "sections.csv", names, np.stack([getattr(poses, n) for n in names], axis=1))
-    data = {"parameters": asdict(specimen.params), "warp": asdict(specimen.warp), "camera": asdict(specimen.pose)}
-    (folder / "parameters.json").write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8", newline="\n")
+    data = {
+        "parameters": asdict(specimen.params),
+        "warp": asdict(specimen.warp),
+        "camera": asdict(specimen.pose),
+    }
+    (folder / "parameters.json").write_text(
+        json.dumps(data, indent=2) + "\n", encoding="utf-8", newline="\n"
+    )
 
 
 def _table(path: Path, names: tuple[str, ...], rows: Floats) -> None:

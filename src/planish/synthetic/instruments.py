@@ -19,9 +19,16 @@ _BLOCK = 192  # columns painted together: the sheet then fills much of the box a
 
 
 def painted(
-    sheet: DrawnSheet, warp: Warp, ys_um: Floats, *, shape: tuple[int, int], step_um: float,
-    grey: tuple[float, float, float], halo: int, moved: Floats,
-) -> list[tuple[int, int, Slab]]:  # fmt: skip
+    sheet: DrawnSheet,
+    warp: Warp,
+    ys_um: Floats,
+    *,
+    shape: tuple[int, int],
+    step_um: float,
+    grey: tuple[float, float, float],
+    halo: int,
+    moved: Floats,
+) -> list[tuple[int, int, Slab]]:
     """Paint the planes at ``ys_um``, of ``shape`` (x, z) voxels of ``step_um``, in blocks as deep as the sheet is.
 
     Painted is what the sheet adds to the ``grey`` of air (before those of base and coating), so that air stays an exact
@@ -44,7 +51,10 @@ def painted(
         stop = min(start + _BLOCK, shape[0])
         xs = np.arange(start - halo, stop + halo) * step_um
         under = np.concatenate(
-            [_kernels.columns(w, curve, ys_um[i : i + 1], xs + shift_x[i]) for i in range(ys_um.size)]
+            [
+                _kernels.columns(w, curve, ys_um[i : i + 1], xs + shift_x[i])
+                for i in range(ys_um.size)
+            ]
         )
         middle = under[..., 2] - shift_z[:, None] - turn[:, None] * (xs - middle_um[0])
         first = max(int(np.floor((middle.min() - half_depth) / step_um)) - halo, 0)
@@ -53,9 +63,25 @@ def painted(
             continue
         block = np.zeros((ys_um.size, xs.size, last - first + 1 + 2 * halo), dtype=np.float32)
         _kernels.paint(
-            block, w, curve, ys_um, xs, first - halo, step_um, shift_x, shift_z, turn, np.array(middle_um), under,
-            half_depth, sheet.packed, np.array(sheet.origin), PITCH_UM, greys, *structure_args,
-        )  # fmt: skip
+            block,
+            w,
+            curve,
+            ys_um,
+            xs,
+            first - halo,
+            step_um,
+            shift_x,
+            shift_z,
+            turn,
+            np.array(middle_um),
+            under,
+            half_depth,
+            sheet.packed,
+            np.array(sheet.origin),
+            PITCH_UM,
+            greys,
+            *structure_args,
+        )
         blocks.append((start, first, block))
     return blocks
 
@@ -75,7 +101,9 @@ def smooth(slab: Slab, taps: NDArray[np.float32], axes: tuple[int, ...]) -> Slab
         shape[axis] -= 2 * reach
         smoothed = np.empty(shape, dtype=np.float32)
         # Plane by plane, so that a plane stays in the processor's cache.
-        for plane, out in zip(np.moveaxis(slab, axis, 1), np.moveaxis(smoothed, axis, 1), strict=True):
+        for plane, out in zip(
+            np.moveaxis(slab, axis, 1), np.moveaxis(smoothed, axis, 1), strict=True
+        ):
             shifted = [plane[k : k + len(out)] for k in range(2 * reach + 1)]
             np.multiply(shifted[reach], taps[0], out=out)
             for k in range(1, reach + 1):
@@ -88,7 +116,9 @@ def trimmed(slab: Slab, cut: int, axes: tuple[int, ...]) -> Slab:
     """Cut voxels off both ends of the axes."""
     if cut == 0:
         return slab
-    return slab[tuple(slice(cut, -cut) if axis in axes else slice(None) for axis in range(slab.ndim))]
+    return slab[
+        tuple(slice(cut, -cut) if axis in axes else slice(None) for axis in range(slab.ndim))
+    ]
 
 
 _TILE_VOXELS, _LEAST_ROWS = 1 << 23, 24  # of a tile; the rows around it are painted twice
@@ -119,7 +149,8 @@ class Scanner:
 
     def tiles(self, *, tile_rows: int | None = None) -> Iterator[tuple[int, NDArray[np.generic]]]:
         """Give (first row, tile (rows, x, z)) one after the other; some ``2 * threads`` tiles are in memory."""
-        _ = self.sheet.packed, self._rings_image, self._cupping_factor  # made once, before threads ask for them
+        # Made once, before threads ask for them.
+        _ = self.sheet.packed, self._rings_image, self._cupping_factor
         tile_rows = tile_rows or max(_TILE_VOXELS // (self.shape[0] * self.shape[2]), _LEAST_ROWS)
         starts, threads = range(0, self.shape[1], tile_rows), count_threads()
         with thread_pool() as pool:
@@ -144,7 +175,9 @@ class Scanner:
         slab = slab + np.float32(p.grey[0])
         if p.section_gain:
             rngs = (generator(self.seed, "gain", str(row)) for row in range(start, stop))
-            gains = np.array([1 + p.section_gain * rng.standard_normal() for rng in rngs], np.float32)
+            gains = np.array(
+                [1 + p.section_gain * rng.standard_normal() for rng in rngs], np.float32
+            )
             slab *= gains[:, None, None]
         if p.dtype != "float32":
             limits = np.iinfo(p.dtype)
@@ -158,9 +191,15 @@ class Scanner:
         halo = max(psf.size - 1, ring.size if p.fringe else 0)
         ys = np.arange(start - halo, stop + halo, dtype=np.float64) * p.voxel_um
         blocks = painted(
-            self.sheet, self.warp, ys, shape=(self.shape[2], self.shape[0]), step_um=p.voxel_um, grey=p.grey, halo=halo,
+            self.sheet,
+            self.warp,
+            ys,
+            shape=(self.shape[2], self.shape[0]),
+            step_um=p.voxel_um,
+            grey=p.grey,
+            halo=halo,
             moved=np.zeros((3, ys.size)),
-        )  # fmt: skip
+        )
         slab = np.zeros((stop - start, self.shape[2], self.shape[0]), dtype=np.float32)
         axes = (0, 1, 2)
         for col, depth, block in blocks:
@@ -209,7 +248,9 @@ class Scanner:
 
         def knot(row: int) -> Floats:
             rng = generator(self.seed, "streaks", str(row))
-            white = rng.standard_normal((1, n_knots, self.shape[0] + 2 * (taps.size - 1)), dtype=np.float32)
+            white = rng.standard_normal(
+                (1, n_knots, self.shape[0] + 2 * (taps.size - 1)), dtype=np.float32
+            )
             lines = smooth(white, taps, (2,))[0] / np.sqrt(taps[0] ** 2 + 2 * np.sum(taps[1:] ** 2))
             j, f = knot_position.astype(int), (knot_position % 1)[:, None]
             return (lines[j] * (1 - f) + lines[j + 1] * f) / np.sqrt((1 - f) ** 2 + f**2)
@@ -277,9 +318,13 @@ def draw_poses(params: SectionsParams, length_um: float, seed: int) -> Poses:
     counter = params.section_um * np.arange(count, dtype=np.float64)
     true_y = length_um - counter - params.thickness * params.section_um * position_error
     return Poses(
-        index=indices, counter_um=counter[indices], y_um=true_y[indices], shift_x_um=shift[0, indices],
-        shift_z_um=shift[1, indices], turn_rad=np.deg2rad(params.rotation_deg) * turn[indices],
-    )  # fmt: skip
+        index=indices,
+        counter_um=counter[indices],
+        y_um=true_y[indices],
+        shift_x_um=shift[0, indices],
+        shift_z_um=shift[1, indices],
+        turn_rad=np.deg2rad(params.rotation_deg) * turn[indices],
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -308,13 +353,23 @@ class Microtome:
         number = int(self.poses.index[k])
         rng = generator(self.seed, "section", str(number))
         gains = 1 + p.drift * rng.standard_normal(3)
-        knots = rng.standard_normal((self.shape[0] // _RESIN_PX + 2, self.shape[1] // _RESIN_PX + 2), dtype=np.float32)
+        knots = rng.standard_normal(
+            (self.shape[0] // _RESIN_PX + 2, self.shape[1] // _RESIN_PX + 2), dtype=np.float32
+        )
         resin_texture = _between(_between(knots, self.shape[0]).T, self.shape[1]).T
-        texture = (p.texture * contrast * resin_texture + p.knife * contrast * self._knife(number)).astype(np.float32)
+        texture = (
+            p.texture * contrast * resin_texture + p.knife * contrast * self._knife(number)
+        ).astype(np.float32)
         if not p.colour:
             return self._exposed(k, p.grey, float(gains[1]), texture, rng)
-        channels = [tuple(float(level * tint[c]) for level, tint in zip(p.grey, _TINTS, strict=True)) for c in range(3)]
-        return np.stack([self._exposed(k, g, float(gains[c]), texture, rng) for c, g in enumerate(channels)], axis=-1)
+        channels = [
+            tuple(float(level * tint[c]) for level, tint in zip(p.grey, _TINTS, strict=True))
+            for c in range(3)
+        ]
+        return np.stack(
+            [self._exposed(k, g, float(gains[c]), texture, rng) for c, g in enumerate(channels)],
+            axis=-1,
+        )
 
     def _exposed(
         self, k: int, grey: tuple[float, ...], gain: float, texture: Slab, rng: np.random.Generator
@@ -323,10 +378,15 @@ class Microtome:
         taps = gaussian_taps(p.defocus_um / p.pixel_um)
         poses = self.poses
         blocks = painted(
-            self.sheet, self.warp, poses.y_um[k : k + 1], shape=(self.shape[1], self.shape[0]), step_um=p.pixel_um,
-            grey=(grey[0], grey[1], grey[2]), halo=taps.size - 1,
+            self.sheet,
+            self.warp,
+            poses.y_um[k : k + 1],
+            shape=(self.shape[1], self.shape[0]),
+            step_um=p.pixel_um,
+            grey=(grey[0], grey[1], grey[2]),
+            halo=taps.size - 1,
             moved=np.stack([poses.shift_x_um, poses.shift_z_um, poses.turn_rad])[:, k : k + 1],
-        )  # fmt: skip
+        )
         picture = np.zeros((self.shape[1], self.shape[0]), dtype=np.float32)
         for col, depth, block in blocks:
             blurred = smooth(block, taps, (1, 2))[0]
@@ -342,8 +402,12 @@ class Microtome:
         n_marks = rng.poisson(_MARKS_PER_MM * width * self.params.pixel_um * 1e-3)
         x = np.arange(width, dtype=np.float32)[None, :]
         marks = np.zeros((1, width), dtype=np.float32)
-        for centre, sign in zip(rng.uniform(0, width, n_marks), rng.choice([-1.0, 1.0], n_marks), strict=True):
-            marks += np.float32(sign) * np.exp(-0.5 * ((x - np.float32(centre)) / np.float32(1.5)) ** 2)
+        for centre, sign in zip(
+            rng.uniform(0, width, n_marks), rng.choice([-1.0, 1.0], n_marks), strict=True
+        ):
+            marks += np.float32(sign) * np.exp(
+                -0.5 * ((x - np.float32(centre)) / np.float32(1.5)) ** 2
+            )
         return marks
 
 

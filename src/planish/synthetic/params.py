@@ -75,11 +75,13 @@ class Warp(Strict):
     to the angle. The bump is added in height and stretches the sheet.
     """
 
-    slope: float = drawn(0.5, 0.0, 0.42)  #: steepest of the profile against its mean plane (tangent of the angle)
+    # : steepest of the profile against its mean plane (tangent of the angle).
+    slope: float = drawn(0.5, 0.0, 0.42)
     tilt_deg: float = drawn(0.0, -7.0, 7.0)  #: of the whole sheet along the profile
     wavelength_um: float = drawn(3000.0, 2500.0, 15000.0)  #: of the profile curve
     phase_rad: float = drawn(0.6, 0.0, 6.28)  #: of the profile curve
-    ruling_deg: float = drawn(20.0, -90.0, 90.0)  #: of the profile curve; the rulings stand perpendicular to it
+    # : of the profile curve; the rulings stand perpendicular to it.
+    ruling_deg: float = drawn(20.0, -90.0, 90.0)
     bump_um: float = drawn(0.0, of=(0.0, 0.0, 50.0, 100.0, 150.0))  #: height of the bump
     bump_u_um: float = 0.0  #: centre of the bump
     bump_v_um: float = 0.0  #: centre of the bump
@@ -97,7 +99,9 @@ class Warp(Strict):
     @property
     def steepest(self) -> float:
         """Steepest slope of the profile, with tilt and curl."""
-        return float(np.tan(np.deg2rad(abs(self.tilt_deg) + abs(self.curl_deg)) + np.arctan(abs(self.slope))))
+        return float(
+            np.tan(np.deg2rad(abs(self.tilt_deg) + abs(self.curl_deg)) + np.arctan(abs(self.slope)))
+        )
 
     def points(self, u: Floats, v: Floats) -> Floats:
         """Return ``m(u, v)`` as (..., 3) in the order x, y, z, in um."""
@@ -124,7 +128,9 @@ class Warp(Strict):
         from planish.synthetic import _kernels
 
         u, v = np.broadcast_arrays(u, v)
-        points, normals = _kernels.frames(*self.packed(), u.ravel().astype(float), v.ravel().astype(float))
+        points, normals = _kernels.frames(
+            *self.packed(), u.ravel().astype(float), v.ravel().astype(float)
+        )
         return points.reshape(*u.shape, 3), normals.reshape(*u.shape, 3)
 
 
@@ -148,7 +154,16 @@ def _packed(warp: Warp) -> tuple[Floats, Floats]:
     curve -= curve[count // 2]
     turn = turn_at(p0 + _STEP_UM * np.arange(count))
     curve = np.concatenate([curve, np.cos(turn)[:, None], np.sin(turn)[:, None]], axis=1)
-    parameters = [np.cos(angle), np.sin(angle), psi, k, warp.phase_rad, p0, _STEP_UM, *warp.shift_um]
+    parameters = [
+        np.cos(angle),
+        np.sin(angle),
+        psi,
+        k,
+        warp.phase_rad,
+        p0,
+        _STEP_UM,
+        *warp.shift_um,
+    ]
     parameters += [warp.bump_um, warp.bump_u_um, warp.bump_v_um, warp.bump_radius_um, tilt]
     parameters += [curl, warp.curl_p_um, warp.curl_width_um]
     return np.array(parameters, dtype=np.float64), curve
@@ -188,23 +203,35 @@ class PaperParams(Strict):
     """
 
     base_um: float = drawn(55.0, 50.0, 60.0)  # mean thickness of the base paper
-    base_fibre_sd_um: float = drawn(3.0, 2.0, 4.0)  # thickness at fibre scale, correlation length 35 um
+    # Thickness at fibre scale, correlation length 35 um.
+    base_fibre_sd_um: float = drawn(3.0, 2.0, 4.0)
     base_floc_sd_um: float = drawn(2.5, 1.5, 3.5)  # thickness of flocs, 1.5 mm: formation
-    base_streak_sd_um: float = drawn(0.0, 0.0, 1.0)  # along the machine direction; 1 um where the headbox streaks
-    roughness_um: float = drawn(3.5, 2.5, 4.5)  # Sq of each face of the base; outward heights correlate by about -0.3
-    anisotropy: float = drawn(1.5, 1.3, 1.8)  # fibres along the machine direction (u) over those across
-    coating_top_um: float = drawn(17.4, 9.0, 20.0)  # 135 g/m2 wood-free coated paper before calendering, section 3.3.1
+    # Along the machine direction; 1 um where the headbox streaks.
+    base_streak_sd_um: float = drawn(0.0, 0.0, 1.0)
+    # Sq of each face of the base; outward heights correlate by about -0.3.
+    roughness_um: float = drawn(3.5, 2.5, 4.5)
+    # Fibres along the machine direction (u) over those across.
+    anisotropy: float = drawn(1.5, 1.3, 1.8)
+    # 135 g/m2 wood-free coated paper before calendering, section 3.3.1.
+    coating_top_um: float = drawn(17.4, 9.0, 20.0)
     coating_bottom_um: float = drawn(17.4, 9.0, 20.0)
-    coating_sd_um: float = drawn(4.5, 3.0, 5.0)  # of the layer: levelling, and random deposition at 100 um
+    # Of the layer: levelling, and random deposition at 100 um.
+    coating_sd_um: float = drawn(4.5, 3.0, 5.0)
     coating_noise_sd_um: float = 0.5  # of the outer face, correlation length 20 um
-    levelling_um: float = drawn(250.0, 150.0, 350.0)  # wavelength that the coating's outer face follows by half
-    calendering: float = drawn(1.0, 0.5, 1.0)  # factor on the outer face's roughness that is left; 0.5 in a nip
+    # Wavelength that the coating's outer face follows by half.
+    levelling_um: float = drawn(250.0, 150.0, 350.0)
+    # Factor on the outer face's roughness that is left; 0.5 in a nip.
+    calendering: float = drawn(1.0, 0.5, 1.0)
     coating_g_per_cm3: float = 1.6  # GCC with 12 pph latex and 30 % voids
-    coating_density_sd: float = drawn(0.04, 0.0, 0.06)  # relative, 300 um, correlated 0.3 with the base's mass
+    # Relative, 300 um, correlated 0.3 with the base's mass.
+    coating_density_sd: float = drawn(0.04, 0.0, 0.06)
     base_g_per_cm3: float = 0.75
-    base_density_sd: float = drawn(0.20, 0.1, 0.25)  # of the base's grey, relative: fibres and voids (0.25 +- 0.05)
-    filler: float = drawn(0.12, 0.05, 0.15)  # share of the base's mass: grains of 2 um, denser in the middle
-    fibres: FibreParams | None = None  # the base as single fibres; where None, a slab with a soft texture
+    # Of the base's grey, relative: fibres and voids (0.25 +- 0.05).
+    base_density_sd: float = drawn(0.20, 0.1, 0.25)
+    # Share of the base's mass: grains of 2 um, denser in the middle.
+    filler: float = drawn(0.12, 0.05, 0.15)
+    # The base as single fibres; where None, a slab with a soft texture.
+    fibres: FibreParams | None = None
     least_coating_um: float = 0.0  # left on the highest fibres; 0.3 to 1
 
     def as_slab(self) -> PaperParams:
@@ -227,7 +254,8 @@ class FilmParams(Strict):
 class BurnParams(Strict):
     """The laser's holes, section 2.1."""
 
-    pattern: Literal["coded", "irregular"] = "coded"  # lines with coded pitches around the field, or scattered
+    # Lines with coded pitches around the field, or scattered.
+    pattern: Literal["coded", "irregular"] = "coded"
     count: int = 21  # 3 lines of 7; fewer where the field is small
     diameter_um: float = drawn(175.0, 150.0, 200.0)  # 150 to 200 by the laser
     diameter_sd_um: float = 8.0
@@ -246,17 +274,22 @@ class ScannerParams(Strict):
     """X-ray micro-CT; shares are of the contrast between coating and air."""
 
     voxel_um: float = drawn(3.0, 2.4, 3.2)
-    fwhm_um: float = drawn(5.9, 3.0, 5.0)  # of the point spread; 3 to 5 on a good scan with 1.37 um voxels
-    grey: tuple[float, float, float] = (40.0, 90.0, 200.0)  # air, base (of fibres: their wall), coating; of dtype
+    # Of the point spread; 3 to 5 on a good scan with 1.37 um voxels.
+    fwhm_um: float = drawn(5.9, 3.0, 5.0)
+    # Air, base (of fibres: their wall), coating; of dtype.
+    grey: tuple[float, float, float] = (40.0, 90.0, 200.0)
     dtype: Literal["uint8", "uint16", "float32"] = "uint8"
     noise: float = drawn(0.04, 0.03, 0.1)  # 0.08 with 1.37 um voxels
-    noise_px: float = drawn(0.0, 0.0, 2.0)  # correlation length of the noise in voxels; reconstructions have about 2
-    fringe: float = drawn(0.0, 0.0, 0.12)  # phase contrast: minus this times the Laplacian of a Gaussian of 1.5 voxels
+    # Correlation length of the noise in voxels; reconstructions have about 2.
+    noise_px: float = drawn(0.0, 0.0, 2.0)
+    # Phase contrast: minus this times the Laplacian of a Gaussian of 1.5 voxels.
+    fringe: float = drawn(0.0, 0.0, 0.12)
     cupping: float = drawn(0.0, 0.0, 0.05)  # beam hardening: loss in the middle of the field, 0.04
     rings: int = drawn(0, 0, 3)  # 0 to 3
     ring: float = 0.03  # size of a ring
     streak: float = drawn(0.0, 0.0, 0.03)  # along the plane of the sheet, 0.03
-    section_gain: float = 0.0  # sd of a factor on each slice across y: photographs of sections, stacked; 0.03
+    # Sd of a factor on each slice across y: photographs of sections, stacked; 0.03.
+    section_gain: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -270,7 +303,8 @@ class SectionsParams(Strict):
     jitter_um: float = drawn(1.5, 0.5, 2.0)  # of each section, along x and z, white
     walk_um: float = drawn(0.15, 0.0, 0.2)  # random walk a section
     rotation_deg: float = drawn(0.02, 0.0, 0.03)
-    thickness: float = drawn(0.08, 0.0, 0.1)  # error of a section's position, as a share of its thickness
+    # Error of a section's position, as a share of its thickness.
+    thickness: float = drawn(0.08, 0.0, 0.1)
     missing: float = drawn(0.01, 0.0, 0.02)  # share of sections lost, in runs of at most 3
     drift: float = drawn(0.03, 0.0, 0.04)  # gain of a section, and of each colour
     defocus_um: float = drawn(0.8, 0.3, 1.2)  # Gaussian sigma
@@ -296,16 +330,21 @@ class CameraParams(Strict):
     """A microscope image of the top side in diffuse light."""
 
     pixel_um: float = drawn(4.0, 2.6, 8.0)  # 2.6 at 2.5x
-    turn_deg: float = drawn(0.0, -180.0, 180.0)  # of the specimen under the camera; +- turn_range_deg
+    # Of the specimen under the camera; +- turn_range_deg.
+    turn_deg: float = drawn(0.0, -180.0, 180.0)
     turn_range_deg: float = 8.0
-    shift_range_um: float = 1000.0  # drawn; the frame follows as far as it must to show most of the field
+    # Drawn; the frame follows as far as it must to show most of the field.
+    shift_range_um: float = 1000.0
     scale_range: float = drawn(0.01, 0.0, 0.01)  # error of the pixel size, drawn within +-
     mirrored: bool = False
-    radial: float = drawn(0.001, -0.001, 0.001)  # k1: relative displacement at half the frame's diagonal
+    # K1: relative displacement at half the frame's diagonal.
+    radial: float = drawn(0.001, -0.001, 0.001)
     stretch: float = drawn(0.002, 0.0, 0.002)  # machine against cross direction, drawn within +-
     backing: Literal["pile", "black"] = drawn("pile", of=("pile", "black"))  # behind the sheet
-    nuisance_sd: float = drawn(0.012, 0.004, 0.015)  # reflectance not due to the coating, correlation length 200 um
-    oracle_r2: float | None = None  # instead: as much of it as brings r2 of the true maps at 100 um to this
+    # Reflectance not due to the coating, correlation length 200 um.
+    nuisance_sd: float = drawn(0.012, 0.004, 0.015)
+    # Instead: as much of it as brings r2 of the true maps at 100 um to this.
+    oracle_r2: float | None = None
     shading: float = drawn(0.02, 0.0, 0.02)  # of the light, per 0.1 of slope of the surface
     vignetting: float = drawn(0.04, 0.0, 0.06)  # loss in the corners
     lens_um: float = drawn(3.0, 2.0, 4.0)  # Gaussian sigma
@@ -322,7 +361,8 @@ class SpecimenParams(Strict):
     paper: PaperParams = field(default_factory=PaperParams)
     holes: BurnParams = field(default_factory=BurnParams)
     film: FilmParams | None = None
-    crack_um: float = 0.0  # sd of the width of cracks between faces and resin, on some third of the faces
+    # Sd of the width of cracks between faces and resin, on some third of the faces.
+    crack_um: float = 0.0
     warp: Warp = field(default_factory=Warp)
     scanner: ScannerParams = field(default_factory=ScannerParams)
     sections: SectionsParams = field(default_factory=SectionsParams)

@@ -11,7 +11,8 @@ from planish.synthetic.params import CameraParams
 
 _TALL, _WIDE = 1.30, 1.12  # of the frame, over the height and width of what the volume shows
 _UPRIGHT_DEG = 15.0  # up to this turn the frame keeps those sides; beyond, it follows the field
-_CENTRED_IN_VIEW, _LEAST_IN_VIEW = 0.98, 0.975  # share of the field in the frame: without and with the shift
+# Share of the field in the frame: without and with the shift.
+_CENTRED_IN_VIEW, _LEAST_IN_VIEW = 0.98, 0.975
 _GROWTH = 1.02
 
 
@@ -26,9 +27,11 @@ class CameraPose:
 
     similarity: Similarity  # rotation, scale error, shift and mirror
     stretch: float = 0.0  # strain ``e``: lengths along u grow by ``1 + e``, along v by ``1 - e``
-    middle_um: tuple[float, float] = (0.0, 0.0)  # (u, v) of the sheet's middle, which the stretch leaves alone
+    # (u, v) of the sheet's middle, which the stretch leaves alone.
+    middle_um: tuple[float, float] = (0.0, 0.0)
     radial: float = 0.0  # ``k1``: relative displacement at half the frame's diagonal
-    centre_um: tuple[float, float] = (0.0, 0.0)  # (x, y) of the frame's middle, which the lens leaves alone
+    # (x, y) of the frame's middle, which the lens leaves alone.
+    centre_um: tuple[float, float] = (0.0, 0.0)
     half_diagonal_um: float = 1.0  # unit of the radius
 
     def __call__(self, points: ArrayLike) -> Floats:
@@ -44,7 +47,12 @@ class CameraPose:
         middle, centre = np.array(self.middle_um), np.array(self.centre_um)
         offset = np.asarray(points, dtype=np.float64) - centre
         if self.radial != 0:
-            offset = offset * self._shrink(np.hypot(offset[..., 0], offset[..., 1]) / self.half_diagonal_um)[..., None]
+            offset = (
+                offset
+                * self._shrink(np.hypot(offset[..., 0], offset[..., 1]) / self.half_diagonal_um)[
+                    ..., None
+                ]
+            )
         stretched = self.similarity.inverse(offset + centre)
         return middle + (stretched - middle) / self._strain()
 
@@ -59,7 +67,8 @@ class CameraPose:
         k = self.radial
         fold = 2 / (3 * np.sqrt(-3 * k)) if k < 0 else np.inf  # the cubic's maximum
         t = np.where(shown > fold, np.nan, shown)
-        for _ in range(50):  # never reached: from its start the iteration is monotonic and ends within ten
+        # Never reached: from its start the iteration is monotonic and ends within ten.
+        for _ in range(50):
             step = (t + k * t**3 - shown) / (1 + 3 * k * t * t)
             t -= step
             if not np.any(np.abs(step) > 1e-14 * (1 + np.abs(t))):
@@ -67,7 +76,9 @@ class CameraPose:
         return np.divide(t, shown, out=np.ones_like(t), where=shown > 0)
 
 
-def draw_pose(camera: CameraParams, spread: ArrayLike, rng: np.random.Generator) -> tuple[tuple[int, int], CameraPose]:
+def draw_pose(
+    camera: CameraParams, spread: ArrayLike, rng: np.random.Generator
+) -> tuple[tuple[int, int], CameraPose]:
     """Frame the camera so that it sees about what the volume holds: turned, beside it, and with its own errors.
 
     Every number is drawn whatever its size, in a fixed order: one that is switched off does not move the others.
@@ -99,10 +110,19 @@ def draw_pose(camera: CameraParams, spread: ArrayLike, rng: np.random.Generator)
     def in_view(shape: tuple[int, int], shift: Floats) -> float:
         pose = posed(shape, shift)
         image_points = pose(grid)
-        return float(np.mean(np.all((image_points >= 0) & (image_points <= 2 * np.array(pose.centre_um)), axis=-1)))
+        return float(
+            np.mean(
+                np.all(
+                    (image_points >= 0) & (image_points <= 2 * np.array(pose.centre_um)), axis=-1
+                )
+            )
+        )
 
     no_shift = np.zeros(2)
-    shape = (max(int(_TALL * height_um / camera.pixel_um), 2), max(int(_WIDE * width_um / camera.pixel_um), 2))
+    shape = (
+        max(int(_TALL * height_um / camera.pixel_um), 2),
+        max(int(_WIDE * width_um / camera.pixel_um), 2),
+    )
     while in_view(shape, no_shift) < _CENTRED_IN_VIEW:
         shape = (int(_GROWTH * shape[0]) + 1, int(_GROWTH * shape[1]) + 1)
     drawn_shift, low, high = camera.shift_range_um * np.array([shift_x, shift_y]), 0.0, 1.0
@@ -111,7 +131,9 @@ def draw_pose(camera: CameraParams, spread: ArrayLike, rng: np.random.Generator)
     # A frame that moves away from the middle of a rectangle loses field all the way, so halving finds the limit.
     for _ in range(30):
         share = 0.5 * (low + high)
-        low, high = (share, high) if in_view(shape, share * drawn_shift) >= _LEAST_IN_VIEW else (low, share)
+        low, high = (
+            (share, high) if in_view(shape, share * drawn_shift) >= _LEAST_IN_VIEW else (low, share)
+        )
     return shape, posed(shape, low * drawn_shift)
 
 
@@ -119,6 +141,8 @@ def _frame_sides(field: Floats, rotation: float) -> tuple[float, float]:
     """Width and height of the field as it lies under the camera; they change places with a quarter turn."""
     width, height = field[2:] - field[:2]
     off_upright = abs(np.remainder(np.rad2deg(rotation) + 90.0, 180.0) - 90.0)
-    turn = np.deg2rad(np.clip((off_upright - _UPRIGHT_DEG) / (90.0 - 2 * _UPRIGHT_DEG), 0.0, 1.0) * 90.0)
+    turn = np.deg2rad(
+        np.clip((off_upright - _UPRIGHT_DEG) / (90.0 - 2 * _UPRIGHT_DEG), 0.0, 1.0) * 90.0
+    )
     cos, sin = np.cos(turn), np.sin(turn)
     return float(width * cos + height * sin), float(width * sin + height * cos)

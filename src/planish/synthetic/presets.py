@@ -32,46 +32,100 @@ _WFC135 = PaperParams(base_um=59.5)  # section 3.3.1, before calendering: base 5
 PRESETS: dict[str, tuple[str, PaperParams]] = {
     "wfc90": (
         "wood-free coated, 90 g/m2, section 3.4",
-        _of_fibres(PaperParams(
-            base_um=50.0, coating_top_um=10.0, coating_bottom_um=10.0, coating_sd_um=3.8, roughness_um=3.2
-        )),
+        _of_fibres(
+            PaperParams(
+                base_um=50.0,
+                coating_top_um=10.0,
+                coating_bottom_um=10.0,
+                coating_sd_um=3.8,
+                roughness_um=3.2,
+            )
+        ),
     ),
     "wfc118": (
         "wood-free coated, 118 g/m2, section 3.3.2",
-        _of_fibres(PaperParams(base_um=55.0, coating_top_um=14.5, coating_bottom_um=14.5, coating_sd_um=4.3)),
+        _of_fibres(
+            PaperParams(
+                base_um=55.0, coating_top_um=14.5, coating_bottom_um=14.5, coating_sd_um=4.3
+            )
+        ),
     ),
-    "wfc135": ("wood-free coated, 135 g/m2, before calendering, section 3.3.1", _of_fibres(_WFC135)),
+    "wfc135": (
+        "wood-free coated, 135 g/m2, before calendering, section 3.3.1",
+        _of_fibres(_WFC135),
+    ),
     "wfc135-calendered": (
         "the same after calendering: base 50.5, coating 16.6 um, outer faces half as rough",
-        _of_fibres(replace(
-            _WFC135, base_um=50.5, coating_top_um=16.6, coating_bottom_um=16.6, calendering=0.5,
-        )),
+        _of_fibres(
+            replace(
+                _WFC135,
+                base_um=50.5,
+                coating_top_um=16.6,
+                coating_bottom_um=16.6,
+                calendering=0.5,
+            )
+        ),
     ),
     "sc50": (
         "supercalendered, uncoated, filled, 50 g/m2, section 2.1",
-        _of_fibres(replace(
-            _UNCOATED, base_um=42.0, roughness_um=2.0, base_fibre_sd_um=2.2, base_floc_sd_um=1.8, base_g_per_cm3=1.15,
-            filler=0.30, calendering=0.5,
-        ), fuzz_per_mm2=4.0),
+        _of_fibres(
+            replace(
+                _UNCOATED,
+                base_um=42.0,
+                roughness_um=2.0,
+                base_fibre_sd_um=2.2,
+                base_floc_sd_um=1.8,
+                base_g_per_cm3=1.15,
+                filler=0.30,
+                calendering=0.5,
+            ),
+            fuzz_per_mm2=4.0,
+        ),
     ),
     "copy80": (
         "copy paper, uncoated, bulky, 80 g/m2",
-        _of_fibres(replace(
-            _UNCOATED, base_um=105.0, roughness_um=6.0, base_fibre_sd_um=4.0, base_floc_sd_um=4.0, filler=0.10,
-        ), lumen_um=(0.0, 10.0), fuzz_per_mm2=8.0),
+        _of_fibres(
+            replace(
+                _UNCOATED,
+                base_um=105.0,
+                roughness_um=6.0,
+                base_fibre_sd_um=4.0,
+                base_floc_sd_um=4.0,
+                filler=0.10,
+            ),
+            lumen_um=(0.0, 10.0),
+            fuzz_per_mm2=8.0,
+        ),
     ),
     "board": (
         "folding boxboard, coated on its top side only, about 230 g/m2",
-        _of_fibres(PaperParams(
-            base_um=330.0, base_fibre_sd_um=6.0, base_floc_sd_um=8.0, roughness_um=6.0, coating_top_um=20.0,
-            coating_bottom_um=0.0, coating_sd_um=5.5, base_g_per_cm3=0.60,
-        ), lumen_um=(0.0, 10.0), cell_um=3.0),
+        _of_fibres(
+            PaperParams(
+                base_um=330.0,
+                base_fibre_sd_um=6.0,
+                base_floc_sd_um=8.0,
+                roughness_um=6.0,
+                coating_top_um=20.0,
+                coating_bottom_um=0.0,
+                coating_sd_um=5.5,
+                base_g_per_cm3=0.60,
+            ),
+            lumen_um=(0.0, 10.0),
+            cell_um=3.0,
+        ),
     ),
-}  # fmt: skip
+}
 """Papers by name: what they are, and their parameters."""
 
 MICRO_CT = ScannerParams(
-    fwhm_um=4.0, noise=0.08, noise_px=2.0, fringe=0.12, cupping=0.04, rings=2, streak=0.03, grey=(40.0, 80.0, 180.0)
+    fwhm_um=4.0,
+    noise=0.08,
+    noise_px=2.0,
+    fringe=0.12,
+    cupping=0.04,
+    rings=2,
+    streak=0.03,
+    grey=(40.0, 80.0, 180.0),
 )
 """A scanner as scanners are: the plain one of the defaults has only blur and noise."""
 
@@ -100,10 +154,20 @@ class Nuisance(NamedTuple):
 NUISANCES: dict[str, Nuisance] = {
     name: Nuisance(title, section, off)
     for name, title, section, off in (
-        ("base_texture", "grey of fibres and voids", "paper", {"base_density_sd": 0.0, "filler": 0.0, "fibres": None}),
+        (
+            "base_texture",
+            "grey of fibres and voids",
+            "paper",
+            {"base_density_sd": 0.0, "filler": 0.0, "fibres": None},
+        ),
         ("coating_density", "density of the coating", "paper", {"coating_density_sd": 0.0}),
         ("stage", "stage of the laser", "holes", {"stage_um": 0.0}),
-        ("hole_shape", "shape of the holes", "holes", {"axis_ratio": 1.0, "rim_um": 0.0, "diameter_sd_um": 0.0}),
+        (
+            "hole_shape",
+            "shape of the holes",
+            "holes",
+            {"axis_ratio": 1.0, "rim_um": 0.0, "diameter_sd_um": 0.0},
+        ),
         ("hole_axis", "taper and tilt of the holes", "holes", {"taper": 0.0, "tilt_deg": 0.0}),
         ("char", "burnt rims", "holes", {"char_um": 0.0, "char_sd_um": 0.0}),
         ("half_closed", "half-closed holes", "holes", {"half_closed": 0.0}),
@@ -122,7 +186,12 @@ NUISANCES: dict[str, Nuisance] = {
         ("drift", "colour drift", "sections", {"drift": 0.0}),
         ("defocus", "defocus", "sections", {"defocus_um": 0.0}),
         ("knife", "knife marks", "sections", {"knife": 0.0}),
-        ("section_noise", "noise and resin of the sections", "sections", {"noise": 0.0, "texture": 0.0}),
+        (
+            "section_noise",
+            "noise and resin of the sections",
+            "sections",
+            {"noise": 0.0, "texture": 0.0},
+        ),
         ("calibration", "pixel size of the image", "camera", {"scale_range": 0.0}),
         ("distortion", "distortion of the lens", "camera", {"radial": 0.0}),
         ("stretch", "stretch of the sheet", "camera", {"stretch": 0.0}),
@@ -138,7 +207,11 @@ NUISANCES: dict[str, Nuisance] = {
 def nuisances_of(params: SpecimenParams, instrument: str) -> list[str]:
     """Names of the nuisances that are on in ``params`` and act on ``instrument`` ("scanner" or "sections")."""
     other = {"scanner", "sections"} - {instrument}
-    return [name for name, n in NUISANCES.items() if n.section not in other and without(params, [name]) != params]
+    return [
+        name
+        for name, n in NUISANCES.items()
+        if n.section not in other and without(params, [name]) != params
+    ]
 
 
 def without(params: SpecimenParams, names: Iterable[str]) -> SpecimenParams:
@@ -151,7 +224,9 @@ def without(params: SpecimenParams, names: Iterable[str]) -> SpecimenParams:
 def with_only(params: SpecimenParams, names: Iterable[str]) -> SpecimenParams:
     """Switch every nuisance off but the named ones."""
     kept_names = set(names)
-    assert kept_names <= NUISANCES.keys(), f"unknown nuisances {sorted(kept_names - NUISANCES.keys())}"
+    assert kept_names <= NUISANCES.keys(), (
+        f"unknown nuisances {sorted(kept_names - NUISANCES.keys())}"
+    )
     return without(params, [name for name in NUISANCES if name not in kept_names])
 
 
@@ -165,15 +240,20 @@ class SpecimenOptions(Params):
     size: Literal["T0", "T1", "T2", "T3"] = option(
         "T1", help="0.8 x 0.6, 3 x 2, 8 x 6 or 20 x 15 mm; the last has no voxels."
     )
-    slab: bool = option(False, help="A base of one grey with exact faces, in place of single fibres.")
+    slab: bool = option(
+        False, help="A base of one grey with exact faces, in place of single fibres."
+    )
     seed: int = option(0, ge=0, help="Another one, another specimen.")
     instrument: tuple[str, ...] = option(
-        ("ct", "sections", "image", "print"), metavar="|".join(INSTRUMENTS),
+        ("ct", "sections", "image", "print"),
+        metavar="|".join(INSTRUMENTS),
         help="What is written; repeatable. All but 'stack' where not given.",
-    )  # fmt: skip
+    )
     voxel_um: float = option(3.0, ge=0.5, help="Voxel of the scan.")
     nuisance: tuple[str, ...] | None = option(
-        None, metavar="NAME", help="Only these are on; repeatable. 'none': no nuisance. All are on where not given."
+        None,
+        metavar="NAME",
+        help="Only these are on; repeatable. 'none': no nuisance. All are on where not given.",
     )
 
     @field_validator("preset", "instrument", "nuisance")
@@ -184,8 +264,14 @@ class SpecimenOptions(Params):
             "instrument": ("instrument", INSTRUMENTS),
             "nuisance": ("nuisance", (*NUISANCES, "none")),
         }[str(info.field_name)]
-        if unknown := [name for name in ([value] if isinstance(value, str) else value or ()) if name not in names]:
-            raise ValueError(f"there is no {kind} {', '.join(unknown)}; there are {', '.join(names)}")
+        if unknown := [
+            name
+            for name in ([value] if isinstance(value, str) else value or ())
+            if name not in names
+        ]:
+            raise ValueError(
+                f"there is no {kind} {', '.join(unknown)}; there are {', '.join(names)}"
+            )
         return value
 
     def params(self) -> SpecimenParams:
@@ -196,7 +282,10 @@ class SpecimenOptions(Params):
         if self.slab or self.size == "T3":  # without voxels no fibre is seen
             paper = paper.as_slab()
         params = SpecimenParams(
-            size_um=SIZES_UM[self.size], paper=paper, holes=holes,
-            scanner=replace(FIBRE_CT if paper.fibres else MICRO_CT, voxel_um=self.voxel_um), seed=self.seed,
-        )  # fmt: skip
+            size_um=SIZES_UM[self.size],
+            paper=paper,
+            holes=holes,
+            scanner=replace(FIBRE_CT if paper.fibres else MICRO_CT, voxel_um=self.voxel_um),
+            seed=self.seed,
+        )
         return params if self.nuisance is None else with_only(params, set(self.nuisance) - {"none"})

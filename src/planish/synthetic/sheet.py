@@ -19,12 +19,15 @@ from planish.synthetic.fibres import FibreMat, Structure
 from planish.synthetic.params import BurnParams, FilmParams, PaperParams, generator
 
 PITCH_UM = 3.0  # of the sheet's grid
-_FIBRE_UM = ((1000.0, 2500.0), (20.0, 35.0))  # length, width of softwood and hardwood fibres together
+# Length, width of softwood and hardwood fibres together.
+_FIBRE_UM = ((1000.0, 2500.0), (20.0, 35.0))
 
 
 def noise(shape: tuple[int, int], correlation_um: float, rng: np.random.Generator) -> Floats:
     """Gaussian random field (rows, cols), mean 0, sd 1, with the autocorrelation ``exp(-(r / correlation_um)^2)``."""
-    return _unit(_filtered(rng.standard_normal(_padded(shape)), 0.5 * correlation_um)[: shape[0], : shape[1]])
+    return _unit(
+        _filtered(rng.standard_normal(_padded(shape)), 0.5 * correlation_um)[: shape[0], : shape[1]]
+    )
 
 
 def lowpass(field: Floats, half_um: float) -> Floats:
@@ -42,14 +45,18 @@ def streaks(shape: tuple[int, int], correlation_um: float, rng: np.random.Genera
     return np.broadcast_to(_unit(profile), shape).copy()
 
 
-def fibres(shape: tuple[int, int], per_mm2: float, anisotropy: float, rng: np.random.Generator) -> Floats:
+def fibres(
+    shape: tuple[int, int], per_mm2: float, anisotropy: float, rng: np.random.Generator
+) -> Floats:
     """Height, 0 to 1, of fibres laid at random; ``anisotropy``: number along u over across, by von Mises' angles."""
     count = max(int(per_mm2 * shape[0] * shape[1] * PITCH_UM**2 * 1e-6), 8)
     (shortest, longest), (narrowest, widest) = _FIBRE_UM
     field = np.zeros(shape)
     margin = 0.5 * longest / PITCH_UM
     starts = rng.uniform(-margin, [shape[1] + margin, shape[0] + margin], (count, 2))
-    angles = rng.vonmises(0.0, 0.5 * np.log(anisotropy), count) / 2 + rng.integers(0, 2, count) * np.pi
+    angles = (
+        rng.vonmises(0.0, 0.5 * np.log(anisotropy), count) / 2 + rng.integers(0, 2, count) * np.pi
+    )
     lengths = rng.uniform(shortest, longest, count) / PITCH_UM
     widths = rng.uniform(narrowest, widest, count) / PITCH_UM
     curls = rng.normal(0, 4e-4, count) * PITCH_UM
@@ -58,7 +65,9 @@ def fibres(shape: tuple[int, int], per_mm2: float, anisotropy: float, rng: np.ra
     return field
 
 
-def fibrous(shape: tuple[int, int], anisotropy: float, rng: np.random.Generator, *, per_mm2: float = 29.0) -> Floats:
+def fibrous(
+    shape: tuple[int, int], anisotropy: float, rng: np.random.Generator, *, per_mm2: float = 29.0
+) -> Floats:
     """Random field at fibre scale, mean 0 and standard deviation 1: fibres and the net between them."""
     return _unit(3.0 * fibres(shape, per_mm2, anisotropy, rng) + noise(shape, 35.0, rng))
 
@@ -74,7 +83,9 @@ def _padded(shape: tuple[int, int]) -> tuple[int, int]:
 
 def _filtered(field: Floats, sigma_um: float) -> Floats:
     shape = _padded((field.shape[0], field.shape[1]))
-    padded = np.pad(field, ((0, shape[0] - field.shape[0]), (0, shape[1] - field.shape[1])), mode="wrap")
+    padded = np.pad(
+        field, ((0, shape[0] - field.shape[0]), (0, shape[1] - field.shape[1])), mode="wrap"
+    )
     fy = np.exp(-2 * (np.pi * sigma_um * fft.fftfreq(shape[0], PITCH_UM)) ** 2)[:, None]
     fx = np.exp(-2 * (np.pi * sigma_um * fft.rfftfreq(shape[1], PITCH_UM)) ** 2)[None, :]
     return fft.irfft2(fft.rfft2(padded) * fy * fx, shape)[: field.shape[0], : field.shape[1]]
@@ -83,16 +94,25 @@ def _filtered(field: Floats, sigma_um: float) -> Floats:
 _BORDER_UM = 260.0  # from the middle of a hole to the end of the field
 _APART_UM = 550.0
 # Pitches of the lines in um, all different, and so are the sums of neighbours: distances identify any few holes.
-_PITCHES_UM = ((500, 725, 590, 860, 650, 950), (545, 905, 620, 770, 510, 830), (695, 560, 815, 530, 935, 605))
+_PITCHES_UM = (
+    (500, 725, 590, 860, 650, 950),
+    (545, 905, 620, 770, 510, 830),
+    (695, 560, 815, 530, 935, 605),
+)
 _ROUGH_UM = 30.0  # correlation length along the rim
-_ORDERS = np.arange(2, 25)  # of the waves around the rim, one after the other; order 1 would move the centre
+# Of the waves around the rim, one after the other; order 1 would move the centre.
+_ORDERS = np.arange(2, 25)
 
 
 def hole_pattern(params: BurnParams, low: Floats, high: Floats, seed: int) -> Floats:
     """Centres (n, 2) in um from ``low`` to ``high`` (u, v), with the stage's error; ValueError if they do not fit."""
     if params.count == 0:
         return np.zeros((0, 2))
-    designed = _coded(params, low, high) if params.pattern == "coded" else _scattered(params, low, high, seed)
+    designed = (
+        _coded(params, low, high)
+        if params.pattern == "coded"
+        else _scattered(params, low, high, seed)
+    )
     return designed + params.stage_um * generator(seed, "stage").standard_normal(designed.shape)
 
 
@@ -109,8 +129,8 @@ def _coded(params: BurnParams, low: Floats, high: Floats) -> Floats:
     if len(holes) < 4:
         size = " x ".join(f"{v:.0f}" for v in high - low)
         raise ValueError(
-            f"Only {len(holes)} coded holes fit into {size} um; 4 are the least. Take a larger field or "
-            "pattern='irregular'."
+            f"Only {len(holes)} coded holes fit into {size} um; 4 are the least. Take a larger"
+            " field or pattern='irregular'."
         )
     return holes
 
@@ -129,11 +149,18 @@ def _scattered(params: BurnParams, low: Floats, high: Floats, seed: int) -> Floa
         if all(np.hypot(*(point - other)) > spacing_um for other in centres):
             centres.append(point)
     size = " x ".join(f"{v:.0f}" for v in high - low)
-    raise ValueError(f"{params.count} holes of {params.diameter_um:g} um do not fit into {size} um.")
+    raise ValueError(
+        f"{params.count} holes of {params.diameter_um:g} um do not fit into {size} um."
+    )
 
 
 def burn(
-    params: BurnParams, holes: Floats, shape: tuple[int, int], low: tuple[float, float], depth_um: float, seed: int
+    params: BurnParams,
+    holes: Floats,
+    shape: tuple[int, int],
+    low: tuple[float, float],
+    depth_um: float,
+    seed: int,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Burn the holes into a sheet of the mean thickness ``depth_um``: its ``rim_um`` and ``char``."""
     rim = np.full((2, *shape), 1e4, dtype=np.float32)
@@ -151,7 +178,9 @@ def burn(
         rim[0][box] = np.minimum(rim[0][box], top)
         rim[1][box] = np.minimum(rim[1][box], bottom)
         if burnt_um > 0:
-            char[box] = np.minimum(char[box], 1 - 0.5 * np.exp(-np.maximum(top, 0) / (0.5 * burnt_um)))
+            char[box] = np.minimum(
+                char[box], 1 - 0.5 * np.exp(-np.maximum(top, 0) / (0.5 * burnt_um))
+            )
     return rim, char
 
 
@@ -165,7 +194,11 @@ def _hole(
     axis_angle, lean_angle, closed_angle = rng.uniform(0, 2 * np.pi, 3)
     lean_um = np.tan(np.deg2rad(params.tilt_deg * rng.random())) * depth_um
     wave_power = np.exp(-((_ORDERS * _ROUGH_UM / (2 * radius)) ** 2))
-    waves = params.rim_um * np.sqrt(wave_power / wave_power.sum())[:, None] * rng.standard_normal((_ORDERS.size, 2))
+    waves = (
+        params.rim_um
+        * np.sqrt(wave_power / wave_power.sum())[:, None]
+        * rng.standard_normal((_ORDERS.size, 2))
+    )
     burnt_um = max(params.char_um + params.char_sd_um * rng.standard_normal(), 0.0)
     is_half_closed = rng.random() < params.half_closed
 
@@ -191,7 +224,8 @@ def _hole(
 _DISC = np.hypot(*np.mgrid[-3:4, -3:4]) < 3.5  # nodes: 20 um
 _MIDDLE_UM = 3.0  # sd of the height of the middle of a base of fibres
 Field = NDArray[np.float32]
-LAYERS = 10  # of the base's texture, from its bottom to its top: a collapsed fibre is some 5 um thick
+# Of the base's texture, from its bottom to its top: a collapsed fibre is some 5 um thick.
+LAYERS = 10
 _FLOC_UM, _STREAK_UM, _DEPOSIT_UM, _CRACK_UM = 1500.0, 2000.0, 100.0, 300.0  # correlation lengths
 _LOOSE_PER_MM2 = 6.0
 _FILLER_CONTRAST = 2.2  # grey of the filler over that of fibres, less 1
@@ -206,13 +240,17 @@ class DrawnSheet:
     origin: tuple[float, float]
     #: (4, rows, cols), signed um from the surface that keeps its lengths where the sheet is bent: s_T, s_TI, s_BI, s_B.
     faces: Field
-    rim_um: Field  #: (2, rows, cols), signed distance to the nearest hole's rim at top and bottom face, negative inside
+    # : (2, rows, cols), signed distance to the nearest hole's rim at top and bottom face, negative
+    # inside.
+    rim_um: Field
     char: Field  #: factor on the coating's grey: 1 = untouched, 0.5 at the rim of a hole
     coating_density: Field  #: relative, with a mean of 1
     base_mass: Field  #: relative, with a mean of 1
-    crack_um: Field  #: width of a crack in the resin over the top face; below the bottom one where negative
+    # : width of a crack in the resin over the top face; below the bottom one where negative.
+    crack_um: Field
     holes: Floats  #: (n, 2), true centres (u, v) at the top face, in um
-    structure: Structure | None = None  #: density of a base of single fibres, and a film below it; None for a slab
+    # : density of a base of single fibres, and a film below it; None for a slab.
+    structure: Structure | None = None
 
     def covers(self, low: Floats, high: Floats) -> bool:
         """Return True if the fields reach from (u, v) = ``low`` to ``high``, in um."""
@@ -235,7 +273,11 @@ class DrawnSheet:
     def reach_um(self) -> float:
         """Largest distance of a face from the centre surface."""
         reach = float(max(self.faces.max(), -self.faces.min())) + float(np.abs(self.crack_um).max())
-        return reach if self.structure is None else max(reach, self.structure.high_um, -self.structure.low_um)
+        return (
+            reach
+            if self.structure is None
+            else max(reach, self.structure.high_um, -self.structure.low_um)
+        )
 
     @cached_property
     def texture(self) -> Field:
@@ -245,7 +287,9 @@ class DrawnSheet:
         for k in range(LAYERS):
             depth = (k + 0.5) / LAYERS
             filler_sd = _FILLER_CONTRAST * p.filler * (1.2 - 1.6 * (depth - 0.5) ** 2)
-            net = p.base_density_sd * fibrous(shape, p.anisotropy, generator(self.seed, "net", str(k)), per_mm2=50.0)
+            net = p.base_density_sd * fibrous(
+                shape, p.anisotropy, generator(self.seed, "net", str(k)), per_mm2=50.0
+            )
             filler_noise = filler_sd * generator(self.seed, "filler", str(k)).standard_normal(shape)
             layers[k] = np.clip(1 + net + filler_noise, 0.2, 2.5)
         return layers
@@ -254,23 +298,47 @@ class DrawnSheet:
     def packed(self) -> Field:
         """All that a renderer needs of a node side by side: (rows, cols, 9), and LAYERS more for a slab."""
         texture = self.texture if self.structure is None else ()
-        fields = [*self.faces, *self.rim_um, self.char, self.coating_density, self.crack_um, *texture]
+        fields = [
+            *self.faces,
+            *self.rim_um,
+            self.char,
+            self.coating_density,
+            self.crack_um,
+            *texture,
+        ]
         return np.stack(fields, axis=-1)
 
 
 def make_sheet(
-    paper: PaperParams, holes: BurnParams, *, low: Floats, high: Floats, centres: Floats, seed: int,
-    stiffness: float = 0.0, film: FilmParams | None = None, crack_um: float = 0.0,
-) -> DrawnSheet:  # fmt: skip
+    paper: PaperParams,
+    holes: BurnParams,
+    *,
+    low: Floats,
+    high: Floats,
+    centres: Floats,
+    seed: int,
+    stiffness: float = 0.0,
+    film: FilmParams | None = None,
+    crack_um: float = 0.0,
+) -> DrawnSheet:
     """Draw one sheet that covers the material rectangle from ``low`` to ``high`` (u, v) in um.
 
     ``stiffness``: of the coatings over the base's; it says where the surface lies that keeps its lengths. ``film`` lies
     below a base of single fibres; ``crack_um``: spread of the width of cracks between the faces and resin.
     """
-    shape = (int(np.ceil((high[1] - low[1]) / PITCH_UM)) + 2, int(np.ceil((high[0] - low[0]) / PITCH_UM)) + 2)
+    shape = (
+        int(np.ceil((high[1] - low[1]) / PITCH_UM)) + 2,
+        int(np.ceil((high[0] - low[0]) / PITCH_UM)) + 2,
+    )
     fibre_mat = None
     if paper.fibres:
-        fibre_mat = FibreMat(paper, shape, PITCH_UM, _MIDDLE_UM * noise(shape, 400.0, generator(seed, "middle")), seed)
+        fibre_mat = FibreMat(
+            paper,
+            shape,
+            PITCH_UM,
+            _MIDDLE_UM * noise(shape, 400.0, generator(seed, "middle")),
+            seed,
+        )
         upper_height, lower_height = fibre_mat.calendered()
         thickness, relief = upper_height + lower_height, 0.5 * (upper_height - lower_height)
     else:
@@ -279,7 +347,10 @@ def make_sheet(
     mass /= mass.mean()
     faces: list[Floats] = []
     pit_depths: list[Floats | float] = []
-    for side, sign, mean in (("top", 1.0, paper.coating_top_um), ("bottom", -1.0, paper.coating_bottom_um)):
+    for side, sign, mean in (
+        ("top", 1.0, paper.coating_top_um),
+        ("bottom", -1.0, paper.coating_bottom_um),
+    ):
         inner = 0.5 * thickness + sign * relief
         pit_depth = 0.0
         if paper.fibres and mean:
@@ -299,17 +370,27 @@ def make_sheet(
     density = 0.3 * (mass - mass.mean()) / mass.std() + np.sqrt(1 - 0.09) * density
     top, bottom = (float(np.mean(faces[k] - faces[k + 1])) for k in (0, 2))
     neutral_um = neutral_height(float(np.mean(faces[1] + faces[3])), top, bottom, stiffness)
-    structure = fibre_mat and fibre_mat.pressed(faces[1] - pit_depths[0], -(faces[3] - pit_depths[1]), neutral_um)
+    structure = fibre_mat and fibre_mat.pressed(
+        faces[1] - pit_depths[0], -(faces[3] - pit_depths[1]), neutral_um
+    )
     if structure is not None and film is not None:
         structure = structure.on_film(-faces[2] - neutral_um, film)
     return DrawnSheet(
-        params=paper, seed=seed, origin=(float(low[0]), float(low[1])),
-        faces=np.stack([faces[0], faces[1], -faces[3], -faces[2]]).astype(np.float32) - np.float32(neutral_um),
-        rim_um=rim, char=char, coating_density=(1 + paper.coating_density_sd * density).astype(np.float32),
+        params=paper,
+        seed=seed,
+        origin=(float(low[0]), float(low[1])),
+        faces=np.stack([faces[0], faces[1], -faces[3], -faces[2]]).astype(np.float32)
+        - np.float32(neutral_um),
+        rim_um=rim,
+        char=char,
+        coating_density=(1 + paper.coating_density_sd * density).astype(np.float32),
         base_mass=mass.astype(np.float32),
-        crack_um=(crack_um * np.sign(crack) * np.maximum(np.abs(crack) - 1.0, 0.0)).astype(np.float32), holes=centres,
+        crack_um=(crack_um * np.sign(crack) * np.maximum(np.abs(crack) - 1.0, 0.0)).astype(
+            np.float32
+        ),
+        holes=centres,
         structure=structure,
-    )  # fmt: skip
+    )
 
 
 def neutral_height(base_um: float, top_um: float, bottom_um: float, stiffness: float) -> float:
@@ -352,4 +433,8 @@ def _coating(p: PaperParams, inner: Floats, mean_um: float, side: str, seed: int
         spots = np.exp(0.6 * noise(shape, _DEPOSIT_UM, generator(seed, "deposit", side)))
         coating_change -= np.sqrt(excess_variance) * (spots - spots.mean()) / spots.std()
     coating = np.maximum(mean_um + coating_change, p.least_coating_um)
-    return coating if p.fibres is None else np.maximum(coating + mean_um - coating.mean(), p.least_coating_um)
+    return (
+        coating
+        if p.fibres is None
+        else np.maximum(coating + mean_um - coating.mean(), p.least_coating_um)
+    )

@@ -39,16 +39,18 @@ class Specimen:
     pose: CameraPose  #: from (u, v) to the image
     extent_um: tuple[float, float, float]  #: of the volume along x, y, z
     image_shape: tuple[int, int]
-    files: InstrumentFiles | None = None  #: where the files of its instruments are, if they were written
+    # : where the files of its instruments are, if they were written.
+    files: InstrumentFiles | None = None
 
     def __repr__(self) -> str:
         """Sizes of sheet, volume and image."""
         (x, y, _), p = self.extent_um, self.params
         shape = " x ".join(map(str, self.scanner.shape))
         return (
-            f"Specimen({x / 1000:g} x {y / 1000:g} mm, seed {p.seed}; volume of {shape} voxels (z, y, x) of "
-            f"{p.scanner.voxel_um:g} um; image of {' x '.join(map(str, self.image_shape))} pixels of "
-            f"{p.camera.pixel_um:g} um; {len(self.sheet.holes)} holes)"
+            f"Specimen({x / 1000:g} x {y / 1000:g} mm, seed {p.seed}; volume of {shape} voxels (z,"
+            f" y, x) of {p.scanner.voxel_um:g} um; image of"
+            f" {' x '.join(map(str, self.image_shape))} pixels of {p.camera.pixel_um:g} um;"
+            f" {len(self.sheet.holes)} holes)"
         )
 
     @property
@@ -57,7 +59,13 @@ class Specimen:
         voxel_um = self.params.scanner.voxel_um
         x, y, z = self.extent_um
         shape = (int(np.ceil(z / voxel_um)) + 1, round(y / voxel_um), round(x / voxel_um))
-        return Scanner(sheet=self.sheet, warp=self.warp, params=self.params.scanner, shape=shape, seed=self.params.seed)
+        return Scanner(
+            sheet=self.sheet,
+            warp=self.warp,
+            params=self.params.scanner,
+            shape=shape,
+            seed=self.params.seed,
+        )
 
     @cached_property
     def poses(self) -> Poses:
@@ -70,9 +78,13 @@ class Specimen:
         pixel = self.params.sections.pixel_um
         shape = (int(np.ceil(self.extent_um[2] / pixel)) + 1, round(self.extent_um[0] / pixel))
         return Microtome(
-            sheet=self.sheet, warp=self.warp, params=self.params.sections, poses=self.poses, shape=shape,
+            sheet=self.sheet,
+            warp=self.warp,
+            params=self.params.sections,
+            poses=self.poses,
+            shape=shape,
             seed=self.params.seed,
-        )  # fmt: skip
+        )
 
     @cached_property
     def volume(self) -> xr.DataArray:
@@ -80,10 +92,17 @@ class Specimen:
         voxel = self.params.scanner.voxel_um
         values = self.scanner.volume()
         return _labelled(
-            values, ("z", "y", "x"), voxel, long_name="Grey value", voxel_um=[voxel] * 3, voxel_um_source="synthetic",
-            full_scale=float(np.iinfo(self.params.scanner.dtype).max) if values.dtype.kind == "u" else None,
+            values,
+            ("z", "y", "x"),
+            voxel,
+            long_name="Grey value",
+            voxel_um=[voxel] * 3,
+            voxel_um_source="synthetic",
+            full_scale=(
+                float(np.iinfo(self.params.scanner.dtype).max) if values.dtype.kind == "u" else None
+            ),
             file_bytes=values.nbytes,
-        )  # fmt: skip
+        )
 
     @cached_property
     def image(self) -> xr.DataArray:
@@ -97,12 +116,22 @@ class Specimen:
 
     def _photograph(self, *, printed: bool) -> xr.DataArray:
         p, seed = self.params.camera, stream(self.params.seed, "camera")
-        values = photograph(self.sheet, self.pose, p, shape=self.image_shape, seed=seed, printed=printed)
+        values = photograph(
+            self.sheet, self.pose, p, shape=self.image_shape, seed=seed, printed=printed
+        )
         return _labelled(
-            values, ("y", "x"), p.pixel_um, long_name="Reflectance", pixel_um=[p.pixel_um] * 2,
+            values,
+            ("y", "x"),
+            p.pixel_um,
+            long_name="Reflectance",
+            pixel_um=[p.pixel_um] * 2,
             file_bytes=values.nbytes,
-            pixel_um_source="synthetic", full_scale=1.0, channel=None, stored_dtype=str(values.dtype), orientation=1,
-        )  # fmt: skip
+            pixel_um_source="synthetic",
+            full_scale=1.0,
+            channel=None,
+            stored_dtype=str(values.dtype),
+            orientation=1,
+        )
 
     @cached_property
     def truth(self) -> xr.Dataset:
@@ -117,24 +146,41 @@ class Specimen:
         points = self.warp.points(u, v)
         top, inner_top, inner_bottom, bottom = (sheet.at(face, u, v) for face in sheet.faces)
         values = {
-            "u": u, "v": v, **{f"volume_{axis}": points[..., k] for k, axis in enumerate("xyz")},
-            "coating_top": top - inner_top, "coating_bottom": inner_bottom - bottom,
-            "base_thickness": inner_top - inner_bottom, "thickness": top - bottom,
+            "u": u,
+            "v": v,
+            **{f"volume_{axis}": points[..., k] for k, axis in enumerate("xyz")},
+            "coating_top": top - inner_top,
+            "coating_bottom": inner_bottom - bottom,
+            "base_thickness": inner_top - inner_bottom,
+            "thickness": top - bottom,
             "rim": sheet.at(sheet.rim_um[0], u, v),
-        }  # fmt: skip
-        coords = {"y": np.arange(self.image_shape[0]) * pixel, "x": np.arange(self.image_shape[1]) * pixel}
-        return xr.Dataset({k: (("y", "x"), value, {"units": "um"}) for k, value in values.items()}, coords=coords)
+        }
+        coords = {
+            "y": np.arange(self.image_shape[0]) * pixel,
+            "x": np.arange(self.image_shape[1]) * pixel,
+        }
+        return xr.Dataset(
+            {k: (("y", "x"), value, {"units": "um"}) for k, value in values.items()}, coords=coords
+        )
 
     @cached_property
     def columns(self) -> xr.Dataset:
         """``u, v, centre`` of the centre surface at each column (y, x) of the scanned volume, in um."""
-        y, x = (np.arange(n, dtype=np.float64) * self.params.scanner.voxel_um for n in self.scanner.shape[1:])
+        y, x = (
+            np.arange(n, dtype=np.float64) * self.params.scanner.voxel_um
+            for n in self.scanner.shape[1:]
+        )
         uvz = np.moveaxis(self.warp.columns(y, x), -1, 0)
-        values = {k: (("y", "x"), field, {"units": "um"}) for k, field in zip(("u", "v", "centre"), uvz, strict=True)}
+        values = {
+            k: (("y", "x"), field, {"units": "um"})
+            for k, field in zip(("u", "v", "centre"), uvz, strict=True)
+        }
         return xr.Dataset(values, coords={"y": y, "x": x})
 
 
-def _labelled(values: NDArray[Any], dims: tuple[str, ...], pitch_um: float, **attrs: Any) -> xr.DataArray:
+def _labelled(
+    values: NDArray[Any], dims: tuple[str, ...], pitch_um: float, **attrs: Any
+) -> xr.DataArray:
     name = "volume" if len(dims) == 3 else "image"
     attrs = {"units": "1", "file_name": "synthetic specimen", **attrs}
     return labelled(values, dims, [pitch_um] * len(dims), name=name, attrs=attrs)
@@ -149,15 +195,19 @@ def _place_in_volume(params: SpecimenParams) -> tuple[Warp, Floats, float]:
     thickness_um = p.base_um + p.coating_top_um + p.coating_bottom_um
     film = params.film
     film_depth_um = film.film_um + film.gap_um if film is not None else 0.0
-    margin_um = (0.5 * thickness_um + 20.0 + film_depth_um) * float(np.hypot(1.0, warp.steepest)) + 60.0
+    margin_um = (0.5 * thickness_um + 20.0 + film_depth_um) * float(
+        np.hypot(1.0, warp.steepest)
+    ) + 60.0
     low_z, high_z = float(uvz[..., 2].min()) - margin_um, float(uvz[..., 2].max()) + margin_um
     return replace(warp, shift_um=(width_um / 2, height_um / 2, -low_z)), uvz, high_z - low_z
 
 
 def make_specimen(
-    params: SpecimenParams | None = None, folder: str | Path | None = None, *,
+    params: SpecimenParams | None = None,
+    folder: str | Path | None = None,
+    *,
     sheet: DrawnSheet | None = None,
-) -> Specimen:  # fmt: skip
+) -> Specimen:
     """Make a sheet of paper whose every property is known, as a scanner and a microscope show it.
 
     Parameters
@@ -193,10 +243,17 @@ def make_specimen(
     >>> surfaces = pl.find_surfaces(specimen.volume)  # doctest: +SKIP
     """
     if params is not None and not isinstance(params, SpecimenParams):  # pyright: ignore[reportUnnecessaryIsInstance]
-        raise not_taken(params, "SpecimenParams", 'pl.make_specimen(folder="sheet")', "pl.make_specimen")
+        raise not_taken(
+            params, "SpecimenParams", 'pl.make_specimen(folder="sheet")', "pl.make_specimen"
+        )
     params = params or DEMO
-    if params.film is not None and (params.paper.fibres is None if sheet is None else not sheet.has_film):
-        raise ValueError("a film lies under a base of fibres only: set paper.fibres, or give a sheet made with a film")
+    if params.film is not None and (
+        params.paper.fibres is None if sheet is None else not sheet.has_film
+    ):
+        raise ValueError(
+            "a film lies under a base of fibres only: set paper.fibres, or give a sheet made with a"
+            " film"
+        )
     warp, uvz, depth_um = _place_in_volume(params)
     field_uv = np.concatenate([uvz[..., :2].min(axis=(0, 1)), uvz[..., :2].max(axis=(0, 1))])
     image_shape, pose = draw_pose(params.camera, field_uv, generator(params.seed, "pose"))
@@ -209,22 +266,39 @@ def make_specimen(
         inner_high = np.array([uvz[:, -1, 0].min(), uvz[-1, :, 1].min()])
         centres = hole_pattern(params.holes, inner_low, inner_high, params.seed)
         sheet = make_sheet(
-            params.paper, params.holes, low=low, high=high, centres=centres, seed=params.seed,
-            stiffness=params.stiffness, film=params.film, crack_um=params.crack_um,
-        )  # fmt: skip
+            params.paper,
+            params.holes,
+            low=low,
+            high=high,
+            centres=centres,
+            seed=params.seed,
+            stiffness=params.stiffness,
+            film=params.film,
+            crack_um=params.crack_um,
+        )
     elif not sheet.covers(field_uv[:2], field_uv[2:]):
-        raise ValueError("the given sheet does not reach as far as the volume shows it; bend it more or make it larger")
+        raise ValueError(
+            "the given sheet does not reach as far as the volume shows it; bend it more or make it"
+            " larger"
+        )
     specimen = Specimen(
-        params=params, warp=warp, sheet=sheet, pose=pose, extent_um=(*params.size_um, depth_um),
-        image_shape=image_shape
-    )  # fmt: skip
+        params=params,
+        warp=warp,
+        sheet=sheet,
+        pose=pose,
+        extent_um=(*params.size_um, depth_um),
+        image_shape=image_shape,
+    )
     if folder is None:
         return specimen
     from planish.synthetic.files import write_instruments, write_truth
 
     specimen_folder = Path(folder)
     if specimen_folder.exists():
-        raise FileError(f"{specimen_folder} exists already. Name another folder for the specimen, or remove that one.")
+        raise FileError(
+            f"{specimen_folder} exists already. Name another folder for the specimen, or remove"
+            " that one."
+        )
     files = write_instruments(specimen, specimen_folder)
     write_truth(specimen, specimen_folder / "truth")
     return replace(specimen, files=files)

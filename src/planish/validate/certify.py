@@ -17,7 +17,18 @@ from planish.synthetic.params import SpecimenParams
 from planish.synthetic.presets import NUISANCES
 from planish.validate.errors import LINK_STAGES, MAP_STAGES, pair_errors
 from planish.validate.mesh import mesh_values
-from planish.validate.scenario import ALL, FIGURES, KEYS, NONE, PAIR, Figure, Limit, Scenario, Values, in_order
+from planish.validate.scenario import (
+    ALL,
+    FIGURES,
+    KEYS,
+    NONE,
+    PAIR,
+    Figure,
+    Limit,
+    Scenario,
+    Values,
+    in_order,
+)
 from planish.validate.truth import Comparison, rms
 
 
@@ -31,7 +42,9 @@ def make_ledger(comparison: Comparison) -> Values:
         Units and sentences are in :data:`planish.validate.scenario.FIGURES`.
     """
     stages = MAP_STAGES if "linked" not in comparison.groups else (*MAP_STAGES, *LINK_STAGES)
-    return in_order({name: error for errors in stages for name, error in errors(comparison).items()})
+    return in_order(
+        {name: error for errors in stages for name, error in errors(comparison).items()}
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,13 +126,17 @@ class Certificate:
     @property
     def passed(self) -> bool:
         """True if every limit is met and no check of a specimen that counts failed."""
-        return all(e.whole for e in self.judged) and all(line.met is not False for line in self.lines().values())
+        return all(e.whole for e in self.judged) and all(
+            line.met is not False for line in self.lines().values()
+        )
 
 
 def run_scenario(
-    scenario: Scenario, seeds: int | Sequence[int] | None = None, progress: Progress = silent,
+    scenario: Scenario,
+    seeds: int | Sequence[int] | None = None,
+    progress: Progress = silent,
     compute: Compute | None = None,
-) -> Certificate:  # fmt: skip
+) -> Certificate:
     """Make the specimens of a scenario, run the program on their files, and measure its errors.
 
     Parameters
@@ -144,30 +161,53 @@ def run_scenario(
             entries.append(Entry(seed=seed, values=in_order(mesh_values(seed, once=k == 0))))
         else:
             drawn = any(entry.pictures for entry in entries)
-            entries.append(run_specimen(scenario, scenario.params(seed), seed, progress, compute, draw=not drawn))
+            entries.append(
+                run_specimen(
+                    scenario, scenario.params(seed), seed, progress, compute, draw=not drawn
+                )
+            )
     return Certificate(scenario=scenario, entries=tuple(entries))
 
 
 def run_specimen(
-    scenario: Scenario, params: SpecimenParams, seed: int, progress: Progress = silent,
-    compute: Compute | None = None, *, draw: bool = False,
-) -> Entry:  # fmt: skip
+    scenario: Scenario,
+    params: SpecimenParams,
+    seed: int,
+    progress: Progress = silent,
+    compute: Compute | None = None,
+    *,
+    draw: bool = False,
+) -> Entry:
     """Make one specimen, or a pair, run the program on its files, remove them; with ``draw``, also its pictures."""
-    with tempfile.TemporaryDirectory(prefix="planish-validate-", ignore_cleanup_errors=True) as name:
+    with tempfile.TemporaryDirectory(
+        prefix="planish-validate-", ignore_cleanup_errors=True
+    ) as name:
         folder = Path(name)
         try:
             specimen = make_specimen(params)
             if scenario.second is None:
-                specimens = [(specimen, write_instruments(specimen, folder / "specimen", volume=scenario.instrument))]
+                specimens = [
+                    (
+                        specimen,
+                        write_instruments(
+                            specimen, folder / "specimen", volume=scenario.instrument
+                        ),
+                    )
+                ]
             else:
                 both = specimen, make_specimen(scenario.second_params(seed), sheet=specimen.sheet)
-                layers = zip(PAIR, both, (scenario.instrument, scenario.second.instrument), strict=True)
+                layers = zip(
+                    PAIR, both, (scenario.instrument, scenario.second.instrument), strict=True
+                )
                 specimens = [
-                    (s, write_instruments(s, folder / name, volume=volume, image=False)) for name, s, volume in layers
+                    (s, write_instruments(s, folder / name, volume=volume, image=False))
+                    for name, s, volume in layers
                 ]
         except ValueError as error:
             raise InputError(f"The specimen of {scenario.name} cannot be made: {error}") from error
-        study = scenario.study_of([(files.volume, files.through) for _, files in specimens], specimens[0][1].image)
+        study = scenario.study_of(
+            [(files.volume, files.through) for _, files in specimens], specimens[0][1].image
+        )
         try:
             run = run_study(study, folder / "run", progress=progress, compute=compute)
         except ResourceError:
@@ -179,13 +219,17 @@ def run_specimen(
         failed = tuple(f"{c.name}: {c.sentence}" for c in run.results.checks_in("fail"))
         looks = tuple(f"{c.name}: {c.sentence}" for c in run.results.checks_in("look"))
         if scenario.second is not None:
-            return Entry(seed=seed, values=in_order(pair_errors(specimens, run)), failed=failed, looks=looks)
+            return Entry(
+                seed=seed, values=in_order(pair_errors(specimens, run)), failed=failed, looks=looks
+            )
         comparison, pictures = Comparison(*specimens[0], run), ()
         if draw and "linked" in run.groups:
             from planish.validate.page import draw_example  # which draws whole certificates, too
 
             pictures = tuple(draw_example(comparison, seed))
-        return Entry(seed=seed, values=make_ledger(comparison), failed=failed, looks=looks, pictures=pictures)
+        return Entry(
+            seed=seed, values=make_ledger(comparison), failed=failed, looks=looks, pictures=pictures
+        )
 
 
 def seed_numbers(scenario: Scenario, seeds: int | Sequence[int] | None) -> list[int]:
@@ -196,7 +240,8 @@ def seed_numbers(scenario: Scenario, seeds: int | Sequence[int] | None) -> list[
 
 # Of a baseline: growth against next to nothing is none. A quarter of it is noticed, that is 0.002 of an r.
 _FLOOR = {"um": 0.05, "%": 0.05, "deg": 0.05, "1": 0.008}
-_CARRIED = 0.5  # share of the largest growth with which an error is taken to have come in at an earlier stage
+# Share of the largest growth with which an error is taken to have come in at an earlier stage.
+_CARRIED = 0.5
 _AGREES = 1.5  # factor between the sum of squares and the whole
 
 
@@ -205,8 +250,11 @@ class NuisanceRow:
     """One nuisance alone."""
 
     nuisance: str  # key of :data:`planish.synthetic.presets.NUISANCES`
-    added: Values  # stage to the error that the nuisance adds to the stage's key figure, in squares: sqrt(e^2 - e0^2)
-    growth: dict[str, float]  # the same over the error without any nuisance; without the stages that have none
+    # Stage to the error that the nuisance adds to the stage's key figure, in squares: sqrt(e^2 -
+    # e0^2).
+    added: Values
+    # The same over the error without any nuisance; without the stages that have none.
+    growth: dict[str, float]
     suffers: str | None  # the first stage along the line that is hit; None where no stage notices
     refusal: str | None = None  # message of a run that the nuisance stopped
 
@@ -227,7 +275,10 @@ class Sensitivity:
 
 
 def sensitivity(
-    scenario: Scenario, seeds: int | Sequence[int] = 1, progress: Progress = silent, compute: Compute | None = None
+    scenario: Scenario,
+    seeds: int | Sequence[int] = 1,
+    progress: Progress = silent,
+    compute: Compute | None = None,
 ) -> Sensitivity:
     """Run a scenario without nuisances, with each alone, and with all; figures are rms over the seeds.
 
@@ -235,47 +286,87 @@ def sensitivity(
     scenario is no line of stages, has no nuisance, or is refused by the program without any of them.
     """
     if scenario.kind != "line":
-        raise InputError(f"The scenario {scenario.name} has no nuisances. Give one that runs the whole line.")
+        raise InputError(
+            f"The scenario {scenario.name} has no nuisances. Give one that runs the whole line."
+        )
     names, seed_list = scenario.active, seed_numbers(scenario, seeds)
     if not names:
-        raise InputError(f"No nuisance of the scenario {scenario.name} is on. Give one with nuisances, such as small.")
+        raise InputError(
+            f"No nuisance of the scenario {scenario.name} is on. Give one with nuisances, such as"
+            " small."
+        )
 
     def measure(label: str, nuisances: str | tuple[str, ...]) -> tuple[Values, str | None]:
         """Return the rms of each figure over the seeds, and the first refusal."""
         entries: list[Entry] = []
         for seed in seed_list:
             progress("sensitivity", f"{label}, seed {seed}")
-            entries.append(run_specimen(scenario, scenario.params(seed, nuisances), seed, compute=compute))
-        seed_values = {name: [e.values.get(name) for e in entries] for entry in entries for name in entry.values}
-        figures = {name: rms(np.array(values, dtype=np.float64)) for name, values in seed_values.items()}
-        return figures, next((entry.refusal for entry in entries if entry.refusal is not None), None)
+            entries.append(
+                run_specimen(scenario, scenario.params(seed, nuisances), seed, compute=compute)
+            )
+        seed_values = {
+            name: [e.values.get(name) for e in entries]
+            for entry in entries
+            for name in entry.values
+        }
+        figures = {
+            name: rms(np.array(values, dtype=np.float64)) for name, values in seed_values.items()
+        }
+        return figures, next(
+            (entry.refusal for entry in entries if entry.refusal is not None), None
+        )
 
     base_figures, refusal = measure("no nuisance", NONE)
     if refusal is not None:
-        raise InputError(f"The scenario {scenario.name} does not even come through without nuisances: {refusal}")
+        raise InputError(
+            f"The scenario {scenario.name} does not even come through without nuisances: {refusal}"
+        )
     measured = {name: value for name, value in base_figures.items() if value is not None}
-    keys = {stage: next((k for k in candidates if k in measured), "") for stage, candidates in KEYS.items()}
+    keys = {
+        stage: next((k for k in candidates if k in measured), "")
+        for stage, candidates in KEYS.items()
+    }
     keys = {stage: name for stage, name in keys.items() if name}
     quiet = {stage: measured[name] for stage, name in keys.items()}
-    rows = [make_row(name, keys, quiet, *measure(f"{NUISANCES[name].title} alone", (name,))) for name in names]
+    rows = [
+        make_row(name, keys, quiet, *measure(f"{NUISANCES[name].title} alone", (name,)))
+        for name in names
+    ]
     # All that are on: scenario.nuisances may be a list.
-    all_figures, _ = measure("all together", scenario.nuisances if scenario.nuisances != NONE else ALL)
+    all_figures, _ = measure(
+        "all together", scenario.nuisances if scenario.nuisances != NONE else ALL
+    )
     loud = {stage: all_figures.get(name) for stage, name in keys.items()}
     ratio = {stage: _ratio(stage, keys, quiet, loud, rows) for stage in keys}
-    deviating = [stage for stage, r in ratio.items() if r is not None and not 1 / _AGREES <= r <= _AGREES]
+    deviating = [
+        stage for stage, r in ratio.items() if r is not None and not 1 / _AGREES <= r <= _AGREES
+    ]
     together: dict[str, tuple[str, ...]] = {}
     if deviating and len(names) > 1:
         figures_without = {
-            name: measure(f"all but {NUISANCES[name].title}", tuple(other for other in names if other != name))[0]
+            name: measure(
+                f"all but {NUISANCES[name].title}", tuple(other for other in names if other != name)
+            )[0]
             for name in names
         }
-        together = {stage: _most_changing(loud[stage] or 0.0, keys[stage], figures_without) for stage in deviating}
+        together = {
+            stage: _most_changing(loud[stage] or 0.0, keys[stage], figures_without)
+            for stage in deviating
+        }
     return Sensitivity(
-        keys=keys, quiet=quiet, loud=loud, rows=tuple(rows), ratio=ratio, together=together, seeds=tuple(seed_list)
+        keys=keys,
+        quiet=quiet,
+        loud=loud,
+        rows=tuple(rows),
+        ratio=ratio,
+        together=together,
+        seeds=tuple(seed_list),
     )
 
 
-def _most_changing(all_error: float, key: str, figures_without: dict[str, Values]) -> tuple[str, ...]:
+def _most_changing(
+    all_error: float, key: str, figures_without: dict[str, Values]
+) -> tuple[str, ...]:
     """Name the two nuisances without which a key figure's error changes most; a missing one changes nothing."""
     errors = {name: figures.get(key) for name, figures in figures_without.items()}
     changes = {name: 0.0 if e is None else abs(all_error**2 - e**2) for name, e in errors.items()}
@@ -292,11 +383,21 @@ def make_row(
     """
     added = {stage: added_error(figures.get(key), quiet[stage]) for stage, key in keys.items()}
     baselines = {stage: max(quiet[stage], _FLOOR[FIGURES[key].unit]) for stage, key in keys.items()}
-    growth = {stage: added_um / baselines[stage] for stage, added_um in added.items() if added_um is not None}
+    growth = {
+        stage: added_um / baselines[stage]
+        for stage, added_um in added.items()
+        if added_um is not None
+    }
     max_growth = max(growth.values(), default=0.0)
     # With less growth, in baselines, no stage is said to suffer.
-    affected = (stage for stage, factor in growth.items() if max_growth >= 0.25 and factor >= _CARRIED * max_growth)
-    return NuisanceRow(nuisance=name, added=added, growth=growth, suffers=next(affected, None), refusal=refusal)
+    affected = (
+        stage
+        for stage, factor in growth.items()
+        if max_growth >= 0.25 and factor >= _CARRIED * max_growth
+    )
+    return NuisanceRow(
+        nuisance=name, added=added, growth=growth, suffers=next(affected, None), refusal=refusal
+    )
 
 
 def added_error(error: float | None, base: float) -> float | None:
@@ -305,7 +406,11 @@ def added_error(error: float | None, base: float) -> float | None:
 
 
 def _ratio(
-    stage: str, keys: dict[str, str], quiet: dict[str, float], loud: Values, rows: Sequence[NuisanceRow]
+    stage: str,
+    keys: dict[str, str],
+    quiet: dict[str, float],
+    loud: Values,
+    rows: Sequence[NuisanceRow],
 ) -> float | None:
     """Sum of squares over the whole; None where both stay below the floor or half of the baseline."""
     total = added_error(loud[stage], quiet[stage])

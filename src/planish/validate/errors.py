@@ -46,13 +46,18 @@ def section_errors(comparison: Comparison) -> Values:
         frame.through: float(np.nanmean(surfaces["centre"].values)),
         frame.rows: sections_um,
     }
-    points = np.stack([np.broadcast_to(centre[axis], sections_um.shape) for axis in ("x", "y", "z")], axis=-1)
+    points = np.stack(
+        [np.broadcast_to(centre[axis], sections_um.shape) for axis in ("x", "y", "z")], axis=-1
+    )
     displacement = comparison.files.to_physical(points, sections) - points
     line_fit = np.polynomial.polynomial.polyfit(sections_um, displacement, 1)
     residual = displacement - np.polynomial.polynomial.polyval(sections_um, line_fit).T
     # In the physical frame x runs along the section, y across the sections and z through the sheet. What varies more
     # slowly than the run's cut-off is like the sheet's own bend: it is left alone. The rest is jitter.
-    jitter = [quick_part(sections_um, residual[:, k], cutoff_um=float(sections.attrs["cutoff_um"])) for k in (0, 2)]
+    jitter = [
+        quick_part(sections_um, residual[:, k], cutoff_um=float(sections.attrs["cutoff_um"]))
+        for k in (0, 2)
+    ]
     return {
         "sections_x_rms": rms(residual[:, 0]),
         "sections_z_rms": rms(residual[:, 2]),
@@ -67,8 +72,12 @@ def surface_errors(comparison: Comparison) -> Values:
     surfaces, sheet = comparison.surfaces, comparison.specimen.sheet
     values, all_errors = Values(), list[Floats]()
     for face, field in zip(FACES, sheet.faces, strict=True):
-        heights = np.where(comparison.measured, comparison.at_columns(surfaces[face].values), np.nan)
-        u, v, s = np.moveaxis(comparison.material_at(comparison.places(heights, *comparison.columns)), -1, 0)
+        heights = np.where(
+            comparison.measured, comparison.at_columns(surfaces[face].values), np.nan
+        )
+        u, v, s = np.moveaxis(
+            comparison.material_at(comparison.places(heights, *comparison.columns)), -1, 0
+        )
         errors = s - field_at(sheet, field, u, v)
         values |= bias_rmse_p95(face, errors)
         all_errors.append(errors[np.isfinite(errors)])
@@ -79,17 +88,27 @@ def surface_errors(comparison: Comparison) -> Values:
     status = comparison.at_columns(surfaces["status"].values)
     has_sheet = is_off_holes & (status != Status.RIM)
     has_faces = (status == 0) | (status == Status.NORMAL_LEAVES_SHEET)
-    for share_name, is_counted in (("found_share", has_faces), ("measured_share", comparison.measured)):
-        values[share_name] = 100.0 * float(np.mean(is_counted[has_sheet])) if has_sheet.any() else None
+    for share_name, is_counted in (
+        ("found_share", has_faces),
+        ("measured_share", comparison.measured),
+    ):
+        values[share_name] = (
+            100.0 * float(np.mean(is_counted[has_sheet])) if has_sheet.any() else None
+        )
     return values
 
 
 def centre_errors(comparison: Comparison) -> Values:
     """Height of the found centre surface over the true one, and the angle between their normals in degrees."""
-    u, v, s = np.moveaxis(np.where(comparison.measured[..., None], comparison.material, np.nan), -1, 0)
+    u, v, s = np.moveaxis(
+        np.where(comparison.measured[..., None], comparison.material, np.nan), -1, 0
+    )
     centre = comparison.surfaces["centre"].values
     # Neighbouring sections scatter against each other: their normals are of a wider difference.
-    half_steps = [max(1, round(20.0 / p)) if "sections" in comparison.groups else 1 for p in pitch(comparison.surfaces)]
+    half_steps = [
+        max(1, round(20.0 / p)) if "sections" in comparison.groups else 1
+        for p in pitch(comparison.surfaces)
+    ]
     tangents: list[Floats] = []
     for axis, (n, r) in enumerate(zip(centre.shape, half_steps, strict=True)):
         end_points: list[Floats] = []
@@ -97,14 +116,18 @@ def centre_errors(comparison: Comparison) -> Values:
             index = list(comparison.columns)
             index[axis] = np.clip(index[axis] + offset, 0, n - 1)
             heights = np.asarray(centre[np.ix_(*index)], dtype=np.float64)
-            end_points.append(comparison.physical_at(comparison.places(heights, index[0], index[1])))
+            end_points.append(
+                comparison.physical_at(comparison.places(heights, index[0], index[1]))
+            )
         tangents.append(end_points[1] - end_points[0])
     normals = np.cross(tangents[1], tangents[0])
     length = np.linalg.norm(normals, axis=-1)
     is_valid = np.isfinite(u) & (length > 0)
     true_normals = comparison.specimen.warp.normals(u[is_valid], v[is_valid])
     # The arc sine of the cross product keeps small angles, which the arc cosine loses to rounding.
-    sine = np.linalg.norm(np.cross(normals[is_valid] / length[is_valid][:, None], true_normals), axis=-1)
+    sine = np.linalg.norm(
+        np.cross(normals[is_valid] / length[is_valid][:, None], true_normals), axis=-1
+    )
     angle = np.rad2deg(np.arcsin(np.clip(sine, 0.0, 1.0)))
     mean = mean_of(s)
     return {
@@ -121,15 +144,22 @@ def thickness_errors(comparison: Comparison) -> Values:
     values = Values()
     for name in THICKNESSES:
         measured = comparison.at_columns(comparison.surfaces[name].values)
-        values |= bias_rmse_p95(f"column_{name}", measured - true_thickness(comparison.specimen.sheet, name, u, v))
+        values |= bias_rmse_p95(
+            f"column_{name}", measured - true_thickness(comparison.specimen.sheet, name, u, v)
+        )
         if (standard_errors := comparison.surfaces.get(f"{name}_se")) is not None:
-            values[f"predicted_{name}"] = rms(comparison.at_columns(standard_errors.values)[np.isfinite(measured)])
+            values[f"predicted_{name}"] = rms(
+                comparison.at_columns(standard_errors.values)[np.isfinite(measured)]
+            )
     return values
 
 
 def flattening_errors(comparison: Comparison) -> Values:
     """Flat places of the measured columns against their true ones, after the best turn and shift."""
-    flat_uv = np.stack([comparison.at_columns(comparison.groups["flat"][name].values) for name in ("u", "v")], axis=-1)
+    flat_uv = np.stack(
+        [comparison.at_columns(comparison.groups["flat"][name].values) for name in ("u", "v")],
+        axis=-1,
+    )
     flat_uv[~comparison.measured] = np.nan
     true_uv = comparison.material[..., :2]
     is_valid = np.isfinite(flat_uv).all(axis=-1) & np.isfinite(true_uv).all(axis=-1)
@@ -137,14 +167,19 @@ def flattening_errors(comparison: Comparison) -> Values:
         return {}
     stride = max(1, np.count_nonzero(is_valid) // FITTED)
     fit_points = flat_uv[is_valid][::stride], true_uv[is_valid][::stride]
-    rigid, similar = (fit_transform(*fit_points, model=m, mirrored=None, robust=False) for m in ("rigid", "similarity"))
+    rigid, similar = (
+        fit_transform(*fit_points, model=m, mirrored=None, robust=False)
+        for m in ("rigid", "similarity")
+    )
     error_uv = true_uv[is_valid] - rigid.transform(flat_uv[is_valid])
     errors_um = np.hypot(*(error_uv - error_uv.mean(axis=0)).T)
     strains: list[Floats] = []
     for axis, step in enumerate(comparison.pitch_um):
         n = max(1, round(100.0 / step))  # well over the scatter of single columns
         moved_axes = (np.moveaxis(places, axis, 0) for places in (flat_uv, true_uv))
-        flat_lengths, true_lengths = (np.linalg.norm(places[n:] - places[:-n], axis=-1) for places in moved_axes)
+        flat_lengths, true_lengths = (
+            np.linalg.norm(places[n:] - places[:-n], axis=-1) for places in moved_axes
+        )
         with np.errstate(invalid="ignore", divide="ignore"):
             strains.append((flat_lengths / true_lengths - 1.0).ravel())
     strain = rms(np.concatenate(strains))
@@ -157,7 +192,9 @@ def flattening_errors(comparison: Comparison) -> Values:
     }
 
 
-_PARTS = 4  # points on the stretch of an outline within one cell: so close that the nearest one is as good as the line
+# Points on the stretch of an outline within one cell: so close that the nearest one is as good as
+# the line.
+_PARTS = 4
 _RING = np.stack([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi / 4)], axis=1)
 
 
@@ -165,7 +202,10 @@ def pixel_errors(comparison: Comparison) -> Values:
     """Linked thicknesses against those of the material that each pixel shows, and the region of thin coating."""
     values: Values = {}
     for name in THICKNESSES:
-        linked_um, true_um = comparison.linked_values(name), comparison.pixel_thickness(name, *comparison.true_uv)
+        linked_um, true_um = (
+            comparison.linked_values(name),
+            comparison.pixel_thickness(name, *comparison.true_uv),
+        )
         values |= bias_rmse_p95(f"pixel_{name}", linked_um - true_um)
         if name != "coating_top":
             continue
@@ -187,7 +227,9 @@ def dice(first_mask: Bools, second_mask: Bools) -> float | None:
     return 2.0 * int((first_mask & second_mask).sum()) / total if total else None
 
 
-def outline_lag(first_map: Floats, second_map: Floats, level: float, pitch_um: tuple[float, float]) -> float | None:
+def outline_lag(
+    first_map: Floats, second_map: Floats, level: float, pitch_um: tuple[float, float]
+) -> float | None:
     """Median distance in um between the contour lines of two maps at ``level``, taken from both sides.
 
     No line passes where a map is NaN; None where one of them has no contour. ``pitch_um`` is that of rows and columns.
@@ -203,9 +245,13 @@ def contour_points(values: Floats, level: float) -> Floats:
     """Points (n, 2) as (row, col), in pixels, close together on the contour lines of a map."""
     from contourpy import LineType, contour_generator
 
-    lines = contour_generator(z=np.ma.masked_invalid(values), line_type=LineType.Separate).lines(level)
+    lines = contour_generator(z=np.ma.masked_invalid(values), line_type=LineType.Separate).lines(
+        level
+    )
     share = (np.arange(_PARTS) + 0.5)[:, None] / _PARTS
-    points = [start + share * (end - start) for line in lines for start, end in pairwise(np.asarray(line))]
+    points = [
+        start + share * (end - start) for line in lines for start, end in pairwise(np.asarray(line))
+    ]
     return np.concatenate(points)[:, ::-1] if points else np.empty((0, 2))
 
 
@@ -222,14 +268,20 @@ def hole_errors(comparison: Comparison) -> Values:
     true_xy = specimen.pose(true_uv)
     is_inside = np.all((true_xy > radius) & (true_xy < [x[-1] - radius, y[-1] - radius]), axis=1)
     values = _side_errors(image_uv, true_uv, is_inside, "image")
-    holes = find_holes(maps["presence"].values, pixel_um=pitch(maps)[1], diameter_um=hole_um, polarity="dark")
+    holes = find_holes(
+        maps["presence"].values, pixel_um=pitch(maps)[1], diameter_um=hole_um, polarity="dark"
+    )
     moving = _xy(holes) + np.array([maps["u"].values[0], maps["v"].values[0]])
     volume_xyz = values_at(maps, ("volume_x", "volume_y", "volume_z"), moving)
     volume_uv = comparison.material_at(volume_xyz)[:, :2]
     column_uv = comparison.material[np.isfinite(comparison.material[..., 0])][:, :2]
     rings = true_uv[:, None] + np.concatenate([np.zeros((1, 2)), radius * _RING])
-    distances_um = np.asarray(KDTree(column_uv).query(rings.reshape(-1, 2))[0]).reshape(len(true_uv), -1)
-    values |= _side_errors(volume_uv, true_uv, np.all(distances_um < 2.0 * max(comparison.pitch_um), axis=1), "volume")
+    distances_um = np.asarray(KDTree(column_uv).query(rings.reshape(-1, 2))[0]).reshape(
+        len(true_uv), -1
+    )
+    values |= _side_errors(
+        volume_uv, true_uv, np.all(distances_um < 2.0 * max(comparison.pitch_um), axis=1), "volume"
+    )
     localisation = [values.get(f"fle_{side}") for side in ("image", "volume")]
     if localisation[0] is not None and localisation[1] is not None:
         values["fle_pair"] = float(np.hypot(localisation[0], localisation[1]))
@@ -242,12 +294,15 @@ def _side_errors(holes_uv: Floats, true_uv: Floats, is_inside: Bools, side: str)
     if not len(true_uv):
         return {f"false_{side}": float(len(holes_uv))}
     distances_um = np.linalg.norm(holes_uv[:, None] - true_uv[None], axis=-1)
-    is_true = distances_um.min(axis=1) < 60.0  # a third of a hole: nearer than that it is the same one
+    # a third of a hole: nearer than that it is the same one.
+    is_true = distances_um.min(axis=1) < 60.0
     is_detected = np.zeros(len(true_uv), dtype=bool)
     is_detected[distances_um.argmin(axis=1)[is_true]] = True
     errors = distances_um.min(axis=1)[is_true]
     return {
-        f"recall_{side}": float((is_detected & is_inside).sum() / is_inside.sum()) if is_inside.any() else None,
+        f"recall_{side}": (
+            float((is_detected & is_inside).sum() / is_inside.sum()) if is_inside.any() else None
+        ),
         f"false_{side}": float(np.count_nonzero(~is_true)),
         f"fle_{side}": rms(errors),
     }
@@ -256,35 +311,55 @@ def _side_errors(holes_uv: Floats, true_uv: Floats, is_inside: Bools, side: str)
 def registration_errors(comparison: Comparison) -> Values:
     """Error of every pixel in the sheet, what the marks say of it, and what it would be without flattening."""
     fit, errors_um = comparison.fit, comparison.place_error_um
-    expected_rms = rms(comparison.linked["expected_error"].values[comparison.valid].astype(np.float64))
+    expected_rms = rms(
+        comparison.linked["expected_error"].values[comparison.valid].astype(np.float64)
+    )
     true_rms, scale = rms(errors_um), None
     uv = np.stack([coordinate[comparison.valid] for coordinate in comparison.true_uv], axis=1)
     if len(uv) >= 3:  # of the similarity that is nearest to the true pose over the valid pixels
         uv = uv[:: max(1, len(uv) // FITTED)]
-        scale = fit_transform(uv, comparison.specimen.pose(uv), mirrored=None, robust=False).transform.scale
+        scale = fit_transform(
+            uv, comparison.specimen.pose(uv), mirrored=None, robust=False
+        ).transform.scale
     return {
-        "tre_median": percentile(errors_um, 50), "tre_p95": percentile(errors_um, 95),
-        "tre_max": percentile(errors_um, 99.9), "tre_rms": true_rms, "fre_rms": fit.rms_um,
-        "loo_rms": rms(fit.leave_one_out_um), "predicted_rms": expected_rms,
-        "predicted_ratio": true_rms / expected_rms if true_rms is not None and expected_rms else None,
+        "tre_median": percentile(errors_um, 50),
+        "tre_p95": percentile(errors_um, 95),
+        "tre_max": percentile(errors_um, 99.9),
+        "tre_rms": true_rms,
+        "fre_rms": fit.rms_um,
+        "loo_rms": rms(fit.leave_one_out_um),
+        "predicted_rms": expected_rms,
+        "predicted_ratio": (
+            true_rms / expected_rms if true_rms is not None and expected_rms else None
+        ),
         "scale_deviation": 100.0 * (fit.transform.scale / scale - 1.0) if scale else None,
         "tre_projection_p95": _projection_error(comparison, fit, scale),
-    }  # fmt: skip
+    }
 
 
-def _projection_error(comparison: Comparison, fit: FittedTransform, scale: float | None) -> float | None:
+def _projection_error(
+    comparison: Comparison, fit: FittedTransform, scale: float | None
+) -> float | None:
     """95th percentile over the columns that the image shows; the distance in the image, brought to the sheet."""
     names = ("projected_u", "projected_v")
     marks_uv = values_at(comparison.groups["maps"], names, fit.moving)
     if scale is None or not np.isfinite(marks_uv).all():
         return None
     projected = fit_transform(marks_uv, fit.fixed, mirrored=fit.transform.mirrored, robust=False)
-    run_uv = np.stack([comparison.at_columns(comparison.groups["flat"][name].values) for name in names], axis=-1)
-    is_valid = comparison.measured & np.isfinite(comparison.material[..., 0]) & np.isfinite(run_uv).all(axis=-1)
+    run_uv = np.stack(
+        [comparison.at_columns(comparison.groups["flat"][name].values) for name in names], axis=-1
+    )
+    is_valid = (
+        comparison.measured
+        & np.isfinite(comparison.material[..., 0])
+        & np.isfinite(run_uv).all(axis=-1)
+    )
     true_xy = comparison.specimen.pose(comparison.material[is_valid][:, :2])
     x, y = (comparison.linked[d].values for d in "xy")
     is_inside = np.all((true_xy >= 0) & (true_xy <= [x[-1], y[-1]]), axis=1)
-    return percentile(np.linalg.norm(projected(run_uv[is_valid]) - true_xy, axis=1)[is_inside] / scale, 95)
+    return percentile(
+        np.linalg.norm(projected(run_uv[is_valid]) - true_xy, axis=1)[is_inside] / scale, 95
+    )
 
 
 def resampling_errors(comparison: Comparison) -> Values:
@@ -298,27 +373,40 @@ def resampling_errors(comparison: Comparison) -> Values:
     u, v, _ = np.moveaxis(comparison.material_at(comparison.places(centre, rows, cols)), -1, 0)
     fit = comparison.fit
     uv = np.stack([flat["u"].values[rows], flat["v"].values[rows]], axis=-1)
-    places = find_places(fit.transform(uv), Grid.of(linked), least_um=min(pitch(surfaces)) * fit.transform.scale)
+    places = find_places(
+        fit.transform(uv), Grid.of(linked), least_um=min(pitch(surfaces)) * fit.transform.scale
+    )
     resampled_um = resample(true_thickness(comparison.specimen.sheet, name, u, v), places)
-    true_um = comparison.pixel_thickness(name, comparison.linked_material[..., 0], comparison.linked_material[..., 1])
+    true_um = comparison.pixel_thickness(
+        name, comparison.linked_material[..., 0], comparison.linked_material[..., 1]
+    )
     errors = np.where(comparison.valid, resampled_um - true_um, np.nan)
     return {"resampling_rmse": rms(errors), "resampling_p95": percentile(errors, 95)}
 
 
 def statistic_errors(comparison: Comparison) -> Values:
     """Correlation with the image of the measured and of the true map, over the same pixels and the run's points."""
-    image, pixel = np.asarray(comparison.linked["image"].values, dtype=np.float64), pitch(comparison.linked)
+    image, pixel = (
+        np.asarray(comparison.linked["image"].values, dtype=np.float64),
+        pitch(comparison.linked),
+    )
     measured_map = comparison.linked_values(comparison.headline)
     true_map = comparison.pixel_thickness(comparison.headline, *comparison.true_uv)
     true_map[~np.isfinite(measured_map)] = np.nan
     point_um = comparison.run.study.correlate.point_um
     pixel_r = [pearson(m, image) for m in (measured_map, true_map)]
-    point_r = [correlate(m, image, pixel_um=pixel, point_um=point_um).r for m in (measured_map, true_map)]
+    point_r = [
+        correlate(m, image, pixel_um=pixel, point_um=point_um).r for m in (measured_map, true_map)
+    ]
     values = Values()
     for key, (r_measured, r_true) in (("pixel", pixel_r), ("point", point_r)):
         is_finite = np.isfinite(r_measured) and np.isfinite(r_true)
-        correlations = (r_measured, r_true, r_measured - r_true) if is_finite else (None, None, None)
-        values |= dict(zip((f"r_{key}", f"r_true_{key}", f"r_difference_{key}"), correlations, strict=True))
+        correlations = (
+            (r_measured, r_true, r_measured - r_true) if is_finite else (None, None, None)
+        )
+        values |= dict(
+            zip((f"r_{key}", f"r_true_{key}", f"r_difference_{key}"), correlations, strict=True)
+        )
     return values
 
 
@@ -329,13 +417,22 @@ def pair_errors(specimens: Sequence[tuple[Specimen, InstrumentFiles]], run: Run)
     values: Values = {}
     materials: list[Floats] = []
     for name, (specimen, files), layer_maps in zip(PAIR, specimens, maps, strict=True):
-        places = np.stack([layer_maps[f"volume_{axis}"].values[valid] for axis in ("x", "y", "z")], axis=-1)
+        places = np.stack(
+            [layer_maps[f"volume_{axis}"].values[valid] for axis in ("x", "y", "z")], axis=-1
+        )
         comparison = Comparison(specimen, files, replace(run, groups=run.sheets[name].groups))
         materials.append(comparison.material_at(places.astype(np.float64)))
-        true_um = true_thickness(specimen.sheet, "coating_top", materials[-1][..., 0], materials[-1][..., 1])
-        values[f"pair_coating_{name}_bias"] = mean_of(layer_maps["coating_top"].values[valid] - true_um)
+        true_um = true_thickness(
+            specimen.sheet, "coating_top", materials[-1][..., 0], materials[-1][..., 1]
+        )
+        values[f"pair_coating_{name}_bias"] = mean_of(
+            layer_maps["coating_top"].values[valid] - true_um
+        )
     distances_um = np.hypot(*(materials[0] - materials[1])[..., :2].T)
-    values["pair_median"], values["pair_p95"] = percentile(distances_um, 50), percentile(distances_um, 95)
+    values["pair_median"], values["pair_p95"] = (
+        percentile(distances_um, 50),
+        percentile(distances_um, 95),
+    )
     values["pair_rms"] = rms(distances_um)
     values["pair_predicted_rms"] = rms(maps[0]["expected_error"].values[valid].astype(np.float64))
     rows = [row for row in run.results.correlations if row.a_map == "coating_top"]
@@ -346,7 +443,9 @@ def pair_errors(specimens: Sequence[tuple[Specimen, InstrumentFiles]], run: Run)
 
 
 def _xy(holes: xr.Dataset) -> Floats:
-    return np.stack([holes["x"].values, holes["y"].values], axis=1).astype(np.float64).reshape(-1, 2)
+    return (
+        np.stack([holes["x"].values, holes["y"].values], axis=1).astype(np.float64).reshape(-1, 2)
+    )
 
 
 MAP_STAGES = (section_errors, surface_errors, centre_errors, thickness_errors, flattening_errors)

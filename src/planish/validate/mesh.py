@@ -12,7 +12,8 @@ from planish.flatten.relaxation import RelaxationParams, relax_dynamically
 from planish.validate.truth import Values
 
 ROWS, COLS = 24, 32
-_RADIUS = 186.20878876922393  # of an arc that is longer by 2.6 pitches than its chord: 2 R asin(63.5 / R) = 129.6
+# Of an arc that is longer by 2.6 pitches than its chord: 2 R asin(63.5 / R) = 129.6.
+_RADIUS = 186.20878876922393
 _FEW_STEPS = 5000  # three times what the right reading needs to come to rest
 
 
@@ -24,11 +25,18 @@ def mesh_values(seed: int, *, once: bool) -> Values:
         relax_dynamically(start, rest, params=RelaxationParams(most_steps=1))
     begin = time.perf_counter()
     relaxed = relax_dynamically(start, rest)
-    values: Values = {"mesh_seconds": time.perf_counter() - begin, "mesh_inverted": float(relaxed.inverted)}
+    values: Values = {
+        "mesh_seconds": time.perf_counter() - begin,
+        "mesh_inverted": float(relaxed.inverted),
+    }
     fine = relax_dynamically(start, rest, params=RelaxationParams(mean_speed=1e-4))
     for suffix, mesh in (("", relaxed), ("_fine", fine)):
-        for name, size_error in zip(("width", "height", "aspect"), size_errors(mesh.uv, flat), strict=True):
-            values[f"mesh_{name}{suffix}"] = 100.0 * float(size_error) if mesh.outcome is Outcome.RESTED else None
+        for name, size_error in zip(
+            ("width", "height", "aspect"), size_errors(mesh.uv, flat), strict=True
+        ):
+            values[f"mesh_{name}{suffix}"] = (
+                100.0 * float(size_error) if mesh.outcome is Outcome.RESTED else None
+            )
     first_stop = relax_dynamically(start, rest, params=RelaxationParams(stop="first"))
     values["mesh_first"] = 100.0 * float(np.abs(size_errors(first_stop.uv, flat)).max())
     feedback = RelaxationParams(control="feedback", fixed_dt=0.3, most_steps=_FEW_STEPS)
@@ -47,7 +55,9 @@ def mesh_values(seed: int, *, once: bool) -> Values:
     squared_radius = np.sum((flat - flat.mean(axis=(0, 1))) ** 2, axis=-1)
     dome = np.concatenate([flat, 2.0 * np.exp(-squared_radius / 72.0)[..., None]], axis=-1)
     methods = ("multigrid", RelaxationParams(mean_speed=1e-4))
-    multigrid_uv, dynamic_uv = (relax_grid(dome, method=method, rest="chord").uv for method in methods)
+    multigrid_uv, dynamic_uv = (
+        relax_grid(dome, method=method, rest="chord").uv for method in methods
+    )
     return values | {"mesh_minimum": node_error(multigrid_uv, dynamic_uv)}
 
 

@@ -22,7 +22,11 @@ _DOT_MARGIN = 6.0
 
 def draw_example(comparison: Comparison, seed: int) -> list[Picture]:
     """Draw what the image of a linked run showed, what was measured, and the errors of place and thickness."""
-    name, rows, cols = _NAMES[comparison.headline], comparison.linked["y"].values, comparison.linked["x"].values
+    name, rows, cols = (
+        _NAMES[comparison.headline],
+        comparison.linked["y"].values,
+        comparison.linked["x"].values,
+    )
     image = comparison.linked["image"].values.astype(np.float64)
     measured_map = comparison.linked_values(comparison.headline)
     error_map = measured_map - comparison.pixel_thickness(comparison.headline, *comparison.true_uv)
@@ -35,29 +39,43 @@ def draw_example(comparison: Comparison, seed: int) -> list[Picture]:
         pictures.append(canvas.picture(title=title, caption=caption))
 
     draw(
-        image, limits(valid, GREYS, percent=0.2), "The image of one specimen",
-        f"Seed {seed}; pixels of {plain(round(pitch(comparison.linked)[1], 4))}.", label="",
-    )  # fmt: skip
+        image,
+        limits(valid, GREYS, percent=0.2),
+        "The image of one specimen",
+        f"Seed {seed}; pixels of {plain(round(pitch(comparison.linked)[1], 4))}.",
+        label="",
+    )
     draw(
-        measured_map, limits(measured_map), f"Measured {name}",
-        "On the image's pixels; grey is not valid: holes with their rims, and what lies beside the volume.",
-    )  # fmt: skip
+        measured_map,
+        limits(measured_map),
+        f"Measured {name}",
+        "On the image's pixels; grey is not valid: holes with their rims, and what lies beside the"
+        " volume.",
+    )
     draw(
-        comparison.place_error_um, Scale(0.0, max(largest_error, 1e-6), ERROR), "Error of place",
-        "Distance in the sheet between the material that a pixel shows and the one whose thickness it was given; "
-        f"99.9 % of the pixels are below {length(largest_error)}.",
-    )  # fmt: skip
+        comparison.place_error_um,
+        Scale(0.0, max(largest_error, 1e-6), ERROR),
+        "Error of place",
+        "Distance in the sheet between the material that a pixel shows and the one whose thickness"
+        f" it was given; 99.9 % of the pixels are below {length(largest_error)}.",
+    )
     draw(
-        error_map, limits(error_map, SIGNED, symmetric=True), f"Error of the {name}",
+        error_map,
+        limits(error_map, SIGNED, symmetric=True),
+        f"Error of the {name}",
         f"Measured minus true; {length(mean_of(error_map))} in the mean.",
-    )  # fmt: skip
+    )
     return pictures
 
 
 def draw_expected(entries: Sequence[Entry]) -> Picture | None:
     """Draw the true error of registration over the one that each run expects; None without a pair of them."""
-    error_pairs = [(entry.values.get("predicted_rms"), entry.values.get("tre_rms")) for entry in entries]
-    pairs = np.array([pair for pair in error_pairs if None not in pair], dtype=np.float64).reshape(-1, 2)
+    error_pairs = [
+        (entry.values.get("predicted_rms"), entry.values.get("tre_rms")) for entry in entries
+    ]
+    pairs = np.array([pair for pair in error_pairs if None not in pair], dtype=np.float64).reshape(
+        -1, 2
+    )
     if not pairs.size:
         return None
     high = 1.15 * float(pairs.max())
@@ -70,10 +88,12 @@ def draw_expected(entries: Sequence[Entry]) -> Picture | None:
     expected, true = np.mean(pairs**2, axis=0)
     return canvas.picture(
         title="True against expected error of registration",
-        caption=f"rms over the pixels, one point a specimen (n = {len(pairs)}). On the line a run knows how good it "
-        "is; the band is 0.8 to 1.25 times. Above it a run is too sure of itself: its marks cannot know what is off "
-        f"between them. Over all specimens the true error is {number(float(np.sqrt(true / expected)), 2)} times the "
-        "expected one.",
+        caption=(
+            f"rms over the pixels, one point a specimen (n = {len(pairs)}). On the line a run knows"
+            " how good it is; the band is 0.8 to 1.25 times. Above it a run is too sure of itself:"
+            " its marks cannot know what is off between them. Over all specimens the true error is"
+            f" {number(float(np.sqrt(true / expected)), 2)} times the expected one."
+        ),
     )
 
 
@@ -87,20 +107,32 @@ def dots(seed_values: Sequence[float], bound: float | None) -> str:
     span = (high - low) or 1.0
 
     def tick(value: float, top: float, style: str) -> str:
-        return f'<line x1="{x_of(value)}" x2="{x_of(value)}" y1="{top:g}" y2="{height - top:g}" {style}/>'
+        return (
+            f'<line x1="{x_of(value)}" x2="{x_of(value)}" y1="{top:g}" y2="{height - top:g}"'
+            f" {style}/>"
+        )
 
     def x_of(value: float) -> str:
         return f"{_DOT_MARGIN + (value - low) / span * (width - 2 * _DOT_MARGIN):.1f}"
 
     middle = height / 2
     elements = [
-        f'<line x1="{_DOT_MARGIN}" x2="{width - _DOT_MARGIN}" y1="{middle}" y2="{middle}" stroke="{FAINT}"/>',
+        (
+            f'<line x1="{_DOT_MARGIN}" x2="{width - _DOT_MARGIN}" y1="{middle}" y2="{middle}"'
+            f' stroke="{FAINT}"/>'
+        ),
         tick(0.0, 3, f'stroke="{SOFT}"'),
         *(tick(limit, 1, f'stroke="{ACCENT}" stroke-width="2"') for limit in bounds),
-        *(f'<circle cx="{x_of(v)}" cy="{middle}" r="3.2" fill="{INK}" fill-opacity="0.55"/>' for v in seed_values),
+        *(
+            f'<circle cx="{x_of(v)}" cy="{middle}" r="3.2" fill="{INK}" fill-opacity="0.55"/>'
+            for v in seed_values
+        ),
     ]
     size = f'width="{width:g}" height="{height:g}" viewBox="0 0 {width:g} {height:g}"'
-    return f'<svg {size} role="img" aria-label="{len(seed_values)} specimens">{"".join(elements)}</svg>'
+    return (
+        f'<svg {size} role="img" aria-label="{len(seed_values)}'
+        f' specimens">{"".join(elements)}</svg>'
+    )
 
 
 def render_page(certificate: Certificate, table: Sensitivity | None = None) -> str:
@@ -109,12 +141,25 @@ def render_page(certificate: Certificate, table: Sensitivity | None = None) -> s
     for row in table.rows if table is not None else ():
         # Three times the baseline is the darkest cell of the heat table.
         shades = {stage: min(1.0, row.growth.get(stage, 0.0) / 3.0) for stage in row.added}
-        heat_rows.append([(f"{shade:.3f}", row.suffers == stage) for stage, shade in shades.items()])
+        heat_rows.append(
+            [(f"{shade:.3f}", row.suffers == stage) for stage, shade in shades.items()]
+        )
     scenario, entries = certificate.scenario, certificate.entries
     page = template("planish.validate", "certificate.html.j2").render(
-        certificate=certificate, scenario=scenario, params=scenario.params(0), lines=certificate.lines(), table=table,
-        heat=heat_rows, tables=tables, dots=dots, stages=STAGES, described=FIGURES, presets=PRESETS,
-        version=__version__, nuisances=[NUISANCES[name].title for name in scenario.active],
-        expected=draw_expected(entries), pictures=next((entry.pictures for entry in entries if entry.pictures), ()),
-    )  # fmt: skip
+        certificate=certificate,
+        scenario=scenario,
+        params=scenario.params(0),
+        lines=certificate.lines(),
+        table=table,
+        heat=heat_rows,
+        tables=tables,
+        dots=dots,
+        stages=STAGES,
+        described=FIGURES,
+        presets=PRESETS,
+        version=__version__,
+        nuisances=[NUISANCES[name].title for name in scenario.active],
+        expected=draw_expected(entries),
+        pictures=next((entry.pictures for entry in entries if entry.pictures), ()),
+    )
     return f"{page}\n"

@@ -6,7 +6,14 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Self
 
-from pydantic import Field, TypeAdapter, ValidationError, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    Field,
+    TypeAdapter,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from planish.core.errors import FileError, InputError
 from planish.core.options import Params
@@ -15,8 +22,11 @@ from planish.run.study import Study
 from planish.synthetic.params import SIZES_UM, SpecimenParams, draw_params
 from planish.synthetic.presets import NUISANCES, PRESETS, nuisances_of, with_only
 
-_KINDS = (("bias", "mean error", "mean"), ("rmse", "rms error", "root mean square"),
-          ("p95", "95 % error", "95th percentile of the absolute value"))  # fmt: skip
+_KINDS = (
+    ("bias", "mean error", "mean"),
+    ("rmse", "rms error", "root mean square"),
+    ("p95", "95 % error", "95th percentile of the absolute value"),
+)
 
 Values = dict[str, float | None]  # figure name -> value; None where a run has no such thing
 
@@ -36,7 +46,9 @@ class Figure(NamedTuple):
 def _figures(stage: str, table: dict[str, Any]) -> Iterator[Figure]:
     for stem, (quantity, sentence) in table.get("errors", {}).items():
         for statistic, title, mean in _KINDS:
-            yield Figure(f"{stem}_{statistic}", stage, "um", f"{quantity}, {title}", f"{mean} of {sentence}")
+            yield Figure(
+                f"{stem}_{statistic}", stage, "um", f"{quantity}, {title}", f"{mean} of {sentence}"
+            )
     for name, row in table.get("figures", {}).items():
         yield Figure(name, stage, *row)
 
@@ -44,7 +56,9 @@ def _figures(stage: str, table: dict[str, Any]) -> Iterator[Figure]:
 _TABLES = tomllib.loads(Path(__file__).with_name("figures.toml").read_text(encoding="utf-8"))
 STAGES: dict[str, str] = {stage: table["title"] for stage, table in _TABLES.items()}
 """Stages of the ledger and their titles."""
-KEYS: dict[str, list[str]] = {stage: table["key"] for stage, table in _TABLES.items() if "key" in table}
+KEYS: dict[str, list[str]] = {
+    stage: table["key"] for stage, table in _TABLES.items() if "key" in table
+}
 FIGURES: dict[str, Figure] = {
     figure.name: figure for stage, table in _TABLES.items() for figure in _figures(stage, table)
 }
@@ -65,8 +79,10 @@ PAIR = ("first", "second")  # names of the two layers of a pair
 _FOLDER = Path(__file__).with_name("scenarios")
 # Field -> the names that it may hold, and what they are
 _KNOWN: dict[str, tuple[Mapping[str, Any], str]] = {
-    "preset": (PRESETS, "paper"), "nuisances": (NUISANCES, "nuisance"), "limits": (FIGURES, "figure"),
-}  # fmt: skip
+    "preset": (PRESETS, "paper"),
+    "nuisances": (NUISANCES, "nuisance"),
+    "limits": (FIGURES, "figure"),
+}
 
 
 class Limit(Params, populate_by_name=True):
@@ -89,7 +105,9 @@ class Limit(Params, populate_by_name=True):
 
     def met(self, value: float | None) -> bool:
         """Return True if a value keeps the limit; False for one that could not be measured."""
-        return value is not None and (value >= self.bound if self.limit is None else abs(value) <= self.bound)
+        return value is not None and (
+            value >= self.bound if self.limit is None else abs(value) <= self.bound
+        )
 
     def worst(self, values: list[float]) -> float:
         """The value that is nearest to missing the limit, or furthest beyond it."""
@@ -115,7 +133,8 @@ class Scenario(Params):
     size: Literal["T0", "T1", "T2"] | tuple[Length, Length] = "T1"
     instrument: Instrument = "stack"  # {"stack", "scanner", "sections"}
     seeds: Annotated[int, Field(ge=1, le=1000)] = 3  # how many specimens, seeds 0 to seeds - 1
-    nuisances: Literal["all", "none"] | tuple[str, ...] = ALL  # of :data:`planish.synthetic.presets.NUISANCES`
+    # Of :data:`planish.synthetic.presets.NUISANCES`.
+    nuisances: Literal["all", "none"] | tuple[str, ...] = ALL
     # Whether every parameter is drawn by the seed, over the ranges of :data:`planish.synthetic.params.RANGES`.
     drawn: bool = False
     # Whether a run may also end with a warning of its own: then the limits hold for those that do not.
@@ -124,7 +143,8 @@ class Scenario(Params):
     # Fields of SpecimenParams that differ from their defaults; nested as they are there.
     specimen: dict[str, Any] = Field({})
     second: Second | None = None  # the other instrument of a pair, which is the reference
-    study: dict[str, dict[str, Any]] = Field({})  # groups of options that differ from their defaults
+    # Groups of options that differ from their defaults.
+    study: dict[str, dict[str, Any]] = Field({})
     limits: dict[str, Limit] = Field({})
 
     @field_validator(*_KNOWN)
@@ -133,7 +153,9 @@ class Scenario(Params):
         choices, noun = _KNOWN[str(info.field_name)]
         for name in () if value in (ALL, NONE) else (value,) if isinstance(value, str) else value:
             if name not in choices:
-                raise ValueError(f"there is no {noun} {name!r}; known are {', '.join(sorted(choices))}")
+                raise ValueError(
+                    f"there is no {noun} {name!r}; known are {', '.join(sorted(choices))}"
+                )
         return value
 
     @model_validator(mode="after")
@@ -145,32 +167,44 @@ class Scenario(Params):
         except ValidationError as error:
             raise ValueError("; ".join(model_faults(error, ("specimen",)))) from error
         try:
-            self.study_of([("volume", "z")] * (2 if self.second else 1), None if self.second else "image")
+            self.study_of(
+                [("volume", "z")] * (2 if self.second else 1), None if self.second else "image"
+            )
         except ValidationError as error:
             raise ValueError("; ".join(model_faults(error, ("study",)))) from error
         return self
 
-    def study_of(self, volumes: Sequence[tuple[Path | str, str]], image: Path | str | None) -> Study:
+    def study_of(
+        self, volumes: Sequence[tuple[Path | str, str]], image: Path | str | None
+    ) -> Study:
         """Study of the files of a specimen: what a user would give on the command line.
 
         ``volumes`` are paths with the axis that runs through the sheet; of a pair, that of the reference is the last.
         All files state their voxel size, so that none is given.
         """
         tables = _merged({"correlate": {"point_um": self.point_um}}, self.study)
-        sheet = {name: tables.pop(name, {}) for name in ("volume", "surface", "properties", "flatten")}
+        sheet = {
+            name: tables.pop(name, {}) for name in ("volume", "surface", "properties", "flatten")
+        }
         layers: list[dict[str, Any]] = [
             {"name": name} | _merged({"volume": {"path": str(path), "through": through}}, sheet)
-            for name, (path, through) in zip(PAIR if self.second else ("sheet",), volumes, strict=True)
+            for name, (path, through) in zip(
+                PAIR if self.second else ("sheet",), volumes, strict=True
+            )
         ]
         if image is not None:
-            layers.append({"name": "image", "image": {"path": str(image)} | tables.pop("image", {})})
+            layers.append(
+                {"name": "image", "image": {"path": str(image)} | tables.pop("image", {})}
+            )
         return Study.model_validate({"layers": layers, **tables})
 
     def params(self, seed: int, nuisances: str | tuple[str, ...] | None = None) -> SpecimenParams:
         """Parameters of the specimen of ``seed``; ``nuisances`` replaces the scenario's own choice."""
         chosen = self.nuisances if nuisances is None else nuisances
         size = SIZES_UM[self.size] if isinstance(self.size, str) else self.size
-        params = amended(SpecimenParams(size_um=size, paper=PRESETS[self.preset][1].as_slab()), self.specimen)
+        params = amended(
+            SpecimenParams(size_um=size, paper=PRESETS[self.preset][1].as_slab()), self.specimen
+        )
         params = replace(params, seed=params.seed + seed)
         if self.drawn:
             params = draw_params(params)
@@ -184,7 +218,9 @@ class Scenario(Params):
     @property
     def active(self) -> list[str]:
         """Names of the nuisances that are on and that the instrument can see."""
-        return nuisances_of(self.params(0), "sections" if self.instrument == "sections" else "scanner")
+        return nuisances_of(
+            self.params(0), "sections" if self.instrument == "sections" else "scanner"
+        )
 
 
 def amended(params: SpecimenParams, changes: dict[str, Any]) -> SpecimenParams:
@@ -193,7 +229,9 @@ def amended(params: SpecimenParams, changes: dict[str, Any]) -> SpecimenParams:
 
 
 def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
-    nested = [k for k, v in changes.items() if isinstance(v, dict) and isinstance(base.get(k), dict)]
+    nested = [
+        k for k, v in changes.items() if isinstance(v, dict) and isinstance(base.get(k), dict)
+    ]
     return base | changes | {k: _merged(base[k], changes[k]) for k in nested}
 
 
@@ -216,7 +254,8 @@ def read_scenario(name_or_path: str | Path) -> Scenario:
     path = _FOLDER / f"{name}.toml" if name in scenario_names() else Path(name_or_path)
     if not path.is_file():
         raise FileError(
-            f"There is no scenario {name!r}. Give one of {', '.join(scenario_names())}, or the path of a TOML file."
+            f"There is no scenario {name!r}. Give one of {', '.join(scenario_names())}, or the path"
+            " of a TOML file."
         )
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8"))

@@ -18,7 +18,8 @@ from planish.synthetic import SIZES_UM, SpecimenParams
 from planish.validate.scenario import Scenario
 
 _LEAST_UM = (1200.0, 900.0)  # lateral extent that holds enough holes
-_LEAST_HOLES, _BORDER_UM, _HOLE_UM2 = 5, 260.0, 75_000.0  # holes, their distance from the border, area for each
+# Holes, their distance from the border, area for each.
+_LEAST_HOLES, _BORDER_UM, _HOLE_UM2 = 5, 260.0, 75_000.0
 
 
 def like_run(folder: Path) -> SpecimenTemplate:
@@ -26,17 +27,33 @@ def like_run(folder: Path) -> SpecimenTemplate:
     run = open_run(folder)
     volumes = [layer for layer in run.study.layers if layer.kind == "volume"]
     if len(volumes) != 1 or "surfaces" not in run.groups:
-        raise InputError(f"{folder} does not hold the map of one volume. Give a run of planish map, or of one volume.")
-    tables = {"surface": volumes[0].surface, "flatten": volumes[0].flatten, "holes": run.study.holes}
+        raise InputError(
+            f"{folder} does not hold the map of one volume. Give a run of planish map, or of one"
+            " volume."
+        )
+    tables = {
+        "surface": volumes[0].surface,
+        "flatten": volumes[0].flatten,
+        "holes": run.study.holes,
+    }
     tables |= {"registration": run.study.registration, "correlate": run.study.correlate}
     excluded_options = {"marks", "design", "sheet_grey", "seed_um", "labels"}
     template = SpecimenTemplate(run)
     template.study = {
-        k: model.model_dump(mode="json", exclude_none=True, exclude=excluded_options) for k, model in tables.items()
+        k: model.model_dump(mode="json", exclude_none=True, exclude=excluded_options)
+        for k, model in tables.items()
     }
-    for read_section in (template.scan, template.paper, template.warp, template.camera, template.holes):
+    for read_section in (
+        template.scan,
+        template.paper,
+        template.warp,
+        template.camera,
+        template.holes,
+    ):
         read_section()
-    template.assumed.append("Fringes, cupping, rings and streaks of a scanner cannot be read from a run: they are off.")
+    template.assumed.append(
+        "Fringes, cupping, rings and streaks of a scanner cannot be read from a run: they are off."
+    )
     return template
 
 
@@ -49,30 +66,44 @@ class SpecimenTemplate:
         self.study: dict[str, dict[str, Any]] = {}
         self.derived: list[str] = []  # sentences, as those assumed
         self.assumed: list[str] = []
-        self.layer, self.sheet = next((layer, layer.sheet) for layer in run.results.layers if layer.sheet is not None)
+        self.layer, self.sheet = next(
+            (layer, layer.sheet) for layer in run.results.layers if layer.sheet is not None
+        )
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Sentences on what was taken from the run and what was assumed."""
-        return (*(f"Taken: {note}" for note in self.derived), *(f"Assumed: {note}" for note in self.assumed))
+        return (
+            *(f"Taken: {note}" for note in self.derived),
+            *(f"Assumed: {note}" for note in self.assumed),
+        )
 
     def scenario(self, base: Scenario) -> Scenario:
         """The scenario with this paper and these instruments in place of its own; limits and seeds stay."""
         sections = ("paper", "holes", "warp", "scanner", "camera")
         specimen = {name: asdict(getattr(self.params, name)) for name in sections}
-        changes = {"instrument": "stack", "size": self.params.size_um, "specimen": specimen, "study": self.study}
+        changes = {
+            "instrument": "stack",
+            "size": self.params.size_um,
+            "specimen": specimen,
+            "study": self.study,
+        }
         name, title = f"{base.name}-like", "Specimens like the given run"
         return base.model_copy(update=changes | {"name": name, "title": title})
 
     def change(self, section: str, **values: Any) -> None:
         """Replace fields of one section of the parameters."""
-        self.params = replace(self.params, **{section: replace(getattr(self.params, section), **values)})
+        self.params = replace(
+            self.params, **{section: replace(getattr(self.params, section), **values)}
+        )
 
     def scan(self) -> None:
         """Voxel, size, blur and noise of the volume."""
         surfaces, voxel_sides = self.sheet.surfaces, self.layer.source.size_um
         voxel_um = float(np.exp(np.mean(np.log(voxel_sides))))
-        sides = dict(zip("zyx", np.multiply(self.layer.source.shape, voxel_sides).tolist(), strict=True))
+        sides = dict(
+            zip("zyx", np.multiply(self.layer.source.shape, voxel_sides).tolist(), strict=True)
+        )
         field = sides[surfaces.col_axis], sides[surfaces.row_axis]
         wide, high = np.clip(field, _LEAST_UM, SIZES_UM["T1"]).tolist()
         self.params = replace(self.params, size_um=(wide, high))
@@ -81,19 +112,31 @@ class SpecimenTemplate:
             stated = " x ".join(f"{v:.3g}" for v in voxel_sides)
             self.assumed.append(f"The voxels are {stated} um; cubes of the same volume are made.")
         if (wide, high) != field:
-            run_field, specimen_field = (f"{a / 1000:.2g} x {b / 1000:.2g} mm" for a, b in (field, (wide, high)))
-            self.assumed.append(f"The field is {run_field}; specimens of {specimen_field} are made.")
+            run_field, specimen_field = (
+                f"{a / 1000:.2g} x {b / 1000:.2g} mm" for a, b in (field, (wide, high))
+            )
+            self.assumed.append(
+                f"The field is {run_field}; specimens of {specimen_field} are made."
+            )
         self.change("scanner", voxel_um=voxel_um)
         if blur := surfaces.blur_um:
             self.change("scanner", fwhm_um=2.3548 * blur)  # of a Gaussian: 2 sqrt(2 ln 2)
-            self.derived.append(f"Blur of {blur:.2g} um (standard deviation), learnt by the surface search.")
+            self.derived.append(
+                f"Blur of {blur:.2g} um (standard deviation), learnt by the surface search."
+            )
         air, base, noise = surfaces.grey_air, surfaces.grey_base, surfaces.grey_noise
-        coating = surfaces.grey_coating_bottom if surfaces.grey_coating_top is None else surfaces.grey_coating_top
+        coating = (
+            surfaces.grey_coating_bottom
+            if surfaces.grey_coating_top is None
+            else surfaces.grey_coating_top
+        )
         bright = base if coating is None else coating
         if air is None or base is None or noise is None or bright is None or bright == air:
             return
         self.change("scanner", noise=noise / abs(bright - air))
-        self.derived.append(f"Noise of {100 * self.params.scanner.noise:.2g} % of the contrast to air.")
+        self.derived.append(
+            f"Noise of {100 * self.params.scanner.noise:.2g} % of the contrast to air."
+        )
         if coating is not None:
             dark, _, light = self.params.scanner.grey
             share = float(np.clip((base - air) / (coating - air), 0.05, 0.95))
@@ -104,16 +147,29 @@ class SpecimenTemplate:
         """Thicknesses of the layers."""
         thicknesses = self.sheet.properties
         if any(p.mean is None for p in thicknesses.values()):
-            raise InputError("The run withholds its thicknesses, because a check failed. Mend what it names first.")
+            raise InputError(
+                "The run withholds its thicknesses, because a check failed. Mend what it names"
+                " first."
+            )
         for side in ("top", "bottom"):
             coating = thicknesses.get(f"coating_{side}")
             self.change("paper", **{f"coating_{side}_um": coating.mean if coating else 0.0})
-            self.derived.append(f"Coating on the {side} side: {f'{coating.mean:.3g} um' if coating else 'none'}.")
-        top, base = thicknesses.get("coating_top"), thicknesses.get("base_thickness") or thicknesses["thickness"]
+            self.derived.append(
+                f"Coating on the {side} side: {f'{coating.mean:.3g} um' if coating else 'none'}."
+            )
+        top, base = (
+            thicknesses.get("coating_top"),
+            thicknesses.get("base_thickness") or thicknesses["thickness"],
+        )
         self.change("paper", coating_sd_um=top.sd if top else 0.0, base_um=base.mean)
         self.derived.append(f"Base paper of {base.mean:.3g} um.")
-        self.assumed.append("The coating's spread holds its error of measurement: specimens are a little too uneven.")
-        self.assumed.append("Roughness, formation and densities are those of a wood-free coated paper.")
+        self.assumed.append(
+            "The coating's spread holds its error of measurement: specimens are a little too"
+            " uneven."
+        )
+        self.assumed.append(
+            "Roughness, formation and densities are those of a wood-free coated paper."
+        )
 
     def warp(self) -> None:
         """Steepest slope, direction and wavelength of the centre surface."""
@@ -121,37 +177,54 @@ class SpecimenTemplate:
         steps = pitch(surfaces)
         # The slopes of the warp are those of the centre surface over 300 um.
         strides = [max(1, int(300.0 / 4 / p)) for p in steps]
-        centre = np.asarray(surfaces["centre"].values[:: strides[0], :: strides[1]], dtype=np.float64)
+        centre = np.asarray(
+            surfaces["centre"].values[:: strides[0], :: strides[1]], dtype=np.float64
+        )
         if min(centre.shape) < 3:
-            raise InputError("The field of the run is too small to measure how the sheet is bent. Give a larger one.")
-        dz_dy, dz_dx = (np.gradient(centre, e * p, axis=i) for i, (e, p) in enumerate(zip(strides, steps, strict=True)))
+            raise InputError(
+                "The field of the run is too small to measure how the sheet is bent. Give a larger"
+                " one."
+            )
+        dz_dy, dz_dx = (
+            np.gradient(centre, e * p, axis=i)
+            for i, (e, p) in enumerate(zip(strides, steps, strict=True))
+        )
         is_finite = np.isfinite(dz_dy) & np.isfinite(dz_dx)
         if np.count_nonzero(is_finite) < 10:
             raise InputError(
-                "The run holds almost no centre surface. Check its report before making specimens like it."
+                "The run holds almost no centre surface. Check its report before making specimens"
+                " like it."
             )
         slopes = np.stack([dz_dx[is_finite], dz_dy[is_finite]], axis=1)
         slopes -= slopes.mean(axis=0)  # a tilt of the whole sheet makes it no harder to flatten
         _, directions = np.linalg.eigh(slopes.T @ slopes)
         ruled_slopes, cross_slopes = slopes @ directions[:, 1], slopes @ directions[:, 0]
-        steepest_slope = float(np.percentile(np.abs(ruled_slopes), 95))  # of a sine, 0.997 of the steepest
+        # Of a sine, 0.997 of the steepest.
+        steepest_slope = float(np.percentile(np.abs(ruled_slopes), 95))
         if Frame.of(surfaces).mirrored:
             directions = directions * np.array([[-1.0], [1.0]])
         ruling = (float(np.rad2deg(np.arctan2(*directions[::-1, 1]))) + 90.0) % 180.0 - 90.0
         wavelength_um = _wavelength(centre, strides, steps, steepest_slope)
         self.change("warp", slope=steepest_slope, wavelength_um=wavelength_um, ruling_deg=ruling)
         self.derived.append(
-            f"Slopes of up to {steepest_slope:.2g} (95 %), rolled along {ruling:.0f} degrees, waves of "
-            f"{wavelength_um:.0f} um."
+            f"Slopes of up to {steepest_slope:.2g} (95 %), rolled along {ruling:.0f} degrees, waves"
+            f" of {wavelength_um:.0f} um."
         )
-        share = float(np.sqrt(np.mean(cross_slopes**2) / max(float(np.mean(ruled_slopes**2)), 1e-12)))
+        share = float(
+            np.sqrt(np.mean(cross_slopes**2) / max(float(np.mean(ruled_slopes**2)), 1e-12))
+        )
         self.assumed.append(
-            f"The sheet is bent in one direction only; across it the slopes are {share:.2g} times as large."
+            f"The sheet is bent in one direction only; across it the slopes are {share:.2g} times"
+            " as large."
         )
-        spans = [[np.ptp(_finite(flat[f"{view}{a}"].values)) for view in ("", "projected_")] for a in "uv"]
+        spans = [
+            [np.ptp(_finite(flat[f"{view}{a}"].values)) for view in ("", "projected_")]
+            for a in "uv"
+        ]
         growth_um = [float(flattened - projected) for flattened, projected in spans]
         self.derived.append(
-            f"For comparison: flattening made the run's sheet longer by {growth_um[0]:.0f} x {growth_um[1]:.0f} um."
+            f"For comparison: flattening made the run's sheet longer by {growth_um[0]:.0f} x"
+            f" {growth_um[1]:.0f} um."
         )
 
     def camera(self) -> None:
@@ -159,39 +232,73 @@ class SpecimenTemplate:
         results = self.run.results
         registration = self.layer.registration
         if registration is None or results.reference.kind != "image":
-            self.assumed.append(f"The run has no image: one with pixels of {self.params.camera.pixel_um:g} um is made.")
+            self.assumed.append(
+                f"The run has no image: one with pixels of {self.params.camera.pixel_um:g} um is"
+                " made."
+            )
             return
-        pixel_um, turn_deg = float(np.sqrt(np.prod(results.reference.source.size_um))), registration.rotation_deg
+        pixel_um, turn_deg = (
+            float(np.sqrt(np.prod(results.reference.source.size_um))),
+            registration.rotation_deg,
+        )
         scale_range = abs(registration.scale - 1.0)
         self.derived.append(f"Image pixels of {pixel_um:.3g} um, turned by {turn_deg:.1f} degrees.")
-        self.change("camera", pixel_um=pixel_um, turn_deg=turn_deg, turn_range_deg=0.0, scale_range=scale_range)
-        rows = (row for row in results.correlations if row.a_map == self.layer.headline and row.point_um > 50)
+        self.change(
+            "camera",
+            pixel_um=pixel_um,
+            turn_deg=turn_deg,
+            turn_range_deg=0.0,
+            scale_range=scale_range,
+        )
+        rows = (
+            row
+            for row in results.correlations
+            if row.a_map == self.layer.headline and row.point_um > 50
+        )
         r2 = next((row.r2 for row in rows), None)
         if r2 is not None and 0.01 < r2 < 0.99:
             self.change("camera", oracle_r2=r2)
-            self.derived.append(f"The image follows the coating with r2 = {r2:.2g} at larger points.")
-            self.assumed.append("That r2 is taken as the true one; measuring errors make it a little too low.")
+            self.derived.append(
+                f"The image follows the coating with r2 = {r2:.2g} at larger points."
+            )
+            self.assumed.append(
+                "That r2 is taken as the true one; measuring errors make it a little too low."
+            )
 
     def holes(self) -> None:
         """Number and diameter of the holes that the run's image shows."""
         width, height = self.params.size_um
-        most_holes = max(_LEAST_HOLES, int((width - 2 * _BORDER_UM) * (height - 2 * _BORDER_UM) / _HOLE_UM2))
+        most_holes = max(
+            _LEAST_HOLES, int((width - 2 * _BORDER_UM) * (height - 2 * _BORDER_UM) / _HOLE_UM2)
+        )
         diameters_um, hole_um = np.empty(0), self.run.study.holes.hole_um
         if (linked := self.run.groups.get("linked")) is not None:
-            holes = find_holes(np.asarray(linked["image"].values), pixel_um=pitch(linked), diameter_um=hole_um)
+            holes = find_holes(
+                np.asarray(linked["image"].values), pixel_um=pitch(linked), diameter_um=hole_um
+            )
             diameters_um = np.asarray(holes["diameter"].values, dtype=np.float64)
         if diameters_um.size > 1:
             median_um, sd_um = float(np.median(diameters_um)), float(diameters_um.std(ddof=1))
             self.change("holes", diameter_um=median_um, diameter_sd_um=sd_um)
-            self.derived.append(f"{diameters_um.size} holes of {median_um:.0f} um, as the image shows them.")
+            self.derived.append(
+                f"{diameters_um.size} holes of {median_um:.0f} um, as the image shows them."
+            )
         else:
-            self.assumed.append(f"Holes of {self.params.holes.diameter_um:.3g} um: the image of the run shows none.")
-        count = min(max(_LEAST_HOLES, diameters_um.size if diameters_um.size > 1 else 0), most_holes)
+            self.assumed.append(
+                f"Holes of {self.params.holes.diameter_um:.3g} um: the image of the run shows none."
+            )
+        count = min(
+            max(_LEAST_HOLES, diameters_um.size if diameters_um.size > 1 else 0), most_holes
+        )
         self.change("holes", pattern="irregular", count=count)
-        self.assumed.append(f"{count} holes are scattered over each specimen, and not where they are in the run.")
+        self.assumed.append(
+            f"{count} holes are scattered over each specimen, and not where they are in the run."
+        )
 
 
-def _wavelength(centre: Floats, strides: list[int], steps: tuple[float, float], slope: float) -> float:
+def _wavelength(
+    centre: Floats, strides: list[int], steps: tuple[float, float], slope: float
+) -> float:
     """Wavelength of a sine with this steepest slope and the height of the centre surface: 2 pi A / slope."""
     heights = _finite(centre)
     y, x = np.indices(centre.shape)[:, np.isfinite(centre)]

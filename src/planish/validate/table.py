@@ -15,29 +15,45 @@ NONE = "-"
 STATES = {None: "", True: "met", False: "missed"}
 COLUMNS = ("", "unit", "mean", "sd", "worst", "limit", "")
 _SHORT = {
-    "sections": "poses", "surfaces": "surface", "thickness": "thick", "flattening": "flat", "registration": "register",
+    "sections": "poses",
+    "surfaces": "surface",
+    "thickness": "thick",
+    "flattening": "flat",
+    "registration": "register",
     "resampling": "resample",
-}  # fmt: skip
+}
 _VERDICTS = {
-    "line": "On specimens like these a point of the map is off by {tre_median} (median), {tre_p95} (95 %).",
-    "pair": "Two volumes of one sheet, linked through their maps: a point is off by {pair_median} (median), "
-    "{pair_p95} (95 %).",
+    "line": (
+        "On specimens like these a point of the map is off by {tre_median} (median), {tre_p95}"
+        " (95 %)."
+    ),
+    "pair": (
+        "Two volumes of one sheet, linked through their maps: a point is off by {pair_median}"
+        " (median), {pair_p95} (95 %)."
+    ),
 }
 _THICKNESSES = {
-    "pixel_coating_top_rmse": "the coating's thickness", "pixel_base_thickness_rmse": "that of the base paper",
+    "pixel_coating_top_rmse": "the coating's thickness",
+    "pixel_base_thickness_rmse": "that of the base paper",
     "pixel_thickness_rmse": "that of the sheet",
-}  # fmt: skip
+}
 
 
 def by_stage(certificate: Certificate) -> list[tuple[str, list[LedgerLine]]]:
     """All figures by the title of their stage, in the order of the line, also those that no specimen has."""
     lines = certificate.lines().values()
-    return [(STAGES[stage], list(group)) for stage, group in groupby(lines, key=lambda line: line.figure.stage)]
+    return [
+        (STAGES[stage], list(group))
+        for stage, group in groupby(lines, key=lambda line: line.figure.stage)
+    ]
 
 
 def cells(line: LedgerLine) -> tuple[str, ...]:
     """Title, unit, mean, standard deviation, worst value, limit and its state, as they are written."""
-    numbers = (NONE if v is None else number(v, n) for v, n in ((line.mean, 3), (line.sd, 2), (line.worst, 3)))
+    numbers = (
+        NONE if v is None else number(v, n)
+        for v, n in ((line.mean, 3), (line.sd, 2), (line.worst, 3))
+    )
     return line.figure.title, unit(line.figure.unit), *numbers, limit_text(line), STATES[line.met]
 
 
@@ -56,12 +72,21 @@ def sensitivity_rows(table: Sensitivity) -> tuple[tuple[str, ...], list[tuple[st
     """Column titles and rows: what each nuisance adds to the key figure of each stage, and where it comes in."""
 
     def write(values: Values) -> list[str]:
-        return [fixed(values[s], 4 if FIGURES[name].unit == "1" else 2) for s, name in table.keys.items()]
+        return [
+            fixed(values[s], 4 if FIGURES[name].unit == "1" else 2)
+            for s, name in table.keys.items()
+        ]
 
     rows = [("no nuisance", *write(dict(table.quiet)), "")]
     for row in table.rows:
         added_cells = ["refused"] * len(table.keys) if row.refusal else write(row.added)
-        rows.append((NUISANCES[row.nuisance].title, *added_cells, STAGES[row.suffers] if row.suffers else NONE))
+        rows.append(
+            (
+                NUISANCES[row.nuisance].title,
+                *added_cells,
+                STAGES[row.suffers] if row.suffers else NONE,
+            )
+        )
     rows.append(("all together", *write(table.loud), ""))
     rows.append(("sum / all", *(number(table.ratio[s], 2) for s in table.keys), ""))
     heading = ("", *(_SHORT.get(s, s) for s in table.keys), "suffers")
@@ -70,24 +95,45 @@ def sensitivity_rows(table: Sensitivity) -> tuple[tuple[str, ...], list[tuple[st
 
 def markdown(certificate: Certificate, table: Sensitivity | None = None) -> str:
     """The certificate as a section of Markdown."""
-    lines = [f"## {certificate.scenario.title}", "", f"{verdict(certificate)} {summary(certificate)}", ""]
+    lines = [
+        f"## {certificate.scenario.title}",
+        "",
+        f"{verdict(certificate)} {summary(certificate)}",
+        "",
+    ]
     note_lines = [f"- {note}" for note in certificate.notes]
-    outcome_lines = [f"- Seed {entry.seed}: {entry.refusal}" for entry in certificate.entries if entry.refusal]
+    outcome_lines = [
+        f"- Seed {entry.seed}: {entry.refusal}" for entry in certificate.entries if entry.refusal
+    ]
     outcome_lines += [
-        f"- Seed {entry.seed}, failed: {check}" for entry in certificate.entries for check in entry.failed
+        f"- Seed {entry.seed}, failed: {check}"
+        for entry in certificate.entries
+        for check in entry.failed
     ]
     for bullet_lines in (note_lines, outcome_lines):
         lines += [*bullet_lines, ""] if bullet_lines else []
-    lines += ["| Stage | Figure | Unit | Mean | sd | Worst | Limit | |", "|---|---|---|---:|---:|---:|---:|---|"]
+    lines += [
+        "| Stage | Figure | Unit | Mean | sd | Worst | Limit | |",
+        "|---|---|---|---:|---:|---:|---:|---|",
+    ]
     for stage, group in by_stage(certificate):
         for k, line in enumerate(group):
             *row, limit, state = cells(line)
             source = f" ({line.limit.source})" if line.limit and line.limit.source else ""
-            row_cells = ("" if k else stage, *row, limit + source, f"**{state}**" if line.met is False else state)
+            row_cells = (
+                "" if k else stage,
+                *row,
+                limit + source,
+                f"**{state}**" if line.met is False else state,
+            )
             lines.append(f"| {' | '.join(row_cells)} |")
     if table is not None:
         heading, rows = sensitivity_rows(table)
-        lines += ["", "What each nuisance alone adds to the key figure of each stage, in squares:", ""]
+        lines += [
+            "",
+            "What each nuisance alone adds to the key figure of each stage, in squares:",
+            "",
+        ]
         lines += [f"| {' | '.join(heading)} |", "|---|" + "---:|" * (len(heading) - 2) + "---|"]
         lines += [f"| {' | '.join(row)} |" for row in rows]
         lines += ["", *(f"- {sum_sentence(stage, table)}" for stage in table.keys)]
@@ -106,24 +152,47 @@ def as_json(certificate: Certificate, table: Sensitivity | None = None) -> dict[
         "passed": certificate.passed,
         "notes": list(certificate.notes),
         "figures": {
-            name: {key: getattr(line.figure, key) for key in ("stage", "unit", "title", "sentence")}
-            | {"mean": line.mean, "sd": line.sd or 0.0, "worst": line.worst, "n": len(line.measured)}
+            name: (
+                {key: getattr(line.figure, key) for key in ("stage", "unit", "title", "sentence")}
+                | {
+                    "mean": line.mean,
+                    "sd": line.sd or 0.0,
+                    "worst": line.worst,
+                    "n": len(line.measured),
+                }
+            )
             for name, line in lines.items()
             if line.measured
         },
         "limits": [
-            {"name": name, "value": lines[name].worst, "met": lines[name].met, **limit.model_dump(**options)}
+            {
+                "name": name,
+                "value": lines[name].worst,
+                "met": lines[name].met,
+                **limit.model_dump(**options),
+            }
             for name, limit in certificate.scenario.limits.items()
         ],
         "seeds": [
-            {"seed": e.seed, "refusal": e.refusal, "failed": list(e.failed), "looks": list(e.looks), "values": e.values}
+            {
+                "seed": e.seed,
+                "refusal": e.refusal,
+                "failed": list(e.failed),
+                "looks": list(e.looks),
+                "values": e.values,
+            }
             for e in certificate.entries
         ],
     }
     if table is not None:
         # JSON has no infinity: a sum against nothing at all has no ratio.
-        ratio = {stage: None if value == float("inf") else value for stage, value in table.ratio.items()}
-        data["sensitivity"] = asdict(table) | {"ratio": ratio, "sentences": sensitivity_sentences(table)}
+        ratio = {
+            stage: None if value == float("inf") else value for stage, value in table.ratio.items()
+        }
+        data["sensitivity"] = asdict(table) | {
+            "ratio": ratio,
+            "sentences": sensitivity_sentences(table),
+        }
     return data
 
 
@@ -133,13 +202,15 @@ def verdict(certificate: Certificate) -> str:
     means = {name: line.mean for name, line in lines.items() if line.mean is not None}
     if certificate.scenario.kind == "mesh":
         worst = [
-            abs(lines[name].worst or 0.0) for name in ("mesh_width", "mesh_height", "mesh_aspect") if name in means
+            abs(lines[name].worst or 0.0)
+            for name in ("mesh_width", "mesh_height", "mesh_aspect")
+            if name in means
         ]
         if not worst:
             return "The mesh came to no rest."
         return (
-            f"The deformed mesh of Fig. 5 comes back to its size within {percent(max(worst) / 100, 2)}, "
-            f"in {number(means['mesh_seconds'], 2)} s."
+            "The deformed mesh of Fig. 5 comes back to its size within"
+            f" {percent(max(worst) / 100, 2)}, in {number(means['mesh_seconds'], 2)} s."
         )
     if not means:
         return "The program gave no result on specimens like these."
@@ -147,11 +218,18 @@ def verdict(certificate: Certificate) -> str:
     if {"tre_median", "pair_median"} & means.keys():
         sentences.append(_VERDICTS[certificate.scenario.kind].format_map(length_texts))
     clauses = [
-        f"{thickness_name} by {length_texts[name]}" for name, thickness_name in _THICKNESSES.items() if name in means
+        f"{thickness_name} by {length_texts[name]}"
+        for name, thickness_name in _THICKNESSES.items()
+        if name in means
     ]
     if clauses:
-        sentences.append(f"At a pixel {', '.join(clauses)} (rms).".replace(" by ", " is off by ", 1))
-    return " ".join(sentences) or "The maps of specimens like these were made, but not linked to an image."
+        sentences.append(
+            f"At a pixel {', '.join(clauses)} (rms).".replace(" by ", " is off by ", 1)
+        )
+    return (
+        " ".join(sentences)
+        or "The maps of specimens like these were made, but not linked to an image."
+    )
 
 
 def summary(certificate: Certificate) -> str:
@@ -159,17 +237,25 @@ def summary(certificate: Certificate) -> str:
     entries, n = certificate.entries, len(certificate.entries)
     limits_met = [line.met for line in certificate.lines().values() if line.met is not None]
     noun = "deformation" if certificate.scenario.kind == "mesh" else "specimen"
-    refused, failed = (sum(bool(getattr(entry, field)) for entry in entries) for field in ("refusal", "failed"))
+    refused, failed = (
+        sum(bool(getattr(entry, field)) for entry in entries) for field in ("refusal", "failed")
+    )
     sentences = [f"On {refused} of {n} {noun}s the program gave no result."] if refused else []
     sentences += [f"On {failed} of {n} {noun}s a check of the run failed."] if failed else []
     missed = limits_met.count(False)
     if not limits_met:
         sentences.append("The scenario sets no limits.")
     elif missed:
-        sentences.append(f"{missed} of {len(limits_met)} limits {'is' if missed == 1 else 'are'} missed.")
+        sentences.append(
+            f"{missed} of {len(limits_met)} limits {'is' if missed == 1 else 'are'} missed."
+        )
     else:
         specimens_text = (
-            f"the {noun}s with a result" if refused else f"the one {noun}" if n == 1 else f"all {n} {noun}s"
+            f"the {noun}s with a result"
+            if refused
+            else f"the one {noun}"
+            if n == 1
+            else f"all {n} {noun}s"
         )
         sentences.append(f"All {len(limits_met)} limits are met by {specimens_text}.")
     return " ".join(sentences)
@@ -177,11 +263,15 @@ def summary(certificate: Certificate) -> str:
 
 def limit_sentence(line: LedgerLine) -> str:
     """Write one limit and whether it is met."""
-    title_text, required_text = f"{STAGES[line.figure.stage]}, {line.figure.title}", limit_text(line)
+    title_text, required_text = (
+        f"{STAGES[line.figure.stage]}, {line.figure.title}",
+        limit_text(line),
+    )
     if line.worst is None:
         return f"{title_text}: could not be measured; {required_text} is required."
     return (
-        f"{title_text}: {with_unit(line.figure, line.worst)}, {required_text} required{'' if line.met else ': missed'}."
+        f"{title_text}: {with_unit(line.figure, line.worst)}, {required_text}"
+        f" required{'' if line.met else ': missed'}."
     )
 
 
@@ -200,7 +290,10 @@ def with_unit(figure: Figure, value: float | None) -> str:
 
 def sensitivity_sentences(table: Sensitivity) -> list[str]:
     """Name the stage that each nuisance harms, then say of each stage if its single errors add up."""
-    return [*(row_sentence(row) for row in table.rows), *(sum_sentence(stage, table) for stage in table.keys)]
+    return [
+        *(row_sentence(row) for row in table.rows),
+        *(sum_sentence(stage, table) for stage in table.keys),
+    ]
 
 
 def row_sentence(row: NuisanceRow) -> str:
@@ -208,7 +301,10 @@ def row_sentence(row: NuisanceRow) -> str:
     title = NUISANCES[row.nuisance].title
     if row.refusal is not None:
         return f"{title}: the program gives no result. {row.refusal}"
-    return f"{title}: {f'{STAGES[row.suffers].lower()} suffers first' if row.suffers else 'no stage notices'}."
+    return (
+        f"{title}:"
+        f" {f'{STAGES[row.suffers].lower()} suffers first' if row.suffers else 'no stage notices'}."
+    )
 
 
 def sum_sentence(stage: str, table: Sensitivity) -> str:
@@ -217,10 +313,13 @@ def sum_sentence(stage: str, table: Sensitivity) -> str:
     if ratio is None:
         return f"{title}: all nuisances together add next to nothing."
     if not math.isfinite(ratio):
-        return f"{title}: all nuisances together add nothing, although single ones do; they do not act independently."
+        return (
+            f"{title}: all nuisances together add nothing, although single ones do; they do not act"
+            " independently."
+        )
     text = (
-        f"{title}: the single errors, summed as squares, are {number(ratio, 2)} times what all together add; they "
-        f"{'act' if names is None else 'do not act'} independently."
+        f"{title}: the single errors, summed as squares, are {number(ratio, 2)} times what all"
+        f" together add; they {'act' if names is None else 'do not act'} independently."
     )
     if not names:
         return text

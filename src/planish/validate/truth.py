@@ -20,7 +20,8 @@ from planish.validate.scenario import Values
 FACES = ("top", "interface_top", "interface_bottom", "bottom")
 # Thickness -> its outer and inner face
 THICKNESSES = {"coating_top": (0, 1), "base_thickness": (1, 2), "thickness": (0, 3)}
-FITTED = 400  # places that a similarity is fitted to: more make it no better, and their square is held in memory
+# Places that a similarity is fitted to: more make it no better, and their square is held in memory.
+FITTED = 400
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,8 @@ class Comparison:
     def columns(self) -> tuple[Ints, Ints]:
         """Rows and columns of the chosen columns."""
         rows, cols = self.surfaces["status"].shape
-        step = max(1, int(np.ceil(np.sqrt(rows * cols / 400_000))))  # more columns do not make a percentile any surer
+        # More columns do not make a percentile any surer.
+        step = max(1, int(np.ceil(np.sqrt(rows * cols / 400_000))))
         return np.arange(0, rows, step), np.arange(0, cols, step)
 
     @cached_property
@@ -66,7 +68,9 @@ class Comparison:
     @cached_property
     def material(self) -> Floats:
         """True material (rows, cols, 3) of the points of the centre surface that the run found."""
-        return self.material_at(self.places(self.at_columns(self.surfaces["centre"].values), *self.columns))
+        return self.material_at(
+            self.places(self.at_columns(self.surfaces["centre"].values), *self.columns)
+        )
 
     @cached_property
     def measured(self) -> Bools:
@@ -81,7 +85,9 @@ class Comparison:
             frame.cols: self.surfaces["x"].values[cols][None, :],
             frame.through: np.asarray(heights, dtype=np.float64),
         }
-        return np.stack([np.broadcast_to(coordinates[axis], heights.shape) for axis in ("x", "y", "z")], axis=-1)
+        return np.stack(
+            [np.broadcast_to(coordinates[axis], heights.shape) for axis in ("x", "y", "z")], axis=-1
+        )
 
     def physical_at(self, places: Floats) -> Floats:
         """Places (..., 3) in space of places in the file."""
@@ -121,7 +127,9 @@ class Comparison:
     @cached_property
     def linked_material(self) -> Floats:
         """Material (y, x, 3) at the place in the volume that the run gives for each valid pixel."""
-        places = np.stack([self.linked[f"volume_{axis}"].values for axis in ("x", "y", "z")], axis=-1)
+        places = np.stack(
+            [self.linked[f"volume_{axis}"].values for axis in ("x", "y", "z")], axis=-1
+        )
         return self.material_at(np.where(self.valid[..., None], places, np.nan))
 
     @cached_property
@@ -149,7 +157,8 @@ class Comparison:
         """
         truth, axis_offsets = self.specimen.truth, list[Floats]()
         for step in pitch(truth):
-            n = max(1, round(step / 4.0))  # of a pixel that counts as a point: the sheet holds little below
+            # Of a pixel that counts as a point: the sheet holds little below.
+            n = max(1, round(step / 4.0))
             axis_offsets.append(step * ((np.arange(n) + 0.5) / n - 0.5))
         offsets = np.stack(np.meshgrid(*axis_offsets[::-1]), axis=-1).reshape(-1, 2)
         centre = np.array([float(truth[d].values.mean()) for d in ("x", "y")])
@@ -199,4 +208,8 @@ def mean_of(errors: Floats) -> float | None:
 
 def bias_rmse_p95(stem: str, errors: Floats) -> Values:
     """``stem_bias``, ``stem_rmse`` and ``stem_p95`` of what is finite."""
-    return {f"{stem}_bias": mean_of(errors), f"{stem}_rmse": rms(errors), f"{stem}_p95": percentile(errors, 95)}
+    return {
+        f"{stem}_bias": mean_of(errors),
+        f"{stem}_rmse": rms(errors),
+        f"{stem}_p95": percentile(errors, 95),
+    }

@@ -21,14 +21,21 @@ def put(folder, run, *, volume="sheet.tif"):
     if "surfaces" in groups:
         centre, y, x = (groups["surfaces"][name].values for name in ("centre", "y", "x"))
         thickness = np.isfinite(groups["surfaces"]["thickness"].values)
-        at = {"volume_x": np.where(thickness, x[None, :], np.nan), "volume_y": np.where(thickness, y[:, None], np.nan),
-              "volume_z": np.where(thickness, centre, np.nan)}  # fmt: skip
+        at = {
+            "volume_x": np.where(thickness, x[None, :], np.nan),
+            "volume_y": np.where(thickness, y[:, None], np.nan),
+            "volume_z": np.where(thickness, centre, np.nan),
+        }
         for name in {"linked", "maps"} & set(groups):
             dims = groups[name]["thickness"].dims
-            groups[name] = groups[name].assign({k: (dims, v, {"units": "um"}) for k, v in at.items()})
+            groups[name] = groups[name].assign(
+                {k: (dims, v, {"units": "um"}) for k, v in at.items()}
+            )
     folder.mkdir(parents=True)
     (folder / "run.toml").write_text(STUDY.format(name=volume), encoding="utf-8")
-    (folder / "results.json").write_text(Results.model_validate(run["results"]).to_json(), encoding="utf-8")
+    (folder / "results.json").write_text(
+        Results.model_validate(run["results"]).to_json(), encoding="utf-8"
+    )
     write_tree(folder / "maps.zarr", groups)
     return folder
 
@@ -85,7 +92,9 @@ class Explored(HTMLParser):
 
     def unpack(self, spec):
         """Values of a packed map."""
-        codes = codes_of(self.blocks[spec["block"]], (spec["rows"], spec["cols"]), spec["bits"], spec["order"])
+        codes = codes_of(
+            self.blocks[spec["block"]], (spec["rows"], spec["cols"]), spec["bits"], spec["order"]
+        )
         values = spec["low"] + spec["step"] * (codes.astype(float) - 2)
         values[codes == 1], values[codes == 2 ** spec["bits"] - 1] = -np.inf, np.inf
         values[codes == 0] = np.nan

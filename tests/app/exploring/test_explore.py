@@ -54,7 +54,9 @@ def test_every_value_is_that_of_the_run_to_what_the_page_states(page, linked_run
         data = linked[titles[one["title"]]].values.astype(float)
         np.testing.assert_array_equal(np.isnan(found), np.isnan(data))
         inside = np.isfinite(found)
-        assert np.abs(found - data)[inside].max() <= spec["error"] * (1 + 1e-6) + 1e-4 * spec["step"]
+        assert (
+            np.abs(found - data)[inside].max() <= spec["error"] * (1 + 1e-6) + 1e-4 * spec["step"]
+        )
         assert inside.sum() >= 0.998 * np.isfinite(data).sum()
     group = page.data["groups"][0]
     np.testing.assert_array_equal(page.unpack(group["valid"]) > 0, linked["valid"].values)
@@ -62,7 +64,9 @@ def test_every_value_is_that_of_the_run_to_what_the_page_states(page, linked_run
         np.testing.assert_allclose(page.unpack(spec), linked[f"volume_{axis}"].values, atol=0.02)
 
 
-def test_leading_maps_come_first_with_the_sentence_of_the_report_and_a_picture_without_script(page, linked_run):
+def test_leading_maps_come_first_with_the_sentence_of_the_report_and_a_picture_without_script(
+    page, linked_run
+):
     report = (linked_run / "report.html").read_text(encoding="utf-8")
     [lead] = re.findall(r'<p class="lead">(.*?)</p>', report)
     assert f'<p class="lead">{lead}</p>' in page.html
@@ -74,7 +78,10 @@ def test_leading_maps_come_first_with_the_sentence_of_the_report_and_a_picture_w
     assert image["src"].startswith("data:image/")
     assert image["alt"] == "Coating thickness, top side, as a picture"
     assert ("div", {"class": "desk", "id": "desk", "hidden": ""}) in page.elements
-    assert "Missing are the other 9 maps, the cursor with its values, the scatter and the slices." in page.words
+    assert (
+        "Missing are the other 9 maps, the cursor with its values, the scatter and the slices."
+        in page.words
+    )
     assert "Firefox 113" in page.words
 
 
@@ -86,7 +93,10 @@ def test_slices_are_every_second_row_with_the_faces_of_the_run(page, linked_run)
     np.testing.assert_allclose(stack["at"], surfaces["y"].values[rows[kept]])
     every = round(stack["points"][1] / 4.0)
     for name in ("top", "interface_top", "centre", "interface_bottom", "bottom"):
-        found, expected = page.unpack(stack["lines"][name]), surfaces[name].values[rows[kept]][:, ::every]
+        found, expected = (
+            page.unpack(stack["lines"][name]),
+            surfaces[name].values[rows[kept]][:, ::every],
+        )
         # Heights are written in sixteenths of a voxel of 4 um.
         np.testing.assert_allclose(found, expected, atol=0.5 * 4.0 / 16 + 0.01)
     assert stack["sign"] == 1
@@ -115,22 +125,27 @@ def test_a_picture_of_a_slice_shows_the_volume_with_its_top_up(page, specimen_fi
 # --- what it is made of ----------------------------------------------------------------------------------------
 def test_nothing_but_its_own_style_and_script_may_run_and_nothing_is_asked_of_a_server(page):
     [policy] = [
-        attrs["content"] for tag, attrs in page.elements if attrs.get("http-equiv") == "Content-Security-Policy"
+        attrs["content"]
+        for tag, attrs in page.elements
+        if attrs.get("http-equiv") == "Content-Security-Policy"
     ]
     [script] = page.running
 
     def hashed(text):
         return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
-    assert policy == (
-        f"default-src 'none'; style-src {hashed(page.style)}; script-src {hashed(script)}; img-src data: blob:; "
-        "base-uri 'none'; form-action 'none'"
+    assert (
+        policy
+        == f"default-src 'none'; style-src {hashed(page.style)}; script-src {hashed(script)};"
+        " img-src data: blob:; base-uri 'none'; form-action 'none'"
     )
     for tag, attrs in page.elements:
         assert "style" not in attrs, tag
         assert not [name for name in attrs if name.startswith("on")]
         assert all(attrs.get(name, "data:").startswith(("data:", "#")) for name in ("src", "href"))
-    assert not re.findall(r"(?:https?:)?//[a-z]|@import|url\(|\beval\b|innerHTML|Function\(", page.style + script)
+    assert not re.findall(
+        r"(?:https?:)?//[a-z]|@import|url\(|\beval\b|innerHTML|Function\(", page.style + script
+    )
 
 
 def test_the_command_says_what_it_wrote_gives_the_same_bytes_again_and_writes_neither_over_nor_into_anything(
@@ -162,18 +177,23 @@ def test_where_the_volume_is_gone_it_shows_the_slices_of_the_run_and_says_so(pla
     [stack] = page.data["stacks"]
     assert stack["at"] == [120.0, 270.0, 420.0]
     assert (
-        "3 slices across y: the 3 that the run keeps, as sheet.tif was not there unchanged when this page" in page.words
+        "3 slices across y: the 3 that the run keeps, as sheet.tif was not there unchanged when"
+        " this page" in page.words
     )
     assert str(tmp_path) not in page.html
 
 
-def test_another_file_in_the_place_of_the_volume_is_not_shown(planish, linked_run, specimen_files, tmp_path):
+def test_another_file_in_the_place_of_the_volume_is_not_shown(
+    planish, linked_run, specimen_files, tmp_path
+):
     run = tmp_path / "run"
     shutil.copytree(linked_run, run)
     volume = tifffile.imread(specimen_files[0])
     tifffile.imwrite(tmp_path / "other.tif", volume[::-1])
     text = (run / "run.toml").read_text(encoding="utf-8")
-    (run / "run.toml").write_text(re.sub(r'path = ".*volume\.tif"', 'path = "../other.tif"', text), encoding="utf-8")
+    (run / "run.toml").write_text(
+        re.sub(r'path = ".*volume\.tif"', 'path = "../other.tif"', text), encoding="utf-8"
+    )
     page = explored(planish, run, tmp_path)
     assert len(page.data["stacks"][0]["at"]) == 3
     assert "not there unchanged" in page.words
@@ -202,7 +222,9 @@ def test_several_layers_each_with_its_own_maps_and_masks(planish, tmp_path):
         expected = run["groups"][f"layers/{one['layer']}"][name].values
         np.testing.assert_allclose(page.unpack(one), expected, atol=one["error"] * 1.001)
         valid = run["groups"][f"layers/{one['layer']}"]["valid"].values
-        np.testing.assert_array_equal(page.unpack(page.data["groups"][one["group"]]["valid"]) > 0, valid)
+        np.testing.assert_array_equal(
+            page.unpack(page.data["groups"][one["group"]]["valid"]) > 0, valid
+        )
     assert page.data["stacks"] == []
     assert "No slices: the run does not say where its pixels lie in a volume." in page.words
 
@@ -211,7 +233,10 @@ def test_two_sheets_have_the_slices_of_both(planish, linked_run, tmp_path):
     run = layers()
     for name in ("before", "after"):
         data = run["groups"][f"layers/{name}"]
-        places = {f"volume_{axis}": (("y", "x"), np.add.outer(data["y"].values, data["x"].values)) for axis in "xyz"}
+        places = {
+            f"volume_{axis}": (("y", "x"), np.add.outer(data["y"].values, data["x"].values))
+            for axis in "xyz"
+        }
         run["groups"][f"layers/{name}"] = data.assign(places)
     folder = put(tmp_path / "run", run)
     shutil.copytree(linked_run, folder / "layers" / "before")
@@ -223,19 +248,37 @@ def test_two_sheets_have_the_slices_of_both(planish, linked_run, tmp_path):
 def test_what_checks_doubt_and_withhold_is_said(planish, tmp_path):
     run = a_run()
     run["results"]["checks"] += [
-        {"name": "blur of the coating", "state": "fail", "figures": ["coating_top"], "layers": ["volume"],
-         "sentence": "The coating is thinner than the blur.", "advice": "Scan it finer."},
-        {"name": "few marks", "state": "look", "figures": ["position"], "sentence": "3 marks only."},
-    ]  # fmt: skip
+        {
+            "name": "blur of the coating",
+            "state": "fail",
+            "figures": ["coating_top"],
+            "layers": ["volume"],
+            "sentence": "The coating is thinner than the blur.",
+            "advice": "Scan it finer.",
+        },
+        {
+            "name": "few marks",
+            "state": "look",
+            "figures": ["position"],
+            "sentence": "3 marks only.",
+        },
+    ]
     page = explored(planish, put(tmp_path / "run", run), tmp_path)
     assert [one["trust"] for one in page.data["maps"]][:2] == ["withheld", "ok"]
     assert page.data["maps"][0]["why"] == ["blur of the coating"]
     pairs = {(a, b): (trust, why) for a, b, trust, why in page.data["pairs"]}
     assert pairs[0, 1] == ("withheld", ["blur of the coating"])
-    thickness = next(k for k, one in enumerate(page.data["maps"]) if one["title"] == "Sheet thickness")
+    thickness = next(
+        k for k, one in enumerate(page.data["maps"]) if one["title"] == "Sheet thickness"
+    )
     assert pairs[1, thickness] == ("doubtful", ["few marks"])
-    for words in ("1 failed", "The coating is thinner than the blur.", "Scan it finer.",
-                  "3 marks only.", "withheld; see the checks"):  # fmt: skip
+    for words in (
+        "1 failed",
+        "The coating is thinner than the blur.",
+        "Scan it finer.",
+        "3 marks only.",
+        "withheld; see the checks",
+    ):
         assert words in page.words
 
 
@@ -243,7 +286,13 @@ def test_hostile_names_stay_text(planish, tmp_path):
     run = a_run()
     run["results"]["layers"][0]["source"]["name"] = HOSTILE
     run["results"]["checks"].append(
-        {"name": HOSTILE, "state": "look", "figures": ["coating_top"], "sentence": HOSTILE, "advice": HOSTILE}
+        {
+            "name": HOSTILE,
+            "state": "look",
+            "figures": ["coating_top"],
+            "sentence": HOSTILE,
+            "advice": HOSTILE,
+        }
     )
     for group in ("linked", "maps"):
         run["groups"][group]["coating_top"].attrs |= {"long_name": HOSTILE, "units": HOSTILE}
@@ -251,7 +300,8 @@ def test_hostile_names_stay_text(planish, tmp_path):
     assert (page.data["maps"][0]["title"], len(page.running)) == (HOSTILE, 1)
     assert sum(tag == "img" for tag, _ in page.elements) == 1
     assert not [name for _, attrs in page.elements for name in attrs if name.startswith("on")]
-    assert page.words.count(HOSTILE) >= 5  # the title, the heading, the check, the map below the picture
+    # The title, the heading, the check, the map below the picture.
+    assert page.words.count(HOSTILE) >= 5
 
 
 # --- size ------------------------------------------------------------------------------------------------------
@@ -267,7 +317,10 @@ def test_maps_and_slices_are_thinned_out_to_their_budget_and_the_page_says_so(
     halvings = round(np.log2(grid["dx"] / 5.0))
     assert halvings >= 1
     assert small.data["halved"]
-    assert f"means of {2**halvings} x {2**halvings} pixels of the run, to keep the page small" in small.words
+    assert (
+        f"means of {2**halvings} x {2**halvings} pixels of the run, to keep the page small"
+        in small.words
+    )
     assert sum(len(small.blocks[one["block"]]) for one in small.data["maps"]) <= 60_000
     [stack] = small.data["stacks"]
     assert f"thinned out to {len(stack['at'])}" in small.words
@@ -278,10 +331,15 @@ def test_maps_and_slices_are_thinned_out_to_their_budget_and_the_page_says_so(
     spec, found = small.map("Sheet thickness")
     size = 2**halvings
     rows, cols = (n // size * size for n in linked["thickness"].shape)
-    blocks = linked["thickness"].values[:rows, :cols].reshape(rows // size, size, cols // size, size)
+    blocks = (
+        linked["thickness"].values[:rows, :cols].reshape(rows // size, size, cols // size, size)
+    )
     inside = np.isfinite(blocks).all(axis=(1, 3))
     expected = np.where(inside, blocks.mean(axis=(1, 3)), np.nan)
-    assert np.abs(found[: rows // size, : cols // size] - expected)[inside].max() <= spec["error"] * 1.001 + 1e-4
+    assert (
+        np.abs(found[: rows // size, : cols // size] - expected)[inside].max()
+        <= spec["error"] * 1.001 + 1e-4
+    )
 
 
 @pytest.mark.ci
@@ -292,7 +350,10 @@ def test_large_maps_come_from_the_smaller_copies_of_the_store(planish, tmp_path,
     assert page.data["halved"]
     smaller = enumerate(overviews(read_group(folder / "maps.zarr", "linked"), most_px=4), 1)
     # Values that no mean of the map has show where they were read.
-    marked = {f"overviews/linked/{k}": data.assign(thickness=data["thickness"] + 1000.0) for k, data in smaller}
+    marked = {
+        f"overviews/linked/{k}": data.assign(thickness=data["thickness"] + 1000.0)
+        for k, data in smaller
+    }
     write_tree(folder / "maps.zarr", marked)
     (tmp_path / "page.html").unlink()
     _, found = explored(planish, folder, tmp_path).map("Sheet thickness")

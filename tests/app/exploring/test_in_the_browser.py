@@ -35,8 +35,10 @@ class Window(Browsed):
         wide, high = grid["cols"] * grid["dx"], grid["rows"] * grid["dy"]
         scale = max(wide / box["width"], high / box["height"])
         middle = grid["x0"] + (wide - grid["dx"]) / 2, grid["y0"] + (high - grid["dy"]) / 2
-        return (box["x"] + box["width"] / 2 + (x_um - middle[0]) / scale,
-                box["y"] + box["height"] / 2 + (y_um - middle[1]) / scale)  # fmt: skip
+        return (
+            box["x"] + box["width"] / 2 + (x_um - middle[0]) / scale,
+            box["y"] + box["height"] / 2 + (y_um - middle[1]) / scale,
+        )
 
 
 @pytest.fixture
@@ -60,7 +62,12 @@ def opened(chromium):
     for window in windows:
         window.page.context.close()
     assert [fault for window in windows for fault in window.faults] == []
-    others = [one for window in windows for one in window.asked if not one.startswith(("data:", window.path.as_uri()))]
+    others = [
+        one
+        for window in windows
+        for one in window.asked
+        if not one.startswith(("data:", window.path.as_uri()))
+    ]
     assert others == []
 
 
@@ -95,7 +102,9 @@ def test_cursor_and_slice_have_the_values_of_the_run_under_the_mouse_and_layers_
     here = linked.sel(x=x, y=y)
     place = [float(here[f"volume_{axis}"]) for axis in "xyz"]
     for one in data.data["maps"][:2]:
-        name = next(k for k, v in linked.data_vars.items() if v.attrs.get("long_name") == one["title"])
+        name = next(
+            k for k, v in linked.data_vars.items() if v.attrs.get("long_name") == one["title"]
+        )
         found = float(re.search(rf"{re.escape(one['title'])} (-?[\d.]+)", told)[1])
         assert abs(found - float(here[name])) <= one["error"] + 0.5 * 10.0 ** -one["digits"] + 1e-6
     np.testing.assert_allclose(numbers(told.split("volume")[1]), place, atol=0.06)
@@ -115,7 +124,12 @@ def test_cursor_and_slice_have_the_values_of_the_run_under_the_mouse_and_layers_
     centre = stack["sign"] * data.unpack(stack["lines"]["centre"])[k]
     column = round((place["xyz".index(stack["cols"])] - stack["points"][0]) / stack["points"][1])
     assert abs(centre[column] - place["xyz".index(stack["through"])]) < 3.0
-    assert np.nanmedian(data.unpack(stack["lines"]["top"])[k] - data.unpack(stack["lines"]["bottom"])[k]) > 0
+    assert (
+        np.nanmedian(
+            data.unpack(stack["lines"]["top"])[k] - data.unpack(stack["lines"]["bottom"])[k]
+        )
+        > 0
+    )
     drawn_face_lies_on_the_edge_of_the_sheet(window)
     # A click into the slice brings the cursor there.
     canvas = window.page.locator("#slice-whole")
@@ -195,7 +209,9 @@ FULL_COLOURS = """() => {
 }"""
 
 
-def test_regions_and_brushes_by_fields_and_mouse_leave_the_pixels_that_are_counted(opened, path, linked):
+def test_regions_and_brushes_by_fields_and_mouse_leave_the_pixels_that_are_counted(
+    opened, path, linked
+):
     window, data = opened(path), Explored(path)
     cases = [{}, {"region": (200.0, 150.0, 900.0, 700.0)}, {"brush": (8.02, 14.03)}]
     cases.append(cases[1] | cases[2])
@@ -228,7 +244,10 @@ def test_regions_and_brushes_by_fields_and_mouse_leave_the_pixels_that_are_count
     window.view("Scatter").scroll_into_view_if_needed()
     before = window.page.evaluate(FULL_COLOURS)
     box = window.view("Scatter").bounding_box()
-    at = [(box["x"] + box["width"] * u, box["y"] + box["height"] * v) for u, v in ((0.45, 0.3), (0.6, 0.5))]
+    at = [
+        (box["x"] + box["width"] * u, box["y"] + box["height"] * v)
+        for u, v in ((0.45, 0.3), (0.6, 0.5))
+    ]
     drag(window.page, *at, key="Shift")
     n, of = numbers(window.status("Selection"))[:2]
     assert 0 < n < of
@@ -273,9 +292,19 @@ def test_all_of_it_works_with_keys_and_every_control_is_reached_and_has_a_name(o
         window.page.keyboard.press("Tab")
         reached.add(window.page.evaluate("document.activeElement.id"))
     wanted = {
-        "left-layer", "right-layer", "left-view", "right-view", "left-range", "right-range", "slice", "scatter",
-        "brush-left", "brush-right", "region", "clear",
-    }  # fmt: skip
+        "left-layer",
+        "right-layer",
+        "left-view",
+        "right-view",
+        "left-range",
+        "right-range",
+        "slice",
+        "scatter",
+        "brush-left",
+        "brush-right",
+        "region",
+        "clear",
+    }
     assert wanted - reached == set()
     nameless = window.page.evaluate(
         """() => [...document.querySelectorAll("input, select, button, [role=application]")].filter((e) =>
@@ -286,7 +315,10 @@ def test_all_of_it_works_with_keys_and_every_control_is_reached_and_has_a_name(o
 
 @pytest.mark.nightly
 def test_on_a_phone_it_fits_the_screen_and_a_tap_moves_the_cursor(opened, path, linked):
-    window, at = opened(path, width=390, height=844, has_touch=True, is_mobile=True), a_pixel(linked)
+    window, at = (
+        opened(path, width=390, height=844, has_touch=True, is_mobile=True),
+        a_pixel(linked),
+    )
     assert window.page.evaluate("document.documentElement.scrollWidth") <= 390
     assert window.view("Left map").bounding_box()["width"] > 0.8 * 390
     window.page.touchscreen.tap(*window.at("Left map", *at, Explored(path).data["grid"]))
@@ -295,7 +327,9 @@ def test_on_a_phone_it_fits_the_screen_and_a_tap_moves_the_cursor(opened, path, 
 
 
 @pytest.mark.nightly
-def test_without_a_script_in_an_old_browser_or_damaged_it_says_so_and_shows_the_leading_map(opened, path, tmp_path):
+def test_without_a_script_in_an_old_browser_or_damaged_it_says_so_and_shows_the_leading_map(
+    opened, path, tmp_path
+):
     text = path.read_text(encoding="utf-8")
     at = text.index('id="m0">') + 40
     damaged = tmp_path / "damaged.html"
@@ -314,7 +348,12 @@ def test_without_a_script_in_an_old_browser_or_damaged_it_says_so_and_shows_the_
 def test_a_relation_that_is_withheld_is_not_drawn(opened, tmp_path):
     run = a_run()
     run["results"]["checks"].append(
-        {"name": "mirror", "state": "fail", "figures": ["correlation"], "sentence": "It may be mirrored."}
+        {
+            "name": "mirror",
+            "state": "fail",
+            "figures": ["correlation"],
+            "sentence": "It may be mirrored.",
+        }
     )
     path = tmp_path / "page.html"
     explore(put(tmp_path / "run", run), path)
@@ -322,12 +361,10 @@ def test_a_relation_that_is_withheld_is_not_drawn(opened, tmp_path):
     assert "r is withheld (mirror)" in window.status("Selection")
     window.fill("Region, µm", "0, 0, 300, 300")
     assert "r is withheld (mirror)" in window.status("Selection")
-    greys = window.page.evaluate(
-        """() => {
+    greys = window.page.evaluate("""() => {
           const c = document.getElementById("scatter-plot");
           return [...c.getContext("2d").getImageData(c.width / 2, c.height / 2, 1, 1).data];
-        }"""
-    )
+        }""")
     assert greys[3] == 0
 
 
@@ -351,7 +388,9 @@ CURSOR = """async () => {
 
 
 @pytest.mark.nightly
-def test_first_picture_within_a_second_and_the_cursor_within_thirty_milliseconds(opened, path, tmp_path, kinds):
+def test_first_picture_within_a_second_and_the_cursor_within_thirty_milliseconds(
+    opened, path, tmp_path, kinds
+):
     page = tmp_path / "demo.html"
     explore(kinds("demo"), page)
     assert page.stat().st_size <= 5_000_000
@@ -361,7 +400,13 @@ def test_first_picture_within_a_second_and_the_cursor_within_thirty_milliseconds
     ready = float(window.page.evaluate("document.documentElement.dataset.ready"))
     times = np.array(window.page.evaluate(CURSOR))
     load = os.getloadavg()[0] / (os.cpu_count() or 1)
-    print(f"{page.stat().st_size / 1e6:.2f} MB; first picture {first:.0f} ms, script to all drawn {ready:.0f} ms")
-    print(f"cursor: median {np.median(times):.1f} ms, 95 % {np.percentile(times, 95):.1f} ms; load {load:.1f} a core")
+    print(
+        f"{page.stat().st_size / 1e6:.2f} MB; first picture {first:.0f} ms, script to all drawn"
+        f" {ready:.0f} ms"
+    )
+    print(
+        f"cursor: median {np.median(times):.1f} ms, 95 % {np.percentile(times, 95):.1f} ms; load"
+        f" {load:.1f} a core"
+    )
     assert first <= 1000 * max(1.0, load)
     assert np.median(times) <= 30

@@ -27,7 +27,10 @@ def test_a_value_is_within_half_a_step_and_what_is_missing_stays_missing(bits):
     np.testing.assert_array_equal(np.isnan(found), np.isnan(data))
     assert np.nanmax(np.abs(found - data)) <= one.error * (1 + 1e-9)
     # 253 steps, or 65 533, over the whole range.
-    assert (one.step, one.beyond) == (pytest.approx((np.nanmax(data) - np.nanmin(data)) / (2**bits - 4)), 0)
+    assert (one.step, one.beyond) == (
+        pytest.approx((np.nanmax(data) - np.nanmin(data)) / (2**bits - 4)),
+        0,
+    )
 
 
 def test_single_values_far_outside_do_not_take_the_digits_and_are_known_to_lie_beyond():
@@ -54,14 +57,20 @@ def test_whole_numbers_of_a_camera_are_exact():
     np.testing.assert_array_equal(values(one), data)
 
 
-@pytest.mark.parametrize("data", [np.full((3, 4), 7.5), np.full((3, 4), np.nan), np.array([[2.0, np.nan]])])
+@pytest.mark.parametrize(
+    "data", [np.full((3, 4), 7.5), np.full((3, 4), np.nan), np.array([[2.0, np.nan]])]
+)
 def test_constant_and_empty_maps(data):
     one = packed(data)
     np.testing.assert_allclose(values(one), data, atol=one.error)
 
 
-@pytest.mark.parametrize(("data", "order"), [
-    (np.add.outer(np.arange(80.0) ** 2, np.arange(90.0)), 2), (np.random.default_rng(4).normal(size=(80, 90)), 1)
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("data", "order"),
+    [
+        (np.add.outer(np.arange(80.0) ** 2, np.arange(90.0)), 2),
+        (np.random.default_rng(4).normal(size=(80, 90)), 1),
+    ],
+)
 def test_the_shorter_differences_are_taken(data, order):
     assert packed(data, bits=16).order == order

@@ -31,7 +31,9 @@ def volume(values, chunk):
 @pytest.mark.parametrize("through", ["x", "y", "z"])
 @pytest.mark.parametrize("every", [1, 3])
 @pytest.mark.parametrize("chunk", [1, 5])
-def test_the_voxels_are_those_of_the_volume_and_each_plane_is_read_once(monkeypatch, through, every, chunk):
+def test_the_voxels_are_those_of_the_volume_and_each_plane_is_read_once(
+    monkeypatch, through, every, chunk
+):
     monkeypatch.setattr(slices, "SLICES_VOXELS", 100)
     values = np.random.default_rng(5).integers(0, 255, (13, 14, 17)).astype(np.uint8)
     data, lazy = volume(values, chunk)
@@ -39,7 +41,9 @@ def test_the_voxels_are_those_of_the_volume_and_each_plane_is_read_once(monkeypa
     rows = np.arange(1, data.sizes[frame.rows], 3)
     depth = slice(2, 9)
     found = slices._read_greys(data, frame, rows, depth, every, Scale(0.0, 255.0, "grey"), silent)
-    turned = values.transpose(["zyx".index(axis) for axis in (frame.rows, frame.through, frame.cols)])[rows, depth]
+    turned = values.transpose(
+        ["zyx".index(axis) for axis in (frame.rows, frame.through, frame.cols)]
+    )[rows, depth]
     cols = turned.shape[2] // every
     expected = turned[:, :, : cols * every].reshape(rows.size, 7, cols, every).mean(axis=3)
     assert np.abs(found - expected).max() <= 0.5
@@ -47,5 +51,7 @@ def test_the_voxels_are_those_of_the_volume_and_each_plane_is_read_once(monkeypa
 
 
 def test_missing_voxels_are_black_and_values_beyond_the_scale_have_its_ends():
-    found = slices._greys(np.array([np.nan, -5.0, 10.0, 15.0, 20.0, 99.0]), Scale(10.0, 20.0, "grey"))
+    found = slices._greys(
+        np.array([np.nan, -5.0, 10.0, 15.0, 20.0, 99.0]), Scale(10.0, 20.0, "grey")
+    )
     assert found.tolist() == [0, 0, 0, 128, 255, 255]

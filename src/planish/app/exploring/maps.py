@@ -50,9 +50,13 @@ class Packed:
     def spec(self) -> dict[str, Any]:
         """Give what the script needs to unpack it."""
         return {
-            "rows": self.shape[0], "cols": self.shape[1], "bits": self.bits, "order": self.order, "low": self.low,
+            "rows": self.shape[0],
+            "cols": self.shape[1],
+            "bits": self.bits,
+            "order": self.order,
+            "low": self.low,
             "step": self.step,
-        }  # fmt: skip
+        }
 
 
 def packed(values: NDArray[Any], *, bits: int = 8) -> Packed:
@@ -71,11 +75,19 @@ def packed(values: NDArray[Any], *, bits: int = 8) -> Packed:
     step_counts = np.rint((np.where(np.isfinite(numbers), numbers, low) - low) / step)
     clipped = np.clip(step_counts, -1, last_code - 2) + 2
     codes = np.where(np.isfinite(numbers), clipped, 0).astype(np.uint8 if bits == 8 else np.uint16)
-    order, deflated = min(((k, _deflated(codes, k)) for k in (1, 2)), key=lambda candidate: len(candidate[1]))
+    order, deflated = min(
+        ((k, _deflated(codes, k)) for k in (1, 2)), key=lambda candidate: len(candidate[1])
+    )
     return Packed(
-        text=base64.b64encode(deflated).decode("ascii"), shape=(codes.shape[0], codes.shape[1]), bits=bits, order=order,
-        low=low, step=step, beyond=int(((codes == 1) | (codes == last_code)).sum()), exact=spacing is not None,
-    )  # fmt: skip
+        text=base64.b64encode(deflated).decode("ascii"),
+        shape=(codes.shape[0], codes.shape[1]),
+        bits=bits,
+        order=order,
+        low=low,
+        step=step,
+        beyond=int(((codes == 1) | (codes == last_code)).sum()),
+        exact=spacing is not None,
+    )
 
 
 def _range(finite: Floats) -> tuple[float, float]:
@@ -161,8 +173,12 @@ class MapsOfPage:
 
     def letters(self) -> int:
         """Size of all that is packed."""
-        grids = [grid for group in self.groups for grid in (group.valid, *group.coordinates.values())]
-        return sum(len(grid.text) for grid in (*(m.packed for m in self.maps), *grids) if grid is not None)
+        grids = [
+            grid for group in self.groups for grid in (group.valid, *group.coordinates.values())
+        ]
+        return sum(
+            len(grid.text) for grid in (*(m.packed for m in self.maps), *grids) if grid is not None
+        )
 
 
 def maps_of(run: Run) -> MapsOfPage:
@@ -180,20 +196,36 @@ def maps_of(run: Run) -> MapsOfPage:
 def _map_names(run: Run) -> list[tuple[str, list[str]]]:
     """Groups and the names of their maps: the headline of each first, then what it is compared with."""
     results, groups = run.results, run.groups
-    group_names = ["linked"] if "linked" in groups else [f"layers/{layer.name}" for layer in results.layers]
-    group_names = [group for group in group_names if group in groups] or [group for group in groups if group == "maps"]
+    group_names = (
+        ["linked"] if "linked" in groups else [f"layers/{layer.name}" for layer in results.layers]
+    )
+    group_names = [group for group in group_names if group in groups] or [
+        group for group in groups if group == "maps"
+    ]
     if not group_names:
-        raise InputError(f"The run holds no maps to show; it holds {', '.join(groups) or 'nothing'}.")
+        raise InputError(
+            f"The run holds no maps to show; it holds {', '.join(groups) or 'nothing'}."
+        )
     map_names: list[tuple[str, list[str]]] = []
-    properties = [name for layer in results.layers if layer.sheet for name in layer.sheet.properties]
+    properties = [
+        name for layer in results.layers if layer.sheet for name in layer.sheet.properties
+    ]
     hidden = re.compile("volume_|projected_|presence|error_|[uv]$|.*_se$")
     for group in group_names:
         variables = groups[group].data_vars.items()
-        float_maps = [str(name) for name, data in variables if data.ndim == 2 and data.dtype.kind == "f"]
-        headlines = [layer.headline for layer in results.layers if group in ("linked", "maps", f"layers/{layer.name}")]
+        float_maps = [
+            str(name) for name, data in variables if data.ndim == 2 and data.dtype.kind == "f"
+        ]
+        headlines = [
+            layer.headline
+            for layer in results.layers
+            if group in ("linked", "maps", f"layers/{layer.name}")
+        ]
         ranks = {name: rank for rank, name in reversed([*enumerate([*headlines, *properties])])}
         names = [name for name in float_maps if not hidden.match(name)]
-        map_names.append((group, sorted(names, key=lambda name: (ranks.get(name, len(ranks)), name))))
+        map_names.append(
+            (group, sorted(names, key=lambda name: (ranks.get(name, len(ranks)), name)))
+        )
     return map_names
 
 
@@ -205,16 +237,23 @@ def _packed_maps(run: Run, map_names: list[tuple[str, list[str]]], halvings: int
     volume_names = {axis: f"volume_{axis}" for axis in "xyz"}
     for group_index, (group, names) in enumerate(map_names):
         variables = run.groups[group]
-        coordinates = volume_names if all(name in variables for name in volume_names.values()) else {}
+        coordinates = (
+            volume_names if all(name in variables for name in volume_names.values()) else {}
+        )
         extra_names = [*coordinates.values(), *(["valid"] if "valid" in variables else [])]
         dataset = _halved_maps(run, group, names + extra_names, halvings)
         grid = grid or Grid.of(dataset)
         is_valid = dataset["valid"].values.astype(bool) if "valid" in dataset else np.True_
-        groups.append(Group(
-            valid=packed(np.where(is_valid, 1.0, np.nan)) if "valid" in dataset else None,
-            coordinates={axis: packed(dataset[name].values, bits=16) for axis, name in coordinates.items()},
-            sheet=_layer_of_map(results, group, "").name if coordinates else "",
-        ))  # fmt: skip
+        groups.append(
+            Group(
+                valid=packed(np.where(is_valid, 1.0, np.nan)) if "valid" in dataset else None,
+                coordinates={
+                    axis: packed(dataset[name].values, bits=16)
+                    for axis, name in coordinates.items()
+                },
+                sheet=_layer_of_map(results, group, "").name if coordinates else "",
+            )
+        )
         for name in names:
             layer = _layer_of_map(results, group, name)
             layer_map = dataset[name].rename(name)
@@ -225,8 +264,12 @@ def _packed_maps(run: Run, map_names: list[tuple[str, list[str]]], halvings: int
             maps.append(_packed_map(layer_map, valid_values, layer, results, group_index))
     assert grid is not None
     assert headline is not None
-    maps.sort(key=lambda m: m.name != _layer_of_map(results, map_names[m.group_index][0], m.name).headline)
-    return MapsOfPage(maps=tuple(maps), groups=tuple(groups), grid=grid, halvings=halvings, headline=headline)
+    maps.sort(
+        key=lambda m: m.name != _layer_of_map(results, map_names[m.group_index][0], m.name).headline
+    )
+    return MapsOfPage(
+        maps=tuple(maps), groups=tuple(groups), grid=grid, halvings=halvings, headline=headline
+    )
 
 
 def _packed_map(
@@ -241,13 +284,21 @@ def _packed_map(
     if (scale.high - scale.low) / packed_map.step < 100:
         packed_map = packed(data.values, bits=16)
     # Per cent of the values that the scatter spans.
-    low, high = map(float, np.percentile(valid_values, (0.05, 99.95))) if valid_values.size else (0.0, 1.0)
+    low, high = (
+        map(float, np.percentile(valid_values, (0.05, 99.95))) if valid_values.size else (0.0, 1.0)
+    )
     return PageMap(
-        layer=layer.name, name=name, title=title_of(data), units=unit_of(data), packed=packed_map, scale=scale,
+        layer=layer.name,
+        name=name,
+        title=title_of(data),
+        units=unit_of(data),
+        packed=packed_map,
+        scale=scale,
         scatter_limits=(low, high) if low < high else (low - 0.5, low + 0.5),
-        group_index=group_index, trust=trust_of(results.checks, (layer.name,), (figure,)),
+        group_index=group_index,
+        trust=trust_of(results.checks, (layer.name,), (figure,)),
         check_names=tuple(check.name for check in checks if check.state in ("fail", "look")),
-    )  # fmt: skip
+    )
 
 
 def _halved_maps(run: Run, group: str, names: list[str], halvings: int) -> xr.Dataset:
@@ -255,7 +306,9 @@ def _halved_maps(run: Run, group: str, names: list[str], halvings: int) -> xr.Da
     assert run.folder is not None
     store = run.folder / MAPS
     overviews = overviews_of(store, group)[:halvings]
-    maps = read_group(store, overviews[-1], names) if overviews else run.groups[group][names].compute()
+    maps = (
+        read_group(store, overviews[-1], names) if overviews else run.groups[group][names].compute()
+    )
     for _ in range(halvings - len(overviews)):
         maps = halved(maps)
     return maps
@@ -272,7 +325,15 @@ def map_spec(m: PageMap) -> dict[str, Any]:
     """Give what the script needs of a map, beside its values."""
     digits = max(0, min(6, math.ceil(-math.log10(m.packed.step))))
     return {
-        "title": m.title, "layer": m.layer, "units": m.units, "digits": digits, "error": m.packed.error,
-        "range": [m.scale.low, m.scale.high], "colours": m.scale.colours, "span": list(m.scatter_limits),
-        "group": m.group_index, "trust": m.trust, "why": list(m.check_names),
-    }  # fmt: skip
+        "title": m.title,
+        "layer": m.layer,
+        "units": m.units,
+        "digits": digits,
+        "error": m.packed.error,
+        "range": [m.scale.low, m.scale.high],
+        "colours": m.scale.colours,
+        "span": list(m.scatter_limits),
+        "group": m.group_index,
+        "trust": m.trust,
+        "why": list(m.check_names),
+    }

@@ -35,38 +35,60 @@ def _text(path: str) -> str:
     return (files("planish.app") / path).read_text(encoding="utf-8")
 
 
-def render(results: Results, maps: MapsOfPage, stacks: Sequence[Stack], notes: Sequence[str]) -> str:
+def render(
+    results: Results, maps: MapsOfPage, stacks: Sequence[Stack], notes: Sequence[str]
+) -> str:
     """Return the page as text; the same run gives the same bytes."""
     style = template(_PACKAGE, "explore.css").render() + _text("static/views.css")
     # Views of the app, whose modules become one scope.
-    views = re.sub(r"^import .*\n|^export ", "", "".join(_text(f"static/{name}") for name in _OF_THE_APP), flags=re.M)
+    views = re.sub(
+        r"^import .*\n|^export ",
+        "",
+        "".join(_text(f"static/{name}") for name in _OF_THE_APP),
+        flags=re.M,
+    )
     views = f"const {{ {_NAMES} }} = (() => {{\n{views}return {{ {_NAMES} }};\n}})();\n"
     scripts = "".join(_text(f"exploring/script/{name}") for name in _SCRIPTS)
-    script = "(() => {\n" + '"use strict";\n' + views + scripts + "})();\n"  # in a scope of their own
-    hashes = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in (style, script)]
+    # In a scope of their own.
+    script = "(() => {\n" + '"use strict";\n' + views + scripts + "})();\n"
+    hashes = [
+        base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+        for text in (style, script)
+    ]
     policy = (
-        f"default-src 'none'; style-src 'sha256-{hashes[0]}'; script-src 'sha256-{hashes[1]}'; img-src data: blob:; "
-        "base-uri 'none'; form-action 'none'"
+        f"default-src 'none'; style-src 'sha256-{hashes[0]}'; script-src 'sha256-{hashes[1]}';"
+        " img-src data: blob:; base-uri 'none'; form-action 'none'"
     )
     page_data, blocks = _data(results, maps, stacks)
     data_json = json.dumps(page_data, allow_nan=False, separators=(",", ":"))
     for character, escape in (("<", "\\u003c"), (">", "\\u003e"), ("&", "\\u0026")):
-        data_json = data_json.replace(character, escape)  # it cannot end the element that it stands in
+        # It cannot end the element that it stands in.
+        data_json = data_json.replace(character, escape)
     # The map that leads as a picture of 640 pixels for those without a script.
     factor = max(1.0, max(maps.headline.shape) / 640)
     headline_image = area_mean(maps.headline, (factor, factor)) if factor > 1 else maps.headline
     page = template(_PACKAGE, "explore.html.j2").render(
-        results=results, layers=results.layers, summary=summary, maps=maps.maps, lead=maps.maps[0],
+        results=results,
+        layers=results.layers,
+        summary=summary,
+        maps=maps.maps,
+        lead=maps.maps[0],
         titles={(m.layer, m.name): m.title for m in maps.maps},
-        still=image_uri(headline_image, maps.maps[0].scale), notes=notes, stacks=stacks, style=style, script=script,
-        policy=policy, data=data_json, blocks=blocks,
-    )  # fmt: skip
+        still=image_uri(headline_image, maps.maps[0].scale),
+        notes=notes,
+        stacks=stacks,
+        style=style,
+        script=script,
+        policy=policy,
+        data=data_json,
+        blocks=blocks,
+    )
     return f"{page}\n"
 
 
 def _data(
     results: Results, maps: MapsOfPage, stacks: Sequence[Stack]
-) -> tuple[dict[str, Any], list[dict[str, str]]]:  # fmt: skip
+) -> tuple[dict[str, Any], list[dict[str, str]]]:
     """Give what the script needs, and the blocks of packed data, under names of the page's own."""
     blocks: list[dict[str, str]] = []
 
@@ -82,31 +104,41 @@ def _data(
         groups.append({"sheet": group.sheet, "valid": valid, "places": coordinates})
     stack_specs: list[dict[str, Any]] = []
     for k, stack in enumerate(stacks):
-        stack_specs.append(stack.spec | {
-            "pictures": f"s{k}pictures",
-            "lines": {name: block(f"s{k}{name}", line) for name, line in stack.lines.items()},
-            "used": block(f"s{k}used", stack.measured),
-        })  # fmt: skip
+        stack_specs.append(
+            stack.spec
+            | {
+                "pictures": f"s{k}pictures",
+                "lines": {name: block(f"s{k}{name}", line) for name, line in stack.lines.items()},
+                "used": block(f"s{k}used", stack.measured),
+            }
+        )
         blocks.append({"name": f"s{k}pictures", "text": "".join(stack.pictures)})
     grid = maps.grid
     data = {
         "maps": map_specs,
         "groups": groups,
         "grid": {
-            "rows": grid.shape[0], "cols": grid.shape[1], "dy": grid.pixel_um[0], "dx": grid.pixel_um[1],
-            "x0": grid.origin_um[0], "y0": grid.origin_um[1], "names": ["x", "y"] if results.is_link else ["u", "v"],
+            "rows": grid.shape[0],
+            "cols": grid.shape[1],
+            "dy": grid.pixel_um[0],
+            "dx": grid.pixel_um[1],
+            "x0": grid.origin_um[0],
+            "y0": grid.origin_um[1],
+            "names": ["x", "y"] if results.is_link else ["u", "v"],
         },
         "pairs": _doubted_pairs(results, maps),
         "halved": maps.halvings > 0,
         "several": len(results.layers) > 2 or len(stacks) > 1,
         "stacks": stack_specs,
-        "lines": [dict(zip(("name", "title", "colour", "dash"), line, strict=True)) for line in LINES],
+        "lines": [
+            dict(zip(("name", "title", "colour", "dash"), line, strict=True)) for line in LINES
+        ],
         "palettes": {
             name: base64.b64encode(colours_in_steps(name).tobytes()).decode("ascii")
             for name in sorted({m.scale.colours for m in maps.maps})
         },
         "missing": MISSING,
-    }  # fmt: skip
+    }
     return data, blocks
 
 
@@ -120,7 +152,9 @@ def _doubted_pairs(results: Results, maps: MapsOfPage) -> list[list[Any]]:
             trust = trust_of(results.checks, layers, figures)
             if trust != "ok":
                 state = "fail" if trust == "withheld" else "look"
-                names = [c.name for c in concerned(results.checks, layers, figures) if c.state == state]
+                names = [
+                    c.name for c in concerned(results.checks, layers, figures) if c.state == state
+                ]
                 pairs.append([j, i, trust, names])
     return pairs
 
@@ -142,7 +176,7 @@ class Explored:
 
 def explore(
     run: str | Path, out: str | Path, *, compute: Compute | None = None, progress: Progress = silent
-) -> Explored:  # fmt: skip
+) -> Explored:
     """Write the maps of a run, their scatter and its slices as one HTML file with a cursor that links them.
 
     Parameters
@@ -173,13 +207,19 @@ def explore(
         maps = maps_of(opened)
         sheets = dict.fromkeys(group.sheet for group in maps.groups if group.sheet)
         letters, layers = BUDGET // max(len(sheets), 1), map(opened.results.layer, sheets)
-        stacks = list(filter(None, (stack_of(opened, layer, letters, compute, progress) for layer in layers)))
+        stacks = list(
+            filter(None, (stack_of(opened, layer, letters, compute, progress) for layer in layers))
+        )
         notes = _notes(maps, stacks)
         page = render(opened.results, maps, stacks, notes).encode()
     assert len(page) <= LARGEST
     write_whole(out, page)
     return Explored(
-        path=out, bytes=len(page), maps=len(maps.maps), slices=sum(len(stack.pictures) for stack in stacks), notes=notes
+        path=out,
+        bytes=len(page),
+        maps=len(maps.maps),
+        slices=sum(len(stack.pictures) for stack in stacks),
+        notes=notes,
     )
 
 
@@ -190,14 +230,23 @@ def _notes(maps: MapsOfPage, stacks: list[Stack]) -> tuple[str, ...]:
     rows, cols = maps.grid.shape
     grid_text = f"{cols} x {rows} pixels of {pixel_text}"
     n = 2**maps.halvings
-    origin_text = f": means of {n} x {n} pixels of the run, to keep the page small" if n > 1 else ", as in the run"
+    origin_text = (
+        f": means of {n} x {n} pixels of the run, to keep the page small"
+        if n > 1
+        else ", as in the run"
+    )
     notes = [f"Maps: {grid_text}{origin_text}."]
     for stack in stacks:
         name = f"{stack.spec['sheet']}: " if len(stacks) > 1 else ""
         notes.append(f"{name}{stack.note[:1].upper()}{stack.note[1:]}.")
-    sheets, sliced = {group.sheet for group in maps.groups if group.sheet}, {stack.spec["sheet"] for stack in stacks}
+    sheets, sliced = (
+        {group.sheet for group in maps.groups if group.sheet},
+        {stack.spec["sheet"] for stack in stacks},
+    )
     if without_slices := sorted(sheets - sliced):
-        notes.append(f"No slices of {' and '.join(without_slices)}: its surfaces are not in this run.")
+        notes.append(
+            f"No slices of {' and '.join(without_slices)}: its surfaces are not in this run."
+        )
     elif not stacks:
         notes.append("No slices: the run does not say where its pixels lie in a volume.")
     return tuple(notes)

@@ -28,7 +28,8 @@ from planish.run.volume import read_whole
 BUDGET = 5_000_000
 """Letters that all slices may take."""
 
-_MAX_SLICES, _MAX_COLS, _MAX_ROWS, _MAX_POINTS = 320, 1600, 300, 600  # pixels of a slice; points of a line in it
+# Pixels of a slice; points of a line in it.
+_MAX_SLICES, _MAX_COLS, _MAX_ROWS, _MAX_POINTS = 320, 1600, 300, 600
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,17 +54,29 @@ class Stack:
         return sum(map(len, (*self.pictures, *packed_texts)))
 
 
-def stack_of(run: Run, layer: LayerFacts, max_letters: int, compute: Compute, progress: Progress) -> Stack | None:
+def stack_of(
+    run: Run, layer: LayerFacts, max_letters: int, compute: Compute, progress: Progress
+) -> Stack | None:
     """The slices of a sheet; None where the run that holds its surfaces is not there."""
     mapped = sheet_run(run, layer.name)
     if mapped is None or (sheet := sheet_facts(mapped)) is None:
         return None
     run_slices, surfaces = mapped.groups["slices"], mapped.groups["surfaces"]
-    scale = limits(run_slices["grey"].values.ravel()[:: max(1, run_slices["grey"].size // 600_000)], GREYS, percent=0.3)
+    scale = limits(
+        run_slices["grey"].values.ravel()[:: max(1, run_slices["grey"].size // 600_000)],
+        GREYS,
+        percent=0.3,
+    )
     file_name = layer.source.name
     try:
-        slices, slice_surfaces, row_step = _from_volume(mapped, sheet, surfaces, scale, compute, progress)
-        rows_text = f"one in {row_step} rows of {file_name}" if row_step > 1 else f"every row of {file_name}"
+        slices, slice_surfaces, row_step = _from_volume(
+            mapped, sheet, surfaces, scale, compute, progress
+        )
+        rows_text = (
+            f"one in {row_step} rows of {file_name}"
+            if row_step > 1
+            else f"every row of {file_name}"
+        )
     except _VolumeUnavailable as unavailable:
         stored_rows = run_slices["row"].values
         slice_surfaces = surfaces[_read_names(surfaces)].isel(y=stored_rows).load()
@@ -73,7 +86,9 @@ def stack_of(run: Run, layer: LayerFacts, max_letters: int, compute: Compute, pr
         )
         rows_text = f"the {stored_rows.size} that the run keeps, as {unavailable}"
     sheet_slices = [take_slice(slices, slice_surfaces, k) for k in range(slices.sizes["slice"])]
-    sheet_slices = [cut for cut in sheet_slices if any(np.isfinite(line).any() for line in cut.lines.values())]
+    sheet_slices = [
+        cut for cut in sheet_slices if any(np.isfinite(line).any() for line in cut.lines.values())
+    ]
     thinned_text = ""
     while sheet_slices:
         stack = _stack(sheet_slices, layer.name, Frame.of(surfaces), f"{rows_text}{thinned_text}")
@@ -89,33 +104,52 @@ class _VolumeUnavailable(Exception):
 
 
 def _from_volume(
-    run: Run, layer: LayerFacts, surfaces: xr.Dataset, scale: Scale, compute: Compute, progress: Progress
+    run: Run,
+    layer: LayerFacts,
+    surfaces: xr.Dataset,
+    scale: Scale,
+    compute: Compute,
+    progress: Progress,
 ) -> tuple[xr.Dataset, xr.Dataset, int]:
     """Slices as the run keeps them, with the surfaces in their rows, and how many rows of voxels apart they are."""
     try:
         params = volume_params(run, layer, progress)
         if is_section_folder(params.path):
-            raise _VolumeUnavailable(f"{layer.source.name} holds sections, which would have to be aligned again")
+            raise _VolumeUnavailable(
+                f"{layer.source.name} holds sections, which would have to be aligned again"
+            )
         volume = read_whole(params, compute, progress)
     except PlanishError as error:
         progress("slices", f"only those of the run: {error.text}")
-        raise _VolumeUnavailable(f"{layer.source.name} was not there unchanged when this page was made") from error
+        raise _VolumeUnavailable(
+            f"{layer.source.name} was not there unchanged when this page was made"
+        ) from error
     frame = Frame.of(surfaces)
     depth_um = volume.coords[frame.through].values
     column_voxels = round(_pitch(surfaces["y"].values) / _pitch(volume.coords[frame.rows].values))
     n_rows = surfaces.sizes["y"]
-    step = max(math.ceil(2 / column_voxels), math.ceil(n_rows / _MAX_SLICES))  # every second row, where there is room
+    # Every second row, where there is room.
+    step = max(math.ceil(2 / column_voxels), math.ceil(n_rows / _MAX_SLICES))
     row_indices = np.arange(step // 2, n_rows, step) if n_rows > step else np.array([0])
     slice_surfaces = surfaces[_read_names(surfaces)].isel(y=row_indices).load()
     planes = _planes(slice_surfaces, depth_um)
     voxel_rows = row_indices * column_voxels + column_voxels // 2
     col_step = math.ceil(volume.sizes[frame.cols] / _MAX_COLS)
     grey = _read_greys(volume, frame, voxel_rows, planes, col_step, scale, progress)
-    x_um = volume.coords[frame.cols].values[: grey.shape[2] * col_step].reshape(-1, col_step).mean(axis=1)
+    x_um = (
+        volume.coords[frame.cols]
+        .values[: grey.shape[2] * col_step]
+        .reshape(-1, col_step)
+        .mean(axis=1)
+    )
     slice_um = volume.coords[frame.rows].values[voxel_rows]
     coords = {"slice": slice_um, "height": depth_um[planes], "x": x_um}
     slices = xr.Dataset({"grey": (("slice", "height", "x"), grey)}, coords=coords)
-    return slices.assign(row=("slice", np.arange(row_indices.size))), slice_surfaces, step * column_voxels
+    return (
+        slices.assign(row=("slice", np.arange(row_indices.size))),
+        slice_surfaces,
+        step * column_voxels,
+    )
 
 
 def _read_names(surfaces: xr.Dataset) -> list[str]:
@@ -127,12 +161,16 @@ def _pitch(coordinates: NDArray[Any]) -> float:
 
 
 def _planes(surfaces: xr.Dataset, depth_um: NDArray[Any]) -> slice:
-    heights_um = np.concatenate([surfaces[name].values.ravel() for name in surfaces.data_vars if name != "thickness"])
+    heights_um = np.concatenate(
+        [surfaces[name].values.ravel() for name in surfaces.data_vars if name != "thickness"]
+    )
     heights_um = heights_um[np.isfinite(heights_um)]
     if not heights_um.size:
         return slice(0, depth_um.size)
     margin_um = _margin_um(np.abs(surfaces["thickness"].values))
-    planes = np.flatnonzero((depth_um >= heights_um.min() - margin_um) & (depth_um <= heights_um.max() + margin_um))
+    planes = np.flatnonzero(
+        (depth_um >= heights_um.min() - margin_um) & (depth_um <= heights_um.max() + margin_um)
+    )
     return slice(int(planes[0]), int(planes[-1]) + 1)
 
 
@@ -142,9 +180,14 @@ def _margin_um(thickness_um: NDArray[Any]) -> float:
 
 
 def _read_greys(
-    volume: xr.DataArray, frame: Frame, rows: NDArray[np.intp], planes: slice, col_step: int, scale: Scale,
+    volume: xr.DataArray,
+    frame: Frame,
+    rows: NDArray[np.intp],
+    planes: slice,
+    col_step: int,
+    scale: Scale,
     progress: Progress,
-) -> NDArray[np.uint8]:  # fmt: skip
+) -> NDArray[np.uint8]:
     """Grey values (rows, depth, cols), of every ``col_step`` columns the mean, read in whole blocks along z."""
     n_cols = volume.sizes[frame.cols] // col_step
     greys = np.zeros((rows.size, planes.stop - planes.start, n_cols), np.uint8)
@@ -158,21 +201,39 @@ def _read_greys(
         progress("slices", f"{frame.rows} of the volume, planes {block.start} to {block.stop}")
         # Evenly spaced places as a slice, by which lazy arrays read no more than they must.
         first, last = rows[is_in_block][[0, -1]].tolist()
-        box = {frame.rows: slice(first, last + 1, row_step), frame.through: block_planes, frame.cols: slice(None)}
+        box = {
+            frame.rows: slice(first, last + 1, row_step),
+            frame.through: block_planes,
+            frame.cols: slice(None),
+        }
         voxels = read_box(volume, box)
         if col_step > 1:
-            voxels = voxels[:, :, : n_cols * col_step].reshape(*voxels.shape[:2], n_cols, col_step).mean(axis=3)
-        greys[is_in_block, block_planes.start - planes.start : block_planes.stop - planes.start] = _greys(voxels, scale)
+            voxels = (
+                voxels[:, :, : n_cols * col_step]
+                .reshape(*voxels.shape[:2], n_cols, col_step)
+                .mean(axis=3)
+            )
+        greys[is_in_block, block_planes.start - planes.start : block_planes.stop - planes.start] = (
+            _greys(voxels, scale)
+        )
     return greys
 
 
-def _blocks(volume: xr.DataArray, frame: Frame, rows: NDArray[np.intp], planes: slice) -> Iterator[slice]:
+def _blocks(
+    volume: xr.DataArray, frame: Frame, rows: NDArray[np.intp], planes: slice
+) -> Iterator[slice]:
     """Parts of the volume along z, so that each plane of a file, or chunk of a store, is read once."""
     chunk_planes = chunks_of(volume)[0]
-    sizes = {frame.rows: rows.size, frame.cols: volume.sizes[frame.cols], frame.through: planes.stop - planes.start}
+    sizes = {
+        frame.rows: rows.size,
+        frame.cols: volume.sizes[frame.cols],
+        frame.through: planes.stop - planes.start,
+    }
     plane_voxels = math.prod(size for axis, size in sizes.items() if axis != "z")
     block_planes = max(SLICES_VOXELS // max(plane_voxels, 1) // chunk_planes, 1) * chunk_planes
-    first, last = (int(rows[0]), int(rows[-1]) + 1) if frame.rows == "z" else (planes.start, planes.stop)
+    first, last = (
+        (int(rows[0]), int(rows[-1]) + 1) if frame.rows == "z" else (planes.start, planes.stop)
+    )
     for start in range(first // chunk_planes * chunk_planes, last, block_planes):
         yield slice(max(start, first), min(start + block_planes, last))
 
@@ -187,30 +248,59 @@ def _stack(slices: list[Slice], sheet: str, frame: Frame, note: str) -> Stack:
     """Cut every slice to the sheet in it, all to the same height, and pack it."""
     x_um, heights_um = slices[0].x, slices[0].heights
     dx_um, dz_um = _pitch(x_um), abs(_pitch(heights_um))
-    margin_um = _margin_um(np.stack([np.abs(cut.lines["top"] - cut.lines["bottom"]) for cut in slices]))
+    margin_um = _margin_um(
+        np.stack([np.abs(cut.lines["top"] - cut.lines["bottom"]) for cut in slices])
+    )
     windows = [cut.window(float(x_um[0]), float(x_um[-1]), margin_um) for cut in slices]
-    n_rows = min(math.ceil(max(high_um - low_um for _, _, low_um, high_um in windows) / dz_um) + 1, heights_um.size)
+    n_rows = min(
+        math.ceil(max(high_um - low_um for _, _, low_um, high_um in windows) / dz_um) + 1,
+        heights_um.size,
+    )
     middles_um = [(low_um + high_um) / 2 for _, _, low_um, high_um in windows]
-    rows = [round((heights_um[0] - middle_um) / dz_um - (n_rows - 1) / 2) for middle_um in middles_um]
+    rows = [
+        round((heights_um[0] - middle_um) / dz_um - (n_rows - 1) / 2) for middle_um in middles_um
+    ]
     top_rows = np.clip(rows, 0, heights_um.size - n_rows)
-    image_format, pictures = _pictures([cut.grey[k : k + n_rows] for cut, k in zip(slices, top_rows, strict=True)])
+    image_format, pictures = _pictures(
+        [cut.grey[k : k + n_rows] for cut, k in zip(slices, top_rows, strict=True)]
+    )
     point_step, step_um = max(1, math.ceil(x_um.size / _MAX_POINTS)), dz_um / 16
     lines = {
-        name: packed(np.round(np.stack([cut.lines[name][::point_step] for cut in slices]) / step_um) * step_um, bits=16)
-        for name, *_ in LINES if any(np.isfinite(cut.lines[name]).any() for cut in slices)
-    }  # fmt: skip
+        name: packed(
+            np.round(np.stack([cut.lines[name][::point_step] for cut in slices]) / step_um)
+            * step_um,
+            bits=16,
+        )
+        for name, *_ in LINES
+        if any(np.isfinite(cut.lines[name]).any() for cut in slices)
+    }
     spec = {
-        "sheet": sheet, "rows": frame.rows, "cols": frame.cols, "through": frame.through, "sign": frame.sign,
-        "at": [cut.place_um for cut in slices], "top": [float(heights_um[k]) + dz_um / 2 for k in top_rows],
-        "start": float(x_um[0]) - dx_um / 2, "size": (x_um.size * dx_um, n_rows * dz_um),
-        "ends": np.cumsum([len(picture) for picture in pictures]).tolist(), "kind": image_format, "pictures": "",
+        "sheet": sheet,
+        "rows": frame.rows,
+        "cols": frame.cols,
+        "through": frame.through,
+        "sign": frame.sign,
+        "at": [cut.place_um for cut in slices],
+        "top": [float(heights_um[k]) + dz_um / 2 for k in top_rows],
+        "start": float(x_um[0]) - dx_um / 2,
+        "size": (x_um.size * dx_um, n_rows * dz_um),
+        "ends": np.cumsum([len(picture) for picture in pictures]).tolist(),
+        "kind": image_format,
+        "pictures": "",
         "points": (float(x_um[0]), point_step * dx_um),
-    }  # fmt: skip
+    }
     return Stack(
-        spec=spec, pictures=pictures, lines=lines,
-        measured=packed(np.where(np.stack([cut.used[::point_step] for cut in slices]), 1.0, np.nan)),
-        note=f"{len(slices)} slices across {frame.rows}: {note}; pixels of {dx_um:.4g} um, lossy pictures",
-    )  # fmt: skip
+        spec=spec,
+        pictures=pictures,
+        lines=lines,
+        measured=packed(
+            np.where(np.stack([cut.used[::point_step] for cut in slices]), 1.0, np.nan)
+        ),
+        note=(
+            f"{len(slices)} slices across {frame.rows}: {note}; pixels of {dx_um:.4g} um, lossy"
+            " pictures"
+        ),
+    )
 
 
 def _pictures(greys: list[NDArray[Any]]) -> tuple[str, tuple[str, ...]]:
@@ -223,6 +313,7 @@ def _pictures(greys: list[NDArray[Any]]) -> tuple[str, tuple[str, ...]]:
         if image.height > _MAX_ROWS:
             image = image.resize((image.width, _MAX_ROWS), Image.Resampling.BOX)
         buffer = io.BytesIO()
-        image.convert("RGB").save(buffer, format=image_format.upper(), quality=38)  # their grains are noise
+        # Their grains are noise.
+        image.convert("RGB").save(buffer, format=image_format.upper(), quality=38)
         pictures.append(base64.b64encode(buffer.getvalue()).decode("ascii"))
     return image_format, tuple(pictures)

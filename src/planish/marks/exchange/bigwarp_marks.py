@@ -36,22 +36,28 @@ def read(content: Content) -> list[PointList]:
             columns.append(column if isinstance(column, list) else [])
             if not key.endswith("Points"):
                 continue
-            are_points = isinstance(column, list) and all(isinstance(row, list) and len(row) == axes for row in column)
+            are_points = isinstance(column, list) and all(
+                isinstance(row, list) and len(row) == axes for row in column
+            )
             if not are_points or axes not in (2, 3):
                 raise MarkError(
-                    f"{name}: {key} is no list of positions with numDimensions ({axes!r}) numbers each; 2 or 3 are "
-                    f"needed. {_AGAIN}"
+                    f"{name}: {key} is no list of positions with numDimensions ({axes!r}) numbers"
+                    f" each; 2 or 3 are needed. {_AGAIN}"
                 )
         labels, active, moving, fixed = map(len, columns)
         if not labels == active == moving == fixed > 0:
             raise MarkError(
-                f"{name} holds {moving} moving points, {fixed} fixed points, {labels} names and {active} of active; as "
-                f"many of each are needed. {_AGAIN}"
+                f"{name} holds {moving} moving points, {fixed} fixed points, {labels} names and"
+                f" {active} of active; as many of each are needed. {_AGAIN}"
             )
-        rows = [(k, [*row[:2], *row[2], *row[3]]) for k, row in enumerate(zip(*columns, strict=True), 1)]
+        rows = [
+            (k, [*row[:2], *row[2], *row[3]]) for k, row in enumerate(zip(*columns, strict=True), 1)
+        ]
     first, width = rows[0][0], len(rows[0][1])
     if width not in (6, 8):
-        raise MarkError(f"{name}, row {first} has {width} columns. BigWarp writes {_NEEDED}. {_AGAIN}")
+        raise MarkError(
+            f"{name}, row {first} has {width} columns. BigWarp writes {_NEEDED}. {_AGAIN}"
+        )
     points: list[list[float | None]] = []
     faults = list(content.rows.faults)
     for number, row in rows:
@@ -60,7 +66,12 @@ def read(content: Content) -> list[PointList]:
             continue
         if str(row[1]).lower() not in ("true", "false"):
             faults.append(f"row {number}: active is {row[1]!r}, not true or false")
-        points.append([np.inf if str(v).lstrip("+-").lower() in ("infinity", "inf") else finite(v) for v in row[2:]])
+        points.append(
+            [
+                np.inf if str(v).lstrip("+-").lower() in ("infinity", "inf") else finite(v)
+                for v in row[2:]
+            ]
+        )
         if None in points[-1]:
             faults.append(f"row {number}: {row[2 + points[-1].index(None)]!r} is no number")
     raise_faults(name, faults, f"BigWarp writes {_NEEDED}.", error=MarkError)
@@ -70,7 +81,9 @@ def read(content: Content) -> list[PointList]:
     sides = np.array(points, dtype=np.float64).reshape(len(points), 2, -1)
     sides = np.where(np.isfinite(sides).all(axis=2, keepdims=True), sides, np.nan)
     return [
-        PointList(title=title, labels=labels, points=sides[:, k], used=used, unit="um", stated=False)
+        PointList(
+            title=title, labels=labels, points=sides[:, k], used=used, unit="um", stated=False
+        )
         for k, title in enumerate(("moving", "target"))
     ]
 
@@ -85,6 +98,14 @@ def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
     numbers = np.hstack(sides)
     is_used = used_of(marks) & np.isfinite(numbers).all(axis=1)
     rows: list[list[Any]] = []
-    for label, is_active, row in zip(labels_of(marks), is_used.tolist(), numbers.tolist(), strict=True):
-        rows.append([label, str(is_active).lower(), *("Infinity" if number == np.inf else number for number in row)])
+    for label, is_active, row in zip(
+        labels_of(marks), is_used.tolist(), numbers.tolist(), strict=True
+    ):
+        rows.append(
+            [
+                label,
+                str(is_active).lower(),
+                *("Infinity" if number == np.inf else number for number in row),
+            ]
+        )
     return {"": table_text([], rows, quote_all=True).encode()}

@@ -61,14 +61,19 @@ def read_any(
     name = " and ".join(place.name for place in places)
     contents = [read_content(place) for place in places]
     formats = [_recognised(content) for content in contents]
-    readings: list[Any] = [module_of(kind).read(content) for kind, content in zip(formats, contents, strict=True)]
+    readings: list[Any] = [
+        module_of(kind).read(content) for kind, content in zip(formats, contents, strict=True)
+    ]
     if second is None and isinstance(marks := readings[0], xr.Dataset):
         if unit not in (None, "um"):
             raise SizeError(
-                f"{name} states its unit, um, and --unit says {unit}. Leave --unit out, or correct the file."
+                f"{name} states its unit, um, and --unit says {unit}. Leave --unit out, or correct"
+                " the file."
             )
         if swap:
-            raise MarkError("A planish file says itself which layer is the moving one. Leave --swap out.")
+            raise MarkError(
+                "A planish file says itself which layer is the moving one. Leave --swap out."
+            )
         # What is known of the layers beside what the file states.
         layers = {layer: dict(about) for layer, about in marks.attrs["layers"].items()}
         for side, layer_pixels in (("moving", moving), ("volume", moving), ("fixed", fixed)):
@@ -80,11 +85,15 @@ def read_any(
     else:
         lists: list[PointList] = []
         for content, reading in zip(contents, readings, strict=True):
-            file_lists = [_single_list(reading, content.name)] if isinstance(reading, xr.Dataset) else reading
+            file_lists = (
+                [_single_list(reading, content.name)]
+                if isinstance(reading, xr.Dataset)
+                else reading
+            )
             if second is not None and len(file_lists) != 1:
                 raise MarkError(
-                    f"{content.name} holds {len(file_lists)} lists of points already. Give it alone, or two files with "
-                    "one each."
+                    f"{content.name} holds {len(file_lists)} lists of points already. Give it"
+                    " alone, or two files with one each."
                 )
             lists += file_lists
         marks = join_lists(lists, name=name, moving=moving, fixed=fixed, unit=unit, swap=swap)
@@ -147,27 +156,36 @@ def write_any(
     place, name = Path(path), to or target_of(path)
     parts = marks_bytes(marks, name, moving=moving, fixed=fixed, unit=unit, swap=swap)
     files = {
-        place.with_name(f"{place.stem}{end}{place.suffix}") if end else place: content for end, content in parts.items()
+        place.with_name(f"{place.stem}{end}{place.suffix}") if end else place: content
+        for end, content in parts.items()
     }
     for file in files:
         if file.exists():
-            raise FileError(f"{file} is already there; nothing is overwritten. Choose another name.")
+            raise FileError(
+                f"{file} is already there; nothing is overwritten. Choose another name."
+            )
     for file, content in files.items():
         write_whole(file, content)
     return list(files)
 
 
 def marks_bytes(
-    marks: xr.Dataset, to: str, *, moving: LayerPixels = _NOTHING, fixed: LayerPixels = _NOTHING,
-    unit: Unit | None = None, swap: bool = False,
-) -> dict[str, bytes]:  # fmt: skip
+    marks: xr.Dataset,
+    to: str,
+    *,
+    moving: LayerPixels = _NOTHING,
+    fixed: LayerPixels = _NOTHING,
+    unit: Unit | None = None,
+    swap: bool = False,
+) -> dict[str, bytes]:
     """Give what `write_any` writes, by what it puts before the suffix of the name."""
     mark_format = FORMATS[to]
     check_marks(marks, "The marks")
     if unit is not None and not mark_format.free_unit:
         titles = " and ".join(other.title for other in FORMATS.values() if other.free_unit)
         raise SizeError(
-            f"A file for {mark_format.title} has its own unit; only those for {titles} are written in --out-unit."
+            f"A file for {mark_format.title} has its own unit; only those for {titles} are written"
+            " in --out-unit."
         )
     if mark_format.unit is None:
         return module_of(to).write(marks, {})
@@ -187,8 +205,13 @@ def marks_bytes(
         about, points = about_layer(marks, layer), model.points_of(marks, layer)
         pixel, first = about.get("pixel_um"), about.get("origin_um", {"x": 0.0, "y": 0.0})
         pixel_um = override.pixel_um or (pixel and (pixel["y"], pixel["x"]))
-        layer_pixels, file_text = LayerPixels(pixel_um, (first["x"], first["y"])), f"The file for {mark_format.title}"
-        origin, factor = layer_pixels.frame(unit or mark_format.unit, points.shape[1], file_text, role)
+        layer_pixels, file_text = (
+            LayerPixels(pixel_um, (first["x"], first["y"])),
+            f"The file for {mark_format.title}",
+        )
+        origin, factor = layer_pixels.frame(
+            unit or mark_format.unit, points.shape[1], file_text, role
+        )
         file_points.append((points - origin) / factor)
     roles = names if single else ("moving", "fixed")
     ordered = file_points[::-1] if swap else file_points
@@ -201,16 +224,19 @@ def _recognised(content: Content) -> str:
             return name
     if content.text.startswith("# Markups fiducial file"):
         raise FileError(
-            f"{content.name} is a point list of Slicer in the old format .fcsv. Save it in Slicer as .mrk.json."
+            f"{content.name} is a point list of Slicer in the old format .fcsv. Save it in Slicer"
+            " as .mrk.json."
         )
     if content.text.lstrip().startswith("{"):
         keys = ", ".join(list(content.json)[:6]) or "nothing"
         raise FileError(
-            f"{content.name} is JSON, but no file of marks: it holds {keys[:80]}. These are read: {known_formats()}."
+            f"{content.name} is JSON, but no file of marks: it holds {keys[:80]}. These are read:"
+            f" {known_formats()}."
         )
     first = ",".join(content.header)[:60]
     raise FileError(
-        f"{content.name} begins with {first!r} and is in no known format of marks. These are read: {known_formats()}."
+        f"{content.name} begins with {first!r} and is in no known format of marks. These are read:"
+        f" {known_formats()}."
     )
 
 
@@ -218,10 +244,19 @@ def _single_list(marks: xr.Dataset, name: str) -> PointList:
     names = layer_names(marks)
     if len(names) != 1:
         raise MarkError(
-            f"{name} already holds the layers {', '.join(names)}. Give it alone, or two files with one each."
+            f"{name} already holds the layers {', '.join(names)}. Give it alone, or two files with"
+            " one each."
         )
     places = model.places_of(marks, names[0])
     return PointList(
-        title=name, labels=model.labels_of(marks), points=places.um, used=model.used_of(marks).tolist(), unit="um",
-        stated=True, placed=True, extras=places.extras, source=places.source, about=about_layer(marks, names[0]),
-    )  # fmt: skip
+        title=name,
+        labels=model.labels_of(marks),
+        points=places.um,
+        used=model.used_of(marks).tolist(),
+        unit="um",
+        stated=True,
+        placed=True,
+        extras=places.extras,
+        source=places.source,
+        about=about_layer(marks, names[0]),
+    )

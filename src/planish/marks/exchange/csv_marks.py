@@ -17,7 +17,14 @@ from planish.core.files import write_whole
 from planish.core.tables import CsvTable, parse_table, table_text
 from planish.core.typing import Floats
 from planish.marks.exchange.lists import Content, PointList
-from planish.marks.exchange.model import MarkPlaces, holes_of, labels_of, layer_names, make_marks, used_pairs
+from planish.marks.exchange.model import (
+    MarkPlaces,
+    holes_of,
+    labels_of,
+    layer_names,
+    make_marks,
+    used_pairs,
+)
 
 _SIDES = {
     "moving": ("moving_x_um", "moving_y_um"),
@@ -45,11 +52,17 @@ def read(content: Content) -> xr.Dataset | list[PointList]:
     table = parse_table(content.text, content.name, needed=needed, error=MarkError, advice=advice)
     if "moving" in sides and "volume" in sides:
         table.faults.append("both moving and volume columns are there; keep one kind")
-    table.rows[:] = [row for row in table.rows if table.text(row, "used").lower() not in ("0", "0.0", "false", "no")]
+    table.rows[:] = [
+        row
+        for row in table.rows
+        if table.text(row, "used").lower() not in ("0", "0.0", "false", "no")
+    ]
     places = {side: MarkPlaces(um=table.numbers(_SIDES[side])) for side in (first, "fixed")}
     table.check()
     if not table.rows:
-        raise MarkError(f"{content.name} has a header and no pair of marks. At least 3 rows are needed.")
+        raise MarkError(
+            f"{content.name} has a header and no pair of marks. At least 3 rows are needed."
+        )
     return make_marks(_labels(table), places)
 
 
@@ -90,35 +103,57 @@ def write_marks(dataset: xr.Dataset, path: str | Path) -> None:
 
 def pairs_text(dataset: xr.Dataset) -> str:
     """Write the table of pairs; see :func:`write_marks`."""
-    variables = {str(name).removesuffix("_um"): variable for name, variable in dataset.variables.items()}
-    sides = [side for side, names in _SIDES.items() if all(name.removesuffix("_um") in variables for name in names)]
+    variables = {
+        str(name).removesuffix("_um"): variable for name, variable in dataset.variables.items()
+    }
+    sides = [
+        side
+        for side, names in _SIDES.items()
+        if all(name.removesuffix("_um") in variables for name in names)
+    ]
     if len(sides) < 2 or sides[-1] != "fixed":
         raise MarkError(
-            f"The marks hold {', '.join(sorted(variables)) or 'nothing'}; fixed_x, fixed_y and either moving_x, "
-            "moving_y or volume_x, volume_y, volume_z are needed."
+            f"The marks hold {', '.join(sorted(variables)) or 'nothing'}; fixed_x, fixed_y and"
+            " either moving_x, moving_y or volume_x, volume_y, volume_z are needed."
         )
     columns: dict[str, Iterable[Any]] = {"label": labels_of(dataset)}
-    for name in (*_SIDES[sides[0]], *_SIDES["fixed"], "residual_um", "leave_one_out_um", "weight", "used"):
+    for name in (
+        *_SIDES[sides[0]],
+        *_SIDES["fixed"],
+        "residual_um",
+        "leave_one_out_um",
+        "weight",
+        "used",
+    ):
         key = name.removesuffix("_um")
         if key in variables:
             columns[name] = map(int if key == "used" else float, variables[key].values)
     return table_text(list(columns), zip(*columns.values(), strict=True))
 
 
-def read_points(content: Content, columns: tuple[str, str], *, stated: bool, source: str) -> PointList:
+def read_points(
+    content: Content, columns: tuple[str, str], *, stated: bool, source: str
+) -> PointList:
     """Read the points of a table with a header; lengths in um where it states so."""
     advice = f"Give a table with the columns {' and '.join(columns)} and one row for each mark."
     table = parse_table(content.text, content.name, needed=columns, error=MarkError, advice=advice)
     points = table.numbers(columns)
-    diameters = [table.text(row, "diameter_um") and table.number(row, "diameter_um") for row in table.rows]
+    diameters = [
+        table.text(row, "diameter_um") and table.number(row, "diameter_um") for row in table.rows
+    ]
     table.check()
     if not len(points):
         raise MarkError(f"{content.name} has a header and no mark. One row for each is needed.")
     return PointList(
-        title=content.name, points=points, unit="um", stated=stated, placed=stated, source=source,
+        title=content.name,
+        points=points,
+        unit="um",
+        stated=stated,
+        placed=stated,
+        source=source,
         labels=_labels(table) if stated else (),
         extras={"diameter": np.array([v or np.nan for v in diameters], dtype=np.float64)},
-    )  # fmt: skip
+    )
 
 
 def _labels(table: CsvTable) -> list[str]:

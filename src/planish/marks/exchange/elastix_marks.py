@@ -16,7 +16,10 @@ from planish.core.typing import Floats
 from planish.marks.exchange.lists import Content, PointList
 
 _HEAD = re.compile(r"\s*(?:(point|index)(?:\s+|$))?(\S*)\s*?(?:\n|$)")
-_NEEDED = "'point' or 'index', the number of points, and one point a line, two or three numbers with spaces between"
+_NEEDED = (
+    "'point' or 'index', the number of points, and one point a line, two or three numbers with"
+    " spaces between"
+)
 
 
 def looks_like(content: Content) -> bool:
@@ -33,12 +36,14 @@ def read(content: Content) -> list[PointList]:
     head = _HEAD.match(text)
     word, count = (head[1], head[2]) if head else ("", "")
     if head is None or not _is_count(count):
-        raise MarkError(f"{name} states no number of points (found {count!r}). elastix reads {_NEEDED}.")
+        raise MarkError(
+            f"{name} states no number of points (found {count!r}). elastix reads {_NEEDED}."
+        )
     lines = [line.split() for line in text[head.end() :].splitlines() if line.strip()]
     if len(lines) != int(count):
         raise MarkError(
-            f"{name} states {int(count)} points and holds {len(lines)} lines of coordinates. Correct the number in its "
-            "second line, or add the points that are missing."
+            f"{name} states {int(count)} points and holds {len(lines)} lines of coordinates."
+            " Correct the number in its second line, or add the points that are missing."
         )
     if not lines:
         raise MarkError(f"{name} holds no point. elastix reads {_NEEDED}.")
@@ -52,7 +57,9 @@ def read(content: Content) -> list[PointList]:
             faults.append(f"point {k}: {cells[coordinates.index(None)]!r} is no finite number")
     raise_faults(name, faults, f"elastix reads {_NEEDED}.", error=MarkError)
     unit, stated = ("mm", False) if word == "point" else ("pixel", True)
-    return [PointList(title=name, points=np.array(points, dtype=np.float64), unit=unit, stated=stated)]
+    return [
+        PointList(title=name, points=np.array(points, dtype=np.float64), unit=unit, stated=stated)
+    ]
 
 
 def write(_marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:

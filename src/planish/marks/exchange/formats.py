@@ -44,45 +44,113 @@ class MarkFormat:
 
 FORMATS: dict[str, MarkFormat] = {
     "matlab": MarkFormat(
-        title="MATLAB", known_by="MATLAB .mat with movingPoints and fixedPoints", suffixes=(".mat",), unit="pixel",
+        title="MATLAB",
+        known_by="MATLAB .mat with movingPoints and fixedPoints",
+        suffixes=(".mat",),
+        unit="pixel",
         pairs_only=True,
-        row=("MATLAB (`.mat`)", "`movingPoints`, `fixedPoints`", "pixels", "**1**", "by name",
-             "pairs in use, in order"),
+        row=(
+            "MATLAB (`.mat`)",
+            "`movingPoints`, `fixedPoints`",
+            "pixels",
+            "**1**",
+            "by name",
+            "pairs in use, in order",
+        ),
     ),
     "json": MarkFormat(
-        title="planish JSON", known_by="planish JSON", suffixes=(".json",),
-        row=("planish JSON (`.json`)", "any layers", "um", "the layer's origin", "by name", "everything"),
+        title="planish JSON",
+        known_by="planish JSON",
+        suffixes=(".json",),
+        row=(
+            "planish JSON (`.json`)",
+            "any layers",
+            "um",
+            "the layer's origin",
+            "by name",
+            "everything",
+        ),
     ),
     "slicer": MarkFormat(
-        title="3D Slicer", known_by="3D Slicer .mrk.json", suffixes=(".mrk.json",), unit="mm", single=True,
-        row=("3D Slicer (`.mrk.json`)", "point lists", "mm or um, as stated", "0",
-             "lists called moving, from or source, and fixed, to or target; otherwise the first is moving",
-             "all marks; `selected`; `positionStatus`"),
+        title="3D Slicer",
+        known_by="3D Slicer .mrk.json",
+        suffixes=(".mrk.json",),
+        unit="mm",
+        single=True,
+        row=(
+            "3D Slicer (`.mrk.json`)",
+            "point lists",
+            "mm or um, as stated",
+            "0",
+            (
+                "lists called moving, from or source, and fixed, to or target; otherwise the first"
+                " is moving"
+            ),
+            "all marks; `selected`; `positionStatus`",
+        ),
     ),
     "bigwarp": MarkFormat(
-        title="BigWarp", known_by="BigWarp CSV", unit="um", free_unit=True,
-        row=("BigWarp CSV, and its JSON (read only)", "moving, target",
-             "that of the images in Fiji; um unless `--unit` says mm or pixel", "0", "moving first, then target",
-             "all marks; `active`; `Infinity` where there is no position"),
+        title="BigWarp",
+        known_by="BigWarp CSV",
+        unit="um",
+        free_unit=True,
+        row=(
+            "BigWarp CSV, and its JSON (read only)",
+            "moving, target",
+            "that of the images in Fiji; um unless `--unit` says mm or pixel",
+            "0",
+            "moving first, then target",
+            "all marks; `active`; `Infinity` where there is no position",
+        ),
     ),
     "elastix": MarkFormat(
-        title="elastix points", known_by="elastix points", suffixes=(".txt", ".pts"), unit="mm", free_unit=True,
-        pairs_only=True, single=True,
-        row=("elastix, transformix points (`.txt`)", "one layer a file",
-             "`point`: that of the image's space, mm unless `--unit` says otherwise; `index`: pixels", "0",
-             "`-mp` moving, `-fp` fixed", "pairs in use, in order, as `point`"),
+        title="elastix points",
+        known_by="elastix points",
+        suffixes=(".txt", ".pts"),
+        unit="mm",
+        free_unit=True,
+        pairs_only=True,
+        single=True,
+        row=(
+            "elastix, transformix points (`.txt`)",
+            "one layer a file",
+            (
+                "`point`: that of the image's space, mm unless `--unit` says otherwise; `index`:"
+                " pixels"
+            ),
+            "0",
+            "`-mp` moving, `-fp` fixed",
+            "pairs in use, in order, as `point`",
+        ),
     ),
     "csv": MarkFormat(
-        title="planish table", known_by="planish CSV", suffixes=(".csv",),
-        row=("planish CSV (`.csv`)", "moving or volume, fixed; or holes of one layer", "um", "the layer's origin",
-             "by name", "pairs in use, labels; of holes labels and diameter"),
+        title="planish table",
+        known_by="planish CSV",
+        suffixes=(".csv",),
+        row=(
+            "planish CSV (`.csv`)",
+            "moving or volume, fixed; or holes of one layer",
+            "um",
+            "the layer's origin",
+            "by name",
+            "pairs in use, labels; of holes labels and diameter",
+        ),
     ),
     "imagej": MarkFormat(
-        title="ImageJ results", known_by="ImageJ results with X and Y", unit="um", writable=False,
-        row=("ImageJ results (`.csv`, read only)", "one layer", "that of the image; um unless `--unit` says otherwise",
-             "0", "", ""),
+        title="ImageJ results",
+        known_by="ImageJ results with X and Y",
+        unit="um",
+        writable=False,
+        row=(
+            "ImageJ results (`.csv`, read only)",
+            "one layer",
+            "that of the image; um unless `--unit` says otherwise",
+            "0",
+            "",
+            "",
+        ),
     ),
-}  # fmt: skip
+}
 """Formats of marks by name, in the order in which a file is compared with them."""
 
 TARGETS = tuple(name for name, form in FORMATS.items() if form.writable)
@@ -102,9 +170,16 @@ def target_of(path: str | Path) -> str:
         If the name tells no format.
     """
     name = Path(path).name.lower()
-    asked = [(suffix, key) for key in TARGETS for suffix in FORMATS[key].suffixes if name.endswith(suffix)]
+    asked = [
+        (suffix, key)
+        for key in TARGETS
+        for suffix in FORMATS[key].suffixes
+        if name.endswith(suffix)
+    ]
     if not asked:
-        raise FileError(f"{Path(path).name} does not tell its format. Give --to {', '.join(TARGETS)}.")
+        raise FileError(
+            f"{Path(path).name} does not tell its format. Give --to {', '.join(TARGETS)}."
+        )
     return max(asked, key=lambda pair: len(pair[0]))[1]
 
 

@@ -11,7 +11,14 @@ from planish.core.errors import MarkError
 from planish.core.tables import naming_faults, raise_faults
 from planish.core.typing import Floats
 from planish.marks.exchange import model
-from planish.marks.exchange.lists import MOST_MARKS, Content, Part, check_count, json_file, json_text
+from planish.marks.exchange.lists import (
+    MOST_MARKS,
+    Content,
+    Part,
+    check_count,
+    json_file,
+    json_text,
+)
 from planish.marks.exchange.model import RESIDUAL, RESULTS, MarkPlaces, check_marks
 
 FORMAT = "planish-marks"
@@ -81,8 +88,8 @@ def read(content: Content) -> xr.Dataset:
     version = entries.get("version")
     if type(version) is int and version > VERSION:
         raise MarkError(
-            f"{name} has version {version} of the format; this planish reads up to version {VERSION}. Update planish, "
-            "or write the marks again with the older one."
+            f"{name} has version {version} of the format; this planish reads up to version"
+            f" {VERSION}. Update planish, or write the marks again with the older one."
         )
     mark_entries: object = entries.get("marks")
     check_count(name, len(mark_entries) if isinstance(mark_entries, list) else 0)
@@ -95,23 +102,39 @@ def read(content: Content) -> xr.Dataset:
         [mark.label for mark in file.marks],
         {layer: _places([mark.at.get(layer) for mark in file.marks]) for layer in names},
         used=[mark.used for mark in file.marks],
-        about={layer.name: layer.model_dump(exclude_none=True, exclude={"name"}) for layer in file.layers},
+        about={
+            layer.name: layer.model_dump(exclude_none=True, exclude={"name"})
+            for layer in file.layers
+        },
         results={key: values for key, values in results.items() if np.isfinite(values).any()},
     )
     check_marks(marks, name)
-    return marks if file.registration is None else marks.assign_attrs(registration=file.registration)
+    return (
+        marks if file.registration is None else marks.assign_attrs(registration=file.registration)
+    )
 
 
 def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
     """Write a JSON file, from which `read` gives the same numbers back."""
     places = {layer: model.places_of(marks, layer) for layer in model.layer_names(marks)}
     rows: list[dict[str, Any]] = []
-    for k, (label, used) in enumerate(zip(model.labels_of(marks), model.used_of(marks).tolist(), strict=True)):
-        positions = {layer: _place(p, k) for layer, p in places.items() if np.isfinite(p.um[k]).all()}
-        result_names = [key for key in RESULTS if key in marks and np.isfinite(marks[key].values[k])]
+    for k, (label, used) in enumerate(
+        zip(model.labels_of(marks), model.used_of(marks).tolist(), strict=True)
+    ):
+        positions = {
+            layer: _place(p, k) for layer, p in places.items() if np.isfinite(p.um[k]).all()
+        }
+        result_names = [
+            key for key in RESULTS if key in marks and np.isfinite(marks[key].values[k])
+        ]
         results = {f"{key}_um": float(marks[key].values[k]) for key in result_names}
         rows.append({"label": label, "used": used, "at": positions} | results)
-    head: dict[str, Any] = {"format": FORMAT, "version": VERSION, "units": "um", "axes": {"x": "right", "y": "down"}}
+    head: dict[str, Any] = {
+        "format": FORMAT,
+        "version": VERSION,
+        "units": "um",
+        "axes": {"x": "right", "y": "down"},
+    }
     head["layers"] = []
     for layer in places:
         about = {"name": layer, **model.about_layer(marks, layer)}
@@ -133,7 +156,9 @@ def _column(parts: Sequence[Part | None], key: str) -> Floats:
 def _places(layer_places: Sequence[_Place | None]) -> MarkPlaces:
     um = np.stack([_column(layer_places, axis) for axis in "xyz"], axis=1)
     unknown = [[np.nan, np.nan], [np.nan, np.nan]]
-    spread = np.array([(place and place.covariance_um2) or unknown for place in layer_places]).reshape(-1, 2, 2)
+    spread = np.array(
+        [(place and place.covariance_um2) or unknown for place in layer_places]
+    ).reshape(-1, 2, 2)
     return MarkPlaces(
         um=um if np.isfinite(um[:, 2]).any() else um[:, :2],
         source=[place.source if place else "imported" for place in layer_places],
@@ -144,7 +169,9 @@ def _places(layer_places: Sequence[_Place | None]) -> MarkPlaces:
 
 def _place(places: MarkPlaces, k: int) -> dict[str, Any]:
     row: dict[str, Any] = dict(zip("xyz", places.um[k].tolist(), strict=False))
-    extras = {name: float(column[k]) for name, column in places.extras.items() if np.isfinite(column[k])}
+    extras = {
+        name: float(column[k]) for name, column in places.extras.items() if np.isfinite(column[k])
+    }
     if {"cov_xx", "cov_xy", "cov_yy"} <= set(extras):
         xy = extras["cov_xy"]
         row["covariance_um2"] = [[extras["cov_xx"], xy], [xy, extras["cov_yy"]]]
@@ -153,7 +180,11 @@ def _place(places: MarkPlaces, k: int) -> dict[str, Any]:
 
 
 def _cross_field_faults(file: _File, layers: list[str]) -> list[str]:
-    faults = [f"the layer {n} is there {layers.count(n)} times" for n in sorted(set(layers)) if layers.count(n) > 1]
+    faults = [
+        f"the layer {n} is there {layers.count(n)} times"
+        for n in sorted(set(layers))
+        if layers.count(n) > 1
+    ]
     if RESIDUAL in layers:
         faults.append(f"{RESIDUAL} cannot be the name of a layer")
     z_states: dict[str, set[bool]] = {}
@@ -164,8 +195,14 @@ def _cross_field_faults(file: _File, layers: list[str]) -> list[str]:
                 faults.append(f"{mark_text}: there is no such layer")
             z_states.setdefault(layer, set()).add(place.z is not None)
             if place.covariance_um2 is not None and not _is_covariance(place.covariance_um2):
-                faults.append(f"{mark_text}: the covariance is not [[xx, xy], [xy, yy]] of a spread")
-    faults += [f"some positions in {n} have z and some have none" for n, states in z_states.items() if len(states) > 1]
+                faults.append(
+                    f"{mark_text}: the covariance is not [[xx, xy], [xy, yy]] of a spread"
+                )
+    faults += [
+        f"some positions in {n} have z and some have none"
+        for n, states in z_states.items()
+        if len(states) > 1
+    ]
     return faults
 
 

@@ -62,7 +62,9 @@ def read_content(path: str | Path) -> Content:
 def check_count(name: str, count: int) -> None:
     """Refuse more marks than a sheet can have."""
     if count > MOST_MARKS:
-        raise MarkError(f"{name} holds {count} marks; {MOST_MARKS} are the most. Give a file with marks only.")
+        raise MarkError(
+            f"{name} holds {count} marks; {MOST_MARKS} are the most. Give a file with marks only."
+        )
 
 
 def json_text(content: object) -> str:
@@ -70,7 +72,9 @@ def json_text(content: object) -> str:
     return json.dumps(content, ensure_ascii=False, allow_nan=False)
 
 
-def json_file(header: Mapping[str, Any], list_name: str, brackets: str, entries: Sequence[str]) -> str:
+def json_file(
+    header: Mapping[str, Any], list_name: str, brackets: str, entries: Sequence[str]
+) -> str:
     """Write a JSON object: a head, one key a line, and under a name a list or an object, one entry a line."""
     header_text = "".join(f' "{key}": {json_text(content)},\n' for key, content in header.items())
     entries_text = ",\n".join(f"  {entry}" for entry in entries)
@@ -82,11 +86,16 @@ def read_object(text: str, name: str) -> Mapping[str, Any]:
     try:
         content: object = json.loads(text, object_pairs_hook=_unique_keys)
     except RecursionError as error:
-        raise FileError(f"{name} is nested too deeply for a file of marks. Give {known_formats()}.") from error
+        raise FileError(
+            f"{name} is nested too deeply for a file of marks. Give {known_formats()}."
+        ) from error
     except ValueError as error:
         raise FileError(f"{name} is damaged JSON: {error}. Save the marks again.") from error
     if not isinstance(content, dict):
-        raise FileError(f"{name} is JSON, but no file of marks: it holds a list. These are read: {known_formats()}.")
+        raise FileError(
+            f"{name} is JSON, but no file of marks: it holds a list. These are read:"
+            f" {known_formats()}."
+        )
     return cast("dict[str, Any]", content)
 
 
@@ -135,7 +144,8 @@ class LayerPixels:
         If a size is no positive number, or an origin no finite one.
     """
 
-    pixel_um: Any = None  #: one size, ``(y, x)``, or ``(z, y, x)`` for a volume, in um; kept as a tuple
+    # : one size, ``(y, x)``, or ``(z, y, x)`` for a volume, in um; kept as a tuple.
+    pixel_um: Any = None
     #: ``(x, y)`` of the centre of the first pixel, from which other programs count, in um.
     origin_um: Sequence[float] | None = None
     shape: Sequence[int] | None = None  #: rows and columns
@@ -143,15 +153,22 @@ class LayerPixels:
     def __post_init__(self) -> None:
         """Check sizes and origin."""
         if self.pixel_um is not None:
-            sizes = tuple(float(v) for v in np.atleast_1d(np.asarray(self.pixel_um, dtype=np.float64)))
+            sizes = tuple(
+                float(v) for v in np.atleast_1d(np.asarray(self.pixel_um, dtype=np.float64))
+            )
             if not (1 <= len(sizes) <= 3 and all(np.isfinite(v) and v > 0 for v in sizes)):
                 raise SizeError(
-                    f"The pixel size of a layer is {self.pixel_um!r} um; one positive number, two (y, x), or three for "
-                    "a volume (z, y, x) are needed in --moving-pixel-um and --fixed-pixel-um."
+                    f"The pixel size of a layer is {self.pixel_um!r} um; one positive number, two"
+                    " (y, x), or three for a volume (z, y, x) are needed in --moving-pixel-um and"
+                    " --fixed-pixel-um."
                 )
             object.__setattr__(self, "pixel_um", sizes)
-        if self.origin_um is not None and not (len(self.origin_um) == 2 and np.isfinite(self.origin_um).all()):
-            raise SizeError(f"The origin of a layer is {self.origin_um!r} um; two numbers (x, y) are needed.")
+        if self.origin_um is not None and not (
+            len(self.origin_um) == 2 and np.isfinite(self.origin_um).all()
+        ):
+            raise SizeError(
+                f"The origin of a layer is {self.origin_um!r} um; two numbers (x, y) are needed."
+            )
 
     def about(self) -> dict[str, Any]:
         """Give the facts as they are kept with the marks."""
@@ -173,19 +190,28 @@ class LayerPixels:
         option = "fixed" if side == "fixed" else "moving"
         if self.pixel_um is None:
             raise SizeError(
-                f"{name} gives positions in pixels, and the pixel size of the {side} layer is not known. Give it in um "
-                f"to planish marks convert with --{option}-pixel-um."
+                f"{name} gives positions in pixels, and the pixel size of the {side} layer is not"
+                f" known. Give it in um to planish marks convert with --{option}-pixel-um."
             )
         if axes == 3 and len(self.pixel_um) == 2:
             raise SizeError(
-                f"{name} holds points of a volume in voxels; the sizes z, y, x (or one for all) are needed in "
-                f"--{option}-pixel-um."
+                f"{name} holds points of a volume in voxels; the sizes z, y, x (or one for all) are"
+                f" needed in --{option}-pixel-um."
             )
-        return origin, np.array(self.pixel_um[::-1] if len(self.pixel_um) > 1 else self.pixel_um * 3)[:axes]
+        return (
+            origin,
+            np.array(self.pixel_um[::-1] if len(self.pixel_um) > 1 else self.pixel_um * 3)[:axes],
+        )
 
 
 def join_lists(
-    lists: Sequence[PointList], *, name: str, moving: LayerPixels, fixed: LayerPixels, unit: Unit | None, swap: bool
+    lists: Sequence[PointList],
+    *,
+    name: str,
+    moving: LayerPixels,
+    fixed: LayerPixels,
+    unit: Unit | None,
+    swap: bool,
 ) -> xr.Dataset:
     """Join marks in um from one list (layer ``marks``), or two whose points belong together in their order.
 
@@ -195,12 +221,15 @@ def join_lists(
         check_count(name, len(point_list.points))
         if unit is not None and point_list.stated and unit != point_list.unit:
             raise SizeError(
-                f"{name} states its unit, {point_list.unit}, and --unit says {unit}. Leave --unit out, or correct the "
-                "file."
+                f"{name} states its unit, {point_list.unit}, and --unit says {unit}. Leave --unit"
+                " out, or correct the file."
             )
     if len(lists) > 2:
         titles = ", ".join(f"{p.title} ({len(p.points)})" for p in lists[:8])
-        raise MarkError(f"{name} holds {len(lists)} lists of points: {titles}. Two are needed; save those two alone.")
+        raise MarkError(
+            f"{name} holds {len(lists)} lists of points: {titles}. Two are needed; save those two"
+            " alone."
+        )
     first, last = lists[0], lists[-1]
     layers = {"marks": (first, moving if moving.pixel_um or moving.origin_um else fixed)}
     if len(lists) == 2:
@@ -211,14 +240,16 @@ def join_lists(
         a, b = first.names, last.names
         if len(a) != len(b):
             raise MarkError(
-                f"{name}: {len(a)} moving points ({first.title}) and {len(b)} fixed points ({last.title}). Points "
-                "belong together in their order, so both need the same number: add or remove points."
+                f"{name}: {len(a)} moving points ({first.title}) and {len(b)} fixed points"
+                f" ({last.title}). Points belong together in their order, so both need the same"
+                " number: add or remove points."
             )
         if a != b and sorted(a) == sorted(b):
             k = next(k for k in range(len(a)) if a[k] != b[k])
             raise MarkError(
-                f"{name}: both lists have the same labels in another order: {a[k]} and {b[k]} are both number {k + 1}. "
-                "Points belong together in their order: sort one list, or rename its points."
+                f"{name}: both lists have the same labels in another order: {a[k]} and {b[k]} are"
+                f" both number {k + 1}. Points belong together in their order: sort one list, or"
+                " rename its points."
             )
         layers = {"moving": (first, moving), "fixed": (last, fixed)}
     places: dict[str, MarkPlaces] = {}
@@ -228,8 +259,8 @@ def join_lists(
         has_z = mark_places.um.shape[1] == 3
         if side == "fixed" and has_z:
             raise MarkError(
-                f"{name}: the points of the fixed side ({last.title}) differ in z. That side has to be a flat image; "
-                "where the volume was the fixed or target one, give --swap."
+                f"{name}: the points of the fixed side ({last.title}) differ in z. That side has to"
+                " be a flat image; where the volume was the fixed or target one, give --swap."
             )
         layer = "volume" if side == "moving" and has_z else side
         places[layer], about[layer] = mark_places, dict(point_list.about) | facts.about()
@@ -240,7 +271,9 @@ def join_lists(
     return make_marks(first.names, places, used=used.tolist(), about=about)
 
 
-def _places(point_list: PointList, side: str, facts: LayerPixels, unit: Unit | None, name: str) -> MarkPlaces:
+def _places(
+    point_list: PointList, side: str, facts: LayerPixels, unit: Unit | None, name: str
+) -> MarkPlaces:
     """Convert points to um, shape (n, 2), or (n, 3) where z says something; and what else is known, in um too."""
     coordinates = point_list.points
     if coordinates.shape[1] == 3:

@@ -14,7 +14,10 @@ from planish.marks.exchange.lists import Content, PointList
 
 # Variables that hold pairs; the second two are those of MATLAB before 2013.
 NAMES = (("movingPoints", "fixedPoints"), ("input_points", "base_points"))
-_SAVE = "Export the moving and fixed points of valid pairs, then save('marks.mat','movingPoints','fixedPoints')."
+_SAVE = (
+    "Export the moving and fixed points of valid pairs, then"
+    " save('marks.mat','movingPoints','fixedPoints')."
+)
 
 
 def looks_like(content: Content) -> bool:
@@ -29,14 +32,17 @@ def read(content: Content) -> list[PointList]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             file = io.BytesIO(data)
-            matrices: dict[str, Floats | None] = {}  # None for what is no small real matrix, or not asked for
+            # None for what is no small real matrix, or not asked for.
+            matrices: dict[str, Floats | None] = {}
             for v in matlab.variables(file):
                 # Larger matrices are images.
                 is_small = v.real and len(v.shape) == 2 and v.count <= 1_000_000
                 is_wanted = is_small and any(v.name in pair for pair in NAMES)
                 matrices[v.name] = matlab.values(file, v).astype(np.float64) if is_wanted else None
     except Exception as error:
-        raise FileError(f"{name} cannot be read as a MATLAB file: {error or type(error).__name__}. {_SAVE}") from error
+        raise FileError(
+            f"{name} cannot be read as a MATLAB file: {error or type(error).__name__}. {_SAVE}"
+        ) from error
     pair = next((p for p in NAMES if all(n in matrices for n in p)), None)
     if pair is None:
         names = ", ".join(sorted(matrices)[:8])[:120] or "nothing"
@@ -44,7 +50,8 @@ def read(content: Content) -> list[PointList]:
     points = [_checked(matrices[variable], variable, name) for variable in pair]
     if len(points[0]) != len(points[1]):
         raise MarkError(
-            f"{name}: {len(points[0])} points in {pair[0]}, {len(points[1])} in {pair[1]}; as many are needed. {_SAVE}"
+            f"{name}: {len(points[0])} points in {pair[0]}, {len(points[1])} in {pair[1]}; as many"
+            f" are needed. {_SAVE}"
         )
     if not len(points[0]):
         raise MarkError(f"{name} holds no point. {_SAVE}")
@@ -61,7 +68,8 @@ def write(_marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
     moving, fixed = (side + 1.0 for side in points.values())
     if moving.shape[1] == 3:
         raise MarkError(
-            "These marks lie in a volume; MATLAB's control points are flat. Use slicer, elastix or bigwarp."
+            "These marks lie in a volume; MATLAB's control points are flat. Use slicer, elastix or"
+            " bigwarp."
         )
     file: Any = io.BytesIO()
     savemat(file, {NAMES[0][0]: moving, NAMES[0][1]: fixed})
@@ -72,8 +80,14 @@ def write(_marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
 
 def _checked(matrix: Floats | None, variable: str, name: str) -> Floats:
     if matrix is None or matrix.shape[1] != 2:
-        size = "no real matrix" if matrix is None else f"of the size {matrix.shape[0]} x {matrix.shape[1]}"
-        raise MarkError(f"{name}: {variable} is {size}; n x 2 real numbers are needed, x and y. {_SAVE}")
+        size = (
+            "no real matrix"
+            if matrix is None
+            else f"of the size {matrix.shape[0]} x {matrix.shape[1]}"
+        )
+        raise MarkError(
+            f"{name}: {variable} is {size}; n x 2 real numbers are needed, x and y. {_SAVE}"
+        )
     if not np.isfinite(matrix).all():
         rows = ", ".join(str(k + 1) for k in np.flatnonzero(~np.isfinite(matrix).all(axis=1))[:8])
         raise MarkError(f"{name}: {variable} has no finite position in the rows {rows}. {_SAVE}")

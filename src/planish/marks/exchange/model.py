@@ -27,7 +27,10 @@ EXTRAS: dict[str, tuple[str, str]] = {
     "axis_ratio": ("1", "Longer over shorter axis of the rim"),
     "arc_coverage": ("1", "Share of the rim that was found"),
 }
-RESULTS = {"residual": "Distance left by the fit", "leave_one_out": "Distance left by the fit to all other marks"}
+RESULTS = {
+    "residual": "Distance left by the fit",
+    "leave_one_out": "Distance left by the fit to all other marks",
+}
 RESIDUAL = "residual"  # no layer: a run's marks hold ``residual_x`` and ``residual_y``
 _TITLES = {"moving": "on the flattened map", "volume": "in the volume", "fixed": "in the image"}
 
@@ -36,16 +39,25 @@ _TITLES = {"moving": "on the flattened map", "volume": "in the volume", "fixed":
 class MarkPlaces:
     """Places of the marks in one layer."""
 
-    um: Floats  #: (n, 2) ``x, y`` or (n, 3) ``x, y, z``, in um; NaN where a mark is not in this layer
-    source: str | Sequence[str] = "imported"  #: (n,) or one: ``detected``, ``clicked``, ``predicted``, ``imported``,
+    # : (n, 2) ``x, y`` or (n, 3) ``x, y, z``, in um; NaN where a mark is not in this layer.
+    um: Floats
+    # : (n,) or one: ``detected``, ``clicked``, ``predicted``, ``imported``,
+    source: str | Sequence[str] = "imported"
     #: or ``tile`` of a texture
-    extras: Mapping[str, Floats] = field(default_factory=dict[str, Floats])  #: of `EXTRAS`, (n,); NaN where not known
+    # : of `EXTRAS`, (n,); NaN where not known.
+    extras: Mapping[str, Floats] = field(default_factory=dict[str, Floats])
 
     @classmethod
     def of_holes(cls, holes: xr.Dataset, rows: Ints, source: str = "detected") -> MarkPlaces:
         """Give places of some holes of `find_holes`, ``x``, ``y`` and any of `EXTRAS`; NaN where the row is -1."""
-        values = {name: np.append(holes[name].values, np.nan)[rows] for name in ("x", "y", *EXTRAS) if name in holes}
-        return cls(um=np.stack([values.pop("x"), values.pop("y")], axis=1), source=source, extras=values)
+        values = {
+            name: np.append(holes[name].values, np.nan)[rows]
+            for name in ("x", "y", *EXTRAS)
+            if name in holes
+        }
+        return cls(
+            um=np.stack([values.pop("x"), values.pop("y")], axis=1), source=source, extras=values
+        )
 
 
 def make_marks(
@@ -89,9 +101,15 @@ def make_marks(
     }
     for layer, places in layers.items():
         if not NAME.fullmatch(layer) or layer == RESIDUAL:
-            raise MarkError(f"{layer!r} is no name of a layer: use small letters, digits and underscores, such as map.")
+            raise MarkError(
+                f"{layer!r} is no name of a layer: use small letters, digits and underscores, such"
+                " as map."
+            )
         where = _TITLES.get(layer, f"in {layer}")
-        columns = {axis: (v, "um", f"Mark {where}, {axis}") for axis, v in zip("xyz", places.um.T, strict=False)}
+        columns = {
+            axis: (v, "um", f"Mark {where}, {axis}")
+            for axis, v in zip("xyz", places.um.T, strict=False)
+        }
         for name, (units, text) in EXTRAS.items():
             if name in places.extras and np.isfinite(places.extras[name]).any():
                 columns[name] = places.extras[name], units, f"{text}, {where}"
@@ -101,8 +119,14 @@ def make_marks(
         source = np.broadcast_to(np.array(places.source, dtype=np.str_), len(labels)).copy()
         variables[f"{layer}_source"] = ("mark", source, {"long_name": f"Found how, {where}"})
     for name, errors in (results or {}).items():
-        variables[name] = ("mark", np.asarray(errors, dtype=np.float64), {"units": "um", "long_name": RESULTS[name]})
-    return xr.Dataset(variables, attrs={"layers": {layer: dict((about or {}).get(layer, {})) for layer in layers}})
+        variables[name] = (
+            "mark",
+            np.asarray(errors, dtype=np.float64),
+            {"units": "um", "long_name": RESULTS[name]},
+        )
+    return xr.Dataset(
+        variables, attrs={"layers": {layer: dict((about or {}).get(layer, {})) for layer in layers}}
+    )
 
 
 def layer_names(marks: xr.Dataset) -> list[str]:
@@ -110,7 +134,9 @@ def layer_names(marks: xr.Dataset) -> list[str]:
     ends = [str(name)[:-2] for name in marks.variables if str(name).endswith("_x")]
     names = [name for name in ends if f"{name}_y" in marks and name != RESIDUAL]
     listed: Mapping[str, Any] = marks.attrs.get("layers", {})
-    return [name for name in listed if name in names] + [name for name in names if name not in listed]
+    return [name for name in listed if name in names] + [
+        name for name in names if name not in listed
+    ]
 
 
 def about_layer(marks: xr.Dataset, layer: str) -> dict[str, Any]:
@@ -126,9 +152,13 @@ def points_of(marks: xr.Dataset, layer: str) -> Floats:
 
 def places_of(marks: xr.Dataset, layer: str) -> MarkPlaces:
     """Return positions in one layer with all that is known of them."""
-    extras = {name: marks[f"{layer}_{name}"].values for name in EXTRAS if f"{layer}_{name}" in marks}
+    extras = {
+        name: marks[f"{layer}_{name}"].values for name in EXTRAS if f"{layer}_{name}" in marks
+    }
     points, source_name = points_of(marks, layer), f"{layer}_source"
-    source = marks[source_name].values.tolist() if source_name in marks else ["imported"] * len(points)
+    source = (
+        marks[source_name].values.tolist() if source_name in marks else ["imported"] * len(points)
+    )
     return MarkPlaces(um=points, source=source, extras=extras)
 
 
@@ -139,27 +169,41 @@ def in_layers(marks: xr.Dataset, layers: Sequence[str]) -> Bools:
 
 def paired(marks: xr.Dataset) -> Bools:
     """Return which marks are in use and lie in both layers."""
-    return used_of(marks) & in_layers(marks, ["volume" if "volume_x" in marks else "moving", "fixed"])
+    return used_of(marks) & in_layers(
+        marks, ["volume" if "volume_x" in marks else "moving", "fixed"]
+    )
 
 
 def labels_of(marks: xr.Dataset) -> list[str]:
     """Return the names of the marks; their numbers where they have none."""
-    labels = marks["label"].values if "label" in marks else np.arange(1, marks.sizes.get("mark", 0) + 1)
+    labels = (
+        marks["label"].values if "label" in marks else np.arange(1, marks.sizes.get("mark", 0) + 1)
+    )
     return labels.astype(np.str_).tolist()
 
 
 def tiles_of(marks: xr.Dataset) -> Bools:
     """Return which marks are tiles of texture in any layer: these are no holes and have no diameter."""
-    sources = [marks[f"{layer}_source"].values == "tile" for layer in layer_names(marks) if f"{layer}_source" in marks]
+    sources = [
+        marks[f"{layer}_source"].values == "tile"
+        for layer in layer_names(marks)
+        if f"{layer}_source" in marks
+    ]
     return np.any(sources, axis=0) if sources else np.zeros(marks.sizes.get("mark", 0), bool)
 
 
 def used_of(marks: xr.Dataset) -> Bools:
     """Return which marks take part in a fit; all where it is not stated."""
-    return marks["used"].values.astype(bool) if "used" in marks else np.ones(marks.sizes.get("mark", 0), bool)
+    return (
+        marks["used"].values.astype(bool)
+        if "used" in marks
+        else np.ones(marks.sizes.get("mark", 0), bool)
+    )
 
 
-def marks_of_holes(holes: xr.Dataset, *, layer: str, about: Mapping[str, Any] | None = None) -> xr.Dataset:
+def marks_of_holes(
+    holes: xr.Dataset, *, layer: str, about: Mapping[str, Any] | None = None
+) -> xr.Dataset:
     """Make marks with one layer of holes as :func:`planish.marks.find_holes` and `read_holes` give them.
 
     Parameters
@@ -180,10 +224,15 @@ def join_holes(
 ) -> xr.Dataset:
     """Make marks of two layers' holes: ``pairs`` (k, 2: rows of moving and fixed), with labels, then single holes."""
     paired_rows = np.empty((0, 2), dtype=np.intp) if pairs is None else pairs
-    unpaired_rows = [np.setdiff1d(np.arange(h.sizes["mark"]), paired_rows[:, k]) for k, h in enumerate((moving, fixed))]
+    unpaired_rows = [
+        np.setdiff1d(np.arange(h.sizes["mark"]), paired_rows[:, k])
+        for k, h in enumerate((moving, fixed))
+    ]
     names, layers, about = [*labels], dict[str, MarkPlaces](), dict[str, dict[str, Any]]()
     for k, (side, holes) in enumerate((("moving", moving), ("fixed", fixed))):
-        padded_rows = [rows if j == k else np.full(rows.size, -1) for j, rows in enumerate(unpaired_rows)]
+        padded_rows = [
+            rows if j == k else np.full(rows.size, -1) for j, rows in enumerate(unpaired_rows)
+        ]
         hole_rows = np.concatenate([paired_rows[:, k], *padded_rows])
         layers[side] = MarkPlaces.of_holes(holes, hole_rows, holes.attrs.get("source", "detected"))
         attrs = {"title": holes.attrs.get("layer"), "side": holes.attrs.get("seen_from")}
@@ -203,7 +252,9 @@ def holes_of(marks: xr.Dataset, layer: str) -> xr.Dataset:
     _check_layer(marks, layer)
     names: dict[Hashable, str] = {f"{layer}_{name}": name for name in ("x", "y", "z", *EXTRAS)}
     names = {name: hole_name for name, hole_name in names.items() if name in marks}
-    return marks[[*names, "label"]].rename(names).isel(mark=np.flatnonzero(in_layers(marks, [layer])))
+    return (
+        marks[[*names, "label"]].rename(names).isel(mark=np.flatnonzero(in_layers(marks, [layer])))
+    )
 
 
 def with_holes(marks: xr.Dataset, holes: xr.Dataset, layer: str, *, usual_um: float) -> xr.Dataset:
@@ -214,26 +265,46 @@ def with_holes(marks: xr.Dataset, holes: xr.Dataset, layer: str, *, usual_um: fl
     """
     holes = holes.isel(mark=np.flatnonzero(in_layers(holes, [layer]) & ~tiles_of(holes)))
     name, hole_count = f"{layer}_diameter", holes.sizes["mark"]
-    mark_um, hole_um = (m[name].values if name in m else np.full(m.sizes["mark"], np.nan) for m in (marks, holes))
+    mark_um, hole_um = (
+        m[name].values if name in m else np.full(m.sizes["mark"], np.nan) for m in (marks, holes)
+    )
     points = points_of(marks, layer)
     distances = np.linalg.norm(points[:, None] - points_of(holes, layer), axis=2)
     distances[~(distances < 0.5 * hole_um)] = np.inf
     # The nearest hole; the number after the last one where a mark lies in none.
-    hole_rows = np.argmin(np.pad(distances, ((0, 0), (0, 1)), constant_values=np.finfo(np.float64).max), axis=1)
+    hole_rows = np.argmin(
+        np.pad(distances, ((0, 0), (0, 1)), constant_values=np.finfo(np.float64).max), axis=1
+    )
     diameters = np.where(np.isfinite(mark_um), mark_um, np.append(hole_um, usual_um)[hole_rows])
     diameters = np.where(np.isfinite(points[:, 0]) & ~tiles_of(marks), diameters, np.nan)
     columns = ["label", *(column for column in holes if str(column).startswith(f"{layer}_"))]
     unmarked = holes[columns].isel(mark=np.setdiff1d(np.arange(hole_count), hole_rows))
     with_diameters = marks.assign({name: ("mark", diameters, {"units": "um"})})
     unmarked = unmarked.assign(used=("mark", np.ones(unmarked.sizes["mark"])))
-    joined = xr.concat([with_diameters, unmarked], dim="mark", data_vars="all", join="outer", combine_attrs="override")
-    retyped: dict[Hashable, Any] = {"used": joined["used"].astype(bool), "label": joined["label"].astype(str)}
+    joined = xr.concat(
+        [with_diameters, unmarked],
+        dim="mark",
+        data_vars="all",
+        join="outer",
+        combine_attrs="override",
+    )
+    retyped: dict[Hashable, Any] = {
+        "used": joined["used"].astype(bool),
+        "label": joined["label"].astype(str),
+    }
     sources = [column for column in joined if str(column).endswith("_source")]
-    return joined.assign(retyped | {column: joined[column].fillna("imported").astype(str) for column in sources})
+    return joined.assign(
+        retyped | {column: joined[column].fillna("imported").astype(str) for column in sources}
+    )
 
 
 def used_pairs(
-    marks: xr.Dataset, *, moving: str | None = None, fixed: str | None = None, least: int = 3, name: str = "The file"
+    marks: xr.Dataset,
+    *,
+    moving: str | None = None,
+    fixed: str | None = None,
+    least: int = 3,
+    name: str = "The file",
 ) -> xr.Dataset:
     """Return the marks that are used and lie in both layers.
 
@@ -262,17 +333,26 @@ def used_pairs(
     count = pairs.sizes["mark"]
     if count < least:
         raise MarkError(
-            f"{name} holds {marks.sizes['mark']} marks, of which {count} are used and lie in both {first} and "
-            f"{second}. At least {least} are needed, far apart: add marks, or use those that are switched off."
+            f"{name} holds {marks.sizes['mark']} marks, of which {count} are used and lie in both"
+            f" {first} and {second}. At least {least} are needed, far apart: add marks, or use"
+            " those that are switched off."
         )
     side = "volume" if f"{first}_z" in marks else "moving"
     columns = [(first, side, axis) for axis in "xyz"] + [(second, "fixed", axis) for axis in "xy"]
-    places = {f"{role}_{axis}": pairs[f"{layer}_{axis}"] for layer, role, axis in columns if f"{layer}_{axis}" in pairs}
+    places = {
+        f"{role}_{axis}": pairs[f"{layer}_{axis}"]
+        for layer, role, axis in columns
+        if f"{layer}_{axis}" in pairs
+    }
     return xr.Dataset({"label": ("mark", np.array(labels_of(pairs), dtype=np.str_))} | places)
 
 
 def pair_of_layers(
-    marks: xr.Dataset, *, moving: str | None = None, fixed: str | None = None, name: str = "The file"
+    marks: xr.Dataset,
+    *,
+    moving: str | None = None,
+    fixed: str | None = None,
+    name: str = "The file",
 ) -> tuple[str, str]:
     """Return which layers are the moving and the fixed one."""
     names = layer_names(marks)
@@ -282,12 +362,14 @@ def pair_of_layers(
         return "moving" if "moving" in names else "volume", "fixed"
     if len(names) < 2:
         raise MarkError(
-            f"{name} holds marks of one layer only ({', '.join(names) or 'none'}); pairs of a moving and a fixed layer "
-            "are needed. Give the second file as well: planish marks convert MOVING FIXED OUT."
+            f"{name} holds marks of one layer only ({', '.join(names) or 'none'}); pairs of a"
+            " moving and a fixed layer are needed. Give the second file as well: planish marks"
+            " convert MOVING FIXED OUT."
         )
     if len(names) > 2 and (moving is None or fixed is None):
         raise MarkError(
-            f"{name} holds {len(names)} layers: {', '.join(names)}. Name the two that belong together moving and fixed."
+            f"{name} holds {len(names)} layers: {', '.join(names)}. Name the two that belong"
+            " together moving and fixed."
         )
     free_layers = [n for n in names if n not in (moving, fixed)]
     first = moving or free_layers.pop(0)
@@ -297,7 +379,9 @@ def pair_of_layers(
 def _check_layer(marks: xr.Dataset, layer: str) -> None:
     names = layer_names(marks)
     if layer not in names:
-        raise MarkError(f"The marks have no layer {layer!r}; they have {', '.join(names) or 'none'}.")
+        raise MarkError(
+            f"The marks have no layer {layer!r}; they have {', '.join(names) or 'none'}."
+        )
 
 
 def check_marks(marks: xr.Dataset, name: str) -> None:
@@ -305,13 +389,20 @@ def check_marks(marks: xr.Dataset, name: str) -> None:
     labels, used = labels_of(marks), used_of(marks)
     if not labels:
         raise MarkError(f"{name} holds no mark. Set marks in both layers and save them again.")
-    faults = [f"the label {label!r} is there {count} times" for label, count in Counter(labels).items() if count > 1]
+    faults = [
+        f"the label {label!r} is there {count} times"
+        for label, count in Counter(labels).items()
+        if count > 1
+    ]
     for layer in layer_names(marks):
         points = points_of(marks, layer)
         missing = np.isnan(points)
         # Farther positions are errors of unit or of writing; within, no arithmetic overflows.
         wrong = (np.abs(points) > 1e9).any(axis=1) | (missing.any(axis=1) & ~missing.all(axis=1))
-        faults += [f"{labels[k]} has no position within a kilometre in {layer}" for k in np.flatnonzero(wrong)]
+        faults += [
+            f"{labels[k]} has no position within a kilometre in {layer}"
+            for k in np.flatnonzero(wrong)
+        ]
         first: dict[tuple[float, ...], int] = {}
         for k in np.flatnonzero(used & np.isfinite(points).all(axis=1)).tolist():
             other = first.setdefault(tuple(points[k].tolist()), k)
@@ -334,7 +425,8 @@ def check_plausible(marks: xr.Dataset, name: str) -> None:
 def _misfit(points: Floats, about: dict[str, Any], stated: bool) -> str:
     """Describe why marks cannot be um in their layer; empty where they can."""
     pixel, count, origin = (
-        np.array([about[key][axis] for axis in "xy"], dtype=np.float64) for key in ("pixel_um", "size_px", "origin_um")
+        np.array([about[key][axis] for axis in "xy"], dtype=np.float64)
+        for key in ("pixel_um", "size_px", "origin_um")
     )
     size, span, placed = pixel * count, np.ptp(points, axis=0), points - origin
     spans = f"{_size(span)}, the layer {_size(size)}"
@@ -356,17 +448,22 @@ def _misfit(points: Floats, about: dict[str, Any], stated: bool) -> str:
     if pixels_fit:
         return f"{spans}: they look like pixels. {_remedy('pixel', stated)}"
     if _inside(placed[:, ::-1], size).all():
-        return f"{spans}: they would fit with x and y exchanged. Exchange the columns: x runs to the right, y down"
+        return (
+            f"{spans}: they would fit with x and y exchanged. Exchange the columns: x runs to the"
+            " right, y down"
+        )
     return (
-        f"{spans}: {np.count_nonzero(~is_inside)} of {len(points)} lie outside it. Check the unit, the pixel size, and "
-        "that they belong to this image"
+        f"{spans}: {np.count_nonzero(~is_inside)} of {len(points)} lie outside it. Check the unit,"
+        " the pixel size, and that they belong to this image"
     )
 
 
 def _remedy(unit: str, stated: bool) -> str:
     """Advise what to do with positions in another unit than um."""
     if stated:
-        return f"The file says um: multiply them by {'the pixel size' if unit == 'pixel' else '1000'}."
+        return (
+            f"The file says um: multiply them by {'the pixel size' if unit == 'pixel' else '1000'}."
+        )
     sizes = " with --moving-pixel-um and --fixed-pixel-um" if unit == "pixel" else ""
     return f"Convert them by planish marks convert --unit {unit}{sizes}."
 

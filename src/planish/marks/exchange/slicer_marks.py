@@ -33,13 +33,20 @@ def read(content: Content) -> list[PointList]:
     """Read the point lists of a file; lines, curves, planes and empty lists are passed over."""
     name = content.name
     markups: Any = content.json["markups"]
-    entries: list[Any] = [m for m in markups if isinstance(m, Mapping)] if isinstance(markups, list) else []
+    entries: list[Any] = (
+        [m for m in markups if isinstance(m, Mapping)] if isinstance(markups, list) else []
+    )
     points = [m for m in entries if m.get("type") == "Fiducial" and m.get("controlPoints")]
     if len(points) > 16:
-        raise MarkError(f"{name} holds {len(points)} lists of points; two are needed. Save those two alone.")
+        raise MarkError(
+            f"{name} holds {len(points)} lists of points; two are needed. Save those two alone."
+        )
     if not points:
         kinds = ", ".join(sorted({str(m.get("type")) for m in entries})) or "nothing"
-        raise MarkError(f"{name} holds no list of points, but {kinds}. Save a point list in Slicer as .mrk.json.")
+        raise MarkError(
+            f"{name} holds no list of points, but {kinds}. Save a point list in Slicer as"
+            " .mrk.json."
+        )
     return [_point_list(markup, k, name) for k, markup in enumerate(points)]
 
 
@@ -78,18 +85,25 @@ def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
             }
         )
     content = {"@schema": SCHEMA, "markups": markups}
-    return {"": (json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()}
+    return {
+        "": (json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
+    }
 
 
 def _point_list(markup: Mapping[str, Any], k: int, name: str) -> PointList:
     title = str(markup.get("name") or f"list {k + 1}")
     coordinate_system: object = markup.get("coordinateSystem", "LPS")
     if coordinate_system not in ("LPS", "RAS"):
-        raise MarkError(f"{name}: {title} is in {coordinate_system!r}; LPS or RAS is needed. Save it so in Slicer.")
+        raise MarkError(
+            f"{name}: {title} is in {coordinate_system!r}; LPS or RAS is needed. Save it so in"
+            " Slicer."
+        )
     unit_code: Any = markup.get("coordinateUnits", "mm")
     unit = unit_code[0] if isinstance(unit_code, list) and unit_code else unit_code
     if unit not in ("mm", "um"):
-        raise MarkError(f"{name}: {title} is in {unit!r}; mm or um is needed. Save it so in Slicer.")
+        raise MarkError(
+            f"{name}: {title} is in {unit!r}; mm or um is needed. Save it so in Slicer."
+        )
     entries: Any = markup["controlPoints"]
     controls: list[Any] = entries if isinstance(entries, list) else [None]
     faults: list[str] = []
@@ -106,7 +120,10 @@ def _point_list(markup: Mapping[str, Any], k: int, name: str) -> PointList:
         if status not in ("defined", "undefined", "preview"):
             faults.append(f"point {number} of {title} has the status {str(status)[:40]!r}")
         if status == "defined" and None in point:
-            faults.append(f"point {number} of {title} has the position {str(position)[:40]}, not three finite numbers")
+            faults.append(
+                f"point {number} of {title} has the position {str(position)[:40]}, not three finite"
+                " numbers"
+            )
         points.append(point if status == "defined" else [None] * 3)
     raise_faults(name, faults, "Save the list in Slicer again.", error=MarkError)
     signs = np.array([1.0, 1.0, 1.0] if coordinate_system == "LPS" else [-1.0, -1.0, 1.0])
@@ -115,6 +132,9 @@ def _point_list(markup: Mapping[str, Any], k: int, name: str) -> PointList:
         points=signs * np.array(points, dtype=np.float64),
         unit=unit,
         stated=True,
-        labels=[str(control.get("label") or f"{title} {number}") for number, control in enumerate(controls, 1)],
+        labels=[
+            str(control.get("label") or f"{title} {number}")
+            for number, control in enumerate(controls, 1)
+        ],
         used=[control.get("selected", True) is not False for control in controls],
     )

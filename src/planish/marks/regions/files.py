@@ -21,12 +21,28 @@ import numpy as np
 
 from planish.core.errors import FileError
 from planish.core.tables import decode_text, raise_faults, read_bytes
-from planish.marks.regions.model import MOST_POINTS, MOST_REGIONS, Region, Regions, Ring, nested, ring_of, text_of
+from planish.marks.regions.model import (
+    MOST_POINTS,
+    MOST_REGIONS,
+    Region,
+    Regions,
+    Ring,
+    nested,
+    ring_of,
+    text_of,
+)
 
 ROI, ZIP = b"Iout", b"PK"  # first bytes of a selection and of an archive
 _HEAD = 64  # bytes
 _RECTANGLE, _OVAL, _POLYGONS = 1, 2, (0, 7, 8)  # drawn by points, freehand, traced
-_NO_AREA = {3: "a line", 4: "a freehand line", 5: "a segmented line", 6: "empty", 9: "an angle", 10: "points"}
+_NO_AREA = {
+    3: "a line",
+    4: "a freehand line",
+    5: "a segmented line",
+    6: "empty",
+    9: "an angle",
+    10: "points",
+}
 _OVERLAYS = {1: "a text", 2: "an arrow", 4: "an image"}
 _MOVE, _LINE, _QUADRATIC, _CUBIC, _CLOSE = range(5)  # codes of composite selections
 # ImageJ takes a pixel whose centre lies on a border where the region lies left of it, planish where it lies right.
@@ -59,8 +75,12 @@ def read_regions(path: str | Path) -> Regions:
     readers: list[tuple[str, Callable[[], Region]]] = []
     if is_imagej := content.startswith((ZIP, ROI)):
         remedy = _DRAW
-        for part_name, data in _unpacked(content, name) if content.startswith(ZIP) else [(name, content)]:
-            readers.append((repr(part_name[:80]), partial(_selection, data, PurePosixPath(part_name).stem)))
+        for part_name, data in (
+            _unpacked(content, name) if content.startswith(ZIP) else [(name, content)]
+        ):
+            readers.append(
+                (repr(part_name[:80]), partial(_selection, data, PurePosixPath(part_name).stem))
+            )
     else:
         remedy = "Coordinates are [x, y] in um of the reference; docs/linking.md shows an example."
         for k, feature in enumerate(_features(content, name, faults), 1):
@@ -70,22 +90,31 @@ def read_regions(path: str | Path) -> Regions:
         try:
             regions.append(read_region())
         except (ValueError, struct.error) as error:
-            faults.append(f"{title}: {'it ends early' if isinstance(error, struct.error) else error}")
+            faults.append(
+                f"{title}: {'it ends early' if isinstance(error, struct.error) else error}"
+            )
     raise_faults(name, faults, remedy, error=FileError)
-    point_count = sum(len(ring) for region in regions for rings in region.polygons for ring in rings)
+    point_count = sum(
+        len(ring) for region in regions for rings in region.polygons for ring in rings
+    )
     if not regions:
         raise FileError(f"{name} holds no region. Draw one, or leave --regions out.")
     if len(regions) > MOST_REGIONS or point_count > MOST_POINTS:
         raise FileError(
-            f"{name} holds {len(regions)} regions with {point_count} points; {MOST_REGIONS} regions with {MOST_POINTS} "
-            "points are the most. Simplify them, or join them to MultiPolygons."
+            f"{name} holds {len(regions)} regions with {point_count} points; {MOST_REGIONS} regions"
+            f" with {MOST_POINTS} points are the most. Simplify them, or join them to"
+            " MultiPolygons."
         )
     return Regions(declared=tuple(regions), in_pixels=is_imagej)
 
 
 def _unpacked(data: bytes, name: str) -> list[tuple[str, bytes]]:
-    if data.count(b"PK\1\2") > 2 * MOST_REGIONS:  # entries of its table of contents, before that is read
-        raise FileError(f"{name} holds more than {MOST_REGIONS} entries. Give an archive of the ROI Manager of ImageJ.")
+    # Entries of its table of contents, before that is read.
+    if data.count(b"PK\1\2") > 2 * MOST_REGIONS:
+        raise FileError(
+            f"{name} holds more than {MOST_REGIONS} entries. Give an archive of the ROI Manager of"
+            " ImageJ."
+        )
     files: list[tuple[str, bytes]] = []
     bytes_left = _LARGEST_FILE
     try:
@@ -95,14 +124,28 @@ def _unpacked(data: bytes, name: str) -> list[tuple[str, bytes]]:
                     continue
                 if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                     raise ValueError("packed in an unusual way")
-                with archive.open(entry) as stream:  # what the archive says of its sizes need not be true
+                # What the archive says of its sizes need not be true.
+                with archive.open(entry) as stream:
                     files.append((entry.filename, stream.read(bytes_left + 1)))
                 bytes_left -= len(files[-1][1])
                 if bytes_left < 0:
-                    raise FileError(f"{name} is too large when unpacked. Give an archive of the ROI Manager of ImageJ.")
+                    raise FileError(
+                        f"{name} is too large when unpacked. Give an archive of the ROI Manager of"
+                        " ImageJ."
+                    )
     # One with a password is a RuntimeError.
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, ValueError, struct.error) as error:
-        raise FileError(f"{name} is a damaged archive ({error}). Save the selections again.") from error
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        EOFError,
+        OSError,
+        RuntimeError,
+        ValueError,
+        struct.error,
+    ) as error:
+        raise FileError(
+            f"{name} is a damaged archive ({error}). Save the selections again."
+        ) from error
     if not files:
         raise FileError(f"{name} is an empty archive. {_DRAW}")
     return files
@@ -114,9 +157,13 @@ def _selection(data: bytes, default_name: str) -> Region:
         raise ValueError("it is no selection of ImageJ")
     version, selection_type = struct.unpack_from(">hB", data, 4)
     (composite_size,) = struct.unpack_from(">i", data, 36)
-    subtype, option_flags, corner_diameter, header2_offset = struct.unpack_from(">hh2xh4xi", data, 48)
+    subtype, option_flags, corner_diameter, header2_offset = struct.unpack_from(
+        ">hh2xh4xi", data, 48
+    )
     if selection_type in _NO_AREA or subtype in _OVERLAYS:
-        raise ValueError(f"it is {_OVERLAYS.get(subtype) or _NO_AREA.get(selection_type)}, which covers no area")
+        raise ValueError(
+            f"it is {_OVERLAYS.get(subtype) or _NO_AREA.get(selection_type)}, which covers no area"
+        )
     subpixel_version = version if option_flags & 128 else 0
     if composite_size > 0:
         polygons = nested([ring_of(ring) for ring in _composite_rings(data, composite_size)])
@@ -126,7 +173,9 @@ def _selection(data: bytes, default_name: str) -> Region:
         polygons = ((ring_of(_box(data, selection_type, is_subpixel=subpixel_version >= 223)),),)
     elif selection_type in _POLYGONS:
         if option_flags & 1:
-            raise ValueError("it is fitted with a spline; take points along it (Edit, Selection, Interpolate)")
+            raise ValueError(
+                "it is fitted with a spline; take points along it (Edit, Selection, Interpolate)"
+            )
         polygons = ((ring_of(_polygon(data, is_subpixel=subpixel_version >= 222)),),)
     else:
         raise ValueError(f"it is of the unknown type {selection_type}")
@@ -143,14 +192,20 @@ def _selection(data: bytes, default_name: str) -> Region:
 def _box(data: bytes, selection_type: int, *, is_subpixel: bool) -> Ring:
     """Give the corners of a rectangle; or an oval, as a polygon with its points on it."""
     top, left, bottom, right = map(_short, struct.unpack_from(">4h", data, 8))
-    x, y, w, h = struct.unpack_from(">4f", data, 18) if is_subpixel else (left, top, right - left, bottom - top)
+    x, y, w, h = (
+        struct.unpack_from(">4f", data, 18)
+        if is_subpixel
+        else (left, top, right - left, bottom - top)
+    )
     if not (0 < w <= 1e6 and 0 < h <= 1e6):
         raise ValueError(f"it is {w:g} x {h:g} pixels large")
     if selection_type == _RECTANGLE:
         return np.array([[x, y], [x + w, y], [x + w, y + h], [x, y + h]])
     radius = max(0.5 * max(w, h), 1.0)
     # The polygon of an oval may lie a hundredth of a pixel inside it.
-    angle = np.linspace(0, 2 * np.pi, math.ceil(np.pi / math.acos(1 - 0.01 / radius)), endpoint=False)
+    angle = np.linspace(
+        0, 2 * np.pi, math.ceil(np.pi / math.acos(1 - 0.01 / radius)), endpoint=False
+    )
     return np.stack([x + 0.5 * w * (1 + np.cos(angle)), y + 0.5 * h * (1 + np.sin(angle))], axis=1)
 
 
@@ -179,9 +234,14 @@ def _composite_rings(data: bytes, float_count: int) -> Iterator[Ring]:
     while offset < float_count:
         code = floats[offset]
         if code in (_QUADRATIC, _CUBIC):
-            raise ValueError("it is a composite selection with curves; split it (More, Split in the ROI Manager)")
+            raise ValueError(
+                "it is a composite selection with curves; split it (More, Split in the ROI Manager)"
+            )
         if code not in (_MOVE, _LINE, _CLOSE) or (code == _LINE and not ring_starts):
-            raise ValueError("it is a composite selection of unknown parts; split it (More, Split in the ROI Manager)")
+            raise ValueError(
+                "it is a composite selection of unknown parts; split it (More, Split in the ROI"
+                " Manager)"
+            )
         if code == _MOVE:
             ring_starts.append([])
         if code != _CLOSE:
@@ -191,7 +251,8 @@ def _composite_rings(data: bytes, float_count: int) -> Iterator[Ring]:
         raise ValueError("it ends early")
     for vertex_offsets in map(np.array, ring_starts):
         ring = np.stack([floats[vertex_offsets], floats[vertex_offsets + 1]], axis=1)
-        if len(np.unique(ring, axis=0)) > 2:  # ImageJ leaves places and lines behind, which cover no area
+        # ImageJ leaves places and lines behind, which cover no area.
+        if len(np.unique(ring, axis=0)) > 2:
             yield ring + _NUDGE
 
 
@@ -216,9 +277,13 @@ def _features(data: bytes, name: str, faults: list[str]) -> list[Any]:
     try:
         content: object = json.loads(text)
     except RecursionError as error:
-        raise FileError(f"{name} is nested too deeply for GeoJSON. Save the regions again.") from error
+        raise FileError(
+            f"{name} is nested too deeply for GeoJSON. Save the regions again."
+        ) from error
     except ValueError as error:
-        raise FileError(f"{name} is neither GeoJSON nor a file of ImageJ: {error}. Save the regions again.") from error
+        raise FileError(
+            f"{name} is neither GeoJSON nor a file of ImageJ: {error}. Save the regions again."
+        ) from error
     root = _object(content)
     kind, features = root.get("type"), root.get("features")
     if root.get("units", "um") != "um":
@@ -230,13 +295,16 @@ def _features(data: bytes, name: str, faults: list[str]) -> list[Any]:
     if kind == "FeatureCollection" and isinstance(features, list):
         return cast("list[Any]", features)
     raise FileError(
-        f"{name} is JSON, but no GeoJSON of regions: a FeatureCollection, a Feature, a Polygon or a MultiPolygon is "
-        "needed. Draw the regions as polygons and save them as GeoJSON."
+        f"{name} is JSON, but no GeoJSON of regions: a FeatureCollection, a Feature, a Polygon or a"
+        " MultiPolygon is needed. Draw the regions as polygons and save them as GeoJSON."
     )
 
 
 def _region(feature: object, default_name: str) -> Region:
-    geometry, properties = _object(_object(feature).get("geometry")), _object(feature).get("properties")
+    geometry, properties = (
+        _object(_object(feature).get("geometry")),
+        _object(feature).get("properties"),
+    )
     geometry_type, coordinates = geometry.get("type"), geometry.get("coordinates")
     if geometry_type not in ("Polygon", "MultiPolygon"):
         type_text = repr(geometry_type[:40]) if isinstance(geometry_type, str) else "none"
@@ -245,7 +313,9 @@ def _region(feature: object, default_name: str) -> Region:
         raise ValueError("its properties are no object")
     texts = {key: text_of(_object(properties).get(key), key) for key in _TEXTS}
     texts["name"] = texts["name"] or default_name
-    polygons = _list(coordinates, "coordinates") if geometry_type == "MultiPolygon" else [coordinates]
+    polygons = (
+        _list(coordinates, "coordinates") if geometry_type == "MultiPolygon" else [coordinates]
+    )
     borders = (map(_ring, _list(polygon, "a polygon")) for polygon in polygons)
     return Region(polygons=tuple(map(tuple, borders)), **texts)
 
@@ -278,11 +348,17 @@ def geojson_text(regions: Regions) -> str:
     assert not regions.in_pixels
     feature_lines: list[str] = []
     for region in regions.declared:
-        polygons = [[[*ring.tolist(), ring[0].tolist()] for ring in rings] for rings in region.polygons]
-        geometry_type, coordinates = ("Polygon", polygons[0]) if len(polygons) == 1 else ("MultiPolygon", polygons)
+        polygons = [
+            [[*ring.tolist(), ring[0].tolist()] for ring in rings] for rings in region.polygons
+        ]
+        geometry_type, coordinates = (
+            ("Polygon", polygons[0]) if len(polygons) == 1 else ("MultiPolygon", polygons)
+        )
         texts = {key: text for key in _TEXTS if (text := getattr(region, key))}
         geometry = {"type": geometry_type, "coordinates": coordinates}
         feature = {"type": "Feature", "properties": texts, "geometry": geometry}
         feature_lines.append(f"  {json.dumps(feature, ensure_ascii=False)}")
     features = ",\n".join(feature_lines)
-    return f'{{\n "type": "FeatureCollection",\n "units": "um",\n "features": [\n{features}\n ]\n}}\n'
+    return (
+        f'{{\n "type": "FeatureCollection",\n "units": "um",\n "features": [\n{features}\n ]\n}}\n'
+    )

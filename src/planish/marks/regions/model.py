@@ -69,7 +69,10 @@ class Regions:
         pixel_um, origin = np.array([across, down]), np.array(grid.origin_um)
         regions_um: list[Region] = []
         for region in self.declared:
-            polygons = (tuple((ring - 0.5) * pixel_um + origin for ring in rings) for rings in region.polygons)
+            polygons = (
+                tuple((ring - 0.5) * pixel_um + origin for ring in rings)
+                for rings in region.polygons
+            )
             regions_um.append(replace(region, polygons=tuple(polygons)))
         return Regions(declared=tuple(regions_um))
 
@@ -106,11 +109,21 @@ def nested(rings: Sequence[Ring]) -> tuple[tuple[Ring, ...], ...]:
         encloses = ((lows <= lows[k]) & (highs >= highs[k])).all(axis=1)
         encloses[k] = False
         candidates = np.flatnonzero(encloses).tolist()
-        enclosing.append([j for j in candidates if 2 * sum(_inside(rings[j], place) for place in probes) > len(probes)])
-    polygons: dict[int, list[Ring]] = {k: [ring] for k, ring in enumerate(rings) if len(enclosing[k]) % 2 == 0}
+        enclosing.append(
+            [
+                j
+                for j in candidates
+                if 2 * sum(_inside(rings[j], place) for place in probes) > len(probes)
+            ]
+        )
+    polygons: dict[int, list[Ring]] = {
+        k: [ring] for k, ring in enumerate(rings) if len(enclosing[k]) % 2 == 0
+    }
     for k, ring in enumerate(rings):
         if k not in polygons:
-            polygons[max((j for j in enclosing[k] if j in polygons), key=lambda j: len(enclosing[j]))].append(ring)
+            polygons[
+                max((j for j in enclosing[k] if j in polygons), key=lambda j: len(enclosing[j]))
+            ].append(ring)
     return tuple(map(tuple, polygons.values()))
 
 
